@@ -20,7 +20,7 @@ GARBAGE_THRESHOLD = 200_000
 
 It is more than by default, because imports and compilers make many objects that stay.
 """
-_status: int | None = None
+_exit_status: int | None = None
 """The exit status once a signal has come: 128 + its number, as in shells. None before that."""
 
 
@@ -45,12 +45,14 @@ def main() -> None:
             (signal.SIGTERM, signal.SIG_DFL),
         ):
             if signal.getsignal(number) is default:
-                signal.signal(number, _stop)
+                signal.signal(number, _handle_signal)
         read_end, write_end = os.pipe()
         os.set_blocking(write_end, False)
         signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
         sys.unraisablehook = _exit_if_stopped
-        threading.Thread(target=_watch, args=(read_end,), name="signals", daemon=True).start()
+        threading.Thread(
+            target=_watch_signals, args=(read_end,), name="signals", daemon=True
+        ).start()
         from navbake.cli.main import main as run  # now that Ctrl-C is expected
 
         run()
@@ -58,8 +60,8 @@ def main() -> None:
         # from here on, a signal would only end the process while Python cleans up
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         is_done = isinstance(error, SystemExit) and error.code in (None, 0)
-        if _status is not None and not (is_done and _status == 128 + signal.SIGINT):
-            sys.exit(_status)
+        if _exit_status is not None and not (is_done and _exit_status == 128 + signal.SIGINT):
+            sys.exit(_exit_status)
         raise
     finally:
         # as it ends, Python collects garbage several times: 0.3 s for memory that the system
@@ -68,25 +70,25 @@ def main() -> None:
         gc.freeze()
 
 
-def _stop(number: int, frame: FrameType | None) -> None:
+def _handle_signal(number: int, frame: FrameType | None) -> None:
     """Handle a signal: raise an exception for the first; end the process at another Ctrl-C."""
-    global _status
-    if _status is None:
-        _status = 128 + number
-        raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(_status)
+    global _exit_status
+    if _exit_status is None:
+        _exit_status = 128 + number
+        raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(_exit_status)
     if number == signal.SIGINT:
-        os._exit(_status)
+        os._exit(_exit_status)
 
 
 def _exit_if_stopped(unraisable: sys.UnraisableHookArgs) -> None:
     """End the process if a signal's exception can't be raised, for example in a callback from C."""
-    if _status is not None:
-        os._exit(_status)
+    if _exit_status is not None:
+        os._exit(_exit_status)
     sys.__unraisablehook__(unraisable)
 
 
-def _watch(read_end: int) -> None:
-    """End the process if `_stop` isn't called within SIGNAL_TIMEOUT after a signal.
+def _watch_signals(read_end: int) -> None:
+    """End the process if `_handle_signal` isn't called within SIGNAL_TIMEOUT after a signal.
 
     That happens while code in C runs on the main thread.
 
@@ -97,7 +99,7 @@ def _watch(read_end: int) -> None:
         number = os.read(read_end, 1)[0]
         if number in (signal.SIGINT, signal.SIGTERM):
             time.sleep(SIGNAL_TIMEOUT)
-            if _status is None:
+            if _exit_status is None:
                 os._exit(128 + number)
 
 

@@ -162,7 +162,7 @@ def cache_folder() -> Path | None:
     with suppress(OSError):
         if existing is not None:
             temporary = Path(tempfile.mkdtemp(prefix=f"{PACKAGE}-kernels-"))
-            atexit.register(_remove, temporary, os.getpid())
+            atexit.register(_remove_folder, temporary, os.getpid())
             for path in existing.rglob("*.nb[ic]"):
                 link = temporary / existing.name / path.relative_to(existing)
                 link.parent.mkdir(parents=True, exist_ok=True)
@@ -171,7 +171,7 @@ def cache_folder() -> Path | None:
     return None
 
 
-def _remove(folder: Path, process_id: int) -> None:
+def _remove_folder(folder: Path, process_id: int) -> None:
     """Remove a folder if this is the process that made it, and not a fork of that process."""
     if os.getpid() == process_id:
         shutil.rmtree(folder, ignore_errors=True)
@@ -388,7 +388,8 @@ def _start_helper(entries: list[Entry], folder: Path) -> subprocess.Popen[bytes]
     """Start a process that compiles entries into a folder."""
     # modules are found where this process finds them, and not in the current folder first
     path = [*filter(None, sys.path), str(PACKAGE_FOLDER.parent)]
-    code = f"import sys; sys.path[:] = {path!r}; from {__name__} import serve; serve()"
+    call = f"from {__name__} import compile_from_stdin; compile_from_stdin()"
+    code = f"import sys; sys.path[:] = {path!r}; {call}"
     environment = {
         **os.environ,
         "NUMBA_CACHE_DIR": str(folder.parent),
@@ -408,7 +409,7 @@ def _start_helper(entries: list[Entry], folder: Path) -> subprocess.Popen[bytes]
     return helper
 
 
-def serve() -> None:
+def compile_from_stdin() -> None:
     """Compile the entries that stdin holds as JSON; a process of `_start_helper` runs this."""
     for entry in json.load(sys.stdin):
         Entry(*entry).compile()

@@ -76,7 +76,7 @@ def _write_temporary(data: bytes | Iterable[bytes], path: Path) -> Iterator[Call
         yield write_device
         return
     target = Path(os.path.realpath(path))
-    _clean_once(target.parent)
+    _remove_leftovers_once(target.parent)
     file, temporary = create_temporary(target.parent)
     try:
         with file:
@@ -159,7 +159,7 @@ def check_regular(path: str | PathLike[str]) -> None:
         raise OSError(errno.EINVAL, "expected a file, got a pipe or a device", os.fspath(path))
 
 
-def _clean_once(folder: Path) -> None:
+def _remove_leftovers_once(folder: Path) -> None:
     """Remove leftovers from a folder, but once in a process: listing a large folder is slow."""
     if folder not in _cleaned_folders:
         _cleaned_folders.add(folder)
@@ -219,7 +219,7 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
     try:
         if parent is None:
             parent = Path(tempfile.gettempdir())
-        _clean_once(parent)
+        _remove_leftovers_once(parent)
         folder = tempfile.TemporaryDirectory(
             prefix="navbake-", dir=parent, ignore_cleanup_errors=True
         )

@@ -149,7 +149,7 @@ def _get_pool() -> ThreadPoolExecutor:
         return _pool
 
 
-def _after_fork() -> None:
+def _reset_pool() -> None:
     """Make a forked process start a new pool: it has no threads, and its lock may be locked."""
     global _pool, _pool_lock
     _pool = None
@@ -157,4 +157,4 @@ def _after_fork() -> None:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
+    os.register_at_fork(after_in_child=_reset_pool)

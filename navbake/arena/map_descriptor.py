@@ -96,7 +96,7 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
     num_bits = rows * cols + 4
     expected_digits = 2 * -(-num_bits // 8)
     if num_digits != expected_digits:
-        raise _wrong_part(
+        raise _make_part_error(
             "part 1",
             part1,
             expected=f"{expected_digits} digits in part 1 for {rows} × {cols} squares",
@@ -104,14 +104,14 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
         )
     for name, pair in (("first", bits[:2]), ("last", bits[num_bits - 2 : num_bits])):
         if not pair.all():
-            raise _wrong_part(
+            raise _make_part_error(
                 "part 1",
                 part1,
                 expected=f"the {name} two bits of part 1 to be 11",
                 actual=f"{pair[0]}{pair[1]}",
             )
     if bits[num_bits:].any():
-        raise _wrong_part(
+        raise _make_part_error(
             "part 1", part1, expected="0s after the closing 11 of part 1", actual="others"
         )
     explored = bits[2 : num_bits - 2].astype(np.bool_)
@@ -125,14 +125,14 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
             digits += f" (or {least_digits})"
         squares = f"the {num_explored} squares that part 1 has explored"
         comparison = "more" if num_digits > full_digits else "fewer"
-        raise _wrong_part(
+        raise _make_part_error(
             "part 2",
             part2,
             expected=f"{digits} digits in part 2 for {squares}",
             actual=f"{num_digits}: {comparison} than it has",
         )
     if obstacle_bits[num_explored:].any():
-        raise _wrong_part(
+        raise _make_part_error(
             "part 2",
             part2,
             expected=f"0s after the {num_explored} bits of part 2",
@@ -143,7 +143,7 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
     return explored.reshape(rows, cols)[::-1].copy(), obstacles.reshape(rows, cols)[::-1].copy()
 
 
-def _wrong_part(key: str, value: object, *, expected: str, actual: str) -> FormatError:
+def _make_part_error(key: str, value: object, *, expected: str, actual: str) -> FormatError:
     """Return an error for a wrong part of a descriptor, or a wrong array of a map."""
     message = f"expected {expected}, got {actual}"
     return FormatError(message, key=key, value=value, expected=expected)
@@ -172,11 +172,11 @@ def _as_flags(values: ArrayLike, name: str) -> Bool:
     except ValueError:  # rows of several lengths
         flags = np.empty(0)
     if flags.dtype.kind not in "biuf":
-        raise _wrong_part(
+        raise _make_part_error(
             name, values, expected=f"{name} of true and false", actual=f"dtype {flags.dtype}"
         )
     if flags.ndim != 2 or 0 in flags.shape:
-        raise _wrong_part(
+        raise _make_part_error(
             name, values, expected=f"{name} of shape (rows, cols)", actual=f"{flags.shape}"
         )
     return np.asarray(flags != 0)
@@ -190,13 +190,13 @@ def check_shape(shape: Sequence[int]) -> tuple[int, int]:
     """
     sizes = list(shape) if np.iterable(shape) else [shape]
     if len(sizes) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in sizes):
-        raise _wrong_part(
+        raise _make_part_error(
             "shape", shape, expected="a shape (rows, cols), each >= 1", actual=f"{sizes}"
         )
     rows = int(sizes[0])
     cols = int(sizes[1])
     if rows * cols > MAX_SQUARES:
-        raise _wrong_part(
+        raise _make_part_error(
             "shape", shape, expected=f"at most {MAX_SQUARES} squares", actual=f"{rows} × {cols}"
         )
     return rows, cols
@@ -205,7 +205,7 @@ def check_shape(shape: Sequence[int]) -> tuple[int, int]:
 def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
     """Return the bits of hex digits, with 0s up to a full byte, and the number of digits."""
     if not isinstance(text, str):
-        raise _wrong_part(
+        raise _make_part_error(
             name,
             text,
             expected=f"{name} as a string of hexadecimal digits",
@@ -214,14 +214,14 @@ def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
     digits = text.strip()
     unexpected = digits.strip(hexdigits)
     if unexpected:
-        raise _wrong_part(
+        raise _make_part_error(
             name, text, expected=f"hexadecimal digits in {name}", actual=f"{unexpected[0]!r}"
         )
     data = bytes.fromhex(digits + "0" * (len(digits) % 2))
     return np.unpackbits(np.frombuffer(data, dtype=np.uint8)), len(digits)
 
 
-def _wrong_argument(key: str, value: object, *, expected: str, actual: str) -> QueryError:
+def _make_argument_error(key: str, value: object, *, expected: str, actual: str) -> QueryError:
     """Return an error for a wrong argument."""
     message = f"expected {expected}, got {actual}"
     return QueryError(message, key=key, value=value, expected=expected)
@@ -241,12 +241,12 @@ def check_squares(square: float, corner: ArrayLike) -> Float:
         QueryError: The edge or the corner is not valid.
     """
     if not (np.isfinite(square) and square > 0):
-        raise _wrong_argument(
+        raise _make_argument_error(
             "square", square, expected="squares with an edge > 0 m", actual=f"{square:g}"
         )
     position = finite_array(corner, (2,))
     if position is None:
-        raise _wrong_argument(
+        raise _make_argument_error(
             "corner",
             corner,
             expected="the arena's lower left corner as x, y [m]",
@@ -298,12 +298,12 @@ def place_squares(
         shape = (num_cells(y_high - bottom, square), num_cells(x_high - left_side, square))
     rows, cols = shape
     if rows < 1 or cols < 1:
-        raise _wrong_argument(
+        raise _make_argument_error(
             "shape", shape, expected="rows and columns >= 1", actual=f"{rows} and {cols}"
         )
     if rows * cols > MAX_SQUARES:
         hint = "take larger squares, or a part of the level"
-        raise _wrong_argument(
+        raise _make_argument_error(
             "shape",
             shape,
             expected=f"at most {MAX_SQUARES} squares",
@@ -313,15 +313,15 @@ def place_squares(
     left_side, bottom, right_side, top = squares.bounds
     if left_side >= x_high or bottom >= y_high or right_side <= x_low or top <= y_low:
         raise QueryError(
-            f"the arena, {_shown_bounds(squares.bounds)} m, lies beside the level: it spans "
-            f"{_shown_bounds(level_bounds)} m",
+            f"the arena, {_format_bounds(squares.bounds)} m, lies beside the level: it spans "
+            f"{_format_bounds(level_bounds)} m",
             key="corner",
             value=(left_side, bottom),
         )
     return squares
 
 
-def _shown_bounds(bounds: tuple[float, float, float, float]) -> str:
+def _format_bounds(bounds: tuple[float, float, float, float]) -> str:
     """Write the bounds of a lattice for messages."""
     x_low, y_low, x_high, y_high = bounds
     return f"x {x_low:g} to {x_high:g}, y {y_low:g} to {y_high:g}"
@@ -473,14 +473,14 @@ class ExploredMap:
         directions = _check_rays(angles, max_range)
         lengths = _as_numbers(ranges, "ranges [m]")
         if directions.shape != lengths.shape:
-            raise _wrong_argument(
+            raise _make_argument_error(
                 "ranges",
                 ranges,
                 expected="as many angles as ranges",
                 actual=f"{len(directions)} and {len(lengths)}",
             )
         if (lengths < 0).any():
-            raise _wrong_argument(
+            raise _make_argument_error(
                 "ranges", ranges, expected="ranges >= 0 m", actual=f"{np.nanmin(lengths):g}"
             )
         is_passed = np.zeros_like(self.explored)
@@ -517,7 +517,7 @@ class ExploredMap:
         """
         is_obstacle = np.asarray(truth) != 0
         if is_obstacle.shape != self.explored.shape:
-            raise _wrong_argument(
+            raise _make_argument_error(
                 "truth",
                 is_obstacle.shape,
                 expected=f"`truth` of shape {self.explored.shape}",
@@ -546,10 +546,10 @@ class ExploredMap:
             row, col = map(int, self.lattice.rows_cols([x, y]))
             if self.lattice.holds(row, col):
                 return row, col
-        raise _wrong_argument(
+        raise _make_argument_error(
             "position",
             (x, y),
-            expected=f"a position within the arena, {_shown_bounds(self.lattice.bounds)}",
+            expected=f"a position within the arena, {_format_bounds(self.lattice.bounds)}",
             actual=f"({x:g}, {y:g})",
         )
 
@@ -601,9 +601,11 @@ def _check_rays(angles: ArrayLike, max_range: float) -> Float:
     """Check directions [rad] and range [m] of sensors; return the directions, shape (n,)."""
     directions = _as_numbers(angles, "angles [rad]")
     if not np.isfinite(directions).all():
-        raise _wrong_argument("angles", angles, expected="finite angles [rad]", actual="others")
+        raise _make_argument_error(
+            "angles", angles, expected="finite angles [rad]", actual="others"
+        )
     if not (np.isfinite(max_range) and max_range > 0):
-        raise _wrong_argument(
+        raise _make_argument_error(
             "max_range", max_range, expected="a finite `max_range` > 0 m", actual=f"{max_range:g}"
         )
     return directions

@@ -80,7 +80,7 @@ def encode_mask(
     grid: NavGrid,
     path: Path,
     *,
-    has_limits: bool,
+    is_speed_mask: bool,
     level: int | None = None,
     image: str | None = None,
     zone: Sequence[str] | None = None,
@@ -97,7 +97,7 @@ def encode_mask(
     Args:
         grid: the grid.
         path: the masks' YAML, see `encode_nav2`; its mode is ``raw``.
-        has_limits: True for the speed filter, whose zones have limits; False for the keepout
+        is_speed_mask: True for the speed filter, whose zones have limits; False for the keepout
             filter.
         level: the number of the only level to write, None for all.
         image: ``pgm`` or ``png``; ``pgm`` if None.
@@ -124,16 +124,16 @@ def encode_mask(
     check_choice(image, IMAGE_SUFFIXES, "image")
     if zone is None and zones is None and grid.areas:
         mask_agent = find_agent(grid, agent)
-        masks, scale = _mark_areas(grid, mask_agent, has_limits, bool(absolute))
+        masks, scale = _mark_areas(grid, mask_agent, is_speed_mask, bool(absolute))
     else:
         if agent is not None or absolute:
             raise FormatError("agent and absolute are for masks of the grid's areas, without zones")
-        masks = _mark_zones(grid, zone, zones, has_limits)
-        scale = FilterScale(SPEED_PERCENT if has_limits else KEEPOUT)
+        masks = _mark_zones(grid, zone, zones, is_speed_mask)
+        scale = FilterScale(SPEED_PERCENT if is_speed_mask else KEEPOUT)
     files: Files = {}
     for k, yaml_path in list_level_paths(grid, path, level, YAML_SUFFIXES).items():
         files |= encode_map(grid.levels[k], masks[k], yaml_path, "raw", image)
-        kind = "speed" if has_limits else "keepout"
+        kind = "speed" if is_speed_mask else "keepout"
         mask_topic = f"{kind}_filter_mask"
         filter_info = {
             "type": scale.type,
@@ -156,17 +156,17 @@ def encode_mask(
     return files
 
 
-encode_keepout = partial(encode_mask, has_limits=False)
-encode_speed = partial(encode_mask, has_limits=True)
+encode_keepout = partial(encode_mask, is_speed_mask=False)
+encode_speed = partial(encode_mask, is_speed_mask=True)
 
 
 def _mark_areas(
-    grid: NavGrid, agent: Agent | None, has_limits: bool, absolute: bool
+    grid: NavGrid, agent: Agent | None, is_speed_mask: bool, absolute: bool
 ) -> tuple[list[OccupancyValues], FilterScale]:
     """Make the mask of each level from the grid's areas; return the masks and their scale."""
     values = np.zeros(len(grid.areas) + 1, dtype=np.int8)  # of each area; areas count from 1
     scale = FilterScale()
-    if has_limits:
+    if is_speed_mask:
         agent_speed = DEFAULT_SPEED if agent is None else agent.speed
         scale = FilterScale(SPEED_PERCENT)
         unit = agent_speed / 100.0  # the limit that the value 1 stands for [m/s]
@@ -174,7 +174,7 @@ def _mark_areas(
             unit = _find_multiplier([area.speed for area in grid.areas if area.speed is not None])
             scale = FilterScale(SPEED_ABSOLUTE, 0.0, unit)
     for number, area in enumerate(grid.areas, 1):
-        if not has_limits:
+        if not is_speed_mask:
             values[number] = OCCUPIED if area.bars(agent) else FREE
         elif area.speed is not None:
             value = math.floor(area.speed / unit * (1.0 + LIMIT_SLACK))
@@ -189,11 +189,11 @@ def _mark_areas(
                 )
     if not values.any():
         what = "bars this agent" if agent else "bars all agents"
-        if has_limits:
+        if is_speed_mask:
             what = "has a speed"
         raise FormatError(f"a mask needs zones or areas: no area of the grid {what}")
     costly_areas = [area.name for area in grid.areas if area.cost != 1.0 and not area.bars(agent)]
-    if costly_areas and not has_limits:
+    if costly_areas and not is_speed_mask:
         LOG.warning("a keepout mask has no costs of areas: left out of %s", ", ".join(costly_areas))
     return [values[level.area_index] for level in grid.levels], scale
 
@@ -218,17 +218,17 @@ def _mark_zones(
     grid: NavGrid,
     zone: Sequence[str] | None,
     zones_path: str | PathLike[str] | None,
-    has_limits: bool,
+    is_speed_mask: bool,
 ) -> list[OccupancyValues]:
     """Make the mask of each level from zones, see `encode_mask` for the arguments."""
-    available = _find_zones(grid, zones_path, has_limits)
+    available = _find_zones(grid, zones_path, is_speed_mask)
     marks: list[tuple[Zone, int]] = []  # (zone, value of its cells)
-    if zone is None and not has_limits:
+    if zone is None and not is_speed_mask:
         marks = [(polygon, OCCUPIED) for polygon in available if polygon.mask is not None]
     for entry in zone or []:
         name = entry
         value = OCCUPIED
-        if has_limits:
+        if is_speed_mask:
             name, _, text = entry.rpartition("=")
             if not name or not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 100:
                 expected = "NAME=PERCENT, 1 to 100, as zone"
@@ -262,10 +262,10 @@ def _mark_zones(
     return masks
 
 
-def _find_zones(grid: NavGrid, path: str | PathLike[str] | None, has_limits: bool) -> list[Zone]:
+def _find_zones(grid: NavGrid, path: str | PathLike[str] | None, is_speed_mask: bool) -> list[Zone]:
     """Return the rooms of a grid and the polygons of a file as zones.
 
-    A polygon has the cells whose centre is in it if `has_limits`, else all cells that it touches.
+    In a speed mask, a polygon has the cells whose centre is in it; else all cells that it touches.
     """
     zones = []
     for room in grid.rooms:
@@ -290,7 +290,7 @@ def _find_zones(grid: NavGrid, path: str | PathLike[str] | None, has_limits: boo
         rings = [outline["points"], *outline["rings"]]
         lattice = grid.levels[number].lattice
         touched = touch_cells(rings, lattice)
-        mask = cover_cells(rings, lattice) if has_limits else touched
+        mask = cover_cells(rings, lattice) if is_speed_mask else touched
         if not mask.any():
             fault = f"lies outside of level {number}: it holds no cell"
             if touched.any():
@@ -311,7 +311,7 @@ def _find_parameters_path(path: Path) -> Path:
 def read_mask(
     path: str | PathLike[str],
     *,
-    has_limits: bool,
+    is_speed_mask: bool,
     grid: NavGrid | None = None,
     level: int = 0,
     agent: str | Agent | None = None,
@@ -323,7 +323,7 @@ def read_mask(
     Args:
         path: the mask's YAML. The filter's parameters are read where `encode_mask` writes them;
             without them, values are percent.
-        has_limits: whether the mask is one of the speed filter.
+        is_speed_mask: whether the mask is one of the speed filter.
         grid: the grid that gets the areas, after those that it has; None for a new grid of free
             cells. A cell gets the mask's value at its centre.
         level: the number of the grid's level that the mask belongs to.
@@ -355,12 +355,12 @@ def read_mask(
 
     mask_agent = find_agent(grid, agent)
     agent_speed = DEFAULT_SPEED if mask_agent is None else mask_agent.speed
-    scale = _read_parameters(Path(path)) if has_limits else FilterScale()
+    scale = _read_parameters(Path(path)) if is_speed_mask else FilterScale()
     areas = list(grid.areas)
     area_index = grid.levels[level].area_index.copy()
     used_names = {area.name for area in areas}
     for value in np.unique(values[values > FREE]).tolist():
-        area = _make_area(value, scale, has_limits, agent_speed)
+        area = _make_area(value, scale, is_speed_mask, agent_speed)
         name = area.name
         number = 2
         while name in used_names:
@@ -401,7 +401,7 @@ def read_keepout(
     Raises:
         FormatError: see `read_mask`.
     """
-    return read_mask(path, has_limits=False, grid=grid, level=level)
+    return read_mask(path, is_speed_mask=False, grid=grid, level=level)
 
 
 def read_speed(
@@ -426,12 +426,12 @@ def read_speed(
         FormatError: see `read_mask`.
         QueryError: the grid has no such agent.
     """
-    return read_mask(path, has_limits=True, grid=grid, level=level, agent=agent)
+    return read_mask(path, is_speed_mask=True, grid=grid, level=level, agent=agent)
 
 
-def _make_area(value: int, scale: FilterScale, has_limits: bool, agent_speed: float) -> Area:
+def _make_area(value: int, scale: FilterScale, is_speed_mask: bool, agent_speed: float) -> Area:
     """Make the area for the cells of a mask with some value."""
-    if not has_limits:
+    if not is_speed_mask:
         if value >= INSCRIBED:
             return Area("keepout" if value == OCCUPIED else f"keepout {value}", math.inf)
         return Area(f"cost {value}", float(1 + math.ceil(251 * (value - 1) / 97)))

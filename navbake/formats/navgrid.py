@@ -184,7 +184,7 @@ def read_multi_level_grid(
         unit=float(defaults.get("unit", 1)),
         metadata=metadata,
         timings=check_optional_object(content, "timings", top),
-        extra=_unknown_fields(content, MULTI_FIELDS, top),
+        extra=_find_unknown_fields(content, MULTI_FIELDS, top),
     )
     check_grid(grid, top, key)
     return grid
@@ -268,7 +268,7 @@ def read_level(
         user_data=_read_user_data(content.get("userData"), place["userData"], width * height),
         metadata=metadata,
         timings=check_optional_object(content, "timings", place),
-        extra=_unknown_fields(content, SCENE_FIELDS, place),
+        extra=_find_unknown_fields(content, SCENE_FIELDS, place),
     )
 
 
@@ -295,7 +295,7 @@ def read_metadata(content: Json, place: JsonPath) -> Json:
     return metadata
 
 
-def _unknown_fields(content: Json, format_fields: tuple[str, ...], place: JsonPath) -> Json:
+def _find_unknown_fields(content: Json, format_fields: tuple[str, ...], place: JsonPath) -> Json:
     """Return the fields of a file that the format doesn't have; they are kept and written back."""
     return {
         key: check_json(content[key], place[key]) for key in content if key not in format_fields

@@ -33,16 +33,16 @@ def cover_planes(labels, heights, tolerance, max_rise):
         and the rise from row to row [m].
     """
     height, width = labels.shape
-    is_open = labels != 0
+    is_uncovered = labels != 0
     bounds = np.empty((FIRST_CAPACITY, 4), np.int64)
     planes = np.empty((FIRST_CAPACITY, 3))
     num_planes = 0
     for row in range(height):
         for col in range(width):
-            if not is_open[row, col]:
+            if not is_uncovered[row, col]:
                 continue
-            right = _even_rise(labels, heights, is_open, row, col, 0, 1, tolerance)
-            down = _even_rise(labels, heights, is_open, row, col, 1, 0, tolerance)
+            right = _find_even_rise(labels, heights, is_uncovered, row, col, 0, 1, tolerance)
+            down = _find_even_rise(labels, heights, is_uncovered, row, col, 1, 0, tolerance)
             best_rows = 0
             best_cols = 0
             best_x = 0.0
@@ -55,7 +55,9 @@ def cover_planes(labels, heights, tolerance, max_rise):
                 is_same = (slope % 2 > 0 and right == 0.0) or (slope // 2 > 0 and down == 0.0)
                 if is_same or x * x + y * y > max_rise * max_rise:
                     continue
-                rows, cols = _largest_rectangle(labels, heights, is_open, row, col, x, y, tolerance)
+                rows, cols = _find_largest_rectangle(
+                    labels, heights, is_uncovered, row, col, x, y, tolerance
+                )
                 # a slope takes three cells: any two heights lie on a line
                 is_short = (x != 0.0 and cols < 3) or (y != 0.0 and rows < 3)
                 if rows * cols > best_rows * best_cols and not is_short:
@@ -63,7 +65,7 @@ def cover_planes(labels, heights, tolerance, max_rise):
                     best_cols = cols
                     best_x = x
                     best_y = y
-            is_open[row : row + best_rows, col : col + best_cols] = False
+            is_uncovered[row : row + best_rows, col : col + best_cols] = False
             if num_planes == bounds.shape[0]:
                 bounds = np.concatenate((bounds, np.empty_like(bounds)))
                 planes = np.concatenate((planes, np.empty_like(planes)))
@@ -74,7 +76,7 @@ def cover_planes(labels, heights, tolerance, max_rise):
 
 
 @subkernel
-def _even_rise(labels, heights, is_open, row, col, down, right, tolerance):
+def _find_even_rise(labels, heights, is_uncovered, row, col, down, right, tolerance):
     """Return the rise from cell to cell of three cells of one label in a line [m].
 
     It is 0 if they don't rise evenly. The line leads `down` rows and `right` columns on each time.
@@ -87,7 +89,7 @@ def _even_rise(labels, heights, is_open, row, col, down, right, tolerance):
     for n in range(1, 3):
         r = row + n * down
         c = col + n * right
-        if not is_open[r, c] or labels[r, c] != label:
+        if not is_uncovered[r, c] or labels[r, c] != label:
             return 0.0
     rise = (heights[last_row, last_col] - heights[row, col]) / 2
     middle_rise = heights[row + down, col + right] - heights[row, col]
@@ -95,7 +97,7 @@ def _even_rise(labels, heights, is_open, row, col, down, right, tolerance):
 
 
 @subkernel
-def _largest_rectangle(labels, heights, is_open, row, col, x, y, tolerance):
+def _find_largest_rectangle(labels, heights, is_uncovered, row, col, x, y, tolerance):
     """Return the numbers of rows and columns of the largest rectangle with a given upper left cell.
 
     All of its cells have one label and lie on a plane, which rises by `x` from column to column and
@@ -112,7 +114,7 @@ def _largest_rectangle(labels, heights, is_open, row, col, x, y, tolerance):
         num_fitting = 0
         while num_fitting < width:
             c = col + num_fitting
-            if not is_open[r, c] or labels[r, c] != label:
+            if not is_uncovered[r, c] or labels[r, c] != label:
                 break
             if abs(heights[r, c] - row_height - num_fitting * x) > tolerance:
                 break

@@ -1,10 +1,10 @@
 """``ProcTHORMap`` of MolmoSpaces: a PNG of free cells and rooms, its matrices in text chunks.
 
 Red and green are 255 in free cells (MolmoSpaces calls that ``occupancy``), blue is the room's
-number, 0 for none. ``world_to_map`` (2 × 4) and ``map_to_world`` (3 × 3) are the matrices of its
-formulas: ``round([x, y, z, 1] @ world_to_map.T)`` is row and column, and
-``[row, col, 1] @ map_to_world.T`` the world position of that pixel's middle. So whole numbers are
-the centres of cells, half a cell off from matrices that are used with ``floor``.
+number, 0 for none. The text chunks hold the matrices ``world_to_map`` (2 × 4) and ``map_to_world``
+(3 × 3): ``round([x, y, z, 1] @ world_to_map.T)`` is the row and column of a position, and
+``[row, col, 1] @ map_to_world.T`` the world position of a pixel's middle. So whole numbers stand
+for the centres of cells. In matrices that are used with ``floor``, they stand for corners of cells.
 
 Source: ``ProcTHORMap.save`` and ``load`` of ``molmo_spaces/utils/scene_maps.py``.
 """
@@ -29,9 +29,9 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE, Lattice
 from navbake.types import Float, Json, JsonValue
 
-MAX_ROOMS = 255  # numbers in a byte
-ZERO_SHARE = 1e-6  # an entry below this share of a matrix's largest counts as 0
-INTEGER_TOLERANCE = 1e-9  # by which a whole number of pixels a metre may be off
+MAX_ROOMS = 255  # largest number in a byte
+ZERO_SHARE = 1e-6  # an entry up to this share of a matrix's largest entry counts as 0
+INTEGER_TOLERANCE = 1e-9  # by how much a whole number of pixels per metre may be off
 
 
 def encode_procthor(grid: NavGrid, path: Path, *, level: int | None = None) -> Files:
@@ -60,7 +60,7 @@ def encode_procthor(grid: NavGrid, path: Path, *, level: int | None = None) -> F
         cell_size = scene.lattice.cell_size
         x_min = scene.lattice.x_min
         y_max = scene.lattice.y_max
-        density = 1.0 / cell_size  # pixels a metre
+        density = 1.0 / cell_size  # pixels per metre
         is_whole = abs(density - round(density)) < INTEGER_TOLERANCE
         rooms = [room for room in grid.rooms if room.level == number]
         texts: Json = {
@@ -84,9 +84,9 @@ def encode_procthor(grid: NavGrid, path: Path, *, level: int | None = None) -> F
 def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
     """Read a ``ProcTHORMap`` as a grid of one level.
 
-    Rows and columns may run along either axis of the world, in either direction; the map is rotated
-    or flipped to navbake's axes. All cells have a flat floor at the z of ``map_to_world``. Grey
-    maps (``iTHORMap``) have no rooms.
+    Rows and columns may run along either axis of the world, in either direction: the map is turned
+    or flipped so that columns run along x, and rows against y. All cells have a flat floor at the z
+    of ``map_to_world``. Grey maps (``iTHORMap``) have no rooms.
 
     Args:
         path: the file.
@@ -115,7 +115,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
     room_index = layers[1].astype(np.uint16)
     ground = float(map_to_world[2, 2])
     if not abs(ground) <= MAX_COORDINATE:
-        raise _range_error(path)
+        raise _make_range_error(path)
     names = _parse_text(image.info.get("room_ids_to_name", "null"), "room_ids_to_name", path)
     if not isinstance(names, dict | None):
         expected = "names by number"
@@ -137,7 +137,20 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
 def _straighten(
     layers: NDArray[np.uint8], world_to_map: Float, path: str | PathLike[str]
 ) -> tuple[NDArray[np.uint8], Lattice]:
-    """Turn layers so that columns run along x and rows against y, and find their lattice."""
+    """Turn layers so that columns run along x and rows against y, and find their lattice.
+
+    Args:
+        layers: layers of a map, shape (n, height, width).
+        world_to_map: the map's matrix, shape (2, 4).
+        path: the file, for errors.
+
+    Returns:
+        The turned layers, and the lattice of their cells.
+
+    Raises:
+        FormatError: the map's axes are not parallel to the world's, its cells are no squares, or it
+            is out of range.
+    """
     scale = float(np.abs(world_to_map[:, :2]).max())
     linear = np.where(np.abs(world_to_map[:, :3]) <= ZERO_SHARE * scale, 0.0, world_to_map[:, :3])
     if linear[0, 0] != 0:  # rows run along x
@@ -166,11 +179,11 @@ def _straighten(
     if not cell_size >= LEAST_EDGE or not all(
         abs(edge) <= MAX_COORDINATE for edge in lattice.bounds
     ):
-        raise _range_error(path)
+        raise _make_range_error(path)
     return np.ascontiguousarray(layers), lattice
 
 
-def _range_error(path: str | PathLike[str]) -> FormatError:
+def _make_range_error(path: str | PathLike[str]) -> FormatError:
     expected = f"a map within {MAX_COORDINATE:g} m of the origin"
     return FormatError(f"expected {expected}, got {path}", path=str(path), expected=expected)
 
@@ -178,7 +191,7 @@ def _range_error(path: str | PathLike[str]) -> FormatError:
 def _read_matrix(
     texts: Mapping[Any, Any], key: str, shape: tuple[int, int], path: str | PathLike[str]
 ) -> Float:
-    """Read a matrix from the texts of an image."""
+    """Read the matrix that the text `key` of an image states."""
     try:
         matrix = np.array(_parse_text(texts.get(key), key, path))
     except ValueError:  # rows of several lengths
@@ -192,7 +205,7 @@ def _read_matrix(
 
 
 def _parse_text(text: object, key: str, path: str | PathLike[str]) -> JsonValue:
-    """Parse the JSON in a text of an image."""
+    """Parse the JSON in the text `key` of an image."""
     if not isinstance(text, str):
         message = f"expected a ProcTHORMap, {path} has no text `{key}`"
         raise FormatError(message, path=str(path), key=key, expected="a ProcTHORMap")

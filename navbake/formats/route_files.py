@@ -1,18 +1,18 @@
 """Files of graphs of routes; `navbake.formats.convert.ROUTE_FORMATS` lists their formats.
 
-- ``nav2-route``: GeoJSON of nav2's Route Server. A node is a Point with ``id`` and ``frame``, a
-  lane a MultiLineString with ``id``, ``startid``, ``endid`` and ``cost``, one for each direction.
-  ``metadata`` hold what else navbake knows, and nav2's keys ``speed_limit`` [%] and
-  ``abs_speed_limit`` [m/s]. The costs of links and stairs aren't ``overridable`` by lengths. nav2
-  knows no levels: its graphs are those of `RouteGraph.on_level`.
-- ``lif``: Layout Interchange Format of the VDMA (JSON). A level is a layout, a node's name its id,
-  and a lane an edge for each direction, in the layout of its start. The time of export is fixed, so
-  that a graph has one file.
+- ``nav2-route``: GeoJSON of nav2's Route Server. A node is a Point with ``id`` and ``frame``. Each
+  direction of a lane is a MultiLineString with ``id``, ``startid``, ``endid`` and ``cost``. Under
+  ``metadata`` are navbake's other fields, and nav2's keys ``speed_limit`` [%] and
+  ``abs_speed_limit`` [m/s]. nav2 may not replace (``overridable``) the costs of links and stairs by
+  lengths. nav2 knows no levels, so a file should hold one level, see `RouteGraph.on_level`.
+- ``lif``: Layout Interchange Format of the VDMA (JSON). Each level is a layout. A node's id is its
+  name. Each direction of a lane is an edge, in the layout of its start. The time of export is
+  fixed, so that equal graphs have equal files.
 - ``rmf``: navigation graph of Open-RMF (YAML). A level has vertices ``[x, y, {name, lift}]``, and
-  lanes ``[from, to, {door_name, speed_limit}]`` between its own, one for each direction. Open-RMF
-  joins the vertices of a lift on several levels itself; other lanes between levels stand in
+  a lane ``[from, to, {door_name, speed_limit}]`` for each direction of a lane between these.
+  Open-RMF itself joins the vertices of a lift on several levels. Lanes between levels stand in
   ``navbake.lanes``, which it ignores.
-- ``graphml``: by networkx, directed, with an edge for each direction of a lane.
+- ``graphml``: a directed graph, written by networkx, with an edge for each direction of a lane.
 
 The key ``navbake`` holds what a format has no place for.
 
@@ -73,7 +73,7 @@ def write_routes(graph: RouteGraph, path: str | PathLike[str], to: str | None = 
 
 
 def encode_routes(graph: RouteGraph, path: str | PathLike[str], to: str | None = None) -> bytes:
-    """Encode a graph of routes; for arguments and errors, see `write_routes`."""
+    """Encode a graph of routes in a format; see `write_routes` for the arguments and errors."""
     file_format = find_format(path, to, writing=True, formats=ROUTE_FORMATS)
     content: bytes = resolve(f"navbake.formats.{file_format.encode}")(graph)
     return content
@@ -99,31 +99,37 @@ def read_routes(path: str | PathLike[str], origin: str | None = None) -> RouteGr
 
 
 class _NodeEntry(NamedTuple):
-    """A node of the file."""
+    """A node of a file."""
 
-    number: object  # its place in the graph, if the file states one
+    number: object  # its index in the graph, if the file states it
     key: object  # its id in the file
     node: Node
 
 
 class _LaneEntry(NamedTuple):
-    """A one-way lane of the file."""
+    """A one-way lane of a file."""
 
-    number: object  # its place in the graph, if the file states one
-    start: object  # keys of its nodes
-    end: object
-    lane: Lane  # with nodes 0 and 0, until all nodes are known
+    number: object  # its index among the graph's one-way lanes, if the file states it
+    start: object  # key of its first node
+    end: object  # key of its last node
+    lane: Lane  # its `start` and `end` are 0 until all nodes are known
 
 
 class _GraphReader:
-    """Collects nodes, by their keys in a file, and one-way lanes while the file is read.
+    """Collects the nodes and one-way lanes of a file while it is read; then makes the graph.
 
-    A ``number`` in an entry is its place in the graph, where files group nodes by level.
+    A key is what the file calls a node. Files that group nodes by level change their order; there,
+    the entry of a node or lane has its index in the graph as ``number``.
+
+    Attributes:
+        top: the top of the file, for errors.
+        nodes: key -> node.
+        lanes: the one-way lanes, in the file's order.
     """
 
     def __init__(self, file: str) -> None:
         self.top = JsonPath(file)
-        self.nodes: dict[object, _NodeEntry] = {}  # by their keys
+        self.nodes: dict[object, _NodeEntry] = {}
         self.lanes: list[_LaneEntry] = []
 
     def add_node(self, key: object, position: object, entry: Json, place: JsonPath) -> None:
@@ -133,7 +139,7 @@ class _GraphReader:
             key: its id in the file.
             position: a list of x, y and maybe z [m].
             entry: further fields of the node.
-            place: where it stands in the file, for errors.
+            place: its location in the file, for errors.
         """
         if not isinstance(key, int | str | tuple):
             place.refuse("the id of a node", key)
@@ -147,13 +153,13 @@ class _GraphReader:
         self.nodes[key] = _NodeEntry(entry.get("number"), key, node)
 
     def add_lane(self, start: object, end: object, entry: Json, place: JsonPath) -> None:
-        """Add a lane one way.
+        """Add a one-way lane.
 
         Args:
             start: the key of its first node.
             end: the key of its last node.
-            entry: further fields of the lane; its length follows from the nodes unless stated.
-            place: where it stands in the file, for errors.
+            entry: further fields of the lane; without a length, it is the distance of the nodes.
+            place: its location in the file, for errors.
         """
         for key in (start, end):
             if not isinstance(key, int | str | tuple) or key not in self.nodes:
@@ -166,27 +172,33 @@ class _GraphReader:
         lane = read_table(fields, Lane, f"{place.path} in {place.file}")
         self.lanes.append(_LaneEntry(entry.get("number"), start, end, lane))
 
-    def make_graph(self, about: object, level_names: Sequence[str] = ("level 0",)) -> RouteGraph:
-        """Make the graph.
+    def make_graph(
+        self, graph_entry: object, level_names: Sequence[str] = ("level 0",)
+    ) -> RouteGraph:
+        """Make the graph of all nodes and lanes that were added.
 
         Args:
-            about: navbake's own entry on the graph, ignored unless it is an object.
-            level_names: names of the lowest levels.
+            graph_entry: navbake's own entry with fields of the graph; ignored unless it is an
+                object.
+            level_names: the names of the levels, lowest first; further levels get a number as name.
+
+        Raises:
+            FormatError: two nodes have the same name, or a node is on an unknown level.
         """
-        node_entries = _in_order(list(self.nodes.values()))
-        lane_entries = _in_order(self.lanes)
+        node_entries = _sort_by_number(list(self.nodes.values()))
+        lane_entries = _sort_by_number(self.lanes)
         nodes = tuple(entry.node for entry in node_entries)
-        index = {entry.key: number for number, entry in enumerate(node_entries)}
+        index_of_key = {entry.key: number for number, entry in enumerate(node_entries)}
         lanes = [
-            replace(entry.lane, start=index[entry.start], end=index[entry.end])
+            replace(entry.lane, start=index_of_key[entry.start], end=index_of_key[entry.end])
             for entry in lane_entries
         ]
         num_levels = max((node.level for node in nodes), default=0) + 1
         names = [*level_names]
         names += [f"level {number}" for number in range(len(level_names), num_levels)]
         fields: Json = {"level_names": names}
-        if isinstance(about, dict):
-            fields |= about
+        if isinstance(graph_entry, dict):
+            fields |= graph_entry
         fields |= {"nodes": nodes, "lanes": undirected(lanes)}
         graph: RouteGraph = read_table(fields, RouteGraph, f"navbake in {self.top.file}")
         used_names = set[str]()
@@ -200,17 +212,17 @@ class _GraphReader:
 Entry = TypeVar("Entry", _NodeEntry, _LaneEntry)
 
 
-def _in_order(entries: list[Entry]) -> list[Entry]:
-    """Entries by their numbers; as they are if one has none."""
+def _sort_by_number(entries: list[Entry]) -> list[Entry]:
+    """Sort entries by their numbers; return them as they are if one has none."""
     numbers = [entry.number for entry in entries if isinstance(entry.number, int)]
     if len(numbers) < len(entries):
         return entries
     order = sorted(range(len(entries)), key=numbers.__getitem__)
-    return [entries[place] for place in order]
+    return [entries[index] for index in order]
 
 
 def _add_height(x: object, y: object, navbake_entry: Json) -> list[object]:
-    """Return the position of a node on a map, with the z of its entry ``navbake`` if it has one."""
+    """Return the position of a node: x, y, and z if navbake's own entry for the node states it."""
     position = navbake_entry.get("position", [0.0, 0.0, 0.0])
     return [x, y, *(position[2:] if isinstance(position, list) else [])]
 
@@ -229,7 +241,7 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
     features = []
     for number, node in enumerate(graph.nodes):
         properties = {"id": number, "frame": "map", "metadata": to_entry(node, "position")}
-        features.append(_feature("Point", list(node.position), properties))
+        features.append(_make_feature("Point", list(node.position), properties))
     for number, lane in enumerate(directed(graph.lanes), len(graph.nodes)):
         metadata = to_entry(lane, "start", "end", "two_way", "cost", "speed")
         if lane.speed is not None:
@@ -245,12 +257,12 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
         }
         start = list(graph.nodes[lane.start].position)
         end = list(graph.nodes[lane.end].position)
-        features.append(_feature("MultiLineString", [[start, end]], properties))
+        features.append(_make_feature("MultiLineString", [[start, end]], properties))
     content = {"type": "FeatureCollection", "navbake": to_entry(graph), "features": features}
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
 
-def _feature(kind: str, coordinates: Sequence[object], properties: Json) -> Json:
+def _make_feature(kind: str, coordinates: Sequence[object], properties: Json) -> Json:
     geometry = {"type": kind, "coordinates": coordinates}
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
@@ -258,8 +270,8 @@ def _feature(kind: str, coordinates: Sequence[object], properties: Json) -> Json
 def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
     """Read a graph of nav2's Route Server.
 
-    A ``speed_limit`` without ``abs_speed_limit`` is a percentage of the agent's speed, which is 1
-    m/s if the file doesn't state it.
+    A lane's ``speed_limit`` is a percentage of the agent's speed, which is 1 m/s if the file
+    doesn't state it. It counts only if the lane has no ``abs_speed_limit``.
     """
     content, name = source.read_json(path, expected="a GeoJSON FeatureCollection")
     reader = _GraphReader(name)
@@ -267,8 +279,9 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
     features = top.get("features")
     if not isinstance(features, list):
         reader.top["features"].refuse("a list of features", features)
-    about = check_optional_object(top, "navbake", reader.top)
-    agent_speed = check_number(about.get("speed", DEFAULT_SPEED), reader.top["navbake"]["speed"])
+    graph_entry = check_optional_object(top, "navbake", reader.top)
+    speed_place = reader.top["navbake"]["speed"]
+    agent_speed = check_number(graph_entry.get("speed", DEFAULT_SPEED), speed_place)
     for index, feature in enumerate(features):
         place = reader.top["features"][index]
         geometry = check_object(check_object(feature, place).get("geometry"), place["geometry"])
@@ -290,14 +303,14 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
             start = properties.get("startid", ABSENT)
             end = properties.get("endid", ABSENT)
             reader.add_lane(start, end, entry, place)
-    return reader.make_graph(about)
+    return reader.make_graph(graph_entry)
 
 
 # ---------------------------------------------------------------- LIF
 
 
 def encode_lif(graph: RouteGraph) -> bytes:
-    """Encode a graph as a LIF, with a layout for each level."""
+    """Encode a graph in the VDMA's Layout Interchange Format (JSON): each level is a layout."""
     vehicle = graph.agent or "agent"
     layouts: list[Json] = [
         {
@@ -326,7 +339,7 @@ def encode_lif(graph: RouteGraph) -> bytes:
     for number, lane in enumerate(directed(graph.lanes)):
         start = graph.nodes[lane.start]
         end = graph.nodes[lane.end]
-        moves = {
+        vehicle_properties = {
             "vehicleTypeId": vehicle,
             "orientationType": "TANGENTIAL",
             "rotationAllowed": True,
@@ -337,24 +350,25 @@ def encode_lif(graph: RouteGraph) -> bytes:
                 "edgeId": f"edge {number}",
                 "startNodeId": start.name,
                 "endNodeId": end.name,
-                "vehicleTypeEdgeProperties": [moves],
+                "vehicleTypeEdgeProperties": [vehicle_properties],
                 "navbake": {**to_entry(lane, "start", "end", "two_way"), "number": number},
             }
         )
-    about = {
+    file_info = {
         "projectIdentification": graph.scene_id or "",
         "creator": "navbake",
         "exportTimestamp": "1970-01-01T00:00:00Z",
         "lifVersion": "1.0.0",
     }
-    content = {"metaInformation": about, "layouts": layouts, "navbake": to_entry(graph)}
+    content = {"metaInformation": file_info, "layouts": layouts, "navbake": to_entry(graph)}
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
 
 def read_lif(path: str | PathLike[str]) -> RouteGraph:
-    """Read a graph from a LIF; if it has several types of vehicles, the first one's speed is used.
+    """Read a graph from a file of the Layout Interchange Format (LIF).
 
-    Nodes get the names that the file states; if one of these occurs twice, they get their ids.
+    Nodes get the names that the file states; if two nodes have the same name, all nodes get their
+    ids as names. If an edge has several types of vehicles, the first one's speed is used.
     """
     content, name = source.read_json(path, expected="a LIF (JSON)")
     reader = _GraphReader(name)
@@ -394,7 +408,7 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
 
 
 def _unique_name_key(layouts: list[Json], place: JsonPath) -> str:
-    """Return the key of LIF's nodes for names: ``nodeId`` if two nodes have one ``nodeName``."""
+    """Return the field with the nodes' names: ``nodeName``, or ``nodeId`` if names occur twice."""
     nodes = [
         node
         for level, layout in enumerate(layouts)
@@ -405,7 +419,7 @@ def _unique_name_key(layouts: list[Json], place: JsonPath) -> str:
 
 
 def _check_list(content: Json, key: str, place: JsonPath) -> list[object]:
-    """Return a list of a file, [] if it is missing or null."""
+    """Return the list in a field of a JSON object; [] if the field is missing or null."""
     entries = content.get(key) or []
     if not isinstance(entries, list):
         place[key].refuse("a list", entries)
@@ -413,7 +427,7 @@ def _check_list(content: Json, key: str, place: JsonPath) -> list[object]:
 
 
 def _check_objects(content: Json, key: str, place: JsonPath) -> list[Json]:
-    """Return a list of objects of a file, [] if it is missing or null."""
+    """Return the list of objects in a field of a JSON object; [] if it is missing or null."""
     entries = _check_list(content, key, place)
     return [check_object(entry, place[key][number]) for number, entry in enumerate(entries)]
 
@@ -428,7 +442,7 @@ def encode_rmf(graph: RouteGraph) -> bytes:
     if len({*names}) < len(names):
         names = [f"level {number}" for number in range(len(names))]
     levels: list[Json] = [{"vertices": [], "lanes": []} for _ in names]
-    vertex_of_node = []  # its place among the vertices of its level
+    vertex_of_node = []  # for each node, the index of its vertex on its level
     for number, node in enumerate(graph.nodes):
         x, y, _ = node.position
         vertices = levels[node.level]["vertices"]
@@ -454,7 +468,7 @@ def encode_rmf(graph: RouteGraph) -> bytes:
         start = vertex_of_node[lane.start]
         end = vertex_of_node[lane.end]
         levels[level]["lanes"].append([start, end, fields])
-    about = {
+    graph_entry = {
         **to_entry(graph),
         "level_names": list(graph.level_names),
         "lanes": lanes_between_levels,
@@ -462,7 +476,7 @@ def encode_rmf(graph: RouteGraph) -> bytes:
     content = {
         "building_name": graph.scene_id or "building",
         "levels": dict(zip(names, levels, strict=True)),
-        "navbake": about,
+        "navbake": graph_entry,
     }
     return encode_yaml(content)
 
@@ -473,20 +487,23 @@ def read_rmf(path: str | PathLike[str]) -> RouteGraph:
     reader = _GraphReader(name)
     top = check_object(content, reader.top)
     levels = check_object(top.get("levels"), reader.top["levels"])
-    about = check_optional_object(top, "navbake", reader.top)
+    graph_entry = check_optional_object(top, "navbake", reader.top)
     for level, (level_name, level_content) in enumerate(levels.items()):
         place = reader.top["levels"][str(level_name)]
         _read_rmf_level(reader, level, str(level_name), check_object(level_content, place), place)
-    _read_lanes_between_levels(reader, about)
-    if not about:
+    _read_lanes_between_levels(reader, graph_entry)
+    if not graph_entry:
         _join_lifts(reader)
-    return reader.make_graph(about, [str(level_name) for level_name in levels])
+    return reader.make_graph(graph_entry, [str(level_name) for level_name in levels])
 
 
 def _read_rmf_level(
     reader: _GraphReader, level: int, name: str, content: Json, place: JsonPath
 ) -> None:
-    """Read the vertices and lanes of a level; the keys of its nodes are its number and theirs."""
+    """Read the vertices and lanes of a level.
+
+    The key of a node is the pair of its level's number and its index on the level.
+    """
     for number, (x, y, vertex) in enumerate(_check_rows(content, "vertices", place)):
         vertex_place = place["vertices"][number]
         navbake_entry = check_optional_object(vertex, "navbake", vertex_place)
@@ -506,14 +523,14 @@ def _read_rmf_level(
         reader.add_lane((level, start), (level, end), entry, lane_place)
 
 
-def _read_lanes_between_levels(reader: _GraphReader, about: Json) -> None:
-    """Read the lanes in navbake's own entry, which name nodes by their numbers in the graph."""
+def _read_lanes_between_levels(reader: _GraphReader, graph_entry: Json) -> None:
+    """Read the lanes of navbake's own entry; they refer to nodes by their indices in the graph."""
     key_of_number: dict[object, object] = {}
     for entry in reader.nodes.values():
         if isinstance(entry.number, int | float):
             key_of_number.setdefault(entry.number, entry.key)
     place = reader.top["navbake"]
-    for index, (start, end, lane) in enumerate(_check_rows(about, "lanes", place)):
+    for index, (start, end, lane) in enumerate(_check_rows(graph_entry, "lanes", place)):
         lane_place = place["lanes"][index]
         for number in (start, end):
             if not isinstance(number, int | float) or number not in key_of_number:
@@ -523,7 +540,7 @@ def _read_lanes_between_levels(reader: _GraphReader, about: Json) -> None:
 
 
 def _join_lifts(reader: _GraphReader) -> None:
-    """Add lanes between the nodes of a lift on different levels, as Open-RMF does."""
+    """Add lanes between the nodes of each lift on different levels; Open-RMF does the same."""
     for start, end in itertools.permutations(list(reader.nodes.values()), 2):
         link = start.node.link
         if link and link == end.node.link and start.node.level != end.node.level:
@@ -533,7 +550,7 @@ def _join_lifts(reader: _GraphReader) -> None:
 
 
 def _check_rows(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any, Json]]:
-    """Return a list of rows of two numbers and an object, which is {} where it is missing."""
+    """Return the rows in a field of a JSON object: two values, and an object ({} for none)."""
     triples = []
     for number, row in enumerate(_check_list(content, key, place)):
         if not isinstance(row, list) or len(row) < 2:
@@ -548,8 +565,9 @@ def _check_rows(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any
 def encode_graphml(graph: RouteGraph) -> bytes:
     """Encode a graph as GraphML by networkx: nodes by name, with ``x``, ``y``, ``z`` [m]."""
     nx_graph = source.import_extra("networkx").MultiDiGraph()
-    about = to_entry(graph)
-    nx_graph.graph.update({**about, "level_names": orjson.dumps(about["level_names"]).decode()})
+    graph_entry = to_entry(graph)
+    level_names = orjson.dumps(graph_entry["level_names"]).decode()
+    nx_graph.graph.update({**graph_entry, "level_names": level_names})
     for number, node in enumerate(graph.nodes):
         x, y, z = node.position
         fields = to_entry(node, "position", "name")
@@ -583,9 +601,9 @@ def read_graphml(path: str | PathLike[str]) -> RouteGraph:
         reader.add_lane(start, end, entry, place)
         if not nx_graph.is_directed():
             reader.add_lane(end, start, entry, place)
-    about: Json = dict(nx_graph.graph)
+    graph_entry: Json = dict(nx_graph.graph)
     try:
-        about["level_names"] = orjson.loads(about.get("level_names", '["level 0"]'))
+        graph_entry["level_names"] = orjson.loads(graph_entry.get("level_names", '["level 0"]'))
     except (orjson.JSONDecodeError, TypeError) as error:
         raise FormatError(f"expected a list of names as level_names in {name}") from error
-    return reader.make_graph(about)
+    return reader.make_graph(graph_entry)

@@ -20,8 +20,8 @@ XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 SDF_SUFFIXES = frozenset({".sdf", ".world"})
 BUILDING_SUFFIXES = frozenset({".building.yaml", ".building.yml"})
 USD_SUFFIXES = frozenset({".usd", ".usda", ".usdc"})
-STAGE_SUFFIXES = USD_SUFFIXES | {".usdz"}  # which holds all of its files
-# environment variables with the folders of Gazebo's models, today's first
+STAGE_SUFFIXES = USD_SUFFIXES | {".usdz"}  # a .usdz contains all of its files
+# environment variables that list the folders of Gazebo's models, the newest variable first
 MODEL_PATHS = (
     "GZ_SIM_RESOURCE_PATH",
     "IGN_GAZEBO_RESOURCE_PATH",
@@ -31,31 +31,31 @@ MODEL_PATHS = (
 )
 URI_PATTERN = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
 MATERIAL_SUFFIX = ".material"  # ending of a script of Ogre's, which changes the appearance alone
-# in a folder of a model of Gazebo
+# files in the folder of a model of Gazebo
 MODEL_CONFIG = "model.config"
 MODEL_SDF = "model.sdf"
-# in a model.config, the version of SDF of a file, and its name
+# finds in a model.config the version of SDF of each file, and the file's name
 SDF_NAME = re.compile(rb"<sdf(?:\s+version\s*=\s*[\"']([\d.]*)[\"'])?[^>]*>\s*([\w.-]+)\s*</sdf>")
-MODEL_ELEMENTS = ("include", "model", "attach")  # whose file is XML, whatever its name
-TEXTURE_ELEMENTS = ("texture", "skin")  # that change a scene's appearance, but no cell
-# attributes of a compiler that name folders, without and with those of textures
+MODEL_ELEMENTS = ("include", "model", "attach")  # the file of these is XML, whatever its name
+TEXTURE_ELEMENTS = ("texture", "skin")  # these change a scene's appearance, but no cell
+# attributes of a compiler that name folders, without and with the folders of textures
 FOLDER_ATTRIBUTES = ("meshdir", "assetdir")
 ALL_FOLDER_ATTRIBUTES = (*FOLDER_ATTRIBUTES, "texturedir")
-# attributes that name a file, in MJCF and in URDF that it attaches, without and with those of the
-# sides of a cube's texture
+# attributes that name a file in MJCF, and in a URDF that MJCF attaches: without and with the
+# attributes for the sides of a cube's texture
 FILE_ATTRIBUTES = ("file", "filename")
 ALL_FILE_ATTRIBUTES = (
     *FILE_ATTRIBUTES, "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback",
 )  # fmt: skip
-# for files that MuJoCo's XML parser (TinyXML-2) accepts and Python's refuses (`--` in a comment,
-# bytes of any encoding)
+# XML is searched by these patterns: MuJoCo's parser (TinyXML-2) accepts files that Python's refuses
+# (`--` in a comment, bytes of any encoding)
 COMMENT_PATTERN = re.compile(rb"<!--.*?-->", re.DOTALL)
 ELEMENT_PATTERN = re.compile(rb"<([A-Za-z_]\w*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
 ATTRIBUTE_PATTERN = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
 
 def scene_suffix(path: str | os.PathLike[str]) -> str:
-    """Return the ending that says what kind of scene a file is: ``.xml``, ``.building.yaml``, …."""
+    """Return the ending that tells the kind of a scene's file, such as ``.building.yaml``."""
     name = os.path.basename(os.fsdecode(path)).lower()
     for suffix in BUILDING_SUFFIXES:
         if name.endswith(suffix):
@@ -64,13 +64,13 @@ def scene_suffix(path: str | os.PathLike[str]) -> str:
 
 
 class FileAccess(Protocol):
-    """Access to a scene's files that are not on this machine."""
+    """Gives access to files of a scene that are not on this machine."""
 
     def has(self, path: Path) -> bool:
-        """Whether there is such a regular file."""
+        """Whether there is a regular file at the path."""
 
     def ensure_local(self, path: Path) -> None:
-        """Copy an existing file to this machine, unless that is done."""
+        """Copy an existing file to this machine, unless that was done before."""
 
 
 def check_inputs(scene: Path) -> None:
@@ -103,13 +103,13 @@ def find_inputs(
     with_missing: bool = False,
     folders: Sequence[Path] = (),
 ) -> list[Path]:
-    """List the existing files of a scene: itself, then sorted.
+    """List the existing files that a scene consists of.
 
-    In MJCF these are all files that an element refers to, also in included files and attached
-    models. A name's folder depends on the compiler's settings and on MuJoCo's version, so files in
-    all possible folders count: one too many costs a bake, one too few leaves a stale grid. In URDF
-    they are the meshes, in glTF the buffers, in SDF models, meshes and height fields, in USD all
-    layers.
+    For MJCF, these are all files that an element refers to, also in included files and attached
+    models. In which folder a file is depends on the compiler's settings and on MuJoCo's version. So
+    files in all possible folders count: one too many only costs a bake, one too few leaves a stale
+    grid. For URDF, the files are the meshes; for glTF, the buffers; for SDF, models, meshes and
+    height fields; for USD, all layers.
 
     Args:
         scene: the scene's file.
@@ -119,7 +119,7 @@ def find_inputs(
         folders: folders of the models of an SDF, see `list_sdf_paths`.
 
     Returns:
-        The scene's path, then those of the others, sorted.
+        The path of the scene's own file, then the paths of the other files, sorted.
 
     Raises:
         SceneError: an input is a pipe or a device of this machine, which would block its reader.
@@ -147,7 +147,10 @@ def find_inputs(
     inputs: set[Path] = set()
 
     def add_existing(candidates: Iterable[Path], only_first: bool = False) -> None:
-        """Add those of a file's possible paths that exist; all if none does and `with_missing`."""
+        """Add the possible paths of a file that exist, or only the first of them.
+
+        If none exists and `with_missing` is set, add all.
+        """
         candidates = list(candidates)
         existing = [path for path in candidates if exists(path)]
         if existing:
@@ -190,7 +193,7 @@ def find_inputs(
 
 
 def _list_usd_paths(layer: Path, with_textures: bool) -> list[list[Path]]:
-    """Return for each file that a layer of USD names its only possible path."""
+    """Return, for each file that a layer of USD names, a list of its only possible path."""
     return [
         [layer.parent / name]
         for name in _list_layer_names(layer)
@@ -201,7 +204,7 @@ def _list_usd_paths(layer: Path, with_textures: bool) -> list[list[Path]]:
 def _list_sdf_inputs(
     file: Path, content: bytes, folders: Sequence[Path], with_textures: bool
 ) -> list[list[Path]]:
-    """Return for each file that an SDF, or a model.config, names its possible paths."""
+    """Return, for each file that an SDF or a model.config names, its possible paths."""
     if file.name == MODEL_CONFIG:
         return [[file.parent / name.decode()] for _, name in SDF_NAME.findall(content)]
     uris = [uri.decode(errors="replace") for uri in URI_PATTERN.findall(content)]
@@ -215,8 +218,8 @@ def _list_sdf_inputs(
 def list_mesh_paths(urdf: Path, name: str) -> Iterator[Path]:
     """Yield the possible paths of a URDF's mesh, in the order of search.
 
-    They are the path as written, then its tails, the longest first, each below the URDF's folder
-    and the folders above that: this finds ``package://pkg/meshes/a.dae`` without ROS.
+    The path as written is searched in the URDF's folder, then in all folders above. Then its first
+    part is dropped, and so on: this finds ``package://pkg/meshes/a.dae`` without ROS.
 
     Args:
         urdf: the URDF.
@@ -232,9 +235,10 @@ def list_mesh_paths(urdf: Path, name: str) -> Iterator[Path]:
 def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[Path]:
     """Yield the possible paths of a file that an SDF names, in the order of search.
 
-    They are beside the SDF, unless the name is ``model://…`` or the like; in the folders, then in
-    those of the environment variables `MODEL_PATHS`; then in the folders above the SDF, and in
-    their ``models``. So a checkout of a world with its models needs no variable.
+    The file is searched in the SDF's folder (unless the name has a scheme, such as ``model://…``),
+    in `folders`, in the folders of the environment variables `MODEL_PATHS`, and last in all folders
+    above the SDF and their subfolders ``models``. So a checkout of a world with its models needs no
+    variable.
 
     Args:
         uri: the name in the SDF.
@@ -260,9 +264,9 @@ def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterat
 
 
 def find_model_file(path: Path) -> Path:
-    """Return the SDF of a model's folder, by the latest version in its model.config.
+    """Return the SDF in a model's folder; a path that is no folder is returned as it is.
 
-    A path that is no folder is returned as it is.
+    If the folder's model.config lists several files, the one with the latest version of SDF counts.
     """
     if not path.is_dir():
         return path
@@ -281,7 +285,7 @@ def find_model_file(path: Path) -> Path:
 
 
 def _list_model_files(paths: Iterable[Path]) -> list[Path]:
-    """Return files by their paths, and of paths without a suffix the files of a model's folder."""
+    """Return the paths; for a path without a suffix, a model's folder, return the model's files."""
     files = []
     for path in paths:
         if path.suffix:
@@ -293,14 +297,15 @@ def _list_model_files(paths: Iterable[Path]) -> list[Path]:
 
 
 def _list_layer_names(layer: Path) -> list[str]:
-    """Return the names of layers and textures in a layer of USD, without those in stores.
+    """Return the names of the layers and textures that a layer of USD refers to.
 
-    Without usd-core there are none.
+    Names with a scheme, such as ``omniverse://…``, are left out. Without usd-core, the list is
+    empty.
     """
     with suppress(ImportError):
         from pxr import Tf, UsdUtils  # of the extra [usd]
 
-        diagnostics = UsdUtils.CoalescingDiagnosticDelegate()  # keeps them off stderr
+        diagnostics = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's messages off stderr
         with suppress(Tf.ErrorException):  # whoever reads the layer says what is wrong
             name_lists = UsdUtils.ExtractExternalReferences(str(layer))
             return [name for name in chain.from_iterable(name_lists) if "://" not in name]
@@ -313,16 +318,16 @@ class _MjcfFile(NamedTuple):
 
     path: Path
     elements: list[_Element]
-    model_folder: Path  # of the model's main file, which includes others
+    model_folder: Path  # the folder of the model's main file, which may include this one
 
 
 def _list_mjcf_paths(
     scene: Path, elements: list[_Element], read: Callable[[Path], bytes], with_textures: bool
 ) -> list[list[Path]]:
-    """Return for each file that MJCF names its possible paths."""
+    """Return, for each file that MJCF names, its possible paths."""
     folder_attributes = ALL_FOLDER_ATTRIBUTES if with_textures else FOLDER_ATTRIBUTES
     file_attributes = ALL_FILE_ATTRIBUTES if with_textures else FILE_ATTRIBUTES
-    names: list[tuple[list[Path], str]] = []  # each after the folders that it may be relative to
+    names: list[tuple[list[Path], str]] = []  # (folders that the name may be relative to, name)
     compiler_folders = {""}
     unread = [_MjcfFile(scene, elements, scene.parent)]
     read_files = set[tuple[str, ...]]()
@@ -362,9 +367,16 @@ def _list_mjcf_paths(
 
 
 def _list_paths(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:
-    """Return the possible paths of a name in MJCF; `strippath` of a compiler drops its folders.
+    """Return the possible paths of a file that MJCF names.
 
-    MuJoCo drops a folder before ``..``, even a link or one that is missing; the system follows it.
+    The file may also be looked for without the folders in its name (`strippath` of the compiler).
+    If a path contains ``..``, MuJoCo drops the folder before it, even if that is a link or missing,
+    while the system follows the link; so both paths are returned.
+
+    Args:
+        bases: the folders that the name may be relative to.
+        folders: the compiler's folders of files, relative to these; "" for none.
+        name: the name.
     """
     paths: dict[Path, None] = {}  # an ordered set
     for folder in folders:
@@ -378,7 +390,7 @@ def _list_paths(bases: Iterable[Path], folders: Iterable[str], name: str) -> lis
 
 
 def _list_buffer_names(content: bytes) -> list[str]:
-    """Return the buffers of a glTF file that are files of their own."""
+    """Return the names of the files that hold a glTF file's buffers."""
     try:
         buffers = json.loads(content)["buffers"]
         uris = [str(buffer["uri"]) for buffer in buffers if "uri" in buffer]
@@ -393,10 +405,10 @@ def _replace_backslashes(name: str) -> str:
 
 
 def _parse_elements(content: bytes) -> list[_Element]:
-    """Return the first element of an XML file, and all that may name files or folders."""
+    """Return the first element of an XML file, and all others that may name files or folders."""
 
     def decode(value: bytes) -> str:
-        """Return a name as the system's calls return it, also if it is no UTF-8."""
+        """Return a name as `os` returns names of files, also if it is not UTF-8."""
         return html.unescape(value.decode(errors="surrogateescape"))
 
     elements = []

@@ -46,17 +46,17 @@ class Shape:
     """A room, the walkable area of a level, or a door, seen from above.
 
     Attributes:
-        kind: ``room``, ``walkable`` or ``door``.
+        kind: ``room``, ``walkable`` (a walkable area) or ``door``.
         level: the number of its level, 0 is the lowest.
         level_name: the level's name.
         height: world z of the level's ground [m].
         id: the id of a room or door, unique among those of the grid; None for a walkable area.
         name: the name of a room, None if it has none.
-        area: the area of the cells [m²]; 0 for a door.
-        parts: of a room or walkable area, for each part its rings, the outer one first, then the
-            holes; each of shape (n, 2), float64, world x, y [m], the first corner not repeated.
-            Outer rings run anticlockwise, holes clockwise.
-        line: both ends of a door, shape (2, 2), float64, world x, y [m]; else None.
+        area: the area of the shape's cells [m²]; 0 for a door.
+        parts: for each part of a room or walkable area, a list of its rings: the outer ring, then
+            the holes. A ring is world x, y of its corners [m], shape (n, 2), float64, the first one
+            not repeated. Outer rings run anticlockwise, holes clockwise. Empty for a door.
+        line: both ends of a door, world x, y [m], shape (2, 2), float64; None for other kinds.
         more: further properties: ``outdoors`` of a room; ``state`` and ``rooms`` of a door.
     """
 
@@ -107,11 +107,11 @@ class Shape:
 def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
     """Find the rooms, walkable areas and doors of a grid as shapes.
 
-    Polygons run exactly along the cells' edges: that of a room around all of its cells, occupied
-    ones too, that of a walkable area around the free cells of a level. A cell's centre lies in a
-    polygon if and only if the polygon has the cell. Cells that only touch at a corner are separate
-    parts, so polygons are valid. A door is a line from jamb to jamb along its closed leaf (else in
-    its current state); see `navbake.navgrid.door_states.find_leaf_ends`.
+    Polygons run exactly along the cells' edges. A room's polygon encloses all of its cells, also
+    occupied ones; a walkable area's polygon encloses the free cells of a level. Cells that only
+    touch at a corner belong to separate parts, so polygons are valid. A door is a line from jamb to
+    jamb along its closed leaf, or along its leaf in the current state if it has no closed one; see
+    `navbake.navgrid.door_states.find_leaf_ends`.
 
     Args:
         grid: the grid.
@@ -194,19 +194,19 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
 
 
 def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[list[Float]]]:
-    """Trace the outlines of labelled cells, shape (height, width), exactly along the cells' edges.
+    """Trace the outlines of labelled cells exactly along the cells' edges.
 
-    A part is cells of one label, 0 for none, that share edges. No ring has a corner twice, and
-    rings of one label meet at single corners at most. So each part is a valid polygon, and all
-    parts of a label a valid multipolygon (OGC simple features).
+    A part is a group of cells of one label that are connected by their edges. No ring has a corner
+    twice, and rings of one label meet at single corners at most. So each part is a valid polygon,
+    and all parts of a label are a valid multipolygon (OGC simple features).
 
     Args:
         labels: the label of each cell, shape (height, width), from 1; 0 for none.
         lattice: the lattice of the cells.
 
     Returns:
-        By ascending label its parts, by their first cells in reading order; each has rings as in
-        `Shape.parts`, rounded to a nanometre.
+        Label, ascending -> its parts, in the order of their first cells. A part is a list of rings,
+        see `Shape.parts`; coordinates are rounded to a nanometre.
     """
     labels = np.asarray(labels, dtype=np.int32)
     parts_by_label: dict[int, list[list[Float]]] = {}
@@ -229,36 +229,37 @@ def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[lis
 
 
 def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
-    """Yield the rings around parts of cells: the number of each ring's part, and its corners.
+    """Yield the rings around parts of cells.
 
-    `parts` has the number of each cell's part from 1, 0 for none, shape (height, width).
+    This is contour following with crack codes (Freeman 1961; Rosenfeld and Kak, Digital Picture
+    Processing, 1982). Each side between a cell and a neighbour of another part is a step of a walk,
+    with the cell on the left. The walk turns right if a cell of the same part lies ahead on the
+    right, even if that touches the present cell only at a corner. It goes straight on if a cell of
+    the part lies ahead, and turns left otherwise. So no ring has a corner twice.
 
-    Contour following with crack codes (Freeman 1961; Rosenfeld and Kak, Digital Picture Processing,
-    1982). Each side between a cell and a neighbour of another part is a step with its cell on the
-    left. A walk turns right if a cell of its part lies ahead on the right, even if it touches its
-    own by a corner alone, goes on if one lies ahead, and else turns left. The cells of a part are
-    connected by their sides, so the cells on both sides of such a corner aren't, and no ring has a
-    corner twice.
+    Args:
+        parts: the number of each cell's part, from 1; 0 for none; shape (height, width).
 
-    Corners are rows and columns, 0, 0 the upper left one of the first cell, shape (n, 2). Seen with
-    rows downwards, outer rings run anticlockwise and holes clockwise; of a part, the outer one is
-    first, then holes by their first sides below them in reading order.
+    Yields:
+        For each ring, the number of its part, and its corners: row and column, shape (n, 2), where
+        0, 0 is the upper left corner of the first cell. Seen with rows downwards, outer rings run
+        anticlockwise and holes clockwise. The outer ring of a part comes before its holes.
     """
     padded = np.pad(parts, 1)
     part = padded.ravel()  # of each cell, by flat index
     width = padded.shape[1]
     # directions 0 to 3 lead east, north, west, south, along a cell's south, east, north, west
     # side; a left turn adds 1
-    ahead = np.array([1, -width, -1, width])
-    right = np.array([width, 1, -width, -1])
+    ahead_offset = np.array([1, -width, -1, width])
+    right_offset = np.array([width, 1, -width, -1])
     cell, direction = np.divmod(np.arange(4 * part.size), 4)
-    right_part = part[(cell + right[direction]) % part.size]
+    right_part = part[(cell + right_offset[direction]) % part.size]
     steps = np.flatnonzero((part[cell] > 0) & (part[cell] != right_part))
     cell = cell[steps]
     direction = direction[steps]
 
-    cell_ahead = cell + ahead[direction]
-    cell_ahead_right = cell_ahead + right[direction]
+    cell_ahead = cell + ahead_offset[direction]
+    cell_ahead_right = cell_ahead + right_offset[direction]
     turns_right = part[cell_ahead_right] == part[cell]
     goes_on = part[cell_ahead] == part[cell]
     next_cell = np.where(turns_right, cell_ahead_right, np.where(goes_on, cell_ahead, cell))
@@ -267,7 +268,7 @@ def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     next_step = np.searchsorted(steps, 4 * next_cell + next_direction).tolist()
     is_corner = (next_direction != direction).tolist()
 
-    # the corner where a step ends, without the border
+    # the corner where a step ends; the border doesn't count
     row, col = np.divmod(cell, width)
     end_row = row + np.array([0, -1, -1, 0])[direction]
     end_col = col + np.array([0, 0, -1, -1])[direction]
@@ -326,7 +327,7 @@ def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
 
 
 def _close_ring(ring: Float) -> list[list[float]]:
-    """Return the corners of a ring with the first one at the end again, as GeoJSON has it."""
+    """Return the corners of a ring; as GeoJSON demands, the first one is repeated at the end."""
     corners: list[list[float]] = ring.tolist()
     return [*corners, ring[0].tolist()]
 
@@ -428,9 +429,10 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
 def read_links_or_areas(path: str | os.PathLike[str], section: str) -> list[Json]:
     """Read the entries of the settings' `areas` or `links` from a JSON or GeoJSON file.
 
-    JSON has a list of them. GeoJSON has a Feature for each, whose properties are its keys: a
-    Polygon or MultiPolygon is an area's `polygon` and `rings`, a LineString or MultiPoint with x,
-    y, z a link's `stops`; without a geometry, the properties say all.
+    A JSON file is a list of entries. In GeoJSON, each Feature is an entry, and its properties are
+    the entry's keys. Its geometry, if there is one, becomes further keys: a Polygon or MultiPolygon
+    becomes the `polygon` and `rings` of an area; a LineString or MultiPoint with x, y, z becomes
+    the `stops` of a link.
 
     Args:
         path: the file.
@@ -470,7 +472,7 @@ class _FeaturePlace(NamedTuple):
     """The location of a feature in a file, as errors name it."""
 
     file: str
-    feature: str  # as ``feature 3 ('Kitchen')``; "" for the file itself
+    feature: str  # such as ``feature 3 ('Kitchen')``; "" for the file itself
 
     def __str__(self) -> str:
         return f"{self.feature} of {self.file}" if self.feature else self.file
@@ -486,7 +488,7 @@ class _FeaturePlace(NamedTuple):
         )
 
     def check(self, is_valid: bool, expected: str, value: object) -> None:
-        """Raise a FormatError for a value that is not valid."""
+        """Raise a FormatError unless `is_valid`: this was expected, but the file has this value."""
         if is_valid:
             return
         if value is None:

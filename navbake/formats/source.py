@@ -49,18 +49,18 @@ else:  # the command line lists formats before it loads numpy
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
 """A path, a file's content, or a file opened in binary mode."""
 Files: TypeAlias = dict[Path, bytes]
-"""Files to be written, in this order: content by path."""
+"""Path -> content of files to be written, in this order."""
 
 LOG = logging.getLogger("navbake")
-FIRST_BYTES = 1 << 20  # read before more is read [bytes]
+FIRST_BYTES = 1 << 20  # so many are read first, to check how a file begins
 BOM = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 GZIP_MAGIC = b"\x1f\x8b"
-# what opens packed files, by their first two bytes
+# first two bytes of a packed file -> name of the packing, and function that opens the file
 OPENERS: dict[bytes, tuple[str, Callable[[BinaryIO], IO[bytes]]]] = {
     GZIP_MAGIC: ("gzip", cast("Callable[[BinaryIO], IO[bytes]]", gzip.open)),
     b"BZ": ("bzip2", cast("Callable[[BinaryIO], IO[bytes]]", bz2.open)),
 }
-LUMA_SHARES = (306, 601, 117)  # of 1024: those of red, green and blue
+LUMA_SHARES = (306, 601, 117)  # of red, green and blue in a pixel's luma, of 1024
 IMAGE_BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
 NAVGRID_TEXT = "a NavGrid JSON object"
 NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake of a scene"
@@ -90,7 +90,7 @@ def describe_type(value: object) -> str:
     return "None" if value is None else f"one of Python's type {type(value).__name__}"
 
 
-def _os_message(error: Exception) -> str:
+def _format_system_error(error: Exception) -> str:
     """Return the operating system's message of an error, without its number."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
@@ -106,8 +106,9 @@ def read_bytes(
 
     Args:
         source: a path, the file's content, or the file opened in binary mode.
-        begins: the possible first bytes of such a file, b"" for any. At most 1 MiB is read of a
-            file that begins differently: it may be a device that never ends.
+        begins: the first bytes that the file must have, or a tuple of possible ones; b"" for any.
+            At most 1 MiB is read of a file that begins differently: it may be a device that never
+            ends.
         expected: a description of the expected file, for errors.
         remedy: what to do about a wrong file, for errors.
 
@@ -153,7 +154,7 @@ def read_bytes(
                     JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
             return b"".join(pieces), name
     except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
-        message = f"cannot read {format_path(name)}: {_os_message(error)}"
+        message = f"cannot read {format_path(name)}: {_format_system_error(error)}"
         raise FormatError(message, path=name) from error
 
 
@@ -184,7 +185,7 @@ def unpack(data: bytes, name: str) -> bytes:
                 allowance.take_text(len(piece), JsonPath(name))
                 pieces.append(piece)
     except (EOFError, OSError, zlib.error) as error:
-        message = f"broken {kind} data in {name}: {_os_message(error)}"
+        message = f"broken {kind} data in {name}: {_format_system_error(error)}"
         raise FormatError(message, path=name) from error
     return b"".join(pieces)
 
@@ -307,8 +308,8 @@ class Pixels(NamedTuple):
         white: the largest value of each channel, 255 or 65535.
         opacity: the opacity of each pixel, 0 to 255, shape (height, width), uint8; None if the
             image has none.
-        luma: luma by Rec. 601, 0 to 255, shape (height, width), uint8, as GraphicsMagick computes
-            it with quanta of 16 bits.
+        luma: luma by Rec. 601, 0 to 255, shape (height, width), uint8. It equals what
+            GraphicsMagick computes with quanta of 16 bits.
     """
 
     light: NDArray[Any]
@@ -380,7 +381,7 @@ def encode_image(pixels: NDArray[np.uint8], kind: str, **texts: str) -> bytes:
         pixels: grey values, shape (height, width), or channels, shape (height, width, 3 or 4);
             row 0 is the top.
         kind: ``PNG``, or ``PPM`` for a binary PGM of grey values.
-        texts: texts that a PNG holds, by keyword.
+        texts: keyword -> text, for the text chunks of a PNG.
 
     Returns:
         The content of the file.
@@ -404,13 +405,12 @@ def read_header(
     Args:
         data: the content of the file.
         source: the file's name, for errors.
-        numbers: the count and type (int or float) of the numbers in a line, by the line's first
-            word.
-        defaults: the words of lines that may be missing, by the line's first word.
+        numbers: first word of a line that must hold numbers -> their count and type (int or float).
+        defaults: first word of a line that may be missing -> the further words that count then.
 
     Returns:
-        The words of each line by its first word, comments (``#``) included; the numbers of each
-        entry of `numbers`, in its order; and the offset of the data [bytes].
+        Three results. First word of each line -> its further words, for comments (``#``), too. For
+        each entry of `numbers`, the list of the line's numbers. The offset of the data [bytes].
 
     Raises:
         FormatError: a line is missing, or its numbers are not those that are expected.
@@ -454,7 +454,7 @@ def read_header(
 
 
 def check_named(path: Path) -> None:
-    """Raise a FormatError if a file's name, which another file is to contain, isn't UTF-8.
+    """Raise a FormatError if a file's name isn't UTF-8, so that no other file can contain it.
 
     Raises:
         FormatError: the name isn't UTF-8.
@@ -495,7 +495,7 @@ def write_files(files: Files) -> list[Path]:
     try:
         write_together(files)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-        why = _os_message(error)
+        why = _format_system_error(error)
         if isinstance(error, FileNotFoundError):
             folders = {os.path.dirname(os.path.realpath(path)) for path in files}
             missing = sorted(folder for folder in folders if not os.path.isdir(folder))
@@ -511,7 +511,7 @@ def import_extra(name: str, extra: str = "convert", what: str = "this") -> Modul
     Args:
         name: the module's dotted name.
         extra: the extra of navbake that installs it.
-        what: what needs the library, for errors.
+        what: what needs the library; the beginning of the error.
 
     Returns:
         The module.

@@ -1,4 +1,4 @@
-"""Voxel files by their suffix, the table of their IDs beside them, and binvox itself.
+"""Reads and writes voxel files by their suffix, with the tables of their IDs; and binvox.
 
 binvox is run-length encoded voxels after a text header. A voxel grid ``g[x, y, z]`` of the world, z
 up, is written by the rules of the format: ``dim nx nz ny``, y fastest, then z, then x;
@@ -6,10 +6,10 @@ up, is written by the rules of the format: ``dim nx nz ny``, y fastest, then z, 
 voxel's centre is ``translate + (i + 0.5) * res`` with ``res = scale / max(dim)``. Version 1 holds 0
 and 1, version 2 any byte.
 
-AirSim has its own layout under the same name: x fastest, then z, then y; ``scale`` is one over the
-size along x; ``translate`` is half of the size, without the grid's position; a voxel i is sampled
-at ``(i - n // 2) * res``, so grids of even counts lie half a voxel off. Its axes are north, east
-and up, which is (x, -y, z) here.
+AirSim writes a different layout under the same name: x fastest, then z, then y. ``scale`` is one
+over the size along x. ``translate`` is minus half of the size; the grid's position is missing. Of n
+voxels along an axis, voxel i is sampled at ``(i - n // 2) * res``, so a grid of an even count lies
+half a voxel off. The axes are north, east and up, which is (x, -y, z) here.
 """
 
 import json
@@ -39,18 +39,19 @@ BINVOX_LAYOUTS = ("auto", "binvox", "airsim")
 MAGIC = b"#binvox"
 MAX_BYTE = 255  # largest value of a voxel, and most voxels of a run
 DECIMALS = 12  # of the numbers in the header
-AIRSIM_TOLERANCE = 1e-4  # relative, of numbers in AirSim's headers, which have six digits
+AIRSIM_TOLERANCE = 1e-4  # relative error of numbers in AirSim's headers, which have six digits
 ID_RULE = "0 is empty; where several meet a voxel, the least ID is its"
 
-# number and type of each header line's numbers: `dim` is nx, nz, ny, `translate` and `scale` are
-# in metres, `scale` in AirSim's layout in 1/m
+# first word of a header line -> count and type of its numbers. `dim` is nx, nz, ny; `translate` and
+# `scale` are in metres, but in AirSim's layout, `scale` is in 1/m
 HEADER_LINES: dict[str, tuple[int, type]] = {
     "#binvox": (1, int),
     "dim": (3, int),
     "translate": (3, float),
     "scale": (1, float),
 }
-DEFAULT_LINES = {"translate": ["0"] * 3, "scale": ["1"]}  # words of lines that a header may lack
+# first word of a line that a header may lack -> the words that count then
+DEFAULT_LINES = {"translate": ["0"] * 3, "scale": ["1"]}
 
 
 def write_voxels(
@@ -67,8 +68,8 @@ def write_voxels(
         grid: the voxels.
         path: the file, which ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of
             ``a.npz`` is ``a.npz.names.json``.
-        free: whether to write known voxels that are not occupied as free, not as unknown, in an
-            octree.
+        free: for an octree: whether to write known voxels that are not occupied as free, not as
+            unknown.
         layout: the layout of a binvox, see `encode_binvox`.
         mapping: the new IDs in a binvox, see `map_ids`.
 
@@ -155,8 +156,8 @@ def map_ids(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
 
     Args:
         grid: the voxels.
-        mapping: the new ID of each existing one; ``compact`` numbers the existing IDs from 1, in
-            order; None keeps them.
+        mapping: existing ID -> new ID; ``compact`` numbers the existing IDs from 1, in order; None
+            keeps them.
 
     Returns:
         A new grid; the grid itself if it has no IDs, or if `mapping` is None.
@@ -247,7 +248,7 @@ def _format_number(value: float) -> str:
 
 
 def _view_in_file_order(values: NDArray[np.uint8], is_airsim: bool) -> NDArray[np.uint8]:
-    """Return a view of the voxels in the file's order; filling it fills `values`."""
+    """Return a view of `values` with the axes in the file's order; writing it changes `values`."""
     if is_airsim:
         return values[:, ::-1].transpose(1, 2, 0)  # east, up, north; east is -y
     return values.transpose(0, 2, 1)
@@ -263,9 +264,9 @@ def read_binvox(
 ) -> VoxelGrid:
     """Read a binvox file, versions 1 and 2.
 
-    Empty runs and comment lines in the header are skipped. Version 1 is read as bool, version 2 as
-    IDs, uint8. A version 1 with values besides 0 and 1, as simulators with segmentation write, is
-    read as IDs, too.
+    Empty runs, and comment lines in the header, are skipped. Version 1 is read as bool, version 2
+    as IDs, uint8. A version 1 with values besides 0 and 1, which simulators with segmentation
+    write, is read as IDs, too.
 
     Args:
         source: a path, or a file's content.
@@ -276,7 +277,7 @@ def read_binvox(
         res: the edge of AirSim's voxels [m]. Its files only have the requested size, which may
             exceed the grid's by a part of a voxel. If None, it is computed from the sizes and
             counts.
-        max_voxels: most voxels of the grid; 2**31 if None.
+        max_voxels: the largest number of voxels, see `read_voxels`.
 
     Returns:
         The voxels; their notes state what the file doesn't determine.
@@ -363,10 +364,11 @@ class _BinvoxHeader(NamedTuple):
 
 
 def _is_airsim_header(header: _BinvoxHeader) -> bool:
-    """Whether a header is AirSim's: the scale is 1 / size along x, and not the longest side.
+    """Whether a header is AirSim's, and no ordinary one.
 
-    There, `translate` is minus half of the size. So an edge must exist that fits sizes and counts
-    along all axes: ``count = floor(size / edge)``.
+    In AirSim's layout, `translate` is minus half of the size, and the scale is 1 / size along x. An
+    edge of voxels must exist for which ``count = floor(size / edge)`` along all axes. If the header
+    fits both layouts with the same edge, it counts as an ordinary one.
     """
     nx, nz, ny = header.dim
     sizes = -2 * np.array(header.translate)

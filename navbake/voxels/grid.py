@@ -56,23 +56,25 @@ class VoxelGrid:
         known = self.known
         if len(shape) != 3 or 0 in shape:
             expected = "voxels of shape (nx, ny, nz), each >= 1"
-            raise _wrong_field("values", shape, expected, f"{shape}")
+            raise _make_field_error("values", shape, expected, f"{shape}")
         if dtype.name not in DTYPES:
             expected = f"voxels of dtype {', '.join(DTYPES)}"
-            raise _wrong_field("values", dtype.name, expected, f"{dtype}")
+            raise _make_field_error("values", dtype.name, expected, f"{dtype}")
         if known is not None and known.shape != shape:
             expected = f"`known` of the voxels' shape {shape}"
-            raise _wrong_field("known", known.shape, expected, f"{known.shape}")
+            raise _make_field_error("known", known.shape, expected, f"{known.shape}")
         if known is not None and known.dtype != np.bool_:
-            raise _wrong_field("known", known.dtype.name, "`known` of dtype bool", f"{known.dtype}")
+            raise _make_field_error(
+                "known", known.dtype.name, "`known` of dtype bool", f"{known.dtype}"
+            )
         corner = finite_array(self.origin, (3,))
         if corner is None:
             one_line = reprlib.repr(self.origin)[:80]
-            raise _wrong_field("origin", self.origin, "a lower corner x, y, z [m]", one_line)
+            raise _make_field_error("origin", self.origin, "a lower corner x, y, z [m]", one_line)
         self.origin = tuple(corner.tolist())
         self.res = float(self.res)
         if not (np.isfinite(self.res) and self.res > 0):
-            raise _wrong_field("res", self.res, "a voxel's edge > 0 m", f"{self.res:g}")
+            raise _make_field_error("res", self.res, "a voxel's edge > 0 m", f"{self.res:g}")
         with np.errstate(over="ignore"):
             is_near = np.abs(self.bounds).max() <= MAX_COORDINATE
         if not is_near or self.res < LEAST_EDGE:
@@ -80,7 +82,7 @@ class VoxelGrid:
                 f"voxels of {LEAST_EDGE:g} m or more within {MAX_COORDINATE:g} m of the origin"
             )
             text = f"{self.res:g} m from {self.origin} on"
-            raise _wrong_field("res", self.res, expected, text)
+            raise _make_field_error("res", self.res, expected, text)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -147,9 +149,9 @@ class VoxelGrid:
         if is_outside.any():
             position = positions.reshape(-1, 3)[int(np.argmax(is_outside.ravel()))]
             lower, upper = self.bounds
+            box = f"from ({_format_position(lower)}) to ({_format_position(upper)})"
             raise QueryError(
-                f"no voxel at ({_shown(position)}): the grid is from ({_shown(lower)}) to "
-                f"({_shown(upper)})",
+                f"no voxel at ({_format_position(position)}): the grid is {box}",
                 key="xyz",
                 value=tuple(position.tolist()),
             )
@@ -230,13 +232,13 @@ class VoxelGrid:
         return picture
 
 
-def _wrong_field(key: str, value: object, expected: str, text: str) -> FormatError:
+def _make_field_error(key: str, value: object, expected: str, text: str) -> FormatError:
     """Return an error for a wrong value of an attribute; the message shows the value as `text`."""
     message = f"expected {expected}, got {text}"
     return FormatError(message, key=key, value=value, expected=expected)
 
 
-def _shown(position: Float) -> str:
+def _format_position(position: Float) -> str:
     """Write a position for messages."""
     return ", ".join(f"{coordinate:.6g}" for coordinate in position)
 
