@@ -166,10 +166,10 @@ class _Builder:
             door=door,
             link=link or None,
         )
-        for index, present in enumerate(self.nodes):
-            is_of_other_link = link and present.link and link != present.link
+        for index, earlier_node in enumerate(self.nodes):
+            is_of_other_link = link and earlier_node.link and link != earlier_node.link
             if self.cells[index] == cell and not is_of_other_link:
-                if present.kind in ("junction", "waypoint") and kind != "waypoint":
+                if earlier_node.kind in ("junction", "waypoint") and kind != "waypoint":
                     self.nodes[index] = node
                 return index
         self.cells.append(cell)
@@ -537,8 +537,8 @@ class _Builder:
         cells = self.flat.cells_at(inner, level)
         centers = self.flat.positions(cells)[:, :2]
         # corners are at cells' centres; at other points, only the height of the floor bends
-        turns = np.abs(centers - inner).max(axis=1, initial=0.0) < 1e-6
-        remaining = [*cells[turns].tolist(), self.cells[target]]
+        is_corner = np.abs(centers - inner).max(axis=1, initial=0.0) < 1e-6
+        remaining = [*cells[is_corner].tolist(), self.cells[target]]
         corners = [node]
         while remaining:
             corner = corners[-1]
@@ -696,10 +696,10 @@ def thin_mask(mask: Bool) -> Bool:
             south = padded[2:, 1:-1]
             west = padded[1:-1, :-2]
             if is_first_pass:
-                stays = (north & east & south) | (east & south & west)
+                must_stay = (north & east & south) | (east & south & west)
             else:
-                stays = (north & east & west) | (north & south & west)
+                must_stay = (north & east & west) | (north & south & west)
             is_border = (num_neighbors >= 2) & (num_neighbors <= 6) & (num_runs == 1)
-            inner[inner & is_border & ~stays] = False
+            inner[inner & is_border & ~must_stay] = False
         if np.count_nonzero(padded) == num_before:
             return inner

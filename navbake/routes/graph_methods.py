@@ -23,7 +23,7 @@ class RouteGraphMethods:
     """Methods that `RouteGraph` inherits."""
 
     def _as_graph(self) -> RouteGraph:
-        """The graph itself: only `RouteGraph` inherits from this class."""
+        """Return the object, typed as `RouteGraph`: no other class inherits from this one."""
         return cast("RouteGraph", self)
 
     def save(self, path: str | PathLike[str], to: str | None = None) -> list[Path]:
@@ -52,7 +52,7 @@ class RouteGraphMethods:
 
         Args:
             grid: A grid of the graph's scene, inflated or not, or a map of one level.
-            radius: Radius of the agent [m]; None for that of the graph.
+            radius: Radius of the agent [m]; None for the graph's radius.
 
         Returns:
             The findings, errors first.

@@ -101,7 +101,7 @@ class AddedObstacle:
 
 
 def _make_obstacle_state(level: SceneGrid2D) -> ObstacleState:
-    """Make the state of a level without obstacles; the level gets writable copies of its arrays."""
+    """Make the state of a level without obstacles yet; give it writable copies of its arrays."""
     # other grids may share the level's arrays, or they may be read-only
     level.weights = np.array(level.weights, order="C")
     level.attributes = dict(level.attributes)
@@ -191,12 +191,12 @@ def _update_clearance(level: SceneGrid2D, window: Window, largest_clearance: flo
     # Obstacles only reduce clearances. So only cells within the largest clearance of the window,
     # in `inner`, can change. Their nearest blocked cells lie as far again outside, in `outer`.
     num_cells = math.ceil(largest_clearance) + 2
-    inner = _pad_window(window, num_cells, level)
-    outer = _pad_window(window, 2 * num_cells, level)
-    row0, row1, col0, col1 = inner
-    rows = slice(row0 - outer[0], row1 - outer[0])
-    cols = slice(col0 - outer[2], col1 - outer[2])
-    level.attributes["clearance"][row0:row1, col0:col1] = measure_clearance(level, outer)[
+    inner_window = _pad_window(window, num_cells, level)
+    outer_window = _pad_window(window, 2 * num_cells, level)
+    row0, row1, col0, col1 = inner_window
+    rows = slice(row0 - outer_window[0], row1 - outer_window[0])
+    cols = slice(col0 - outer_window[2], col1 - outer_window[2])
+    level.attributes["clearance"][row0:row1, col0:col1] = measure_clearance(level, outer_window)[
         rows, cols
     ]
 
@@ -282,8 +282,8 @@ def block(
         box: lower and upper corner, x, y, z or x, y [m].
         level: block this level only; then a position needs no z.
         height: height of the disc [m]; the agent's if None.
-        margin: the agent's radius [m]. If None, it is the radius that the grid was inflated for, or
-            that of the bake if the grid is not inflated.
+        margin: the agent's radius [m]. None for the radius that the grid was inflated to, or for
+            the baked one if the grid is not inflated.
 
     Raises:
         QueryError: not exactly one of cells, disc and box is given, or it is not valid.
@@ -359,7 +359,7 @@ def _find_layers(grid: NavGrid, arguments: BlockArguments) -> list[Layers]:
 def _check_disc(
     grid: NavGrid, disc: tuple[ArrayLike, float], level: int | None, height: float | None
 ) -> _UprightShape:
-    """Check a disc's centre, radius and height."""
+    """Check a disc's centre, radius and height, and return its shape."""
     try:
         center, radius = disc
     except (TypeError, ValueError):
@@ -382,7 +382,7 @@ def _check_disc(
 
 
 def _check_box(grid: NavGrid, box: tuple[ArrayLike, ArrayLike], level: int | None) -> _UprightShape:
-    """Check a box's corners."""
+    """Check a box's corners, and return its shape."""
     expected = "expected a box's lower and upper corner"
     try:
         lower_corner, upper_corner = box
@@ -498,10 +498,10 @@ def _limit_steps(grid: NavGrid, max_step: float) -> NavGrid:
     floor = np.concatenate([level.floor.ravel() for level in grid.levels])
     start = np.cumsum([0] + [level.width * level.height for level in grid.levels])
     ends = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
-    is_low = np.abs(np.diff(floor[ends])[:, 0]) <= max_step + FLOOR_ROUNDING
+    is_low_enough = np.abs(np.diff(floor[ends])[:, 0]) <= max_step + FLOOR_ROUNDING
     metadata = {**grid.metadata, "traversableFloorHeight": max_step / grid.unit}
-    if not is_low.all():
-        links = [*grid.step_array[is_low].tolist(), *(link.to_json() for link in grid.links)]
+    if not is_low_enough.all():
+        links = [*grid.step_array[is_low_enough].tolist(), *(link.to_json() for link in grid.links)]
         metadata["navbake"] = {**grid.navbake, "links": links}
     limited_grid = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
     renew_islands(limited_grid)

@@ -107,7 +107,7 @@ def random_point(
 ) -> Float:
     """Draw places where an agent can stand, uniformly by area.
 
-    The arguments after `search` are those of `PathFinder.random_point`, which describes them.
+    `PathFinder.random_point` describes the arguments after `search`.
     """
     islands = search.allowed_islands(island, reachable_from)
     cells = np.flatnonzero(search.mark_allowed(level=level, room=room, islands=islands))
@@ -131,7 +131,7 @@ def random_point_near(
 ) -> Float:
     """Draw places near a position, uniformly by area.
 
-    The arguments after `search` are those of `PathFinder.random_point_near`, which describes them.
+    `PathFinder.random_point_near` describes the arguments after `search`.
     """
     cells = _find_cells_near(search, position, min_distance, max_distance, straight, level)
     if room is not None:
@@ -173,7 +173,7 @@ def random_pose(
 ) -> Pose:
     """Draw a pose, facing a target if there is one.
 
-    The arguments after `search` are those of `PathFinder.random_pose`, which describes them.
+    `PathFinder.random_pose` describes the arguments after `search`.
     """
     rng = as_generator(rng)
     if target is None:
@@ -223,7 +223,7 @@ def reachable_positions(
     # `places` and `lattice_points` are those that the last round of steps reached
     places = first_place[None]
     lattice_points = np.zeros((1, 2), dtype=np.int64)
-    seen = {(int(flat.level_of(start_cell)), 0, 0)}
+    seen_points = {(int(flat.level_of(start_cell)), 0, 0)}
     reached = [places]
     while len(places):
         lattice_points = (lattice_points[:, None] + LATTICE_STEPS).reshape(-1, 2)
@@ -238,8 +238,8 @@ def reachable_positions(
         is_new = []
         columns = lattice_points.T.tolist()
         for point in zip(flat.level_of(cells).tolist(), *columns, strict=True):
-            is_new.append(point not in seen)
-            seen.add(point)
+            is_new.append(point not in seen_points)
+            seen_points.add(point)
         lattice_points = lattice_points[is_new]
         places = places[is_new]
         cells = cells[is_new]
@@ -292,8 +292,10 @@ def _draw_places(
     positions = flat.positions(drawn_cells)
     if anywhere:
         size = flat.layout.cell_size[flat.level_of(drawn_cells)]
-        half = 0.5 - EDGE_SHARE
-        positions[:, :2] += rng.uniform(-half, half, size=(num_places, 2)) * size[:, None]
+        max_offset = 0.5 - EDGE_SHARE
+        positions[:, :2] += (
+            rng.uniform(-max_offset, max_offset, size=(num_places, 2)) * size[:, None]
+        )
     return positions.reshape(3) if count is None else positions
 
 
@@ -632,7 +634,7 @@ def _draw_crowd(
     is_taken = np.zeros(flat.num_cells, dtype=np.bool_)
 
     def throw_darts(cells: Int) -> Int:
-        """Draw some cells, and return those that are not taken."""
+        """Draw random cells, and return the drawn ones that are not taken."""
         darts = cells[draw_cell_indices(flat, cells, rng, NUM_DARTS)] if len(cells) else cells
         return darts[~is_taken[darts]]
 
@@ -707,8 +709,8 @@ def split_by_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]
     """
     ends = np.cumsum(flat.layout.cell_size[flat.level_of(cells)] ** 2)
     # a cell belongs to the part that contains its middle
-    middle = (ends - np.diff(ends, prepend=0.0) / 2) / ends[-1]
-    part = np.floor(((middle - start) % 1.0) * n).astype(np.int64)
+    middle_shares = (ends - np.diff(ends, prepend=0.0) / 2) / ends[-1]
+    part = np.floor(((middle_shares - start) % 1.0) * n).astype(np.int64)
     order = np.argsort(part, kind="stable")
     return np.split(cells[order], np.searchsorted(part[order], np.arange(1, n)))
 

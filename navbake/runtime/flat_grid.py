@@ -287,9 +287,13 @@ class FlatGrid:
 
 
 def octile_length(vectors: Float) -> Float:
-    """Compute the lengths of walks along rows, columns and diagonals, free of obstacles.
+    """Compute the lengths of the shortest walks along rows, columns and diagonals.
 
-    `vectors` have x and y, shape (..., 2 or more); returns shape (...), in their unit.
+    Args:
+        vectors: x and y from the start to the end of each walk, shape (..., 2 or more).
+
+    Returns:
+        Octile lengths, in the unit of `vectors`, shape (...).
     """
     x = np.abs(vectors[..., 0])
     y = np.abs(vectors[..., 1])
@@ -373,7 +377,7 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     Args:
         grid: a grid of one or several levels.
         agent: the agent whose rights and speed count. None for an agent at 1 m/s that may use all
-            open links, and all areas but those of infinite cost.
+            open links, and all areas except areas of infinite cost.
         penalty: if given, the agent may use all links and areas, but at a high cost: passages that
             it may not use cost this much more [m], and areas that bar it multiply weights by it.
 
@@ -431,9 +435,9 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     # The length of a step is the octile distance between the centres of its cells, from above, and
     # at least a cell: between neighbours on one lattice, as navbake links them, exactly a cell.
     sources, targets = flat.step_ends()
-    least = np.minimum(cell_size[flat.level_of(sources)], cell_size[flat.level_of(targets)])
+    smaller_size = np.minimum(cell_size[flat.level_of(sources)], cell_size[flat.level_of(targets)])
     lengths = octile_length(flat.positions(sources) - flat.positions(targets))
-    steps.length[:] = np.maximum(lengths, least)
+    steps.length[:] = np.maximum(lengths, smaller_size)
     return flat
 
 

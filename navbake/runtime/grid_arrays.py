@@ -242,9 +242,9 @@ def clamp_to_cell(layout, cell, x, y):
         World x, y [m].
     """
     center_x, center_y = cell_center(layout, cell)
-    half = (0.5 - EDGE_MARGIN) * layout.cell_size[level_of(layout.start, cell)]
-    x = min(max(x, center_x - half), center_x + half)
-    y = min(max(y, center_y - half), center_y + half)
+    half_edge = (0.5 - EDGE_MARGIN) * layout.cell_size[level_of(layout.start, cell)]
+    x = min(max(x, center_x - half_edge), center_x + half_edge)
+    y = min(max(y, center_y - half_edge), center_y + half_edge)
     return x, y
 
 

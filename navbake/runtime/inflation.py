@@ -130,8 +130,8 @@ def inflate(
             level_costs = nav2_costs(level, radius, radius + clearance, scaling)
             free_weights = np.maximum(free_weights, np.clip(level_costs, 1.0, LETHAL_COST))
         elif clearance > 0:
-            near = find_blocked(grid, number, radius + clearance, ledges)
-            free_weights = np.where(near, np.maximum(free_weights, STEP_COST), free_weights)
+            in_clearance = find_blocked(grid, number, radius + clearance, ledges)
+            free_weights = np.where(in_clearance, np.maximum(free_weights, STEP_COST), free_weights)
         weights.append(np.where(blocked, np.inf, free_weights))
 
     entry: Json = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
@@ -223,8 +223,8 @@ def nav2_costs(
         return np.zeros(level.shape, dtype=np.uint8)
     # squared distances in cells are whole numbers: tabulate their costs
     squared_distances = np.rint(ndimage.distance_transform_edt(~solid) ** 2).astype(np.int32)
-    farthest = math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1
-    last_square = min(int(squared_distances.max()), farthest)
+    max_square = math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1
+    last_square = min(int(squared_distances.max()), max_square)
     distance = np.sqrt(np.arange(last_square + 1)) * cell
     slack = DISTANCE_SLACK * cell
     decay = np.exp(-scaling * np.maximum(distance - radius, 0))
@@ -443,7 +443,7 @@ def inflate_footprint(
         if window_radius > MAX_FOOTPRINT_REACH:
             limit = f"within {MAX_FOOTPRINT_REACH} cells"
             raise QueryError(f"expected a polygon {limit}, got one of {window_radius}")
-        stack, inside = surroundings.stack_levels(grid, number, window_radius)
+        stack, level_window = surroundings.stack_levels(grid, number, window_radius)
         free = np.empty((num_headings, *level.shape), dtype=np.bool_)
         # the cells round the agent's cell, in units of a cell: `touch_cells` finds the polygon's
         window = Lattice(
@@ -465,7 +465,7 @@ def inflate_footprint(
             num_occupied = count_runs(stack.occupied[stack.level] != 0, _find_runs(offsets))
             blocked = num_occupied > 0
             surroundings.block_by_floors(grid, number, stack, radius, offsets, ledges, blocked)
-            free[k] = level.free_for_point & ~blocked[inside]
+            free[k] = level.free_for_point & ~blocked[level_window]
         masks.append(free)
     return masks
 

@@ -63,13 +63,13 @@ def dilate(occupied, half_width):
         bool, shape (rows, cols).
     """
     rows, cols = occupied.shape
-    farthest = half_width.shape[0] - 1
+    max_distance = half_width.shape[0] - 1
     # rows to the nearest occupied cell of the same column, at most `farthest`
     row_distance = np.empty((rows, cols), dtype=np.int32)
     for row in range(rows):
         for col in range(cols):
-            above = row_distance[row - 1, col] if row > 0 else farthest
-            row_distance[row, col] = 0 if occupied[row, col] else min(above + 1, farthest)
+            above = row_distance[row - 1, col] if row > 0 else max_distance
+            row_distance[row, col] = 0 if occupied[row, col] else min(above + 1, max_distance)
     for row in range(rows - 2, -1, -1):
         for col in range(cols):
             row_distance[row, col] = min(row_distance[row, col], row_distance[row + 1, col] + 1)
@@ -158,31 +158,31 @@ def block_by_floors(
     for row in range(rows if levels > 1 else 0):
         for col in range(cols):
             z = floor[level, row, col]
-            meets_level = False
+            is_near_level = False
             for k in range(levels):
-                is_low = lowest[k, row // PATCH_SIZE, col // PATCH_SIZE] - z < overlap
-                is_high = z - highest[k, row // PATCH_SIZE, col // PATCH_SIZE] < overlap
-                meets_level |= k != level and is_low and is_high
-            if meets_level and not occupied[level, row, col]:
+                begins_below = lowest[k, row // PATCH_SIZE, col // PATCH_SIZE] - z < overlap
+                ends_above = z - highest[k, row // PATCH_SIZE, col // PATCH_SIZE] < overlap
+                is_near_level |= k != level and begins_below and ends_above
+            if is_near_level and not occupied[level, row, col]:
                 blocked[row, col] = _overlaps_occupied(
                     floor, occupied, level, row, col, offsets, overlap
                 )
     for patch_row in range(lowest.shape[1]):
         for patch_col in range(lowest.shape[2]):
-            least = lowest[level, patch_row, patch_col]
-            greatest = highest[level, patch_row, patch_col]
+            lowest_floor = lowest[level, patch_row, patch_col]
+            highest_floor = highest[level, patch_row, patch_col]
             differs = False
             for k in range(levels):
-                differs |= highest[k, patch_row, patch_col] - least > step
-                differs |= greatest - lowest[k, patch_row, patch_col] > step
+                differs |= highest[k, patch_row, patch_col] - lowest_floor > step
+                differs |= highest_floor - lowest[k, patch_row, patch_col] > step
             for index in range(PATCH_SIZE * PATCH_SIZE if differs else 0):
                 row = patch_row * PATCH_SIZE + index // PATCH_SIZE
                 col = patch_col * PATCH_SIZE + index % PATCH_SIZE
                 if row >= rows or col >= cols:
                     continue
                 # whether this cell is too high or too low for agents in the cells round it
-                is_wall = False
-                is_low = False
+                is_too_high = False
+                is_too_low = False
                 has_floor_in_step = False
                 bottom = np.inf
                 top = -np.inf
@@ -190,33 +190,33 @@ def block_by_floors(
                     z = floor[k, row, col]
                     bottom = z if z < bottom else bottom
                     top = z if z > top else top
-                    is_above = z - least > step
-                    is_below = greatest - z > step
-                    is_wall |= is_above and (k == level or z - greatest < highest_rise)
-                    is_low |= is_below
+                    is_above = z - lowest_floor > step
+                    is_below = highest_floor - z > step
+                    is_too_high |= is_above and (k == level or z - highest_floor < highest_rise)
+                    is_too_low |= is_below
                     # no drop for an agent of any of these heights
                     has_floor_in_step |= not (is_above or is_below or np.isnan(z))
-                is_wall &= higher_floors_block
-                is_low &= lower_floors_block and not has_floor_in_step and levels > 1
-                for i in range(offsets.shape[0] if is_wall or is_low else 0):
+                is_too_high &= higher_floors_block
+                is_too_low &= lower_floors_block and not has_floor_in_step and levels > 1
+                for i in range(offsets.shape[0] if is_too_high or is_too_low else 0):
                     agent_row = row - offsets[i, 0]
                     agent_col = col - offsets[i, 1]
                     is_inside = 0 <= agent_row < rows and 0 <= agent_col < cols
                     if not is_inside or blocked[agent_row, agent_col]:
                         continue
                     z = floor[level, agent_row, agent_col]
-                    for k in range(levels if is_wall and top - z > step else 0):
+                    for k in range(levels if is_too_high and top - z > step else 0):
                         rise = floor[k, row, col] - z
                         if step < rise and (k == level or rise < highest_rise):
                             blocked[agent_row, agent_col] |= slopes.shape[0] == 0 or not _is_slope(
                                 floor, slopes, step, level, agent_row, agent_col, k, row, col
                             )
-                    if is_low and z - bottom > step and not blocked[agent_row, agent_col]:
+                    if is_too_low and z - bottom > step and not blocked[agent_row, agent_col]:
                         blocked[agent_row, agent_col] = _is_drop(
                             floor, slopes, step, level, agent_row, agent_col, row, col
                         )
                 # with a single level, fewer cells are beside drops than are drops: start there
-                may_fall = levels == 1 and floor[level, row, col] - least > step
+                may_fall = levels == 1 and floor[level, row, col] - lowest_floor > step
                 for i in range(offsets.shape[0] if may_fall and lower_floors_block else 0):
                     to_row = row + offsets[i, 0]
                     to_col = col + offsets[i, 1]

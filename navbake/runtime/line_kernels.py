@@ -74,10 +74,10 @@ def is_walkable(start, end, layout, level, moves, is_allowed):
         if v0 != v1:  # the part of the line in the row
             share_at_top = (row - TOUCH_DISTANCE - v0) / (v1 - v0)
             share_at_bottom = (row + 1 + TOUCH_DISTANCE - v0) / (v1 - v0)
-            enter = min(max(min(share_at_top, share_at_bottom), 0.0), 1.0)
-            leave = max(min(max(share_at_top, share_at_bottom), 1.0), 0.0)
-            u_enter = u0 + enter * (u1 - u0)
-            u_leave = u0 + leave * (u1 - u0)
+            entry_share = min(max(min(share_at_top, share_at_bottom), 0.0), 1.0)
+            exit_share = max(min(max(share_at_top, share_at_bottom), 1.0), 0.0)
+            u_enter = u0 + entry_share * (u1 - u0)
+            u_leave = u0 + exit_share * (u1 - u0)
             u_low = min(u_enter, u_leave)
             u_high = max(u_enter, u_leave)
         first_col = math.floor(u_low - TOUCH_DISTANCE)
@@ -116,26 +116,26 @@ def crossed_cells(start, end, layout, level):
     col = math.floor(u0)
     max_cells = abs(math.floor(u1) - col) + abs(math.floor(v1) - row) + 2
     cells = np.empty(max_cells, np.int64)
-    enter = np.zeros(max_cells + 1)
+    entry_share = np.zeros(max_cells + 1)
     count = 0
-    leave = 0.0
-    while leave < 1.0:
+    exit_share = 0.0
+    while exit_share < 1.0:
         # where the line leaves the cell, over an edge or at its end
         leave_u = (col + (du > 0.0) - u0) / du if du != 0.0 else np.inf
         leave_v = (row + (dv > 0.0) - v0) / dv if dv != 0.0 else np.inf
-        leave = min(leave_u, leave_v, 1.0)
-        if leave - enter[count] > LEAST_SHARE or (leave >= 1.0 and count == 0):
+        exit_share = min(leave_u, leave_v, 1.0)
+        if exit_share - entry_share[count] > LEAST_SHARE or (exit_share >= 1.0 and count == 0):
             inside_row = min(max(row, 0), layout.height[level] - 1)
             inside_col = min(max(col, 0), layout.width[level] - 1)
             cells[count] = layout.start[level] + inside_row * layout.width[level] + inside_col
             count += 1
-            enter[count] = leave
+            entry_share[count] = exit_share
         if leave_u <= leave_v:
             col += 1 if du > 0.0 else -1
         else:
             row += 1 if dv > 0.0 else -1
-    enter[count] = 1.0
-    return cells[:count], enter[: count + 1]
+    entry_share[count] = 1.0
+    return cells[:count], entry_share[: count + 1]
 
 
 @subkernel
@@ -147,10 +147,10 @@ def line_cost(start, end, level, graph):
     """
     start_uv = to_cell_units(graph.layout, level, start[0], start[1])
     end_uv = to_cell_units(graph.layout, level, end[0], end[1])
-    cells, enter = crossed_cells(start_uv, end_uv, graph.layout, level)
+    cells, entry_share = crossed_cells(start_uv, end_uv, graph.layout, level)
     mean_weight = 0.0
     for k in range(cells.shape[0]):
-        mean_weight += (enter[k + 1] - enter[k]) * graph.weight[cells[k]]
+        mean_weight += (entry_share[k + 1] - entry_share[k]) * graph.weight[cells[k]]
     return mean_weight * math.hypot(end_uv[0] - start_uv[0], end_uv[1] - start_uv[1])
 
 
@@ -456,7 +456,7 @@ def _floor_profile(start, end, level, layout, floors):
     `start` and `end` are u, v. Returns fractions of the line's length, ascending, and floor z there
     [m], shape (n, 2).
     """
-    cells, enter = crossed_cells(start, end, layout, level)
+    cells, entry_share = crossed_cells(start, end, layout, level)
     last = cells.shape[0] - 1
     # an end that lies on an edge may be crossed in the neighbour of its cell
     cells[last] = _cell_at(layout, level, end)
@@ -467,12 +467,12 @@ def _floor_profile(start, end, level, layout, floors):
     for k in range(last + 1):
         z = floor_at(floors, level, cells[k])
         if k > 0 and abs(z - z_before) > layout.cell_size[level] * STEEP_RISE:
-            profile[count, 0] = enter[k]
+            profile[count, 0] = entry_share[k]
             profile[count, 1] = z_before
-            profile[count + 1, 0] = enter[k]
+            profile[count + 1, 0] = entry_share[k]
             profile[count + 1, 1] = z
             count += 2
-        share = (enter[k] + enter[k + 1]) / 2.0 if 0 < k < last else min(k, 1.0)
+        share = (entry_share[k] + entry_share[k + 1]) / 2.0 if 0 < k < last else min(k, 1.0)
         profile[count, 0] = share
         profile[count, 1] = z
         count = count + 1

@@ -416,7 +416,7 @@ class BarringArea(NamedTuple):
 
 
 def _find_barring_area(search: Search, cell: int) -> BarringArea | None:
-    """Find the area of a cell that bars the agent; None for none."""
+    """Find the area that a cell is in, if it bars the agent; else return None."""
     area_factor = search.flat.area_factor
     agent = search.agent
     if len(area_factor) == 1 or math.isfinite(area_factor[cell]):

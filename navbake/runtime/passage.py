@@ -43,7 +43,7 @@ class Passage:
 
 
 class WidestRadius(NamedTuple):
-    """The largest radius that passes from one place to another.
+    """The largest radius of an agent that gets from one place to another.
 
     Attributes:
         radius: of the agent [m]; inf where no radius is too large.
@@ -97,8 +97,8 @@ def find_passage(
     flat = search.flat
     is_standable = find_free(grid, 0.0, ledges)
 
-    def refusal(inside: bool) -> str:
-        return "no agent can stand there" if inside else "it lies beside the grid"
+    def refusal(is_in_grid: bool) -> str:
+        return "no agent can stand there" if is_in_grid else "it lies beside the grid"
 
     start_position, start_cell = flat.locate(start, level, "start")
     if start_cell < 0 or not is_standable[start_cell]:
@@ -396,8 +396,8 @@ def _has_open_step(search: Search, levels: list[int], steps: Int) -> bool:
     number = search.islands.number
     # for each cell, how many cells of its island are on its level
     num_cells = np.zeros(steps.shape, dtype=np.int64)
-    for side, level in enumerate(levels):
+    for end_index, level in enumerate(levels):
         cells_by_island = np.bincount(number[flat.cells_of(level)])
-        num_cells[:, side] = cells_by_island[number[steps[:, side]]]
+        num_cells[:, end_index] = cells_by_island[number[steps[:, end_index]]]
     areas = num_cells * flat.layout.cell_size[levels] ** 2
     return bool((flat.free[steps] & (areas >= LEAST_AREA)).all(axis=1).any())

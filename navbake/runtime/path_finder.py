@@ -845,8 +845,8 @@ class PathFinder:
     ) -> Float:
         """Draw places near a position, uniformly by area.
 
-        Distances to cells' centres are those of the shortest path from the position; or, if
-        `straight`, straight-line distances on the map of its level, also through walls.
+        Distances to cells' centres are lengths of shortest paths from the position. If `straight`,
+        they are straight lines on the map of the position's level instead, also through walls.
 
         Args:
             rng: a numpy Generator; None makes a new one.

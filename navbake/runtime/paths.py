@@ -51,7 +51,7 @@ class Path:
     rooms: list[str]  #: Ids of the rooms along the path, in order, repeated where entered again.
     doors: list[str]  #: Ids of the doors along the path, in order.
     links: list[str]  #: Names of the links that it takes, in order.
-    seconds: float  #: Of the route, at the agent's speed and those of areas and links.
+    seconds: float  #: How long the route takes, at the agent's speed and the limits of areas.
     by: str  #: What it was planned for, ``cost`` or ``time``.
     #: From which of the positions each of `links` leads on, and to which, shape (k, 2).
     stops: Int
@@ -123,8 +123,8 @@ class Target:
 
     def free_cells(self, flat: FlatGrid) -> Int:
         """List the goal's free cells by flat id, ascending and each once."""
-        inside = self.cells[self.cells >= 0]
-        return np.unique(inside[flat.free[inside]])
+        cells_in_grid = self.cells[self.cells >= 0]
+        return np.unique(cells_in_grid[flat.free[cells_in_grid]])
 
 
 def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
@@ -266,8 +266,8 @@ def _mark_blocked_by_objects(level: SceneGrid2D, ids: Int) -> Bool:
     has_objects_only = []
     for entry in entries:
         names = {*names_in(entry, "objects"), *names_in(entry, "blockers")}
-        is_wall = names_in(entry, "walls") or names & walls
-        has_objects_only.append(bool(names) and not is_wall)
+        has_wall = names_in(entry, "walls") or names & walls
+        has_objects_only.append(bool(names) and not has_wall)
     return np.reshape(has_objects_only, ids.shape)
 
 
@@ -342,8 +342,8 @@ def find_path(
     route = search.route(start_cell, goals, by)
     if route is None:
         return None
-    places = flat.split(route.cells)
-    costs = search.measure_route(route, places, by)
+    cells_of_route = flat.split(route.cells)
+    costs = search.measure_route(route, cells_of_route, by)
     end = NO_POINT
     if target.positions is not None:  # the first that is in the cell
         end = target.positions[int(np.argmax(target.cells == route.cells[-1])), :2]
@@ -368,7 +368,7 @@ def find_path(
     return Path(
         positions=positions,
         levels=levels,
-        cells=np.stack(places, axis=1),
+        cells=np.stack(cells_of_route, axis=1),
         length=float(np.hypot(*np.diff(positions[:, :2], axis=0).T).sum()),
         cost=costs.cost,
         rooms=[str(search.rooms.id_of(int(n))) for n in numbers[is_entered] if n],

@@ -57,8 +57,8 @@ def find_bounds(search: Search) -> tuple[Float, Float]:
     if not len(cells):
         raise QueryError(f"no cell of {search.grid.scene_id!r} is free: it has no bounds")
     centers = flat.positions(cells)
-    half = (flat.layout.cell_size[flat.level_of(cells)] / 2)[:, None] * [1.0, 1.0, 0.0]
-    return (centers - half).min(axis=0), (centers + half).max(axis=0)
+    half_edge = (flat.layout.cell_size[flat.level_of(cells)] / 2)[:, None] * [1.0, 1.0, 0.0]
+    return (centers - half_edge).min(axis=0), (centers + half_edge).max(axis=0)
 
 
 def island_at(search: Search, position: ArrayLike, level: int | None = None) -> int | None:
@@ -90,7 +90,7 @@ def room_at(search: Search, position: ArrayLike, level: int | None = None) -> st
 def room_near(
     search: Search, position: ArrayLike, max_distance: float, level: int | None
 ) -> str | None:
-    """Find the id of the room nearest on a position's level; None for none.
+    """Find the id of the room nearest to a position, on the position's level; None for none.
 
     Args:
         search: of the grid.
@@ -171,7 +171,7 @@ def snap(
 ) -> Float | None:
     """Find the nearest place where an agent can stand, for one position or each of many.
 
-    The arguments after `search` are those of `PathFinder.snap`, which describes them.
+    `PathFinder.snap` describes the arguments after `search`.
     """
     flat = search.flat
     check_distance(max_distance)
@@ -204,7 +204,7 @@ def snap_to_cells(
     same_level: bool = True,
     max_distance: float = math.inf,
 ) -> tuple[Float, Int]:
-    """Find the nearest places in the cells of a mask, as `PathFinder.snap` does.
+    """Find the nearest places in the cells of a mask, by the rule of `PathFinder.snap`.
 
     Args:
         flat: the grid.
@@ -398,9 +398,9 @@ def nearest_obstacle(
     obstacle_cell = obstacle_cells[0]
     if obstacle_cell < 0:
         return None
-    half = flat.layout.cell_size[flat.level_of(own_cell)] / 2
+    half_edge = flat.layout.cell_size[flat.level_of(own_cell)] / 2
     center = flat.positions(obstacle_cell)[:2]
-    point = np.clip(checked_position[:2], center - half, center + half)
+    point = np.clip(checked_position[:2], center - half_edge, center + half_edge)
     floor = flat.positions(own_cell)[2]
     return NearestObstacle(float(distances[0]), np.append(point, floor))
 

@@ -1,4 +1,4 @@
-"""Shortest-path searches on a grid's flat cells, and caches of what is derived from them."""
+"""Searches the cheapest routes over a grid's cells, and caches what is derived from the grid."""
 
 from __future__ import annotations
 
@@ -308,14 +308,14 @@ class Search:
 
     @property
     def islands(self) -> flat_grid.IslandMap:
-        """The connected parts of the currently free cells."""
+        """The islands: the connected parts of the currently free cells."""
         moves = self.graph.moves if self.cut_corners else None
         find_islands = partial(flat_grid.map_islands, self.flat, self.radius, moves)
         return self.cached("islands", None, find_islands, 1)
 
     @property
     def occupied(self) -> Bool:
-        """Cells that are occupied now or have no floor, by flat id; see `SceneGrid2D.solid`."""
+        """Mask of the cells that are occupied now or have no floor, by flat id (`solid`)."""
 
         def find_occupied() -> Bool:
             return np.concatenate([level.solid.ravel() != 0 for level in self.grid.levels])
@@ -435,7 +435,7 @@ class Search:
     # ---------------------------------------------------------------- routes
 
     def route(self, origin: int, goals: Int, by: str = "cost") -> Route | None:
-        """Find the cheapest route to the cheapest of several free cells.
+        """Find the cheapest route from a cell to any of several cells.
 
         Args:
             origin: flat id of a free cell.

@@ -173,7 +173,7 @@ def plan_buckets(
     Returns:
         The buckets' width, in units of cost; and their number, a power of two.
     """
-    # by how much the cost of a new entry may exceed that of the entry it comes from
+    # the most by which the cost of a new entry may exceed the present bucket's
     farthest = max(
         2.0 * greatest_weight * max(DIAGONAL * cell_size, longest_step), highest_passage_cost
     )

@@ -185,12 +185,12 @@ def block_by_floors(
 
 
 def _find_extremes_near(
-    extreme: np.ufunc, floor: NDArray[np.float32], patch_size: int, window: int
+    fmin_or_fmax: np.ufunc, floor: NDArray[np.float32], patch_size: int, window: int
 ) -> NDArray[np.float32]:
     """Compute the lowest or the highest floor in a window of patches round each patch.
 
     Args:
-        extreme: `numpy.fmin` for the lowest floor, `numpy.fmax` for the highest.
+        fmin_or_fmax: `numpy.fmin` for the lowest floor, `numpy.fmax` for the highest.
         floor: z [m], shape (levels, rows, cols).
         patch_size: edge of a patch, in cells.
         window: edge of the window, in patches.
@@ -199,15 +199,15 @@ def _find_extremes_near(
         z [m], shape (levels, patch rows, patch columns); inf for no lowest, -inf for no highest
         floor.
     """
-    is_lowest = extreme is np.fmin
-    beyond = np.float32(np.inf if is_lowest else -np.inf)
+    is_lowest = fmin_or_fmax is np.fmin
+    no_floor = np.float32(np.inf if is_lowest else -np.inf)
     # slice by slice, in a tenth of the time of `reduceat`
-    patches = reduce(extreme, [floor[:, k::patch_size] for k in range(patch_size)])
-    patches = reduce(extreme, [patches[:, :, k::patch_size] for k in range(patch_size)])
-    patches = np.where(np.isnan(patches), beyond, patches)
+    patches = reduce(fmin_or_fmax, [floor[:, k::patch_size] for k in range(patch_size)])
+    patches = reduce(fmin_or_fmax, [patches[:, :, k::patch_size] for k in range(patch_size)])
+    patches = np.where(np.isnan(patches), no_floor, patches)
     filter_patches = ndimage.minimum_filter if is_lowest else ndimage.maximum_filter
     extremes: NDArray[np.float32] = filter_patches(
-        patches, size=(1, window, window), mode="constant", cval=beyond
+        patches, size=(1, window, window), mode="constant", cval=no_floor
     )
     return extremes
 
@@ -280,12 +280,12 @@ def stack_levels(
             [row, col, row + grid.levels[k].height, col + grid.levels[k].width]
             for k, (row, col) in corners.items()
         ])  # fmt: skip
-        least = rectangles[:, :2].min(axis=0)
-        greatest = rectangles[:, 2:].max(axis=0)
-        first_row = max(-margin, int(least[0])) - 1
-        first_col = max(-margin, int(least[1])) - 1
-        end_row = min(level.height + margin, int(greatest[0])) + 1
-        end_col = min(level.width + margin, int(greatest[1])) + 1
+        first_corner = rectangles[:, :2].min(axis=0)
+        last_corner = rectangles[:, 2:].max(axis=0)
+        first_row = max(-margin, int(first_corner[0])) - 1
+        first_col = max(-margin, int(first_corner[1])) - 1
+        end_row = min(level.height + margin, int(last_corner[0])) + 1
+        end_col = min(level.width + margin, int(last_corner[1])) + 1
         shape = (len(corners), end_row - first_row, end_col - first_col)
         floor = np.full(shape, np.nan, dtype=np.float32)
         occupied = np.ones(shape, dtype=np.uint8)

@@ -177,19 +177,19 @@ def _open_library(
     return namespace, make_array
 
 
-def _pad(search: Search, values: NDArray[Any], shape: PaddedShape, outside: float) -> NDArray[Any]:
+def _pad(search: Search, values: NDArray[Any], shape: PaddedShape, padding: float) -> NDArray[Any]:
     """Arrange the values of a grid's cells by level, row and column, padded to the largest grid.
 
     Args:
         search: of the grid.
         values: by flat id.
         shape: the padded shape.
-        outside: the value of padding.
+        padding: the value of cells beyond the grid.
 
     Returns:
         The values, shape (levels, rows, cols).
     """
-    padded = np.full(shape[1:], outside, dtype=values.dtype)
+    padded = np.full(shape[1:], padding, dtype=values.dtype)
     for number, level in enumerate(search.grid.levels):
         level_values = values[search.flat.cells_of(number)].reshape(level.shape)
         padded[number, : level.height, : level.width] = level_values
@@ -221,18 +221,18 @@ def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) ->
             y_edge = -find_first_in_cells(
                 -y_max, size, height, dtype
             )  # the same formula, bit for bit
-            at = (scene, number)
-            arrays["x_edge"][at][: width + 1] = x_edge
-            arrays["y_edge"][at][: height + 1] = y_edge
-            arrays["num_rows"][at] = height
-            arrays["num_cols"][at] = width
-            arrays["x_first"][at] = x_min
-            arrays["y_first"][at] = y_max
-            arrays["cells_per_metre"][at] = 1 / size
-            arrays["west"][at] = x_edge[0]
-            arrays["east"][at] = x_edge[-1]
-            arrays["north"][at] = y_edge[0]
-            arrays["south"][at] = y_edge[-1]
+            level_index = (scene, number)
+            arrays["x_edge"][level_index][: width + 1] = x_edge
+            arrays["y_edge"][level_index][: height + 1] = y_edge
+            arrays["num_rows"][level_index] = height
+            arrays["num_cols"][level_index] = width
+            arrays["x_first"][level_index] = x_min
+            arrays["y_first"][level_index] = y_max
+            arrays["cells_per_metre"][level_index] = 1 / size
+            arrays["west"][level_index] = x_edge[0]
+            arrays["east"][level_index] = x_edge[-1]
+            arrays["north"][level_index] = y_edge[0]
+            arrays["south"][level_index] = y_edge[-1]
     return {name: array.ravel() for name, array in arrays.items()}
 
 
@@ -273,8 +273,8 @@ def _make_layers(
                 0,
             ),
         }
-        for name, (values, outside) in layers.items():
-            padded = _pad(search, values, shape, outside)
+        for name, (values, padding) in layers.items():
+            padded = _pad(search, values, shape, padding)
             layers_of_scenes.setdefault(name, []).append(padded)
     arrays = {name: np.stack(layers).ravel() for name, layers in layers_of_scenes.items()}
     arrays["ground"] = ground.ravel()

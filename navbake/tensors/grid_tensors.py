@@ -1,7 +1,7 @@
 """The arrays behind `navbake.tensors`, and the cell of a position in them.
 
-The rule is that of `navbake.navgrid.cells`. For numpy, large batches run in pieces that fit the
-processor's cache, on several threads; other libraries parallelize whole expressions themselves.
+`navbake.navgrid.cells` has the rule for the cell of a position. With numpy, large batches run in
+chunks that fit the processor's cache, on several threads. Other libraries run in parallel anyway.
 """
 
 import math
@@ -137,14 +137,14 @@ def locate(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Arra
     best_cell = xp.zeros_like(x, dtype=t.index_dtype)
     best_level = best_cell
     if t.shape.levels == 1:  # no choice of a level
-        cell, inside = clamp_to_level(t, x, y, lowest)
-        inside = inside & (z >= t.lowest_z[cell]) & (z < MAX_Z)
-        return xp.where(inside, cell, 0), best_level, inside
+        cell, is_in_cell = clamp_to_level(t, x, y, lowest)
+        is_in_cell = is_in_cell & (z >= t.lowest_z[cell]) & (z < MAX_Z)
+        return xp.where(is_in_cell, cell, 0), best_level, is_in_cell
     best_rank = best_cell - 1
     for number in range(t.shape.levels):
-        cell, inside = clamp_to_level(t, x, y, lowest + number)
+        cell, is_in_cell = clamp_to_level(t, x, y, lowest + number)
         rank = t.rank[cell]
-        is_better = inside & (z >= t.lowest_z[cell]) & (z < MAX_Z) & (rank > best_rank)
+        is_better = is_in_cell & (z >= t.lowest_z[cell]) & (z < MAX_Z) & (rank > best_rank)
         best_cell = xp.where(is_better, cell, best_cell)
         best_level = xp.where(is_better, number, best_level)
         best_rank = xp.where(is_better, rank, best_rank)
@@ -160,7 +160,7 @@ def clamp_to_level(t: GridTensors, x: Array, y: Array, level: Array | int) -> tu
         t: the tensors.
         x: world x, shape (...) [m].
         y: world y, shape (...) [m].
-        level: the level's number among those of all scenes, or one for each position.
+        level: the level's index among the levels of all scenes, or an index for each position.
 
     Returns:
         Ids of cells, valid ones also for positions outside the level; and whether the positions are
@@ -299,7 +299,7 @@ def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], label: str)
 
 
 def device_of(t: GridTensors) -> object:
-    """Return the arrays' device; None for the default device, as inside JAX's traced functions."""
+    """Return the arrays' device; None inside functions that JAX traces, for the default one."""
     return getattr(t.floor, "device", None)
 
 

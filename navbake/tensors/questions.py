@@ -50,8 +50,8 @@ def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """
 
     def level_of(points: Array, scenes: Array) -> Array:
-        _, level, inside = locate(t, points, scenes)
-        return t.xp.astype(t.xp.where(inside, level, -1), t.xp.int32)
+        _, level, is_in_cell = locate(t, points, scenes)
+        return t.xp.astype(t.xp.where(is_in_cell, level, -1), t.xp.int32)
 
     return _apply(t, level_of, positions, scene_id)
 
@@ -126,8 +126,8 @@ def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Arra
     """
 
     def is_free(points: Array, scenes: Array) -> Array:
-        cell, _, inside = locate(t, points, scenes)
-        return inside & (points[..., 2] <= t.highest_z[cell])
+        cell, _, is_in_cell = locate(t, points, scenes)
+        return is_in_cell & (points[..., 2] <= t.highest_z[cell])
 
     return _apply(t, is_free, positions, scene_id)
 
@@ -161,11 +161,11 @@ def clearance(
     shape = t.shape
 
     def interpolate(points: Array, scenes: Array) -> Array:
-        _, level_of_scene, inside = locate(t, points, scenes)
+        _, level_of_scene, is_in_cell = locate(t, points, scenes)
         level = first_level(t, scenes) + level_of_scene
         # keep positions outside the grid out of the gradient
-        x = xp.where(inside, points[..., 0], t.x_first[level])
-        y = xp.where(inside, points[..., 1], t.y_first[level])
+        x = xp.where(is_in_cell, points[..., 0], t.x_first[level])
+        y = xp.where(is_in_cell, points[..., 1], t.y_first[level])
         # in cells, from the centre of the level's first cell
         u = (x - t.x_first[level]) * t.cells_per_metre[level] - 0.5
         v = (t.y_first[level] - y) * t.cells_per_metre[level] - 0.5
@@ -184,19 +184,19 @@ def clearance(
 
         upper = interpolate_in_row(row0) * (1 - share_y)
         value = upper + interpolate_in_row(row1) * share_y
-        return xp.where(inside, value, xp.nan)
+        return xp.where(is_in_cell, value, xp.nan)
 
     return _apply(t, interpolate, positions, scene_id)
 
 
 def _values_at(
-    t: GridTensors, layer: Array, outside: float, positions: Array, scene_id: Ids
+    t: GridTensors, layer: Array, value_outside: float, positions: Array, scene_id: Ids
 ) -> Array:
-    """Look up a layer in the cells of positions; the value is `outside` for no cell."""
+    """Look up a layer in the cells of positions; the value is `value_outside` for no cell."""
 
     def value_of(points: Array, scenes: Array) -> Array:
-        cell, _, inside = locate(t, points, scenes)
-        return t.xp.where(inside, layer[cell], outside)
+        cell, _, is_in_cell = locate(t, points, scenes)
+        return t.xp.where(is_in_cell, layer[cell], value_outside)
 
     return _apply(t, value_of, positions, scene_id)
 
@@ -331,7 +331,7 @@ def distance_to_goal(
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        goal: its number among those of the tensors: an integer, or integers that broadcast to
+        goal: its number, see `make_tensors`: an integer, or integers that broadcast to
             (...).
         scene_id: each position's scene; needed where the tensors have several grids.
 
@@ -340,8 +340,8 @@ def distance_to_goal(
     """
 
     def cost_of(points: Array, first: Array | int, scenes: Array) -> Array:
-        cell, _, inside = locate(t, points, scenes)
-        return t.xp.where(inside, t.cost[first + cell], t.xp.nan)
+        cell, _, is_in_cell = locate(t, points, scenes)
+        return t.xp.where(is_in_cell, t.cost[first + cell], t.xp.nan)
 
     return _apply_to_goal(t, cost_of, positions, goal, scene_id)
 
@@ -367,9 +367,9 @@ def distances(
     numbers = check_numbers(t, goals, "goal", count, (len(goals),))
 
     def costs_of(points: Array, scenes: Array) -> Array:
-        cell, _, inside = locate(t, points, scenes)
+        cell, _, is_in_cell = locate(t, points, scenes)
         first = t.xp.where(numbers >= 0, numbers, 0) * num_cells
-        is_known = inside[..., None] & (numbers >= 0)
+        is_known = is_in_cell[..., None] & (numbers >= 0)
         return t.xp.where(is_known, t.cost[first + cell[..., None]], t.xp.nan)
 
     return _apply(t, costs_of, starts, scene_id)
@@ -384,7 +384,7 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        goal: its number among those of the tensors: an integer, or integers that broadcast to
+        goal: its number, see `make_tensors`: an integer, or integers that broadcast to
             (...).
         scene_id: each position's scene; needed where the tensors have several grids.
 
@@ -395,9 +395,9 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
     xp = t.xp
 
     def direction_of(points: Array, first: Array | int, scenes: Array) -> Array:
-        cell, _, inside = locate(t, points, scenes)
+        cell, _, is_in_cell = locate(t, points, scenes)
         next_cell = xp.astype(t.next_cell[first + cell], t.index_dtype)
-        has_path = inside & (next_cell >= 0)
+        has_path = is_in_cell & (next_cell >= 0)
         level, row, col = split(t, xp.where(has_path, next_cell, 0))
         size = 1 / t.cells_per_metre[level]
         x = t.x_first[level] + (xp.astype(col, t.dtype) + 0.5) * size
@@ -518,10 +518,10 @@ def sample(
     rank = xp.astype(xp.floor(share * xp.astype(count, t.dtype)), t.index_dtype)
     rank = clip(xp, xp.minimum(rank, count - 1), 0, cells.shape[0])
     if num_allowed is None:
-        place = begin + rank
+        cell_index = begin + rank
     else:
-        place = count_below(num_allowed[1:], num_allowed[begin] + rank + 1)
-    cell = xp.astype(cells[clip(xp, place, 0, cells.shape[0] - 1)], t.index_dtype)
+        cell_index = count_below(num_allowed[1:], num_allowed[begin] + rank + 1)
+    cell = xp.astype(cells[clip(xp, cell_index, 0, cells.shape[0] - 1)], t.index_dtype)
     level, row, col = split(t, cell)
     z = t.floor[cell]
     z = xp.where(xp.isnan(z), t.ground[level], z)
