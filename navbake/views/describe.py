@@ -17,7 +17,7 @@ from navbake.navgrid.user_data import NAME_KEYS, names_in
 from navbake.types import Float, Int, Int32, Json
 from navbake.views.tables import Table, make_table
 
-# keys of a file's metadata, and what `describe` calls them
+# key of a file's metadata -> its key in the result of `describe`
 MADE_BY = {
     "version": "navbake",
     "mujoco": "mujoco",
@@ -31,10 +31,12 @@ AGENT_KEYS = {
     "maxSlope": "max_slope",
 }
 INFLATION_KEYS = ("radius", "clearance", "mode")
-STAIR_STEP = "stair"
-STEEP_STEP = "steep"
-ARC_BULGE = 0.15  # how far an arc is from the straight line, by that line's length
-NUM_ARC_POINTS = 17
+STAIR = "stair"
+STEEP_RAMP = "steep"
+ARC_BULGE = (
+    0.15  # largest distance of an arc from its straight line, relative to the line
+)
+NUM_ARC_POINTS = 17  # number of points of an arc
 
 
 def describe(grid: NavGrid) -> Json:
@@ -77,7 +79,13 @@ def describe(grid: NavGrid) -> Json:
 
 
 def _describe_level(name: str, level: SceneGrid2D, island: Int32) -> Json:
-    """Summarise a level; `island` has the number of each cell's island, 0 for none."""
+    """Summarise a level, see `describe`.
+
+    Args:
+        name: the level's name.
+        level: the level.
+        island: the number of each cell's island, 0 for none, shape (height, width).
+    """
     cell_area = level.lattice.cell_size**2
     floor = level.floor[np.isfinite(level.floor)]
     island_sizes = np.bincount(island.ravel())[1:]
@@ -85,32 +93,32 @@ def _describe_level(name: str, level: SceneGrid2D, island: Int32) -> Json:
         "name": name,
         "width": level.width,
         "height": level.height,
-        "ground": _rounded(level.ground),
-        "floor_min": _rounded(floor.min()) if floor.size else None,
-        "floor_max": _rounded(floor.max()) if floor.size else None,
-        "floor_area": _rounded(floor.size * cell_area),
-        "free_area": _rounded(np.count_nonzero(level.free) * cell_area),
+        "ground": _round_to_millionth(level.ground),
+        "floor_min": _round_to_millionth(floor.min()) if floor.size else None,
+        "floor_max": _round_to_millionth(floor.max()) if floor.size else None,
+        "floor_area": _round_to_millionth(floor.size * cell_area),
+        "free_area": _round_to_millionth(np.count_nonzero(level.free) * cell_area),
         "num_islands": int(np.count_nonzero(island_sizes)),
-        "largest_island_area": _rounded(island_sizes.max(initial=0) * cell_area),
+        "largest_island_area": _round_to_millionth(island_sizes.max(initial=0) * cell_area),
         "num_rooms": int(np.count_nonzero(np.unique(level.room_index))),
     }
 
 
 def _describe_areas(grid: NavGrid) -> list[Json]:
-    """The areas of a grid with their sizes on all levels together."""
+    """Describe each area of a grid; its size is that on all levels together [m²]."""
     sizes_of_levels = [
         np.bincount(level.area_index.ravel(), minlength=256) * level.lattice.cell_size**2
         for level in grid.levels
     ]
     sizes = np.sum(sizes_of_levels, axis=0)
     return [
-        {**area.to_json(), "m2": _rounded(sizes[number])}
+        {**area.to_json(), "m2": _round_to_millionth(sizes[number])}
         for number, area in enumerate(grid.areas, start=1)
     ]
 
 
 def _list_inflations(grid: NavGrid) -> list[Json]:
-    """The inflations that `inflate` has noted; files of other programs may have anything there."""
+    """List the inflations in a grid's metadata; what `inflate` hasn't written there is left out."""
     entries = grid.metadata.get("inflation")
     if not isinstance(entries, list):
         return []
@@ -121,7 +129,7 @@ def _list_inflations(grid: NavGrid) -> list[Json]:
     ]
 
 
-def _rounded(value: float) -> float:
+def _round_to_millionth(value: float) -> float:
     """Round to a millionth, so that the float32 of 2.8 is not shown as 2.799999952."""
     return round(float(value), 6) + 0.0  # + 0.0 turns -0.0 into 0.0
 
@@ -139,7 +147,7 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         - ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m])
         - ``floor``: world z of the floor [m], None without a floor
         - ``free``, ``occupied``, ``weight`` (None for infinite)
-        - ``room``: the room's entry in the grid's `rooms`; its index if it has no entry; None
+        - ``room``: the room as in `NavGrid.rooms`; the room's index if it isn't listed there; None
           outside of rooms
         - ``island``: the island's number, 1 for the largest; None where the cell isn't free
         - ``area``: the area's name, None outside of areas
@@ -189,7 +197,7 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
 
 
 def _describe_room(grid: NavGrid, level: int, index: int) -> Json | int | None:
-    """A room's entry in the grid's rooms, else its index, None for the index 0."""
+    """Describe the room of a level with an index, see `describe_cell`; None for the index 0."""
     for room in grid.rooms:
         if (room.level, room.index) == (level, index):
             return room.to_json()
@@ -197,7 +205,7 @@ def _describe_room(grid: NavGrid, level: int, index: int) -> Json | int | None:
 
 
 def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
-    """Describe the cells at a position on all levels that span it.
+    """Describe the cells at a position, on each level whose lattice has a cell there.
 
     Args:
         grid: a grid of one or several levels.
@@ -229,10 +237,10 @@ def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
 class StopPoint(NamedTuple):
     """A point where a link or stair begins, stops or ends."""
 
-    level: int
-    x: float  # world frame [m]
-    y: float
-    z: float
+    level: int  # number of the level, 0 is the lowest
+    x: float  # world x [m]
+    y: float  # world y [m]
+    z: float  # world z [m]
 
     @property
     def position(self) -> tuple[float, float, float]:
@@ -241,14 +249,16 @@ class StopPoint(NamedTuple):
 
 
 class Connection(NamedTuple):
-    """A named link, or the steps side by side that make a stair or a steep ramp.
+    """A named link; or a stair or a steep ramp, which is a group of steps from cell to cell.
+
+    The steps of a group begin in cells that touch.
 
     Attributes:
-        name: the link's name; of steps, a name such as ``stair 1``.
-        kind: the link's kind; of steps, `STAIR_STEP` or `STEEP_STEP`.
-        stops: the link's stops; of steps, the mean positions of their two ends.
-        link: the link, None for steps.
-        num_steps: the number of steps side by side, 0 for a link.
+        name: the link's name; of a group, a name such as ``stair 1``.
+        kind: the link's kind; of a group, `STAIR` or `STEEP_RAMP`.
+        stops: the link's stops; of a group, the mean positions of its two ends.
+        link: the link; None for a group.
+        num_steps: how many pairs of cells the group joins (not treads); 0 for a link.
     """
 
     name: str
@@ -266,12 +276,12 @@ class Connection(NamedTuple):
         return self.link is not None and self.link.one_way
 
     def label(self) -> str:
-        """The name that pictures show at the stops."""
+        """Return the name that pictures show at the stops."""
         return f"{self.name} (closed)" if self.is_closed else self.name
 
 
 def find_connections(grid: NavGrid) -> list[Connection]:
-    """List the named links in the file's order, then stairs, then steep ramps, by level."""
+    """List the named links in the file's order, then the stairs, then the steep ramps."""
     connections = []
     for link in grid.links:
         stops = tuple(StopPoint(stop.level, *stop.position) for stop in link.stops)
@@ -280,27 +290,28 @@ def find_connections(grid: NavGrid) -> list[Connection]:
 
 
 def _find_stairs(grid: NavGrid) -> Iterator[Connection]:
-    """Find stairs and steep ramps: steps between two levels that begin side by side are one stair.
+    """Find the stairs, then the steep ramps.
 
-    Steps within one level are a steep ramp.
+    Steps from touching cells between the same two levels make one stair. Within one level, they
+    make a steep ramp.
     """
-    num_of_kind = {STAIR_STEP: 0, STEEP_STEP: 0}
-    # rows of steps: level and cell of one end, level and cell of the other end
+    num_of_kind = {STAIR: 0, STEEP_RAMP: 0}
+    # each row is a step: level and cell of one end, level and cell of the other end
     groups = group_steps(grid, grid.step_array)
     for steps in sorted(groups, key=lambda steps: bool(steps[0, 0] == steps[0, 2])):
         first_level = int(steps[0, 0])
         second_level = int(steps[0, 2])
-        kind = STEEP_STEP if first_level == second_level else STAIR_STEP
+        kind = STEEP_RAMP if first_level == second_level else STAIR
         num_of_kind[kind] += 1
         stops = (
-            _middle_of_cells(grid, first_level, steps[:, 1]),
-            _middle_of_cells(grid, second_level, steps[:, 3]),
+            _mean_position(grid, first_level, steps[:, 1]),
+            _mean_position(grid, second_level, steps[:, 3]),
         )
         yield Connection(f"{kind} {num_of_kind[kind]}", kind, stops, None, len(steps))
 
 
-def _middle_of_cells(grid: NavGrid, level: int, cells: Int) -> StopPoint:
-    """The mean position of cells of a level, on their floor."""
+def _mean_position(grid: NavGrid, level: int, cells: Int) -> StopPoint:
+    """Return the mean position of the floors of cells, which are given by their ids on a level."""
     rows, cols = np.divmod(cells, grid.levels[level].width)
     x, y = grid.levels[level].lattice.positions(rows, cols).mean(axis=0).tolist()
     z = float(grid.levels[level].floor_or_ground[rows, cols].mean())
@@ -310,7 +321,7 @@ def _middle_of_cells(grid: NavGrid, level: int, cells: Int) -> StopPoint:
 def arc_between(start: Float, end: Float) -> Float:
     """Compute an arc from a start to an end.
 
-    The arc bulges upward, or to the side if one position is right above the other.
+    The arc bulges upward; or to the side, if it is steeper than 45 degrees.
 
     Args:
         start: world x, y, z [m].
@@ -319,17 +330,18 @@ def arc_between(start: Float, end: Float) -> Float:
     Returns:
         Points of the arc, shape (`NUM_ARC_POINTS`, 3) [m].
     """
-    along = end - start
-    bulge = np.array([0.0, 0.0, 1.0])
-    horizontal = float(np.hypot(along[0], along[1]))
-    if abs(along[2]) > horizontal:
+    displacement = end - start
+    bulge_direction = np.array([0.0, 0.0, 1.0])
+    horizontal = float(np.hypot(displacement[0], displacement[1]))
+    if abs(displacement[2]) > horizontal:
         if horizontal > 1e-6:
-            bulge = np.array([-along[1], along[0], 0.0]) / horizontal
+            bulge_direction = np.array([-displacement[1], displacement[0], 0.0]) / horizontal
         else:
-            bulge = np.array([0.0, -1.0, 0.0])
+            bulge_direction = np.array([0.0, -1.0, 0.0])
     t = np.linspace(0.0, 1.0, NUM_ARC_POINTS)[:, None]
     # 4 t (1 - t) is a parabola: 0 at both ends, 1 in the middle
-    arc: Float = start + t * along + 4 * t * (1 - t) * ARC_BULGE * np.linalg.norm(along) * bulge
+    bulge = 4 * t * (1 - t) * ARC_BULGE * np.linalg.norm(displacement) * bulge_direction
+    arc: Float = start + t * displacement + bulge
     return arc
 
 
@@ -348,7 +360,7 @@ def describe_area(area: Area) -> str:
 
 
 def stair_table(grid: NavGrid) -> Table:
-    """Make a table of stairs and steep ramps: their numbers of steps and mean positions."""
+    """Make a table with a row for each stair and each steep ramp, see `Connection`."""
     rows = []
     for connection in find_connections(grid):
         if connection.link is not None:

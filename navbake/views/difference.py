@@ -1,4 +1,4 @@
-"""The differences of two grids: of cells, rooms, doors and settings."""
+"""Finds the differences of two grids: of cells, rooms, doors and settings."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ from navbake.views.notebook import encode_png
 from navbake.views.page import pack, show_table
 from navbake.views.tables import make_table
 
-MAX_PAGE_CELLS = 4_000_000  # cells of a level that a page holds; of larger ones only every n-th
-MAX_GROUND_GAP = 1.5  # between two levels that are taken for the same level [m]
-# cells that a lattice over two levels may have: by the cells of both, and in any case
+# most cells of a level that a page holds; of a larger level it has only each n-th row and column
+MAX_PAGE_CELLS = 4_000_000
+MAX_GROUND_GAP = 1.5  # levels of two grids whose grounds differ by more aren't the same level [m]
+# The lattice that covers two levels may have this many times the cells of both together ...
 MAX_COVER_FACTOR = 4
-MIN_COVER_LIMIT = 4_000_000
-SAME_FLOOR = 1e-3  # floors that differ by no more are the same [m]
+MIN_COVER_LIMIT = 4_000_000  # ... and in any case this many cells.
+MAX_SAME_FLOOR_GAP = 1e-3  # floors that differ by at most this are the same [m]
 
-# kinds of changes of a cell, most important first; colours differ by hue and by lightness
+# kind of change of a cell -> colour; most important first. Colours differ in hue and lightness.
 CHANGE_COLORS = {
     "became free": "#009e73",
     "became blocked": "#d55e00",
@@ -39,12 +40,12 @@ CHANGE_COLORS = {
     "blocked in both": "#9aa2b1",
     "no floor in both": "#d9dde3",
 }
-CHANGE_KINDS = tuple(CHANGE_COLORS)[:7]  # without what is alike in both
+CHANGE_KINDS = tuple(CHANGE_COLORS)[:7]  # the last three kinds are no changes
 ONLY_IN_FIRST = CHANGE_KINDS[5]
 ONLY_IN_SECOND = CHANGE_KINDS[6]
 
-Row: TypeAlias = tuple[str, str, str]
-"""What differs, and how the first and the second grid have it."""
+DifferenceRow: TypeAlias = tuple[str, str, str]
+"""What differs, its value in the first grid, and its value in the second."""
 
 
 def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> Json:
@@ -56,7 +57,7 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
         names: the names of the first and of the second grid.
 
     Returns:
-        The sheet's content as JSON, with the keys that the sheet of a grid has.
+        The sheet's content as JSON; the keys are those of a grid's sheet in a report.
     """
     pairs = match_levels(first, second)
     levels = [
@@ -120,26 +121,31 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
 
 
 def _free_area(grid: NavGrid) -> float:
-    """The free area of all levels [m²]."""
+    """Return the free area of all levels together [m²]."""
     area: float = sum(level.free.sum() * level.lattice.cell_size**2 for level in grid.levels)
     return area
 
 
 def _warn_of_mismatch(first: NavGrid, second: NavGrid) -> list[str]:
-    """Say where two grids are of different scenes, or have cells of different sizes."""
+    """Return warnings if two grids are of different scenes or have cells of different sizes."""
     warnings = []
     if first.scene_id != second.scene_id:
         warnings.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
     first_size = first.levels[0].lattice.cell_size
     second_size = second.levels[0].lattice.cell_size
     if abs(first_size - second_size) > 1e-9:
-        compared_with = f"with the cells of {second_size:g} m in which their centres lie"
-        warnings.append(f"cells of {first_size:g} m are compared {compared_with}")
+        compared_cells = f"the cells of {second_size:g} m in which their centres lie"
+        warnings.append(f"cells of {first_size:g} m are compared with {compared_cells}")
     return warnings
 
 
 def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
-    """Describe the map of a level's changes; `names` are those of both levels."""
+    """Describe the map of a level's changes.
+
+    Args:
+        level: the difference of two levels.
+        names: the names of the two levels.
+    """
     extent = describe_extent(" / ".join(dict.fromkeys(names)), level.lattice)
     stride = extent["every"]
     change = level.change[::stride, ::stride]
@@ -168,14 +174,15 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
 
 
 def describe_extent(name: str, lattice: Lattice) -> Json:
-    """Describe where a map lies in the world.
+    """Describe where a map lies in the world, and which of its cells a page shows.
 
     Args:
         name: the name of the map.
         lattice: the lattice of the map's cells.
 
     Returns:
-        JSON. Pages show each ``every``-th row and column, so that they show at most
+        JSON with the name, the size in cells, the cells' size [m], and world x and y of the upper
+        left corner [m]. A page shows each ``every``-th row and column, so that it shows at most
         `MAX_PAGE_CELLS` cells.
     """
     every = 1
@@ -193,15 +200,19 @@ def describe_extent(name: str, lattice: Lattice) -> Json:
 
 
 def png_url(rgb: NDArray[np.uint8]) -> str:
-    """Return a data URL with a picture, shape (rows, cols, 3), uint8, as PNG."""
+    """Encode a picture as PNG in a data URL.
+
+    Args:
+        rgb: the colour of each pixel, shape (height, width, 3).
+    """
     return "data:image/png;base64," + b64encode(encode_png(Image.fromarray(rgb))).decode("ascii")
 
 
 class RoomMatch(NamedTuple):
     """A room of the first level, and the room of the second level that corresponds to it."""
 
-    first: int  # index of the room
-    second: int
+    first: int  # index of the first level's room
+    second: int  # index of the second level's room
     overlap: float  # intersection over union of their cells, 0 to 1
 
 
@@ -211,8 +222,9 @@ class LevelDifference(NamedTuple):
     Attributes:
         first: number of the first grid's level.
         second: number of the second grid's level.
-        lattice: of the first level, extended to cover both.
-        change: for each cell of `lattice`, the index of its kind of change in `CHANGE_COLORS`.
+        lattice: the lattice of the first level, extended to cover both levels.
+        change: the kind of change of each cell of `lattice`, as an index into `CHANGE_COLORS`,
+            shape (height, width).
         rooms: the rooms that are in both levels.
     """
 
@@ -224,17 +236,17 @@ class LevelDifference(NamedTuple):
 
 
 def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
-    """Match the levels of two grids by the heights of their grounds, the nearest first.
+    """Find the levels of two grids that are the same level: those whose grounds are nearest in z.
 
-    Two levels do not match if their grounds are more than `MAX_GROUND_GAP` apart. They do not
-    match either if a lattice over both would have too many cells, see `MAX_COVER_FACTOR`.
+    Two levels do not match if their grounds are more than `MAX_GROUND_GAP` apart, or if a lattice
+    over both would have too many cells, see `MAX_COVER_FACTOR`.
 
     Args:
         first: a grid.
         second: a grid.
 
     Returns:
-        For each matching pair, the level's number in the first and in the second grid; ascending.
+        For each pair of levels, their numbers in the first and in the second grid; ascending.
     """
     candidates = []
     for i, first_level in enumerate(first.levels):
@@ -255,19 +267,22 @@ def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
 def compare_levels(
     first: SceneGrid2D, second: SceneGrid2D, level_numbers: tuple[int, int]
 ) -> LevelDifference:
-    """Compare two levels at the centres of the first level's cells, extended over both.
+    """Compare two levels cell by cell.
+
+    The first level's lattice is extended over both levels. At the centre of each of its cells, the
+    cells of both levels that contain this point are compared.
 
     Args:
-        first: a level.
-        second: a level; its cells that hold the centres are compared.
+        first: a level of the first grid.
+        second: a level of the second grid.
         level_numbers: the number of each level in its grid.
     """
     lattice = _cover_both(first.lattice, second.lattice)
-    before = _sample(first, lattice)
-    after = _sample(second, lattice)
+    before = _resample(first, lattice)
+    after = _resample(second, lattice)
     in_both = before.inside & after.inside
     rooms = _match_rooms(before.room, after.room)
-    # by room indices of the first and of the second level
+    # whether a room of the first level (row) is the same as one of the second level (column)
     num_rooms = (int(before.room.max(initial=0)) + 1, int(after.room.max(initial=0)) + 1)
     is_same_room = np.zeros(num_rooms, bool)
     is_same_room[0, 0] = True
@@ -275,8 +290,10 @@ def compare_levels(
         is_same_room[match.first, match.second] = True
     no_floor_before = np.isnan(before.floor)
     no_floor_after = np.isnan(after.floor)
-    same_floor = np.isclose(before.floor, after.floor, rtol=0, atol=SAME_FLOOR, equal_nan=True)
-    # in the order of `CHANGE_COLORS`: the first that holds counts
+    same_floor = np.isclose(
+        before.floor, after.floor, rtol=0, atol=MAX_SAME_FLOOR_GAP, equal_nan=True
+    )
+    # conditions of the kinds in `CHANGE_COLORS`; a cell's kind is the first whose condition holds
     conditions = [
         after.free & ~before.free & before.inside,
         before.free & ~after.free & after.inside,
@@ -296,15 +313,15 @@ def compare_levels(
 class ResampledLevel(NamedTuple):
     """The values of a level at the centres of a lattice's cells; arrays of the lattice's shape."""
 
-    inside: Bool  # the level has a cell there; elsewhere the cell is blocked, without a floor
-    free: Bool
-    floor: Float  # [m], NaN for none
-    room: Int  # index, 0 for none
-    weight: Float
+    inside: Bool  # whether the level has a cell there; if not, it is taken as blocked, no floor
+    free: Bool  # whether the level's cell is free
+    floor: Float  # world z of the floor [m], NaN for none
+    room: Int  # index of the room, 0 for none
+    weight: Float  # cost of the cell; inf outside
 
 
-def _sample(level: SceneGrid2D, lattice: Lattice) -> ResampledLevel:
-    """Read the cells of a level that hold the centres of a lattice's cells."""
+def _resample(level: SceneGrid2D, lattice: Lattice) -> ResampledLevel:
+    """Read a level's values at the centres of a lattice's cells."""
     source = level.lattice
     rows = np.floor((source.y_max - lattice.center_y()) / source.cell_size).astype(np.int64)
     cols = np.floor((lattice.center_x() - source.x_min) / source.cell_size).astype(np.int64)
@@ -324,7 +341,7 @@ def _sample(level: SceneGrid2D, lattice: Lattice) -> ResampledLevel:
 def _cover_both(lattice: Lattice, second: Lattice) -> Lattice:
     """Extend a lattice by whole cells so that it covers a second one, too."""
     size = lattice.cell_size
-    # cells that the second lattice reaches beyond each side; rounding alone makes none
+    # by how many cells the second lattice extends beyond each side; rounding errors don't count
     beyond = (np.array(lattice.bounds) - second.bounds) * (1, 1, -1, -1) / size - 1e-6
     west, south, east, north = np.ceil(beyond).clip(min=0).astype(np.int64).tolist()
     return Lattice(
@@ -337,20 +354,26 @@ def _cover_both(lattice: Lattice, second: Lattice) -> Lattice:
 
 
 def _match_rooms(first: Int, second: Int) -> list[RoomMatch]:
-    """Pair the rooms each of which overlaps the other most; arrays hold a room index a cell."""
+    """Pair rooms of two levels that are each other's best overlap.
+
+    Args:
+        first: the index of the first level's room at each cell, 0 for none.
+        second: the index of the second level's room at each cell, the same shape.
+    """
+    # each column of `pairs` has room indices of both levels; `common`: the number of such cells
     pairs, common = np.unique(np.stack([first.ravel(), second.ravel()]), axis=1, return_counts=True)
     first_sizes = np.bincount(first.ravel())
     second_sizes = np.bincount(second.ravel())
     union = first_sizes[pairs[0]] + second_sizes[pairs[1]] - common
     overlap = common / union
-    # the largest overlap last; of equal ones the lowest rooms
+    # sorted so that the largest overlap is last, and of equal overlaps the lowest room indices
     order = np.lexsort((-pairs[1], -pairs[0], overlap)).tolist()
     matches = [
         RoomMatch(int(pairs[0, k]), int(pairs[1, k]), float(overlap[k]))
         for k in order
         if pairs[:, k].all()
     ]
-    # later matches replace earlier ones
+    # of a room's matches, the last remains, which has the largest overlap
     best_of_first = {match.first: match for match in matches}
     best_of_second = {match.second: match for match in matches}
     return sorted(
@@ -360,13 +383,13 @@ def _match_rooms(first: Int, second: Int) -> list[RoomMatch]:
 
 def list_changed_rooms(
     first: NavGrid, second: NavGrid, levels: Sequence[LevelDifference]
-) -> list[Row]:
+) -> list[DifferenceRow]:
     """List the rooms that were renamed, changed their cells, or are in only one of the grids.
 
     Args:
         first: a grid.
         second: a grid.
-        levels: the differences of the matching levels.
+        levels: the differences of the levels that both grids have.
     """
     first_rooms = {(room.level, room.index): room for room in first.rooms}
     second_rooms = {(room.level, room.index): room for room in second.rooms}
@@ -394,7 +417,10 @@ def list_changed_rooms(
 
 
 def settings_of(grid: NavGrid) -> dict[str, str]:
-    """Return the settings and digests of a grid as text, by their path in the metadata."""
+    """Return a grid's settings: path, such as ``settings.agent.radius`` -> value as text.
+
+    The scene's digest, the agent's radius, the inflations and the cells' size are among them.
+    """
     return flatten(
         {
             "settings": grid.navbake.get("settings"),
@@ -406,7 +432,7 @@ def settings_of(grid: NavGrid) -> dict[str, str]:
     )
 
 
-def list_differences(first: Mapping[str, str], second: Mapping[str, str]) -> list[Row]:
+def list_differences(first: Mapping[str, str], second: Mapping[str, str]) -> list[DifferenceRow]:
     """List the entries that only one of two mappings has, or that have different values.
 
     Args:
@@ -421,14 +447,14 @@ def list_differences(first: Mapping[str, str], second: Mapping[str, str]) -> lis
 
 
 def flatten(json: object, path: str = "") -> dict[str, str]:
-    """Flatten nested JSON objects.
+    """Flatten nested JSON objects into one mapping.
 
     Args:
-        json: an object, a list or a scalar; a list without objects becomes one text.
-        path: the path of `json` itself, with which the paths of its entries begin.
+        json: an object, a list or a scalar. A list without objects becomes one text.
+        path: the path of `json` itself; the paths of its entries begin with it.
 
     Returns:
-        The values as text by path, such as ``scene.sites.0``; null is left out.
+        Path, such as ``scene.sites.0`` -> value as text; null is left out.
     """
     if isinstance(json, list) and any(isinstance(entry, dict) for entry in json):
         json = dict(enumerate(json))

@@ -1,8 +1,8 @@
-"""The layers of a level as pictures show them: a colour or a value for each cell, names, doors.
+"""Makes the layers of a level for pictures: a colour or a value for each cell, names, doors.
 
-Values are coloured by viridis, by Nathaniel Smith and Stéfan van der Walt (CC0), without its dark
-end, which would look occupied. Its lightness rises steadily, so that it also works in grey and for
-the colour-blind.
+Values have the colours of viridis, by Nathaniel Smith and Stéfan van der Walt (CC0), without its
+dark end, which would look occupied. Its lightness rises steadily, so that it also works in grey and
+for the colour-blind.
 """
 
 from __future__ import annotations
@@ -25,29 +25,31 @@ from navbake.views.describe import Connection, describe_area, find_connections
 if TYPE_CHECKING:
     from navbake.verifier.report import Finding
 
-RELIEF_STEP = 0.04  # a step of the floor that relief shows clearly [m]
-# at least this slope between neighbouring cells, so that hills of large cells aren't all dark
+# The relief shading of the floor has 3/4 of its full strength where neighbouring cells differ in z
+# by RELIEF_STEP [m], or by the slope RELIEF_SLOPE if that is more: else hills of large cells would
+# be all dark.
+RELIEF_STEP = 0.04
 RELIEF_SLOPE = 0.3
 # largest shares of white and of black that relief mixes into a colour
 MAX_LIGHT = 0.3
 MAX_SHADE = 0.35
-MAX_SAMPLES = 400  # cells along the longer side of a room, of which a name's place is found
+MAX_SAMPLES = 400  # to place a room's name, at most so many cells along its longer side are used
 OCCUPANCY_COLORS = {"free": colors.FREE, "occupied": colors.OCCUPIED, "no floor": colors.NO_FLOOR}
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 
-# From 0.22 to 1, at places whose colours look equally far apart to people who see no red, no green,
-# or both
+# Colours of viridis from 0.22 to 1, chosen so that neighbours differ equally to all people, also to
+# those who see no red or no green
 VIRIDIS = [
     "#3e4989", "#31678e", "#287d8e", "#218e8d", "#1e9c89",
     "#24ab82", "#39b976", "#5bc863", "#8ed644", "#fde725",
 ]  # fmt: skip
-SHADES = 1024  # colours that a scale is rounded to
-MIN_RANGE = 0.1  # least range of a scale, so that flat floors look flat
-HEIGHT_STEP = 0.01  # heights are rounded to multiples of this [m]
-MIN_SCALE_LENGTH = 5.0  # of a scale of heights, in adjacent height steps
-MAX_HEIGHTS = 1 << 16  # steps that a range of heights is split into at most
+SHADES = 1024  # number of different colours of a scale
+MIN_RANGE = 0.1  # smallest range of values on a scale, so that flat floors look flat
+HEIGHT_STEP = 0.01  # on a scale of heights, z is rounded to multiples of this [m]
+MIN_SCALE_LENGTH = 5.0  # smallest length of a scale of heights, in multiples of `HEIGHT_STEP`
+MAX_HEIGHTS = 1 << 16  # most steps that a range of heights is split into
 MAX_TICKS = 6
-TICK_GAP = 0.11  # least distance of two ticks, of the scale's length
+TICK_GAP = 0.11  # smallest distance of two ticks, relative to the scale's length
 
 Legend: TypeAlias = tuple[tuple[str, str], ...]
 """Meanings and their colours."""
@@ -63,13 +65,12 @@ class Tick(NamedTuple):
 
 
 class ColorScale(NamedTuple):
-    """A color scale: a bar of colours, with positions from 0 (lowest value) to 1 (highest value).
+    """A color scale: a bar of colours on which each value has a position, 0 to 1.
 
     Attributes:
         label: what the values are, with their unit.
-        values: values whose positions are given, ascending; between them, positions are
-            interpolated.
-        positions: the positions of `values` on the bar, 0 to 1, ascending.
+        values: some values, ascending; the positions of values between them are interpolated.
+        positions: the position of each of `values` on the bar, 0 to 1, ascending.
         ticks: the values that are written beside the bar.
         colors: the bar's colours at equal distances.
     """
@@ -81,7 +82,10 @@ class ColorScale(NamedTuple):
     colors: Sequence[str] = VIRIDIS
 
     def bar(self, count: int) -> NDArray[np.uint8]:
-        """Return colours at equal distances along the bar, lowest value first, shape (count, 3)."""
+        """Return `count` colours at equal distances along the bar, lowest value first.
+
+        The shape is (count, 3).
+        """
         positions = np.linspace(0.0, len(self.colors) - 1, count)
         rgb = np.array([colors.rgb_of(color) for color in self.colors], dtype=np.float64)
         channels = [np.interp(positions, np.arange(len(rgb)), channel) for channel in rgb.T]
@@ -180,41 +184,41 @@ def paint(panel: Panel) -> NDArray[np.uint8]:
     """Return the colours of a panel's cells, shape (height, width, 3), row 0 at the largest y."""
     if panel.values is None or panel.scale is None:
         return panel.rgb
-    shown = np.isfinite(panel.values)
-    painted = panel.scale.color(panel.values[shown])
+    has_value = np.isfinite(panel.values)
+    painted = panel.scale.color(panel.values[has_value])
     if panel.relief:
-        lit = relief_shading(panel.values, panel.relief)[shown][:, None]
-        share = np.where(lit > 0, lit * MAX_LIGHT, -lit * MAX_SHADE)
-        painted = np.round(painted * (1 - share) + (lit > 0) * 255 * share).astype(np.uint8)
+        shading = relief_shading(panel.values, panel.relief)[has_value][:, None]
+        share = np.where(shading > 0, shading * MAX_LIGHT, -shading * MAX_SHADE)
+        painted = np.round(painted * (1 - share) + (shading > 0) * 255 * share).astype(np.uint8)
     rgb = panel.rgb.copy()
-    rgb[shown] = painted
+    rgb[has_value] = painted
     return rgb
 
 
 def relief_shading(heights: Reals, step: float) -> NDArray[np.float32]:
     """Compute the relief shading of floors, -1 (shaded) to 1 (lit), shape (height, width).
 
-    The light comes from the upper left, as on maps. A cell that is higher than its neighbours
-    above and to the left is lit, a lower one lies in shade.
+    The light comes from the upper left of the map. A cell whose floor is higher than its upper and
+    left neighbour is lit; one whose floor is lower lies in shade.
 
     Args:
-        heights: the height of each cell [m], shape (height, width); neighbours without a finite
-            height don't count.
-        step: the difference of heights at which the shading is 3/4 of its full strength [m].
+        heights: z of each cell's floor [m], shape (height, width); not finite where there is none.
+            Neighbours without a floor don't count.
+        step: the difference of z at which the shading has 3/4 of its full strength [m].
     """
     finite = np.where(np.isfinite(heights), heights, np.nan)
     outside = np.float32(np.nan)
     rise_down = np.nan_to_num(np.diff(finite, axis=0, prepend=outside))
     rise_right = np.nan_to_num(np.diff(finite, axis=1, prepend=outside))
-    lit: NDArray[np.float32] = np.tanh((rise_down + rise_right) / np.float32(step))
-    return lit
+    shading: NDArray[np.float32] = np.tanh((rise_down + rise_right) / np.float32(step))
+    return shading
 
 
 # --- scales of values -----------------------------------------------------------------------------
 
 
 def linear_scale(values: Reals, label: str, *, dark_high: bool = False) -> ColorScale:
-    """Make a linear scale. Its ticks are round numbers; if all values are equal, that value.
+    """Make a linear scale. Its ticks are round numbers; if all values are equal, it is that value.
 
     Args:
         values: finite values, shape (n,).
@@ -241,21 +245,22 @@ def linear_scale(values: Reals, label: str, *, dark_high: bool = False) -> Color
     return ColorScale(label, (low, high), (0.0, 1.0), bar_ticks, bar_colors)
 
 
-def nice_step(least: float) -> float:
-    """Round up to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(least))
-    return next((n * power for n in (1, 2, 5) if n * power >= least * (1 - 1e-9)), 10 * power)
+def nice_step(minimum: float) -> float:
+    """Return the smallest number, at least `minimum`, that is 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(minimum))
+    return next((n * power for n in (1, 2, 5) if n * power >= minimum * (1 - 1e-9)), 10 * power)
 
 
 def height_scale(heights: Reals, label: str) -> ColorScale:
     """Make a scale on which floors 2 cm apart and floors 3 m apart differ visibly.
 
-    Heights are rounded to centimetres. The length of a gap without floors on the bar
-    is proportional to its cube root: a gap of 3 m is 5 times as long as 2 cm, not 150 times. Ticks
-    are at the height of the largest area, at the ends, then at the next largest areas.
+    Heights are rounded to centimetres. On the bar, the distance of two heights without a floor
+    between them is proportional to the cube root of their difference: 3 m are 5 times as long as
+    2 cm, not 150 times. Ticks are at the most frequent height, at the ends, then at the next most
+    frequent heights.
 
     Args:
-        heights: finite heights [m], shape (n,).
+        heights: finite z of floors [m], shape (n,).
         label: what the heights are, with their unit.
     """
     if not heights.size:
@@ -265,10 +270,10 @@ def height_scale(heights: Reals, label: str) -> ColorScale:
     step = max(HEIGHT_STEP, (high - low) / MAX_HEIGHTS)
     counts = np.bincount(np.round((heights - low) / step).astype(np.int64))
     steps = np.flatnonzero(counts)
-    length = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(steps)))])
+    distances = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(steps)))])
     # flat floors look flat: a few centimetres are a part of the scale, not all of it
-    spread = max(float(length[-1]), MIN_SCALE_LENGTH)
-    positions = 0.5 + (length - length[-1] / 2) / spread
+    scale_length = max(float(distances[-1]), MIN_SCALE_LENGTH)
+    positions = 0.5 + (distances - distances[-1] / 2) / scale_length
     values = low + steps * step
     order = np.argsort(-counts[steps], kind="stable").tolist()
     ticks: list[Tick] = []
@@ -286,8 +291,13 @@ def height_scale(heights: Reals, label: str) -> ColorScale:
 # --- the layers -----------------------------------------------------------------------------------
 
 
-def _occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
-    """Colours of cells, shape (height, width, 3), and a legend, which always begins with free."""
+def _paint_occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
+    """Paint the cells of a level by whether they are free.
+
+    Returns:
+        The colour of each cell, shape (height, width, 3); and the legend, whose first entry is that
+        of free cells.
+    """
     kind = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1)).astype(np.uint8)
     occurs = np.bincount(kind.ravel(), minlength=len(OCCUPANCY_COLORS)) > 0
     legend = [entry for n, entry in enumerate(OCCUPANCY_COLORS.items()) if n == 0 or occurs[n]]
@@ -300,7 +310,7 @@ def _occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
 def _show_occupancy(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     area = np.count_nonzero(level.free) * level.lattice.cell_size**2
-    rgb, legend = _occupancy(level)
+    rgb, legend = _paint_occupancy(level)
     lines = find_door_lines(grid, number)
     return Panel(f"occupancy, {area:.1f} m² free", rgb, legend=legend, doors=lines)
 
@@ -321,7 +331,7 @@ def _show_clearance(grid: NavGrid, number: int) -> Panel:
     values = measure_clearance(level) if stored is None else stored * level.unit
     values = np.where(level.free, values, np.nan).astype(np.float32)
     scale = linear_scale(values[np.isfinite(values)], "to the nearest obstacle [m]")
-    rgb, legend = _occupancy(level)
+    rgb, legend = _paint_occupancy(level)
     return Panel("clearance [m]", rgb, values, scale, legend[1:])
 
 
@@ -329,8 +339,8 @@ def _show_weights(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     values = np.where(level.free, level.weights, np.nan).astype(np.float32)
     scale = linear_scale(values[np.isfinite(values)], "cost of a cell", dark_high=True)
-    values[level.weights == 1] = np.nan  # the usual cost looks like free floor
-    rgb, legend = _occupancy(level)
+    values[level.weights == 1] = np.nan  # cells of cost 1 have the colour of free cells
+    rgb, legend = _paint_occupancy(level)
     return Panel("weights", rgb, values, scale, (("cost 1", colors.FREE), *legend[1:]))
 
 
@@ -338,18 +348,18 @@ def _show_islands(grid: NavGrid, number: int) -> Panel:
     islands = islands_of(grid)
     level = grid.levels[number]
     num_islands = max(int(labels.max(initial=0)) for labels in islands)
-    reach = math.ceil(colors.MAX_NEIGHBOR_GAP / level.lattice.cell_size)
+    max_gap = math.ceil(colors.MAX_NEIGHBOR_GAP / level.lattice.cell_size)  # [cells]
     # an island may span several levels, and has one colour on all of them
-    neighbours = set().union(*(colors.find_neighbours(labels, reach) for labels in islands))
+    neighbours = set().union(*(colors.find_neighbours(labels, max_gap) for labels in islands))
     palette = np.array([colors.rgb_of(color) for color in colors.ROOMS], dtype=np.uint8)
     color_of_island = colors.choose_colors(num_islands, neighbours, len(palette))
-    rgb, legend = _occupancy(level)
+    rgb, legend = _paint_occupancy(level)
     rgb[level.free] = palette[color_of_island[islands[number][level.free]]]
     return Panel("islands", rgb, legend=legend[1:])
 
 
 def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
-    """Paint cells by room, darker where occupied, and doors.
+    """Paint the cells of a level in the colours of their rooms, and doors; blocked cells darker.
 
     Args:
         grid: a grid of one or several levels.
@@ -361,7 +371,7 @@ def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
     level = grid.levels[number]
     rooms = colors.color_rooms(grid, number)
     palette = np.stack([colors.darken_rooms(rooms), rooms], axis=1).reshape(-1, 3)
-    # the room 0 is none
+    # cells with the index 0 are in no room
     palette[0] = colors.rgb_of(colors.OCCUPIED)
     palette[1] = colors.rgb_of(colors.FREE)
     rgb = palette.take(level.room_index.astype(np.uint32) * 2 + level.free, axis=0)
@@ -406,23 +416,28 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
 class RegionName(NamedTuple):
     """The name of a room or area of a level."""
 
-    number: int  # of its cells
-    name: str | None
-    fallback: str  # written if it has no name
+    number: int  # the index of the room or area, which its cells have
+    name: str | None  # None if the room or area has no name
+    fallback: str  # the text to write if there is no name
 
 
 def _label_regions(
     level: SceneGrid2D, index: NDArray[np.integer], names: Iterable[RegionName]
 ) -> tuple[Label, ...]:
-    """Place the names of rooms or areas of a level.
+    """Place the names of rooms or areas on the map of a level.
 
-    A name stands in the middle of the runs of cells through the room's largest inscribed disc.
-    `index` has the number of each cell's room or area, shape (height, width).
+    The cell that is farthest from the edge of the room is found. The name stands in the middle of
+    the horizontal run of the room's cells through that cell, and may be as wide as the run.
+
+    Args:
+        level: the level.
+        index: the index of each cell's room or area, 0 for none, shape (height, width).
+        names: the names to place; those without cells are left out.
     """
     from scipy import ndimage  # takes longer to load than most pictures to draw
 
     def ends_of_run(line: NDArray[np.bool_], position: int) -> list[int]:
-        """The first and the last index of the run of true values through a position."""
+        """Return the first and the last index of the run of True in a line around a position."""
         runs = ndimage.label(line)[0]
         ends: list[int] = np.flatnonzero(runs == runs[position])[[0, -1]].tolist()
         return ends
@@ -462,7 +477,7 @@ def _label_point(text: str, fallback: str, x: float, y: float, number: int) -> L
 
 
 def _show_doors(grid: NavGrid, number: int) -> Panel:
-    rgb, legend = _occupancy(grid.levels[number])
+    rgb, legend = _paint_occupancy(grid.levels[number])
     legend = (("door", colors.DOOR), ("doorway", colors.DOORWAY), *legend)
     lines = find_door_lines(grid, number)
     labels = []
@@ -475,18 +490,18 @@ def _show_doors(grid: NavGrid, number: int) -> Panel:
 
 
 def _show_links(grid: NavGrid, number: int) -> Panel:
-    rgb, legend = _occupancy(grid.levels[number])
-    # rows: level and cell of this end of a step, level and cell of the opposite end
-    ends = np.concatenate([grid.step_array, grid.step_array[:, [2, 3, 0, 1]]])
-    ends = ends[ends[:, 0] == number]
-    direction = np.sign(ends[:, 2] - number)
+    rgb, legend = _paint_occupancy(grid.levels[number])
+    # each step in both directions: level and cell of its start, level and cell of its end
+    steps = np.concatenate([grid.step_array, grid.step_array[:, [2, 3, 0, 1]]])
+    steps = steps[steps[:, 0] == number]
+    direction = np.sign(steps[:, 2] - number)
     step_colors = (
         ("leads up", colors.LINK_UP, 1),
         ("leads down", colors.LINK_DOWN, -1),
         ("steep, same level", colors.LINK_ACROSS, 0),
     )
     for _, color, sign in step_colors:
-        cells = ends[direction == sign, 1]
+        cells = steps[direction == sign, 1]
         rgb.reshape(-1, 3)[cells] = colors.rgb_of(color)
     legend = (*((meaning, color) for meaning, color, _ in step_colors), *legend)
     if grid.links:
@@ -503,7 +518,7 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
 def _show_areas(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     names = []
-    rgb, legend = _occupancy(level)
+    rgb, legend = _paint_occupancy(level)
     entries = []
     for index, area in enumerate(grid.areas, 1):
         color = colors.ROOMS[index % len(colors.ROOMS)]
@@ -521,9 +536,9 @@ def _show_areas(grid: NavGrid, number: int) -> Panel:
 
 
 def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding]) -> Panel:
-    """Show the cells where a verification found that grid and scene disagree, by kind."""
+    """Make the panel of the cells where grid and scene disagree, coloured by kind of finding."""
     level = grid.levels[number]
-    rgb, legend = _occupancy(level)
+    rgb, legend = _paint_occupancy(level)
     color_of_kind = colors_of_kinds(finding.kind for finding in findings)
     on_level = [finding for finding in findings if finding.level == number]
     for finding in on_level:
@@ -535,7 +550,7 @@ def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding])
 
 
 def colors_of_kinds(kinds: Iterable[str]) -> dict[str, str]:
-    """Return a colour for each kind of mark; if there are many kinds, some share a colour."""
+    """Choose colours: kind of mark -> colour; if there are many kinds, some share a colour."""
     return {
         kind: colors.MARKS[number % len(colors.MARKS)]
         for number, kind in enumerate(sorted(set(kinds)))
@@ -553,4 +568,4 @@ LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {
     "links": _show_links,
     "area": _show_areas,
 }
-"""How each layer of a level is shown, by the layer's name."""
+"""Name of a layer -> the function that makes its panel for a level."""

@@ -1,4 +1,4 @@
-"""Small pictures of a grid, for notebooks and for pages of many grids; Pillow draws them."""
+"""Draws small pictures of a grid with Pillow, for notebooks and for pages of many grids."""
 
 from __future__ import annotations
 
@@ -19,17 +19,19 @@ from navbake.voxels.grid import VoxelGrid
 
 PICTURE_SIDE = 800  # longest side of the picture of all levels [pixels]
 LEVEL_SIDE = 400  # longest side of a level's picture in HTML [pixels]
-MAX_LEVELS = 16  # that are shown; the summary counts them all
-MAX_NAME = 60  # letters of a scene's or a level's name
+MAX_LEVELS = 16  # most levels that are drawn; the summary counts all levels
+MAX_NAME_LENGTH = 60  # letters of a scene's or a level's name that are shown
 THUMBNAIL_SIDE = 240  # longest side of a thumbnail [pixels]
-THUMBNAIL_COLORS = 64  # of which each pixel has one: a byte a pixel, a third of true colours
+# largest number of colours in a thumbnail; with a palette, a pixel takes one byte, not three
+THUMBNAIL_COLORS = 64
 
 
 def show_html(grid: NavGrid) -> str:
     """Make the HTML that notebooks show for a grid: a line of facts, then a picture of each level.
 
-    Colours are those of `paint_rooms`. The HTML holds the pictures, at most `LEVEL_SIDE` pixels
-    long, lowest level first; names are escaped. The same grid gives the same text.
+    The lowest level comes first. Colours are those of `paint_rooms`. The HTML contains the
+    pictures; their longer side has at most `LEVEL_SIDE` pixels. Names are escaped. The same grid
+    gives the same text.
     """
     scale = _scale_for(grid, LEVEL_SIDE)
     num_rooms = [
@@ -39,7 +41,7 @@ def show_html(grid: NavGrid) -> str:
     figures = []
     for number, level in enumerate(grid.levels[:MAX_LEVELS]):
         picture = b64encode(encode_png(_draw_level(grid, number, scale))).decode("ascii")
-        name = _short(grid.level_names[number])
+        name = _shorten_name(grid.level_names[number])
         figures.append(
             f'<figure style="margin:0"><img style="image-rendering:pixelated" alt="{name}" '
             f'src="data:image/png;base64,{picture}"><figcaption><b>{name}</b>: '
@@ -56,7 +58,7 @@ def show_html(grid: NavGrid) -> str:
         f"agent of {grid.agent_radius:g} m radius, {grid.agent_height:g} m high"
     )
     return (
-        f"<div><b>{_short(grid.scene_id or type(grid).__name__)}</b>: {summary}"
+        f"<div><b>{_shorten_name(grid.scene_id or type(grid).__name__)}</b>: {summary}"
         '<div style="display:flex;flex-wrap:wrap;gap:8px;margin-top:4px">'
         f"{''.join(figures)}</div></div>"
     )
@@ -68,7 +70,11 @@ def draw_png(grid: NavGrid) -> bytes:
 
 
 def draw_voxels(grid: VoxelGrid) -> bytes:
-    """Draw voxels from above as PNG: a column is the lighter the higher its top, white if empty."""
+    """Draw voxels from above as PNG.
+
+    At each x, y, the colour shows the topmost occupied voxel: the higher, the lighter. Where all
+    voxels are empty, it is white.
+    """
     filled = grid.occupied
     num_z = grid.shape[2]
     top = num_z - np.argmax(filled[:, :, ::-1], axis=2)
@@ -101,7 +107,7 @@ def draw_thumbnail(grid: NavGrid) -> bytes:
 
 
 def draw_levels(grid: NavGrid, side: int, path: Path | None = None) -> Image.Image:
-    """Draw all levels as one picture, row by row from the lowest.
+    """Draw all levels as one picture: in rows from the upper left, the lowest level first.
 
     Args:
         grid: a grid of one or several levels.
@@ -133,9 +139,15 @@ def encode_png(image: Image.Image) -> bytes:
 
 
 def _scale_for(grid: NavGrid, side: int) -> tuple[int, int]:
-    """How many pixels a cell takes, and how many cells a pixel; one of them is 1.
+    """Choose one scale for the pictures of all levels, so that these can be compared.
 
-    Whole numbers keep cells square and alike. One scale for all levels keeps them comparable.
+    Args:
+        grid: a grid of one or several levels.
+        side: the longest side of a level's picture [pixels].
+
+    Returns:
+        How many pixels one cell takes along x and y, and how many cells one pixel shows. One of the
+        numbers is 1; whole numbers keep all cells square and of the same size.
     """
     longest = max(max(level.shape) for level in grid.levels)
     return max(side // longest, 1), -(-longest // side)
@@ -144,11 +156,19 @@ def _scale_for(grid: NavGrid, side: int) -> tuple[int, int]:
 def _draw_level(
     grid: NavGrid, number: int, scale: tuple[int, int], path: Path | None = None
 ) -> Image.Image:
-    """Draw a level and its part of a path; a pixel of several cells has their mean colour."""
-    size = scale[0]
+    """Draw a level, and the part of a path that is on it.
+
+    Args:
+        grid: a grid of one or several levels.
+        number: the number of the level.
+        scale: see `_scale_for`; a pixel that shows several cells has their mean colour.
+        path: the path; None for none.
+    """
+    pixels_per_cell, cells_per_pixel = scale
     lattice = grid.levels[number].lattice
-    image = Image.fromarray(paint_rooms(grid, number)).reduce(scale[1])
-    image = image.resize((image.width * size, image.height * size), Image.Resampling.NEAREST)
+    image = Image.fromarray(paint_rooms(grid, number)).reduce(cells_per_pixel)
+    size = (image.width * pixels_per_cell, image.height * pixels_per_cell)
+    image = image.resize(size, Image.Resampling.NEAREST)
     if path is None:
         return image
     corner = np.array([lattice.x_min, lattice.y_max])
@@ -164,7 +184,8 @@ def _draw_level(
     return image
 
 
-def _short(name: str) -> str:
-    """A name as HTML, cut where it is long."""
-    cut = name if len(name) <= MAX_NAME else f"{name[: MAX_NAME - 1]}…"
-    return html.escape(printable(cut))
+def _shorten_name(name: str) -> str:
+    """Escape a name for HTML, and cut it to at most `MAX_NAME_LENGTH` letters."""
+    if len(name) > MAX_NAME_LENGTH:
+        name = f"{name[: MAX_NAME_LENGTH - 1]}…"
+    return html.escape(printable(name))

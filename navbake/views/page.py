@@ -1,6 +1,6 @@
-"""Makes HTML pages from a body, a common style, scripts and packed content.
+"""Makes HTML pages from a body, a common style, scripts and compressed content.
 
-A page needs neither a server nor the network. `kit.js` unpacks what is packed here.
+A page needs neither a server nor the network. The script ``kit.js`` decompresses the content.
 """
 
 import hashlib
@@ -15,9 +15,9 @@ import orjson
 from navbake.types import Json
 from navbake.views.tables import Table
 
-DATA_URLS = "data:"  # policy: pictures are in the page itself
-MAX_ROWS = 2000  # of a table; the page says how many more there are
-COMPRESSION_LEVEL = 6  # 9 takes five times as long for 2 % less
+DATA_URLS = "data:"  # source of pictures in a page's policy: the page itself has them
+MAX_ROWS = 2000  # most rows of a table that a page shows; it says how many more there are
+COMPRESSION_LEVEL = 6  # of zlib; level 9 takes five times as long and saves 2 %
 
 
 def make_page(
@@ -33,7 +33,7 @@ def make_page(
         title: the title of the page, as plain text.
         content: the JSON that the script reads; it may contain numpy arrays.
         package: the package that has the files of the page.
-        name: the stem of the files: ``name.html`` is the body, ``name.js`` the script.
+        name: the name of both files without ending: ``.html`` is the body, ``.js`` the script.
         pictures: the sources from which pictures may be loaded, in the policy's syntax.
 
     Returns:
@@ -46,7 +46,7 @@ def make_page(
     style = read(__package__, "page.css")
     code = f"{read(__package__, 'kit.js')}\n{read(package, f'{name}.js')}"
     hashes = [b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, code)]
-    packed = orjson.dumps({"title": title, **content}, option=orjson.OPT_SERIALIZE_NUMPY)
+    content_json = orjson.dumps({"title": title, **content}, option=orjson.OPT_SERIALIZE_NUMPY)
     page = Template(read(__package__, "page.html")).substitute(
         PICTURES=pictures,
         STYLE=style,
@@ -56,7 +56,7 @@ def make_page(
         SCRIPT_HASH=f"sha256-{hashes[1]}",
         TITLE=html.escape(title),
         # a "<" could end the element that holds the content
-        CONTENT=packed.replace(b"<", b"\\u003c").decode("utf-8"),
+        CONTENT=content_json.replace(b"<", b"\\u003c").decode("utf-8"),
     )
     return page.encode("utf-8")
 
@@ -67,27 +67,27 @@ def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
     Args:
         title: the title over the table.
         table: the table, whose first `MAX_ROWS` rows are shown.
-        folded: whether the table is closed when the page opens.
+        folded: whether only the table's title shows until the user opens it.
 
     Returns:
         JSON that the page's script reads.
     """
-    shown = table.without_empty_columns()
+    table = table.without_empty_columns()
     return {
         "title": title,
         "folded": folded,
-        "columns": shown.headings,
-        "rows": shown.rows[:MAX_ROWS],
-        "numbers": [i for i, heading in enumerate(shown.headings) if heading in table.numbers],
-        "more": max(0, len(shown.rows) - MAX_ROWS),
+        "columns": table.headings,
+        "rows": table.rows[:MAX_ROWS],
+        "numbers": [i for i, heading in enumerate(table.headings) if heading in table.numbers],
+        "more": max(0, len(table.rows) - MAX_ROWS),
     }
 
 
 def pack(content: Json) -> str:
-    """Pack JSON, which may contain numpy arrays, as compressed text, see `to_text`."""
+    """Compress JSON, which may contain numpy arrays, into text, see `to_text`."""
     return to_text(orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY))
 
 
 def to_text(content: bytes) -> str:
-    """Compress JSON into text: zlib, then base64; `unpack` in ``kit.js`` undoes it."""
+    """Compress JSON (UTF-8) into text: zlib, then base64; ``unpack`` in ``kit.js`` undoes this."""
     return b64encode(zlib.compress(content, COMPRESSION_LEVEL)).decode("ascii")

@@ -1,4 +1,4 @@
-"""Pictures of a grid: layers of each level, in world metres."""
+"""Draws pictures of a grid with matplotlib: layers of each level, with axes in world metres."""
 
 from __future__ import annotations
 
@@ -30,46 +30,47 @@ if TYPE_CHECKING:
     from matplotlib.legend import Legend
 
     class PanelAxes(Axes):
-        """The axes of a panel, with what is known of their size before the layout."""
+        """The axes of a panel, with sizes that are needed before the figure is laid out."""
 
-        title_width: float  # [inches]
-        min_pixels_per_metre: float
+        title_width: float  # largest width of the title [inches]
+        min_pixels_per_metre: float  # the map's scale is at least this
 
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
 DEFAULT_LAYERS = ("occupancy", "floor")
-DPI = 150  # of a PNG: 1.5 pixels for each of a README's
-MAX_COLUMNS = 3
-WIDE_ASPECT = 2.4  # maps so many times wider than high lie below each other
-MAX_ASPECT = 40.0  # a longer map shows some of the world beside it
+DPI = 150  # pixels per inch of a PNG
+MAX_MAPS_PER_ROW = 3
+WIDE_ASPECT = 2.4  # maps that are more than so many times wider than high lie below each other
+MAX_ASPECT = 40.0  # a map that is longer and narrower than this shows empty space beside the grid
 
-# Lengths in inches. A picture is 8.3 inches wide at most, 830 pixels of a README at 100 an inch:
-# letters of 8 points are 11 pixels high there.
+# Lengths [inches]. A picture is at most 8.3 inches wide. A README shows 100 pixels per inch, so
+# that it is at most 830 pixels wide there, and letters of 8 points are 11 pixels high.
 MAX_WIDTH = 8.3
 MAX_HEIGHT = 290.0
 MIN_WIDTH = 4.6
 MAX_MAP_HEIGHT = 5.6
-# of a map, for ticks, title and colour bar
+# space beside and above each map for ticks, title and colour bar
 MARGIN_X = 1.1
 MARGIN_Y = 0.65
-LINE_HEIGHT = 0.2  # a line of the heading or the legend
-LETTERS_PER_INCH = 13  # of a title or a legend, per inch
+LINE_HEIGHT = 0.2  # height of a line of the heading or the legend
+LETTERS_PER_INCH = 13  # letters of a title or legend that fit into an inch
 
 HEADING_POINTS = 10.5
 TITLE_POINTS = 9.0
 LEGEND_POINTS = 8.0
 TICK_POINTS = 7.5
-# sizes that are tried, the largest first
+# font sizes of names and numbers on maps [points]; the first that fits is used
 NAME_POINTS = (9.0, 8.0, 7.0)
 NUMBER_POINTS = (8.0, 7.0, 6.0)
 POINT_HALF_SIDE = 12  # half a side of the square round a point, which stays free of names [pixels]
-MAX_LETTERS = 40  # of a name on a map
-MAX_KEY_ENTRIES = 40  # of the key to numbers on a map
+MAX_LETTERS = 40  # letters of a name on a map
+MAX_KEY_ENTRIES = 40  # most entries of the key, which explains the numbers on maps
 FONT = "DejaVu Sans"  # comes with matplotlib
 TEXT_COLOR = "#222222"
 FAINT_COLOR = "#9aa0a8"
-LINE_STROKES = {  # colours and widths [points] of the strokes of a line, the lowest first
+# kind of line -> colours and widths [points] of its strokes, which lie on each other, lowest first
+LINE_STROKES = {
     "door, closed": (("#ffffff", 4.2), (DOOR, 2.6)),
     "door, open": ((DOOR, 3.8), ("#ffffff", 1.6)),
     "path, from o to x": (("#ffffff", 3.4), (ROUTE, 1.8)),
@@ -80,7 +81,7 @@ LINE_STROKES = {  # colours and widths [points] of the strokes of a line, the lo
 
 
 Mark: TypeAlias = tuple[int, float, float, str]
-"""A place to mark on a picture: level (-1 for all), world x and y [m], and its kind."""
+"""A place to mark on a picture: its level (-1 for all levels), world x and y [m], and its kind."""
 
 
 def plot_grid(grid: NavGrid, path: str | PathLike[str], **options: Any) -> Path:
@@ -130,9 +131,9 @@ def render_picture(
 ) -> bytes:
     """Draw a grid as PNG or SVG; equal arguments give equal bytes.
 
-    Each level is a row of panels, the lowest on top, and each layer a column. If there is only one
-    layer, the levels lie beside each other. All panels have one scale and show the same part of the
-    world, +y up.
+    Each level has a row of panels, with a panel for each layer; the lowest level is on top. If
+    there is only one layer, the levels lie beside each other. All panels have the same scale and
+    show the same part of the world, +y up.
 
     Args:
         grid: a grid of one or several levels.
@@ -235,9 +236,15 @@ def _draw_route(ax: PanelAxes, route: Route, number: int) -> None:
 def _write_all_names(
     axes: Sequence[PanelAxes], panels: Sequence[Panel], missing: set[str]
 ) -> list[str]:
-    """Write the names of all panels, and return the entries of the key to their numbers.
+    """Write the names of all panels on their maps.
 
-    `missing` are letters that no font has: names with them are replaced by their fallbacks.
+    Args:
+        axes: the axes of the panels.
+        panels: the panels.
+        missing: letters that no font has; a name with such a letter is replaced by its fallback.
+
+    Returns:
+        The entries of the key, such as ``3: kitchen``, for numbers that stand for names.
     """
     entries: dict[str, None] = {}
     for ax, panel in zip(axes, panels, strict=True):
@@ -249,7 +256,7 @@ def _write_all_names(
     key = list(entries)[:MAX_KEY_ENTRIES]
     if len(entries) > MAX_KEY_ENTRIES:
         key.append(f"and {len(entries) - MAX_KEY_ENTRIES} more")
-    # lines are broken between entries, not inside of them
+    # with no-break spaces, the lines of the key break between entries only
     return [entry.replace(" ", "\N{NO-BREAK SPACE}") for entry in key]
 
 
@@ -259,7 +266,7 @@ def find_fonts(text: str) -> tuple[list[str], set[str]]:
 
     families = [FONT]
     missing = {letter for letter in printable(text) if letter > "~"}
-    # a Last Resort font has a box for every letter
+    # Last Resort fonts are left out: for every letter they have just a box
     fonts = [
         font for font in font_manager.fontManager.ttflist if not font.name.startswith("Last Resort")
     ]
@@ -288,9 +295,9 @@ def add_axes(
     panels: Sequence[Panel],
     num_layers: int,
 ) -> list[PanelAxes]:
-    """Set the size of a figure, and add axes for each panel, as `render_picture` describes.
+    """Set the size of a figure, and add axes for each panel in the order of `render_picture`.
 
-    Maps that are much wider than high are as wide as the picture, one below the other.
+    Maps that are much wider than high lie one below the other.
 
     Args:
         figure: an empty figure.
@@ -307,7 +314,7 @@ def add_axes(
     middle = np.array(view).reshape(2, 2).mean(axis=0)
     # a row holds the layers of a level, or, of one layer, all levels
     per_group = num_layers if num_layers > 1 else len(panels)
-    columns = 1 if width > WIDE_ASPECT * height else min(per_group, MAX_COLUMNS)
+    columns = 1 if width > WIDE_ASPECT * height else min(per_group, MAX_MAPS_PER_ROW)
     rows_of_group = math.ceil(per_group / columns)
     rows = rows_of_group * (len(panels) // per_group)
     max_map_width = MAX_WIDTH / columns - MARGIN_X
@@ -372,7 +379,7 @@ def _draw_panel(ax: PanelAxes, panel: Panel, bounds: tuple[float, float, float, 
 
 
 def _line_style(name: str) -> dict[str, Any]:
-    """The style of a line of several strokes over each other, by its name in `LINE_STROKES`."""
+    """Return matplotlib's arguments for a line of a kind in `LINE_STROKES`."""
     from matplotlib.patheffects import Stroke
 
     strokes = [Stroke(linewidth=width, foreground=color) for color, width in LINE_STROKES[name]]
@@ -380,7 +387,13 @@ def _line_style(name: str) -> dict[str, Any]:
 
 
 def _draw_connections(figure: Figure, axes: dict[int, PanelAxes], panels: Sequence[Panel]) -> None:
-    """Draw links and stairs from stop to stop, also between levels; axes are by level."""
+    """Draw links and stairs from stop to stop, also from the map of one level to another.
+
+    Args:
+        figure: the figure.
+        axes: number of a level -> its axes.
+        panels: the panels; those of links have the connections.
+    """
     from matplotlib.patches import ConnectionPatch
 
     # each panel of links has the connections of all levels
@@ -416,22 +429,23 @@ def _draw_connections(figure: Figure, axes: dict[int, PanelAxes], panels: Sequen
 
 
 def _connection_line(connection: Connection) -> str:
-    """The name of the line of a link or stair in `LINE_STROKES`."""
+    """Return the kind of line of a link or stair in `LINE_STROKES`."""
     if connection.link is None:
         return "stairs"
     return "link, closed" if connection.is_closed else "link"
 
 
 def _door_line(state: str) -> str:
-    """The name of the line of a door in `LINE_STROKES`."""
+    """Return the kind of line of a door in `LINE_STROKES`."""
     return "door, closed" if state == "closed" else "door, open"
 
 
 def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
-    """Write names on a map without overlaps, those of large rooms first.
+    """Write names on a map so that they don't overlap; names of large rooms come first.
 
-    A name stands in the middle of its room, in one line or two, as large as fits, or beside its
-    point. Where it doesn't fit, its number is written; where that doesn't fit, nothing.
+    A room's name stands in the middle of the room, in one line or two, as large as fits. The name
+    of a point stands beside the point. If the name doesn't fit, its number is written; if that
+    doesn't fit either, nothing.
 
     Args:
         ax: the axes of the map; their size must be final.
@@ -495,19 +509,27 @@ def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
 
 
 def _line_breaks(text: str) -> list[str]:
-    """A text in one line, and in two if it has words to break between."""
+    """Return a text in one line and, if it has a space, ``_`` or ``-``, broken into two lines."""
     separators = " " if " " in text.strip() else "_-"
-    breaks = [at for at, letter in enumerate(text) if letter in separators and at > 0]
+    breaks = [index for index, letter in enumerate(text) if letter in separators and index > 0]
     if not breaks:
         return [text]
-    at = min(breaks, key=lambda at: abs(at - len(text) / 2))
-    return [text, f"{text[:at]}{text[at].strip()}\n{text[at + 1 :]}"]
+    middle_break = min(breaks, key=lambda index: abs(index - len(text) / 2))
+    first_line = f"{text[:middle_break]}{text[middle_break].strip()}"
+    return [text, f"{first_line}\n{text[middle_break + 1 :]}"]
 
 
 def _draw_legend(
     figure: Figure, panels: Sequence[Panel], color_of_kind: dict[str, str], with_route: bool
 ) -> Legend:
-    """Explain colours and lines below the maps; makes the figure higher by as much."""
+    """Add the legend of colours and lines below the maps, and make the figure higher for it.
+
+    Args:
+        figure: the figure.
+        panels: the panels.
+        color_of_kind: kind of mark -> its colour.
+        with_route: whether a path is drawn.
+    """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 VERIFY_REPORT_TEXT = "what `navbake verify --json` prints"
 Position: TypeAlias = tuple[float, float, float]
 NAME_KINDS = (*NAME_KEYS, "blockers")  # keys of a cell's user data that list names
-DECIMALS = 3  # floors and clearances are rounded to millimetres
-NO_NAMES = -1  # number of cells without names
-FOLDED_TABLES = ("Timings", "Made by")  # tables that are closed at first
-NUM_BAR_COLORS = 64  # of the bar beside a layer
+DECIMALS = 3  # decimals of floors and clearances [m]
+NO_NAMES = -1  # stands for the list of names of a cell that has no names
+FOLDED_TABLES = ("Timings", "Made by")  # tables of which only the title shows at first
+NUM_BAR_COLORS = 64  # number of colours of a color scale's bar
 
 
 class VerifiedFinding(TypedDict):
-    """The fields of a verification's finding, as JSON, that a page needs."""
+    """The fields of a verification's finding in JSON that a page needs."""
 
     kind: str
     level: int
@@ -48,7 +48,7 @@ class VerifiedFinding(TypedDict):
 
 
 class Verification(TypedDict):
-    """The fields of a verification's report, as JSON, that a page shows."""
+    """The fields of a verification's report in JSON that a page needs."""
 
     ok: bool
     checked: int
@@ -94,9 +94,9 @@ def render_report(
 ) -> bytes:
     """Make a report as one HTML page of maps and tables. Equal arguments give equal bytes.
 
-    Floors and clearances are rounded to a millimetre. Of levels of more than `MAX_SHOWN` cells,
-    only every n-th row and column is shown. Each grid has a sheet (tab); if there are two grids, a
-    third sheet shows their differences.
+    Floors and clearances are rounded to a millimetre. Of a level with more than `MAX_PAGE_CELLS`
+    cells, only every n-th row and column is shown. Each grid has a sheet (tab); if there are two
+    grids, a third sheet shows their differences.
 
     Args:
         grids: one or more grids.
@@ -105,8 +105,9 @@ def render_report(
         verifications: for each grid what `VerifyReport.to_json` returns, or None.
 
     Raises:
-        QueryError: there is no grid; the number of names, audits or verifications is not that of
-            the grids; or the scene's name or the cells of a verification don't match its grid.
+        QueryError: there is no grid; there are more or fewer names, audits or verifications than
+            grids; or a verification is of another scene, or of another number of cells.
+        FormatError: a verification names a level that its grid doesn't have.
     """
     grids = list(grids) if isinstance(grids, Sequence) else [grids]
     num_grids = len(grids)
@@ -133,7 +134,7 @@ def render_report(
 
 
 def _number_duplicates(names: Sequence[str]) -> list[str]:
-    """Names, with a number appended to those that occur more than once."""
+    """Return names, with a number appended to those that occur more than once."""
     return [
         name if names.count(name) == 1 else f"{name} ({names[: i + 1].count(name)})"
         for i, name in enumerate(names)
@@ -160,15 +161,15 @@ class ListedFinding(NamedTuple):
 
     kind: str
     level: int | None
-    position: Position | None  # world frame [m]
-    detail: str | None  # how severe it is, or the geom
+    position: Position | None  # world x, y, z [m]
+    detail: str | None  # of an audit, how severe it is; of a verification, the name of the geom
     text: str
 
 
 def _describe_grid(
     grid: NavGrid, name: str, audit: AuditReport | None, verification: Json | None
 ) -> Json:
-    """A sheet of the page: everything that it shows of a grid."""
+    """Return the sheet of a grid as JSON: its facts, warnings, maps and tables."""
     facts = describe(grid)
     marks: list[Json] = []
     remark_tables: dict[str, Table] = {}
@@ -244,7 +245,12 @@ def _describe_grid(
 
 
 def _mark_remarks(source: str, remarks: Sequence[ListedFinding]) -> list[Json]:
-    """Marks on the map for remarks that have a position."""
+    """Return a mark on the map for each remark that has a position.
+
+    Args:
+        source: ``audit`` or ``verify``.
+        remarks: the remarks.
+    """
     return [
         {
             "level": remark.level,
@@ -258,18 +264,24 @@ def _mark_remarks(source: str, remarks: Sequence[ListedFinding]) -> list[Json]:
     ]
 
 
-def _list_remarks(detail_heading: str, remarks: Sequence[ListedFinding], nothing: str) -> Table:
-    """A table of remarks; without any, it has one row that says `nothing`."""
+def _list_remarks(detail_heading: str, remarks: Sequence[ListedFinding], empty_text: str) -> Table:
+    """Make a table of remarks.
+
+    Args:
+        detail_heading: the heading over the remarks' details.
+        remarks: the remarks.
+        empty_text: the text of the only row if there are no remarks.
+    """
     rows = []
     for remark in remarks:
         position = ", ".join(f"{coordinate:.2f}" for coordinate in remark.position or ())
         rows.append((remark.kind, remark.level, position, remark.detail, remark.text))
     columns = ("kind", "level", "x, y, z [m]", detail_heading, "what")
-    return make_table(columns, rows or [("none", None, "", "", nothing)])
+    return make_table(columns, rows or [("none", None, "", "", empty_text)])
 
 
 def _check_verification(grid: NavGrid, verification: Json) -> None:
-    """Raise an error if a verification is of another grid, or names levels that don't exist."""
+    """Check that a verification is of a grid; raise the errors of `render_report`."""
     num_cells = sum(level.free.size for level in grid.levels)
     num_levels = len(grid.levels)
     scene_id = verification.get("sceneId")
@@ -287,20 +299,20 @@ def _check_verification(grid: NavGrid, verification: Json) -> None:
 
 
 def describe_map(grid: NavGrid, number: int) -> Json:
-    """Describe the map of a level: its place in the world, its layers, and its cells.
+    """Describe the map of a level: where it lies in the world, its layers, and its cells.
 
     Args:
         grid: a grid of one or several levels.
         number: the number of the level, 0 is the lowest.
 
     Returns:
-        JSON. ``cells`` is packed by `pack`: for each property the list of its values by cell, row
-        by row, null where there is no floor or the cell is blocked. ``names`` are indices into
-        ``nameLists``, -1 for none; a list has the names of a cell's occupants and blockers, by
-        `NAME_KINDS`.
+        JSON. ``cells`` is compressed by `pack`. For each property of cells, such as ``floor``, it
+        has a list with the value of each cell, row by row; null where there is none. The property
+        ``names`` is an index into the list ``nameLists``, -1 for none. An entry of that list has
+        the names of a cell's occupants and blockers, by the keys in `NAME_KINDS`.
     """
     level = grid.levels[number]
-    place = describe_extent(grid.level_names[number], level.lattice)
+    extent = describe_extent(grid.level_names[number], level.lattice)
     names, name_lists = _number_names(level)
     layers: dict[str, NDArray[np.generic]] = {
         "floor": np.round(level.floor, DECIMALS),
@@ -310,20 +322,23 @@ def describe_map(grid: NavGrid, number: int) -> Json:
         "island": islands_of(grid)[number],
         "names": names,
     }
-    every = place["every"]
+    every = extent["every"]
     cells = {key: layer[::every, ::every].ravel() for key, layer in layers.items()}
-    shown = [layer for layer in LAYERS if layer != "area" or grid.areas]
-    drawn = [_draw_layer(grid, number, layer, every) for layer in shown]
-    return {**place, "cells": pack({**cells, "nameLists": name_lists}), "layers": drawn}
+    drawn_layers = [
+        _draw_layer(grid, number, layer, every) for layer in LAYERS if layer != "area" or grid.areas
+    ]
+    return {**extent, "cells": pack({**cells, "nameLists": name_lists}), "layers": drawn_layers}
 
 
 def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
-    """Number the different lists of names that cells have.
+    """Collect the different sets of names that the cells of a level have.
 
     Returns:
-        The number of each cell's lists, -1 for none, shape (height, width); and the lists.
+        For each cell the index of its names in the list, `NO_NAMES` for none, shape
+        (height, width); and the list: names by the keys in `NAME_KINDS`.
     """
-    numbers_by_entry: dict[bytes, int] = {}  # by an entry's JSON: most cells share entries
+    # JSON of a cell's user data, which most cells share -> index of its names
+    numbers_by_entry: dict[bytes, int] = {}
     name_lists: list[Json] = []
 
     def number_of(entry: Json) -> int:
@@ -343,6 +358,7 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
 
 
 def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
+    """Describe a layer of a level as JSON; its picture has each `every`-th row and column."""
     panel = make_panel(grid, layer, number)
     scale = None
     rooms = []
@@ -367,7 +383,7 @@ def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
         "doors": [door._asdict() for door in panel.doors],
         "ways": [
             {
-                # in order, null on another level
+                # in order; null for a stop on another level
                 "stops": [
                     [x, y] if level == number else None for level, x, y, _ in connection.stops
                 ],

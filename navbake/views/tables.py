@@ -23,7 +23,7 @@ LEVEL_COLUMNS = {
     "islands": "{num_islands}",
     "largest m2": "{largest_island_area:.2f}",
 }
-"""Headings, and the format of their cells by the facts of a level."""
+"""Heading of a column -> the format of its cells, which names the facts of a level."""
 
 
 class Table(NamedTuple):
@@ -32,7 +32,7 @@ class Table(NamedTuple):
     Attributes:
         headings: the headings of the columns; all empty for a table without headings.
         rows: the rows, with a text for each column; control characters are escaped.
-        numbers: the headings of the columns that are aligned on the right.
+        numbers: the headings of columns of numbers, which are aligned on the right.
         gap: the number of spaces between printed columns.
     """
 
@@ -59,7 +59,7 @@ def make_table(
     Args:
         headings: the headings of the columns.
         rows: the rows, with a value for each column; None is an empty cell.
-        numbers: the headings of the columns that are aligned on the right.
+        numbers: the headings of columns of numbers, which are aligned on the right.
         gap: the number of spaces between printed columns.
     """
     cells = [[printable("" if cell is None else str(cell)) for cell in row] for row in rows]
@@ -67,9 +67,13 @@ def make_table(
 
 
 def summarize(facts: Json) -> list[tuple[str, str]]:
-    """List names and values of facts about a grid, from `navbake.views.describe.describe`."""
+    """List the main facts about a grid as pairs of a name and a text.
+
+    Args:
+        facts: what `navbake.views.describe.describe` returns.
+    """
     inflated = "{radius}, clearance {clearance} ({mode})"
-    agent = {  # sizes, and a slope
+    agent = {  # its sizes [m], and the largest slope [deg]
         f"agent {name.replace('_', ' ')} {'[deg]' if 'slope' in name else '[m]'}": str(value)
         for name, value in facts["agent"].items()
     }
@@ -86,9 +90,10 @@ def summarize(facts: Json) -> list[tuple[str, str]]:
 
 
 def level_table(facts: Json) -> Table:
-    """Make a row for each level, from `navbake.views.describe.describe`.
+    """Make a table with a row for each level; the number of rooms is shown only if there are rooms.
 
-    There is a column of rooms only if some level has rooms.
+    Args:
+        facts: what `navbake.views.describe.describe` returns.
     """
     columns = dict(LEVEL_COLUMNS)
     if any(level["num_rooms"] for level in facts["levels"]):
@@ -103,7 +108,7 @@ def level_table(facts: Json) -> Table:
 
 
 def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
-    """Make a row for each room, without empty columns.
+    """Make a table with a row for each room, without empty columns.
 
     Args:
         rooms: the rooms of a grid.
@@ -135,7 +140,7 @@ def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
 
 
 def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
-    """Make a row for each door, without empty columns.
+    """Make a table with a row for each door, without empty columns.
 
     Args:
         doors: the doors of a grid.
@@ -146,9 +151,9 @@ def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
     for door in doors:
         joint = (door.joint or "none") if has_joints else ""
         level_names = ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else ""
-        # a body that a pattern made a door may stand anywhere
+        # a body that the user declared a door may stand anywhere, and join no rooms
         rooms = [room or "outside" for room in door.rooms] if any(door.rooms) else ["nothing"]
-        # a door as modelled may be in the same pose as in another state
+        # the pose in which a door was modelled may be that of another state
         is_between = door.state == "modelled" and {"open", "closed"} <= set(door.states)
         equal_state = door.like or ("half-open" if is_between else None)
         state = f"{door.state} ({equal_state})" if equal_state else door.state
@@ -159,7 +164,7 @@ def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
 
 
 def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
-    """Make a row for each named link, without empty columns.
+    """Make a table with a row for each named link, without empty columns.
 
     Args:
         links: the links of a grid.
@@ -186,7 +191,11 @@ def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
 
 
 def area_table(areas: Sequence[Json]) -> Table:
-    """Make a row for each area, from `navbake.views.describe.describe`, without empty columns."""
+    """Make a table with a row for each area, without empty columns.
+
+    Args:
+        areas: ``areas`` of what `navbake.views.describe.describe` returns.
+    """
     rows = [
         (
             area["name"],
@@ -202,7 +211,11 @@ def area_table(areas: Sequence[Json]) -> Table:
 
 
 def agent_table(agents: Mapping[str, Json]) -> Table:
-    """Make a row for each agent, from `navbake.views.describe.describe`, without empty columns."""
+    """Make a table with a row for each agent, without empty columns.
+
+    Args:
+        agents: ``agents`` of what `navbake.views.describe.describe` returns.
+    """
     keys = {"radius": "radius m", "height": "height m", "step": "step m", "speed": "m/s"}
     rows = [
         (name, *(_number_text(agent.get(key)) for key in keys)) for name, agent in agents.items()
@@ -223,7 +236,11 @@ def _agents_text(agents: Iterable[str] | None) -> str:
 
 
 def cell_facts(facts: Json) -> dict[str, str | list[str]]:
-    """Turn the facts of `navbake.views.describe.describe_cell` into texts and lists of names."""
+    """Return facts of a cell for a table: name of a fact -> its text, or a list of names.
+
+    Args:
+        facts: what `navbake.views.describe.describe_cell` returns.
+    """
     room = facts["room"]
     weight = facts["weight"]
     floor = facts["floor"]

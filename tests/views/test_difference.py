@@ -14,7 +14,7 @@ from grid_maps import house_from, level_from, random_house
 from navbake import bake
 from navbake.views.difference import (
     CHANGE_COLORS,
-    SAME_FLOOR,
+    MAX_SAME_FLOOR_GAP,
     compare_levels,
     list_changed_rooms,
     list_differences,
@@ -98,7 +98,7 @@ def name_of(one, other):
     if one[1] != other[1]:
         return "became free" if other[1] else "became blocked"
     gone = np.isnan(one[0]), np.isnan(other[0])
-    if gone[0] != gone[1] or abs(one[0] - other[0]) > SAME_FLOOR:
+    if gone[0] != gone[1] or abs(one[0] - other[0]) > MAX_SAME_FLOOR_GAP:
         return "floor moved"
     if one[2] != other[2]:
         return "other weight"

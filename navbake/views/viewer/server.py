@@ -1,4 +1,4 @@
-"""The web server of the viewer: viser's, behind a port that checks who asks."""
+"""The web server of the viewer: it checks each request, and forwards it to viser's server."""
 
 from __future__ import annotations
 
@@ -25,18 +25,17 @@ from navbake.errors import MissingDependencyError, NavbakeError
 
 HOST = "127.0.0.1"
 PORT = 8080
-EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
-LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
+ALL_ADDRESSES = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
+LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")  # hosts that only this machine can reach
 MISSING_VISER = 'the viewer needs viser: pip install "navbake[view]"'
 PORT_IN_USE = "port {1} of {0} is in use: choose another one by --port, or 0 for any free one"
 VISER_TITLE = b"<title>Viser</title>"
-# of a request, and what is passed on at once [bytes]
-MAX_HEAD_SIZE = 1 << 16
-CHUNK_SIZE = 1 << 16
-HEAD_TIMEOUT = 10.0  # for the head of a request [s]
+MAX_HEAD_SIZE = 1 << 16  # largest head (first line and headers) of a request [bytes]
+CHUNK_SIZE = 1 << 16  # how much is forwarded at once [bytes]
+HEAD_TIMEOUT = 10.0  # how long the head of a request may take to arrive [s]
 FORBIDDEN_RESPONSE = b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 NO_CONTENT_RESPONSE = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n"
-# the page tells that its reader's system is dark
+# by this script, the page requests /dark if its user's system prefers dark pages
 DARK_MODE_SCRIPT = (
     b'<script>if (matchMedia("(prefers-color-scheme: dark)").matches) fetch("dark")</script>'
 )
@@ -46,67 +45,87 @@ PAGE_RESPONSE = (
 
 
 class PageServer(AbstractContextManager["PageServer"]):
-    """A server of an empty page at an address of this machine; port 0 means any free port.
+    """A server of an empty page at an address of this machine.
 
-    viser answers everybody, so it listens at a random address of the loopback network, and this
-    server forwards only allowed requests to it. The header Host of a request must be the page's own
-    address, against DNS rebinding, and its Origin must be a page at that address or one of
-    `allowed`.
+    viser's own server answers everybody. Therefore it listens at a random address of the loopback
+    network, and this server forwards only allowed requests to it, see `is_allowed`.
 
     Attributes:
         viser: the viser.ViserServer.
         url: the address of the page.
-        title: the title of the page; a change shows when a page is loaded.
+        port: the port of the page.
+        title: the title of the page; a new title shows when the page is loaded the next time.
         on_dark: a function that is called when a user's browser prefers dark pages.
-
-    Raises:
-        MissingDependencyError: viser is not installed.
-        NavbakeError: the server can't listen at the address, or an origin is invalid.
     """
 
     def __init__(self, host: str = HOST, port: int = PORT, *, allowed: Iterable[str] = ()) -> None:
+        """Start the server.
+
+        Args:
+            host: the address of this machine to listen at.
+            port: the port to listen at; 0 for any free port.
+            allowed: further origins of pages that may use the server, see `check_origin`.
+
+        Raises:
+            MissingDependencyError: viser is not installed.
+            NavbakeError: the server can't listen at the address, or an origin is invalid.
+        """
         try:
             import viser  # of the extra [view], and slow to load
         except ImportError as error:
             raise MissingDependencyError(MISSING_VISER) from error
-        self._names = {*LOCAL_HOSTS, socket.gethostname().lower()} if host in EVERYWHERE else {host}
-        self._names |= {*LOCAL_HOSTS} if host in LOCAL_HOSTS else set()
-        self._is_open = host in EVERYWHERE
-        self._allowed = {check_origin(one) for one in allowed}
+        self._listens_everywhere = host in ALL_ADDRESSES
+        # names of this machine that a request may have as its host
+        if self._listens_everywhere:
+            self._host_names = {*LOCAL_HOSTS, socket.gethostname().lower()}
+        elif host in LOCAL_HOSTS:
+            self._host_names = {*LOCAL_HOSTS}
+        else:
+            self._host_names = {host}
+        self._allowed_origins = {check_origin(origin) for origin in allowed}
         self.title = "navbake"
         self.on_dark: Callable[[], None] = lambda: None
-        # until viser is there
-        self._inner = (HOST, 0)
-        self._page = b""
-        listening: Future[int] = Future()
-        serve = partial(asyncio.run, self._serve(host, port, listening))
+        # address and port of viser's server, and its page; set when that server has started
+        self._viser_address = (HOST, 0)
+        self._viser_page = b""
+        port_future: Future[int] = Future()
+        serve = partial(asyncio.run, self._serve(host, port, port_future))
         self._thread = threading.Thread(target=serve, name="server", daemon=True)
         self._thread.start()
         try:
-            self.port = listening.result()
+            self.port = port_future.result()
         except (OSError, UnicodeError, OverflowError) as error:
-            text = f"{host!r}, port {port}, is no address of this machine"
+            message = f"{host!r}, port {port}, is no address of this machine"
             if isinstance(error, OSError) and not isinstance(error, socket.gaierror):
-                text = f"cannot listen at {host}, port {port}: {error.strerror}"
-                text = PORT_IN_USE.format(host, port) if error.errno == errno.EADDRINUSE else text
-            raise NavbakeError(text) from error
-        shown = "localhost" if host in EVERYWHERE else f"[{host}]" if ":" in host else host
-        self.url = f"http://{shown}:{self.port}"
-        # a stranger's message is no traceback on the terminal
+                message = f"cannot listen at {host}, port {port}: {error.strerror}"
+                if error.errno == errno.EADDRINUSE:
+                    message = PORT_IN_USE.format(host, port)
+            raise NavbakeError(message) from error
+        url_host = f"[{host}]" if ":" in host else host
+        if self._listens_everywhere:
+            url_host = "localhost"
+        self.url = f"http://{url_host}:{self.port}"
+        # a broken message, which anybody may send, is no reason for a traceback on the terminal
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        inner = HOST
-        if sys.platform == "linux":  # where all of 127.0.0.0/8 is this machine
-            inner = "127." + ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
+        viser_host = HOST
+        if sys.platform == "linux":  # here all of 127.0.0.0/8 is this machine
+            viser_host = "127." + ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
         with redirect_stdout(io.StringIO()):  # viser prints its address in a box
-            self.viser = viser.ViserServer(host=inner, port=0, verbose=False)
-        # viser's own page can ask for a tunnel to its makers' server: nothing leaves this machine
+            self.viser = viser.ViserServer(host=viser_host, port=0, verbose=False)
+        # viser's page could ask for a tunnel to a server of viser's makers: that is switched off
         self.viser.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
-        self._inner = inner, self.viser.get_port()
-        with urllib.request.urlopen("http://{}:{}/".format(*self._inner)) as page:
-            self._page = page.read()
+        self._viser_address = (viser_host, self.viser.get_port())
+        with urllib.request.urlopen("http://{}:{}/".format(*self._viser_address)) as page:
+            self._viser_page = page.read()
 
-    async def _serve(self, host: str, port: int, listening: Future[int]) -> None:
-        """Serve until `close`; `asyncio.run` cancels the connections that are open then."""
+    async def _serve(self, host: str, port: int, port_future: Future[int]) -> None:
+        """Serve until `close` is called; then `asyncio.run` cancels the open connections.
+
+        Args:
+            host: the address to listen at.
+            port: the port to listen at; 0 for any free port.
+            port_future: receives the port, or the error if the server can't listen.
+        """
         self._loop = asyncio.get_running_loop()
         self._closing = asyncio.Event()
         try:
@@ -114,9 +133,9 @@ class PageServer(AbstractContextManager["PageServer"]):
                 self._answer, host or None, port, limit=MAX_HEAD_SIZE
             )
         except Exception as error:
-            listening.set_exception(error)
+            port_future.set_exception(error)
             return
-        listening.set_result(server.sockets[0].getsockname()[1])
+        port_future.set_result(server.sockets[0].getsockname()[1])
         await self._closing.wait()
         server.close()
 
@@ -132,7 +151,11 @@ class PageServer(AbstractContextManager["PageServer"]):
         self.close()
 
     def is_allowed(self, headers: Message) -> bool:
-        """Return whether a request's Host is the page's address and its Origin is allowed."""
+        """Return whether a request may be answered.
+
+        Its header Host must be the page's own address; this prevents DNS rebinding. Its header
+        Origin, if it has one, must be a page at that address, or one of the allowed origins.
+        """
         hosts = headers.get_all("Host", [])
         origins = headers.get_all("Origin", [])
         if len(hosts) != 1 or len(origins) > 1:
@@ -141,17 +164,22 @@ class PageServer(AbstractContextManager["PageServer"]):
             address = urlsplit(f"//{hosts[0]}")
             name = address.hostname or ""
             port = address.port or 80
-        except ValueError:  # a port that is none
+        except ValueError:  # the port is no number
             return False
-        is_own = port == self.port and name in self._names
-        if self._is_open and port == self.port:
-            with suppress(ValueError):  # a name, which anybody can let point here
-                is_own |= bool(ip_address(name))
-        is_own |= hosts[0] in {urlsplit(origin).netloc for origin in self._allowed}
-        return is_own and (not origins or origins[0] in {f"http://{hosts[0]}", *self._allowed})
+        is_page_address = port == self.port and name in self._host_names
+        if self._listens_everywhere and port == self.port:
+            # A numeric address is this machine's, but anybody can make a name point to it.
+            with suppress(ValueError):  # it is a name
+                is_page_address |= bool(ip_address(name))
+        is_page_address |= hosts[0] in {urlsplit(origin).netloc for origin in self._allowed_origins}
+        allowed_origins = {f"http://{hosts[0]}", *self._allowed_origins}
+        return is_page_address and (not origins or origins[0] in allowed_origins)
 
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Answer one connection, or pass it on; viser's server takes one request of each."""
+        """Answer the request of a connection, or forward the connection to viser's server.
+
+        viser's server takes only one request on each connection, so that one check is enough.
+        """
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_TIMEOUT)
             request, _, lines = head.partition(b"\r\n")
@@ -160,24 +188,24 @@ class PageServer(AbstractContextManager["PageServer"]):
                 writer.write(FORBIDDEN_RESPONSE)
             elif request.startswith(b"GET / ") and "Upgrade" not in headers:
                 title = f"<title>{html.escape(self.title)}</title>".encode()
-                page = self._page.replace(VISER_TITLE, title + DARK_MODE_SCRIPT, 1)
+                page = self._viser_page.replace(VISER_TITLE, title + DARK_MODE_SCRIPT, 1)
                 writer.write(PAGE_RESPONSE + b"Content-Length: %d\r\n\r\n" % len(page) + page)
                 await writer.drain()
             elif request.startswith(b"GET /dark "):
                 self.on_dark()
                 writer.write(NO_CONTENT_RESPONSE)
             else:
-                there, back = await asyncio.open_connection(*self._inner)
-                back.write(head)
-                await asyncio.gather(_pass_on(reader, back), _pass_on(there, writer))
+                viser_reader, viser_writer = await asyncio.open_connection(*self._viser_address)
+                viser_writer.write(head)
+                await asyncio.gather(_forward(reader, viser_writer), _forward(viser_reader, writer))
         except (OSError, EOFError, asyncio.LimitOverrunError, asyncio.TimeoutError):
-            pass  # whoever asked has gone, or speaks no HTTP
+            pass  # the client has closed the connection, or doesn't speak HTTP
         finally:
             writer.close()
 
 
-async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Write all that comes from one side to the other, until one of them ends."""
+async def _forward(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Write all that a reader receives, until the reader or the writer is closed."""
     try:
         while data := await reader.read(CHUNK_SIZE):
             writer.write(data)
@@ -187,10 +215,13 @@ async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -
 
 
 def check_origin(text: str) -> str:
-    """Return an origin as browsers send it, as ``https://a.org:8443``.
+    """Check that a text is an origin in the form that browsers send: ``https://a.org:8443``.
+
+    Returns:
+        The text.
 
     Raises:
-        NavbakeError: the text is no origin.
+        NavbakeError: it isn't an origin.
     """
     parts = urlsplit(text)
     if parts.scheme not in ("http", "https") or f"{parts.scheme}://{parts.netloc}" != text:
