@@ -33,9 +33,8 @@ AGENT_KEYS = {
 INFLATION_KEYS = ("radius", "clearance", "mode")
 STAIR = "stair"
 STEEP_RAMP = "steep"
-ARC_BULGE = (
-    0.15  # largest distance of an arc from its straight line, relative to the line
-)
+# largest distance of an arc from its straight line, relative to the length of the line
+ARC_BULGE = 0.15
 NUM_ARC_POINTS = 17  # number of points of an arc
 
 

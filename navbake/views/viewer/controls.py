@@ -1,4 +1,4 @@
-"""The panel of the page: its inputs, and its texts as Markdown and HTML.
+"""The panel of controls on the viewer's page: its inputs, and its texts as Markdown and HTML.
 
 Names from files are escaped.
 """
@@ -20,7 +20,7 @@ from navbake.views.viewer.view_state import (
     GOAL_COLOR,
     INSPECT_TEXT,
     START_COLOR,
-    TRAJECTORY,
+    TRAJECTORY_COLOR,
     Choices,
     FreeSpace,
     Inspection,
@@ -31,24 +31,24 @@ if TYPE_CHECKING:
     import viser
 
 Change: TypeAlias = Callable[[Choices], Choices]
-"""Makes new choices of the present ones."""
+"""A function that returns new choices from the present ones."""
 
 ALL_LEVELS = "all levels"
 ALL_DOORS = "all doors"
 AS_BAKED = "as baked"
 NO_EPISODE = "none"
-MAX_EPISODES = 500  # that the panel lists
-RADIUS_STEP = 0.01  # [m]
-MAX_RADIUS = 1.0  # [m], or twice the grid's own
-MAX_CHECKBOXES = 12  # with more levels, levels have no checkboxes
-CUT_STEP = 0.05  # [m]
+MAX_EPISODES = 500  # most episodes that the panel lists
+RADIUS_STEP = 0.01  # step of the sliders for radius and clearance [m]
+MAX_RADIUS = 1.0  # end of these sliders, unless twice the grid's radius is more [m]
+MAX_CHECKBOXES = 12  # a grid with more levels has no checkboxes for levels
+CUT_STEP = 0.05  # step of the slider for the cut [m]
 INFLATED_HINT = "The grid was inflated when it was made: its doors stay as they are."
 MARKDOWN_SIGNS = re.compile(r"([\\`*_{}\[\]<>()#+!|~.&:@-])")
 HINT_INSPECT = "Click a cell or a thing to read about it."
 HINT_START = "Click where the path starts."
 HINT_GOAL = "Click where it goes to."
-MAX_LISTED_NAMES = 6
-MAX_SCALES = 3  # in the legend
+MAX_LISTED_NAMES = 6  # most names in a list; the text says how many more there are
+MAX_SCALES = 3  # most color scales in the legend
 
 
 class Controls:
@@ -62,19 +62,19 @@ class Controls:
         change: Callable[[Change], None],
         verify: Callable[[], None],
     ) -> None:
-        """Fill the panel anew.
+        """Empty the panel, and fill it.
 
         Args:
             gui: viser's panel.
             view_state: the grid and its scene.
-            choices: the present ones.
-            change: is called with the change when the user sets an input.
+            choices: the user's choices.
+            change: is called when the user sets an input; it applies a change of the choices.
             verify: is called when the user wants to compare the grid with the scene.
         """
         self._gui = gui
         self._view_state = view_state
         self._change = change
-        # viser's inputs and texts by name; their types differ
+        # name -> an input or text of viser; their types differ
         self._handles: dict[str, Any] = {}
         gui.reset()
         self._status = gui.add_markdown("", visible=False)
@@ -97,7 +97,13 @@ class Controls:
     def _add_input(
         self, name: str, handle: viser.GuiInputHandle[Any], make: Callable[[Any], Change]
     ) -> None:
-        """Register an input; `make` makes a change of its value when the user sets it."""
+        """Register an input of the panel.
+
+        Args:
+            name: a name for the input, by which `_handles` has it.
+            handle: the input.
+            make: returns the change of the choices for a value that the user has set.
+        """
         self._handles[name] = handle
 
         def on_update(event: viser.GuiEvent[viser.GuiInputHandle[Any]]) -> None:
@@ -191,7 +197,7 @@ class Controls:
             return change
 
         door = gui.add_dropdown("Door", [ALL_DOORS, *door_ids])
-        # a door alone changes nothing; but its state is shown
+        # to select a door changes no choice, but the page is drawn, and shows the door's state
         self._add_input("door", door, lambda _: lambda choices: choices)
         state = gui.add_dropdown("State", [AS_BAKED, *states])
         self._add_input("state", state, set_state)
@@ -223,7 +229,7 @@ class Controls:
         self._add_input("dark", dark, _set("dark"))
 
     def _add_scene(self, choices: Choices) -> None:
-        """Add what is chosen of the scene; nothing without one."""
+        """Add the inputs for the scene; without a scene, add nothing."""
         gui = self._gui
         drawing = self._view_state.drawing(choices)
         if drawing is None:
@@ -277,7 +283,7 @@ class Controls:
             run = view_state.runs.get(choices.episode)
             handles["task"].content = episode_text(run.episode if run else None)
             if run is not None and run.trajectory is not None:
-                marks["trajectory"] = TRAJECTORY
+                marks["trajectory"] = TRAJECTORY_COLOR
         panels = [view_state.panel(choices, number) for number in choices.levels]
         handles["legend"].content = legend_html(panels, marks)
         shows_disagreements = choices.layer == DISAGREEMENTS
@@ -293,7 +299,7 @@ class Controls:
         self._update_inputs(choices)
 
     def _update_inputs(self, choices: Choices) -> None:
-        """Set the inputs that follow from others."""
+        """Set the inputs whose values change with other choices, for example by `Clear`."""
         handles = self._handles
         grid = self._view_state.grid
         if choices.inflation is None:
@@ -325,7 +331,7 @@ class Controls:
 
 
 def _heading(view_state: ViewState) -> str:
-    """The grid's name and size, and the note of the view state, as Markdown."""
+    """Return the grid's name, its numbers of levels, and the view state's note, as Markdown."""
     grid = view_state.grid
     name = escape_markdown(grid.scene_id or "grid")
     levels = f"{len(grid.levels)} levels" if len(grid.levels) > 1 else "one level"
@@ -335,12 +341,12 @@ def _heading(view_state: ViewState) -> str:
 
 
 def _set(field: str) -> Callable[[Any], Change]:
-    """Make a function that makes changes: each sets a field of the choices to a value."""
+    """Return a function that takes a value and returns the change that sets a field to it."""
     return lambda value: lambda choices: replace(choices, **{field: value})
 
 
 def _show_level(number: int) -> Callable[[bool], Change]:
-    """Make a function that makes changes: each shows or hides a level."""
+    """Return a function that takes a bool and returns the change that shows or hides a level."""
 
     def make(is_shown: bool) -> Change:
         def change(choices: Choices) -> Choices:
@@ -355,12 +361,17 @@ def _show_level(number: int) -> Callable[[bool], Change]:
 
 
 def _level_name(names: list[str], choices: Choices) -> str:
-    """The name of the level that alone is shown, else `ALL_LEVELS`, which stands first."""
+    """Return the name of the shown level; the first name if several levels are shown.
+
+    Args:
+        names: `ALL_LEVELS`, then the names of the levels.
+        choices: the user's choices.
+    """
     return names[choices.levels[0] + 1] if len(choices.levels) == 1 else names[0]
 
 
 def _number_duplicates(names: list[str]) -> list[str]:
-    """Names, with their number appended where several are the same."""
+    """Return the names of levels; the level's number is appended to names that occur twice."""
     return [
         f"{name} ({number})" if names.count(name) > 1 else name for number, name in enumerate(names)
     ]
@@ -459,7 +470,10 @@ def cell_text(inspection: Inspection | None, inflation: tuple[float, float] | No
 
 
 def _list_names(names: Sequence[str], separator: str) -> str:
-    """Names as code; not between backquotes, where a ``|`` in a name would end a table's cell."""
+    """Join names, formatted as code, for Markdown; at most `MAX_LISTED_NAMES` are listed.
+
+    They are in HTML, not between backquotes: there a ``|`` would end a table's cell.
+    """
     listed = names[:MAX_LISTED_NAMES]
     text = separator.join(f"<code>{escape_markdown(name)}</code>" for name in listed)
     num_more = len(names) - len(listed)
@@ -486,10 +500,10 @@ def legend_html(panels: Sequence[Panel], marks: Mapping[str, str] | None = None)
 
     Args:
         panels: the panels of the shown levels, the lowest first.
-        marks: the meaning and the colour of each kind of mark that is drawn.
+        marks: meaning of a kind of mark that is drawn -> its colour.
 
     Returns:
-        HTML: the scales of the highest levels, and the meanings of colours.
+        HTML: the color scales of the highest levels, and the meanings of colours.
     """
     scales = [(panel.title, panel.scale) for panel in panels[::-1] if panel.scale is not None]
     parts = []
@@ -522,7 +536,7 @@ def legend_html(panels: Sequence[Panel], marks: Mapping[str, str] | None = None)
 
 
 def report_text(view_state: ViewState) -> str:
-    """Describe the outcome of the verification as Markdown; empty before there is one."""
+    """Describe the outcome of the last verification as Markdown; empty if there is none."""
     report = view_state.report
     if report is None:
         return ""

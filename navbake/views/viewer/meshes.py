@@ -1,7 +1,7 @@
-"""Triangles that the viewer draws: of a MuJoCo scene and of the layers of levels; and picking.
+"""Makes the triangles of a scene and of layers that the viewer draws, and finds clicked cells.
 
-All triangles are sent as binary glTF (GLB). Source: Khronos Group, glTF 2.0 Specification, and its
-extension ``KHR_materials_unlit``.
+Triangles are sent to the page as binary glTF (GLB). Source: Khronos Group, glTF 2.0 Specification,
+and its extension ``KHR_materials_unlit``.
 """
 
 from __future__ import annotations
@@ -37,28 +37,31 @@ NUM_SHOWN_GROUPS = 3  # MuJoCo's viewers show the geoms of the groups 0 to 2
 PLANE_MARGIN = 1.5  # an endless plane is drawn so many times larger than the scene
 # Corners of a rectangle's two triangles
 RECTANGLE_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
-# (number of round geoms, corners of a circle): up to so many round geoms, a circle has so many
-# corners. A page without a graphics card draws some 100,000 triangles smoothly.
+# Pairs of a number of round geoms, and how many corners a circle has if there are at most so many
+# round geoms. Without a graphics card, a browser draws about 100,000 triangles smoothly.
 CIRCLE_CORNERS = ((100, 20), (500, 12), (1 << 62, 8))
-MAX_MESH_TRIANGLES = 200_000  # of all meshes; where geoms have more, their meshes are coarsened
-SHARP_ANGLE = 1.2  # an edge between faces at this angle or more is drawn as an edge [rad]
-CAP_SHADE = 0.35  # brightness of a cut face, relative to its geom
-CUT_TOLERANCE = 1e-6  # a triangle in the plane of a cut stays: trimesh would drop it [m]
-MAX_FLAT_TRIANGLES = 400_000  # with sharp edges; more are shaded smoothly, which takes less memory
-# A mesh that at least so many geoms of one colour show is sent once, as a batch. From afar, the
-# page draws it coarser: from LOD_DISTANCE on with LOD_SHARE of its triangles, from twice as far on
-# with the share that MAX_MESH_TRIANGLES allows.
+# If the meshes of all geoms together have more triangles than this, they are coarsened.
+MAX_MESH_TRIANGLES = 200_000
+SHARP_ANGLE = 1.2  # an edge whose faces meet at this angle or more isn't smoothed [rad]
+CAP_SHADE = 0.35  # brightness of a cap, which closes a cut solid, relative to the solid's
+# The plane of a cut is raised by this, since trimesh drops triangles that lie in the plane [m].
+CUT_TOLERANCE = 1e-6
+# A surface with more triangles is shaded smoothly, without sharp edges, to save memory.
+MAX_FLAT_TRIANGLES = 400_000
+# A mesh that is shown by at least MIN_BATCH_GEOMS geoms of one colour is sent once, as a batch.
+# Where it is far from the camera, the page draws it coarser: beyond LOD_DISTANCE [m], with the
+# share LOD_SHARE of its triangles; beyond twice that, with the share by MAX_MESH_TRIANGLES.
 MIN_BATCH_GEOMS = 4
-LOD_DISTANCE = 6.0  # [m]
+LOD_DISTANCE = 6.0
 LOD_SHARE = 0.4
-MAX_BATCH_TRIANGLES = 20_000  # of a batch's mesh
+MAX_BATCH_TRIANGLES = 20_000  # a batch's mesh with more triangles is coarsened
 AMBIENT_LIGHT = 0.2
 DIRECTED_LIGHT = (0.3, 0.16, 0.8)  # added on faces that look along x, y and z
 
 # mjtGeom: numbers of the file format, the same in all versions
 PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
 ROUND_KINDS = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER)
-# which entries of a geom's size stretch its unit solid along x, y and z
+# kind of geom -> indices of the entries of its size that scale its unit solid along x, y and z
 SIZE_ENTRIES = {
     SPHERE: (0, 0, 0),
     CAPSULE: (0, 0, 0),
@@ -74,12 +77,13 @@ DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1], dtype=np.float32)  # of a geom witho
 
 LAYER_LIFT = 0.012  # height of the drawn grid over the floor, so that the floor doesn't hide it [m]
 FLAT_TOLERANCE = 0.01  # how far a drawn layer may be off the floor [m]
-MAX_RECTANGLES = 200_000  # of a level; with more, FLAT is doubled until they are few enough
-MAX_RISE = 1.0  # rise of a rectangle, relative to its length
-OVERLAP = 0.002  # by which rectangles overlap, so that no gaps show [cells]
-MAX_SIDE = 4096  # pixels of a picture that any browser takes; of larger levels, cells share pixels
-FLOOR_TOLERANCE = 0.05  # a floor so little above the clicked point still counts as below it [m]
-# how glTF samples pictures
+# If a level needs more rectangles, FLAT_TOLERANCE is doubled until they are few enough.
+MAX_RECTANGLES = 200_000
+MAX_RISE = 1.0  # steepest slope of a rectangle: its rise, divided by its length
+OVERLAP = 0.002  # by how much rectangles overlap, so that no gaps show [cells]
+MAX_SIDE = 4096  # longest side of a picture that any browser accepts [pixels]
+FLOOR_TOLERANCE = 0.05  # a floor at most this far above the clicked point counts as below it [m]
+# numbers of glTF for how pictures are sampled
 NEAREST = 9728
 MIPMAPS = 9987
 CLAMP = 33071
@@ -87,13 +91,13 @@ CLAMP = 33071
 Picture: TypeAlias = NDArray[np.uint8]
 """Pixels, shape (height, width, 3 or 4)."""
 Faces: TypeAlias = NDArray[np.integer]
-"""Triangles: vertex ids, shape (n, 3)."""
+"""Triangles, as indices of three vertices each, shape (n, 3)."""
 Reals: TypeAlias = NDArray[np.floating]
 """Values in float32 or float64."""
 
 
 class Surface(NamedTuple):
-    """Triangles that are drawn in the same way. Arrays have one entry per vertex.
+    """Triangles that are drawn in the same way.
 
     Attributes:
         vertices: positions, world frame [m], shape (n, 3).
@@ -125,10 +129,10 @@ class Surface(NamedTuple):
 
 
 class LodStep(NamedTuple):
-    """The coarseness of a mesh (level of detail) from a distance of the camera on."""
+    """A level of detail: beyond a distance from the camera, fewer triangles of a mesh are drawn."""
 
     distance: float  # [m]
-    share: float  # of its triangles, 0 to 1
+    share: float  # share of the mesh's triangles that is drawn, 0 to 1
 
 
 class MeshBatch(NamedTuple):
@@ -151,7 +155,11 @@ class MeshBatch(NamedTuple):
     lod: tuple[LodStep, ...]
 
     def is_below(self, height: float | None) -> Bool:
-        """Mark the geoms that are wholly below a world z [m], or all if None; shape (n,)."""
+        """Mark the geoms that are wholly below a height, shape (n,).
+
+        Args:
+            height: world z [m]; None to mark all geoms.
+        """
         return np.full(len(self.tops), True) if height is None else self.tops <= height
 
 
@@ -160,12 +168,12 @@ class Drawing(NamedTuple):
 
     Attributes:
         surfaces: the triangles of all geoms, those of `batches` included.
-        textures: the pictures by MuJoCo's texture id.
-        bounds: lower and upper corner, world frame [m], shape (2, 3).
-        names: the names of the geoms, as grids have them, by geom id.
-        solid: by geom id, whether the geom is one convex solid, so that a cut through it can be
-            closed.
-        has_hidden: whether there are geoms that are drawn only on demand.
+        textures: MuJoCo's id of a texture -> its picture.
+        bounds: lower and upper corner of the scene, world frame [m], shape (2, 3).
+        names: the name of each geom by its id, the same as in grids.
+        solid: whether each geom is one convex solid, so that a cut through it can be closed; shape
+            (number of geoms,).
+        has_hidden: whether the scene has geoms that are drawn only if the user wants to see them.
         batches: meshes that several geoms show.
     """
 
@@ -179,23 +187,23 @@ class Drawing(NamedTuple):
 
 
 class GeomColors(NamedTuple):
-    """Colours of a model's geoms, in linear light with opacity; arrays by geom id."""
+    """The colours of a model's n geoms: linear red, green, blue and opacity."""
 
-    plain: NDArray[np.float32]  # with the mean colour of the texture, shape (n, 4)
-    without_texture: NDArray[np.float32]  # to be multiplied with the texture, shape (n, 4)
-    texture: Int  # MuJoCo's id of a texture that a mesh may show, -1 for none, shape (n,)
+    plain: NDArray[np.float32]  # colours that include the texture's mean colour, shape (n, 4)
+    without_texture: NDArray[np.float32]  # colours to multiply with the texture, shape (n, 4)
+    texture: Int  # MuJoCo's id of the texture that a mesh shows, -1 for none, shape (n,)
 
 
 class Appearance(NamedTuple):
-    """The properties of a surface; surfaces with equal ones are drawn as one."""
+    """How a surface is drawn; surfaces with the same appearance are joined."""
 
-    is_clear: bool
-    is_round: bool
-    texture: int
+    is_clear: bool  # whether it is partly transparent
+    is_round: bool  # whether it is shaded smoothly
+    texture: int  # MuJoCo's id of its texture, -1 for none
 
 
 class ViewRay(NamedTuple):
-    """A ray: origin and direction, world frame."""
+    """A ray in the world frame, from the camera through a click."""
 
     origin: ArrayLike  # x, y, z [m]
     direction: ArrayLike  # of any length
@@ -266,7 +274,12 @@ def draw_scene(
 
 
 def _merge_alike(pieces: Sequence[Surface], is_clear: Bool) -> Iterator[Surface]:
-    """Join the pieces that are drawn alike; `is_clear` marks transparent geoms."""
+    """Join the surfaces that have the same appearance.
+
+    Args:
+        pieces: surfaces of one geom, or of several that are drawn alike.
+        is_clear: whether each geom is partly transparent, by its id.
+    """
     groups: dict[Appearance, list[Surface]] = {}
     for piece in pieces:
         first_geom = piece.face_geoms[0]
@@ -291,7 +304,10 @@ def _merge_alike(pieces: Sequence[Surface], is_clear: Bool) -> Iterator[Surface]
 
 
 def _name_geoms(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Name geoms as grids do: by the topmost body, or the geom itself where that is the world."""
+    """Return the name of each geom, the same as in grids.
+
+    It is the name of the geom's topmost body. A geom of the world body has its own name.
+    """
     names = []
     for geom, root_body in enumerate(model.body_rootid[model.geom_bodyid].tolist()):
         if root_body:
@@ -334,7 +350,15 @@ def _make_batch(
     color: NDArray[np.float32],
     share: float,
 ) -> MeshBatch:
-    """Make a batch of geoms that show one mesh; `share` of its triangles may be drawn from afar."""
+    """Make a batch of geoms that show one mesh.
+
+    Args:
+        model: the model.
+        data: the data with the pose.
+        geoms: the ids of the geoms.
+        color: the colour of the geoms: linear red, green, blue and opacity.
+        share: the share of the mesh's triangles to draw from afar; 1 or more to draw all.
+    """
     vertices, faces = _mesh_arrays(model, int(model.geom_dataid[geoms[0]]))
     if len(faces) > MAX_BATCH_TRIANGLES:
         vertices, faces = coarsen(vertices, faces, MAX_BATCH_TRIANGLES)
@@ -368,7 +392,7 @@ def _make_batch(
 
 
 def _mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> tuple[Float, Faces]:
-    """The vertices of a model's mesh, in its own frame, and its triangles."""
+    """Return the vertices of a model's mesh in its own frame [m], and its triangles."""
     mesh = model.mesh(mesh_id)
     first_vertex = int(mesh.vertadr[0])
     first_face = int(mesh.faceadr[0])
@@ -380,7 +404,11 @@ def _mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> tuple[Float, Faces]:
 def _draw_solids(
     model: mujoco.MjModel, data: mujoco.MjData, drawn: Bool, is_clear: Bool
 ) -> Iterator[Surface]:
-    """Draw boxes, spheres and so on: a surface for all of a kind, another for clear ones."""
+    """Draw boxes, spheres and so on.
+
+    Yields:
+        For each kind, a surface of all opaque geoms, and one of all transparent geoms.
+    """
     num_round = int(np.isin(model.geom_type[drawn], ROUND_KINDS).sum())
     corners = next(corners for limit, corners in CIRCLE_CORNERS if num_round <= limit)
     for (kind, size_entries), clear in product(SIZE_ENTRIES.items(), (False, True)):
@@ -403,7 +431,14 @@ def _draw_solids(
 
 
 def _make_unit_solid(kind: int, corners: int) -> Trimesh:
-    """Make the solid of half-size 1; the two halves of a capsule touch at its middle."""
+    """Make the unit solid of a kind of geom: the solid of half-size 1.
+
+    That of a capsule is a ball; its halves are moved apart later.
+
+    Args:
+        kind: the kind of geom, a number of mjtGeom.
+        corners: how many corners a circle has.
+    """
     unit: Trimesh
     if kind == BOX:
         unit = creation.box((2, 2, 2))
@@ -422,9 +457,16 @@ def _make_unit_solid(kind: int, corners: int) -> Trimesh:
 def _draw_meshes(
     scene: Scene, data: mujoco.MjData, drawn: Bool, textures: Int
 ) -> Iterator[Surface]:
-    """Draw meshes, height fields, and the exact meshes that a scene holds for geoms.
+    """Draw meshes, height fields, and geoms for which the scene has an exact mesh.
 
-    Where all meshes together have too many triangles, those without a texture are coarsened.
+    If all meshes together have more than `MAX_MESH_TRIANGLES`, meshes without a texture are
+    coarsened.
+
+    Args:
+        scene: the scene.
+        data: the data with the pose.
+        drawn: whether each geom is drawn.
+        textures: the id of each geom's texture, -1 for none.
     """
     model = scene.model
     coarse_meshes: dict[int, tuple[Float, Faces]] = {}
@@ -464,7 +506,7 @@ def _draw_meshes(
 
 
 def _hfield_top(model: mujoco.MjModel, hfield_id: int) -> tuple[Float, Int]:
-    """The upper side of a height field, in its own frame: vertices and triangles."""
+    """Return the vertices and triangles of a height field's upper side, in its own frame [m]."""
     rows = int(model.hfield_nrow[hfield_id])
     cols = int(model.hfield_ncol[hfield_id])
     heights = model.hfield_data[int(model.hfield_adr[hfield_id]) :][: rows * cols]
@@ -478,7 +520,7 @@ def _hfield_top(model: mujoco.MjModel, hfield_id: int) -> tuple[Float, Int]:
 
 
 def _texcoord_ids(model: mujoco.MjModel, mesh_id: int) -> NDArray[np.int32]:
-    """The entries of `model.mesh_texcoord` for the corners of a mesh's triangles, shape (3 n,)."""
+    """Return an index into `model.mesh_texcoord` for each corner of a mesh's triangles, (3 n,)."""
     mesh = model.mesh(mesh_id)
     first_face = int(mesh.faceadr[0])
     end = first_face + int(mesh.facenum[0])
@@ -518,21 +560,31 @@ def _geom_surface(geom: int, vertices: Float, faces: Faces) -> Surface:
 
 
 def _draw_plane(model: mujoco.MjModel, data: mujoco.MjData, geom: int, bounds: Float) -> Surface:
-    """Draw a plane's rectangle; where the plane is endless, it reaches beyond the bounds."""
+    """Draw a plane as a rectangle; along an endless direction it extends beyond the scene.
+
+    Args:
+        model: the model.
+        data: the data with the pose.
+        geom: the id of the plane.
+        bounds: lower and upper corner of the scene without planes, world frame [m].
+    """
     rotation = data.geom_xmat[geom].reshape(3, 3)
     position = data.geom_xpos[geom]
     middle = ((bounds.mean(axis=0) - position) @ rotation)[:2]
-    reach = PLANE_MARGIN * max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1.0)
+    endless_half_size = PLANE_MARGIN * max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1.0)
     half_size = model.geom_size[geom, :2]
     is_endless = half_size <= 0
     middle = np.where(is_endless, middle, 0.0)
-    half_size = np.where(is_endless, reach, half_size)
+    half_size = np.where(is_endless, endless_half_size, half_size)
     corners = middle + half_size * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     return _geom_surface(geom, corners @ rotation[:, :2].T + position, RECTANGLE_TRIANGLES)
 
 
 def _bounds_of(pieces: Sequence[Surface]) -> Float:
-    """Lower and upper corner of surfaces, shape (2, 3) [m]; a cube round the origin for none."""
+    """Return the lower and upper corner of surfaces [m], shape (2, 3).
+
+    Without surfaces, they are those of a cube round the origin.
+    """
     if not pieces:
         return np.array([[-1.0, -1, -1], [1, 1, 1]])
     vertices = np.concatenate([piece.vertices for piece in pieces])
@@ -540,9 +592,9 @@ def _bounds_of(pieces: Sequence[Surface]) -> Float:
 
 
 def _find_geom_colors(model: mujoco.MjModel) -> GeomColors:
-    """The colours of geoms as MuJoCo's viewers draw them.
+    """Find the colours of geoms, the same as in MuJoCo's viewers.
 
-    A geom has its material's colour unless it has one of its own.
+    A geom has its own colour, if that isn't MuJoCo's default; else the colour of its material.
     """
     rgba = np.array(model.geom_rgba, dtype=np.float32).reshape(-1, 4)
     material = np.array(model.geom_matid, dtype=np.int64)
@@ -564,7 +616,7 @@ def _find_geom_colors(model: mujoco.MjModel) -> GeomColors:
 
 
 def _read_texture(model: mujoco.MjModel, texture: int) -> Picture:
-    """A texture's picture, shape (height, width, 3 or 4), its upper row first."""
+    """Return the picture of a texture, shape (height, width, 3 or 4), the upper row first."""
     height = model.tex_height[texture]
     width = model.tex_width[texture]
     channels = model.tex_nchannel[texture]
@@ -610,13 +662,13 @@ def cut_drawing(drawing: Drawing, height: float) -> tuple[Surface, ...]:
 
 
 def _cut_surface(surface: Surface, height: float) -> Surface:
-    """The parts of a surface's triangles below a height [m]."""
+    """Return a surface with the parts of its triangles below a height (world z [m])."""
     corners = surface.vertices[surface.faces]
-    # triangles without an area are dropped: positions on them have no barycentric coordinates
+    # triangles without an area are dropped, because they have no barycentric coordinates
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     faces = surface.faces[normals.any(axis=1)].astype(np.int64)
-    # trimesh interpolates its uv along cut edges: geom, colour and position on the texture of each
-    # vertex go through it together; geom and colour are the same at all corners of a triangle
+    # trimesh interpolates `uv` at new vertices. So geom, colour and position on the texture of each
+    # vertex are passed as `uv`. Geom and colour are the same at all corners of a triangle.
     attributes = [
         attribute
         for attribute in (surface.geom, surface.colors, surface.uv)
@@ -641,7 +693,15 @@ def _cut_surface(surface: Surface, height: float) -> Surface:
 
 
 def _make_caps(surface: Surface, height: float, solid: Bool) -> Surface:
-    """Close cut solids: each by a fan of triangles round its middle, as its section is convex."""
+    """Make the caps that close cut solids, darker than the solids.
+
+    The section of a convex solid is convex: its cap is a fan of triangles round its middle.
+
+    Args:
+        surface: a surface, not yet cut.
+        height: world z of the cut [m].
+        solid: whether each geom is a convex solid, see `Drawing.solid`.
+    """
     assert surface.geom is not None and surface.colors is not None
     solid_faces = surface.faces[solid[surface.face_geoms]]
     mesh = trimesh.Trimesh(surface.vertices, solid_faces, process=False)
@@ -666,14 +726,14 @@ def _make_caps(surface: Surface, height: float, solid: Bool) -> Surface:
 def make_floor_surface(
     level: SceneGrid2D, *, with_holes: bool = True, max_rectangles: int = MAX_RECTANGLES
 ) -> Surface:
-    """Make the surface that a level's layers are drawn on: a rectangle for each plane part.
+    """Make the surface on which a level's layers are drawn; it has a rectangle for each flat part.
 
     Args:
         level: the level.
         with_holes: whether to leave out the cells without a floor; otherwise they lie at the
             level's ground.
-        max_rectangles: the number of rectangles above which the surface follows the floor less
-            closely, until its parts are as large as possible.
+        max_rectangles: if the surface would have more rectangles than this, it follows the floor
+            less closely.
 
     Returns:
         A surface whose picture has a pixel for each cell.
@@ -753,7 +813,7 @@ def draw_surfaces(
 
 
 def _split_vertices(surface: Surface) -> Surface:
-    """Give each triangle vertices, and so normals, of its own: its edges are drawn sharp."""
+    """Give each triangle its own vertices, and so its own normals: all edges are drawn sharp."""
     assert surface.colors is not None
     corners = surface.faces.ravel()
     return surface._replace(
@@ -769,7 +829,7 @@ def make_glb(surfaces: Sequence[Surface], pictures: Mapping[int, Picture] | None
 
     Args:
         surfaces: the surfaces; those without triangles are left out.
-        pictures: the pictures by texture id, see `Surface.texture`.
+        pictures: id of a texture, see `Surface.texture` -> its picture.
 
     Returns:
         GLB.
@@ -809,7 +869,7 @@ def make_glb(surfaces: Sequence[Surface], pictures: Mapping[int, Picture] | None
         document["nodes"] = [{"mesh": 0}]
         document["meshes"] = [{"primitives": primitives}]
         document["materials"] = materials
-    # `GlbBuffer.pack` leaves out what is empty
+    # `GlbBuffer.pack` leaves out empty lists
     document["images"] = []
     document["textures"] = []
     for index, texture in enumerate(textures):
@@ -832,8 +892,8 @@ class Pick(NamedTuple):
 
     Attributes:
         cell: the cell's level, row and column.
-        position: world x, y of the click, and z of the cell's floor, or of the level's ground where
-            the cell has none [m].
+        position: world x, y of the click [m], and world z of the cell's floor, or of the level's
+            ground if the cell has no floor [m].
         geom: the id of the clicked geom, None if the grid itself was clicked.
     """
 
@@ -843,17 +903,17 @@ class Pick(NamedTuple):
 
 
 class Hit(NamedTuple):
-    """The first point where a ray hits a surface."""
+    """The first point where a ray meets a surface."""
 
-    position: tuple[float, float, float]  # world frame [m]
-    geom: int  # -1 for none
+    position: tuple[float, float, float]  # world x, y, z [m]
+    geom: int  # id of the geom, -1 for none
 
 
 class PickCandidate(NamedTuple):
-    """A cell that may be the clicked one; the smallest candidate (as a tuple) is the best."""
+    """A cell that the user may have clicked; the smallest candidate, as a tuple, is the best."""
 
     without_floor: bool
-    is_above: bool  # the floor is above the clicked point
+    is_above: bool  # whether the floor is above the clicked point
     distance: float  # from the floor to the clicked point [m]
     cell: Cell
     height: float  # of the floor, or of the level's ground, world z [m]
@@ -903,10 +963,10 @@ def pick(
 
 
 def _cast_ray(ray: ViewRay, surfaces: Sequence[Surface]) -> Hit | None:
-    """Where a ray meets the nearest triangle of some surfaces; None if it meets none.
+    """Find the nearest point where a ray meets a triangle of surfaces; None if it meets none.
 
-    The ray is cut with the plane of each triangle; it meets the triangle where no barycentric
-    coordinate is negative. Of equally near triangles the one of the last surface counts.
+    The ray is intersected with the plane of each triangle. The point is in the triangle if none of
+    its barycentric coordinates is negative. If triangles are equally near, the last surface counts.
     """
     origin = np.asarray(ray.origin, dtype=np.float64)
     direction = np.asarray(ray.direction, dtype=np.float64)

@@ -36,7 +36,7 @@ from navbake.views.viewer.view_state import (
     GOAL_COLOR,
     HIGHLIGHT_COLOR,
     START_COLOR,
-    TRAJECTORY,
+    TRAJECTORY_COLOR,
     Choices,
     Inspection,
     NameLabel,
@@ -71,23 +71,23 @@ class Shadows(TypedDict):
 NO_SHADOWS: Shadows = {"cast_shadow": False, "receive_shadow": False}
 # without viser's logo, and without a way to share the page with others
 THEME: Any = {"show_logo": False, "show_share_button": False, "control_width": "medium"}
-PATH_LIFT = 0.06  # of a path over the floor [m]
-PATH_WIDTH = 5.0  # [pixels]
-MARK_SHARE = 1 / 180  # radius of a mark, by the diagonal of the grid
+PATH_LIFT = 0.06  # height of drawn lines over their positions [m]
+PATH_WIDTH = 5.0  # width of drawn lines [pixels]
+MARK_SHARE = 1 / 180  # radius of a mark, relative to the diagonal of the grid
 MIN_MARK_RADIUS = 0.06  # [m]
 MAX_MARK_RADIUS = 0.5  # [m]
-CELL_MARKER = np.array([[0, 0, 0], [0, 0, 1.3]])  # over the inspected cell [m]
-HIGHLIGHT_MARGIN = 0.006  # by which a highlight is larger than its object, to be seen [m]
-CAMERA_ELEVATION = math.radians(58)  # of the first camera over the horizon
-FIELD_OF_VIEW = math.radians(45)
-USUAL_ASPECT = 1.2  # width by height of a page
-CAMERA_MARGIN = 1.08  # factor by which the first camera is farther away than it must be
+CELL_POLE = np.array([[0, 0, 0], [0, 0, 1.3]])  # ends of a line up from the inspected cell [m]
+HIGHLIGHT_MARGIN = 0.006  # a highlight is larger than its object by this on each side [m]
+CAMERA_ELEVATION = math.radians(58)  # angle at which the first camera looks down [rad]
+FIELD_OF_VIEW = math.radians(45)  # vertical angle of the first camera [rad]
+USUAL_ASPECT = 1.2  # a page's usual width, divided by its height
+CAMERA_MARGIN = 1.08  # factor by which the first camera is farther away than need be
 LOG = logging.getLogger("navbake")
-WATCH_PERIOD = 0.5  # between two checks of files [s]
+WATCH_PERIOD = 0.5  # time between two checks of files [s]
 
 
 class Mark(NamedTuple):
-    """A place on the floor that a ball marks."""
+    """A place on the floor that is marked by a ball."""
 
     position: Sequence[float]  # world x, y, z [m]
     color: str
@@ -103,7 +103,7 @@ class Line(NamedTuple):
 class ShownNodes(NamedTuple):
     """The nodes that viser's scene shows under a name."""
 
-    key: object  # what it was made of: nodes are replaced when this changes
+    key: object  # the nodes are replaced when this value changes
     nodes: list[viser.SceneNodeHandle]
 
 
@@ -118,23 +118,25 @@ def find_camera(bounds: Float, aspect: float) -> Float:
         The camera's position, world x, y, z [m].
     """
     middle = bounds.mean(axis=0)
-    away = np.array([0.0, -math.cos(CAMERA_ELEVATION), math.sin(CAMERA_ELEVATION)])
+    # directions from the box to the camera, and up on the page
+    to_camera = np.array([0.0, -math.cos(CAMERA_ELEVATION), math.sin(CAMERA_ELEVATION)])
     up = np.array([0.0, math.sin(CAMERA_ELEVATION), math.cos(CAMERA_ELEVATION)])
     corners = np.array(list(product(*bounds.T))) - middle
     slope = math.tan(FIELD_OF_VIEW / 2)
     # the distance at which each corner is at the side, and at the top or bottom, of the page
     horizontal = np.abs(corners[:, 0]) / (slope * aspect)
     vertical = np.abs(corners @ up) / slope
-    distance = (np.maximum(horizontal, vertical) + corners @ away).max()
-    camera: Float = middle + max(float(distance), 1.0) * CAMERA_MARGIN * away
+    distance = (np.maximum(horizontal, vertical) + corners @ to_camera).max()
+    camera: Float = middle + max(float(distance), 1.0) * CAMERA_MARGIN * to_camera
     return camera
 
 
 class Viewer(AbstractContextManager["Viewer"]):
-    """A page that shows a grid, until it is closed; also as a context manager.
+    """A page that shows a grid until it is closed; a with statement closes it at its end.
 
-    Threads of the server put the user's changes into a queue. A single thread applies all changes
-    in the queue, then draws once, so that only the latest position of a dragged slider is drawn.
+    The server's threads put the user's changes into a queue. One thread of the viewer applies all
+    changes in the queue, then draws once. So of a dragged slider, only the latest position is
+    drawn.
 
     Attributes:
         url: the address of the page.
@@ -192,7 +194,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._show_view_state(view_state)
 
     def open(self) -> None:
-        """Open the page in this machine's browser; do nothing on a Linux without a display."""
+        """Open the page in this machine's browser; on Linux without a display, do nothing."""
         has_windows = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
         # without windows, Python would start a browser in the terminal
         if has_windows or not sys.platform.startswith("linux"):
@@ -228,7 +230,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         camera.position = position
 
         def fit(camera: viser.CameraHandle) -> None:
-            """Move a camera that wasn't moved yet where its page is narrower than usual."""
+            """Move a client's camera away if its page is narrow and it is where it began."""
             if camera.aspect < USUAL_ASPECT and np.allclose(camera.position, position, atol=0.01):
                 camera.position = find_camera(bounds, camera.aspect)
                 camera.look_at = bounds.mean(axis=0)
@@ -266,7 +268,10 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._changes.put(lambda choices: self._view_state.click(choices, ray))
 
     def _show_view_state(self, view_state: ViewState) -> None:
-        """Show another grid, with the present choices as far as it has them; from any thread."""
+        """Show another grid; may be called from any thread.
+
+        The user's choices stay, as far as the new grid has what they name.
+        """
 
         def change(choices: Choices) -> Choices:
             self._view_state = view_state
@@ -280,7 +285,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._changes.put(change)
 
     def _run(self) -> None:
-        """Apply the changes that are waiting, draw, and wait for the next one, until the end."""
+        """Apply all waiting changes, draw, and wait for the next change; return after a None."""
         changes: list[Change | None] = []
         while None not in changes:
             for change in [*changes, self._draw]:
@@ -296,7 +301,7 @@ class Viewer(AbstractContextManager["Viewer"]):
                 changes.append(self._changes.get())
 
     def _draw(self, choices: Choices) -> Choices:
-        """Bring the page up to date; only what has changed is sent."""
+        """Draw the page for the choices, and return them; only what has changed is sent."""
         view_state = self._view_state
         route = view_state.route(choices)
         inspection = view_state.inspect(choices)
@@ -348,7 +353,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         )
 
     def _draw_route(self, choices: Choices, route: Route | str | None) -> None:
-        """Draw the path between two clicks, and where they were."""
+        """Draw the path between two clicks, and marks where they were."""
         marks = []
         if choices.start is not None:
             marks.append(Mark(choices.start.position, START_COLOR))
@@ -375,7 +380,7 @@ class Viewer(AbstractContextManager["Viewer"]):
             lines.append(Line(path, GOAL_COLOR))
         if run is not None and run.trajectory is not None:
             trajectory = np.array(run.trajectory.positions).reshape(-1, 3)
-            lines.append(Line(trajectory, TRAJECTORY))
+            lines.append(Line(trajectory, TRAJECTORY_COLOR))
         radius = self._mark_radius()
         self._replace_nodes(
             "/run",
@@ -384,7 +389,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         )
 
     def _draw_inspection(self, inspection: Inspection | None) -> None:
-        """Draw the outline of the inspected cell, and highlight what blocks it."""
+        """Draw the outline of the inspected cell, and highlight the objects that block it."""
         corners: Reals = np.empty((0, 3))
         lines = []
         outline = b""
@@ -392,7 +397,7 @@ class Viewer(AbstractContextManager["Viewer"]):
             corners = inspection.highlighted.reshape(-1, 3)
             outline = inspection.outline.tobytes()
             # the pole is seen where furniture hides the cell
-            pole = inspection.outline[:4].mean(axis=0) + CELL_MARKER
+            pole = inspection.outline[:4].mean(axis=0) + CELL_POLE
             lines = [Line(inspection.outline, HIGHLIGHT_COLOR), Line(pole, HIGHLIGHT_COLOR)]
         self._replace_nodes("/lit", corners.tobytes(), lambda: self._add_highlight(corners))
         self._replace_nodes(
@@ -400,7 +405,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         )
 
     def _mark_radius(self) -> float:
-        """The radius of marks, which grows with the grid [m]."""
+        """Return the radius of marks [m]; it is larger on a larger grid."""
         low, high = self._view_state.bounds
         radius = np.linalg.norm(high - low) * MARK_SHARE
         return float(np.clip(radius, MIN_MARK_RADIUS, MAX_MARK_RADIUS))
@@ -408,7 +413,13 @@ class Viewer(AbstractContextManager["Viewer"]):
     def _replace_nodes(
         self, name: str, key: object, make: Callable[[], Iterable[viser.SceneNodeHandle]]
     ) -> None:
-        """Replace the nodes under a name by those that `make` adds, if the key has changed."""
+        """Replace the nodes under a name if the key has changed.
+
+        Args:
+            name: the name.
+            key: a value that changes whenever the nodes must change.
+            make: adds the new nodes to the scene.
+        """
         shown = self._shown.get(name, ShownNodes(None, []))
         if shown.key != key:
             for node in shown.nodes:
@@ -416,7 +427,10 @@ class Viewer(AbstractContextManager["Viewer"]):
             self._shown[name] = ShownNodes(key, list(make()))
 
     def _replace_glb(self, name: str, content: bytes) -> None:
-        """Replace the GLB under a name if the content has changed; empty content removes it."""
+        """Replace the node of a GLB under a name if its content has changed.
+
+        If the content is empty, the node is removed.
+        """
         shown: Any = self._shown.get(name, ShownNodes(b"", []))
         if content and shown.nodes and content is not shown.key:
             # the node stays, so that nothing flickers
@@ -431,7 +445,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._replace_nodes(name, content, make)
 
     def _add_batch(self, visible: VisibleBatch) -> viser.SceneNodeHandle:
-        """Add a mesh at the poses of its geoms that are drawn."""
+        """Add the mesh of a batch at the pose of each of its geoms that is drawn."""
         batch = visible.batch
         lod: Any = tuple((step.distance, step.share) for step in batch.lod) or "off"
         return self._scene.add_batched_glb(
@@ -444,7 +458,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         )
 
     def _add_name(self, name: NameLabel) -> viser.SceneNodeHandle:
-        """Add a name, in letters that fit its room; what stands before it hides it."""
+        """Add a name to the scene; objects before it hide it."""
         return self._scene.add_label(
             "/names/{}/{}/{}".format(*name.position),
             name.text,
@@ -458,7 +472,17 @@ class Viewer(AbstractContextManager["Viewer"]):
     def _add_marks_and_lines(
         self, name: str, marks: Sequence[Mark], lines: Sequence[Line], radius: float
     ) -> Iterator[viser.SceneNodeHandle]:
-        """Add balls of a radius [m] at marks, and lines, to the nodes under a name."""
+        """Add balls at marks, and lines, to the scene.
+
+        Args:
+            name: the names of the nodes begin with this.
+            marks: the marks.
+            lines: the lines; those of less than two positions are left out.
+            radius: the radius of the balls [m].
+
+        Yields:
+            The nodes.
+        """
         for number, mark in enumerate(marks):
             x, y, z = mark.position
             yield self._scene.add_icosphere(
@@ -481,7 +505,15 @@ class Viewer(AbstractContextManager["Viewer"]):
             )
 
     def _add_highlight(self, corners: Reals) -> Iterator[viser.SceneNodeHandle]:
-        """Add triangles, each three rows of corners, a little larger than what they cover."""
+        """Add triangles over the highlighted objects, a little larger than these.
+
+        Args:
+            corners: the corners of the triangles, three rows for each, world frame [m], shape
+                (3 n, 3).
+
+        Yields:
+            The node; nothing without triangles.
+        """
         if not len(corners):
             return
         middle = corners.mean(axis=0)
@@ -498,7 +530,10 @@ class Viewer(AbstractContextManager["Viewer"]):
         )
 
     def _watch(self, watch: Watch) -> None:
-        """Show the grid anew when its files have changed; after an error, the last one stays."""
+        """Read the grid again and show it whenever its files have changed.
+
+        After an error, the page keeps the previous grid.
+        """
 
         def announce(choices: Choices) -> Choices:
             self._controls.show_status("Files have changed: baking again…")
@@ -536,10 +571,10 @@ def view(
 
     Args:
         grid: a grid of one or several levels, or the path of its file.
-        scene: what it was baked from: a mujoco.MjModel or MjSpec, a trimesh.Scene or Trimesh,
-            settings, or the path of a scene or YAML; None for the file that the grid names, beside
-            the grid or in the current folder, or in ``scenes`` there. Where there is none,
-            the grid is shown alone.
+        scene: what the grid was baked from: a mujoco.MjModel or MjSpec, a trimesh.Scene or Trimesh,
+            settings, or the path of a scene or YAML. None for the file that the grid names; it is
+            looked for beside the grid, in the current folder, and in ``scenes`` there. If it isn't
+            found, the grid is shown without a scene.
         data: the mujoco.MjData with the pose of a model or spec.
         host: the address of this machine to listen at.
         port: the port to listen at, 0 to 65535; 0 for any free port.
@@ -636,9 +671,9 @@ def watch_grid(
 
 
 def find_watched_files(paths: Iterable[Path]) -> list[Path]:
-    """List files, and all files that the scenes among them refer to, each once.
+    """List files, and all files that the scenes among them refer to; each is listed once.
 
-    For a missing file, all paths are listed at which it may be.
+    If a file is missing, all paths are listed where it could be.
     """
     files: dict[Path, None] = {}
     for path in paths:
@@ -647,37 +682,36 @@ def find_watched_files(paths: Iterable[Path]) -> list[Path]:
 
 
 class FileState(NamedTuple):
-    """The properties of a file that change when it is written."""
+    """The time of change and the size of a file, by which a write is noticed."""
 
     modified: int  # time of the last change [ns]
     size: int  # [bytes]
 
 
 class Watch:
-    """Detects that files have changed and that writing them has ended.
+    """Notices that files have changed, once no program writes into them any more.
 
-    Changes count from when the object is made.
+    Changes before the object is made don't count.
     """
 
     def __init__(self, read: Callable[[], ViewState], files: Callable[[], Iterable[Path]]) -> None:
         """Begin to watch files.
 
         Args:
-            read: reads or bakes the grid; a caller calls it after a change.
-            files: lists the files to watch; called again after each change, because a scene may
-                then name other files.
+            read: reads or bakes the grid. It isn't called here, but by users of the object.
+            files: lists the files to watch. It is called again after each change, because a scene
+                may then name other files.
         """
         self.read = read
         self._list_files = files
-        # the state after the last change that counted, and at the last check
-        self._reported = _read_states(files())
-        self._previous = self._reported
+        self._reported = _read_states(files())  # after the last change that was reported
+        self._previous = self._reported  # at the last call of `has_changed`
 
     def has_changed(self) -> bool:
-        """Return True once after files have changed, as soon as two calls in a row see them equal.
+        """Return whether files have changed since the last call that returned True.
 
-        A change is a difference from the files at the last call that returned True, or from those
-        when the object was made if no call has.
+        True is returned once for each change, and only when the files are the same as at the
+        previous call: then no program writes into them any more.
         """
         current = _read_states(self._reported)
         is_stable = current == self._previous
@@ -690,7 +724,7 @@ class Watch:
 
 
 def _read_states(files: Iterable[Path]) -> dict[Path, FileState | None]:
-    """Return the state of each file, None for a file that is missing."""
+    """Read the states of files: path -> state, None for a missing file."""
     states: dict[Path, FileState | None] = dict.fromkeys(files)
     for path in states:
         with suppress(OSError, ValueError):  # ValueError: a name with a NUL

@@ -1,6 +1,6 @@
-"""The state of the viewer's page: its user's choices, and what the page shows for them.
+"""The state of the viewer's page: the user's choices, and what the page shows for them.
 
-Nothing here needs a browser or viser.
+This module needs neither a browser nor viser.
 """
 
 from __future__ import annotations
@@ -35,31 +35,31 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
-CUT_HEIGHT = 1.3  # the scene is cut so high over a level's ground [m]
+CUT_HEIGHT = 1.3  # at first, the scene is drawn up to this height over a level's ground [m]
 # colours on the page
-FREE_TINT = "#a9dfc4"  # of free cells, which must stand out from grey floors
+FREE_TINT = "#a9dfc4"  # free cells; they must stand out from grey floors
 START_COLOR = "#2f9e44"
 GOAL_COLOR = colors.ROUTE
 HIGHLIGHT_COLOR = "#ff922b"
-TRAJECTORY = "#c2255c"
-STAIRS_COLOR = "#495057"  # arcs
-CLOSED_LINK_COLOR = "#868e96"  # arcs of closed links
-NAME_HEIGHT = 0.4  # largest letters of a name [m]
-POINT_NAME_HEIGHT = 0.18  # letters of names of points, such as doors [m]
-NAME_LIFT = 1.0  # of names over the floor: most furniture is lower [m]
-LETTER_WIDTH = 0.65  # of a letter, relative to its height
+TRAJECTORY_COLOR = "#c2255c"
+STAIRS_COLOR = "#495057"
+CLOSED_LINK_COLOR = "#868e96"
+NAME_HEIGHT = 0.4  # largest height of a name's letters [m]
+POINT_NAME_HEIGHT = 0.18  # height of the letters of names of points, such as doors [m]
+NAME_LIFT = 1.0  # height of names over the floor; most furniture is lower [m]
+LETTER_WIDTH = 0.65  # estimated width of a letter, relative to its height
 INSPECT_TEXT = "tells about the cell"
 ROUTE_TEXT = "sets start, then goal"
 CLICK_TEXTS = (INSPECT_TEXT, ROUTE_TEXT)
-"""What a click may do."""
-NUM_CACHED = 6  # results of a method that are kept, so that going back is fast
-SAMPLE_SIZE = 20_000  # cells that are verified
-MAX_NAMES = 250  # names that are written, those of the largest rooms first
-# corners of a cell, relative to half its side; closed
+"""What a click may do, as the page words it."""
+NUM_CACHED = 6  # how many results of a method are kept, so that going back to a choice is fast
+SAMPLE_SIZE = 20_000  # number of cells that a verification looks at
+MAX_NAMES = 250  # most names that are written; those of the largest rooms come first
+# corners of a cell as multiples of half its side; the first is repeated at the end
 CELL_OUTLINE = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 0)])
 
 Doors: TypeAlias = tuple[tuple[str, str], ...]
-"""Ids of doors and their states."""
+"""Pairs of a door's id and its state."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Choices:
         doors: the ids and states of the doors whose state differs from the grid's.
         cut: world z above which the scene is not drawn [m]; None to draw all of it.
         with_scene: whether to draw the scene.
-        with_hidden: whether to draw the geom groups from 3 on, too, which MuJoCo's viewers hide.
+        with_hidden: whether to draw also the geom groups from 3 on, which MuJoCo's viewers hide.
         with_names: whether to write the names of rooms and doors.
         opacity: the opacity of the layer, above 0, up to 1.
         dark: whether the page is dark; None (a light page) until the user or the user's system
@@ -103,7 +103,7 @@ class Choices:
     episode: str = ""
 
     def with_level(self, grid: NavGrid, number: int | None) -> Choices:
-        """Return the choices with one level shown, or all, and the scene cut over the highest.
+        """Return the choices with one level or all levels shown; the scene is cut above them.
 
         Args:
             grid: the grid of the page.
@@ -126,7 +126,7 @@ class Choices:
         return replace(self, doors=tuple(sorted(states.items() - grid_states.items())))
 
     def with_dark_system(self) -> Choices:
-        """Return the choices for a user whose system is dark: dark unless the user chose light."""
+        """Return the choices for a system that prefers dark pages: dark unless the user chose."""
         return replace(self, dark=True) if self.dark is None else self
 
     def without_clicks(self) -> Choices:
@@ -145,7 +145,7 @@ class Choices:
 
 
 def first_choices(grid: NavGrid) -> Choices:
-    """Return the choices of a new page: the occupancy of all levels, cut over the highest one."""
+    """Return the choices of a new page: the occupancy of all levels is shown."""
     return Choices(()).with_level(grid, None)
 
 
@@ -181,10 +181,10 @@ def transfer_choices(choices: Choices, grid: NavGrid) -> Choices:
 
 
 class FreeSpace(NamedTuple):
-    """The numbers of free cells and of cells with a floor of some levels, and the free area."""
+    """How many cells of some levels are free and have a floor, and how large the free area is."""
 
-    free_cells: int
-    floor_cells: int  # cells with a floor
+    free_cells: int  # number of free cells
+    floor_cells: int  # number of cells with a floor
     free_area: float  # [m²]
 
 
@@ -196,7 +196,7 @@ class Run(NamedTuple):
 
 
 Runs: TypeAlias = dict[str, Run]
-"""Runs by the ids of their episodes."""
+"""Id of an episode -> its run."""
 
 
 def list_runs(
@@ -210,14 +210,14 @@ def list_runs(
         trajectories: the trajectories; if several are of the same episode, the last counts.
 
     Returns:
-        The runs by the ids of their episodes.
+        Id of an episode -> its run.
     """
     if episodes is None:
         return {trajectory.episode: Run(None, trajectory) for trajectory in trajectories}
-    by_episode = {trajectory.episode: trajectory for trajectory in trajectories}
+    trajectory_of_episode = {trajectory.episode: trajectory for trajectory in trajectories}
     scene = scene_of(grid)
     return {
-        episode.id: Run(episode, by_episode.get(episode.id))
+        episode.id: Run(episode, trajectory_of_episode.get(episode.id))
         for episode in episodes.episodes
         if episode.scene == scene
     }
@@ -227,8 +227,8 @@ class NameLabel(NamedTuple):
     """A name that is written in the scene."""
 
     text: str
-    position: tuple[float, float, float]  # of its middle, world frame [m]
-    height: float  # of its letters [m]
+    position: tuple[float, float, float]  # the name's middle, world x, y, z [m]
+    height: float  # height of the letters [m]
 
     @property
     def width(self) -> float:
@@ -237,17 +237,17 @@ class NameLabel(NamedTuple):
 
 
 class ColoredArc(NamedTuple):
-    """An arc from a stop of a link or stair to the next."""
+    """An arc from one stop of a link or stair to the next one."""
 
     points: Float  # world frame, shape (n, 3) [m]
     color: str
 
 
 class VisibleBatch(NamedTuple):
-    """A mesh that several geoms show, and a mask of the geoms that are drawn."""
+    """A mesh that several geoms show, and which of the geoms are drawn."""
 
     batch: MeshBatch
-    is_drawn: Bool  # by entry of `batch.geoms`
+    is_drawn: Bool  # whether each of `batch.geoms` is drawn, shape (n,)
 
 
 class Inspection(NamedTuple):
@@ -256,8 +256,9 @@ class Inspection(NamedTuple):
     Attributes:
         facts: the description of the cell, see `navbake.views.describe.describe_cell`.
         clicked: the name of the clicked object, None for none.
-        highlighted: the drawn triangles of the objects that block the cell, or if there are none
-            of the clicked object, world frame [m], shape (n, 3, 3).
+        highlighted: the corners of the drawn triangles of the objects that block the cell, world
+            frame [m], shape (n, 3, 3). If there are no such objects, it is those of the clicked
+            object, provided that the grid lists it in the cell.
         outline: the corners of the cell, the first one repeated at the end, world frame [m],
             shape (5, 3).
     """
@@ -299,17 +300,18 @@ def cached_by(*fields: str) -> Callable[[Callable[..., Result]], Callable[..., R
 
 
 class ViewState:
-    """A grid and its scene, if it has one; methods compute what the page shows of them.
+    """A grid and its scene, if it has one. Methods compute what the page shows of them.
 
     Attributes:
         grid: the grid as it is in its file.
         scene: the scene of the grid, None for none.
         config: the settings of the bake, None if they are unknown.
-        note: a line for the user, empty for none.
+        note: a line of text for the user, empty for none.
         runs: episodes and trajectories that can be shown.
-        report: the report of the verification, None before there is one.
+        report: the report of the last verification; None before the first.
         floor_surfaces: for each level, the surface that its layers are drawn on.
-        cache: the results of the methods that are decorated by `cached_by`.
+        cache: results of methods that `cached_by` decorates: method (and level) -> fields of the
+            choices -> result.
     """
 
     def __init__(
@@ -347,7 +349,7 @@ class ViewState:
     def bounds(self) -> Float:
         """Lower and upper corner of the box that the camera shows, world frame [m], shape (2, 3).
 
-        The box reaches from the lowest ground to where the scene is cut over the highest.
+        In z, the box begins at the lowest ground, and ends `CUT_HEIGHT` above the highest one.
         """
         corners = np.array([level.lattice.bounds for level in self.grid.levels])
         grounds = [level.ground for level in self.grid.levels]
@@ -375,7 +377,10 @@ class ViewState:
 
     @cached_by("doors", "inflation", "layer")
     def panel(self, choices: Choices, number: int) -> Panel:
-        """Make the panel of a level's chosen layer; of its occupancy if a verification is missing.
+        """Make the panel of a level's chosen layer.
+
+        If the layer shows disagreements and there is no verification yet, it is the panel of the
+        occupancy.
 
         Args:
             choices: the user's choices.
@@ -410,10 +415,10 @@ class ViewState:
         return meshes.draw_overlay(self.floor_surfaces[number], rgb, choices.opacity)
 
     def names(self, choices: Choices) -> list[NameLabel]:
-        """List the names on the shown levels, by level, those of the largest rooms first.
+        """List the names to write on the shown levels: level by level, largest rooms first.
 
-        Names that would overlap the name of a larger room of their level are left out, and so are
-        names below the floor of a higher shown level.
+        A name is left out if it would overlap the name of a larger room on its level, or if a
+        higher shown level has a floor above it.
         """
         if not choices.with_names:
             return []
@@ -442,7 +447,10 @@ class ViewState:
         return [name for names_of_level in names.values() for name in names_of_level]
 
     def _floors_at(self, label: Label, levels: Sequence[int]) -> dict[int, float]:
-        """World z of the floors at a label's x, y, by level [m]; no entry for none."""
+        """Find the floors at a label: number of a level -> world z of its floor there [m].
+
+        Levels without a floor there are left out.
+        """
         floors = {}
         for level in levels:
             place = place_at(self.grid, (label.x, label.y), level)
@@ -452,7 +460,10 @@ class ViewState:
 
     @cached_by("levels", "layer")
     def arcs(self, choices: Choices) -> list[ColoredArc]:
-        """List the arcs between stops on shown levels; empty unless the layer is that of links."""
+        """List the arcs of links and stairs between stops on shown levels.
+
+        The list is empty unless the chosen layer is ``links``.
+        """
         if choices.layer != "links":
             return []
         arcs = []
@@ -468,7 +479,10 @@ class ViewState:
 
     @cached_by("doors", "with_hidden")
     def drawing(self, choices: Choices) -> Drawing | None:
-        """Return the scene as triangles, with the chosen states of doors; None without a scene."""
+        """Return the whole scene as triangles, with the chosen states of doors.
+
+        It is None if the grid has no scene.
+        """
         if self.scene is None:
             return None
         if not choices.doors:
@@ -485,7 +499,7 @@ class ViewState:
 
     @cached_by("doors", "with_hidden", "with_scene", "cut")
     def surfaces(self, choices: Choices) -> tuple[Surface, ...]:
-        """Return the triangles of the scene that are drawn, those below the cut."""
+        """Return the triangles of the scene that are drawn: those below the chosen cut."""
         drawing = self.drawing(choices) if choices.with_scene else None
         if drawing is None:
             return ()
@@ -495,7 +509,7 @@ class ViewState:
 
     @cached_by("doors", "with_hidden", "with_scene", "cut")
     def scene_glb(self, choices: Choices) -> bytes:
-        """Return the drawn scene, without what `batches` returns, as GLB; may be empty."""
+        """Return the drawn scene as GLB, without the geoms that `batches` draws; may be empty."""
         surfaces = self.surfaces(choices)
         drawing = self.drawing(choices)
         if drawing is None or not surfaces:
@@ -510,7 +524,7 @@ class ViewState:
         return meshes.draw_surfaces(surfaces, drawing.textures)
 
     def batches(self, choices: Choices) -> list[VisibleBatch]:
-        """List the batches of the scene that have geoms wholly below the cut."""
+        """List the batches of the scene of which some geoms are wholly below the chosen cut."""
         drawing = self.drawing(choices) if choices.with_scene else None
         if drawing is None:
             return []
@@ -530,12 +544,16 @@ class ViewState:
 
     @cached_by("doors", "inflation")
     def finder(self, choices: Choices) -> PathFinder:
-        """Return a path finder of the shown grid."""
+        """Return a path finder on the shown grid."""
         return PathFinder(self.shown_grid(choices))
 
     @cached_by("doors", "inflation", "start", "goal")
     def route(self, choices: Choices) -> Path | str | None:
-        """Find the path to the goal, or why there is none; None without a start or goal."""
+        """Find the path from the clicked start to the clicked goal.
+
+        Returns:
+            The path; or as text, why there is none. None if the start or the goal isn't clicked.
+        """
         if choices.start is None or choices.goal is None:
             return None
         start = choices.start.position
@@ -548,10 +566,10 @@ class ViewState:
 
     @cached_by("doors", "inflation", "episode")
     def episode_path(self, choices: Choices) -> Float:
-        """Return the path of the chosen episode, world x, y, z [m], shape (n, 3); empty for none.
+        """Return the path of the chosen episode: world x, y, z [m], shape (n, 3).
 
-        For an episode without a path, it is the shortest path in the shown grid, unless the goals
-        are a sequence.
+        If the episode has no path of its own, it is the shortest path in the shown grid; a sequence
+        of goals then has none. Without a path, the array is empty.
         """
         run = self.runs.get(choices.episode)
         if run is None or run.episode is None:
@@ -588,7 +606,7 @@ class ViewState:
         return Inspection(facts, clicked, highlighted, outline)
 
     def verify(self) -> None:
-        """Verify a sample of the grid's cells in the scene, for the layer of disagreements.
+        """Compare a sample of the grid's cells with the scene, and keep the report.
 
         Raises:
             QueryError: there is no scene.
@@ -612,14 +630,20 @@ def _overlaps(first: NameLabel, second: NameLabel) -> bool:
 
 
 def goal_position(goal: Goal) -> tuple[float, float, float] | None:
-    """Return a goal's position, or its first view point's, world x, y, z [m]; None without both."""
+    """Return the position of a goal, or else of its first view point: world x, y, z [m].
+
+    It is None if the goal has neither.
+    """
     if goal.position:
         return goal.position
     return goal.view_points[0].position if goal.view_points else None
 
 
 def list_goal_positions(episode: Episode) -> list[tuple[float, float, float]]:
-    """List the positions [m] of an episode's goals; goals without one are left out."""
+    """List the positions of an episode's goals, world x, y, z [m]; see `goal_position`.
+
+    Goals without a position are left out.
+    """
     positions = [goal_position(goal) for goal in episode.goals]
     return [position for position in positions if position is not None]
 
