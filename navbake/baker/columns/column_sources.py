@@ -38,19 +38,19 @@ from navbake.processes import give_back_memory
 from navbake.threads import run_beside
 from navbake.types import Bool, Int, Int32
 
-# Columns of lattices with at most this many cells are kept: they take about 100 bytes a cell
+# Columns of lattices with at most this many cells stay in memory: they take about 100 bytes a cell
 MAX_CELLS_KEPT = 1 << 22
-# Chunks of rows in memory at a time: the one that the caller works on, and the next one
+# How many chunks of rows are in memory at a time: the one that the caller works on, and the next
 CHUNKS_ALIVE = 2
-# At most this many triangles are always kept expanded: they take about 130 bytes each
-MAX_TRIANGLES_KEPT = 1 << 20
-# More triangles are kept expanded, too, if expanding them chunk by chunk would expand more than
-# this many times as many, as many triangles are near several chunks
+# Up to this many triangles are expanded once and stay in memory: about 130 bytes each
+MAX_TRIANGLES_EXPANDED_AT_ONCE = 1 << 20
+# More triangles are expanded chunk by chunk, again and again. If that would expand each triangle
+# more than this many times on average, all are expanded once and stay in memory nevertheless
 MAX_REPEATED_EXPANSION = 2.0
 
 
 class ChunkedShapes:
-    """A `ShapeSource` of many triangles, which are expanded near some cells on each request.
+    """A `ShapeSource` that expands triangles on each request: only those near the requested cells.
 
     Attributes:
         lattice: the cells.
@@ -71,7 +71,7 @@ class ChunkedShapes:
         self._solids = tile_shapes(shapes, lattice, margin, no_meshes.expand())
 
     def near_rows(self, rows: RowChunk) -> TiledShapes:
-        """Return all shapes near some entire rows of tiles, and maybe more."""
+        """Return all shapes near some rows of cells, and maybe others; implements `ShapeSource`."""
         y_max = self.lattice.y_max
         cell_size = self.lattice.cell_size
         boxes = self._shapes.meshes.boxes
@@ -81,7 +81,7 @@ class ChunkedShapes:
         return self._expand(is_near)
 
     def near_cells(self, cells: Int) -> TiledShapes:
-        """Return all shapes near some cells, given by cell ids, and maybe more."""
+        """Return all shapes near some cells (ids), and maybe others; implements `ShapeSource`."""
         boxes = self._shapes.meshes.boxes
         start, item = list_by_tile(boxes, self._margin, self.lattice)
         holds_cell = np.zeros(len(start) - 1, dtype=np.bool_)
@@ -91,7 +91,11 @@ class ChunkedShapes:
         return self._expand(is_near)
 
     def _expand(self, is_near: Bool) -> TiledShapes:
-        """Expand and list the triangles of some meshes, (meshes,), next to all solids."""
+        """List the triangles of the marked meshes, and all solids, by tile.
+
+        Args:
+            is_near: mask of the meshes, shape (meshes,).
+        """
         facets = self._shapes.meshes.only(is_near).expand()
         start, item = list_by_tile(facets.bounds, self._margin, self.lattice)
         tile_index = self._solids.tile_index._replace(triangle_start=start, triangle_item=item)
@@ -99,10 +103,10 @@ class ChunkedShapes:
 
 
 def make_shape_source(shapes: Shapes, lattice: Lattice, margin: float) -> ShapeSource:
-    """Make a source of the shapes on a lattice: it lists all at once, or many in parts on request.
+    """Make a source of the shapes on a lattice.
 
-    All are listed at once where the columns of all cells are kept, and where most triangles are
-    near several chunks of rows.
+    It lists all shapes at once if the lattice's columns stay in memory, if there are few triangles,
+    or if most triangles are near several chunks of rows. Otherwise it lists triangles on request.
 
     Args:
         shapes: the shapes.
@@ -113,9 +117,9 @@ def make_shape_source(shapes: Shapes, lattice: Lattice, margin: float) -> ShapeS
     boxes = shapes.meshes.boxes
     chunk_length = split_into_row_chunks(lattice, CHUNKS_ALIVE)[0].end * lattice.cell_size
     lengths = boxes[:, 4] - boxes[:, 1] + 2 * margin
-    num_expanded = counts * (1.0 + lengths / chunk_length)  # by all chunks together
+    num_expanded = counts * (1.0 + lengths / chunk_length)  # for all chunks together
     keeps_no_columns = lattice.width * lattice.height > MAX_CELLS_KEPT
-    has_many_triangles = counts.sum() > MAX_TRIANGLES_KEPT
+    has_many_triangles = counts.sum() > MAX_TRIANGLES_EXPANDED_AT_ONCE
     if (
         keeps_no_columns
         and has_many_triangles
@@ -142,8 +146,8 @@ class ColumnCaster:
 
         Args:
             shapes: the shapes on the lattice, listed for lines up to `crack` away.
-            agent: the agent, which decides on which floors cracks are closed.
-            crack: width of the cracks in floors that are closed, see `close_cracks` [m].
+            agent: the agent: cracks are closed in floors that it can stand on.
+            crack: how wide cracks may be to be closed, see `close_cracks` [m].
             clock: times the casting.
         """
         self.lattice = shapes.lattice
@@ -178,6 +182,7 @@ class ColumnCaster:
         give_back_memory()  # free blocks lie between what lasts
 
     def _wait(self, next_columns: Callable[[], Columns]) -> Columns:
+        """Return the result of a cast on another thread, and time how long it is waited for."""
         with self._clock.part("columns"):
             return next_columns()
 
@@ -216,12 +221,13 @@ class ColumnCaster:
         return builder.build()
 
     def _close_gaps(self, columns: Columns, tiled: TiledShapes) -> Columns:
+        """Resolve the seams and close the cracks of columns that were cast from some shapes."""
         columns = resolve_seams(columns, tiled)
         return close_cracks(columns, tiled, self._agent, self._crack)
 
 
 def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Columns:
-    """Join the columns of a window of a lattice.
+    """Collect all columns of a window of a lattice.
 
     Args:
         source: the columns of the lattice.
@@ -292,7 +298,7 @@ def cast_cells(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: I
         cells: ids of the cells, ascending, (n,).
 
     Returns:
-        Columns in which those of the cells are valid; others have no meaning.
+        Columns, of which only those of the cells are valid.
     """
     tiled = shapes.near_cells(cells)
     lattice = shapes.lattice
@@ -306,15 +312,15 @@ def cast_cells(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: I
 
 
 def index_by_cell(lattice: Lattice, cells: Int, hits: ColumnHits) -> Columns:
-    """Turn hits listed by cells into columns of the lattice.
+    """Make columns that are indexed by cell id, from the hits of some cells.
 
     Args:
         lattice: the cells.
         cells: ids of cells, ascending, (n,).
-        hits: the hits of the cells; column i is that of ``cells[i]``.
+        hits: the hits of n columns; column i belongs to ``cells[i]``.
 
     Returns:
-        Columns in which those of the cells are valid; others have no meaning.
+        Columns, of which only those of the cells are valid.
     """
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     start[cells] = hits.start[:-1]

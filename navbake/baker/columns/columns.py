@@ -22,12 +22,12 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import num_threads, run_in_chunks
 from navbake.types import Float, Int, Int32
 
-# Lines are cast for about this many cells at a time, which limits the memory that it takes
+# Lines are cast for about this many cells at a time, to limit the memory that it takes
 CELLS_PER_CHUNK = 1 << 20
-# Fewer lines through points than this are not worth a call on another thread
+# Fewer lines than this are not worth a call on another thread
 MIN_POINTS_PER_CALL = 1024
-# Boxes are listed in this many chunks for each thread, if there are more boxes than
-# MIN_BOXES_PER_TILE times the number of tiles
+# If there are more than MIN_BOXES_PER_TILE boxes for each tile, each thread lists them in this many
+# chunks
 CHUNKS_PER_THREAD = 2
 MIN_BOXES_PER_TILE = 4
 WORLD_AXES = np.eye(3)
@@ -38,15 +38,15 @@ class RowChunk(NamedTuple):
     """A range of rows of cells.
 
     Attributes:
-        first: the first row.
-        end: the index after that of the last row.
+        first: index of the first row.
+        end: index after the last row.
     """
 
     first: int
     end: int
 
     def cell_range(self, lattice: Lattice) -> tuple[int, int]:
-        """Return the id of the first cell, and the id after that of the last cell."""
+        """Return the id of the first cell, and the id after the last cell."""
         return self.first * lattice.width, self.end * lattice.width
 
 
@@ -55,7 +55,7 @@ def split_into_row_chunks(lattice: Lattice, num_alive: int = 1) -> list[RowChunk
 
     Args:
         lattice: the cells.
-        num_alive: how many chunks are in memory at a time; together they have about
+        num_alive: how many chunks will be in memory at a time; these together have about
             `CELLS_PER_CHUNK` cells.
     """
     num_rows = max(CELLS_PER_CHUNK // (num_alive * lattice.width * TILE), 1) * TILE
@@ -64,11 +64,11 @@ def split_into_row_chunks(lattice: Lattice, num_alive: int = 1) -> list[RowChunk
 
 
 def tiles_of_rows(lattice: Lattice, rows: RowChunk) -> range:
-    """Return the ids of the tiles on some rows of cells.
+    """Return the ids of the tiles in some rows of cells.
 
     Args:
         lattice: the cells.
-        rows: the rows, entire rows of tiles.
+        rows: the rows of cells, which make up entire rows of tiles.
     """
     tiles_x = -(-lattice.width // TILE)
     return range(rows.first // TILE * tiles_x, -(-rows.end // TILE) * tiles_x)
@@ -81,7 +81,7 @@ class TiledShapes:
     Attributes:
         shapes: the shapes.
         lattice: the cells.
-        facets: the triangles that are listed: those of `shapes`, or some of them.
+        facets: the listed triangles: all triangles of `shapes`, or some of them.
         tile_index: which solids and facets lie over each tile.
     """
 
@@ -111,23 +111,23 @@ class TiledShapes:
 
     @cached_property
     def height_range(self) -> HeightRange:
-        """Return two heights [m]: below and above all shapes over the lattice."""
+        """Return a height below all shapes over the lattice, and one above all of them [m]."""
         return height_range(self.shapes, self.lattice)
 
 
 @dataclass(frozen=True)
 class Columns:
-    """The hits of vertical columns with all surfaces of a scene.
+    """The columns of a lattice: where each cell's vertical line crosses the surfaces of a scene.
 
-    Columns of a chunk of rows hold the hits of these rows only, but `hits.start` has an entry for
+    If only a chunk of rows has columns, `hits` has no other hits; but `hits.start` has an entry for
     every cell of the lattice, so that kernels find a cell by its id. The entries of other rows have
     no meaning.
 
     Attributes:
         lattice: the cells.
-        hits: the hits; column i is that of cell i.
-        row_chunk: the rows that have columns; all if None.
-        nearby_shapes: the shapes near these rows, if they were listed for these rows only.
+        hits: the hits; column i belongs to cell i.
+        row_chunk: the rows that have columns; None for all rows.
+        nearby_shapes: the shapes near these rows, if shapes are listed chunk by chunk; else None.
     """
 
     lattice: Lattice
@@ -141,7 +141,7 @@ class Columns:
         return self.row_chunk or RowChunk(0, self.lattice.height)
 
     def select_rows(self, rows: RowChunk) -> "Columns":
-        """Return the columns of some of the rows; all arrays except `start` are views."""
+        """Return the columns of some of the rows; only `start` is copied, the rest are views."""
         first_cell, end_cell = rows.cell_range(self.lattice)
         first_hit = int(self.start[first_cell])
         end_hit = int(self.start[end_cell])
@@ -153,7 +153,7 @@ class Columns:
 
     @property
     def start(self) -> Int:
-        """Return the first hit of each column, then the number of hits, shape (cells + 1,)."""
+        """Return the index of each column's first hit, then the number of hits, (cells + 1,)."""
         return self.hits.start
 
     @property
@@ -203,7 +203,7 @@ class ColumnSource(Protocol):
 
     @property
     def lattice(self) -> Lattice:
-        """The cells."""
+        """Return the lattice."""
 
     def row_chunks(self) -> Iterator[Columns]:
         """Yield the columns of all rows, as chunks of rows in their order."""
@@ -217,21 +217,29 @@ class ColumnSource(Protocol):
 
 
 class ShapeSource(Protocol):
-    """Protocol of objects that provide shapes on a lattice: all, or those near some cells."""
+    """Protocol of objects that list shapes by tile: all shapes, or those near some cells."""
 
     @property
     def lattice(self) -> Lattice:
-        """The cells."""
+        """Return the lattice."""
 
     def near_rows(self, rows: RowChunk) -> TiledShapes:
-        """Return all shapes near some entire rows of tiles, and maybe more."""
+        """Return all shapes near some rows of cells, and maybe others.
+
+        Args:
+            rows: the rows, which make up entire rows of tiles.
+        """
 
     def near_cells(self, cells: Int) -> TiledShapes:
-        """Return all shapes near some cells, given by cell ids, and maybe more."""
+        """Return all shapes near some cells, and maybe others.
+
+        Args:
+            cells: ids of the cells, in any order.
+        """
 
 
 class ColumnsBuilder:
-    """Builds the columns of a whole lattice from chunks of rows, added from first to last."""
+    """Joins chunks of rows, which are added in order, to the columns of a whole lattice."""
 
     def __init__(self, lattice: Lattice) -> None:
         """Start without columns.
@@ -291,12 +299,12 @@ def tile_shapes(
 def cast_columns(tiled: TiledShapes, rows: RowChunk | None = None) -> Columns:
     """Intersect the vertical line through every cell's centre with all shapes.
 
-    Each solid is crossed from above and from below, planes from their front only. Lines within
-    1e-7 m of a rim cross it, so that a seam between two geoms never leaks.
+    A line crosses a solid's top and its underside, but only the front of a plane. A line that
+    misses a shape's rim by at most 1e-7 m crosses it, so that a seam between two geoms never leaks.
 
     Args:
         tiled: the shapes on a lattice.
-        rows: the rows of cells to cast lines in, widened to entire rows of tiles; all if None.
+        rows: the rows of cells to cast lines in, widened to entire rows of tiles; None for all.
     """
     lattice = tiled.lattice
     cast_rows = rows or RowChunk(0, lattice.height)
@@ -317,19 +325,20 @@ def cast_columns(tiled: TiledShapes, rows: RowChunk | None = None) -> Columns:
 def cast_points(
     tiled: TiledShapes, cells: Int, points: Float, axes: Float = WORLD_AXES
 ) -> ColumnHits:
-    """Intersect lines through points with the shapes near some cells, as `cast_columns` does.
+    """Intersect lines through points with shapes, as `cast_columns` does.
 
     Args:
         tiled: the shapes on a lattice.
-        cells: the cell that each line is near to, by at most the margin of `tile_shapes`, (n,); or
-            two cells, (n, 2), for a line that lies between them: such a line may cross one shape
-            several times, once in each tile of the rectangle that the two cells span.
+        cells: for each line, the id of a cell that it is near to, (n,): the line is intersected
+            with the shapes over this cell's tile. Or two cells, (n, 2): it is intersected with the
+            shapes over all tiles in the rectangle that the cells span, and crosses a shape once for
+            each tile that the shape lies over.
         points: x and y of each line, shape (n, 2) [m].
         axes: the axes of a frame in which the lines are vertical, one in each row, shape (3, 3).
-            The points, the normals and the solids of the shapes are in this frame.
+            The points, the returned normals, and the solids of the shapes are in this frame.
 
     Returns:
-        The hits; column i is that of line i.
+        The hits; column i belongs to line i.
     """
     tiles = tile_of(tiled.lattice, cells)
     if tiles.ndim == 1:
@@ -355,16 +364,16 @@ def _cast_groups(
     lines_of_groups: slice,
     least: int = 1,
 ) -> ColumnHits:
-    """Cross some groups of lines with shapes, see `cast_lines`.
+    """Intersect some groups of lines with shapes, see `cast_lines`.
 
     Args:
         tiled: the shapes.
-        lines: lines through points; none for those through the centres of cells.
+        lines: lines through points; without points, the lines run through the centres of cells.
         shape_index: the shapes by tile for lines through points, else by row of tiles.
         groups: numbers of the groups of lines.
         start: zeros, (lines + 1,) int64; becomes `ColumnHits.start`.
-        lines_of_groups: where the entries of the groups' lines are in `start`, with the end of the
-            last line.
+        lines_of_groups: the part of `start` that belongs to these lines, with the entry after the
+            last one.
         least: smallest number of groups for one call, see `run_in_chunks`.
     """
     shapes = tiled.shapes
@@ -402,7 +411,14 @@ def _cast_groups(
 def _remove_dropped(
     hits: ColumnHits, groups: range, lines_per_group: int, num_dropped: Int
 ) -> ColumnHits:
-    """Remove the hits that are DROPPED, `num_dropped` of each group; `hits.start` is changed."""
+    """Remove the hits that are DROPPED.
+
+    Args:
+        hits: the hits; `start` is changed.
+        groups: numbers of the groups of lines.
+        lines_per_group: how many lines a group has.
+        num_dropped: how many hits of each group are DROPPED, shape (groups.stop,).
+    """
     dropped_before = np.append(0, np.cumsum(num_dropped))
     group_begin = hits.start[groups.start * lines_per_group :: lines_per_group][: len(groups)]
     group_bounds = [*group_begin.tolist(), len(hits.z)]
@@ -433,19 +449,19 @@ def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
         cells: ids of cells, (n,).
 
     Returns:
-        n columns; column i is that of ``cells[i]``.
+        The hits of n columns; column i belongs to ``cells[i]``.
     """
     first = hits.start[cells]
     return gather_hits(hits.entries, first, hits.start[cells + 1] - first)
 
 
 def gather_hits(arrays: Sequence[NDArray[Any]], first: Int, counts: Int) -> ColumnHits:
-    """Copy consecutive hits to new columns.
+    """Copy runs of hits to new columns, a run for each column.
 
     Args:
         arrays: `ColumnHits.entries`.
-        first: the first hit of each column, (columns,).
-        counts: how many hits each column has, (columns,).
+        first: index of the first hit of each run, (columns,).
+        counts: how many hits each run has, (columns,).
     """
     start = np.concatenate([[0], np.cumsum(counts)])
     indices = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
@@ -453,7 +469,7 @@ def gather_hits(arrays: Sequence[NDArray[Any]], first: Int, counts: Int) -> Colu
 
 
 def empty_hits(start: Int, count: int) -> ColumnHits:
-    """Allocate room for `count` hits of columns that begin at `start`, which is not copied."""
+    """Allocate room for `count` hits; `start` becomes `ColumnHits.start`, without a copy."""
     return ColumnHits(
         start=start,
         z=np.empty(count),
@@ -464,7 +480,10 @@ def empty_hits(start: Int, count: int) -> ColumnHits:
 
 
 def height_range(shapes: Shapes, lattice: Lattice) -> HeightRange:
-    """Return heights 1 m below and above all shapes over a lattice, infinite planes included."""
+    """Return a height 1 m below all shapes over a lattice, and one 1 m above them [m].
+
+    Infinite planes count as far as the lattice reaches.
+    """
     bounds = shapes.bounds
     heights = [0.0] if bounds is None else [float(bounds[0, 2]), float(bounds[1, 2])]
     x_min, y_min, x_max, y_max = lattice.bounds
@@ -509,7 +528,7 @@ def list_by_tile(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, In
 def list_by_tile_row(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, Int32]:
     """List, for each row of tiles, the boxes that cover a cell's centre there.
 
-    Arguments and returned arrays are those of `list_by_tile`, with rows of tiles in place of tiles.
+    The arguments and the returned arrays are as in `list_by_tile`, but for rows of tiles.
     """
     num_tile_rows = -(-lattice.height // TILE)
     return _list_boxes(boxes, margin, lattice, num_tile_rows, by_tile_row=True)

@@ -1,12 +1,13 @@
-"""Floors beside lines that cross no floor at that height, for closing cracks in floors.
+"""Find floors on opposite sides of lines that cross no floor at that height: cracks to close.
 
-What an agent can stand on is a set of convex pieces: triangles and faces of boxes that face up
-within the slope limit, and of round solids the part that does: a point or a segment with a radius.
-Seen from above, the direction from a line to the nearest point of a piece is perpendicular to the
-piece's edge: across a slot of any direction, and not along the walls of an inner corner.
+What an agent can stand on is divided into convex pieces. A piece is a triangle or a face of a box
+that keeps the slope limit; or the part of a round solid's surface that keeps it, which is described
+by a point or a segment, and a radius. Seen from above, the direction from a line to the nearest
+point of a piece is perpendicular to the piece's edge. So the directions to the two sides of a crack
+are opposite.
 
-A piece beside a line is stored as a row of numbers, a `side`; the constants DIRECTION to PREVIOUS
-are the indices of its numbers.
+A piece beside a line is stored as a row of numbers, a `side`; the constants from DIRECTION to
+PREVIOUS are the indices of its numbers.
 """
 
 import math
@@ -21,21 +22,19 @@ from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int
 
-# A surface that a ray hits is part of a piece if its height is this near to the piece's, plus the
-# piece's radius [m]
+# A surface that a ray hits belongs to a piece if its height differs from the piece's by at most
+# this plus the piece's radius [m]
 SAME_PIECE = 1e-3
-# Least cosine of the angle between directions that count as equal
+# Directions count as equal if the cosine of the angle between them is at least this
 SAME_DIRECTION = 0.9
-# Columns of a side: x and y of the unit vector from the line to the nearest point of the piece,
-# its distance, its height and the piece's radius [m]; the piece's geom, the cell, and the previous
-# side of the same cell or -1
-DIRECTION = 0
-DISTANCE = 2
-HEIGHT = 3
-RADIUS = 4
-GEOM = 5
-CELL = 6
-PREVIOUS = 7
+# The numbers of a side
+DIRECTION = 0  # x, then y of the unit vector from the line to the nearest point of the piece
+DISTANCE = 2  # from the line to that point, seen from above [m]
+HEIGHT = 3  # z of that point [m]
+RADIUS = 4  # of the piece, 0 for triangles and boxes [m]
+GEOM = 5  # the piece's geom id
+CELL = 6  # the line's cell
+PREVIOUS = 7  # index of the previous side of the same cell, or -1
 NUM_COLUMNS = 8
 # At most this many heights are kept at which all cells of a tile have a floor
 MAX_COMMON_HEIGHTS = 8
@@ -47,7 +46,7 @@ class TiledGeometry(NamedTuple):
     Attributes:
         solids: primitives.
         facets: triangles.
-        tile_index: which of them lie over each tile, or within the width of a crack of it.
+        tile_index: which of them lie over each tile, or at most a crack's width beside it.
     """
 
     solids: Solids
@@ -160,10 +159,10 @@ def _write_piece(solids, facets, item, face, min_up, corners):
 
 @subkernel(**NO_REFCOUNT)
 def _distance(corners, num_corners, radius, x, y, nearest):
-    """Return how far a line at (x, y) is from a piece seen from above, <= 0 over it [m].
+    """Return the distance from a line at (x, y) to a piece, seen from above [m].
 
-    `nearest`, (3,), receives the piece's nearest point, without the radius; its x and y are
-    relative to the line.
+    It is not positive where the line crosses the piece. `nearest`, (3,), receives the nearest point
+    of the corners' polygon, to which the radius is not added; its x and y are relative to the line.
     """
     least_square = math.inf
     is_left_of_any = False
@@ -194,7 +193,10 @@ def _distance(corners, num_corners, radius, x, y, nearest):
 
 @subkernel(**NO_REFCOUNT)
 def _has_floor(column_hits, cell, z, step, min_up):
-    """Return whether a line crosses a surface within the slope limit, within a step of a height."""
+    """Return whether a line crosses a floor at most a step [m] above or below a height.
+
+    A floor is a surface whose unit normal has a z of at least `min_up`.
+    """
     has_floor = False
     for i in range(column_hits.start[cell], column_hits.start[cell + 1]):
         is_near = abs(column_hits.z[i] - z) <= step
@@ -204,9 +206,9 @@ def _has_floor(column_hits, cell, z, step, min_up):
 
 @subkernel(**NO_REFCOUNT)
 def _find_common_heights(lattice, column_hits, window, selected, limits, heights):
-    """Find heights near which (within half a step) all selected cells of a window have a floor.
+    """Find heights at which all selected cells of a window have a floor, to within half a step.
 
-    Returns how many are written to `heights`; -1 if no cell is selected.
+    Returns how many of them are written to `heights`; -1 if no cell is selected.
     """
     count = -1
     for row in range(window[0], window[1]):
@@ -232,7 +234,10 @@ def _find_common_heights(lattice, column_hits, window, selected, limits, heights
 
 @subkernel(inline="always")
 def _is_common(heights, count, low, high, step):
-    """Return whether all cells of a tile have a floor within a step of all heights of a range."""
+    """Return whether all cells of a tile have a floor within a step of all heights in a range.
+
+    It may return False though they have; `heights` are from `_find_common_heights`.
+    """
     is_common = False
     for k in range(count):
         is_common = is_common or max(high - heights[k], heights[k] - low) <= step / 2.0
@@ -241,10 +246,11 @@ def _is_common(heights, count, low, high, step):
 
 @subkernel(**NO_REFCOUNT)
 def _bounds_crack(sides, n, last, step):
-    """Return whether side n bounds a crack: whether another side of its cell lies opposite to it.
+    """Return whether side n bounds a crack.
 
-    Side n must also be the nearest side of its cell in its direction. `last` is the index of the
-    cell's last side.
+    It does if another side of its cell lies in the opposite direction, and no nearer one in the
+    same direction; only sides within a step of its height count. `last` is the index of the cell's
+    last side.
     """
     m = last
     has_opposite = False
@@ -269,8 +275,8 @@ def _list_in_tile(
 ):
     """Append the sides of a tile's lines to the first `num_sides` rows of `sides`.
 
-    Each piece visits the lines near it, and becomes a candidate where they have no floor near its
-    height.
+    For each piece, the lines near it are visited. The piece becomes a candidate side of those lines
+    that cross no floor near its height. Candidates that bound a crack are the sides.
 
     Returns:
         The new number of sides; -1 if there is no room.
@@ -387,7 +393,7 @@ def _list_in_tile(
 def list_sides(
     lattice, column_hits, solids, facets, tile_index, limits, crack, selected, first_tile, end
 ):
-    """List the floors on opposite sides of lines without a floor, in ``range(first_tile, end)``.
+    """List the floors on opposite sides of lines that cross no floor at that height.
 
     Args:
         lattice: the cells.
@@ -396,7 +402,7 @@ def list_sides(
         tile_index: the shapes over each tile, including those within `crack` of it.
         limits: what an agent can stand on, as `AgentLimits`.
         crack: how far from the line the floors on both sides may be [m].
-        selected: mask of the cells, (cells,) bool; all if it is empty.
+        selected: mask of the cells whose lines are tested, (cells,) bool; if empty, all cells.
         first_tile, end: range of tiles.
 
     Returns:

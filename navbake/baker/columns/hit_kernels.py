@@ -1,12 +1,12 @@
-"""Hits of vertical lines: they are collected as shapes come, then sorted and cleaned into columns.
+"""Sort the hits of a vertical line, and drop hits until each crossing is counted once.
 
-Hits are sorted by insertion, which is stable: most columns are short and nearly sorted.
+Hits are sorted by insertion, as most columns are short and nearly sorted.
 
-A line through an edge that triangles share is the hard case. It hits all triangles that it passes
-within RIM, so of two hits of neighboring triangles of one part, one is dropped. A line within a
-vertical side of a closed part hits triangles that rounding has tilted a little: the steepest of
-them are dropped until the line leaves the part as often as it enters it. Otherwise all that lies
-below would count as inside.
+The hard case are lines through an edge that triangles share. A line hits all triangles that it
+misses by at most RIM_WIDTH; so of two hits on neighboring triangles of one part, one is dropped. A
+line within a vertical side of a closed part hits triangles that rounding has tilted a little. The
+steepest of them are dropped until the line leaves the part as often as it enters it; otherwise
+everything below would count as inside.
 """
 
 from typing import NamedTuple
@@ -20,14 +20,15 @@ from navbake.baker.geometry.triangle_kernels import unit_normal
 from navbake.compiled import NO_REFCOUNT, subkernel
 from navbake.types import Bool, Float, Int32
 
-# Lines this close to a rim cross it, so that seams between geoms never leak [m]
+# A line that misses a shape's rim by at most this crosses the shape, so that seams between geoms
+# never leak [m]
 RIM_WIDTH = 1e-7
-# `LineHits.facet` of hits of other shapes than triangles
+# Values of `LineHits.facet` of hits on other shapes than triangles
 OF_SOLID = np.int32(-1)
 OF_PLANE = np.int32(-2)
-# `geom` of hits that were dropped; they lie behind the last valid hit of their column
+# Value of `geom` of dropped hits; they stand after the last valid hit of their column
 DROPPED = np.int32(-1)
-# `LineHits.at_edge`; for plain bools, numba would compile functions once more
+# Values of `LineHits.at_edge`; for plain bools, numba would compile functions again
 INSIDE = np.bool_(False)
 AT_EDGE = np.bool_(True)
 
@@ -37,8 +38,8 @@ class LineHits(NamedTuple):
 
     Attributes:
         z, normal, geom, closed: as in `ColumnHits`.
-        facet: the triangle that is hit, OF_SOLID or OF_PLANE, (n,) int32.
-        at_edge: whether a triangle is hit within RIM of its edge, (n,) bool.
+        facet: the index of the triangle that is hit, OF_SOLID or OF_PLANE, (n,) int32.
+        at_edge: whether a triangle is hit at most RIM_WIDTH from its edge, (n,) bool.
     """
 
     z: Float
@@ -62,7 +63,7 @@ def make_hits(count):
 
 @subkernel
 def view_hits(column_hits, first, end):
-    """View some hits of columns as `LineHits`, which write into them.
+    """Return a view of some hits of columns as `LineHits`: writing to it writes to the columns.
 
     Args:
         column_hits: the columns, as `ColumnHits`.
@@ -97,7 +98,7 @@ def copy_hit(hits, source, target_hits, target):
 
 @subkernel(forceinline=True)
 def _is_less(first_hits, i, hits, j):
-    """Return whether a hit comes before another: by height, then geom, undersides first."""
+    """Return whether a hit comes before another: ordered by height, then geom, undersides first."""
     if first_hits.z[i] != hits.z[j]:
         return first_hits.z[i] < hits.z[j]
     if first_hits.geom[i] != hits.geom[j]:
@@ -138,9 +139,9 @@ def _is_same_part(hits, i, j, facets):
 
 @subkernel(inline="always")
 def _drop_doubles(hits, first, end, facets):
-    """Drop one of two hits where two neighboring triangles are hit at their shared edge.
+    """Of two hits on neighboring triangles at their shared edge, drop one.
 
-    Returns the end of the hits that remain.
+    Returns the index past the last hit that remains.
     """
     remaining_end = first
     for i in range(first, end):
@@ -181,7 +182,7 @@ def _steepest_of_part(hits, first, end, i, facets, side):
 def _balance_parts(hits, first, end, facets):
     """Drop hits at edges until the line leaves each closed part as often as it enters it.
 
-    Returns the end of the hits that remain.
+    Returns the index past the last hit that remains.
     """
     i = first
     while i < end:
@@ -208,7 +209,7 @@ def _balance_parts(hits, first, end, facets):
 
 @subkernel(**NO_REFCOUNT)
 def _clean_edges(hits, first, end, facets):
-    """Drop the hits at edges that are no crossing; return the end of the hits that remain."""
+    """Drop superfluous hits at edges; return the index past the last hit that remains."""
     return _balance_parts(hits, first, _drop_doubles(hits, first, end, facets), facets)
 
 
@@ -217,12 +218,12 @@ def finish_line(hits, first, end, facets, spare, spare_place):
     """Turn the collected hits of a line into a column: sort them, and keep each crossing once.
 
     Args:
-        hits: `LineHits`; the line's are ``[first, end)``. Dropped ones are moved to the end, and
-            get DROPPED as their geom.
-        first, end: the line's hits.
+        hits: `LineHits`; the line has the hits ``first:end``. They are sorted in place; the last
+            ones get DROPPED as their geom.
+        first, end: range of the line's hits.
         facets: the triangles.
-        spare: `LineHits` with room for a hit at `spare_place`.
-        spare_place: number of that hit.
+        spare: `LineHits` that has room for one hit, as scratch.
+        spare_place: index of this room in `spare`.
 
     Returns:
         How many hits were dropped, int64.

@@ -1,13 +1,13 @@
-"""Triangles over the centres of cells: which triangles a vertical line crosses, and how high.
+"""Find which triangles the vertical lines through cells' centres cross, and at which height.
 
-Each triangle visits the cells that it covers, row by row: most triangles of a fine mesh cover no
-centre at all. A line is inside of a triangle by the signs of its edge functions (Pineda, A parallel
-algorithm for polygon rasterization, 1988). `mj_rayMesh` is not used, as it loses lines that run
-through a shared edge, and stops at the first crossing.
+For each triangle, the cells that it covers are visited row by row; most triangles of a fine mesh
+cover no centre at all. Signs of edge functions tell whether a line is inside of a triangle (Pineda,
+A parallel algorithm for polygon rasterization, 1988). `mj_rayMesh` is not used, as it loses lines
+that run through a shared edge, and stops at the first crossing.
 
-A line within RIM of an edge crosses the triangle. Its distance to the edge is the edge function
-divided by the edge's length; coordinates are relative to the line, which keeps rounding small. For
-lines farther than twice RIM, a comparison of the edge function decides.
+A line at most RIM_WIDTH outside of an edge crosses the triangle, too. Its distance to the edge is
+the edge function divided by the edge's length; coordinates are relative to the line, which keeps
+rounding small. If the line is farther than twice RIM_WIDTH, the edge function alone decides.
 """
 
 import math
@@ -19,17 +19,18 @@ from navbake.baker.core.tiles import cell_center, centers_between
 from navbake.baker.geometry.triangle_kernels import unit_normal
 from navbake.compiled import NO_REFCOUNT, subkernel
 
-# For edges shorter than this, the edge function alone never decides [m]
+# For edges shorter than this, the distance is always computed [m]
 SHORT_EDGE = 1e-6
-# Limits of the edge functions that leave the decision to the distances
+# In place of three `_edge_limit`: distances are always computed
 NO_LIMITS = (np.inf, np.inf, np.inf)
-# The columns that a triangle covers are computed row by row if its box has more columns than this
+# If a triangle's box is wider than this, its first and last column are computed anew for each row
+# [cells]
 MIN_COLUMNS_FOR_SPANS = 4
 
 
 @subkernel(inline="always")
 def is_beside(boxes, i, x, y):
-    """Return whether a vertical line is beside a box by more than RIM.
+    """Return whether a vertical line passes a box at a distance of more than RIM_WIDTH.
 
     Args:
         boxes: (n, 6) float64, lower corner, upper corner [m].
@@ -46,7 +47,10 @@ def is_beside(boxes, i, x, y):
 
 @subkernel(inline="always")
 def _edge_limit(corners, t, i, j):
-    """Return the edge function at a distance of twice RIM from the edge from corner i to j."""
+    """Return the edge function at twice RIM_WIDTH from the edge between corners i and j.
+
+    For an edge shorter than SHORT_EDGE it is inf.
+    """
     dx = corners[t, j, 0] - corners[t, i, 0]
     dy = corners[t, j, 1] - corners[t, i, 1]
     length = math.sqrt(dx * dx + dy * dy)
@@ -57,8 +61,9 @@ def _edge_limit(corners, t, i, j):
 def _cross_triangle(corners, t, x, y, limits):
     """Return whether a line crosses a triangle, and the height of the crossing [m].
 
-    The first number returned is 0 for no crossing, 1 for a crossing inside, 2 for a crossing within
-    RIM of an edge. `limits` are `_edge_limit` of the edges opposite to the corners, or NO_LIMITS.
+    The first number is 0 for no crossing, 1 for a crossing inside, 2 for a crossing at most
+    RIM_WIDTH from an edge. `limits` are the `_edge_limit` of the edges opposite to corners 0, 1 and
+    2, or NO_LIMITS.
     """
     ax = corners[t, 0, 0] - x
     ay = corners[t, 0, 1] - y
@@ -100,14 +105,15 @@ def hit_triangle(corners, n, facets, t, x, y, limits, hits, place, writing):
     """Intersect a line with a triangle that isn't vertical; write the hit if `writing`.
 
     Args:
-        corners: (…, 3, 3) float64; the triangle's are number `n`, in the frame of the line [m].
-        n: index into `corners`.
+        corners: corners of triangles in a frame in which the line is vertical, (…, 3, 3) float64
+            [m].
+        n: index of the triangle in `corners`.
         facets: the triangles in the world frame.
         t: index of the triangle in `facets`.
         x, y: the line [m].
-        limits: `_edge_limit` of the edges opposite to the corners, or NO_LIMITS.
+        limits: `_edge_limit` of the edges opposite to corners 0, 1 and 2, or NO_LIMITS.
         hits: `LineHits` to write into.
-        place: number of the hit.
+        place: index in `hits` at which to write.
         writing: whether to write the hit.
 
     Returns:
@@ -166,12 +172,13 @@ def raster_triangles(facets, triangles, is_crossed, lattice, rows, hits, end, wr
     Args:
         facets: the triangles.
         triangles: indices into `facets` of those to cross, ascending.
-        is_crossed: by entry of `triangles`, bool: whether any line crosses it; written while
+        is_crossed: whether any line crosses each entry of `triangles`, bool; written while
             counting, read while writing.
         lattice: the cells.
-        rows: the first of the rows to cast lines in, and the end of these rows.
+        rows: the first row to cast lines in, and the row after the last one.
         hits: `LineHits` of the rows' lines.
-        end: by line of the rows, int64: the place of its next hit; advanced.
+        end: for each line of the rows, where its next hit goes in `hits`, int64; advanced by 1 for
+            each hit.
         writing: whether to write hits; else they are only counted.
     """
     corners = facets.corners

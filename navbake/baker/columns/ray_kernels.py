@@ -1,16 +1,15 @@
-"""Vertical lines through all shapes: each crossing, from above and from below.
+"""Intersect vertical lines with all shapes, and list every crossing.
 
-Solids and infinite planes are crossed by MuJoCo's own rays (`mju_rayGeom`), one up from below and
-one down from above. Triangles are crossed in `raster_kernels`; `hit_kernels` turns the hits into
-columns.
+Solids and infinite planes are intersected by MuJoCo's own rays (`mju_rayGeom`), one up from below
+and one down from above; triangles by `raster_kernels`. `hit_kernels` turns the hits into columns.
 
-Shapes visit the cells that they lie over, as in rasterizers (Pineda, 1988). Each thread takes rows
-of tiles, so no two threads write to one column, and within a row of tiles the order is fixed: the
-result is the same for any number of threads. Everything is done twice: to count, then to write.
+For each shape, the cells under it are visited, as in rasterizers (Pineda, 1988). Each thread takes
+rows of tiles, so no two threads write to one column; within a row of tiles the order is fixed. So
+the result is the same for any number of threads. Everything is done twice: to count, then to write.
 
-Most hits are on level faces: ends of upright boxes and cylinders, and level planes. MuJoCo's ray
-gives the same heights there on all lines to the last bit, as x and y are multiplied by zero; so one
-ray through the middle serves all lines that are well inside of the rim.
+Most hits are on level faces: ends of upright boxes and cylinders, and level planes. There MuJoCo's
+rays give the same height on all lines, to the last bit, since x and y are multiplied by zero. So
+one ray through the middle serves all lines that are well inside of the rim.
 """
 
 import math
@@ -49,10 +48,10 @@ from navbake.types import Float, Int
 EIGHTH_TURN = 0.7853981633974483
 # A plane's type; for a plain int, numba would compile functions once more
 PLANE_KIND = np.int32(PLANE)
-# Lines this far from the rim of an upright solid are inside or outside of it, whatever rounding
-# does [m]
+# For lines this far from the rim of an upright solid, rounding can't change whether they cross it
+# [m]
 RIM_CLEARANCE = 1e-5
-# Solids with a half-size below this are crossed by MuJoCo's ray on each line [m]
+# In solids with a smaller half-size, no ray serves several lines [m]
 MIN_HALF_SIZE = 1e-3
 LINES_PER_CALL = 64  # lines through points that one call takes together
 # Axes; for plain ints, numba would compile functions once for each
@@ -84,7 +83,8 @@ class Geometry(NamedTuple):
         solids: primitives.
         facets: triangles.
         planes: infinite planes.
-        heights: the heights from which rays are cast down and up: above and below all shapes [m].
+        heights: a height below all shapes, from which rays are cast up at planes, and one above all
+            shapes, from which they are cast down [m].
     """
 
     solids: Solids
@@ -94,7 +94,7 @@ class Geometry(NamedTuple):
 
 
 def _load_mujoco() -> None:
-    """Make MuJoCo's functions known to compiled code, before it is compiled or called."""
+    """Make MuJoCo's functions known to compiled code; runs before that is compiled or called."""
     folder = Path(find_spec("mujoco").origin).parent  # type: ignore[union-attr,arg-type]
     for pattern in ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll"):
         for path in sorted(folder.glob(pattern)):
@@ -146,7 +146,7 @@ def _cast(pos, mat, size, kind, point, ray):
 
 @subkernel(inline="always")
 def _cast_at_rim(solids, s, ray):
-    """Cast a ray at a solid; a ray that misses its rim by at most RIM is moved onto it.
+    """Cast a ray at a solid; a ray that misses it by at most RIM_WIDTH is moved onto its rim.
 
     Returns the distance, or -1; sets the ray's normal.
     """
@@ -213,7 +213,7 @@ def _hit_solid(solids, s, x, y, ray, hits, place):
 
 @subkernel(inline="always")
 def _is_upright(mat):
-    """Return whether a geom's z is the world's, or its opposite, to the last bit."""
+    """Return whether a geom's z axis is exactly vertical, up or down, given its rotation matrix."""
     return mat[2] == 0.0 and mat[5] == 0.0 and mat[6] == 0.0 and mat[7] == 0.0
 
 
@@ -242,9 +242,9 @@ def _hit_plane(planes, p, x, y, heights, ray, hits, place):
 
 @subkernel(inline="always")
 def _distance_to_rim(solids, s, x, y):
-    """Return how far a line is outside of an upright solid's rim, < 0 inside [m].
+    """Return the distance from a line to an upright solid's rim, negative inside [m].
 
-    For boxes it is the larger distance of those along the box's x and y.
+    For boxes it is the larger of the distances along the box's x and y.
     """
     mat = solids.mat[s]
     size = solids.size[s]
@@ -260,14 +260,14 @@ def _distance_to_rim(solids, s, x, y):
 
 @subkernel(inline="always")
 def _has_simple_rim(solids, s):
-    """Return whether `_distance_to_rim` holds for a solid's rim, as seen from above."""
+    """Return whether `_distance_to_rim` is valid for a solid."""
     kind = solids.kind[s]
     return kind == SPHERE or (kind in (BOX, CYLINDER) and _is_upright(solids.mat[s]))
 
 
 @subkernel(inline="always")
 def _has_level_ends(solids, s):
-    """Return whether all lines well inside of an upright solid's rim cross it at two heights."""
+    """Return whether all lines well inside of an upright solid's rim cross it at equal heights."""
     size = solids.size[s]
     kind = solids.kind[s]
     is_wide = size[0] > MIN_HALF_SIZE and (kind == CYLINDER or size[1] > MIN_HALF_SIZE)
@@ -276,9 +276,14 @@ def _has_level_ends(solids, s):
 
 @subkernel(**NO_REFCOUNT)
 def _cast_solid(solids, s, lattice, rows, ray, middle_hits, hits, end, writing):
-    """Write the hits of lines through centres of cells with a solid, as `raster_triangles` does.
+    """Write the hits of lines through centres of cells with solid s.
 
-    `middle_hits` has room for the hits of the line through the solid's middle.
+    Args:
+        solids: the solids.
+        s: index of the solid.
+        lattice, rows, hits, end, writing: see `raster_triangles`.
+        ray: scratch.
+        middle_hits: scratch for the hits of the line through the solid's middle.
     """
     box = solids.bounds[s]
     cell_size = lattice.cell_size
@@ -337,7 +342,8 @@ def _cast_plane(planes, p, lattice, rows, heights, ray, middle_hits, hits, end, 
 def _finish_lines(hits, start, end, facets, spare):
     """Finish the hits of lines, see `finish_line`; return how many were dropped.
 
-    `start` is where each line's hits begin in all columns, `end` where they end in `hits`.
+    `start` are the indices of the lines' first hits in the arrays of all columns, `end` the indices
+    past their last hits in `hits`.
     """
     num_dropped = 0
     for line in range(end.shape[0]):
@@ -348,7 +354,7 @@ def _finish_lines(hits, start, end, facets, spare):
 
 @subkernel(inline="always")
 def make_ray():
-    """Allocate a ray; whoever casts it sets its point and direction."""
+    """Allocate a ray; its point and direction are to be set before it is cast."""
     return Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
 
 
@@ -375,7 +381,7 @@ def _cast_tile_row(
 
 @subkernel(inline="always")
 def _project(axes, axis, corners, t):
-    """Return a triangle's three corners along an axis of a frame [m]."""
+    """Return the coordinates of a triangle's three corners along an axis of a frame [m]."""
     x = axes[axis, 0]
     y = axes[axis, 1]
     z = axes[axis, 2]
@@ -476,13 +482,14 @@ def cast_lines(
             centres of the lattice's cells, in groups of a row of tiles each.
         geometry: the shapes, as `Geometry`.
         shape_index: the shapes by tile for lines through points, else by row of tiles.
-        is_crossed: by entry of `shape_index.triangle_item`, bool: whether any line of the row of
-            tiles crosses the triangle; written while counting. Lines through points ignore it.
-        column_hits: `ColumnHits`. While counting, all but `start` are empty, and
-            ``start[line + 1]`` receives the number of hits. While writing, `start` holds their
-            running sums, and the others receive the hits; behind each column's last hit come those
-            with the geom DROPPED.
-        num_dropped: by group, int64; receives the number of DROPPED hits.
+        is_crossed: for each entry of `shape_index.triangle_item`, whether any line of its row of
+            tiles crosses the triangle, bool; written while counting, read while writing. Unused for
+            lines through points.
+        column_hits: `ColumnHits`. While counting, all arrays but `start` are empty, and
+            ``start[line + 1]`` receives the number of the line's hits. While writing, `start` has
+            the running sums of these numbers, and the other arrays receive the hits; the last hits
+            of a column may have the geom DROPPED.
+        num_dropped: receives, for each group, the number of DROPPED hits, int64.
         first_group, end: range of groups.
     """
     start = column_hits.start

@@ -1,7 +1,7 @@
-"""Seams and cracks: lines that run exactly between two geoms, or between two parts of a floor.
+"""Mend columns whose line runs exactly between two geoms, or between two parts of a floor.
 
-Where vertical faces of two geoms meet there is a seam; where floors at one height leave a gap that
-is too narrow for any agent, a crack.
+A seam is where vertical faces of two geoms meet. A crack is a gap between floors at one height that
+is too narrow for any agent.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from navbake.config.settings import AgentSettings
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# Lines on a seam are moved this far east and north, well beyond the rims of its faces [m]
+# A line in a seam is moved this far east or north, which is well past the rims of the faces [m]
 SEAM_SHIFT = 1e-6
-# Rays that find a piece's exact surface are cast this far beyond its edge [m]
-BEYOND_EDGE = 1e-6
+# Rays that find the exact surface of a floor beside a crack are cast this far within its edge [m]
+DISTANCE_INSIDE_EDGE = 1e-6
 ALL_CELLS = np.empty(0, dtype=np.bool_)
 """An empty mask that stands for all cells, see `list_sides`."""
 
@@ -46,18 +46,21 @@ ALL_CELLS = np.empty(0, dtype=np.bool_)
 
 
 def resolve_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None) -> Columns:
-    """Replace lines that run exactly in the faces of two geoms by lines beside the seam.
+    """Cast the lines that run exactly in faces of two geoms again, a little beside the seam.
 
-    On round coordinates, centres of cells often lie where one geom ends and the next one begins,
-    and both are in the column. As by the top-left rule of rasterizers, such a line belongs to what
-    lies east and north of the seam: it is cast again SEAM_SHIFT further on. Only faces of boxes and
-    triangles along the axes count; centres of cells meet no two other faces by chance.
+    In scenes with round coordinates, many cells' centres lie where one geom ends and the next one
+    begins, and the columns have both. Like rasterizers with their top-left rule, the bake gives
+    such a line to what lies east and north of the seam. Only faces of boxes and triangles that are
+    aligned with the axes are considered; no line runs in two other faces by chance.
 
     Args:
         columns: the columns.
         tiled: the shapes that they were cast from.
-        cells: ids of the cells whose columns are valid, ascending; those of `columns.valid_rows` if
-            None.
+        cells: ids of the cells whose columns are valid, ascending; None for all cells of
+            `columns.valid_rows`.
+
+    Returns:
+        The columns, with new hits for lines in seams.
     """
     if cells is not None and not len(cells):
         return columns
@@ -97,7 +100,7 @@ def resolve_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None
 
 
 def _aligned_boxes(tiled: TiledShapes, tiles: Int) -> Float:
-    """Return the bounds of the boxes along the world's axes over some tiles, shape (n, 6) [m]."""
+    """Return the bounds of the axis-aligned boxes over some tiles, shape (n, 6) [m]."""
     solids = tiled.shapes.solids
     index = tiled.tile_index
     is_over = _are_over(index.solid_start, index.solid_item, tiles, len(solids.geom))
@@ -109,7 +112,11 @@ def _aligned_boxes(tiled: TiledShapes, tiles: Int) -> Float:
 
 
 def _upright_triangles(tiled: TiledShapes, tiles: Int) -> Float:
-    """Return the corners of the triangles across x or y over some tiles, shape (n, 3, 3) [m]."""
+    """Return the corners of the triangles over some tiles that lie in a plane of one x or one y.
+
+    Returns:
+        shape (n, 3, 3) [m].
+    """
     bounds = tiled.facets.bounds
     index = tiled.tile_index
     is_candidate = _are_over(index.triangle_start, index.triangle_item, tiles, len(bounds))
@@ -124,7 +131,16 @@ def _upright_triangles(tiled: TiledShapes, tiles: Int) -> Float:
 
 
 def _are_over(start: Int, item: Int32, tiles: Int, num_items: int) -> Bool:
-    """Mark the items that lie over some tiles, shape (num_items,); all, if these are all tiles."""
+    """Mark the items that lie over some tiles.
+
+    Args:
+        start, item: the items over each tile, see `list_by_tile`.
+        tiles: ids of tiles.
+        num_items: how many items there are.
+
+    Returns:
+        A mask, shape (num_items,); all True if `tiles` are all tiles.
+    """
     mask = np.full(num_items, len(tiles) == len(start) - 1)
     if not mask.all():
         _, places = expand_ranges(start[tiles], start[tiles + 1])
@@ -133,16 +149,16 @@ def _are_over(start: Int, item: Int32, tiles: Int, num_items: int) -> Bool:
 
 
 def _find_seams(centers: tuple[Float, Float], axis: int, box_bounds: Float, corners: Float) -> Bool:
-    """Mark the cells of a window whose lines run in two opposite faces across an axis.
+    """Mark the cells of a window whose lines run in two opposite faces perpendicular to an axis.
 
     Args:
         centers: x of the window's columns and y of its rows, ascending [m].
-        axis: 0 for faces across x, 1 for those across y.
-        box_bounds: boxes along the axes, shape (n, 6) [m].
-        corners: triangles across x or y, shape (m, 3, 3) [m].
+        axis: 0 for faces perpendicular to x, 1 for faces perpendicular to y.
+        box_bounds: axis-aligned boxes, shape (n, 6) [m].
+        corners: triangles perpendicular to x or y, shape (m, 3, 3) [m].
 
     Returns:
-        shape (rows, cols) of the window.
+        A mask, shape (rows, cols) of the window; row 0 has the largest y.
     """
     other_axis = 1 - axis
     low = corners.min(axis=1)
@@ -170,12 +186,12 @@ def _mark_lines(
 
     Args:
         centers: x of the window's columns and y of its rows, ascending [m].
-        axis: 0 for faces across x, 1 for those across y.
-        face: where each face is along the axis, (n,) [m].
-        begin, end: from where to where each face reaches along the other axis, (n,) [m].
+        axis: 0 for faces perpendicular to x, 1 for faces perpendicular to y.
+        face: the coordinate of each face along that axis, (n,) [m].
+        begin, end: the ends of each face along the other horizontal axis, (n,) [m].
 
     Returns:
-        shape (rows, cols) of the window.
+        A mask, shape (rows, cols) of the window; row 0 has the largest y.
     """
     along_axis = centers[axis]
     along_face = centers[1 - axis]
@@ -200,9 +216,13 @@ def splice_columns(
 
     Args:
         columns: the columns.
-        cell: ids of cells, ascending, with repeats where several runs of a column change, (n,).
-        first, last: the hits ``first[i]`` to before ``last[i]`` of ``cell[i]`` are replaced, (n,).
-        new_hits: their replacement; column i is for ``cell[i]``.
+        cell: ids of cells, ascending, (n,); a cell is repeated if several runs of its hits change.
+        first, last: the hits to replace for ``cell[i]`` are ``first[i]:last[i]`` of the arrays of
+            `columns.hits` (not counted within the column), (n,).
+        new_hits: their replacements; its column i belongs to ``cell[i]``.
+
+    Returns:
+        The new columns; `columns` are not changed.
     """
     old_hits = columns.hits
     begin, end = columns.valid_rows.cell_range(columns.lattice)
@@ -230,17 +250,17 @@ def close_cracks(
 ) -> Columns:
     """Add floors to columns whose lines run in cracks of a floor.
 
-    Where surfaces that an agent could stand on lie on opposite sides of a line, within a step of
-    each other, each nearer than `crack`, and the line crosses none, the lower one is added to the
-    line's column as an open surface; of several within a step, the lowest. The result for a cell
-    does not depend on other cells.
+    A line runs in a crack if floors lie on two opposite sides of it, each nearer than `crack`,
+    their heights differ by at most a step, and the line itself crosses no floor at that height. The
+    lower of the two is added to the column as an open surface; if several such floors are within a
+    step, only the lowest is added. The result for a cell does not depend on other cells.
 
     Args:
         columns: the columns.
         tiled: the shapes that they were cast from, listed for lines up to `crack` away.
-        agent: the agent: its slope and step.
+        agent: the agent, of which the slope and step are used.
         crack: how far from the line the floors on both sides may be [m]; 0 adds nothing.
-        selected: mask of the cells whose cracks are closed, shape (cells,); all if it is empty.
+        selected: mask of the cells whose cracks are closed, shape (cells,); if empty, all cells.
     """
     if crack == 0:
         return columns
@@ -251,10 +271,10 @@ def close_cracks(
     cell = sides[:, CELL].astype(np.int64)
     direction = sides[:, DIRECTION : DIRECTION + 2]
 
-    # rays just beyond the edges find the exact surfaces there
+    # rays just inside of the edges of the floors find their exact surfaces
     lattice = columns.lattice
     points = lattice.positions(*np.divmod(cell, lattice.width))
-    points += direction * (sides[:, DISTANCE, None] + BEYOND_EDGE)
+    points += direction * (sides[:, DISTANCE, None] + DISTANCE_INSIDE_EDGE)
     rays = cast_points(tiled, cell, points)
     side = np.repeat(np.arange(len(cell)), np.diff(rays.start))  # of each hit
     offset = abs(rays.z - sides[side, HEIGHT])
@@ -267,7 +287,7 @@ def close_cracks(
     hit = hit[nearest]
     cell = cell[side]
     direction = direction[side]
-    # a surface that is buried there, but not on the cell's line, only ends at the foot of something
+    # a floor that is buried there, but not at the cell's line, ends at the foot of something
     bounds_crack = ~_are_buried(rays, side, rays.z[hit])
     bounds_crack |= _are_buried(columns.hits, cell, rays.z[hit])
     hit = hit[bounds_crack]
@@ -289,7 +309,11 @@ def close_cracks(
 def _list_all_sides(
     columns: Columns, tiled: TiledShapes, limits: AgentLimits, crack: float, selected: Bool
 ) -> Float:
-    """List the floors on opposite sides of lines, see `list_sides`, ordered by cell."""
+    """List the floors on opposite sides of lines, see `list_sides`, ordered by cell.
+
+    Returns:
+        shape (n, NUM_COLUMNS), float64.
+    """
     tiles = tiles_of_rows(columns.lattice, columns.valid_rows)
     sides_of_chunk = dict[int, Float]()  # by the first tile of the chunk
 
@@ -316,13 +340,18 @@ def _list_all_sides(
 
 
 def _find_lower_sides(cell: Int, z: Float, direction: Float, step: float) -> Bool:
-    """Mark the lower one of any two sides of a cell that lie opposite within a step of height.
+    """Mark the lower floor of each pair that bounds a crack from opposite sides.
+
+    The two floors of a pair belong to one cell, and their heights differ by at most a step.
 
     Args:
-        cell: of each side, ascending, (n,).
-        z: heights, (n,) [m].
-        direction: unit vectors from the cell's centre to the sides, (n, 2).
+        cell: the cell of each floor, ascending, (n,).
+        z: height of each floor, (n,) [m].
+        direction: unit vector from the cell's centre to each floor, (n, 2).
         step: the largest step [m].
+
+    Returns:
+        A mask, shape (n,); of two floors at one height, both are marked.
     """
     is_lower = np.zeros(len(cell), dtype=np.bool_)
     most_sides = int(np.unique(cell, return_counts=True)[1].max(initial=1))
@@ -338,7 +367,16 @@ def _find_lower_sides(cell: Int, z: Float, direction: Float, step: float) -> Boo
 
 
 def _are_buried(hits: ColumnHits, cells: Int, z: Float) -> Bool:
-    """Return whether the lines of columns run within something just above a height."""
+    """Return whether something is in the way just above heights on the lines of columns.
+
+    Args:
+        hits: the columns.
+        cells: index of the column for each height, (n,).
+        z: heights, (n,) [m].
+
+    Returns:
+        shape (n,), bool.
+    """
     buried = np.empty(len(cells), dtype=np.bool_)
     low = z + SAME_HEIGHT
     high = z + 2.0 * SAME_HEIGHT
@@ -347,7 +385,14 @@ def _are_buried(hits: ColumnHits, cells: Int, z: Float) -> Bool:
 
 
 def _add_surfaces(columns: Columns, cell: Int, rays: ColumnHits, hit: Int) -> Columns:
-    """Add hits of rays to columns as open surfaces; they are ordered by cell and then height."""
+    """Add hits of rays to columns as open surfaces.
+
+    Args:
+        columns: the columns.
+        cell: the cell that each hit is added to, (n,).
+        rays: the hits of the rays.
+        hit: index of each hit in `rays`, ordered by cell and then height, (n,).
+    """
     old_hits = columns.hits
     z = rays.z[hit]
     place = old_hits.start[cell]

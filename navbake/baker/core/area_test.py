@@ -1,4 +1,4 @@
-"""Tests whether cells are enough for a floor: `floors.min_area` after `floors.shrink`."""
+"""The area test of floors: do enough cells remain (`floors.min_area`) after `floors.shrink`?"""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -16,9 +16,10 @@ class AreaTest(NamedTuple):
 
     Attributes:
         min_cells: how many cells have to remain.
-        radius: radius of the disc [cells]. A cell remains if the disc around it is in the set.
-        half_widths: how far each row of the disc, from ``-radius`` to `radius`, reaches to either
-            side of its middle [cells], (2 radius + 1,) int64; -1 for rows that need no test.
+        radius: radius of the disc [cells]. A cell remains if all cells of the disc around it are in
+            the set.
+        half_widths: for each row of the disc, from ``-radius`` to `radius`, how many cells it has
+            on either side of its middle, (2 radius + 1,) int64; -1 for rows that need no test.
     """
 
     min_cells: int
@@ -31,11 +32,11 @@ def disc_half_widths(limit: float, shorter_side: int) -> Int:
     """Compute `AreaTest.half_widths` of the disc of all cells nearer than a limit to its centre.
 
     If no cell of the lattice is as far from the outside as the limit, no cell can remain. Testing
-    the disc's first, middle and last row is then enough, as one of them always reaches outside.
+    the disc's first, middle and last row is then enough: one of them is always partly outside.
 
     Args:
         limit: radius of the disc [cells].
-        shorter_side: number of rows or columns of the lattice, the smaller one.
+        shorter_side: number of rows or columns of the lattice, whichever is smaller.
 
     Returns:
         The half widths, shape (2 radius + 1,). The array is shared between calls: don't change it.
@@ -53,7 +54,7 @@ def disc_half_widths(limit: float, shorter_side: int) -> Int:
 
 
 def make_area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
-    """Make the area test of `settings`: `min_area` of a set of cells, eroded by `shrink`.
+    """Make the area test of some settings: erode cells by `shrink`, and require `min_area`.
 
     Args:
         lattice: the cells.
@@ -70,8 +71,8 @@ def is_large_enough(lattice: Lattice, settings: FloorSettings, marked: Bool) -> 
 
     Args:
         lattice: the cells.
-        settings: `floors`.
-        marked: mask of the cells, (cells,) or (height, width).
+        settings: settings of `floors`; `min_area` [m²] and `shrink` [m] are used.
+        marked: mask of the cells, shape (cells,) or (height, width), bool.
     """
     test = make_area_test(lattice, settings)
     padded = np.pad(marked.reshape(lattice.shape), test.radius)

@@ -1,7 +1,8 @@
 """NamedTuples of arrays and numbers, as kernels take them.
 
-numba passes a named tuple to a kernel whole, at no cost in the kernel's loops. A literal has a type
-of its own, for which numba compiles a function once more, hence ``np.int64(...)`` in some calls.
+numba passes a named tuple to a kernel as one argument, at no cost in the kernel's loops. It gives a
+literal number a type of its own, and would compile the called function again for it; therefore some
+calls have ``np.int64(...)``.
 """
 
 from typing import Any, NamedTuple
@@ -16,12 +17,13 @@ NOT_ROUND = np.bool_(False)
 
 
 class ColumnHits(NamedTuple):
-    """All hits of all columns, ragged: column i holds the hits ``[start[i], start[i + 1])``.
+    """All hits of all columns: column i has the hits ``start[i]:start[i + 1]`` of the arrays.
 
-    A hit is one crossing of a column's vertical line with a surface.
+    A column is a vertical line, usually through a cell's centre; a hit is one crossing of the line
+    with a surface.
 
     Attributes:
-        start: (columns + 1,) int64.
+        start: index of each column's first hit, then the number of hits, (columns + 1,) int64.
         z: heights, ascending in a column, (n,) float64 [m].
         normal: unit normals of the surfaces, (n, 3) float32; z > 0 faces up.
         geom: MuJoCo's geom ids, (n,) int32.
@@ -103,15 +105,15 @@ class Facets(NamedTuple):
 class ShapeIndex(NamedTuple):
     """The solids and triangles over each bin of a lattice, see `list_boxes_by_tile`.
 
-    The bins are either tiles or rows of tiles. A tile's bin holds the shapes that reach into the
-    tile; the bin of a row of tiles holds the shapes that cover a cell's centre there. Bin b holds
+    The bins are either tiles or rows of tiles. A tile's bin lists the shapes that reach into the
+    tile; the bin of a row of tiles lists the shapes that cover a cell's centre there. Bin b lists
     the solids ``solid_item[solid_start[b] : solid_start[b + 1]]``, ascending, and the triangles
     ``triangle_item[triangle_start[b] : triangle_start[b + 1]]``, ascending.
 
     Attributes:
-        solid_start: (bins + 1,) int64.
+        solid_start: where each bin's solids begin in `solid_item`, (bins + 1,) int64.
         solid_item: indices into `Solids`, (n,) int32.
-        triangle_start: (bins + 1,) int64.
+        triangle_start: where each bin's triangles begin in `triangle_item`, (bins + 1,) int64.
         triangle_item: indices into `Facets`, (m,) int32.
     """
 

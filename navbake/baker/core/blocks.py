@@ -1,7 +1,7 @@
-"""Blocks of cells: stages work on them on all threads, and merge what each block yields.
+"""Blocks of cells: stages work on several at a time, on all threads, and merge the results.
 
-A lattice is cut into blocks of BLOCK x BLOCK cells, numbered row by row. What is global, such as
-regions, is merged from rows of numbers that a kernel lists for each block.
+A lattice is cut into blocks of BLOCK x BLOCK cells, numbered row by row. A kernel lists rows of
+numbers for each block; things that extend over blocks, such as regions, are merged from these rows.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Int
 
-# Rows of numbers that the first call of a kernel in `list_rows` has room for
+# How many rows of numbers the first call of a kernel in `list_rows` has room for
 FIRST_CAPACITY = 4096
 
 
@@ -27,8 +27,8 @@ class Blocks:
 
     Attributes:
         lattice: the cells.
-        rows, cols: how many blocks there are along y and along x.
-        num: how many blocks there are.
+        rows, cols: how many rows and columns of blocks there are.
+        num: how many blocks there are in all.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -60,7 +60,7 @@ class Blocks:
             args: the kernel's first arguments.
 
         Returns:
-            The block of each row, (n,), and the arrays of the rows' fields, (n, ...) each.
+            The block of each row, (n,); and the rows, as arrays of shape (n, ...).
         """
         block_ids = np.arange(self.num)
         counts, columns = list_rows(kernel, block_ids, empty, *args)
@@ -71,7 +71,7 @@ def join_arrays(chunks: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
     """Concatenate the arrays of several chunks one by one, and free each chunk's memory on the way.
 
     Args:
-        chunks: at least one list of arrays, all of one length; the lists are emptied.
+        chunks: at least one chunk; each is a list of equally many arrays, and is emptied.
 
     Returns:
         The concatenated arrays: the k-th one joins the k-th arrays of all chunks.
@@ -84,13 +84,16 @@ def join_arrays(chunks: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
 def splice(old: NDArray[Any], first: Int, last: Int, new: NDArray[Any], start: Int) -> NDArray[Any]:
     """Replace slices of an array: ``old[first[i]:last[i]]`` by ``new[start[i]:start[i + 1]]``.
 
-    Where the runs are few, copying what lies between them is faster than numpy's masks and indices.
+    For few slices, copying what lies between them is faster than numpy's masks and indices.
 
     Args:
-        old: entries, shape (n, ...).
-        first, last: begin and end of each run in `old`, ascending, (runs,).
-        new: entries to put in place of them, shape (m, ...).
-        start: begin of each run in `new`, and the end of the last one, (runs + 1,).
+        old: the array, shape (n, ...).
+        first, last: begin and end of each slice of `old`, ascending, shape (k,).
+        new: what replaces the slices, shape (m, ...).
+        start: begin of each slice of `new`, and the end of the last one, shape (k + 1,).
+
+    Returns:
+        The new array; `old` is not changed.
     """
     gap_begins = [0, *last.tolist()]
     gap_ends = [*first.tolist(), len(old)]
@@ -109,22 +112,25 @@ def list_rows(
 ) -> tuple[Int, list[NDArray[Any]]]:
     """List rows of numbers for some blocks or cells, on all threads.
 
+    A row consists of an entry in each of several arrays, the columns.
+
     Args:
         kernel: ``kernel(*args, blocks, counts, columns, begin, end)`` writes the rows of
-            ``blocks[begin:end]`` into the columns, from their first row on, and how many each
-            block has into `counts`. It returns the index of the first block for which there was no
-            room, or `end`. It is called again for the blocks from there on, with more room.
+            ``blocks[begin:end]`` into the columns, from their first entry on, and into
+            ``counts[begin:end]`` how many rows each block has. It returns `end`, or the index of
+            the first block that had no room. It is then called again from that block on, with
+            columns that have more room.
         blocks: ids of the blocks or cells, (k,).
-        empty: for each field of a row, an empty array with its dtype and shape.
+        empty: an empty array for each column, with its dtype and its shape after the first axis.
         args: the kernel's first arguments.
-        least: smallest range of blocks for one call, see `run_in_chunks`.
+        least: smallest number of blocks for one call, see `run_in_chunks`.
 
     Returns:
-        How many rows each block has, (k,) int64, and for each field of a row an array, (n, ...), in
+        How many rows each block has, (k,) int64; and the columns, (n, ...) each, with the rows in
         the order of the blocks.
     """
     counts = np.zeros(len(blocks), dtype=np.int64)
-    # the columns of each range of blocks, by the index of its first block; those of none by -1
+    # index of a range's first block -> columns of the range; -1 -> empty columns
     columns_of_range: dict[int, list[NDArray[Any]]] = {-1: list(empty)}
 
     def list_range(first: int, end: int) -> None:

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 LOG = logging.getLogger("navbake")
 
 Progress = Callable[[str, float], None]
-"""Called with a stage's name and how much of the stage is done, 0 or 1."""
+"""Called with a stage's name, and with 0 when the stage begins or 1 when it ends."""
 
 
 class StageClock:
     """Times the stages of a bake.
 
-    The times of a stage that runs several times are added up. A stage's time excludes the time of
+    If a stage runs several times, its times are added up. A stage's time excludes the time of
     stages nested in it.
 
     Attributes:
@@ -28,9 +28,9 @@ class StageClock:
             progress: called when a stage begins and when it ends.
         """
         self._progress = progress
-        # of each stage that runs now, from the outermost in: the time of stages inside of it [s]
+        # for each stage that runs now, the outermost first: the time of stages nested in it [s]
         self._nested_seconds: list[float] = []
-        # time of stages that have run in part, and have not ended yet [s]
+        # stage that hasn't ended yet -> time of its parts so far [s]
         self._unfinished_seconds: dict[str, float] = {}
         self.seconds: dict[str, float] = {}
 
@@ -49,7 +49,10 @@ class StageClock:
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Time a part of a stage that continues later; report no progress."""
+        """Add the time of a block of code to a stage, before, within or after `stage`.
+
+        Progress is not reported.
+        """
         begin = time.perf_counter()
         self._nested_seconds.append(0.0)
         try:

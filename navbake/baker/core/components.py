@@ -16,8 +16,8 @@ def label_components(pairs: Int, count: int) -> Int32:
     """Number the connected components of a graph from 0, in the order of their first nodes.
 
     Args:
-        pairs: the edges, as pairs of nodes, shape (2, n).
-        count: number of nodes.
+        pairs: the two nodes of each edge, shape (2, n).
+        count: number of nodes; nodes are numbered from 0.
 
     Returns:
         The component of each node, shape (count,).
@@ -34,7 +34,7 @@ def adjacent_pairs(cells: Int, width: int) -> Int:
         width: number of columns of the lattice.
 
     Returns:
-        Indices into `cells`, shape (2, n).
+        The two cells of each pair, as indices into `cells`, shape (2, n).
     """
     col = cells % width
     pairs = list[Int]()
@@ -48,14 +48,14 @@ def adjacent_pairs(cells: Int, width: int) -> Int:
 
 
 def expand_ranges(begin: Int | Int32, end: Int | Int32) -> tuple[Int, Int]:
-    """Concatenate the integers of the ranges ``begin[i]:end[i]``.
+    """List the integers of several ranges ``begin[i]:end[i]``, range by range.
 
     Args:
-        begin, end: the ranges, shape (n,); empty where ``end <= begin``.
+        begin, end: the ranges, shape (n,); a range is empty if its end is not above its begin.
 
     Returns:
-        For each integer the index i of its range; and the integers. Both of shape (sum of
-        lengths,).
+        For each integer, the index i of its range; and the integers themselves; shape (sum of the
+        ranges' lengths,) each.
     """
     count = np.maximum(end - begin, 0)
     range_index = np.repeat(np.arange(len(count)), count)
@@ -70,8 +70,8 @@ def find_row_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
         values: bool or integer, shape (rows, cols).
 
     Returns:
-        Four arrays of shape (n,), run by run in reading order: the run's row, its first column, the
-        column after its last one, and the value of its cells.
+        For each run: its row, its first column, the column after its last one, and its value; shape
+        (runs,) each, row by row from the left.
     """
     rows = values.shape[0]
     width = values.shape[1] + 1
@@ -88,11 +88,11 @@ def count_cells_by_label(labels: Int32, count: int) -> Int:
     """Count the cells of each label.
 
     Args:
-        labels: labels below `count`, shape (rows, cols); 0 for none.
-        count: number of labels, with 0.
+        labels: the label of each cell, from 0 to ``count - 1``, shape (rows, cols).
+        count: number of labels, including label 0.
 
     Returns:
-        The number of cells by label, shape (count,); 0 for label 0.
+        How many cells each label has, shape (count,); cells with label 0 are not counted.
     """
     _, first, end, label = find_row_runs(labels)
     return np.bincount(label, end - first, count).astype(np.int64)

@@ -1,11 +1,12 @@
 """Tiles of a lattice, and the lists of boxes over each of them, for kernels.
 
-A uniform grid as in the broad phase of collision detection (Ericson, Real-Time Collision Detection,
-2005, 7.1), of tiles of TILE x TILE cells: a cell is tested only against what lies over its tile.
-The lists are made by a counting sort over chunks of the boxes, each chunk with its own counts:
-several threads do it, and the order is the same for any number of threads.
+Tiles are a uniform grid, like that of the broad phase of collision detection (Ericson, Real-Time
+Collision Detection, 2005, 7.1). They have TILE x TILE cells; a cell is tested only against what
+lies over its tile. The lists are made by a counting sort over chunks of the boxes, each chunk with
+its own counts, so that any number of threads makes the same lists.
 
-Stages keep their results by blocks of BLOCK x BLOCK cells, see `navbake.baker.core.blocks`.
+Blocks are larger squares, of BLOCK x BLOCK cells; stages list their results block by block, see
+`navbake.baker.core.blocks`.
 
 A window, in these kernels, is a tuple of four numbers: the first row, the end of the rows, the
 first column, the end of the columns. Ends are exclusive.
@@ -21,7 +22,7 @@ TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
 BLOCK = 32  # cells along a block's edge
 # Windows are widened by this much, so that rounding loses no cell's centre [cells]
 CENTER_MARGIN = 1e-3
-# The first column of a tile, all rows of it, as bits
+# The bits of all cells in a tile's first column
 FIRST_COLUMN_BITS = np.int64(sum(1 << (row * TILE) for row in range(TILE)))
 
 
@@ -51,7 +52,7 @@ def block_of(lattice, row, col):
 
 @subkernel(inline="always")
 def cell_bit(row, col):
-    """Return the bit that stands for a cell, given its row and column in its tile, int64."""
+    """Return the bit that stands for a cell, given its row and column within its tile, int64."""
     return np.int64(1) << (row * TILE + col)
 
 
@@ -64,7 +65,7 @@ def window_bits(tile, inner):
         inner: window inside of it; may be empty.
 
     Returns:
-        int64 with one bit a cell, see `cell_bit`.
+        An int64 with the `cell_bit` of each cell of `inner`.
     """
     row_first, row_end, col_first, col_end = inner
     if row_first >= row_end or col_first >= col_end:
@@ -150,7 +151,10 @@ def _tile_range(low, high, num_tiles, tile_size):
 
 @subkernel(inline="always")
 def _tiles_under(boxes, n, margin, lattice):
-    """Return the tiles that a widened box reaches into: first and last row, then column."""
+    """Return the tiles that a widened box reaches into: first row, last row, first and last column.
+
+    The last row is before the first one if there is no such tile.
+    """
     width = lattice.width
     height = lattice.height
     cell_size = lattice.cell_size
@@ -170,7 +174,7 @@ def _tiles_under(boxes, n, margin, lattice):
 def _tile_rows_under(boxes, n, margin, lattice):
     """Return the first and last row of tiles where a widened box covers a cell's centre.
 
-    Returns two zeros after them, in place of the first and last column that `_tiles_under` returns.
+    Two zeros follow, where `_tiles_under` returns the first and last column.
     """
     x_low = boxes[n, 0] - margin - lattice.x_min
     x_high = boxes[n, 3] + margin - lattice.x_min
@@ -189,20 +193,19 @@ def list_boxes_by_tile(
 ):
     """Count, or list, the boxes over each tile, for a range of chunks of the boxes.
 
-    It is called twice: first with an empty `item`, to count, then with room for the lists.
+    It is called twice: first with an empty `item`, to count; then with room for the lists.
 
     Args:
         boxes: (n, 6) float64, lower corner, upper corner [m].
         margin: how much the boxes are widened on each side [m].
         lattice: the cells.
-        by_tile_row: in place of tiles, use rows of tiles, and list the boxes that cover a cell's
-            centre there.
-        tiles_under: by box, (n, 4) int32: the first and last row, first and last column of the
-            tiles under it; written while counting.
-        cursor: by chunk and tile, (chunks, tiles) int64: where the chunk's next box over the tile
-            goes; advanced.
-        item: receives the numbers of the boxes, int32; the boxes are only counted where it is
-            empty.
+        by_tile_row: if True, list by row of tiles instead of by tile, and only boxes that cover a
+            cell's centre there.
+        tiles_under: receives, for each box, the first row, last row, first and last column of the
+            tiles under it, (n, 4) int32, while counting; read while listing.
+        cursor: for each chunk and tile, the place in `item` of the chunk's next box over the tile,
+            (chunks, tiles) int64; advanced by 1 for each box.
+        item: receives indices of boxes, tile by tile, int32; empty while counting.
         first_chunk, end: range of chunks.
     """
     num_boxes = boxes.shape[0]

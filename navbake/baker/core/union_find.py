@@ -1,4 +1,4 @@
-"""Numbers of connected components of graphs, by union-find, and of equal lists, by a hash table.
+"""Number the connected components of a graph, by union-find, and equal lists, by a hash table.
 
 Disjoint sets as a forest of parents (Galler and Fischer, 1964) with path halving (Tarjan and van
 Leeuwen, 1984). Of two roots the lower node becomes the parent, so a root is the first member of
@@ -46,8 +46,8 @@ def number_components(pairs, count):
     """Number the connected components of a graph from 0, in the order of their first nodes.
 
     Args:
-        pairs: the edges, as pairs of nodes, (2, n) int64.
-        count: number of nodes.
+        pairs: the two nodes of each edge, (2, n) int64.
+        count: number of nodes; nodes are numbered from 0.
 
     Returns:
         The component of each node, (count,) int32.
@@ -69,7 +69,7 @@ def number_components(pairs, count):
 
 @kernel
 def number_distinct_lists(start, value, number):
-    """Number ragged lists from 0, in the order of first occurrence; equal lists share a number.
+    """Number lists from 0, in the order of first occurrence; equal lists get the same number.
 
     Args:
         start: list i is ``value[start[i] : start[i + 1]]``, (lists + 1,) integers.
@@ -77,7 +77,7 @@ def number_distinct_lists(start, value, number):
         number: receives the number of each list, (lists,).
 
     Returns:
-        By number, the index of the first list with this number, int64.
+        For each number, the index of the first list that has it, (numbers,) int64.
     """
     num_lists = start.shape[0] - 1
     table_size = 16

@@ -9,16 +9,17 @@ from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
 Window = tuple[slice, slice]
-"""Rows and columns of a lattice, as slices with a start and a stop each."""
+"""The rows and the columns of a window, as two slices with a start and a stop each."""
 
 CellSlices = tuple[slice, ...]
-"""An index of an array of cells, by slices."""
+"""An index into an array of shape (height, width, ...)."""
 
 NEIGHBOR_SLICES: tuple[tuple[CellSlices, CellSlices], ...] = (
     (np.s_[:, :-1], np.s_[:, 1:]),
     (np.s_[:-1,], np.s_[1:,]),
 )
-"""Indices of the two cells at each edge between neighbors: left and right, upper and lower."""
+"""Indices that select the two cells of all pairs of neighbors: first of the pairs along rows (left
+and right cells), then of the pairs along columns (upper and lower cells)."""
 
 
 def differing_pairs(values: NDArray[Any]) -> Int:
@@ -28,7 +29,8 @@ def differing_pairs(values: NDArray[Any]) -> Int:
         values: shape (height, width).
 
     Returns:
-        Ids of the cells, shape (2, n): pairs in a row first, then those in a column.
+        Ids of the two cells of each pair, shape (2, n): first the pairs along rows, then those
+        along columns.
     """
     width = values.shape[1]
     flat = values.ravel()
@@ -56,15 +58,16 @@ def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
 
 
 def cells_near_boxes(lattice: Lattice, boxes: Float, distance: float) -> Int:
-    """Find the cells whose distance to a box, seen from above, is at most `distance` plus one cell.
+    """Find the cells near boxes, seen from above.
 
     Args:
         lattice: the cells.
         boxes: lower corner, upper corner, shape (n, 6) [m]; may be infinite.
-        distance: the distance along x and along y [m].
+        distance: how far cells may be from a box along x and along y [m]; cells up to one cell
+            farther are returned, too.
 
     Returns:
-        Ids, ascending, shape (m,).
+        Ids of the cells, ascending, shape (m,).
     """
     # `rows_cols` takes finite positions only
     near_boxes = clip_boxes(lattice, boxes, distance + 4 * lattice.cell_size)
@@ -91,16 +94,16 @@ def bounding_window(mask: Bool) -> Window:
 
 
 def crop_cells(cells: Int, window: Window, width: int) -> tuple[Int, Bool]:
-    """Turn ids of cells of a lattice into ids of cells of a window of it.
+    """Find the cells that lie in a window, and their ids on the window's own lattice.
 
     Args:
-        cells: ids in the lattice, shape (n,).
-        window: the window.
+        cells: ids of cells on the lattice, shape (n,).
+        window: rows and columns of the lattice.
         width: number of columns of the lattice.
 
     Returns:
-        Ids in the window of the cells inside of it, shape (m,), and the mask of these cells, shape
-        (n,).
+        The ids on the window's lattice of the m cells inside of it, shape (m,); and a mask of these
+        cells, shape (n,).
     """
     rows, cols = window
     row, col = np.divmod(cells, width)

@@ -14,13 +14,16 @@ from navbake.baker.geometry.triangle_kernels import (
 from navbake.threads import run_in_chunks
 from navbake.types import Float, Int, Int32
 
-# How many directions of vertical faces are distinguished, over a quarter turn
-DIRECTIONS = 180
-TRIANGLES_PER_CALL = 1 << 16  # whose directions are found at a time
+# Into how many directions a quarter turn is divided, for counting what vertical faces face
+NUM_DIRECTIONS = 180
+# The directions of this many triangles are found at a time
+TRIANGLES_PER_CALL = 1 << 16
 
 
 class Extents(NamedTuple):
-    """Upright boxes around geoms, by geom id; NaN for infinite planes and geoms that don't count.
+    """Upright boxes around geoms, rotated about z; index n of each array is for geom id n.
+
+    Infinite planes, and geoms that don't count, have NaN.
 
     Attributes:
         center: x and y of the boxes' middles, (n, 2) [m].
@@ -44,14 +47,14 @@ class Extents(NamedTuple):
         return np.stack([-self.short_axis[:, 1], self.short_axis[:, 0]], axis=1)
 
     def half_widths(self, geoms: Int, direction: Float) -> Float:
-        """Return how far the boxes of geoms reach from their middles in a horizontal direction.
+        """Return half the width of geoms' boxes, measured along a horizontal direction.
 
         Args:
-            geoms: geom ids, (k,).
-            direction: unit vectors, (2,) or (k, 2).
+            geoms: geom ids, shape (k,).
+            direction: unit vectors, shape (2,) or (k, 2).
 
         Returns:
-            shape (k,) [m].
+            Half widths, shape (k,) [m].
         """
         on_short = np.abs((self.short_axis[geoms] * direction).sum(axis=-1))
         on_long = np.abs((self.long_axis[geoms] * direction).sum(axis=-1))
@@ -62,8 +65,9 @@ class Extents(NamedTuple):
 def measure_extents(shapes: Shapes, num_geoms: int) -> Extents:
     """Compute the upright box of each geom that has geometry in `shapes`.
 
-    A solid's box is aligned with the one of the solid's own axes that makes it smallest; a box of
-    triangles is aligned with the direction that most of their vertical faces face.
+    A solid's box is aligned with one of the solid's own axes, the one that makes the box smallest
+    seen from above. A box around triangles is aligned with the direction that most of their
+    vertical faces face.
 
     Args:
         shapes: the geometry.
@@ -85,7 +89,7 @@ def measure_extents(shapes: Shapes, num_geoms: int) -> Extents:
 
 
 def _measure_solids(solids: Solids, out: Extents) -> None:
-    """Write the extents of solids."""
+    """Compute the boxes of solids, and write them to `out`."""
     axes = solids.mat.reshape(-1, 3, 3)
     least_area = np.full(len(solids.geom), np.inf)
     for axis in range(3):
@@ -109,13 +113,28 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
 
 
 def _horizontal_half_widths(solids: Solids, axes: Float, direction: Float) -> Float:
-    """Return how far solids reach from their centres in horizontal directions, (n, 2); (n,) [m]."""
+    """Return half the width of solids, measured along horizontal directions.
+
+    Args:
+        solids: n solids.
+        axes: their rotation matrices, shape (n, 3, 3).
+        direction: a unit vector for each solid, shape (n, 2).
+
+    Returns:
+        Half widths, shape (n,) [m].
+    """
     local_direction = np.einsum("nij,ni->nj", axes[:, :2], direction)
     return support_distances(solids.kind, local_direction, solids.size)
 
 
 def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
-    """Write the extents of geoms made of triangles; `geom` is ascending."""
+    """Compute the boxes of geoms made of triangles, and write them to `out`.
+
+    Args:
+        geom: the geom of each triangle, ascending, shape (m,).
+        corners: corners of the triangles, shape (m, 3, 3) [m].
+        out: receives the boxes.
+    """
     first = np.flatnonzero(np.diff(geom, prepend=np.int32(-1)))
     geom_ids = geom[first]
     num_triangles = np.diff(first, append=len(geom))
@@ -141,17 +160,18 @@ def facing_angles(corners: Float, group: Int32, num_groups: int) -> Float:
     """Find the horizontal direction that most vertical faces of each group face.
 
     Args:
-        corners: of triangles, shape (m, 3, 3) [m].
-        group: of each triangle, below `num_groups`, (m,).
+        corners: corners of triangles, shape (m, 3, 3) [m].
+        group: the group of each triangle, from 0, shape (m,).
         num_groups: number of groups.
 
     Returns:
-        The angle from x, modulo a quarter turn, (num_groups,) [rad].
+        For each group, the angle of that direction from x, from 0 to a quarter turn, shape
+        (num_groups,) [rad].
     """
-    # by group and direction: the area of faces as seen from the side, and the same times the angle
-    # to the direction
-    area = np.zeros(num_groups * DIRECTIONS)
-    area_times_angle = np.zeros(num_groups * DIRECTIONS)
+    # for each group and direction: the area of its faces as seen from the side, and the sum of
+    # these areas times the angle from the direction
+    area = np.zeros(num_groups * NUM_DIRECTIONS)
+    area_times_angle = np.zeros(num_groups * NUM_DIRECTIONS)
     direction = np.empty(TRIANGLES_PER_CALL, np.int32)
     weight = np.empty(TRIANGLES_PER_CALL)
     weighted_angle = np.empty(TRIANGLES_PER_CALL)
@@ -161,20 +181,20 @@ def facing_angles(corners: Float, group: Int32, num_groups: int) -> Float:
             find_facing_directions,
             len(batch),
             batch,
-            DIRECTIONS,
+            NUM_DIRECTIONS,
             direction,
             weight,
             weighted_angle,
             least=4096,
         )
-        first_entry = group[first : first + TRIANGLES_PER_CALL] * np.int64(DIRECTIONS)
+        first_entry = group[first : first + TRIANGLES_PER_CALL] * np.int64(NUM_DIRECTIONS)
         entry = first_entry + direction[: len(batch)]
         np.add.at(area, entry, weight[: len(batch)])
         np.add.at(area_times_angle, entry, weighted_angle[: len(batch)])
-    best = area.reshape(num_groups, DIRECTIONS).argmax(axis=1)
-    best_entry = np.arange(num_groups) * DIRECTIONS + best
+    best = area.reshape(num_groups, NUM_DIRECTIONS).argmax(axis=1)
+    best_entry = np.arange(num_groups) * NUM_DIRECTIONS + best
     best_area = area[best_entry]
     best_sum = area_times_angle[best_entry]
     offset = best_sum / np.where(best_area > 0.0, best_area, 1.0)
-    angle: Float = best * (QUARTER_TURN / DIRECTIONS) + offset
+    angle: Float = best * (QUARTER_TURN / NUM_DIRECTIONS) + offset
     return angle

@@ -1,4 +1,4 @@
-"""Decides by iteration whether a convex solid meets an upright prism, with a proof.
+"""Decide by iteration whether a convex solid meets an upright prism, with a proof.
 
 Gilbert, Johnson and Keerthi, A fast procedure for computing the distance between complex objects
 in three-dimensional space, 1988. Two convex sets meet where their Minkowski difference, all
@@ -8,10 +8,11 @@ origin's direction, then keeps only the corners that the simplex' nearest point 
 needs. That point is found by the Voronoi regions of corners, edges and faces (Ericson, Real-Time
 Collision Detection, 2005, 5.1 and 9.5) in place of Johnson's subalgorithm.
 
-Both answers are proofs. APART: even the support does not reach the plane through the origin
-across `v`, the vector to the nearest point, so this plane parts the two. MEETS: the origin is
-inside of a tetrahedron of the difference, or nearer than NEAR to a point of it. Where rounding
-leaves neither (`v` grows, or a support comes again), the answer is UNDECIDED; FCL decides then.
+Let `v` be the vector from the origin to the simplex' nearest point. Both answers are proofs. APART:
+even the support does not reach the plane through the origin perpendicular to `v`, so this plane
+separates the two. MEETS: the origin is inside of a tetrahedron of the difference, or at most
+CONTACT_DISTANCE from a point of it. If rounding prevents both (`v` grows, or a support is found
+twice), the answer is UNDECIDED; the caller then asks FCL.
 """
 
 import math
@@ -32,8 +33,8 @@ from navbake.compiled import NO_REFCOUNT, subkernel
 from navbake.types import Bool, Float
 
 MAX_STEPS = 128
-# How much a distance may grow from step to step by rounding alone, as a share of itself
-ROUNDING = 1e-3
+# Rounding alone may let the squared distance grow from step to step by at most this share of itself
+MAX_ROUNDING_GROWTH = 1e-3
 # The two meet if they are proved to be this near to each other, which is less than TOUCH_DEPTH [m]
 CONTACT_DISTANCE = 1e-7
 
@@ -43,10 +44,10 @@ class Simplex(NamedTuple):
 
     Attributes:
         points: the corners, (4, 3) float64 [m]; the first ones are valid.
-        keep: which corners the nearest point of a face needs, (4,) bool.
-        best_keep: the same of the nearest face so far, (4,) bool.
-        v: the nearest point to the origin, (3,) float64 [m].
-        trial: the nearest point of a face, (3,) float64 [m].
+        keep: which corners the nearest point of a face depends on, (4,) bool.
+        best_keep: the value of `keep` for the nearest face so far, (4,) bool.
+        v: the simplex' nearest point to the origin, (3,) float64 [m].
+        trial: the nearest point to the origin of the face that is tried, (3,) float64 [m].
     """
 
     points: Float
@@ -127,6 +128,7 @@ def _subtract_prism(prism, dx, dy, dz, out):
 
 @subkernel(inline="always")
 def _dot(a, b):
+    """Return the dot product of two vectors of (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -242,7 +244,10 @@ def _nearest_on_triangle(a, b, c, keep, v):
 
 @subkernel(inline="always")
 def _origin_outside(a, b, c, d):
-    """Return whether the origin is beyond face a, b, c of a tetrahedron, or d in its plane."""
+    """Return whether the origin is outside of a tetrahedron, beyond the face a, b, c.
+
+    It counts as outside if the tetrahedron is flat: d lies in the face's plane.
+    """
     abx = b[0] - a[0]
     aby = b[1] - a[1]
     abz = b[2] - a[2]
@@ -372,7 +377,7 @@ def gjk_meets_prism(solids, s, prism, simplex):
         distance = _dot(v, v)
         if distance < CONTACT_DISTANCE * CONTACT_DISTANCE:
             return MEETS  # v is a point of the difference
-        if distance > last_distance * (1.0 + ROUNDING):
+        if distance > last_distance * (1.0 + MAX_ROUNDING_GROWTH):
             return UNDECIDED
         last_distance = distance
     return UNDECIDED

@@ -1,14 +1,16 @@
-"""Closed parts of meshes: which triangles enclose something, without attached open surfaces.
+"""Find the closed parts of meshes: the triangles that enclose something, without open surfaces.
 
-Triangles with a bare edge, where no other triangle ends, are peeled off, then those that this lays
-bare, by a queue: nothing is left of an open surface, all of a closed one. A flood over the edges
-where two triangles meet divides the rest into manifold patches, and finds the triangles that face
-the other way (Ju, Robust repair of polygonal models, 2004, section 2, lists the faults of meshes).
-Patches that close no edge, membranes, are dropped; the others are united where they close each
-other's edges. A part is closed if each edge is met as often in one direction as in the other.
+1. `_peel` removes triangles with a bare edge, at which no other triangle ends, until there is none:
+   nothing is left of an open surface, but all of a closed one.
+2. `_find_patches` divides the rest into manifold patches, by a flood over the edges at which two
+   triangles meet, and finds the triangles that face the other way; `_flip_minority` flips them (Ju,
+   Robust repair of polygonal models, 2004, section 2, lists the faults of meshes).
+3. `_drop_membranes` drops the patches that close no edge.
+4. `_unite_patches` unites patches that close each other's edges. A part is closed if its triangles
+   run along each edge as often in one direction as in the other.
 
-Half-edge ``3 f + k`` runs from corner k of triangle f to the next corner. The half-edges at edge e
-are ``half_edges[edge_start[e] : edge_start[e + 1]]``.
+A half-edge is one side of a triangle. Half-edge ``3 f + k`` runs from corner k of triangle f to the
+next corner. The half-edges at edge e are ``half_edges[edge_start[e] : edge_start[e + 1]]``.
 """
 
 import numpy as np
@@ -16,10 +18,9 @@ import numpy as np
 from navbake.baker.core.union_find import find_root, unite
 from navbake.compiled import kernel, subkernel
 
-# In place of the number of a closed part: the triangle is in none, or has the same corners as
-# another triangle
-NO_CLOSED_PART = np.int32(-1)
-DUPLICATE = np.int32(-2)
+# Values in place of a triangle's closed part
+NO_CLOSED_PART = np.int32(-1)  # the triangle is in none
+DUPLICATE = np.int32(-2)  # an earlier triangle has the same corners
 
 
 @subkernel(inline="always")
@@ -30,9 +31,9 @@ def _opposite_corner(faces, half_edge):
 
 @subkernel(inline="always")
 def _direction(faces, is_flipped, half_edge):
-    """Return 1 for a half-edge that runs to its higher point, else -1.
+    """Return 1 if a half-edge runs from its lower to its higher point (by number), else -1.
 
-    Those of flipped triangles run the other way.
+    Half-edges of flipped triangles run the other way.
     """
     face = half_edge // 3
     k = half_edge % 3
@@ -106,7 +107,7 @@ def _list_edges(faces, num_points):
 
 @subkernel(inline="always")
 def _mark_duplicates(faces, edge_start, half_edges, part):
-    """Mark triangles with the corners of an earlier one, in the same order around."""
+    """Mark the triangles that have the same corners as an earlier one, in the same cyclic order."""
     keys = np.empty(16, np.int64)
     for e in range(edge_start.shape[0] - 1):
         if edge_start[e + 1] - edge_start[e] > keys.shape[0]:
@@ -131,7 +132,7 @@ def _mark_duplicates(faces, edge_start, half_edges, part):
 
 @subkernel(inline="always")
 def _is_bare(faces, e, edge_start, half_edges, num_at_edge, remains):
-    """Return whether one triangle remains at an edge, or two back to back."""
+    """Return whether an edge is bare: one triangle remains at it, or two with the same corners."""
     if num_at_edge[e] == 1:
         return True
     if num_at_edge[e] != 2:
@@ -188,7 +189,10 @@ def _peel(faces, edge_of_half, edge_start, half_edges, remains):
 
 @subkernel(inline="always")
 def _mate_of(e, face, edge_start, half_edges, remains):
-    """Return the half-edge of the other triangle at an edge with two remaining ones, or -1."""
+    """Return the half-edge of the other triangle at an edge where two remain, -1 for none.
+
+    `face` is the one triangle.
+    """
     for h in half_edges[edge_start[e] : edge_start[e + 1]]:
         if remains[h // 3] and h // 3 != face:
             return h
@@ -200,10 +204,11 @@ def _find_patches(faces, edge_of_half, edge_start, half_edges, remains, num_at_e
     """Number the manifold patches: triangles connected over edges where two triangles meet.
 
     Returns:
-        patch: of each triangle, int32; -1 for removed ones.
-        patch_faces: the triangles of all patches, int32.
+        patch: the patch of each triangle, int32; -1 for removed triangles.
+        patch_faces: the triangles of all patches, patch by patch, int32.
         patch_start: patch p is ``patch_faces[patch_start[p] : patch_start[p + 1]]``, int32.
-        is_opposite: whether each triangle faces the other way than the first one of its patch.
+        is_opposite: whether each triangle faces to the other side than the first triangle of its
+            patch, bool.
     """
     num_faces = faces.shape[0]
     patch = np.full(num_faces, np.int32(-1), np.int32)
@@ -246,7 +251,7 @@ def _find_patches(faces, edge_of_half, edge_start, half_edges, remains, num_at_e
 
 @subkernel(inline="always")
 def _flip_minority(area, patch_faces, patch_start, is_opposite, is_flipped):
-    """Flip the triangles of each patch that face as less than half of its area does."""
+    """Flip the triangles of each patch that face to the side that less than half its area faces."""
     for p in range(patch_start.shape[0] - 1):
         same_area = 0.0
         opposite_area = 0.0
@@ -263,9 +268,12 @@ def _flip_minority(area, patch_faces, patch_start, is_opposite, is_flipped):
 
 @subkernel(inline="always")
 def _remove_from_balance(faces, edge_of_half, face, num_at_edge, is_flipped, balance, sign):
-    """Remove a triangle (`sign` 1) from the balance of edges with more than two, or add it (-1).
+    """Remove a triangle from the balances of its edges (`sign` 1), or add it to them (-1).
 
-    Returns how many fewer half-edges are without a partner.
+    Only edges at which more than two triangles meet have a balance, see `_drop_membranes`.
+
+    Returns:
+        By how much the number of half-edges without a partner falls.
     """
     gain = 0
     for k in range(3):
@@ -283,9 +291,10 @@ def _drop_membranes(
 ):
     """Drop patches, the smallest first, if that leaves fewer half-edges without a partner.
 
-    A wall without thickness across a block is such a membrane. Returns whether any was dropped.
+    Such a patch is a membrane, for example a wall without thickness across a block. Returns whether
+    any patch was dropped.
     """
-    # half-edges of each edge that run up, less those that run down
+    # for each edge: how many of its half-edges run up, less how many run down, see `_direction`
     balance = np.zeros(num_at_edge.shape[0], np.int32)
     patch_area = np.zeros(patch_start.shape[0] - 1)
     for p in range(patch_start.shape[0] - 1):
@@ -311,11 +320,11 @@ def _drop_membranes(
 
 @subkernel
 def _unite_patches(faces, edge_start, half_edges, remains, patch, is_flipped, num_patches):
-    """Unite patches at edges that neither closes by itself, as at an edge where two blocks touch.
+    """Unite patches at edges that none of them closes by itself.
 
     Returns:
-        parent: of each patch, see `find_root`.
-        is_open: of each root, whether an edge of its patches stays without a partner.
+        parent: the parent of each patch, see `find_root`; united patches have one root.
+        is_open: for each root, whether a half-edge of its patches has no partner.
     """
     parent = np.arange(num_patches)
     is_open = np.zeros(num_patches, np.bool_)
@@ -346,15 +355,15 @@ def find_parts(faces, area, num_points):
     """Find the closed parts of a mesh.
 
     Args:
-        faces: points of each triangle, (m, 3) int32, three different ones below `num_points`.
-        area: of each triangle, (m,) float64 [m²].
-        num_points: number of points.
+        faces: the three different points of each triangle, (m, 3) int32.
+        area: area of each triangle, (m,) float64 [m²].
+        num_points: number of points; points are numbered from 0.
 
     Returns:
-        part: of each triangle, the lowest triangle of its closed part, NO_CLOSED_PART or DUPLICATE;
-            (m,) int32.
-        is_flipped: whether a triangle of a closed part faces to the other side than the part, (m,)
-            bool.
+        part: for each triangle, the lowest triangle of its closed part, NO_CLOSED_PART or
+            DUPLICATE, (m,) int32.
+        is_flipped: whether a triangle of a closed part faces to the other side than most of its
+            patch, (m,) bool.
     """
     num_faces = faces.shape[0]
     part = np.full(num_faces, NO_CLOSED_PART, np.int32)

@@ -1,4 +1,4 @@
-"""Splits meshes into connected parts, and decides what each part encloses."""
+"""Split meshes into connected parts, and decide what each part encloses."""
 
 from __future__ import annotations
 
@@ -23,27 +23,32 @@ from navbake.baker.geometry.triangle_kernels import bound_parts, measure_part_vo
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# A part that encloses less than this times its area is a surface with two sides [m]
+# A part whose volume is less than this times its area encloses nothing: it is a sheet with two
+# sides [m]
 MIN_THICKNESS = 1e-6
-MAX_PAIRS = 1 << 20  # of a triangle and a point that are tested at a time
+# At most this many pairs of a triangle and a point are tested at a time
+MAX_PAIRS = 1 << 20
 
 
 def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     """Separate the parts of a mesh that enclose a volume from its open surfaces.
 
-    Parts are connected over edges; vertices at one place count as one. A part encloses a volume if
-    each of its edges is met as often in one direction as in the other, and it faces out. One that
-    faces in is a cavity, and counts, inside of one that faces out; by itself it is a room drawn
-    from inside. Stray triangles at a closed part do not open it, nor do membranes across its
-    inside.
+    Parts are connected over edges; vertices at one place count as one. A part is closed if its
+    triangles run along each edge as often in one direction as in the other. A closed part that
+    faces out encloses a volume. So does one that faces in if it lies inside of one that faces out:
+    it is a cavity. By itself it is a room drawn from inside, and encloses nothing. Stray triangles
+    at a closed part do not open it, nor do membranes across its inside.
 
-    Triangles that face to the other side than most of their patch, see `mesh_part_kernels`, are
-    flipped in closed parts. Duplicates of triangles are left out, and triangles with two corners at
-    one place.
+    In closed parts, a triangle that faces to the other side than most of its patch is flipped, see
+    `mesh_part_kernels`. Left out are duplicates of triangles, and triangles with two corners at one
+    place.
 
     Args:
         vertices: shape (n, 3) [m].
-        faces: vertices of each triangle, shape (m, 3), counter-clockwise from the front.
+        faces: vertices of each triangle, counter-clockwise from the front, shape (m, 3).
+
+    Returns:
+        The triangles, with their parts and what these enclose.
     """
     triangles, point, part = _find_shells(vertices, np.ascontiguousarray(faces, dtype=np.int32))
     is_flipped = np.zeros(len(triangles), dtype=np.bool_)
@@ -95,11 +100,12 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
 
 
 def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
-    """Find the shells of a mesh.
+    """Find the shells of a mesh, see `shell_kernels`.
 
     Returns:
-        The triangles with three different points; these points, numbered by the first vertex at
-        their place; and the lowest triangle of each one's shell, or NOT_SHELL.
+        The triangles whose corners are at three places, as vertices, (m, 3); their corners as
+        points, (m, 3), where a point is the index of the first vertex at its place; and for each
+        triangle the lowest triangle of its shell, or NOT_SHELL, (m,).
     """
     bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
     number = np.empty(len(bits), dtype=np.int32)
@@ -126,7 +132,11 @@ def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
 def _find_enclosing(
     vertices: Float, faces: Int32, is_flipped: Bool, part: Int32, num_parts: int
 ) -> Bool:
-    """Mark the closed parts, numbered from 1, that enclose a volume; entry 0 is False."""
+    """Mark the closed parts that enclose a volume, see `split_mesh`.
+
+    Returns:
+        A mask by number of the part, shape (num_parts + 1,); parts count from 1, entry 0 is False.
+    """
     encloses = np.zeros(num_parts + 1, dtype=np.bool_)
     if num_parts == 0:
         return encloses
@@ -169,17 +179,18 @@ def _find_enclosing(
 
 
 def _find_surrounding(corners: Float, part: Int32, point: Float) -> tuple[Int, Int]:
-    """Find the parts that surround points, by the winding number above each point.
+    """Find the parts that surround points, by winding numbers (Sunday, Inclusion of a point, 2001).
 
-    Triangles count as they wind around the vertical line (Sunday, Inclusion of a point, 2001).
+    A part surrounds a point if its triangles above the point wind around the vertical line more
+    often counter-clockwise than clockwise.
 
     Args:
-        corners: of triangles, shape (m, 3, 3) [m].
-        part: of each triangle, (m,).
+        corners: corners of triangles, shape (m, 3, 3) [m].
+        part: the part of each triangle, shape (m,).
         point: points, shape (n, 3) [m].
 
     Returns:
-        Pairs: parts, and the numbers of points inside of them.
+        Pairs of a part and a point inside of it: the parts, and the indices of the points.
     """
     order = np.argsort(point[:, 0])
     x_min = corners[:, :, 0].min(axis=1)
@@ -209,8 +220,8 @@ def _winding_above(corners: Float, point: Float) -> Int:
     """Return how triangles above points wind around them, seen from above.
 
     Args:
-        corners: of a triangle for each point, shape (n, 3, 3) [m].
-        point: shape (n, 3) [m].
+        corners: corners of n triangles, one for each point, shape (n, 3, 3) [m].
+        point: the points, shape (n, 3) [m].
 
     Returns:
         1 for counter-clockwise, -1 for clockwise, 0 for no triangle above the point; shape (n,).

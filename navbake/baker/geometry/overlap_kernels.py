@@ -1,9 +1,9 @@
-"""Decides in closed form whether triangles, half-spaces and lines meet an upright prism.
+"""Decide in closed form whether triangles, half-spaces and lines meet an upright prism.
 
 Triangles are clipped to the prism, plane by plane (Sutherland and Hodgman, Reentrant polygon
 clipping, 1974); half-spaces are tested by the prism's deepest point (the separating axis is their
-normal). A prism is open: what only touches it is outside. For triangles that enclose nothing its
-sides are closed, or a wall without thickness between two cells would meet neither.
+normal). A shape that only touches a prism does not meet it, but for open surfaces, see
+`facet_meets_prism`.
 """
 
 import math
@@ -17,17 +17,18 @@ from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float
 
-# Room for a polygon's corners: a triangle has at most nine when six planes have clipped it
+# Room for a polygon's corners: a triangle that six planes have clipped has at most nine
 MAX_CORNERS = 12
 # Axes; for plain ints, numba would compile functions once for each
 X = np.int64(0)
 Y = np.int64(1)
 Z = np.int64(2)
-ANY_GEOM = np.int32(-1)  # in place of a geom's id
+# In place of a geom's id: all geoms count
+ANY_GEOM = np.int32(-1)
 
 
 class Polygons(NamedTuple):
-    """Scratch for clipping: from one polygon to the other and back.
+    """Scratch for clipping: two polygons, of which each is clipped into the other in turn.
 
     Attributes:
         first, second: corners, (MAX_CORNERS, 3) float64 [m].
@@ -45,7 +46,7 @@ def make_polygons():
 
 @subkernel(inline="always")
 def is_beside_prism(boxes, i, prism):
-    """Return whether a box is beside a prism; a box that only touches it is.
+    """Return whether a box does not meet a prism: it is beside, above or below it, or touches it.
 
     Args:
         boxes: (n, 6) float64, lower corner, upper corner [m].
@@ -67,13 +68,15 @@ def is_beside_prism(boxes, i, prism):
 def facet_meets_prism(facets, t, prism, polygons):
     """Return whether a triangle meets a prism.
 
-    The sides of the prism are open for triangles that enclose something, else closed.
+    A triangle of a solid must reach TOUCH_DEPTH into the prism from the side. A triangle of an open
+    surface (a sheet that encloses nothing) also counts up to TOUCH_DEPTH outside: otherwise a wall
+    without thickness between two cells would meet neither.
 
     Args:
         facets: the triangles, as `Facets`.
         t: index of the triangle.
-        prism: the prism, as `Prism`, already narrowed by TOUCH_DEPTH. Closed sides are moved out to
-            TOUCH_DEPTH beyond the full prism.
+        prism: the prism, as `Prism`, already narrowed by TOUCH_DEPTH; for open surfaces it is
+            widened here by twice that.
         polygons: scratch, see `make_polygons`.
     """
     margin = 2.0 * TOUCH_DEPTH if facets.closed[t] == OPEN_SURFACE else 0.0
@@ -85,7 +88,7 @@ def facet_meets_prism(facets, t, prism, polygons):
 
 @subkernel(**NO_REFCOUNT)
 def clip(points, num, out, axis, limit, sign):
-    """Clip a polygon to where ``sign * (coordinate - limit) >= 0``.
+    """Clip a polygon to the half-space in which ``sign * (coordinate - limit) >= 0``.
 
     Args:
         points: corners, (>= num, 3) float64 [m].
@@ -214,7 +217,7 @@ def plane_meets_prism(planes, p, prism):
 def is_line_blocked(hits, cell, heights, geom):
     """Return whether a column's line crosses a geom in a range of heights, or runs inside of one.
 
-    It runs inside of one if the winding number of the ray up from there is positive.
+    It runs inside of one if the winding number of the line above the range is positive.
 
     Args:
         hits: the columns, as `ColumnHits`.
@@ -237,14 +240,14 @@ def is_line_blocked(hits, cell, heights, geom):
 
 @kernel(nogil=True)
 def find_blocked_lines(cells, low, high, hits, blocked, first, end):
-    """Find the cells whose lines cross something between two heights, or run inside of it.
+    """Find where the lines of columns cross something between two heights, or run inside of it.
 
     Args:
-        cells: the columns, (n,) int64.
-        low, high: the heights of each, (n,) float64 [m].
+        cells: index of the column of each test, (n,) int64.
+        low, high: the two heights of each test, (n,) float64 [m].
         hits: the columns' hits, as `ColumnHits`.
-        blocked: receives for each column whether its line is blocked, (n,) bool.
-        first, end: range of entries of `cells`.
+        blocked: receives whether the line is blocked, (n,) bool.
+        first, end: range of tests.
     """
     for n in range(first, end):
         blocked[n] = is_line_blocked(hits, cells[n], HeightRange(low[n], high[n]), ANY_GEOM)

@@ -1,11 +1,15 @@
-"""Shells of meshes: parts at each of whose edges two triangles meet, in opposite directions.
+"""Find the shells of meshes: connected parts in which exactly two triangles meet at each edge.
+
+The two triangles run along the edge in opposite directions. A part with any other edge is no shell;
+`mesh_part_kernels` decides what it encloses.
 
 Points at one place are welded by a hash table; a filter with one hash (Bloom, 1970) first finds the
-few that may have an equal. Half-edges are chained by their lower point, and those of a point are
-compared by the upper one. Triangles are united (union-find) over the edges where two meet. A part
-with any other edge is no shell; `mesh_part_kernels` decides what it encloses.
+few points that may have an equal. Half-edges with the same lower point are chained, and those of a
+chain are compared by their upper point. Triangles are united (union-find) over the edges at which
+two meet.
 
-Half-edge ``3 f + k`` runs from corner k of triangle f to the next corner.
+A half-edge is one side of a triangle. Half-edge ``3 f + k`` runs from corner k of triangle f to the
+next corner.
 """
 
 import numpy as np
@@ -14,21 +18,22 @@ from navbake.baker.core.union_find import find_root, unite
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 MINUS_ZERO = np.uint64(1 << 63)  # the bits of -0.0
-# In place of the number of a shell, or of a half-edge's mate
+# In place of a triangle's shell, or a half-edge's mate: there is none
 NOT_SHELL = np.int32(-1)
-# At most this many edges at a point are compared, each with all. Triangles at further edges are in
-# no shell; `find_parts` decides what they enclose
-MAX_EDGES = 256
+# At most this many edges of a point are searched. Triangles at further edges are in no shell;
+# `find_parts` decides what they enclose
+MAX_EDGES_OF_POINT = 256
 
 
 @subkernel(inline="always")
 def _bits(points, i, k):
-    """Return a coordinate's bits; those of 0.0 for -0.0."""
+    """Return the bits of coordinate k of point i; for -0.0, the bits of 0.0."""
     return np.uint64(0) if points[i, k] == MINUS_ZERO else points[i, k]
 
 
 @subkernel(inline="always")
 def _are_equal(points, i, j):
+    """Return whether two points are at the same place."""
     is_equal = True
     for k in range(3):
         is_equal &= _bits(points, i, k) == _bits(points, j, k)
@@ -37,6 +42,7 @@ def _are_equal(points, i, j):
 
 @subkernel(inline="always")
 def _hash(points, i):
+    """Return the hash of a point's coordinates (FNV-1a), uint64."""
     key = np.uint64(1469598103934665603)
     for k in range(3):
         key = (key ^ _bits(points, i, k)) * np.uint64(1099511628211)
@@ -53,16 +59,16 @@ def _filter_bit(key, filter_size):
 
 @kernel(nogil=True)
 def weld_points(points, num_shares, number, first, end):
-    """Give points at one place the same number, the index of the first, for some shares.
+    """Give all points at one place the same number: the index of the first of them.
 
-    Points are divided into shares by their hashes, each share with a filter and a hash table with
-    open addressing.
+    Points are divided into shares by their hashes, so that several threads work side by side. Each
+    share has its own filter and its own hash table with open addressing.
 
     Args:
         points: bits of the coordinates, (n, 3) uint64.
         num_shares: number of shares.
-        number: receives the number of the first equal point of each, (n,) int32.
-        first, end: range of shares.
+        number: receives the number of each point, (n,) int32.
+        first, end: range of shares to work on.
     """
     num_points = points.shape[0]
     shares = np.uint64(num_shares)
@@ -116,14 +122,15 @@ def chain_edges(number, faces, point, is_proper, last, previous, first, end):
     Each share has its own chains.
 
     Args:
-        number: number of each vertex's point, see `weld_points`, (n,) int32.
+        number: the point of each vertex, see `weld_points`, (n,) int32.
         faces: vertices of each triangle, (m, 3) int32.
         point: receives the points of each triangle, (m, 3) int32.
-        is_proper: receives whether a triangle has three different points, (m,) bool; others are in
-            no chain.
-        last: ``last[share, low]`` receives the last half-edge of the chain of point `low`, (shares,
-            n) int32 of -1.
-        previous: receives the half-edge before each in its chain, -1 if none, (3 m,) int32.
+        is_proper: receives whether a triangle has three different points, (m,) bool; the half-edges
+            of other triangles are in no chain.
+        last: -1 everywhere; ``last[share, low]`` receives the last half-edge in the chain of point
+            `low`, (shares, n) int32.
+        previous: receives the half-edge before each half-edge in its chain, -1 for none, (3 m,)
+            int32.
         first, end: range of shares.
     """
     num_faces = faces.shape[0]
@@ -147,8 +154,9 @@ def chain_edges(number, faces, point, is_proper, last, previous, first, end):
 def pair_half_edges(corners, last, mate, first, end):
     """Find each half-edge's mate: the only other one at its edge, in the opposite direction.
 
-    A half-edge gets NOT_SHELL if there is none or there are several, if both run in one direction
-    or belong to triangles back to back, and beyond `MAX_EDGES` edges of a point.
+    A half-edge gets NOT_SHELL in place of a mate if there is no other one or there are several; if
+    both run in the same direction, or belong to triangles with the same corners; or if its lower
+    point has more than MAX_EDGES_OF_POINT edges and this is a further one.
 
     Args:
         corners: points of the triangles, (3 m,) int32.
@@ -157,9 +165,9 @@ def pair_half_edges(corners, last, mate, first, end):
         first, end: range of points; half-edges with their lower point in it are paired.
     """
     # of each edge at the point: its upper point, its first half-edge, its number of half-edges
-    upper_point = np.empty(MAX_EDGES, np.int32)
-    first_half_edge = np.empty(MAX_EDGES, np.int64)
-    num_half_edges = np.empty(MAX_EDGES, np.int64)
+    upper_point = np.empty(MAX_EDGES_OF_POINT, np.int32)
+    first_half_edge = np.empty(MAX_EDGES_OF_POINT, np.int64)
+    num_half_edges = np.empty(MAX_EDGES_OF_POINT, np.int64)
     for low in range(first, end):
         num_edges = 0
         for share in range(last.shape[0]):
@@ -172,7 +180,7 @@ def pair_half_edges(corners, last, mate, first, end):
                 e = 0
                 while e < num_edges and upper_point[e] != high:
                     e += 1
-                if e == MAX_EDGES:
+                if e == MAX_EDGES_OF_POINT:
                     continue
                 if e == num_edges:
                     upper_point[e] = high
@@ -194,11 +202,12 @@ def pair_half_edges(corners, last, mate, first, end):
 
 @kernel
 def label_shells(mate, shell):
-    """Find the shells: triangles connected over mates, all of whose half-edges have one.
+    """Find the shells: triangles that are connected over mates, and whose half-edges all have one.
 
     Args:
         mate: see `pair_half_edges`, (3 m,) int32.
-        shell: by triangle, receives the lowest triangle of its shell, or NOT_SHELL, (m,) int32.
+        shell: receives, for each triangle, the lowest triangle of its shell, or NOT_SHELL, (m,)
+            int32.
     """
     is_shell = np.ones(shell.shape[0], np.bool_)
     for f in range(shell.shape[0]):

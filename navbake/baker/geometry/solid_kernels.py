@@ -1,9 +1,9 @@
-"""Decides whether a solid meets an upright prism: in closed form if there is one, else by GJK.
+"""Decide whether a solid meets an upright prism: in closed form if possible, else by GJK.
 
-For spheres, upright boxes and cylinders the distance to a prism has a closed form: that of a point
-or a rectangle to a rectangle or a disc in the plane, and of two intervals in height. For leaning
-capsules and cylinders there is a bound. `gjk_kernels` decides what these leave open within
-rounding, and all other leaning solids.
+For spheres, upright boxes and upright cylinders, the distance to a prism has a closed form. It
+combines the distance of two figures in the plane (points, rectangles, discs) with the distance of
+two intervals of height. For other cylinders, and capsules, there is a lower bound. `gjk_kernels`
+decides the rest: distances that are 0 within rounding, and other leaning solids.
 """
 
 import math
@@ -18,7 +18,10 @@ MIN_PROVED_GAP = 1e-9  # a gap or an overlap larger than this is not due to roun
 
 @subkernel(inline="always")
 def _point_gap(dx, dy, half, is_round):
-    """Return how far a point is from a square or a disc around the plane's origin, >= 0 [m]."""
+    """Return the distance in the plane from a point to a square or a disc around the origin [m].
+
+    It is 0 inside. `half` is half of the square's edge, or the disc's radius [m].
+    """
     if is_round:
         return max(math.hypot(dx, dy) - half, 0.0)
     return math.hypot(max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0))
@@ -26,7 +29,9 @@ def _point_gap(dx, dy, half, is_round):
 
 @subkernel(inline="always")
 def _plan_gap(solids, s, upright_axis, dx, dy, half, is_round):
-    """Return how far an upright box or cylinder is from a prism seen from above [m]; < 0: overlap.
+    """Return the distance from an upright box or cylinder to a prism, seen from above [m].
+
+    It is negative if they overlap; for boxes and square prisms it may be a lower bound.
 
     Args:
         solids: the solids.
@@ -90,7 +95,10 @@ def _axis_gap(solids, s, prism, half, is_round):
 
 @subkernel(inline="always")
 def _gap(solids, s, prism, half, is_round):
-    """Return a lower bound of a solid's distance to a prism [m]; < 0: overlap, 0: unknown."""
+    """Return a lower bound of a solid's distance to a prism [m].
+
+    It is negative only if they overlap, and 0 if nothing is known.
+    """
     kind = solids.kind[s]
     pos = solids.pos[s]
     dx = prism.x - pos[0]

@@ -12,13 +12,13 @@ from navbake.config.settings import AgentSettings
 
 
 class Footprint(NamedTuple):
-    """The volume over a cell's floor: its square joined with the agent's disc, between two heights.
+    """The volume over a cell's floor: the union of its square and the agent's disc, extruded.
 
     Attributes:
-        square: half of the square's edge less TOUCH_DEPTH, 0 where the disc covers the square [m].
-        radius: the disc's radius less TOUCH_DEPTH, 0 where the square covers the disc [m].
-        low: height of the volume's bottom over the floor: the highest step, plus TOUCH_DEPTH [m].
-        high: height of its top over the floor: the agent's height, less TOUCH_DEPTH [m].
+        square: half of the square's edge less TOUCH_DEPTH; 0 if the disc covers the square [m].
+        radius: the disc's radius less TOUCH_DEPTH; 0 if the square covers the disc [m].
+        low: height of the volume's bottom above the floor: the highest step plus TOUCH_DEPTH [m].
+        high: height of its top above the floor: the agent's height less TOUCH_DEPTH [m].
     """
 
     square: float
@@ -28,7 +28,7 @@ class Footprint(NamedTuple):
 
     @property
     def half_width(self) -> float:
-        """Return how far the footprint reaches from the cell's centre along an axis [m]."""
+        """Return half the footprint's width along x or y, including TOUCH_DEPTH [m]."""
         return max(self.square, self.radius) + TOUCH_DEPTH
 
     @classmethod
@@ -49,5 +49,5 @@ class Footprint(NamedTuple):
         )
 
     def between(self, heights: HeightRange) -> Footprint:
-        """Return a footprint of the same shape, between two heights over the floor [m]."""
+        """Return a footprint of the same outline, between two heights above the floor [m]."""
         return self._replace(low=heights.low + TOUCH_DEPTH, high=heights.high - TOUCH_DEPTH)

@@ -1,4 +1,4 @@
-"""Occupancy: whether a geom meets the agent's footprint over a cell's floor."""
+"""Occupancy: does a geom meet the agent's footprint over a cell's floor?"""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ NO_LISTS = OccupantLists(
 
 
 class Occupancy(NamedTuple):
-    """Which cells of all levels are occupied.
+    """Which cells structure occupies; movables and doors are not included.
 
     Attributes:
-        levels: of each level, shape (height, width) of the whole lattice, bool: a geom meets
-            the volume over the cell's floor, or there is no floor.
-        blocked_squares: `levels` for the volume over the cell's square alone; None where the
-            agent's disc doesn't reach beyond it.
+        levels: for each level, a mask of shape (height, width) of the whole lattice: structure
+            meets an agent's volume over the cell's floor, or the cell has no floor.
+        blocked_squares: the same for the volume over the cell's square alone, without the agent's
+            disc; None if the disc doesn't reach beyond the square.
     """
 
     levels: list[Bool]
@@ -70,9 +70,11 @@ class CellOccupancy(NamedTuple):
 
     Attributes:
         occupied: whether a geom meets the footprint over the cell's floor, shape (n,), bool.
-        square_occupied: whether a geom meets the volume over the cell's square alone, (n,), bool.
-        geom: geom ids of all lists, each of which ends with -1, int32; see `check_tiles`.
-        flags: the geoms' flags, of the same length, uint8.
+        square_occupied: whether a geom meets the volume over the cell's square alone, without the
+            agent's disc, shape (n,), bool.
+        geom: the lists of occupants, one after the other: geom ids, and -1 at the end of each list,
+            int32; see `check_tiles`.
+        flags: the flags of each entry of `geom`, see `volume_kernels`, uint8.
     """
 
     occupied: Bool
@@ -91,17 +93,18 @@ def check_occupancy(
 ) -> CellOccupancy:
     """Check whether a geom meets the footprint over the floors of cells.
 
-    A ray of the cell's column that crosses a geom there, or runs inside of one, proves it occupied.
-    Otherwise each geom nearby is proved apart or overlapping; where rounding leaves no proof, FCL
-    decides. Geoms that reach in by less than TOUCH_DEPTH only touch.
+    If the cell's vertical line crosses a geom within the footprint, or runs inside of one, the cell
+    is occupied. Otherwise each geom nearby is tested; if rounding leaves open whether it meets the
+    footprint, FCL decides. A geom that reaches in by less than TOUCH_DEPTH does not meet it.
 
     Args:
         columns: the columns of the cells.
         tiled: the geoms near the cells, on the same lattice.
         footprint: the volume over a floor that has to be free.
-        cells: cell ids of the lattice, shape (n,), int64, in any order, repeated or not.
+        cells: cell ids, shape (n,), int64, in any order; a cell may be repeated.
         floors: height of each cell's floor, shape (n,), float64 [m].
-        lists: receives the occupants of the cells; if given, `cells` have to be in ascending order.
+        lists: settings for the lists of occupants, and arrays that receive where they begin;
+            `cells` then have to be ascending. NO_LISTS to list none.
 
     Returns:
         The occupancy of each cell, shape (n,), and the lists of occupants.
@@ -178,9 +181,17 @@ def _join_lists(
     cells: Int,
     lattice: Lattice,
 ) -> tuple[Int32, NDArray[np.uint8]]:
-    """Join the lists that calls of `check_tiles` made, and count `first_entry` on accordingly.
+    """Join the lists of occupants that several calls of `check_tiles` made.
 
-    `lists_by_row` are the geoms and flags of each call, by its first row of tiles.
+    Args:
+        lists_by_row: first row of tiles of a call -> geoms and flags that it listed.
+        first_entry: `OccupantLists.first`: where each cell's list begins in the lists of its call;
+            changed to where it begins in the joined lists.
+        cells: the cells, ascending.
+        lattice: the lattice.
+
+    Returns:
+        Geom ids and flags of all lists.
     """
     if not lists_by_row:
         return np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.uint8)
@@ -201,7 +212,7 @@ def _join_lists(
 
 
 def _fcl_finds_overlap(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:
-    """Return whether FCL finds that a solid over the cell's tile meets the footprint."""
+    """Return whether FCL finds that a solid near a cell meets the footprint over its floor."""
     lattice = tiled.lattice
     tiles = tiled.tile_index
     solids = tiled.shapes.solids

@@ -1,4 +1,4 @@
-"""One pass over the geoms near cells: which cells are occupied, and which geoms are in each.
+"""Find which cells are occupied, and which geoms are in each, in one pass over the geoms near them.
 
 A query is a cell and the height of a floor in it. It is decided in these steps:
 
@@ -7,16 +7,16 @@ A query is a cell and the height of a floor in it. It is decided in these steps:
 2. `_check_geom`: the geoms over a tile of cells, in the order of their ids, each get their flags in
    the queries near them: first those that the line proves (`find_flags_on_line`), then those of the
    volumes that one of the geom's shapes meets (`shape_meets_prism`). `volume_kernels` has both.
-3. `_keep_flags`: the flags are added to the query's, and to the tile's list of occupants. A
-   query is occupied if any geom is BLOCKING.
+3. `_keep_flags`: the geom's flags are added to the query's flags, and the geom to the tile's list
+   of occupants. A query is occupied if any geom is BLOCKING.
 4. If no geom is BLOCKING, but one is MAYBE_BLOCKING, the caller has to ask FCL.
 
-Without lists of occupants, cells that steps 1 and 2 have decided are not tested further.
+If no occupants are listed, cells that steps 1 and 2 have decided are not tested further.
 
-As in a rasterizer, each geom visits the cells near it, tile by tile. The cells of a tile that are
-still to be tested are the bits of one number, so that a triangle smaller than a cell costs one or
-two tests, and one over decided cells costs none. The tests of a cell do not depend on the order of
-the cells: any number of threads gives the same answers.
+As in a rasterizer, the cells near each geom are visited, tile by tile. Which cells of a tile are
+still to be tested is kept as the bits of one number. So a triangle smaller than a cell costs one or
+two tests, and a triangle over decided cells costs none. The tests of a cell do not depend on other
+cells: any number of threads gives the same answers.
 """
 
 from __future__ import annotations
@@ -73,18 +73,18 @@ if TYPE_CHECKING:  # kernels depend on kernels alone
     from navbake.baker.occupancy.footprint import Footprint
     from navbake.navgrid.lattice import Lattice
 
-BLOCKED_BY_LINE = 64  # of a query: its line alone proves that it is occupied
-NO_GEOM = np.int32(2**31 - 1)  # above all geom ids
-FIRST_CAPACITY = 1024  # entries that arrays have room for at first
+BLOCKED_BY_LINE = 64  # flag of a query: its cell's vertical line alone proves it occupied
+NO_GEOM = np.int32(2**31 - 1)  # greater than all geom ids
+FIRST_CAPACITY = 1024  # how many entries arrays have room for at first
 
 
 class TileEntries(NamedTuple):
     """The occupants of a tile's queries, in the order of geom ids; arrays of one length.
 
     Attributes:
-        query: int32.
-        geom: geom id, int32.
-        flags: of the geom over the query, uint8.
+        query: index of the query, int32.
+        geom: id of a geom that has a flag there, int32.
+        flags: the geom's flags there, uint8.
     """
 
     query: Int32
@@ -96,17 +96,18 @@ class TileState(NamedTuple):
     """The queries of a tile, and which of its cells are still to be tested.
 
     Attributes:
-        row_queries: by row of the tile, the first query and the one past the last, (TILE, 2) int64.
-        first_query: by cell of the tile, (TILE, TILE) int64.
-        end_query: by cell, the query past its last one, (TILE, TILE) int64.
-        heights: lowest and highest height of all volumes that are tested, (2,) float64 [m].
-        open_cells: a bit for each cell that further geoms are tested for, (1,) int64.
-        pending: by flag, a bit for each cell in which the current geom is to be tested for it,
-            (4,) int64.
-        pending_heights: by flag, lowest and highest height of the volumes of these cells,
+        row_queries: for each row of the tile, the index of its first query, and that past its last
+            one, (TILE, 2) int64.
+        first_query: for each cell of the tile, the index of its first query, (TILE, TILE) int64.
+        end_query: for each cell, the index past its last query, (TILE, TILE) int64.
+        heights: lowest and highest z of all volumes that are tested, (2,) float64 [m].
+        open_cells: a bit for each cell for which further geoms are tested, (1,) int64.
+        pending: for each flag, a bit for each cell in which the current geom is to be tested for
+            the flag, (4,) int64.
+        pending_heights: for each flag, the lowest and highest z of the volumes of these cells,
             (4, 2) float64 [m].
-        geom_box: box round the current geom over the tile, (1, 6) float64 [m].
-        plane: number of the current plane, (1,) int32.
+        geom_box: box around the current geom over the tile, (1, 6) float64 [m].
+        plane: index of the current plane, (1,) int32.
         scratch: room for the tests.
     """
 
@@ -132,8 +133,8 @@ class TileTask(NamedTuple):
         shape_arrays: what is tested.
         footprint: the volume that has to be free.
         queries: all queries, of which some are in the tile.
-        lists: of occupants.
-        tile_state: the tile's.
+        lists: settings of the lists of occupants, and where they begin.
+        tile_state: what is known about the tile.
     """
 
     lattice: Lattice
@@ -544,7 +545,7 @@ def _check_shape(task, kind, shape, query, volumes):
 
 @subkernel
 def _make_entries(size):
-    """Make room for so many entries."""
+    """Allocate room for `size` entries."""
     return TileEntries(np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.uint8))
 
 

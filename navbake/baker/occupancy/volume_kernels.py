@@ -33,16 +33,16 @@ from navbake.baker.geometry.solid_kernels import solid_meets_prism
 from navbake.compiled import NO_REFCOUNT, subkernel
 from navbake.types import Bool, Float, Int, Int32
 
-# Flags of a geom in a cell: the bit of each of `Volumes`, in their order
+# Flags of a geom in a cell: a bit for each field of `Volumes`, in their order
 OCCUPYING = 1
 BLOCKING = 2
 AT_WALL_HEIGHT = 4
 BLOCKING_SQUARE = 8
-# Rounding leaves no proof whether the geom meets the volume of BLOCKING, or of BLOCKING_SQUARE
+# Because of rounding it is open whether the geom meets the volume of BLOCKING, or BLOCKING_SQUARE
 MAYBE_BLOCKING = 16
 MAYBE_BLOCKING_SQUARE = 32
 
-# Kinds of shapes; plain integers would compile what takes them once for each
+# Kinds of shapes; for plain ints, numba would compile functions once for each
 PLANE_KIND = np.int64(0)
 SOLID_KIND = np.int64(1)
 TRIANGLE_KIND = np.int64(2)
@@ -82,19 +82,19 @@ class Queries(NamedTuple):
 class OccupantLists(NamedTuple):
     """The settings of the lists of occupants, and arrays that receive where the lists begin.
 
-    All arrays are empty where only occupancy is wanted.
+    If only occupancy is wanted, all arrays are empty.
 
     Attributes:
-        ceiling: by query, the height up to which geoms count as occupants, at least the agent's
-            height over the floor, (n,) float64 [m].
-        first: receives, by query, where its list begins, (n,) int32; see `check_tiles`.
+        ceiling: for each query, the z up to which geoms count as occupants, at least the agent's
+            height above the floor, (n,) float64 [m].
+        first: receives, for each query, where its list begins, (n,) int32; see `check_tiles`.
         floor_geom: receives the geom whose surface the floor is, -1 for none, (n,) int32.
-        gap_below: receives how far another geom's floor lies below it, inf for none, (n,) float64
-            [m].
-        is_wall_candidate: by geom id, whether AT_WALL_HEIGHT is tested, (ngeom,) bool.
-        wall_low: lower end of the volume of AT_WALL_HEIGHT over the floor [m].
-        wall_high: its upper end over the floor [m].
-        min_up: least z of the normal of a surface that is a floor, in [0, 1].
+        gap_below: receives how far below the floor a floor of another geom lies, inf for none, (n,)
+            float64 [m].
+        is_wall_candidate: for each geom id, whether AT_WALL_HEIGHT is tested, (ngeom,) bool.
+        wall_low: height above the floor at which the volume of AT_WALL_HEIGHT begins [m].
+        wall_high: height above the floor at which it ends [m].
+        min_up: least z of the unit normal of a surface that is a floor, in [0, 1].
     """
 
     ceiling: Float
@@ -131,8 +131,8 @@ def make_volumes(lattice, footprint, queries, lists, query, row, col):
         lattice: the cells.
         footprint: the volume over a floor that has to be free.
         queries: all queries.
-        lists: its ceilings and heights of walls; without lists, the first and third volume mean
-            nothing.
+        lists: the ceilings and the heights of walls; if it is empty, the volumes of OCCUPYING and
+            AT_WALL_HEIGHT have no meaning.
         query: number of the query.
         row: row of its cell.
         col: column of its cell.
@@ -162,7 +162,7 @@ def make_envelope(lattice, footprint, queries, lists, query, row, col):
         lattice: the cells.
         footprint: the volume over a floor that has to be free.
         queries: all queries.
-        lists: its ceilings.
+        lists: the ceilings.
         query: number of the query.
         row: row of its cell.
         col: column of its cell.
@@ -182,7 +182,7 @@ def make_envelope(lattice, footprint, queries, lists, query, row, col):
 def shape_meets_prism(shape_arrays, kind, shape, prism, scratch):
     """Return whether a shape of a geom meets a prism: APART, MEETS, or UNDECIDED.
 
-    UNDECIDED means that rounding errors leave no proof; it is returned for solids only.
+    UNDECIDED means that rounding errors prevent a proof; it is returned for solids only.
 
     Args:
         shape_arrays: all shapes.
@@ -209,10 +209,10 @@ def shape_meets_prism(shape_arrays, kind, shape, prism, scratch):
 def find_flags_on_line(hits, cell, geom, volumes):
     """Return the flags of a geom that the vertical line through a cell's centre proves.
 
-    The line proves that the geom meets a volume where it hits the geom between the volume's
-    heights, or runs inside of it there: where the winding number, counted from above, is positive.
-    It is `is_line_blocked` for three volumes in one pass over the hits; for BLOCKING_SQUARE it
-    proves nothing.
+    The line proves that the geom meets a volume if it hits the geom between the volume's lower and
+    upper height, or runs inside of the geom there: then the winding number above is positive. This
+    does what `is_line_blocked` does, for three volumes in one pass over the hits. It never returns
+    BLOCKING_SQUARE.
 
     Args:
         hits: the columns of all cells.
@@ -257,10 +257,10 @@ def find_flags_on_line(hits, cell, geom, volumes):
 
 @subkernel(inline="always")
 def describe_floor(hits, cell, floor, min_up):
-    """Return the geom whose surface a floor is, -1 for none, and the gap to the floor below.
+    """Return the geom whose surface a floor is, and the gap to another geom's floor below.
 
-    The gap is the distance to the highest surface of another geom that is as flat as a floor, inf
-    for none [m].
+    The geom is -1 if the column has no such surface. The gap is the distance to the highest surface
+    of another geom at or below the floor that keeps the slope limit, inf for none [m].
 
     Args:
         hits: the columns of all cells.

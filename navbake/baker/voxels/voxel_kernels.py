@@ -1,13 +1,13 @@
-"""Fills voxels, column by column, with the labels of the geoms that meet them.
+"""Fill voxels with the labels of the geoms that meet them, column by column (along z).
 
 A convex solid or a half-space meets one run of a column's voxels; both ends are found by bisection
 with the tests of occupancy (`solid_kernels` and `overlap_kernels`). A triangle is clipped to the
 column's square, and meets the voxels between its lowest and its highest point there. A voxel that
-no triangle of a closed surface meets is inside of it if its centre is, by the winding number of the
-column's middle line (scan conversion of solids: Lee and Requicha, 1982).
+no triangle of a closed surface meets is inside of the surface if its centre is. This is decided by
+the winding number of the column's middle line (scan conversion of solids: Lee and Requicha, 1982).
 
-Voxels are narrowed by TOUCH_DEPTH on all sides: what reaches in by less only touches. Where several
-geoms meet a voxel, the least label stays, in whatever order they come.
+A geom that reaches into a voxel by less than TOUCH_DEPTH does not meet it. If several geoms meet a
+voxel, it gets the least of their labels, in whatever order they come.
 """
 
 import math
@@ -38,7 +38,7 @@ class Voxels(NamedTuple):
 
     Attributes:
         values: labels, (nx, ny, nz) unsigned integers, 0 for empty voxels.
-        bottom: height of the grid's lower end [m].
+        bottom: z of the grid's lower end [m].
         res: edge of a voxel [m].
     """
 
@@ -49,7 +49,7 @@ class Voxels(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def _label(column, first, end, label):
-    """Label voxels ``[first, end)`` of a column; the least label stays."""
+    """Give voxels ``first:end`` of a column a label; a lower label (other than 0) stays."""
     for k in range(first, end):
         if column[k] == 0 or column[k] > label:
             column[k] = label
@@ -68,9 +68,9 @@ def _fill_between(voxels, column, low, high, label):
 
 @subkernel(**NO_REFCOUNT)
 def _meets(voxels, solids, planes, item, x, y, first, end, simplex):
-    """Return whether a solid or plane meets any voxel ``[first, end)`` of the column at (x, y).
+    """Return whether a solid or a plane meets any of the voxels ``first:end`` of a column at x, y.
 
-    `item` numbers the solids, then the planes.
+    `item` is the index of a solid, or the number of solids plus the index of a plane.
     """
     low = voxels.bottom + first * voxels.res + TOUCH_DEPTH
     high = voxels.bottom + end * voxels.res - TOUCH_DEPTH
@@ -145,8 +145,8 @@ def _fill_inside(voxels, column, hits, cell, labels):
 def _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip):
     """Label the voxels that a triangle meets.
 
-    The triangle is clipped to each strip of columns along y, and the part in the strip, to each
-    column.
+    The triangle is clipped to each strip of columns with the same x; what is left of it is clipped
+    to each column of the strip.
     """
     half = voxels.res / 2.0
     num_rows = lattice.height
@@ -182,12 +182,13 @@ def fill_voxels(voxels, lattice, solids, facets, planes, tile_index, hits, label
 
     Args:
         voxels: the grid to fill, as `Voxels`.
-        lattice: of the voxels' columns: column (i, j) is the cell at row ``ny - 1 - j``, column i.
+        lattice: the lattice whose cells are the voxels' columns: the voxels ``values[i, j]`` are
+            over the cell at row ``ny - 1 - j``, column i.
         solids, facets, planes: the shapes.
         tile_index: the solids and facets over each tile of the lattice.
         hits: hits of the columns' middle lines with the facets, as `ColumnHits`.
-        labels: by geom id, > 0, in the dtype of the grid's values. A voxel gets the least label of
-            those that meet it and of its old one, unless that is 0.
+        labels: the label of each geom, by geom id, > 0, in the dtype of the grid's values. A voxel
+            keeps the label that it has if that is lower.
         first_tile, end: range of tiles.
     """
     polygons = make_polygons()

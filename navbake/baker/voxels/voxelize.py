@@ -1,4 +1,4 @@
-"""Voxel grids of scenes: which voxels the geoms meet, and which ID the voxels of each geom get."""
+"""Make voxel grids of scenes: find which voxels geoms meet, and give them the geoms' IDs."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ Segments = Literal["geom", "body", "top"] | str | Mapping[str, int] | Sequence[s
 """What the IDs of voxels stand for, see `label_geoms`."""
 
 ID_KINDS = ("geom", "body", "top")
-MAX_ID = 2**32 - 1  # that of unmatched geoms; those of patterns are below
-UNMATCHED = "other"
+MAX_ID = 2**32 - 1  # the IDs of patterns are below this, as unmatched geoms get one ID more
+UNMATCHED = "other"  # name of the ID of geoms that no pattern matches
 
 
 class GridOptions(TypedDict, total=False):
@@ -177,7 +177,7 @@ class Voxelizer:
             config = config.model_copy(update={"scene": self._settings})
             self.scene = load_scene(config, scene_model=opened)
         self.shapes = self.scene.shapes
-        self._labels: dict[str, Labels] = {}  # by `repr` of the segments
+        self._labels: dict[str, Labels] = {}  # ``repr(segments)`` -> labels
 
     def create(
         self,
@@ -328,7 +328,7 @@ class Voxelizer:
         self.shapes = self.scene.shapes.with_replaced(shapes, has_moved)
 
     def _label(self, segments: Segments | None) -> Labels:
-        """Return the labels for `segments`, which are kept; 1 for all geoms if it is None."""
+        """Return the IDs for `segments`, and remember them; if it is None, all geoms get 1."""
         if segments is None:
             return Labels(np.ones(len(self.scene.geoms), dtype=np.uint32), {}, [])
         key = repr(segments)
@@ -413,7 +413,7 @@ def _first_match(patterns: Iterable[str], names: Sequence[str]) -> str | None:
 
 
 def _label_by_kind(scene: Scene, kind: str) -> Labels:
-    """Label geoms by themselves, their body or their top-most body: one of `ID_KINDS`."""
+    """Give an ID to each geom, body or top-most body; `kind`, one of `ID_KINDS`, says which."""
     model = scene.model
     ids = np.zeros(len(scene.geoms), dtype=np.uint32)
     id_of_segment: dict[tuple[str, int], int] = {}
@@ -435,7 +435,7 @@ def _label_by_kind(scene: Scene, kind: str) -> Labels:
 
 
 def _check_patterns(segments: object) -> dict[str, int]:
-    """Return the IDs of name patterns; raise a ConfigError for anything else."""
+    """Return name pattern -> ID; raise a ConfigError if `segments` are no name patterns."""
     if isinstance(segments, Mapping):
         patterns = dict(segments)
     elif isinstance(segments, str) and (

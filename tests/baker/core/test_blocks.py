@@ -53,7 +53,7 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
         for one, other in zip(join().hits, whole.hits, strict=True):
             np.testing.assert_array_equal(one, other)
     monkeypatch.setattr(column_sources, "MAX_CELLS_KEPT", 0)
-    monkeypatch.setattr(column_sources, "MAX_TRIANGLES_KEPT", 0)
+    monkeypatch.setattr(column_sources, "MAX_TRIANGLES_EXPANDED_AT_ONCE", 0)
     monkeypatch.setattr(column_sources, "MAX_REPEATED_EXPANSION", np.inf)
     for shapes in (tiles, open_stages(config, StageClock()).tile_index):
         for one, other in zip(join(shapes).hits, whole.hits, strict=True):

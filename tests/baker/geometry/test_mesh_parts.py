@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from navbake.baker.core.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.geometry.mesh_parts import split_mesh
 from navbake.baker.geometry.shapes import GeomTriangles
-from navbake.baker.geometry.shell_kernels import MAX_EDGES, NOT_SHELL
+from navbake.baker.geometry.shell_kernels import MAX_EDGES_OF_POINT, NOT_SHELL
 from navbake.threads import limit_threads
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
@@ -358,7 +358,9 @@ def test_many_points_on_several_threads(seed):
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize("sides", [MAX_EDGES - 1, MAX_EDGES, MAX_EDGES + 1, 5000])
+@pytest.mark.parametrize(
+    "sides", [MAX_EDGES_OF_POINT - 1, MAX_EDGES_OF_POINT, MAX_EDGES_OF_POINT + 1, 5000]
+)
 def test_a_point_with_many_edges(sides, threads):
     """Two cones, base to base; the top comes first, and so all its edges are its own."""
     angle = np.arange(sides) * (2 * np.pi / sides)

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from navbake.baker.geometry.extents import DIRECTIONS, facing_angles
+from navbake.baker.geometry.extents import NUM_DIRECTIONS, facing_angles
 from navbake.baker.geometry.shapes import bounding_box, drop_unused_vertices, triangle_areas
 from navbake.baker.geometry.triangle_kernels import (
     describe_triangles,
@@ -85,7 +85,7 @@ def test_nearest_directions():
 def test_facing_and_spans(mesh):
     corners = mesh[0][mesh[1]]
     group = np.repeat(np.arange(4, dtype=np.int32), 25)
-    step = np.pi / 2 / DIRECTIONS
+    step = np.pi / 2 / NUM_DIRECTIONS
     angles = facing_angles(corners, group, 4)
     low, high = np.full((4, 3), np.inf), np.full((4, 3), -np.inf)
     way = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -94,9 +94,9 @@ def test_facing_and_spans(mesh):
         own = group == k
         cross = cross_of(*mesh)[own]
         facing = np.mod(np.arctan2(cross[:, 1], cross[:, 0]), np.pi / 2)
-        bins = np.floor(facing / step + 0.5).astype(int) % DIRECTIONS
-        votes = np.bincount(bins, np.hypot(cross[:, 0], cross[:, 1]), DIRECTIONS)
-        off = np.mod(angle - np.arange(DIRECTIONS) * step + np.pi / 4, np.pi / 2) - np.pi / 4
+        bins = np.floor(facing / step + 0.5).astype(int) % NUM_DIRECTIONS
+        votes = np.bincount(bins, np.hypot(cross[:, 0], cross[:, 1]), NUM_DIRECTIONS)
+        off = np.mod(angle - np.arange(NUM_DIRECTIONS) * step + np.pi / 4, np.pi / 2) - np.pi / 4
         assert votes[np.abs(off) <= step / 2 + 1e-12].max() == pytest.approx(votes.max())
         points = corners[own].reshape(-1, 3)
         along = points[:, :2] @ [np.cos(angle), np.sin(angle)]
