@@ -23,9 +23,9 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.episodes.episode import CLASS_EDGES, Episode, EpisodeSet, named_agent, scene_of
+from navbake.episodes.episode import CLASS_EDGES, Episode, EpisodeSet, choose_agent, scene_of
 from navbake.episodes.formats import decode
-from navbake.episodes.goals import MAX_SNAP, find_stops, path_through
+from navbake.episodes.goals import MAX_SNAP, find_stops, plan_path_through
 from navbake.errors import FormatError, QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
@@ -318,8 +318,8 @@ class Measures:
             coordinates = ", ".join(f"{value:g}" for value in points[number])
             place = f"{label} {number} of episode {episode_id!r}, {coordinates}"
             raise QueryError(f"{place}, lies beside the grid")
-        fields = self._stops.fields
-        distances_after_stop = self._stops.rest
+        fields = self._stops.distance_fields
+        distances_after_stop = self._stops.lengths_after
         if not fields:
             return [math.nan] * len(points)
         free_cell_distances = np.zeros(len(points))  # to the nearest free cell [m]
@@ -362,7 +362,7 @@ class Measures:
         ever_near = success(np.array(np.min(goal_distances)), self.radius, True)
         reference = self.episode.path if places else ()
         if places and not reference:
-            reference = path_through(self.finder, self.episode.start, places).get("path", ())
+            reference = plan_path_through(self.finder, self.episode.start, places).get("path", ())
         times = self._times
         measures = {
             "success": succeeded,
@@ -574,7 +574,7 @@ def _make_finder(grid: NavGrid, content: EpisodeSet, *, force: bool) -> tuple[st
     header_agent = content.header.agent
     name = None if header_agent is None else header_agent.name or None
     radius = None if header_agent is None else header_agent.radius
-    agent = named_agent(grid, name, radius)
+    agent = choose_agent(grid, name, radius)
     if not force:
         grid = fit_grid(grid, agent)
         content.check_grid(grid)

@@ -36,7 +36,7 @@ from navbake.config.settings import (
     BakeConfig,
     load_config,
     settings_digest,
-    settings_to_state,
+    settings_to_store,
 )
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
@@ -448,7 +448,7 @@ def _copy_twin(plan: Plan, job: Job, scene: BatchScene) -> NavGrid | None:
     stated_path = grid.navbake.get("settings", {}).get("scene", {}).get("path", "")
     if any("/" in line or os.sep in line or stated_path in line for line in grid.warnings):
         return None
-    navbake_metadata = {**grid.navbake, "settings": settings_to_state(scene.config)}
+    navbake_metadata = {**grid.navbake, "settings": settings_to_store(scene.config)}
     navbake_metadata["settingsDigest"] = settings_digest(scene.config)
     metadata = {**grid.metadata, "sceneId": scene.config.scene.id, "navbake": navbake_metadata}
     return grid.with_levels(grid.levels, metadata)

@@ -47,11 +47,11 @@ def init(
 
     Example: navbake init house.xml -o house.yaml
     """
-    from navbake.config.template import template_for, write_template
+    from navbake.config.template import make_template, write_template
 
     options.refuse_unused(("--force", force, output != options.STDOUT, "files"))
     if output == options.STDOUT:
-        print(template_for(scene, Path())[1], end="")
+        print(make_template(scene, Path())[1], end="")
         return
     path = write_template(scene, output, force=force)
     say_unless_quiet(f"{path}: the default settings; `navbake bake {path}` bakes with them")

@@ -83,14 +83,19 @@ def to_path(value: object) -> Path:
 
 
 def resolve(path: Path, info: ValidationInfo) -> Path:
-    """Resolve a path relative to the file that names it, by the folder in pydantic's context."""
+    """Resolve a path relative to the folder of the file that names it.
+
+    Args:
+        path: The path.
+        info: Pydantic's information, whose context has that folder.
+    """
     return Path((info.context or {}).get("folder", "")) / path
 
 
 def refuse_if(is_wrong: Callable[[Any], object]) -> Callable[[Any], Any]:
     """Make a validator that raises a ValueError for some values.
 
-    The field's `expects`, which calls it, replaces the error by its own message.
+    The validator `expects` of the same field replaces this error by its own message.
 
     Args:
         is_wrong: Called with the value; returns something true if the value is to be refused.
@@ -109,8 +114,8 @@ def read_if_file(
 ) -> Callable[[object, ValidationInfo], object]:
     """Make a validator that replaces the path of a file by what the file holds.
 
-    So digests of settings cover the file's content. Null becomes an empty list, and values of other
-    types stay.
+    So the digest of the settings depends on the file's content. Null becomes an empty list. Values
+    of other types stay as they are.
 
     Args:
         key: The dotted key of the setting, for messages.
@@ -176,7 +181,7 @@ Section = Annotated[Model, BeforeValidator(lambda value: {} if value is None els
 
 
 class Settings(BaseModel):
-    """Base class of all sections: types are strict, unknown keys, NaN and infinity are refused."""
+    """Base class of all sections. Types are strict; unknown keys, NaN and infinity are refused."""
 
     model_config = ConfigDict(
         strict=True, extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
@@ -190,12 +195,14 @@ EXPECTED_TEXTS |= {
     "bool_type": "true or false",
     "invalid_key": "text as a key",
 }
+"""Type of pydantic's error -> what is expected, for messages."""
+
 KEYS_OF_OTHER_TOOLS = dict.fromkeys(
     ("climb", "max_climb", "max_step", "step", "step_height"), "agent.traversable_floor_height"
 )
 KEYS_OF_OTHER_TOOLS |= dict.fromkeys(("res", "resolution"), "grid.cell_size")
 KEYS_OF_OTHER_TOOLS |= {"file": "scene.path", "robot": "agent", "scale": "scene.unit"}
-"""What other tools call a setting, and its key here."""
+"""Key of a setting in other tools -> its dotted key here."""
 
 
 class ShortForm(NamedTuple):
@@ -213,21 +220,21 @@ SHORT_FORMS = {
     "scene": ShortForm("path", (str,)),
     "levels": ShortForm("ground", (int, float)),
 }
-ENTRY_SECTIONS = ("agents", "areas", "links")  # their keys are never meant outside of them
-MAX_VALUE = 60  # characters of a value in a message
-MAX_ITEMS = 6  # entries of a list in a message
-MAX_ERRORS = 3  # errors in a message
+ENTRY_SECTIONS = ("agents", "areas", "links")  # other sections' unknown keys aren't meant for these
+MAX_VALUE_LENGTH = 60  # largest number of characters of a value in a message
+MAX_ITEMS = 6  # longer lists are shown in a message by their length
+MAX_ERRORS = 3  # largest number of errors in a message
 NESTED_TYPES = (Mapping, list, tuple, set)
 Location = tuple[int | str, ...]
 """The keys and list indices that lead to a value, from the top."""
 Sections = Mapping[str, type[BaseModel]]
-"""The class of each section by its dotted key."""
+"""Dotted key of a section -> its class."""
 
 
 class Fault(NamedTuple):
     """What is wrong with one setting, as parts and as a sentence."""
 
-    text: str  # without the file
+    text: str  # the message, without the file
     key: str  # dotted
     value: object = None
     expected: str | None = None
@@ -240,21 +247,21 @@ def make_config_error(
     """Convert pydantic's errors to one ConfigError on one line.
 
     The message has the first three errors, unknown keys first, and the number of the remaining
-    ones. The attributes of the ConfigError are those of the first error.
+    ones. The attributes of the ConfigError describe the first error.
 
     Args:
         error: What pydantic raised.
         sections: The class of each section.
-        source: What the settings were read from, as a file's name.
-        overrides: The texts ``a.b=value`` that replace settings. The message names a faulty one in
-            place of `source`.
+        source: What the settings were read from, such as a file's name.
+        overrides: The texts ``a.b=value`` that replace settings. If the fault is in one of them,
+            the message names it in place of `source`.
     """
     # an unknown key is often the reason for other errors; sorting keeps these in order
     details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     faults: list[Fault] = []
     origins: list[str] = []
     for detail in details[:MAX_ERRORS]:
-        # pydantic adds the tag of a union's branch, here =list and the like, and [key]
+        # pydantic adds tags of unions' branches, such as =list, and [key]
         location = tuple(
             part for part in detail["loc"] if not str(part).startswith("=") and part != "[key]"
         )
@@ -277,7 +284,7 @@ def make_config_error(
 
 
 def _origin_of(location: Location, source: str, overrides: Sequence[str]) -> str:
-    """The last override that sets a value, or a part of it; else the source."""
+    """Return the last override that sets the value at a location or a part of it, else `source`."""
     for override in reversed(overrides):
         key = override_key(override)
         if key[: len(location)] == location[: len(key)]:
@@ -293,11 +300,11 @@ def find_unknown_key(
     Args:
         settings: Nested mappings, as read from YAML.
         sections: The class of each section.
-        section: The dotted key of the section that `settings` is.
+        section: The dotted key of the section that `settings` belongs to; "" for the top.
     """
     for key, value in settings.items():
         if section in sections and key not in _keys_of(sections, section):
-            return _unknown_key((*filter(None, section.split(".")), key), sections).text
+            return _describe_unknown_key((*filter(None, section.split(".")), key), sections).text
         if isinstance(value, Mapping):
             unknown = find_unknown_key(value, sections, f"{section}.{key}".lstrip("."))
             if unknown:
@@ -314,20 +321,20 @@ def show_value(value: object) -> str:
         if not value or len(value) > MAX_ITEMS or is_nested:
             return f"a list of {len(value)}"
         text = f"[{', '.join(show_value(item) for item in value)}]"
-        return text if len(text) <= MAX_VALUE else f"a list of {len(value)}"
+        return text if len(text) <= MAX_VALUE_LENGTH else f"a list of {len(value)}"
     is_word = value is None or isinstance(value, bool | str)
     text = json.dumps(value, ensure_ascii=False) if is_word else str(value)
-    return text if len(text) <= MAX_VALUE else text[: MAX_VALUE - 1] + "…"
+    return text if len(text) <= MAX_VALUE_LENGTH else text[: MAX_VALUE_LENGTH - 1] + "…"
 
 
 def _find_fault(error: ErrorDetails, location: Location, sections: Sections) -> Fault:
-    """Describe one of pydantic's errors."""
+    """Convert one of pydantic's errors to a fault."""
     kind = error["type"]
     context = error.get("ctx", {})
     value = error["input"]
     key = _dotted(location)
     if kind == "extra_forbidden":
-        return _unknown_key(location, sections)
+        return _describe_unknown_key(location, sections)
     if kind == "missing":
         return Fault(f"expected a value, found none at `{key}`", key, expected="a value")
     expected = context.get("text") or EXPECTED_TEXTS.get(kind) or error["msg"]
@@ -343,25 +350,25 @@ def _find_fault(error: ErrorDetails, location: Location, sections: Sections) -> 
     return Fault(f"expected {expected}, got {shown_value} at `{key}`", key, value, expected)
 
 
-def _unknown_key(location: Location, sections: Sections) -> Fault:
-    """Describe an unknown key, with the nearest known one, of the same section first."""
+def _describe_unknown_key(location: Location, sections: Sections) -> Fault:
+    """Describe an unknown key and the nearest known key, if possible one of the same section."""
     unknown = str(location[-1])
     section = ".".join(part for part in location[:-1] if isinstance(part, str))
     if section not in sections:
-        section = section.rpartition(".")[0]  # below a name, as of an agent
+        section = section.rpartition(".")[0]  # the last part is a name, such as of an agent
     keys_of_section = _keys_of(sections, section)
     keys_elsewhere: dict[str, str] = {}
-    # reversed, so that of sections with a key in common the first one is named
+    # reversed, so that the first of several sections with the same key is named
     for name in reversed(list(sections)):
         if name not in ENTRY_SECTIONS:
             keys_elsewhere |= _keys_of(sections, name)
-    near = [keys_of_section[name] for name in find_near(unknown, keys_of_section)]
-    near += [keys_elsewhere[name] for name in find_near(unknown, keys_elsewhere)]
-    meant = KEYS_OF_OTHER_TOOLS.get(unknown, "")
-    if meant and section in ("", meant.rpartition(".")[0]):
-        near = [meant]
-    if near:
-        hint = f"the nearest known one is `{near[0]}`"
+    near_keys = [keys_of_section[name] for name in find_near(unknown, keys_of_section)]
+    near_keys += [keys_elsewhere[name] for name in find_near(unknown, keys_elsewhere)]
+    same_setting = KEYS_OF_OTHER_TOOLS.get(unknown, "")
+    if same_setting and section in ("", same_setting.rpartition(".")[0]):
+        near_keys = [same_setting]
+    if near_keys:
+        hint = f"the nearest known one is `{near_keys[0]}`"
     else:
         hint = f"known are {', '.join(keys_of_section)}"
     key = _dotted(location)
@@ -369,7 +376,7 @@ def _unknown_key(location: Location, sections: Sections) -> Fault:
 
 
 def _keys_of(sections: Sections, section: str) -> dict[str, str]:
-    """The dotted keys of a section by their last parts."""
+    """Return the keys of a section: last part of the key -> dotted key."""
     keys = [field.alias or name for name, field in sections[section].model_fields.items()]
     return {key: f"{section}.{key}".lstrip(".") for key in keys}
 

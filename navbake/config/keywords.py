@@ -1,4 +1,4 @@
-"""Merges settings: keywords over a file's, a scene's over a batch's."""
+"""Merges settings: keywords replace those of a file, a scene's replace those of its batch."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from navbake.yaml_text import read_yaml
 
 
 class SettingKeywords(TypedDict, total=False):
-    """The settings as keywords: the sections of a YAML file, see docs/settings.md."""
+    """The settings as keywords of a function: the sections of a YAML file, see docs/settings.md."""
 
     scene: Mapping[str, Any]
     agent: Mapping[str, Any]
@@ -46,16 +46,17 @@ class SettingKeywords(TypedDict, total=False):
 def merge(
     below: Mapping[str, Any], above: Mapping[str, Any], place: str, section: str = ""
 ) -> dict[str, Any]:
-    """Merge settings key by key; a section without keys changes nothing.
+    """Merge settings key by key. A section without keys changes nothing.
 
     Args:
         below: Nested mappings of settings.
-        above: Nested mappings of settings, whose values replace those of `below`.
+        above: Nested mappings of settings, which replace those of `below`.
         place: What `above` was read from, for messages.
-        section: Dotted key of the section that both mappings belong to.
+        section: Dotted key of the section that both mappings belong to; "" for the top.
 
     Raises:
-        ConfigError: `above` has keys below a value of `below`, as below ``rooms: none``.
+        ConfigError: `above` has keys for a section of which `below` has a plain value, such as
+            ``rooms: none``.
     """
     merged = dict(below)
     for key, value in above.items():
@@ -138,7 +139,11 @@ def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
 
 
 def _check_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords as YAML values; a ConfigError suggests the section of a setting outside one."""
+    """Convert the values of keywords to YAML values.
+
+    Raises:
+        ConfigError: A keyword is a setting of a section; the message names the section.
+    """
     for key in keywords.keys() - BakeConfig.model_fields:
         for section, model in SECTIONS.items():
             name = key.removeprefix(f"{section}_")
@@ -149,7 +154,7 @@ def _check_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _as_yaml_value(value: object) -> object:
-    """A value as YAML has it: lists for tuples and arrays, Python's own numbers."""
+    """Convert tuples and arrays in a value to lists, and NumPy's numbers to Python's."""
     if isinstance(value, Mapping):
         return {key: _as_yaml_value(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -160,10 +165,10 @@ def _as_yaml_value(value: object) -> object:
 
 
 def _attribute_hint(scene: object) -> str:
-    """What to give in place of an object that has a scene."""
+    """Say what to give in place of an object, if it is known to hold a scene; "" otherwise."""
     if type(scene).__name__ == "MjData":
         return ": give its model first, then the data"
-    # `ptr` is of dm_control's models, `model` of environments and of dm_control's Physics
+    # dm_control's models have `ptr`; environments and dm_control's Physics have `model`
     for attribute in ("ptr", "model"):
         if hasattr(scene, attribute):
             return f": give its `{attribute}`"

@@ -1,4 +1,4 @@
-"""Settings of named agents, and of the areas and links that they may use and what these cost."""
+"""Settings of named agents, and of areas and links: who may use them, and what they cost."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Self
 
 AGENT_LIMIT = "that of `agent`, which is the most"
-RULE_ONLY = ("height", "gap", "patterns")  # fields of a rule that finds links, with `auto`
-LINK_ONLY = ("name", "kind", "one_way", "width")  # fields of a single link
+RULE_FIELDS = ("height", "gap", "patterns")  # only rules that find links (`auto`) have these
+LINK_FIELDS = ("name", "kind", "one_way", "width")  # only single links have these
 
 OptionalPositive = Annotated[Annotated[float, Field(gt=0)] | None, expects("a number > 0, or null")]
 OptionalLength = Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")]
@@ -89,12 +89,12 @@ class AreaSettings(Settings):
 
     @property
     def keeps_out(self) -> bool:
-        """Whether the area bars any agent; it then includes every cell that it touches."""
+        """Whether the area bars any agent. It then covers every cell that it touches."""
         return self.cost == "inf" or self.agents is not None
 
     @model_validator(mode="after")
     def _check_place(self) -> Self:
-        """Refuse an area with no place, or with several."""
+        """Refuse an area whose place is given not at all or in several ways."""
         places = [name for name in ("room", "polygon", "box", "geoms") if getattr(self, name)]
         if len(places) != 1:
             got = " and ".join(places) or f"none for {self.name!r}"
@@ -134,9 +134,9 @@ class LinkSettings(Settings):
 
     @model_validator(mode="after")
     def _check_form(self) -> Self:
-        """Refuse fields that a link, or a rule, does not have, and a link without stops."""
+        """Refuse fields of rules in a link, fields of links in a rule, and a link without stops."""
         kind = "auto" if self.auto else "a given link"
-        unused_fields = LINK_ONLY if self.auto else RULE_ONLY
+        unused_fields = LINK_FIELDS if self.auto else RULE_FIELDS
         for name in unused_fields:
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise expected_error(f"no `{name}` with {kind}", got=f"`{name}`")
@@ -154,7 +154,7 @@ class LinkSettings(Settings):
 def _check_names(
     entries: Sequence[AreaSettings | LinkSettings], info: ValidationInfo
 ) -> Sequence[AreaSettings | LinkSettings]:
-    """Refuse names that stand twice, and agents that `agents`, if it is valid, doesn't have."""
+    """Refuse names that are given twice, and names of agents that the section `agents` lacks."""
     agents = info.data.get("agents")
     names: set[str] = set()
     for number, entry in enumerate(entries):

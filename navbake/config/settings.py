@@ -70,7 +70,7 @@ def memory_path(name: str) -> Path:
 
 
 def is_memory_path(path: str | PathLike[str]) -> bool:
-    """Whether a path stands for a scene in memory without a file."""
+    """Return whether a path stands for a scene in memory without a file."""
     return str(path).startswith("<") and str(path).endswith(">")
 
 
@@ -84,13 +84,13 @@ def stem_of(path: str | PathLike[str]) -> str:
 
 Folder = Annotated[FilePath, AfterValidator(resolve)]
 ScenePath = Annotated[Folder, expects("the path of a scene file")]
-refuse_no_id = refuse_if(
+refuse_wrong_id = refuse_if(
     lambda text: text in (".", "..") or not text.isprintable() or set(text) & set("/\\")
 )
 SceneId = Annotated[
     str,
     Field(min_length=1),
-    AfterValidator(refuse_no_id),
+    AfterValidator(refuse_wrong_id),
     expects("text without / and \\ (a number needs quotes)"),
 ]
 
@@ -105,7 +105,7 @@ class ExcludeSettings(Settings):
     )
 
 
-SCAN_HOLES = 2.0  # `floors.fill` of scans [m²]
+SCAN_HOLES = 2.0  # largest hole that is closed in the floor of a scan: its `floors.fill` [m²]
 RefuseZero = AfterValidator(
     refuse_if(lambda vector: sum(value * value for value in vector) < 1e-12)
 )
@@ -161,7 +161,7 @@ class SceneSettings(Settings):
     @model_validator(mode="before")
     @classmethod
     def _default_id(cls, settings: object) -> object:
-        """Set the default of `id`, the stem of the path."""
+        """Set `id` to its default: the stem of the path."""
         if isinstance(settings, Mapping) and settings.get("id") is None:
             path = settings.get("path")
             stem = stem_of(path) if isinstance(path, str | PathLike) else ""
@@ -220,7 +220,7 @@ class RoomSettings(Settings):
 
 
 def expand_rooms(value: object) -> object:
-    """Expand the short forms ``auto``, ``none`` and null to the sections that they stand for."""
+    """Expand ``rooms: auto``, ``rooms: none`` and null to the sections that they stand for."""
     if value is None:
         return {}
     if value == "auto":
@@ -233,12 +233,13 @@ def expand_rooms(value: object) -> object:
 
 
 YAML_SUFFIXES = (".yaml", ".yml")
-# In the YAML of a building that has lifts
+# matches in the YAML of a building that has lifts
 LIFTS_KEY = re.compile(rb"^lifts:\s+[^\s{]", re.MULTILINE)
-MAP_KEYS = frozenset({"image", "resolution", "origin"})  # in the YAML of a nav2 map
+MAP_KEYS = frozenset({"image", "resolution", "origin"})  # keys in the YAML of a nav2 map
 
 
 def _check_below_height(value: float, info: ValidationInfo) -> float:
+    """Refuse a step that is not lower than the agent."""
     height = info.data.get("height")
     if height is not None and value >= height:
         raise expected_error(f"a number >= 0 and < `agent.height` ({height:g})")
@@ -246,6 +247,7 @@ def _check_below_height(value: float, info: ValidationInfo) -> float:
 
 
 def _check_above_ground(value: float | None, info: ValidationInfo) -> float | None:
+    """Refuse a level's top that is not above its ground."""
     ground = info.data.get("ground")
     if value is not None and ground is not None and value <= ground:
         raise expected_error(f"a number > `ground` ({ground:g}), or null")
@@ -297,7 +299,7 @@ class LevelSettings(Settings):
 class FloorSettings(Settings):
     """The section ``floors``: which surfaces are floors."""
 
-    # as of `RoomSettings.sources`
+    # `from` is a keyword of Python, so it is an alias of `starts`
     model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
 
     min_area: NotNegative = setting(1.0, "smallest area of a floor, after shrinking [m2], >= 0")
@@ -349,7 +351,7 @@ class VerifySettings(Settings):
 
 
 def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
-    """Refuse levels that overlap, that are not lowest first, or that have one name."""
+    """Refuse levels that overlap, are not in ascending order, or have the same name."""
     names: set[str] = set()
     for index, level in enumerate(levels):
         if level.name in names:
@@ -377,7 +379,7 @@ class BakeConfig(Settings):
     scene: Section[SceneSettings] = Field(description="the scene: what of it counts, its pose")
     agent: Section[AgentSettings] = section(AgentSettings, "the agent that must fit")
     grid: Section[GridSettings] = section(GridSettings, "the cells")
-    # tags as of `scene.meshes`
+    # for the tags, see `scene.meshes`
     levels: Annotated[
         Annotated[
             Literal["auto"], expects("auto or a list of {ground: …, top: …, name: …}"), Tag("=auto")
@@ -426,7 +428,7 @@ class BakeConfig(Settings):
     @model_validator(mode="before")
     @classmethod
     def _default_fill(cls, settings: object) -> object:
-        """Set the default of `floors.fill` for scans."""
+        """Set `floors.fill` to its default for scans."""
         if isinstance(settings, Mapping):
             scene = settings.get("scene")
             floors = settings.get("floors") or {}
@@ -437,19 +439,19 @@ class BakeConfig(Settings):
 
     @property
     def inputs(self) -> tuple[Path, ...]:
-        """The input files of the settings: the scene, outlines, areas and links."""
+        """The files that a bake reads: the scene, and files of room outlines, areas and links."""
         return (Path(self.scene.path), *self._input_files)
 
     def __eq__(self, other: object) -> bool:
-        """Whether all settings are equal, whatever files they are read from."""
+        """Return whether all settings are equal, whatever files they are read from."""
         return isinstance(other, BakeConfig) and self.__dict__ == other.__dict__
 
 
 def find_source(path: str | PathLike[str]) -> Path:
-    """Return the path of a scene or of settings; for a sample's bare name, see `samples.find`.
+    """Return a path of a scene or of settings; the bare name of a sample becomes its path.
 
     Raises:
-        ConfigError: The path is that of a grid.
+        ConfigError: The path belongs to a grid.
     """
     if str(path).lower().endswith((".grid.json", ".json.gz")):
         hint = (
@@ -461,12 +463,12 @@ def find_source(path: str | PathLike[str]) -> Path:
 
 
 def is_settings(path: str | PathLike[str]) -> bool:
-    """Whether a file holds settings, not a scene, by its name."""
+    """Return whether a file holds settings, not a scene; its name tells."""
     return scene_suffix(path) in YAML_SUFFIXES
 
 
 def defaults_of(scene: Path) -> dict[str, Any]:
-    """Return the default settings for a scene file; for a building, its lifts become links."""
+    """Return the default settings for a scene file; if it is a building with lifts, with links."""
     settings: dict[str, Any] = {"scene": {"path": scene}}
     if scene_suffix(scene) in BUILDING_SUFFIXES and scene.is_file():
         settings["links"] = [{"auto": "lift"}] if LIFTS_KEY.search(scene.read_bytes()) else []
@@ -477,9 +479,9 @@ def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Bak
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
     Args:
-        path: A path that ends in .yaml or .yml; any other path, and that of a building, is a scene,
-            or the bare name of a sample as `navbake.samples.find` takes it. `scene.path` is
-            relative to the YAML file.
+        path: The path of a YAML file, which ends in .yaml or .yml; or the path of a scene, which
+            may also be a building's YAML; or the bare name of a sample, see `navbake.samples.find`.
+            `scene.path` is relative to the YAML file.
         overrides: Texts ``a.b=value``, each of which replaces a setting of the file.
 
     Raises:
@@ -546,7 +548,7 @@ def settings_digest(config: BakeConfig) -> str:
     """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
     left_out: Any = {"output": True, "verify": True, "grid": {"max_cells"}}
     left_out["scene"] = {"path", "model_path"}
-    # a grid without these has the digest that it had before there were any
+    # without these settings, the digest is the same as in versions that did not have them
     if not config.floors.movable:
         left_out["floors"] = {"movable"}
     left_out |= {name: True for name in ("agents", "areas", "links") if not getattr(config, name)}
@@ -555,7 +557,7 @@ def settings_digest(config: BakeConfig) -> str:
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def settings_to_state(config: BakeConfig) -> Json:
+def settings_to_store(config: BakeConfig) -> Json:
     """Return the settings that are stored in a grid's file: those that differ from the defaults.
 
     Only the sections scene, agent, grid, levels and floors are stored. The scene's file is stored
@@ -594,4 +596,4 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "links": LinkSettings,
     "verify": VerifySettings,
 }
-"""The model of each section, by its dotted key."""
+"""Dotted key of a section -> its class."""

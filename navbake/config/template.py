@@ -22,8 +22,8 @@ from navbake.errors import ConfigError, SceneError
 from navbake.files import write_whole
 from navbake.yaml_text import parse_yaml
 
-LINE_LENGTH = 110
-COMMENT_COLUMN = 34
+LINE_LENGTH = 110  # longest line of a template
+COMMENT_COLUMN = 34  # where comments beside settings begin
 
 
 def render_template(config: BakeConfig) -> str:
@@ -53,7 +53,7 @@ def write_template(
         ConfigError: The path exists or cannot be written, or `scene` is settings or a grid.
         SceneError: There is no such scene.
     """
-    name, text = template_for(Path(scene), Path() if path is None else Path(path).parent)
+    name, text = make_template(Path(scene), Path() if path is None else Path(path).parent)
     path = Path(name if path is None else path)
     if path.suffix.lower() not in YAML_SUFFIXES:
         expected = "a name that ends in .yaml"
@@ -69,12 +69,12 @@ def write_template(
     return path
 
 
-def template_for(scene: Path, folder: Path) -> tuple[str, str]:
+def make_template(scene: Path, folder: Path) -> tuple[str, str]:
     """Make the YAML template of a scene.
 
     Args:
         scene: The path of the scene.
-        folder: The folder that the template is for; its `scene.path` is relative to it.
+        folder: The folder that the template is for; `scene.path` in it is relative to this folder.
 
     Returns:
         The name of the file, ``<scene id>.yaml``, and its text.
@@ -105,7 +105,7 @@ def template_for(scene: Path, folder: Path) -> tuple[str, str]:
 
 
 def _section_lines(section: BaseModel, indent: str = "") -> list[str]:
-    """A line for each setting, its comment beside it, or above if too long."""
+    """Write a line for each setting, with its comment beside it, or above if that is too long."""
     lines = []
     for key, field in type(section).model_fields.items():
         name = field.alias or key
@@ -129,7 +129,7 @@ def _section_lines(section: BaseModel, indent: str = "") -> list[str]:
 
 
 def _to_flow_style(value: object) -> str:
-    """A value as JSON (YAML's flow style), text without quotes if YAML allows it."""
+    """Write a value as JSON (YAML's flow style); text without quotes if YAML allows it."""
     if isinstance(value, Path):
         value = value.as_posix()
     is_word = isinstance(value, str) and re.fullmatch(r"[A-Za-z_.][\w./-]*", value, re.ASCII)

@@ -30,7 +30,7 @@ CLASS_EDGES: dict[str, tuple[float, ...]] = {
     "rooms": (1.0, 2.0, 3.0, 4.0, 6.0),
     "levels": (0.0, 1.0, 2.0),
 }
-"""Measures of episodes, and the lower edges of their classes."""
+"""Measure of an episode -> lower edges of the classes that its values are sorted into."""
 
 Length = Annotated[float, msgspec.Meta(ge=0)]
 """A length [m]."""
@@ -55,14 +55,14 @@ def check_word(value: str, words: Collection[str], name: str) -> None:
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The base class of the parts of a set; fields are named as in files."""
+    """The base class of all parts of a set; the fields have the same names in files."""
 
 
 class ViewPoint(Record, frozen=True, omit_defaults=True):
     """A place from which an object is visible."""
 
     position: Vector3  #: World x, y and floor z [m].
-    heading: float  #: Towards the object [rad].
+    heading: float  #: The heading that looks at the object [rad].
     iou: float | None = None  #: Share of the picture that the object fills, if it was measured.
 
 
@@ -70,38 +70,39 @@ class Goal(Record, frozen=True, kw_only=True, omit_defaults=True):
     """What an agent has to reach: a point, an object, a room, or a share of the free area."""
 
     position: Vector3 | None = None
-    """World x, y, z [m]; of an object its middle, of a room its centroid."""
+    """World x, y, z [m]; the middle of an object, the centroid of a room."""
     radius: Length = 0.0
-    """How near counts as reached [m], along the floor to the point or to the nearest view point;
-    how far the agent sees of what it explores. Of a room its own cells count."""
-    name: str | None = None  #: Of the object, or of the room.
-    category: str | None = None  #: Of the object, or type of the room.
+    """The goal is reached within this distance along the floor from the point, or from the nearest
+    view point [m]. A room is reached in any of its cells. For exploring: how far the agent sees."""
+    name: str | None = None  #: Name of the object or the room.
+    category: str | None = None  #: Category of the object, or type of the room.
     room: str | None = None  #: Id of the room.
-    view_points: tuple[ViewPoint, ...] = ()  #: Of the object.
-    share: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None  #: Of the area to explore.
+    view_points: tuple[ViewPoint, ...] = ()  #: Places from which the object is visible.
+    share: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
+    """Share of the free area that has to be explored; None for other tasks."""
 
 
 class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
-    """One task."""
+    """One task of a set: a start and the goals to reach from there."""
 
-    id: str  #: Unique in its set.
-    scene: str  #: Id of the scene, as a grid of the header has it.
+    id: str  #: Its id, unique in the set.
+    scene: str  #: Id of the scene, which is the `scene` of a grid of the header.
     task: str  #: One of `TASKS`.
     start: Vector3  #: World x, y and floor z [m].
-    heading: float  #: At the start [rad].
-    goals: tuple[Goal, ...]  #: Any one is to be reached; of a ``sequence`` all, in order.
+    heading: float  #: Heading at the start [rad].
+    goals: tuple[Goal, ...]  #: Any one has to be reached; in a ``sequence`` all, in order.
     distance: Length | None = None
-    """Of the shortest path over cells, seen from above, to the nearest place of a goal, or through
-    all goals of a ``sequence`` [m]; None where it is unknown or has no meaning."""
-    straight: Length | None = None  #: The same through the air [m].
-    split: str | None = None  #: ``train`` or another part of the set.
+    """Length, seen from above, of the shortest path over cells to the nearest place of a goal, or
+    through all goals of a ``sequence`` [m]; None if it is unknown or has no meaning."""
+    straight: Length | None = None  #: The same distance, but straight through the air [m].
+    split: str | None = None  #: The part of the set that it belongs to, such as ``train``.
     room: str | None = None  #: Id of the room of the start.
-    levels: tuple[int, ...] = ()  #: Of start and goal.
-    doors: tuple[str, ...] | None = None  #: Ids along the path; None where none was planned.
-    rooms: tuple[str, ...] | None = None  #: The same.
+    levels: tuple[int, ...] = ()  #: Level of the start, and level of the goal.
+    doors: tuple[str, ...] | None = None  #: Ids of doors along the path; None without a path.
+    rooms: tuple[str, ...] | None = None  #: Ids of rooms along the path; None without a path.
     path: tuple[Vector3, ...] = ()  #: A path to follow, world x, y, z [m].
-    instruction: str | None = None  #: In words.
-    extra: dict[str, Any] = {}  #: Fields of other formats.
+    instruction: str | None = None  #: The task in words.
+    extra: dict[str, Any] = {}  #: Fields of other programs' formats.
 
     def __post_init__(self) -> None:
         check_word(self.task, TASKS, "task")
@@ -115,7 +116,7 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def measures(self) -> dict[str, float | None]:
-        """The quantities by which episodes can be stratified and counted, see `CLASS_EDGES`."""
+        """Measure of the episode -> its value, for each of `CLASS_EDGES`."""
         return {
             "distance": self.distance,
             "ratio": self.ratio,
@@ -128,19 +129,20 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
 class Agent(Record, frozen=True, kw_only=True):
     """The agent that the episodes were generated for."""
 
-    radius: Length  #: [m]
-    height: Length  #: [m]
-    speed: float | None = None  #: The highest [m/s].
+    radius: Length  #: Its radius [m].
+    height: Length  #: Its height [m].
+    speed: float | None = None  #: Its highest speed [m/s]; None if unknown.
     name: str | msgspec.UnsetType = msgspec.UNSET
-    """Of the grid's agent whose rights on links and areas count; not set for none."""
+    """Name of an agent of the grid; it decides which links and areas may be used. Not set if all
+    may be used."""
 
 
 class GridEntry(Record, frozen=True, kw_only=True):
     """A grid that episodes were drawn on."""
 
     scene: str  #: The scene's id.
-    digest: str  #: `digest_of` the grid, inflated for the agent if need be.
-    file: str | None = None  #: Name of the grid's file; None where it was in memory.
+    digest: str  #: `digest_of` the grid, after it was inflated for the agent if need be.
+    file: str | None = None  #: Name of the grid's file; None if it was in memory.
 
 
 class Header(Record, frozen=True, kw_only=True):
@@ -152,7 +154,7 @@ class Header(Record, frozen=True, kw_only=True):
     grids: tuple[GridEntry, ...] = ()
     sampler: dict[str, Any] = {}
     seed: int | None = None
-    rejected: dict[str, int] = {}  #: How many draws each rule refused.
+    rejected: dict[str, int] = {}  #: Reason -> number of draws that were refused for it.
 
 
 class EpisodeSet(msgspec.Struct, frozen=True):
@@ -213,10 +215,10 @@ def scene_of(grid: NavGrid) -> str:
     return grid.scene_id or "scene"
 
 
-def named_agent(
+def choose_agent(
     grid: NavGrid, name: str | None, radius: float | None = None, height: float | None = None
 ) -> links.Agent:
-    """Return an agent of a grid, or one without a name, with the given radius and height.
+    """Return an agent of a grid, or an agent without a name, with another radius or height.
 
     Args:
         grid: the grid.
@@ -240,11 +242,11 @@ def named_agent(
 
 
 def digest_of(grid: NavGrid) -> str:
-    """Compute the SHA-256 of a grid's rooms and of all that distances depend on, in hexadecimal.
+    """Compute the SHA-256, in hexadecimal, of a grid's rooms and of all that distances depend on.
 
-    These are the grid's place in the world, its free cells, floors, steps, links and areas, and the
-    agent's radius and height. Names, timings, added obstacles, and the states of doors that block
-    nothing are not included.
+    Distances depend on the lattices of the levels, on free cells, floors, steps, links and areas,
+    and on the agent's radius, height and highest step. Names, timings, added obstacles, and the
+    states of doors that block nothing do not change the digest.
     """
     grid = grid.without_obstacles()
     sizes_and_steps = (grid.radius, grid.agent_height, grid.max_step, grid.step_array.tolist())

@@ -1,4 +1,4 @@
-"""Sets of episodes in files: which format a file has, and navbake's own two.
+"""Reads and writes sets of episodes in files, in navbake's own two formats and in others.
 
 JSON lines (``.jsonl``, ``.jsonl.gz``), UTF-8, have the header in the first line, then one episode
 per line. Parquet (``.parquet``) has one row per episode: columns to sort and filter by, and the
@@ -25,7 +25,7 @@ from navbake.formats.allowance import Allowance, JsonPath
 from navbake.formats.source import format_path, import_extra, read_bytes, unpack, write_bytes
 from navbake.known_names import suggest
 
-METADATA_KEY = b"navbake"  # of the header in a Parquet file
+METADATA_KEY = b"navbake"  # key of a Parquet file's metadata that has the header
 TEXT_COLUMNS = ("id", "scene", "task", "split", "room")  # in a Parquet file, besides ``episode``
 NUMBER_COLUMNS = ("heading", "distance", "straight", "ratio")
 COMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
@@ -41,19 +41,19 @@ def read_episodes(
 
     Args:
         path: the path of the file, plain or packed.
-        scenes: the names of scenes in a file of another program, by navbake's ids of the scenes.
+        scenes: for a file of another program: navbake's id of a scene -> its name in the file.
 
     Returns:
         The set.
 
     Raises:
-        FormatError: the file can't be read, or holds no set; the message has file, line and field.
+        FormatError: the file can't be read, or has no set; the message names file, line and field.
         MissingDependencyError: the file is Parquet, and pyarrow is not installed.
     """
     packed, name = read_bytes(path)
     text = unpack(packed, name)
-    ending, _ = _endings(path)
-    set_format = _format_of(text, ending)
+    ending, _ = _split_endings(path)
+    set_format = _find_format(text, ending)
     try:
         header, episodes = set_format.read(text, name)
         content = EpisodeSet(header, msgspec.convert(episodes, tuple[Episode, ...]))
@@ -65,8 +65,8 @@ def read_episodes(
     return _rename_scenes(content, scene_of_name)
 
 
-def _format_of(text: bytes, ending: str) -> SetFormat:
-    """The format of a file by its content and ending; JSON lines if no other fits."""
+def _find_format(text: bytes, ending: str) -> SetFormat:
+    """Return the format of a file with this content and ending; JSON lines if no other fits."""
     if ending == ".json" and text.lstrip()[:1] == b"[":
         return EPISODE_FORMATS["molmospaces"]
     fitting = [set_format for set_format in EPISODE_FORMATS.values() if set_format.ending == ending]
@@ -84,18 +84,18 @@ def write_episodes(
     Args:
         content: the set.
         path: the path of the file; the endings ``.gz`` and ``.bz2`` pack it.
-        form: one of `EPISODE_FORMATS`; if None, the first that fits the ending and the tasks.
-        scenes: the names of scenes in a file of another program, by navbake's ids of the scenes.
+        form: a name of `EPISODE_FORMATS`; if None, the first that fits the ending and the tasks.
+        scenes: for a file of another program: navbake's id of a scene -> its name in the file.
 
     Returns:
-        The names of the fields that some episode has but the file can't hold.
+        The names of the fields that some episode has, but that the file can't hold.
 
     Raises:
         FormatError: no format has such an ending, or the format can't hold the set.
     """
     name = _choose_format(content, path, form)
     set_format = EPISODE_FORMATS[name]
-    _, packing = _endings(path)
+    _, packing = _split_endings(path)
     is_own = name in NAVBAKE_FORMATS
     written = content if is_own else _rename_scenes(content, scenes or {})
     pack = COMPRESSORS.get(packing, bytes)
@@ -106,11 +106,11 @@ def write_episodes(
 
 
 def _choose_format(content: EpisodeSet, path: str | os.PathLike[str], form: str | None) -> str:
-    """The name of the format to write: the given one, or the first that fits ending and tasks."""
+    """Return the name of the format to write: `form`, or the first that fits ending and tasks."""
     if form is not None and form not in EPISODE_FORMATS:
         raise FormatError(f"no format {form!r}: {suggest(form, EPISODE_FORMATS)}")
     names = [form] if form else list(EPISODE_FORMATS)
-    ending, _ = _endings(path)
+    ending, _ = _split_endings(path)
     fitting = [name for name in names if EPISODE_FORMATS[name].ending == ending]
     if not fitting:
         endings = ", ".join(dict.fromkeys(EPISODE_FORMATS[name].ending for name in names))
@@ -125,7 +125,7 @@ def _choose_format(content: EpisodeSet, path: str | os.PathLike[str], form: str 
 
 
 def _list_lost_fields(content: EpisodeSet, read_again: EpisodeSet) -> list[str]:
-    """The fields that some episode of a set has, and its file does not."""
+    """List the fields that an episode of a set has, but that it lacks when read again."""
     lost: set[str] = set()
     if content.header.agent and not read_again.header.agent:
         lost.add("agent")
@@ -142,8 +142,8 @@ def _list_lost_fields(content: EpisodeSet, read_again: EpisodeSet) -> list[str]:
     return sorted(lost)
 
 
-def _endings(path: str | os.PathLike[str]) -> tuple[str, str]:
-    """The ending of a file's name that tells its format, and the one that tells its packing."""
+def _split_endings(path: str | os.PathLike[str]) -> tuple[str, str]:
+    """Return the ending that tells a file's format, and the one that tells its packing or ""."""
     stem, packing = os.path.splitext(os.fspath(path).lower())
     if packing not in COMPRESSORS:
         return packing, ""
@@ -151,7 +151,7 @@ def _endings(path: str | os.PathLike[str]) -> tuple[str, str]:
 
 
 def _rename_scenes(content: EpisodeSet, names: Mapping[str, str]) -> EpisodeSet:
-    """The set with other names of scenes in its episodes."""
+    """Return a set with scenes renamed; `names` has old name -> new name."""
     if not names:
         return content
     renamed = [
@@ -168,7 +168,7 @@ def encode_lines(content: EpisodeSet, _: str) -> bytes:
 
 
 def read_lines(text: bytes, name: str) -> Fields:
-    """Read the fields of a set from JSON lines; errors state the file's name and the line."""
+    """Read the fields of a set from JSON lines; errors name the file and the line."""
     lines = text.splitlines()
     header = decode(lines[0] if lines else b"", Header, f"{name}, line 1")
     if header.format != FORMAT or header.version > VERSION:
@@ -203,7 +203,7 @@ def encode_parquet(content: EpisodeSet, _: str) -> bytes:
 
 
 def read_parquet(data: bytes, name: str) -> Fields:
-    """Read the fields of a set from Parquet; errors state the file's name and the row."""
+    """Read the fields of a set from Parquet; errors name the file and the row."""
     pyarrow = import_extra("pyarrow", "batch")
     parquet = import_extra("pyarrow.parquet", "batch")
     try:
@@ -224,4 +224,4 @@ NAVBAKE_FORMATS = {
     "parquet": SetFormat(".parquet", TASKS, encode_parquet, read_parquet),
 }
 EPISODE_FORMATS = NAVBAKE_FORMATS | SIMULATOR_FORMATS
-"""Formats of sets by their names; other programs' after navbake's own."""
+"""Name -> format of sets: navbake's own first, then those of other programs."""

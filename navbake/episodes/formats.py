@@ -4,8 +4,8 @@ habitat-lab (``.json.gz``): PointNav, ObjectNav and VLN, y up, rotations x, y, z
 along -z. MINOS (``.csv``, ``.csv.bz2``): y up, angles about y from -z, three decimals. MolmoSpaces
 (``.json``): a list of ``EpisodeSpec``, z up, poses x, y, z and w, x, y, z.
 
-Fields of navbake that a JSON format lacks are kept in its field ``navbake``, which the programs
-ignore.
+Fields of navbake's episodes that a JSON format lacks are kept in its field ``navbake``, which the
+other programs ignore.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from navbake.types import Json, Vector3
 
 Kind = TypeVar("Kind")
 Fields: TypeAlias = tuple[Header, list[Any]]
-"""A header, and the fields of each episode, still to be checked."""
+"""The header, and the fields of each episode, which are not checked yet."""
 Rotation = tuple[float, float, float, float]
 Pose = tuple[float, float, float, float, float, float, float]
-# of habitat-lab's success, where a goal has none [m]
+# distances to a goal that habitat-lab counts as a success, if the goal states none [m]
 OBJECT_RADIUS = 0.1
 POINT_RADIUS = 0.2
-MINOS_RADIUS = 0.25  # of MINOS's point goals [m]
+MINOS_RADIUS = 0.25  # distance to a goal that MINOS counts as a success [m]
 MINOS_COLUMNS = (
     "sceneId", "split", "level", "roomId", "startX", "startY", "startZ", "startAngle", "startTilt",
     "goalRoomId", "goalRoomType", "goalObjectId", "goalObjectType", "goalX", "goalY", "goalZ",
@@ -41,19 +41,19 @@ MINOS_COLUMNS = (
 )  # fmt: skip
 HABITAT_FIELDS = {"id", "scene", "task", "start", "heading", "goals", "distance", "room", "extra"}
 """Fields of episodes that habitat-lab's formats have a field for."""
-HOUSE_INDEX = re.compile(r"/\d+$")  # ends MolmoSpaces's scenes
-MOLMOSPACES_RADIUS = 1.5  # of MolmoSpaces's success, on the map [m]
+HOUSE_INDEX = re.compile(r"/\d+$")  # the end of a scene's name in MolmoSpaces
+MOLMOSPACES_RADIUS = 1.5  # distance to a goal, from above, that MolmoSpaces counts as success [m]
 EPISODE_SPEC = {"robot": {"robot_name": "", "init_qpos": {}}, "img_resolution": [640, 480]}
-"""Fields of an EpisodeSpec that no navigation episode has."""
+"""Fields that an EpisodeSpec needs, but that navbake's episodes lack, with fixed values."""
 
 
 class SetFormat(NamedTuple):
     """A file format of sets of episodes."""
 
-    ending: str  #: Of its files' names.
-    tasks: tuple[str, ...]  #: That it can hold.
-    encode: Callable[[EpisodeSet, str], bytes]  #: Takes the format's name, too.
-    read: Callable[[bytes, str], Fields]  #: Takes the file's name, too.
+    ending: str  #: Ending of its files' names.
+    tasks: tuple[str, ...]  #: Tasks that it can hold, of `TASKS`.
+    encode: Callable[[EpisodeSet, str], bytes]  #: Takes a set and the format's name.
+    read: Callable[[bytes, str], Fields]  #: Takes a file's content and name.
 
 
 def decode(text: bytes | str, kind: type[Kind], where: str) -> Kind:
@@ -65,7 +65,7 @@ def decode(text: bytes | str, kind: type[Kind], where: str) -> Kind:
         where: file and line, for the error.
 
     Returns:
-        The structure.
+        The decoded value.
 
     Raises:
         FormatError: the text has a different structure; the message names the field.
@@ -80,34 +80,37 @@ def decode(text: bytes | str, kind: type[Kind], where: str) -> Kind:
 
 
 def _to_yup(position: Sequence[float]) -> Vector3:
+    """Convert world x, y, z to the axes of a world with y up."""
     x, y, z = position[:3]
     return x, z, 0.0 - y  # no -0.0
 
 
 def _from_yup(position: Sequence[float]) -> Vector3:
+    """Convert X, Y, Z of a world with y up to world x, y, z."""
     x, y, z = position[:3]
     return x, 0.0 - z, y
 
 
-def _rotation(heading: float) -> Rotation:
-    """The rotation of a y-up world that turns -z to a heading."""
+def _to_rotation(heading: float) -> Rotation:
+    """Return the quaternion x, y, z, w, in a world with y up, that turns -z to a heading [rad]."""
     half = (heading - math.pi / 2) / 2
     return 0.0, math.sin(half), 0.0, math.cos(half)
 
 
-def _heading(rotation: Rotation) -> float:
-    """Where a rotation of a y-up world turns -z."""
+def _to_heading(rotation: Rotation) -> float:
+    """Return the heading [rad] to which a quaternion, in a world with y up, turns -z."""
     x, y, z, w = rotation
     return math.atan2(1 - 2 * (x * x + y * y), -2 * (x * z + w * y))
 
 
 def _fields_without(episode: Episode, names: Container[str]) -> Json:
-    """The fields of an episode but some."""
+    """Return all fields of an episode except those with some names."""
     fields = msgspec.to_builtins(episode)
     return {name: value for name, value in fields.items() if name not in names}
 
 
-def _position(goal: Goal) -> Vector3:
+def _position_of(goal: Goal) -> Vector3:
+    """Return the position of a goal; raise a FormatError if it has none."""
     if goal.position is None:
         raise FormatError(f"expected positions of all goals, {goal.name or 'one'} has none")
     return goal.position
@@ -150,7 +153,7 @@ class _Episode(msgspec.Struct, omit_defaults=True):
 
     @property
     def goals_key(self) -> str:
-        """The key of its goals in ObjectNav's table."""
+        """The key of the episode's goals in `_Dataset.goals_by_category`."""
         return f"{self.scene_id.rsplit('/', 1)[-1]}_{self.object_category}"
 
 
@@ -184,7 +187,7 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
             episode_id=episode.id,
             scene_id=episode.scene,
             start_position=_to_yup(episode.start),
-            start_rotation=_rotation(episode.heading),
+            start_rotation=_to_rotation(episode.heading),
             goals=[],
             info={
                 **episode.extra,
@@ -229,15 +232,15 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
 
 
 def _write_goal(goal: Goal, object_id: int | None = None) -> _Goal:
-    """A point; with an id, an object of ObjectNav's table."""
+    """Convert a goal to habitat-lab's; with an object's id, to an entry of ObjectNav's table."""
     views = None
     if object_id is not None:
         views = [
-            _View(_State(_to_yup(view.position), _rotation(view.heading)), view.iou)
+            _View(_State(_to_yup(view.position), _to_rotation(view.heading)), view.iou)
             for view in goal.view_points
         ]
     return _Goal(
-        position=_to_yup(_position(goal)),
+        position=_to_yup(_position_of(goal)),
         radius=goal.radius,
         object_id=object_id,
         object_name=goal.name,
@@ -247,11 +250,11 @@ def _write_goal(goal: Goal, object_id: int | None = None) -> _Goal:
 
 
 def _read_goal(goal: _Goal, default_radius: float) -> Goal:
-    """A goal, with a radius where it has none [m]."""
+    """Convert a goal of habitat-lab; it gets `default_radius` [m] if it has no radius."""
     views = []
     for view in goal.view_points or ():
         state = view.agent_state
-        views.append(ViewPoint(_from_yup(state.position), _heading(state.rotation), view.iou))
+        views.append(ViewPoint(_from_yup(state.position), _to_heading(state.rotation), view.iou))
     return Goal(
         position=_from_yup(goal.position),
         radius=default_radius if goal.radius is None else goal.radius,
@@ -303,7 +306,7 @@ def read_habitat(text: bytes, name: str) -> Fields:
         fields["goals"] = goals
         fields["task"] = "object" if is_object else "point"
         fields["start"] = _from_yup(episode.start_position)
-        fields["heading"] = _heading(episode.start_rotation)
+        fields["heading"] = _to_heading(episode.start_rotation)
         fields["distance"] = extra.pop("geodesic_distance", None)
         fields["extra"] = extra
         episodes.append(fields)
@@ -341,7 +344,7 @@ def encode_minos(content: EpisodeSet, _: str) -> bytes:
             "pathNumRooms": len(rooms),
             "pathRoomIndices": ":".join(rooms),
         }
-        for end, position in (("start", episode.start), ("goal", _position(goal))):
+        for end, position in (("start", episode.start), ("goal", _position_of(goal))):
             for axis, value in zip("XYZ", _to_yup(position), strict=True):
                 row[f"{end}{axis}"] = value
         table.writerow(
@@ -360,7 +363,7 @@ def read_minos(text: bytes, _: str) -> Fields:
 
 
 def _read_row(row: Mapping[str, str], index: int) -> Json:
-    """The fields of an episode from a row of MINOS's table."""
+    """Convert a row of MINOS's table to the fields of an episode."""
 
     def number(column: str, default: str | None = None) -> float:
         text = row.get(column) or default
@@ -373,7 +376,7 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
     def words(column: str) -> list[str]:
         return [word for word in (row.get(column) or "").split(":") if word]
 
-    # the order of these is that in which a row's errors are found
+    # the first wrong column in this order is reported
     start = _from_yup([number("start" + axis) for axis in "XYZ"])
     goal = _from_yup([number("goal" + axis) for axis in "XYZ"])
     straight = number("dist", "-1")
@@ -387,7 +390,7 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
         task = "object"
     else:
         task = "point"
-    # rooms have numbers on their level
+    # MINOS numbers the rooms of each level; navbake's ids have the level, too
     rooms = [f"{level}:{word}" if word.isdigit() else word for word in words("pathRoomIndices")]
     return {
         "id": str(index),
@@ -448,7 +451,7 @@ def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
             robot_base_pose=(*episode.start, math.cos(half), 0.0, 0.0, math.sin(half)),
             pickup_obj_name=goal.name or "",
             pickup_obj_candidates=[candidate.name or "" for candidate in episode.goals],
-            pickup_obj_start_pose=(*_position(goal), 1.0, 0.0, 0.0, 0.0),
+            pickup_obj_start_pose=(*_position_of(goal), 1.0, 0.0, 0.0, 0.0),
             succ_pos_threshold=goal.radius if is_planar else MOLMOSPACES_RADIUS,
         )
         text = episode.instruction or f"go to the {goal.category or goal.name}"
@@ -465,7 +468,7 @@ def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
 
 
 def read_molmospaces(text: bytes, name: str) -> Fields:
-    """Read the fields of a set from a list of EpisodeSpec whose tasks are to reach objects."""
+    """Read the fields of a set from a list of EpisodeSpec, whose tasks must be to reach objects."""
     episodes = []
     for index, spec in enumerate(decode(text, list[_Spec], name)):
         task = spec.task
@@ -481,7 +484,7 @@ def read_molmospaces(text: bytes, name: str) -> Fields:
 
 
 def _fields_of_foreign(spec: _Spec, index: int) -> Json:
-    """The fields of an episode that another program wrote, but task, start and heading."""
+    """Return the fields of another program's episode, except task, start and heading."""
     task = spec.task
     pose = task.pickup_obj_start_pose
     radius = task.succ_pos_threshold
@@ -506,4 +509,4 @@ SIMULATOR_FORMATS = {
     "molmospaces": SetFormat(".json", ("object",), encode_molmospaces, read_molmospaces),
     "minos": SetFormat(".csv", ("point", "object", "room"), encode_minos, read_minos),
 }
-"""Other programs' formats by their names."""
+"""Name -> format of another program."""

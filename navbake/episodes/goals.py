@@ -25,9 +25,9 @@ from navbake.types import Float, Int, Vector3
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
-MAX_SNAP = 0.5  # from a position in no free cell to the nearest one, at most [m]
+MAX_SNAP = 0.5  # largest distance from a position to the free cell that counts for it [m]
 VIEW_POINT_SPACING = 0.25  # between view points, and between points of a path [m]
-COUNTER_PATTERN = re.compile(r"[\W_]*\d[\d\W_]*$")  # the number that ends a name as chair_1
+COUNTER_PATTERN = re.compile(r"[\W_]*\d[\d\W_]*$")  # the number that ends names like chair_1
 
 
 class Task(Record, frozen=True, kw_only=True):
@@ -35,17 +35,17 @@ class Task(Record, frozen=True, kw_only=True):
 
     name: str = "point"  #: One of `TASKS`.
     objects: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
-    """Patterns of names, or patterns by category; all objects by the categories of their names
-    unless given."""
+    """Patterns of names; or category -> patterns of names. By default all objects, each in the
+    category that its name tells."""
     rooms: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
-    """Patterns of ids or names, or patterns by type, as ``{bath: [bath*, wc]}``; each room that
-    isn't outdoors unless given."""
-    radius: Length | None = None  #: Of each `Goal` [m]; as `reach` has it unless given.
-    view_distance: Length = 1.0  #: Of view points from an object, at most [m].
+    """Patterns of ids or names; or type -> patterns, such as ``{bath: [bath*, wc]}``. By default
+    all rooms that aren't outdoors."""
+    radius: Length | None = None  #: Radius of each `Goal` [m]; None for a default, see `reach`.
+    view_distance: Length = 1.0  #: Largest distance of a view point from its object [m].
     length: Annotated[int, msgspec.Meta(ge=2)] = 3  #: Number of goals of a sequence.
-    of: Literal["point", "object", "room"] = "point"  #: What the goals of a sequence are.
+    of: Literal["point", "object", "room"] = "point"  #: Kind of the goals of a sequence.
     share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.9
-    """Of the free area of the start's island that is to be explored."""
+    """Share of the free area of the start's island that has to be explored."""
 
     def __post_init__(self) -> None:
         check_word(self.name, TASKS, "task")
@@ -57,33 +57,33 @@ class Task(Record, frozen=True, kw_only=True):
 
     @property
     def reach(self) -> float:
-        """The radius within which a goal is reached [m]: `radius`, or the default of the kind."""
+        """The radius of each goal [m]: `radius`, or a default for the kind of the goals."""
         if self.radius is not None:
             return self.radius
         return {"point": 0.2, "object": 0.1, "room": 0.0, "explore": 3.0}[self.kind]
 
 
 class Stops(NamedTuple):
-    """The stops of an episode, where its goals are reached, and the distances to them.
+    """The stops of an episode, at which its goals are reached, and the distances to them.
 
-    In a sequence, each goal has a stop, where that goal is reached. In other tasks there is one
-    stop, where any of the goals is reached. Exploring has no stops.
+    In a sequence, each goal has a stop of its own. In other tasks, all goals share one stop, as any
+    one of them has to be reached. Exploring has no stops.
 
     Attributes:
         goals: the goals of the episode.
         places: for each stop an array of the places that belong to it, world x, y, z [m], shape
             (n, 3).
-        fields: for each stop an array of the distance from each cell to the stop [m], by the cell's
-            flat id; inf where there is no path.
-        rest: for each stop the length of the path from there through all later stops [m]. It is a
-            lower bound if a stop has several places, as each leg begins at the place that is
-            nearest to the next stop.
+        distance_fields: for each stop an array, indexed by the cell's flat id: the distance from
+            each cell to the stop [m], inf where there is no path.
+        lengths_after: for each stop the length of the path from there through all later stops [m].
+            If a stop has several places, this is a lower bound: each leg begins at the place that
+            is nearest to the next stop.
     """
 
     goals: tuple[Goal, ...]
     places: Sequence[Float] = ()
-    fields: Sequence[Float] = ()
-    rest: Sequence[float] = (0.0,)
+    distance_fields: Sequence[Float] = ()
+    lengths_after: Sequence[float] = (0.0,)
 
 
 def find_stops(
@@ -97,12 +97,12 @@ def find_stops(
         in_order: whether all goals have to be reached in their order; otherwise any one of them.
 
     Returns:
-        The stops; None if one of them has no place where an agent can stand.
+        The stops; None if an agent can stand at none of the places of some stop.
     """
     if goals[0].share is not None:
         return Stops(tuple(goals))
     search = finder.search
-    cells_of_goals = [cells_of(finder, goal) for goal in goals]
+    cells_of_goals = [find_goal_cells(finder, goal) for goal in goals]
     stops = cells_of_goals if in_order else [np.unique(np.concatenate(cells_of_goals))]
     if not all(map(len, stops)):
         return None
@@ -113,11 +113,12 @@ def find_stops(
     return Stops(tuple(goals), places, fields, rest)
 
 
-def cells_of(finder: PathFinder, goal: Goal) -> Int:
+def find_goal_cells(finder: PathFinder, goal: Goal) -> Int:
     """Return the free cells where a goal is reached.
 
-    For a room they are its free cells. For view points or a position, each has the nearest free
-    cell within 0.5 m or the goal's radius, whichever is larger.
+    For a room, these are its free cells. Otherwise, each view point of the goal (or the goal's
+    position, if it has none) contributes its nearest free cell, if there is one within 0.5 m or the
+    goal's radius, whichever is larger.
 
     Args:
         finder: the path finder of the grid.
@@ -135,21 +136,25 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
     if not points:
         return np.empty(0, dtype=np.int64)
     positions = check_positions(points, flat.num_levels)
-    reach = max(MAX_SNAP, goal.radius)
-    _, cells = snap_to_cells(flat, flat.free, positions, same_level=False, max_distance=reach)
+    max_distance = max(MAX_SNAP, goal.radius)
+    _, cells = snap_to_cells(
+        flat, flat.free, positions, same_level=False, max_distance=max_distance
+    )
     return np.unique(cells[cells >= 0])
 
 
 class RouteFields(TypedDict, total=False):
-    """A path to follow, and the fields of `Episode` that describe it."""
+    """The fields of an `Episode` about a path: the path, and the rooms and doors along it."""
 
     path: tuple[Vector3, ...]
     rooms: tuple[str, ...]
     doors: tuple[str, ...]
 
 
-def path_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Float]) -> RouteFields:
-    """Plan a path through stops, at each stop through its nearest place.
+def plan_path_through(
+    finder: PathFinder, start: Sequence[float], stops: Sequence[Float]
+) -> RouteFields:
+    """Plan a path through stops; it goes through the nearest place of each stop.
 
     Args:
         finder: the path finder of the grid.
@@ -170,7 +175,7 @@ def path_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Flo
             return {}
         distances = np.linspace(0.0, path.length, math.ceil(path.length / VIEW_POINT_SPACING) + 1)
         points += map(tuple, path.at(distances).tolist())
-        # a leg begins in the room in which the last one ended
+        # a leg begins in the room in which the leg before ended
         rooms += path.rooms[1:] if rooms[-1:] == path.rooms[:1] else path.rooms
         doors += path.doors
         position = path.positions[-1]
@@ -187,11 +192,11 @@ class GoalFinder:
 
     @cached_property
     def choices(self) -> dict[str, list[str]]:
-        """The names of objects, or ids of rooms, by the label that an episode's goal has.
+        """Label -> names of the objects, or ids of the rooms, that are goals of one episode.
 
-        If the task has patterns by category, the labels are these categories. If it has plain
-        patterns, each object or room that matches one is a label. Without patterns, each category
-        of objects is a label, or each indoor room.
+        If the task has patterns for categories, the labels are these categories. If it has plain
+        patterns, each object or room that matches one is a label of its own. Without patterns, the
+        labels are the categories of all objects, or the ids of all indoor rooms.
 
         Raises:
             QueryError: no object or room matches a pattern.
@@ -213,23 +218,33 @@ class GoalFinder:
         if isinstance(patterns, dict):
             for category, category_patterns in patterns.items():
                 label = f"of category {category!r}"
-                choices[category] = self._fitting(names_of, category_patterns, category, label)
+                choices[category] = self._find_fitting(names_of, category_patterns, category, label)
         else:
             for pattern in patterns:
-                for key in self._fitting(names_of, (pattern,), pattern, repr(pattern)):
+                for key in self._find_fitting(names_of, (pattern,), pattern, repr(pattern)):
                     choices[key] = [key]
         return choices
 
     def _default_choices(self) -> list[tuple[str, str]]:
-        """Pairs of a label and an object's name, or a room's id, without patterns."""
+        """List pairs of a label and an object's name or a room's id, for tasks without patterns."""
         if self.task.kind == "object":
             return sorted((category_of(name), name) for name in self.object_cells)
         return [(room.id, room.id) for room in self.finder.rooms.rooms if not room.outdoors]
 
-    def _fitting(
+    def _find_fitting(
         self, names_of: dict[str, list[str]], patterns: Sequence[str], word: str, label: str
     ) -> list[str]:
-        """The objects or rooms with a name that fits a pattern; at least one."""
+        """Return the objects or rooms with a name that fits a pattern.
+
+        Args:
+            names_of: name of an object or id of a room -> its names.
+            patterns: patterns of names.
+            word: what to suggest a similar name for, if nothing fits.
+            label: the patterns as the error describes them.
+
+        Raises:
+            QueryError: no object or room fits.
+        """
         fitting = [
             key
             for key, names in names_of.items()
@@ -241,8 +256,8 @@ class GoalFinder:
             raise QueryError(f"no {self.task.kind} {label} in {scene!r}: {hint}")
         return fitting
 
-    def goals_of(self, label: str) -> list[Goal]:
-        """Make a goal for each object or room of a label; objects without view points are left out.
+    def make_goals(self, label: str) -> list[Goal]:
+        """Make a goal for each object or room of a label, except objects without view points.
 
         Args:
             label: a key of `choices`.
@@ -269,7 +284,10 @@ class GoalFinder:
 
     @cached_property
     def object_cells(self) -> dict[str, Int]:
-        """The flat ids of cells, ascending, by the name of the object; no walls or doors."""
+        """Object name -> ascending flat ids of the cells whose user data list the object.
+
+        Walls and doors are left out.
+        """
         cells_of_name: dict[str, list[Int]] = {}
         walls_and_doors: set[str] = set()
         grid = self.finder.grid
@@ -288,12 +306,12 @@ class GoalFinder:
         return {name: np.unique(np.concatenate(cells_of_name[name])) for name in objects}
 
     def _object_goal(self, name: str, category: str) -> Goal:
-        """An object and its view points."""
+        """Make the goal for an object, with its view points."""
         flat = self.finder.search.flat
         cells = self.object_cells[name]
         x, y, z = flat.positions(cells).mean(axis=0).tolist()
         views = []
-        for position in self._view_positions(cells):
+        for position in self._find_view_positions(cells):
             heading = math.atan2(y - position[1], x - position[0])
             views.append(ViewPoint(position, heading))
         return Goal(
@@ -304,10 +322,17 @@ class GoalFinder:
             view_points=tuple(views),
         )
 
-    def _view_positions(self, object_cells: Int) -> list[Vector3]:
-        """Centres of free cells near an object, with nothing between, world x, y, floor z [m].
+    def _find_view_positions(self, object_cells: Int) -> list[Vector3]:
+        """Find centres of free cells near an object, with nothing between them and the object.
 
-        They are `VIEW_POINT_SPACING` apart, or all where none lies on that lattice.
+        On each level, only cells on a lattice with a spacing of `VIEW_POINT_SPACING` are tried; if
+        no cell near the object is on it, all near cells are.
+
+        Args:
+            object_cells: flat ids of the object's cells, shape (n,).
+
+        Returns:
+            World x, y, floor z [m] of each.
         """
         search = self.finder.search
         flat = search.flat
@@ -337,7 +362,7 @@ class GoalFinder:
             is_near = distance <= self.task.view_distance
             on_lattice = is_near & (rows % stride == 0) & (cols % stride == 0)
             for k in np.flatnonzero(on_lattice if on_lattice.any() else is_near):
-                # the line leaves the object through its own cells, then it must meet clear ones
+                # the line first runs over cells of the object, then it must meet only clear cells
                 first_seen = search.first_in_sight(
                     cell=level_cells[nearest[k]],
                     point=object_points[nearest[k]],

@@ -1,4 +1,4 @@
-"""Draws episodes on grids by rules; a set's header stores them, and how many draws each refused."""
+"""Draws episodes on grids by rules. A set's header stores the rules, and what each refused."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from navbake.episodes.episode import (
     Length,
     Record,
     check_word,
+    choose_agent,
     digest_of,
-    named_agent,
     scene_of,
 )
-from navbake.episodes.goals import GoalFinder, Stops, Task, find_stops, path_through
+from navbake.episodes.goals import GoalFinder, Stops, Task, find_stops, plan_path_through
 from navbake.errors import ConfigError, QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
@@ -43,30 +43,34 @@ if TYPE_CHECKING:
 Kind = TypeVar("Kind")
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
-MAX_FAILURES = 200  # goals in a row without an episode, after which a scene's draw ends
+MAX_FAILURES = 200  # after so many goals in a row without an episode, a scene's draw ends
 
 
 class Rules(Record, frozen=True, kw_only=True):
     """The rules by which a sampler draws episodes."""
 
-    name: str = "uniform"  #: Of the preset.
+    name: str = "uniform"  #: Name of the preset.
     min_distance: Length = 1.0
-    """Of the shortest path, and of each leg between points or objects of a sequence [m]."""
-    max_distance: Length | None = None  #: Of the shortest path [m].
-    max_rise: Length | None = None  #: Between the floors of start and goal [m].
-    same_level: bool = False  #: Start and goal are on one level.
-    min_ratio: Annotated[float, msgspec.Meta(ge=1)] = 1.0  #: Of path and straight line.
+    """Least length of the shortest path, and of each leg of a sequence of points or objects [m]."""
+    max_distance: Length | None = None  #: Largest length of the shortest path [m].
+    max_rise: Length | None = None  #: Largest difference of the floors of start and goal [m].
+    same_level: bool = False  #: Whether start and goal have to be on the same level.
+    min_ratio: Annotated[float, msgspec.Meta(ge=1)] = 1.0
+    """Least ratio of the lengths of the shortest path and of the straight line."""
     soft_ratio: Annotated[float, msgspec.Meta(ge=1)] | None = None
-    """Pairs with a smaller ratio r are kept with probability 20 (r - 0.98)²."""
-    min_island: Length = 0.0  #: Radius of the disc round the island's middle that holds it [m].
-    tries: Annotated[int, msgspec.Meta(ge=1)] = 10  #: Starts drawn for an episode, at most.
+    """Starts with a smaller ratio r of these lengths are kept with probability 20 (r - 0.98)²."""
+    min_island: Length = 0.0
+    """Least radius of the start's island [m]: the distance of its farthest cell from its middle."""
+    tries: Annotated[int, msgspec.Meta(ge=1)] = 10  #: Most starts that are drawn for an episode.
     goals: Annotated[int, msgspec.Meta(ge=1)] = 100
-    """Goals that share the episodes of a scene; more are drawn where rules refuse starts. Starts
-    share a goal's distance field."""
-    paths: bool = False  #: Keep each path, and the doors and rooms along it.
-    headings: str = "random"  #: Of starts: ``random``, to the ``goal``, or ``away`` from it.
-    strata: str | None = None  #: A key of `CLASS_EDGES`: as many episodes in each of its classes.
-    edges: tuple[float, ...] = ()  #: Lower edges of the classes.
+    """Among how many goals the episodes of a scene are divided. All starts for a goal share its
+    distance field. More goals are drawn where rules refuse starts."""
+    paths: bool = False  #: Whether to keep each path, and the doors and rooms along it.
+    headings: str = "random"
+    """Headings at starts: ``random``, to the ``goal``, or ``away`` from it."""
+    strata: str | None = None
+    """A measure of `CLASS_EDGES`: each class of its values gets the same number of episodes."""
+    edges: tuple[float, ...] = ()  #: Lower edges of the classes; () for those of `CLASS_EDGES`.
 
     def __post_init__(self) -> None:
         check_word(self.headings, ("random", "goal", "away"), "headings")
@@ -83,26 +87,27 @@ PRESETS = {
     "stratified": Rules(name="stratified", strata="distance"),
     "minos": Rules(name="minos", same_level=True, paths=True),
 }
-"""Samplers by their names."""
+"""Name of a sampler -> its rules."""
 
 
 class Splits(Record, frozen=True, kw_only=True):
-    """The parts (splits) of a set, and their shares; a scene or a room is in a single part."""
+    """The parts (splits) of a set, and their shares of the scenes or rooms."""
 
     shares: dict[str, Annotated[float, msgspec.Meta(gt=0)]] = msgspec.field(default_factory=dict)
-    by: str = "scene"
+    """Name of a part -> its share, relative to the sum of all."""
+    by: str = "scene"  #: ``scene`` or ``room``: what is never divided between two parts.
 
     def __post_init__(self) -> None:
         if self.by not in ("scene", "room"):
             raise ValueError(f"expected scene or room to split by, got {self.by!r}")
 
     def of(self, seed: int, scene: str, room: str | None) -> str | None:
-        """Return the part of a scene or a room; it depends only on the id and the seed.
+        """Return the part that a scene or a room belongs to; it depends only on id and seed.
 
         Args:
             seed: the seed of the draw.
             scene: the id of the scene.
-            room: the id of the start's room; used only if the parts are made by room.
+            room: the id of the start's room; ignored if `by` is ``scene``.
 
         Returns:
             A key of `shares`; None if there are no shares.
@@ -156,8 +161,8 @@ def make_splits(shares: Mapping[str, float | str], by: str = "scene") -> Splits:
     """Make the parts (splits) of a set.
 
     Args:
-        shares: the size of each part by its name, relative to the sum of all, > 0.
-        by: ``scene`` or ``room``: all episodes that start in one are in the same part.
+        shares: name of a part -> its size, relative to the sum of all, > 0.
+        by: ``scene`` or ``room``: all episodes that start in the same one are in the same part.
 
     Raises:
         ConfigError: a value doesn't fit.
@@ -166,7 +171,7 @@ def make_splits(shares: Mapping[str, float | str], by: str = "scene") -> Splits:
 
 
 def _convert(values: dict[str, object], kind: type[Kind]) -> Kind:
-    """Make a struct of fields, which may be texts."""
+    """Make a struct from the values of its fields, which may be texts."""
     try:
         return msgspec.convert(values, kind, strict=False)
     except (msgspec.ValidationError, ValueError) as error:
@@ -174,12 +179,12 @@ def _convert(values: dict[str, object], kind: type[Kind]) -> Kind:
 
 
 class AgentChoice(TypedDict, total=False):
-    """The agent that episodes are drawn for; the defaults are the grids' own agent."""
+    """The agent that episodes are drawn for; by default the agent of the grids."""
 
-    radius: float | None  #: Grids are inflated for it if need be [m].
-    height: float | None  #: At most the grids' [m].
-    speed: float | None  #: For the header [m/s].
-    agent: str | None  #: The name of one of the grids' agents, in place of size and speed.
+    radius: float | None  #: Its radius [m]; grids are inflated for it if need be.
+    height: float | None  #: Its height [m], at most that of the grids' agent.
+    speed: float | None  #: Its speed [m/s], which is only stored in the header.
+    agent: str | None  #: Name of one of the grids' agents, in place of size and speed.
 
 
 def make_episodes(
@@ -193,7 +198,7 @@ def make_episodes(
     files: Sequence[str | None] = (),
     **choice: Unpack[AgentChoice],
 ) -> EpisodeSet:
-    """Draw episodes on grids; all can be solved, and equal arguments give equal sets.
+    """Draw episodes on grids. All can be solved, and equal arguments give equal sets.
 
     The episodes of a scene depend on the seed and the scene's id, but not on the other grids.
 
@@ -236,17 +241,17 @@ def make_episodes(
         raise QueryError(f"expected grids of different scenes, got {actual}")
     episodes: list[Episode] = []
     entries = []
-    agents = set()  # by radius, height and speed
+    agents = set()  # tuples of radius, height and speed
     rejected = Counter[str]()
     for number, (scene, original) in enumerate(zip(scenes, grid_list, strict=True)):
-        agent = named_agent(original, agent_name, choice.get("radius"), choice.get("height"))
+        agent = choose_agent(original, agent_name, choice.get("radius"), choice.get("height"))
         grid = fit_grid(original, agent)
         finder_agent = agent.without_sizes() if agent_name else None
-        draw = _Draw(grid, task, rules, int(seed), splits, finder_agent)
-        # the first scenes have the remainder
+        scene_sampler = _SceneSampler(grid, task, rules, int(seed), splits, finder_agent)
+        # the first scenes get one episode more if the count can't be divided
         scene_count = count // len(scenes) + (number < count % len(scenes))
-        episodes += draw.run(scene_count)
-        rejected.update(draw.rejected)
+        episodes += scene_sampler.draw(scene_count)
+        rejected.update(scene_sampler.rejected)
         file = files[number] if number < len(files) else None
         entries.append(GridEntry(scene=scene, digest=digest_of(grid), file=file))
         height = grid.agent_height if agent.height is None else float(agent.height)
@@ -275,8 +280,8 @@ def make_episodes(
     return EpisodeSet(header, tuple(numbered))
 
 
-class _Draw:
-    """The draw of one scene's episodes."""
+class _SceneSampler:
+    """Draws the episodes of one scene."""
 
     def __init__(
         self,
@@ -304,7 +309,7 @@ class _Draw:
         self.missing: list[int] = []  # episodes still to be drawn in each class
 
     def _measure_islands(self) -> Float:
-        """By island, the radius of the disc round its middle that holds it [m]."""
+        """Return for each island the distance of its farthest cell from its middle [m]."""
         search = self.finder.search
         cells = np.flatnonzero(search.flat.free)
         island = search.islands.number[cells]
@@ -317,14 +322,14 @@ class _Draw:
         np.maximum.at(radii, island, np.linalg.norm(points - middle[island], axis=1))
         return radii
 
-    def run(self, count: int) -> list[Episode]:
-        """Draw so many episodes, as yet without ids."""
+    def draw(self, count: int) -> list[Episode]:
+        """Draw `count` episodes, or fewer if the rules refuse too many; their ids are empty."""
         if not self.finder.search.flat.free.any():
             raise QueryError(f"no agent can stand anywhere in {self.scene!r}")
         episodes: list[Episode] = []
         per_goal = math.ceil(count / self.rules.goals)
         num_classes = len(self.class_edges)
-        # the first classes have the remainder
+        # the first classes get one episode more if the count can't be divided
         self.missing = [
             count // num_classes + (number < count % num_classes) for number in range(num_classes)
         ]
@@ -337,7 +342,10 @@ class _Draw:
         return episodes
 
     def _draw_stops(self) -> Stops | None:
-        """Draw goals; None, counted as rejected, where no episode can have them."""
+        """Draw goals and find their stops.
+
+        If no episode can have these goals, return None and count the reason in `rejected`.
+        """
         task = self.task
         if task.name == "explore":
             return Stops((Goal(share=task.share, radius=task.reach),))
@@ -349,9 +357,11 @@ class _Draw:
             stops = find_stops(self.finder, goals, in_order=in_order)
         if stops is None:
             reason = "not in sight" if task.kind == "object" else "no place in the room"
-        elif not math.isfinite(stops.rest[0]):
+        elif not math.isfinite(stops.lengths_after[0]):
             reason = "no path"
-        elif task.kind != "room" and (-np.diff(stops.rest) < self.rules.min_distance).any():
+        elif (
+            task.kind != "room" and (-np.diff(stops.lengths_after) < self.rules.min_distance).any()
+        ):
             reason = "too near"
         else:
             return stops
@@ -359,7 +369,16 @@ class _Draw:
         return None
 
     def _draw_goals(self, num_goals: int, in_order: bool) -> list[Goal]:
-        """Draw the goals of an episode: of a sequence one for each stop, else all of one choice."""
+        """Draw the goals of an episode.
+
+        Args:
+            num_goals: the number of goals of a sequence; else 1.
+            in_order: whether the task is a sequence.
+
+        Returns:
+            The goals of a sequence, in order, fewer if a label has no goals; else all goals of one
+            label of `GoalFinder.choices`, or one point.
+        """
         task = self.task
         if task.kind == "point":
             points = self.finder.random_point(self.rng, num_goals)
@@ -368,20 +387,23 @@ class _Draw:
         if not labels:
             raise QueryError(f"no {task.kind} in {self.scene!r} to set as a goal")
         drawn = self.rng.choice(len(labels), num_goals, replace=num_goals > len(labels))
-        goals_of_labels = [self.goals.goals_of(labels[number]) for number in drawn.tolist()]
+        goals_of_labels = [self.goals.make_goals(labels[number]) for number in drawn.tolist()]
         if not in_order:
             return goals_of_labels[0]
         return [goals[int(self.rng.integers(len(goals)))] for goals in goals_of_labels if goals]
 
     def _draw_starts(self, stops: Stops, count: int) -> list[Episode]:
-        """Draw starts for goals: `tries` for each of `count` episodes, the first that fits."""
+        """Draw starts for the stops of goals, and make up to `count` episodes.
+
+        For each episode, `Rules.tries` starts are drawn; the first that no rule refuses is used.
+        """
         rules = self.rules
         starts = self.finder.random_point(self.rng, count * rules.tries)
         low = [[-math.pi], [0.0]]
         high = [[math.pi], [1.0]]
         headings, chance = self.rng.uniform(low, high, (2, len(starts)))
         candidates = self._measure_starts(stops, starts, headings)
-        refused = self._refuse(candidates, chance)
+        refused = self._find_refused(candidates, chance)
         episodes: list[Episode] = []
         for tries in np.arange(len(starts)).reshape(count, rules.tries):
             if not any(self.missing):
@@ -408,7 +430,7 @@ class _Draw:
         if stops.places:
             straight, nearest = spatial.cKDTree(stops.places[0]).query(starts)
             goals = stops.places[0][nearest]
-            distance = stops.fields[0][cells] + stops.rest[0]
+            distance = stops.distance_fields[0][cells] + stops.lengths_after[0]
             for places, next_places in pairwise(stops.places):
                 straight = straight + spatial.cKDTree(places).query(next_places)[0].min()
             if self.rules.headings != "random":
@@ -426,7 +448,7 @@ class _Draw:
         )
 
     def _make_episode(self, stops: Stops, starts: _Starts, number: int) -> Episode:
-        """The episode of a start, as yet without an id."""
+        """Make the episode for one of the starts; its id is empty."""
         rooms = self.finder.search.rooms
         room = rooms.id_of(int(rooms.number[starts.cells[number]]))
         episode = Episode(
@@ -443,15 +465,15 @@ class _Draw:
             levels=tuple(starts.levels[number].tolist()),
         )
         if self.rules.paths or self.rules.strata in ("doors", "rooms"):
-            route = path_through(self.finder, episode.start, stops.places)
+            route = plan_path_through(self.finder, episode.start, stops.places)
             episode = msgspec.structs.replace(episode, **route)
         return episode
 
     def _take_from_class(self, episode: Episode) -> bool:
-        """Count an episode in its class; False where that misses none."""
+        """Count an episode in its class; return False, uncounted, if the class is full."""
         strata = self.rules.strata
         value = episode.measures[strata] if strata else 0.0
-        # a ratio that isn't known counts as 1
+        # an unknown ratio counts as 1
         value = value or float(strata == "ratio")
         number = int(np.searchsorted(self.class_edges, value, side="right")) - 1
         if number < 0 or not self.missing[number]:
@@ -459,15 +481,24 @@ class _Draw:
         self.missing[number] -= 1
         return True
 
-    def _refuse(self, starts: _Starts, chance: Float) -> dict[str, Bool]:
-        """Which starts each rule refuses, by its name, in the order in which they are counted."""
+    def _find_refused(self, starts: _Starts, chance: Float) -> dict[str, Bool]:
+        """Find which starts each rule refuses.
+
+        Args:
+            starts: the starts.
+            chance: a random number from 0 to 1 for each start, shape (n,).
+
+        Returns:
+            Reason -> mask of the starts that are refused for it, shape (n,). A start that several
+            rules refuse is counted for the first of these reasons.
+        """
         rules = self.rules
         island = self.finder.search.islands.number[starts.cells]
         max_distance = math.inf if rules.max_distance is None else rules.max_distance
         max_rise = math.inf if rules.max_rise is None else rules.max_rise
         distance = starts.distance
         straight = starts.straight
-        # 1 of a start at the goal, and on a stair, where the line through the air may be longer
+        # 1 for a start at the goal, and on a stair, where the line through the air may be longer
         ratio = np.where(straight == 0, 1.0, np.nan)
         ratio = np.maximum(np.divide(distance, straight, out=ratio, where=straight > 0), 1.0)
         refused_by_chance = chance > 20.0 * (ratio - 0.98) ** 2
@@ -485,12 +516,12 @@ class _Draw:
 
 
 class _Starts(NamedTuple):
-    """Drawn starts of one episode's goals, measured."""
+    """n starts that were drawn for the same goals, and their measures."""
 
     positions: Float  # world x, y, floor z, shape (n, 3) [m]
-    headings: Float  # [rad]
-    cells: Int  # flat ids
-    levels: Int  # of start and goal, shape (n, 2)
-    rises: Float  # from the goal to the start [m]
-    distance: Float  # of the shortest path to the goals, NaN where there are none [m]
-    straight: Float  # the same through the air [m]
+    headings: Float  # [rad], shape (n,)
+    cells: Int  # flat ids, shape (n,)
+    levels: Int  # levels of start and goal, shape (n, 2)
+    rises: Float  # z of the start minus z of the goal [m], shape (n,)
+    distance: Float  # length of the shortest path through the stops [m], shape (n,); NaN without
+    straight: Float  # the same length, but straight through the air [m], shape (n,)

@@ -25,7 +25,7 @@ from navbake.episodes import (
     read_episodes,
     write_episodes,
 )
-from navbake.episodes.goals import cells_of
+from navbake.episodes.goals import find_goal_cells
 from navbake.errors import ConfigError, QueryError
 from project_paths import GOLDEN
 
@@ -268,7 +268,7 @@ def test_sequences_of_objects_and_rooms(of):
         assert sorted(names) == (["rug_7", "table_1"] if of == "object" else ["0:1", "0:2"])
         stops = [[v.position for v in g.view_points] or f"room:{g.room}" for g in e.goals]
         first = finder.distances(e.start, stops[0], weighted=False)
-        legs = finder.search.flat.positions(cells_of(finder, e.goals[0]))
+        legs = finder.search.flat.positions(find_goal_cells(finder, e.goals[0]))
         between = finder.distances(legs, stops[1], weighted=False).min()
         assert e.distance == pytest.approx(first + between, rel=1e-9)
         assert e.ratio >= 1.0

@@ -66,7 +66,7 @@ from navbake.baker.scene.roles import MOVABLE
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
-from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
+from navbake.config.settings import BakeConfig, settings_digest, settings_to_store
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside
 from navbake.types import Bool, Float
@@ -456,7 +456,7 @@ class Stages:
             link_geometry=link_geometry,
             settings_metadata={
                 "settingsDigest": settings_digest(self.config),
-                "settings": settings_to_state(self.config),
+                "settings": settings_to_store(self.config),
             },
             steps=crop_steps(self.floors.links, boxes, self.lattice.width),
             warnings=warn_of_structure(
