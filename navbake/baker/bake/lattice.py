@@ -12,8 +12,7 @@ from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.types import Float
 
-# By which share of a box's farthest coordinate its sides may be rounded. Coordinates in float32
-# are rounded by 6e-8 of themselves, and are computed with.
+# By which share of a box's size its sides may be rounded: sums and products of lengths are
 BOX_ROUNDING = 1e-6
 
 
@@ -21,8 +20,8 @@ def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     """Fit a lattice to the scene, or to the bounds of the settings.
 
     The scene's box is reduced by `BOX_ROUNDING` before its cells are counted, so that rounding of
-    coordinates (a mesh in float32, in inches, or 10 km from the origin) does not add a row or
-    column of cells.
+    lengths (a mesh in inches) does not add a row or column of cells. That depends on the box's
+    size, and not on how far from the origin it lies.
 
     Args:
         scene: the posed scene.
@@ -58,12 +57,25 @@ def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
         raise ConfigError(
             f"a grid of {num_cells:.3g} cells is more than `grid.max_cells` = "
             f"{settings.max_cells}: {width:.6g} x {depth:.6g} m at `grid.cell_size` = "
-            f"{settings.cell_size:g} m; check the scene's unit (`scene.unit`), the cell size, or "
-            f"raise the limit"
+            f"{settings.cell_size:g} m; {_name_largest_geom(scene)}check the scene's unit "
+            f"(`scene.unit`) and the cell size, bake a part (`grid.bounds`), leave geoms out "
+            f"(`scene.exclude`), or raise the limit"
         )
-    rounding = 0.0 if settings.bounds is not None else BOX_ROUNDING * float(np.abs(bounds).max())
+    rounding = 0.0 if settings.bounds is not None else BOX_ROUNDING * max(width, depth)
     bounds = tuple(float(side) for side in bounds)
     return Lattice.cover(bounds, settings.cell_size, settings.margin, rounding)
+
+
+def _name_largest_geom(scene: Scene) -> str:
+    """Name the geom with the largest finite box seen from above, as the begin of a sentence."""
+    boxes = scene.shapes.boxes
+    sides = boxes[:, 3:5] - boxes[:, :2]
+    area = np.where(np.isfinite(sides).all(axis=1), sides.prod(axis=1), 0.0)
+    if not area.any():
+        return ""
+    largest = int(area.argmax())
+    name = scene.geoms[int(scene.shapes.boxed_geoms[largest])].name
+    return f"the largest geom is {name!r}, {sides[largest, 0]:.6g} x {sides[largest, 1]:.6g} m; "
 
 
 def extend_lattice(
@@ -88,7 +100,7 @@ def extend_lattice(
     x_min, y_min, x_max, y_max = lattice.bounds
     scene_x_min, scene_y_min = bounds[0, :2].tolist()
     scene_x_max, scene_y_max = bounds[1, :2].tolist()
-    rounding = BOX_ROUNDING * float(np.abs(bounds[:, :2]).max())
+    rounding = BOX_ROUNDING * float((bounds[1, :2] - bounds[0, :2]).max())
 
     def count_cells(length: float) -> int:
         return max(0, math.ceil((length - rounding) / lattice.cell_size - CELL_SLACK))

@@ -26,6 +26,7 @@ from navbake.baker.bake.boxes import find_level_boxes
 from navbake.baker.bake.lattice import extend_lattice, fit_lattice
 from navbake.baker.bake.level_crops import crop_layers, crop_steps, make_grid_door, rooms_to_json
 from navbake.baker.bake.scene_floors import find_scene_floors, measure_holes
+from navbake.baker.bake.uncounted import warn_uncounted
 from navbake.baker.bake.warnings import warn_of_structure
 from navbake.baker.columns.column_sources import (
     ColumnCaster,
@@ -469,6 +470,14 @@ class Stages:
                 rooms=self.rooms,
                 boxes=boxes,
                 holes=self.hole_areas,
+                uncounted=warn_uncounted(
+                    self.scene,
+                    self.floors,
+                    self.occupancy,
+                    lattice=self.lattice,
+                    footprint=self.footprint,
+                    agent=self.config.agent,
+                ),
             ),
         )
 

@@ -120,6 +120,7 @@ def warn_of_structure(
     rooms: Rooms,
     boxes: LevelBoxes,
     holes: Float,
+    uncounted: list[str],
 ) -> list[str]:
     """Collect the warnings that concern structure, in the order of the stages.
 
@@ -133,6 +134,7 @@ def warn_of_structure(
         rooms: the rooms, with their warnings.
         boxes: the levels' boxes, and how many cells the original client misplaces.
         holes: the area of each hole in the floor of a mesh [m²], shape (n,).
+        uncounted: the warnings of things on the floor that don't count.
 
     Returns:
         The warnings, one printable line each.
@@ -147,6 +149,7 @@ def warn_of_structure(
         *(standing_occupants.warnings if standing_occupants else ()),
         *rooms.warnings,
         *_warn_interleaved(floors, occupancy, boxes),
+        *uncounted,
     ]
     return [printable(warning) for warning in warnings]
 

@@ -26,6 +26,7 @@ from navbake.baker.columns.columns import (
     tile_of,
     tile_shapes,
 )
+from navbake.baker.columns.rough_ground import foot_radius, level_rough_ground
 from navbake.baker.columns.seams import close_cracks, resolve_seams
 from navbake.baker.core.arrays import ColumnHits
 from navbake.baker.core.clock import StageClock
@@ -75,7 +76,7 @@ class ChunkedShapes:
         y_max = self.lattice.y_max
         cell_size = self.lattice.cell_size
         boxes = self._shapes.meshes.boxes
-        margin = self._margin + cell_size
+        margin = self._margin + foot_radius(self.lattice)
         is_near = boxes[:, 4] >= y_max - rows.end * cell_size - margin
         is_near &= boxes[:, 1] <= y_max - rows.first * cell_size + margin
         return self._expand(is_near)
@@ -83,7 +84,8 @@ class ChunkedShapes:
     def near_cells(self, cells: Int) -> TiledShapes:
         """Return all shapes near some cells (ids), and maybe others; implements `ShapeSource`."""
         boxes = self._shapes.meshes.boxes
-        start, item = list_by_tile(boxes, self._margin, self.lattice)
+        margin = self._margin + foot_radius(self.lattice)
+        start, item = list_by_tile(boxes, margin, self.lattice)
         holds_cell = np.zeros(len(start) - 1, dtype=np.bool_)
         holds_cell[tile_of(self.lattice, cells)] = True
         is_near = np.zeros(len(boxes), dtype=np.bool_)
@@ -206,7 +208,7 @@ class ColumnCaster:
     def _cast_rows(self, rows: RowChunk) -> Columns:
         """Cast the columns of a chunk of rows."""
         tiled = self._shapes.near_rows(rows)
-        columns = self._close_gaps(cast_columns(tiled, rows).select_rows(rows), tiled)
+        columns = self._correct_columns(cast_columns(tiled, rows).select_rows(rows), tiled)
         return replace(columns, nearby_shapes=tiled)
 
     def _cast_all(self) -> Columns:
@@ -214,15 +216,16 @@ class ColumnCaster:
         chunks = split_into_row_chunks(self.lattice)
         if len(chunks) == 1:
             tiled = self._shapes.near_rows(chunks[0])
-            return self._close_gaps(cast_columns(tiled), tiled)
+            return self._correct_columns(cast_columns(tiled), tiled)
         builder = ColumnsBuilder(self.lattice)
         for rows in chunks:
             builder.add(self._cast_rows(rows), rows)
         return builder.build()
 
-    def _close_gaps(self, columns: Columns, tiled: TiledShapes) -> Columns:
-        """Resolve the seams and close the cracks of columns that were cast from some shapes."""
+    def _correct_columns(self, columns: Columns, tiled: TiledShapes) -> Columns:
+        """Resolve the seams, level the rough ground and close the cracks of cast columns."""
         columns = resolve_seams(columns, tiled)
+        columns = level_rough_ground(columns, tiled, self._agent)
         return close_cracks(columns, tiled, self._agent, self._crack)
 
 
@@ -308,6 +311,7 @@ def cast_cells(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: I
     columns = resolve_seams(columns, tiled, cells)
     is_cast = np.zeros(len(columns.start) - 1, dtype=np.bool_)
     is_cast[cells] = True
+    columns = level_rough_ground(columns, tiled, agent, is_cast)
     return close_cracks(columns, tiled, agent, crack, is_cast)
 
 

@@ -398,10 +398,11 @@ def _add_surfaces(columns: Columns, cell: Int, rays: ColumnHits, hit: Int) -> Co
     place = old_hits.start[cell]
     end = old_hits.start[cell + 1]
     while True:
-        is_below = (place < end) & (old_hits.z[np.minimum(place, len(old_hits.z) - 1)] < z)
-        if not is_below.any():
+        has_hit = np.flatnonzero(place < end)
+        has_hit = has_hit[old_hits.z[place[has_hit]] < z[has_hit]]
+        if not len(has_hit):
             break
-        place = place + is_below
+        place[has_hit] += 1
     new_hits = ColumnHits(
         start=np.arange(len(z) + 1),
         z=z,

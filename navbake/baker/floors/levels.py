@@ -37,6 +37,7 @@ from navbake.baker.floors.reach import (
 )
 from navbake.baker.floors.regions import Patch, describe_regions, find_large_regions, find_regions
 from navbake.baker.floors.rejected import find_rejected_regions, mark_reported_roofs
+from navbake.baker.floors.ridges import find_ridges, without_surfaces
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.geometry.shapes import Shapes
@@ -111,9 +112,9 @@ def find_floors(
 ) -> Floors:
     """Find the levels of a scene, the floor of each, and the links between them.
 
-    The stages: find the standable surfaces; connect them to regions; keep the large regions; drop
-    tops, shelves and roofs; assign the rest to levels; drop what is not reached or is a void; let
-    floors grow under things; list the links.
+    The stages: find the standable surfaces; drop ridges; connect surfaces to regions; keep the
+    large regions; drop tops, shelves and roofs; assign the rest to levels; drop what is not reached
+    or is a void; let floors grow under things; list the links.
 
     Args:
         columns: the hits of all columns.
@@ -129,19 +130,31 @@ def find_floors(
     """
     lattice = columns.lattice
     surfaces = find_surfaces(columns, shapes.planes, agent)
-    regions = find_regions(surfaces, agent)
-    if not regions.num:
+    is_cropped = mark_cropped_sides(lattice, shapes.bounds)
+
+    def find_context(surfaces: Surfaces) -> RegionContext:
+        regions = find_regions(surfaces, agent)
+        is_large = find_large_regions(regions, np.ones(regions.num, dtype=np.bool_), settings)
+        return make_region_context(
+            regions=regions,
+            is_large=is_large,
+            columns=columns,
+            is_cropped=is_cropped,
+            agent=agent,
+            settings=settings,
+            is_occupied=is_occupied,
+        )
+
+    context = find_context(surfaces)
+    if not context.regions.num:
         raise SceneError(_explain_no_floor(columns, surfaces, agent))
-    is_large = find_large_regions(regions, np.ones(regions.num, dtype=np.bool_), settings)
-    context = make_region_context(
-        regions=regions,
-        is_large=is_large,
-        columns=columns,
-        is_cropped=mark_cropped_sides(lattice, shapes.bounds),
-        agent=agent,
-        settings=settings,
-        is_occupied=is_occupied,
-    )
+    if not settings.tops:
+        is_ridge = find_ridges(context, settings.starts)
+        if is_ridge.any():
+            surfaces = without_surfaces(surfaces, is_ridge)
+            context = find_context(surfaces)
+    regions = context.regions
+    is_large = context.is_large
     rejected = find_rejected_regions(context, level_height_ranges(level_settings or ()))
     is_start = find_start_regions(context, rejected, settings.starts)
     is_furniture = rejected.is_top | rejected.is_shelf
@@ -293,12 +306,11 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
     from scipy.ndimage import binary_dilation, label  # likewise
 
     holes, _ = label(np.isnan(level.floor))  # connected by cells' edges
-    size = np.bincount(holes.ravel())
-    too_large = holes.size + 1
+    size = np.bincount(holes.ravel()).astype(np.float64)  # [cells]
     # holes at the lattice's border are not surrounded by floor
     for border in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
-        size[border] = too_large
-    size[0] = too_large  # cells with a floor
+        size[border] = np.inf
+    size[0] = np.inf  # cells with a floor
     unseen: Bool = (size <= max_cells + LIMIT_SLACK)[holes]
     if not unseen.any():
         return replace(level, unseen=unseen)

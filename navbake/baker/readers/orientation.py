@@ -137,12 +137,12 @@ def orient_meshes(
         and file_axis is None
         and abs(best.direction[1]) > MIN_FACING_COSINE
     ):
-        axis = _name_direction(best_in_file)
+        name = _name_direction(best_in_file)
         warnings.append(
-            f"the mesh lies on its side, and is taken with {axis} up, as things stand on what "
-            f"faces that way: `scene.up: {axis}` silences this, `z` leaves it as it is"
+            f"the mesh lies on its side, and is taken with {name} up, as things stand on what "
+            f"faces that way: `scene.up: {name}` silences this, `z` leaves it as it is"
         )
-        return _turn_up(meshes, AXIS_VECTORS[axis])
+        return _turn_up(meshes, AXIS_VECTORS.get(name, best.direction))
     if is_clear and best.direction[2] < -MIN_FACING_COSINE:
         warnings.append(
             f"this floor may be a ceiling: next to nothing stands on it, and "

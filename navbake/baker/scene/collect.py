@@ -26,6 +26,7 @@ from navbake.baker.geometry.shapes import (
 )
 from navbake.baker.readers.mesh import NamedMesh
 from navbake.baker.scene.names import GeomNames, all_names, name_at, warn_unmatched
+from navbake.baker.scene.skies import SOLID_TYPES
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.types import Bool, Float, Int, Int32
@@ -34,11 +35,10 @@ if TYPE_CHECKING:
     import mujoco
 
 MAX_LENGTH = 1e100  # largest position or size: its square has to be finite, too [m]
-SOLID_TYPES = range(
-    constants.SPHERE, constants.BOX + 1
-)  # sphere, capsule, ellipsoid, cylinder, box
 NUM_DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
+# Why a geom doesn't count
+CANT_COLLIDE = "can't collide (contype and conaffinity are 0)"
 # MuJoCo's default of `rgba`
 DEFAULT_COLOR = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
@@ -71,7 +71,7 @@ class CountDecision(NamedTuple):
 def select_geoms(
     model: mujoco.MjModel,
     settings: SceneSettings,
-    hides_room: Callable[[int], bool],
+    find_hidden: Callable[[int], str],
     left_out_bodies: Bool,
     ground: int | None = None,
     file_mesh_modes: Mapping[int, str] | None = None,
@@ -88,13 +88,14 @@ def select_geoms(
     - ``all`` counts all geoms.
 
     With `scene.meshes: auto`, a mesh that can collide is represented by its hull, as in MuJoCo,
-    unless the hull hides room for an agent. If the scene's file says how a mesh collides, ``auto``
-    follows the file.
+    unless the hull hides room for an agent, or ground. If the scene's file says how a mesh
+    collides, ``auto`` follows the file.
 
     Args:
         model: the model.
         settings: `scene.geoms`, `scene.meshes` and `scene.exclude` are used.
-        hides_room: a function: id of a mesh geom -> whether its hull hides room for an agent.
+        find_hidden: a function: id of a mesh geom -> what its hull hides, such as ``room to stand
+            in``; an empty text if it hides nothing.
         left_out_bodies: for each body, whether it is left out because it can move, (nbody,).
         ground: id of the geom that `scene.ground` adds; None if there is none.
         file_mesh_modes: geom id -> the mesh mode that the scene's file states.
@@ -120,20 +121,23 @@ def select_geoms(
     for geom, mode in (file_mesh_modes or {}).items():
         if mesh_modes[geom] == "auto":
             mesh_modes[geom] = mode
-    surface_names = []  # of meshes whose hull hides room
+    surface_names = list[str]()  # of meshes whose hull hides something
+    hidden_by_first = ""
     # In MuJoCo, the hull of a mesh collides, but not that of a signed distance field.
     for geom in np.flatnonzero(collides & (model.geom_type == constants.MESH)).tolist():
         if mesh_modes[geom] == "auto" and decisions[geom].counted:
-            if hides_room(geom):
+            hidden = find_hidden(geom)
+            if hidden:
                 mesh_modes[geom] = "surface"
                 surface_names.append(names[geom].geom)
+                hidden_by_first = hidden_by_first or hidden
             else:
                 mesh_modes[geom] = "hull"
     if surface_names:
         more = f", and {len(surface_names) - 1} more" if len(surface_names) > 1 else ""
         warnings.append(
-            f"mesh geom {surface_names[0]!r}{more} counts by its triangles, because its "
-            "convex hull hides room to stand in; MuJoCo collides the hull: set `scene.meshes` to "
+            f"mesh geom {surface_names[0]!r}{more} counts by its triangles, because its convex "
+            f"hull hides {hidden_by_first}; MuJoCo collides the hull: set `scene.meshes` to "
             "surface or hull to say which"
         )
     selections = [
@@ -177,16 +181,11 @@ def _apply_geoms_setting(
         return [CountDecision(True, "no geom can collide, so all count")] * model.ngeom
     if geoms != "visual":
         colliding = CountDecision(True, "can collide")
-        not_colliding = CountDecision(False, "can't collide (contype and conaffinity are 0)")
+        not_colliding = CountDecision(False, CANT_COLLIDE)
         return [colliding if can_collide else not_colliding for can_collide in collides]
-    # Like in MuJoCo, a geom's opacity is its material's, unless its own colour was set.
-    alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
-    is_default = (model.geom_rgba == DEFAULT_COLOR).all(axis=1)
-    uses_material = (model.geom_matid >= 0) & is_default
-    alpha[uses_material] = model.mat_rgba[model.geom_matid[uses_material], 3]
     groups = model.geom_group.tolist()
     bodies = model.geom_bodyid.tolist()
-    drawn = (alpha > 0) & (model.geom_group < NUM_DRAWN_GROUPS)
+    drawn = mark_drawn(model)
     visual_groups: dict[int, set[int]] = {}  # body -> groups of its drawn geoms that can't collide
     for visual_geom in np.flatnonzero(drawn & ~collides & (model.geom_bodyid > 0)).tolist():
         visual_groups.setdefault(bodies[visual_geom], set()).add(groups[visual_geom])
@@ -201,6 +200,19 @@ def _apply_geoms_setting(
         else:
             decisions.append(CountDecision(True, "is drawn"))
     return decisions
+
+
+def mark_drawn(model: mujoco.MjModel) -> Bool:
+    """Mark the geoms that MuJoCo's viewers draw: opaque in part, in a group that they draw.
+
+    A geom's opacity is its material's, unless its own colour was set.
+    """
+    alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
+    is_default = (model.geom_rgba == DEFAULT_COLOR).all(axis=1)
+    by_material = (model.geom_matid >= 0) & is_default
+    alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
+    is_drawn: Bool = (alpha > 0) & (model.geom_group < NUM_DRAWN_GROUPS)
+    return is_drawn
 
 
 def _find_exclusions(

@@ -1,4 +1,4 @@
-"""Finds meshes whose convex hull hides room for an agent, for example a building's."""
+"""Finds meshes whose hull hides room or ground, such as those of buildings and of terrain."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from navbake.baker.columns.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.core.area_test import is_large_enough
 from navbake.baker.core.constants import OPEN_SURFACE
+from navbake.baker.core.limits import AgentLimits, agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.collect import GeomSelection, MeshTriangles, collect_shapes
@@ -24,6 +25,11 @@ if TYPE_CHECKING:
 # The least distance between the vertical lines on which room is searched for [m]
 LINE_SPACING = 0.1
 MAX_LINES = 10_000  # about the most lines: large meshes have a larger spacing
+# The least ground under a hull, a step or more deep, for which the mesh is taken exactly [m²]
+MIN_GROUND_AREA = 1.0
+# What a hull hides, as warnings call it
+ROOM = "room to stand in"
+GROUND = "ground that is more than a step deeper"
 
 # What may begin above a hit: room that needs a ceiling, or room above a floor; 0 for neither
 NEEDS_CEILING = 1
@@ -32,7 +38,7 @@ ROOM_OVER_FLOOR = 2
 
 @dataclass(eq=False)
 class HullRoomTest:
-    """Tests whether the hull of a mesh hides room for an agent, in a posed model.
+    """Tests whether the hull of a mesh hides room for an agent, or ground, in a posed model.
 
     Attributes:
         model: the model.
@@ -47,11 +53,11 @@ class HullRoomTest:
     meshes: MeshTriangles
     agent: AgentSettings
     floors: FloorSettings
-    # Id of a mesh and its rotation as bytes -> whether its hull hides room
-    _has_room: dict[tuple[int, bytes], bool] = field(default_factory=dict, init=False)
+    # Id of a mesh and its rotation as bytes -> what its hull hides
+    _hidden: dict[tuple[int, bytes], str] = field(default_factory=dict, init=False)
 
-    def hides_room(self, geom: int) -> bool:
-        """Return whether the hull of a mesh geom hides room for an agent to stand in.
+    def find_hidden(self, geom: int) -> str:
+        """Return what the hull of a mesh geom hides: ROOM, GROUND, or an empty text for nothing.
 
         Room is a free stretch of a vertical line that is at least as long as the agent is high. It
         is inside the hull and outside of closed parts of the mesh. It begins at a surface that
@@ -59,36 +65,53 @@ class HullRoomTest:
         The lines with room have to cover as much area as a floor needs (`floors.min_area` after
         `floors.shrink`).
 
+        Ground is the uppermost surface of a mesh that can't move, where it is no steeper than the
+        agent's slope, and more than a step below the hull. It counts from `MIN_GROUND_AREA` on.
+
         Args:
             geom: id of a mesh geom.
         """
-        if not self.is_large(geom):
-            return False
+        if not self.is_large(geom) and not self._may_hide_ground(geom):
+            return ""
         key = (int(self.model.geom_dataid[geom]), self.data.geom_xmat[geom].tobytes())
-        if key not in self._has_room:
-            self._has_room[key] = self._find_room(geom)
-        return self._has_room[key]
+        if key not in self._hidden:
+            self._hidden[key] = self._search_hull(geom)
+        return self._hidden[key]
+
+    def _box_size(self, geom: int) -> tuple[float, float, float]:
+        """The size of a mesh geom's bounding box, x, y and z [m]; 0 if its pose isn't finite."""
+        rotation = self.data.geom_xmat[geom].reshape(3, 3)
+        if not np.isfinite(rotation).all():
+            return (0.0, 0.0, 0.0)
+        # Floats of Python, as NumPy's would warn of an area beyond all floats.
+        width, depth, height = (2 * np.abs(rotation) @ self.model.geom_aabb[geom, 3:]).tolist()
+        return (width, depth, height)
+
+    def _may_hide_ground(self, geom: int) -> bool:
+        """Whether a mesh geom can't move, and its bounding box is large enough for ground."""
+        body = int(self.model.geom_bodyid[geom])
+        if self.model.body_weldid[body] != 0 or self.model.body_mocapid[body] >= 0:
+            return False
+        width, depth, height = self._box_size(geom)
+        is_wide = width * depth >= MIN_GROUND_AREA - LIMIT_SLACK
+        return is_wide and height > self.agent.traversable_floor_height
 
     def is_large(self, geom: int) -> bool:
         """Return whether the bounding box of a mesh geom is large enough for such room."""
-        rotation = self.data.geom_xmat[geom].reshape(3, 3)
-        if not np.isfinite(rotation).all():
-            return False
-        width, depth, height = 2 * np.abs(rotation) @ self.model.geom_aabb[geom, 3:]
-        # Python's floats don't warn if the area is too large for a float.
-        floor_width = float(width) - 2 * self.floors.shrink
-        floor_depth = float(depth) - 2 * self.floors.shrink
+        width, depth, height = self._box_size(geom)
+        floor_width = width - 2 * self.floors.shrink
+        floor_depth = depth - 2 * self.floors.shrink
         if min(floor_width, floor_depth) < 0 or height < self.agent.height - LIMIT_SLACK:
             return False
         return floor_width * floor_depth >= self.floors.min_area - LIMIT_SLACK
 
-    def _find_room(self, geom: int) -> bool:
-        """Cast vertical lines at a mesh and its hull, and test the area where there is room."""
+    def _search_hull(self, geom: int) -> str:
+        """Cast vertical lines at the mesh and at its hull, and test the areas of what they meet."""
         mesh_shapes = self._collect(geom, "surface")
         hull_shapes = self._collect(geom, "hull")
         bounds = hull_shapes.bounds
         if bounds is None or not np.isfinite(bounds).all():
-            return False
+            return ""
         x_min, y_min, x_max, y_max = bounds[:, :2].ravel().tolist()
         width = x_max - x_min
         depth = y_max - y_min
@@ -100,7 +123,13 @@ class HullRoomTest:
         mesh_columns = cast_columns(tile_shapes(mesh_shapes, lattice, spacing / 2))
         hull_columns = cast_columns(tile_shapes(hull_shapes, lattice, spacing / 2))
         has_room = _mark_room(mesh_columns, hull_columns, self.agent.height)
-        return is_large_enough(lattice, self.floors, has_room)
+        if self.is_large(geom) and is_large_enough(lattice, self.floors, has_room):
+            return ROOM
+        if not self._may_hide_ground(geom):
+            return ""
+        is_ground = _mark_ground(mesh_columns, hull_columns, agent_limits(self.agent))
+        ground_area = is_ground.sum() * lattice.cell_size**2
+        return GROUND if ground_area >= MIN_GROUND_AREA - LIMIT_SLACK else ""
 
     def _collect(self, geom: int, mesh_mode: str) -> Shapes:
         selection = {geom: GeomSelection(True, "", mesh_mode)}
@@ -111,7 +140,7 @@ class HullRoomTest:
 
 
 def _mark_room(mesh: Columns, hull: Columns, height: float) -> Bool:
-    """Mark the cells on whose line there is room; see `HullRoomTest.hides_room`.
+    """Mark the cells on whose line there is room; see `HullRoomTest.find_hidden`.
 
     The hits of a line are sorted by z. For each, it is known what room may begin above it, and
     whether room may end at it. The stretch between two hits is room if it begins at the lower one
@@ -153,6 +182,24 @@ def _mark_room(mesh: Columns, hull: Columns, height: float) -> Bool:
     has_room = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
     has_room[cell[:-1][is_room]] = True
     return has_room
+
+
+def _mark_ground(mesh: Columns, hull: Columns, limits: AgentLimits) -> Bool:
+    """Mark the cells in which the mesh's uppermost surface is ground deep below the hull.
+
+    Args:
+        mesh: the hits of the mesh's surfaces.
+        hull: the hits of the hull, on the same lattice.
+        limits: the agent's limits: its slope and step.
+    """
+    is_ground = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
+    cells = np.flatnonzero((np.diff(mesh.start) > 0) & (np.diff(hull.start) > 0))
+    mesh_top = mesh.start[cells + 1] - 1
+    hull_top = hull.start[cells + 1] - 1
+    is_gentle = mesh.normal[mesh_top, 2] >= limits.min_up
+    is_deep = hull.z[hull_top] - mesh.z[mesh_top] > limits.step + LIMIT_SLACK
+    is_ground[cells] = is_gentle & is_deep
+    return is_ground
 
 
 def _cells_of_hits(columns: Columns) -> Int:

@@ -35,7 +35,9 @@ from navbake.baker.scene.roles import (
     find_roles,
     mark_structure,
 )
+from navbake.baker.scene.skies import find_skies
 from navbake.config.settings import (
+    AgentSettings,
     BakeConfig,
     SceneSettings,
     stem_of,
@@ -234,6 +236,7 @@ def load_scene(
         warnings=[
             *model_warnings,
             *_warn_unused_geometry(model),
+            *_warn_lost_objects(model),
             *_warn_unused_settings(settings, exact_meshes),
             *size_warnings,
             *counted_geoms.warnings,
@@ -313,11 +316,13 @@ def _count_geoms_without(
     selections, selection_warnings = select_geoms(
         model,
         config.scene,
-        hides_room=hull_room.hides_room,
+        find_hidden=hull_room.find_hidden,
         left_out_bodies=left_out_bodies,
         ground=scene_model.ground,
         file_mesh_modes={geom: mesh.mode for geom, mesh in exact_meshes.items()},
     )
+    if config.scene.geoms == "auto":
+        selection_warnings += _leave_out_skies(model, data, selections, config.agent)
     shapes, shape_kinds, shape_warnings = collect_shapes(
         model, data, selections, exact_meshes, meshes=hull_room.meshes
     )
@@ -336,6 +341,26 @@ def _count_geoms_without(
         roles=roles,
         warnings=[*selection_warnings, *shape_warnings],
     )
+
+
+def _leave_out_skies(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    selections: list[GeomSelection],
+    agent: AgentSettings,
+) -> list[str]:
+    """Leave solids out that enclose everything, in place; return a warning that names them."""
+    counted = np.array([selection.counted for selection in selections], dtype=np.bool_)
+    skies = find_skies(model, data, counted, min_room=agent.height)
+    for geom in skies:
+        selections[geom] = selections[geom]._replace(counted=False, reason="encloses everything")
+    if not skies:
+        return []
+    names = ", ".join(repr(all_names(model).geoms[geom].geom) for geom in skies)
+    return [
+        f"left out, because everything else lies inside of this solid, as under a sky: {names}; "
+        f"`scene.geoms: all` counts it, `scene.exclude.geoms` silences this"
+    ]
 
 
 def _check_any_counts(
@@ -385,6 +410,34 @@ def _warn_unused_geometry(model: mujoco.MjModel) -> list[str]:
                 for number, address in enumerate(addresses)
             ]
             warnings.append(f"{kind} can't be baked and is left out: {', '.join(names)}")
+    return warnings
+
+
+def _warn_lost_objects(model: mujoco.MjModel) -> list[str]:
+    """Warn of OBJ files with several objects: MuJoCo takes the faces of the first alone."""
+    warnings = []
+    for mesh, address in enumerate(model.mesh_pathadr.tolist()):
+        if address < 0:
+            continue
+        path = model.paths[address:].split(b"\0", 1)[0].decode(errors="replace")
+        if not path.lower().endswith(".obj"):
+            continue
+        first_vertex = int(model.mesh_vertadr[mesh])
+        first_face = int(model.mesh_faceadr[mesh])
+        vertices = model.mesh_vert[first_vertex : first_vertex + int(model.mesh_vertnum[mesh])]
+        faces = model.mesh_face[first_face : first_face + int(model.mesh_facenum[mesh])]
+        has_face = np.zeros(len(vertices), dtype=np.bool_)
+        has_face[faces.ravel()] = True
+        if has_face.all():
+            continue
+        lost = vertices[~has_face]
+        size = " x ".join(f"{side:.3g}" for side in np.ptp(lost, axis=0))
+        name = name_at(model, int(model.name_meshadr[mesh])) or Path(path).stem
+        warnings.append(
+            f"mesh {name!r}: {len(lost)} of {len(vertices)} vertices have no face, and span {size} "
+            f"m: of an OBJ with several objects, MuJoCo takes the faces of the first alone; join "
+            f"the objects of {path}, or write a file for each"
+        )
     return warnings
 
 

@@ -45,5 +45,5 @@ def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
     data = SimpleNamespace(geom_xmat=np.eye(3).ravel()[None])
     room = HullRoomTest(model, data, None, AgentSettings(), FloorSettings())
     with pytest.raises(InterruptedError):
-        room.hides_room(0)
+        room.find_hidden(0)
     assert seen[0].width * seen[0].height <= 3 * MAX_LINES

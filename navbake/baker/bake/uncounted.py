@@ -1,0 +1,157 @@
+"""Finds drawn things that count nowhere, as they can't collide, but stand on free floor."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from navbake.baker.floors.levels import Floors
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.occupancy.volume_kernels import BLOCKING
+from navbake.baker.occupants.movable import MovableContext, find_movable_occupants
+from navbake.baker.scene.collect import CANT_COLLIDE, GeomSelection, collect_shapes, mark_drawn
+from navbake.baker.scene.scene import Scene
+from navbake.baker.scene.skies import geom_boxes
+from navbake.config.settings import AgentSettings
+from navbake.navgrid.lattice import Lattice
+from navbake.types import Bool, Int
+
+# A thing is told of where it would block so much free floor [m²], and if so much of the floor
+# that it would block is free: drawn geoms often lie a little beside those that collide for them
+MIN_UNCOUNTED_AREA = 0.04
+MIN_FREE_SHARE = 0.5
+MAX_NAMED_THINGS = 5
+
+
+def warn_uncounted(
+    scene: Scene,
+    floors: Floors,
+    occupancy: Occupancy,
+    *,
+    lattice: Lattice,
+    footprint: Footprint,
+    agent: AgentSettings,
+) -> list[str]:
+    """Warn of drawn geoms that can't collide, and would block floor that is free without them.
+
+    Args:
+        scene: the posed scene.
+        floors: the floors of all levels.
+        occupancy: the cells that structure occupies.
+        lattice: the whole lattice.
+        footprint: the volume over a floor that has to be free.
+        agent: the agent, whose step and height are used.
+
+    Returns:
+        One warning, which names the largest things; or none.
+    """
+    is_candidate = _mark_candidates(scene)
+    free = [
+        level.standable & ~is_occupied
+        for level, is_occupied in zip(floors.levels, occupancy.levels, strict=True)
+    ]
+    is_candidate &= _mark_over_free_floor(scene, floors, free, lattice, agent)
+    candidates = np.flatnonzero(is_candidate)
+    if not len(candidates):
+        return []
+    selections = {
+        geom: GeomSelection(True, "", scene.selections[geom].mesh_mode)
+        for geom in candidates.tolist()
+    }
+    shapes, *_ = collect_shapes(
+        scene.model,
+        scene.data,
+        selections,
+        scene.exact_meshes,
+        geom_ids=selections,
+        meshes=scene.meshes,
+    )
+    context = MovableContext(lattice, floors, occupancy, footprint, agent, scene.mover_of)
+    occupants = find_movable_occupants(context, shapes, is_candidate)
+    num_blocked = np.zeros(len(is_candidate), dtype=np.int64)
+    num_free = np.zeros(len(is_candidate), dtype=np.int64)
+    for level_free, chunks in zip(free, occupants.entries, strict=True):
+        for entries in chunks:
+            is_blocking = (entries.flags & BLOCKING) > 0
+            geom = entries.geom[is_blocking]
+            is_free = level_free.ravel()[entries.cell[is_blocking]]
+            num_blocked += np.bincount(geom, minlength=len(num_blocked))
+            num_free += np.bincount(geom[is_free], minlength=len(num_free))
+    area = num_free * lattice.cell_size**2
+    is_uncounted = (area >= MIN_UNCOUNTED_AREA) & (num_free >= MIN_FREE_SHARE * num_blocked)
+    things = np.flatnonzero(is_uncounted)
+    if not len(things):
+        return []
+    largest = things[np.argsort(-area[things], kind="stable")][:MAX_NAMED_THINGS].tolist()
+    names = ", ".join(f"{scene.geoms[geom].name!r} ({area[geom]:.2f} m²)" for geom in largest)
+    num_more = len(things) - len(largest)
+    more = f", and {num_more} more" if num_more else ""
+    return [
+        f"drawn on free floor, but not counted, as they can't collide: {names}{more}; "
+        f"`scene.geoms: all` counts everything, `scene.exclude.geoms` silences this"
+    ]
+
+
+def _mark_candidates(scene: Scene) -> Bool:
+    """Mark the drawn geoms that can't collide; none of movables that collide by another geom."""
+    counted = np.array([selection.counted for selection in scene.selections], dtype=np.bool_)
+    cant_collide = [selection.reason == CANT_COLLIDE for selection in scene.selections]
+    mover_counts = np.zeros(len(scene.movable), dtype=np.bool_)
+    mover_counts[scene.mover_of[counted]] = True
+    mover_counts &= ~scene.is_structure_body
+    is_candidate: Bool = np.array(cant_collide, dtype=np.bool_) & mark_drawn(scene.model)
+    is_candidate &= ~mover_counts[scene.mover_of]
+    return is_candidate
+
+
+def _mark_over_free_floor(
+    scene: Scene, floors: Floors, free: list[Bool], lattice: Lattice, agent: AgentSettings
+) -> Bool:
+    """Mark the geoms whose bounding boxes lie over mostly free floor, at heights of the agent.
+
+    Args:
+        scene: the posed scene.
+        floors: the floors of all levels.
+        free: the free cells of each level, (height, width).
+        lattice: the whole lattice.
+        agent: the agent, whose step and height are used.
+    """
+    low, high = geom_boxes(scene.model, scene.data)
+    is_over = np.zeros(len(low), dtype=np.bool_)
+    is_around_all = np.zeros(len(low), dtype=np.bool_)  # as a sky is
+    if scene.bounds is not None:
+        is_around_all = ((low <= scene.bounds[0]) & (high >= scene.bounds[1])).all(axis=1)
+    with np.errstate(invalid="ignore"):
+        first_col = np.floor((low[:, 0] - lattice.x_min) / lattice.cell_size)
+        end_col = np.ceil((high[:, 0] - lattice.x_min) / lattice.cell_size)
+        first_row = np.floor((lattice.y_max - high[:, 1]) / lattice.cell_size)
+        end_row = np.ceil((lattice.y_max - low[:, 1]) / lattice.cell_size)
+    window = [
+        np.clip(np.nan_to_num(side), 0, length).astype(np.int64)
+        for side, length in (
+            (first_row, lattice.height),
+            (end_row, lattice.height),
+            (first_col, lattice.width),
+            (end_col, lattice.width),
+        )
+    ]
+    num_cells = np.maximum((window[1] - window[0]) * (window[3] - window[2]), 1)
+    for level, level_free in zip(floors.levels, free, strict=True):
+        heights = level.floor[level_free]
+        if not len(heights):
+            continue
+        is_beside = high[:, 2] > heights.min() + agent.traversable_floor_height
+        is_beside &= low[:, 2] < heights.max() + agent.height
+        num_free = _sum_windows(level_free, window)
+        is_over |= is_beside & (num_free >= MIN_FREE_SHARE / 2 * num_cells)
+    return is_over & ~is_around_all
+
+
+def _sum_windows(mask: Bool, window: list[Int]) -> Int:
+    """Count the marked cells in windows: first and end rows, first and end columns, (n,) each."""
+    first_row, end_row, first_col, end_col = window
+    total = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), dtype=np.int64)
+    np.cumsum(np.cumsum(mask, axis=0, dtype=np.int64), axis=1, out=total[1:, 1:])
+    count: Int = total[end_row, end_col] - total[first_row, end_col]
+    count -= total[end_row, first_col] - total[first_row, first_col]
+    return count

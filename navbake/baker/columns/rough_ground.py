@@ -1,0 +1,220 @@
+"""Rough ground: steep facets of a scan, of gravel or of a bevel that a foot covers as a whole.
+
+The slope of ground is that of the plane through what a foot covers, not that of a single facet:
+facets of a scan are steeper than the floor that was scanned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake.baker.columns.columns import Columns, TiledShapes, cast_points
+from navbake.baker.core.components import expand_ranges
+from navbake.baker.core.limits import AgentLimits, agent_limits
+from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
+from navbake.baker.geometry.overlap_kernels import find_blocked_lines
+from navbake.config.settings import AgentSettings
+from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_in_chunks
+from navbake.types import Bool, Float, Int
+
+# The radius of the ground that a foot covers [m]; on larger cells, their size
+FOOT_RADIUS = 0.1
+# Points that are sampled around a line: directions, and distances as shares of the radius
+NUM_DIRECTIONS = 8
+SAMPLED_SHARES = (0.5, 1.0)
+# Bumps are at most this share of a step off the plane through the ground
+MAX_BUMP_SHARE = 1.0 / 3.0
+# The samples determine a plane if their least variance along any direction of the map is at least
+# this share of the squared radius: samples along a line don't
+MIN_VARIANCE_SHARE = 0.02
+# A facet differs from the plane clearly if the cosine of their angle is at most this
+MAX_SAME_COSINE = np.cos(np.radians(10.0))
+# Lines that are cast together, which limits the memory that it takes
+LINES_PER_PASS = 1 << 20
+
+
+def foot_radius(lattice: Lattice) -> float:
+    """Return the radius around a line in which ground is sampled [m]."""
+    return max(FOOT_RADIUS, lattice.cell_size)
+
+
+def level_rough_ground(
+    columns: Columns, tiled: TiledShapes, agent: AgentSettings, selected: Bool | None = None
+) -> Columns:
+    """Replace the normals of steep facets on ground that is flat enough as a whole.
+
+    A facet steeper than the agent's slope, with the agent's headroom above it, receives the normal
+    of the plane that is fitted to the ground around it, if this plane keeps the slope and each
+    sample of the ground lies within a third of a step of it. The ground is sampled by rays around
+    the facet's line: of each, the highest surface that faces up within a step of the facet's
+    height. Samples outside of the lattice don't count. The result for a cell does not depend on
+    the columns of other cells.
+
+    Args:
+        columns: the columns.
+        tiled: the shapes that they were cast from, listed also for cells within `foot_radius`.
+        agent: the agent: its slope, step and height.
+        selected: mask of the cells whose columns are valid, shape (cells,); None for those of
+            `columns.valid_rows`.
+    """
+    limits = agent_limits(agent)
+    cell, hit = _find_steep_facets(columns, limits, selected)
+    if not len(hit):
+        return columns
+    normal = columns.normal.copy()
+    num_samples = NUM_DIRECTIONS * len(SAMPLED_SHARES)
+    for first in range(0, len(hit), LINES_PER_PASS // num_samples):
+        some = slice(first, first + LINES_PER_PASS // num_samples)
+        plane_normal, is_ground = _mark_flat_ground(columns, tiled, limits, cell[some], hit[some])
+        normal[hit[some][is_ground]] = plane_normal[is_ground]
+    return replace(columns, hits=columns.hits._replace(normal=normal))
+
+
+def _find_steep_facets(
+    columns: Columns, limits: AgentLimits, selected: Bool | None
+) -> tuple[Int, Int]:
+    """Find the hits that would be standable if they were less steep: their cells and indices."""
+    first_cell, end_cell = columns.valid_rows.cell_range(columns.lattice)
+    cells = np.arange(first_cell, end_cell)
+    if selected is not None:
+        cells = np.flatnonzero(selected)
+    up = columns.normal[:, 2]
+    is_steep = (up > 0.0) & (up < limits.min_up)
+    if not is_steep.any():
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    column, hit = expand_ranges(columns.start[cells], columns.start[cells + 1])
+    hit_is_steep = is_steep[hit]
+    cell = cells[column[hit_is_steep]]
+    hit = hit[hit_is_steep]
+    low = columns.z[hit] + SAME_HEIGHT
+    high = columns.z[hit] + limits.headroom - LIMIT_SLACK
+    is_covered = np.empty(len(hit), dtype=np.bool_)
+    run_in_chunks(find_blocked_lines, len(hit), cell, low, high, columns.hits, is_covered)
+    return cell[~is_covered], hit[~is_covered]
+
+
+class GroundPlane(NamedTuple):
+    """Planes fitted to samples of the ground around hits, by least squares.
+
+    Attributes:
+        normal: unit normals, (n, 3).
+        max_bump: the farthest that a sample is off its plane, in height, (n,) [m].
+        is_determined: whether the samples determine a plane, (n,); else the other values have no
+            meaning.
+    """
+
+    normal: Float
+    max_bump: Float
+    is_determined: Bool
+
+
+def _mark_flat_ground(
+    columns: Columns, tiled: TiledShapes, limits: AgentLimits, cell: Int, hit: Int
+) -> tuple[Float, Bool]:
+    """Fit planes to the ground around hits, and mark those that are flat enough.
+
+    Samples with a counterpart on the other side of the line count alone where these determine a
+    plane: so a smooth slope keeps its own steepness, however it bends. Beside walls and edges,
+    where they determine none, all samples count; the facet has to differ from that plane clearly.
+
+    Args:
+        columns: the columns.
+        tiled: the shapes.
+        limits: the agent's limits.
+        cell: the cell of each hit, (n,).
+        hit: indices of hits, (n,).
+
+    Returns:
+        The unit normals of the planes, (n, 3), and which of the planes are ground that the agent
+        can stand on, (n,).
+    """
+    offset, height = _sample_ground(columns, tiled, limits, cell, hit)
+    half_turn = NUM_DIRECTIONS // 2
+    opposite = np.roll(height.reshape(len(hit), -1, NUM_DIRECTIONS), half_turn, axis=2)
+    mirrored = np.where(np.isnan(opposite.reshape(height.shape)), np.nan, height)
+    min_variance = MIN_VARIANCE_SHARE * foot_radius(columns.lattice) ** 2
+    plane = _fit_planes(offset, mirrored, min_variance)
+    one_sided = np.flatnonzero(~plane.is_determined)
+    by_all = _fit_planes(offset, height[one_sided], min_variance)
+    differs = (by_all.normal * columns.normal[hit[one_sided]]).sum(axis=1) <= MAX_SAME_COSINE
+    plane.normal[one_sided] = by_all.normal
+    plane.max_bump[one_sided] = by_all.max_bump
+    plane.is_determined[one_sided] = by_all.is_determined & differs
+    is_flat = plane.is_determined & (plane.normal[:, 2] >= limits.min_up)
+    is_flat &= plane.max_bump <= MAX_BUMP_SHARE * limits.step + LIMIT_SLACK
+    return plane.normal, is_flat
+
+
+def _fit_planes(offset: Float, height: Float, min_variance: float) -> GroundPlane:
+    """Fit a plane to each row of samples, and to the hit itself, which is at the origin.
+
+    Args:
+        offset: the map offsets of the samples, (2, samples) [m].
+        height: their heights, (n, samples) [m], NaN for none.
+        min_variance: the least variance along any direction that determines a plane [m²].
+    """
+    is_sample = ~np.isnan(height)
+    num_samples = 1.0 + is_sample.sum(axis=1)
+    x = np.where(is_sample, offset[0], 0.0)
+    y = np.where(is_sample, offset[1], 0.0)
+    z = np.where(is_sample, height, 0.0)
+    mean_x = x.sum(axis=1) / num_samples
+    mean_y = y.sum(axis=1) / num_samples
+    mean_z = z.sum(axis=1) / num_samples
+    var_x = (x * x).sum(axis=1) / num_samples - mean_x**2
+    var_y = (y * y).sum(axis=1) / num_samples - mean_y**2
+    cov_xy = (x * y).sum(axis=1) / num_samples - mean_x * mean_y
+    cov_xz = (x * z).sum(axis=1) / num_samples - mean_x * mean_z
+    cov_yz = (y * z).sum(axis=1) / num_samples - mean_y * mean_z
+    least_variance = (var_x + var_y) / 2.0 - np.hypot((var_x - var_y) / 2.0, cov_xy)
+    is_determined = least_variance >= min_variance
+    determinant = np.where(is_determined, var_x * var_y - cov_xy**2, 1.0)
+    slope_x = (cov_xz * var_y - cov_yz * cov_xy) / determinant
+    slope_y = (cov_yz * var_x - cov_xz * cov_xy) / determinant
+    plane_z = mean_z - slope_x * mean_x - slope_y * mean_y  # at the hit
+    bump = np.abs(z - plane_z[:, None] - slope_x[:, None] * x - slope_y[:, None] * y)
+    max_bump = np.maximum(np.where(is_sample, bump, 0.0).max(axis=1), np.abs(plane_z))
+    up = 1.0 / np.sqrt(1.0 + slope_x**2 + slope_y**2)
+    return GroundPlane(
+        np.stack([-slope_x * up, -slope_y * up, up], axis=1), max_bump, is_determined
+    )
+
+
+def _sample_ground(
+    columns: Columns, tiled: TiledShapes, limits: AgentLimits, cell: Int, hit: Int
+) -> tuple[Float, Float]:
+    """Sample the ground around hits.
+
+    Args:
+        columns: the columns.
+        tiled: the shapes.
+        limits: the agent's limits.
+        cell: the cell of each hit, (n,).
+        hit: indices of hits, (n,).
+
+    Returns:
+        The map offsets of the samples from the line, x and y, (2, samples) [m]; and the heights of
+        the ground relative to the hit, (n, samples) [m], NaN where there is none.
+    """
+    lattice = columns.lattice
+    angle = np.arange(NUM_DIRECTIONS) * (2.0 * np.pi / NUM_DIRECTIONS)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    offset = np.concatenate([share * circle for share in SAMPLED_SHARES], axis=1)
+    offset *= foot_radius(lattice)
+    center = lattice.positions(*np.divmod(cell, lattice.width))
+    points = (center[:, None] + offset.T).reshape(-1, 2)
+    rows, cols = lattice.rows_cols(points)
+    is_inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
+    sample = np.flatnonzero(is_inside)
+    height = np.full(len(points), np.nan)
+    rays = cast_points(tiled, (rows * lattice.width + cols)[sample], points[sample])
+    line = np.repeat(sample, np.diff(rays.start))
+    rise = rays.z - columns.z[hit][line // offset.shape[1]]
+    is_ground = (rays.normal[:, 2] > 0.0) & (np.abs(rise) <= limits.step + LIMIT_SLACK)
+    # heights ascend along a line: the last assignment is that of the highest surface
+    height[line[is_ground]] = rise[is_ground]
+    return offset, height.reshape(len(cell), -1)
