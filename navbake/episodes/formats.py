@@ -34,11 +34,13 @@ OBJECT_RADIUS = 0.1
 POINT_RADIUS = 0.2
 MINOS_RADIUS = 0.25  # distance to a goal that MINOS counts as a success [m]
 MINOS_COLUMNS = (
-    "sceneId", "split", "level", "roomId", "startX", "startY", "startZ", "startAngle", "startTilt",
-    "goalRoomId", "goalRoomType", "goalObjectId", "goalObjectType", "goalX", "goalY", "goalZ",
-    "goalAngle", "goalTilt", "dist", "pathDist", "pathNumDoors", "pathDoorIds", "pathNumRooms",
-    "pathRoomIndices",
+    "episodeId", "task", "sceneId", "split", "level", "roomId", "startX", "startY", "startZ",
+    "startAngle", "startTilt", "goalRoomId", "goalRoomType", "goalObjectId", "goalObjectType",
+    "goalX", "goalY", "goalZ", "goalAngle", "goalTilt", "dist", "pathDist", "pathNumDoors",
+    "pathDoorIds", "pathNumRooms", "pathRoomIndices",
 )  # fmt: skip
+MINOS_TASKS = {"p": "point", "o": "object", "r": "room"}
+"""MINOS's letter of a task -> the task."""
 HABITAT_FIELDS = {"id", "scene", "task", "start", "heading", "goals", "distance", "room", "extra"}
 """Fields of episodes that habitat-lab's formats have a field for."""
 HOUSE_INDEX = re.compile(r"/\d+$")  # the end of a scene's name in MolmoSpaces
@@ -317,15 +319,25 @@ def read_habitat(text: bytes, name: str) -> Fields:
 
 
 def encode_minos(content: EpisodeSet, _: str) -> bytes:
-    """Encode a set as MINOS's table of episode states, one row per episode."""
+    """Encode a set as MINOS's table of episode states, one row per episode.
+
+    MINOS reads ``episodeId`` as an integer: it is the episode's id if all ids are different
+    integers, else the number of the row, from 0.
+    """
+    episode_ids = [episode.id for episode in content.episodes]
+    if not _are_minos_ids(episode_ids):
+        episode_ids = [str(index) for index in range(len(episode_ids))]
+    letter_of_task = {task: letter for letter, task in MINOS_TASKS.items()}
     file = io.StringIO()
     table = csv.DictWriter(file, MINOS_COLUMNS, restval="", lineterminator="\n")
     table.writeheader()
-    for episode in content.episodes:
+    for episode_id, episode in zip(episode_ids, content.episodes, strict=True):
         goal = episode.goals[0]
         doors = episode.doors or ()
         rooms = [room.rsplit(":", 1)[-1] for room in episode.rooms or ()]
         row: Json = {
+            "episodeId": episode_id,
+            "task": letter_of_task[episode.task],
             "sceneId": episode.scene,
             "split": episode.split,
             "roomId": episode.room,
@@ -358,12 +370,28 @@ def encode_minos(content: EpisodeSet, _: str) -> bytes:
 
 def read_minos(text: bytes, _: str) -> Fields:
     """Read the fields of a set from MINOS's table of episode states."""
-    rows = csv.DictReader(io.StringIO(text.decode(), newline=""))
-    return Header(), [_read_row(row, index) for index, row in enumerate(rows)]
+    rows = list(csv.DictReader(io.StringIO(text.decode(), newline="")))
+    episode_ids = [row.get("episodeId") or "" for row in rows]
+    if not _are_minos_ids(episode_ids):  # tables without the column, and joined ones
+        episode_ids = [str(index) for index in range(len(rows))]
+    return Header(), [
+        {"id": episode_id, **_read_row(row, index)}
+        for index, (episode_id, row) in enumerate(zip(episode_ids, rows, strict=True))
+    ]
+
+
+def _are_minos_ids(episode_ids: Sequence[str]) -> bool:
+    """Whether ids of episodes are different integers from 0, without leading zeros."""
+    are_integers = all(re.fullmatch(r"0|[1-9][0-9]{0,17}", name) for name in episode_ids)
+    return are_integers and len({*episode_ids}) == len(episode_ids)
 
 
 def _read_row(row: Mapping[str, str], index: int) -> Json:
-    """Convert a row of MINOS's table to the fields of an episode."""
+    """Convert a row of MINOS's table to the fields of an episode, without its id.
+
+    Where the table has no column ``task``, the goal's columns tell the task. Rows of other tasks
+    than ``room`` may name the room of their goal, too.
+    """
 
     def number(column: str, default: str | None = None) -> float:
         text = row.get(column) or default
@@ -384,7 +412,19 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
     level = int(number("level", "0"))
     name = row.get("goalObjectId")
     room = row.get("goalRoomId")
-    if room:
+    letter = row.get("task")
+    if letter:
+        task = MINOS_TASKS.get(letter, "")
+        if not task:
+            letters = ", ".join(MINOS_TASKS)
+            raise ValueError(
+                f"expected one of {letters} as task, got {letter!r} in row {index + 1}"
+            )
+        if task == "room" and not room:
+            raise ValueError(f"expected a goalRoomId for the task {letter!r} in row {index + 1}")
+        if task != "room":
+            room = None
+    elif room:
         task = "room"
     elif name:
         task = "object"
@@ -393,7 +433,6 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
     # MINOS numbers the rooms of each level; navbake's ids have the level, too
     rooms = [f"{level}:{word}" if word.isdigit() else word for word in words("pathRoomIndices")]
     return {
-        "id": str(index),
         "scene": row.get("sceneId"),
         "task": task,
         "start": start,

@@ -585,6 +585,9 @@ def _find_distance(line: Float, points: Float) -> float:
 def encode_graphml(grid: NavGrid, path: Path) -> Files:
     """Encode a grid's rooms as GraphML, see `RoomGraph.to_networkx`.
 
+    Rooms may have several ways between them, and each edge has an id of its own. networkx reads the
+    file as a simple graph where no two rooms have, unless it is called with ``force_multigraph``.
+
     Args:
         grid: the grid.
         path: the path of the file.
@@ -595,7 +598,13 @@ def encode_graphml(grid: NavGrid, path: Path) -> Files:
     Raises:
         MissingDependencyError: networkx is not installed.
     """
-    return {path: encode_networkx(make_room_graph(grid).to_networkx())}
+    room_graph = make_room_graph(grid).to_networkx()
+    # networkx writes the keys of edges as their ids, and counts them anew for each two rooms
+    with_edge_ids = room_graph.__class__()
+    with_edge_ids.add_nodes_from(room_graph.nodes(data=True))
+    for number, (first_room, second_room, attributes) in enumerate(room_graph.edges(data=True)):
+        with_edge_ids.add_edge(first_room, second_room, key=number, **attributes)
+    return {path: encode_networkx(with_edge_ids)}
 
 
 def encode_networkx(graph: networkx.Graph[Any]) -> bytes:

@@ -4,7 +4,7 @@ The topics are:
 
 - ``/map``, or for several levels ``/map_0``, ``/map_1``, …: a ``nav_msgs/OccupancyGrid`` at the
   level's height.
-- ``/path_0``, ``/path_1``, …: a ``nav_msgs/Path`` each.
+- ``/path_0``, ``/path_1``, …: a ``nav_msgs/Path`` each, whose poses head along the path.
 - ``/links``: a ``visualization_msgs/MarkerArray`` with lines for the steps between levels, and from
   stop to stop of the named links.
 
@@ -16,6 +16,7 @@ Source: the definitions of messages of ROS 2 Humble; ``mcap_ros2`` encodes them.
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, pairwise
 from pathlib import Path
@@ -29,7 +30,7 @@ from navbake.formats.occupancy import compute_occupancy_values
 from navbake.formats.source import Files, import_extra
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
-from navbake.types import Json
+from navbake.types import Float, Json
 
 # type of a message -> its fields, in the language of ROS' own definitions
 MESSAGES = {
@@ -116,8 +117,10 @@ def encode_mcap(
             write(topic, "nav_msgs/OccupancyGrid", message)
         for number, planned in enumerate(route):
             poses = [
-                {"header": MAP_FRAME, "pose": _make_pose(position)}
-                for position in planned.positions
+                {"header": MAP_FRAME, "pose": _make_pose(position, heading)}
+                for position, heading in zip(
+                    planned.positions, find_headings(planned.positions), strict=True
+                )
             ]
             write(f"/path_{number}", "nav_msgs/Path", {"header": MAP_FRAME, "poses": poses})
         if len(numbers) == len(grid.levels):
@@ -161,8 +164,34 @@ def _make_point(position: Iterable[float]) -> Json:
     return {"x": float(x), "y": float(y), "z": float(z)}
 
 
-def _make_pose(position: Iterable[float]) -> Json:
-    return {"position": _make_point(position), "orientation": NO_ROTATION}
+def _make_pose(position: Iterable[float], heading: float = 0.0) -> Json:
+    """Make a ``geometry_msgs/Pose`` at a position [m] with a heading about z, from x [rad]."""
+    orientation = {"z": math.sin(heading / 2), "w": math.cos(heading / 2)}
+    return {"position": _make_point(position), "orientation": orientation}
+
+
+def find_headings(positions: Float) -> list[float]:
+    """Find the heading at each point of a path: that to the next point that lies elsewhere.
+
+    From the last such point on, the heading stays. Seen from above, a path that goes nowhere, such
+    as one that only rises, has the heading 0.
+
+    Args:
+        positions: the path's points, shape (n, 3) [m].
+
+    Returns:
+        n angles about z, from x [rad].
+    """
+    headings: list[float] = []
+    num_without = 0  # points so far that have the heading of the next step that leads elsewhere
+    for start, end in pairwise(positions[:, :2].tolist()):
+        num_without += 1
+        if start != end:
+            heading = math.atan2(end[1] - start[1], end[0] - start[0])
+            headings += num_without * [heading]
+            num_without = 0
+    last_heading = headings[-1] if headings else 0.0
+    return headings + (len(positions) - len(headings)) * [last_heading]
 
 
 def define_message(kind: str) -> str:

@@ -3,8 +3,9 @@
 - ``nav2-route``: GeoJSON of nav2's Route Server. A node is a Point with ``id`` and ``frame``. Each
   direction of a lane is a MultiLineString with ``id``, ``startid``, ``endid`` and ``cost``. Under
   ``metadata`` are navbake's other fields, and nav2's keys ``speed_limit`` [%] and
-  ``abs_speed_limit`` [m/s]. nav2 may not replace (``overridable``) the costs of links and stairs by
-  lengths. nav2 knows no levels, so a file should hold one level, see `RouteGraph.on_level`.
+  ``abs_speed_limit`` [m/s]. nav2 may replace (``overridable``) a cost only where it is the length
+  of a lane without a speed limit, so prices survive whatever scores the other lanes. nav2 knows no
+  levels, so a file should hold one level, see `RouteGraph.on_level`.
 - ``lif``: Layout Interchange Format of the VDMA (JSON). Each level is a layout. A node's id is its
   name. Each direction of a lane is an edge, in the layout of its start. The time of export is
   fixed, so that equal graphs have equal files.
@@ -16,8 +17,9 @@
 
 The key ``navbake`` holds what a format has no place for.
 
-Sources: ``geojson_graph_file_loader.cpp`` of ``nav2_route``; VDMA, Layout Interchange Format 1.0,
-checked by the package ``vdma-lif`` in tests; ``parse_graph.cpp`` of ``rmf_fleet_adapter``.
+Sources: ``geojson_graph_file_loader.cpp``, ``route_planner.cpp`` and ``distance_scorer.cpp`` of
+``nav2_route``; VDMA, Layout Interchange Format 1.0, checked by the package ``vdma-lif`` in tests;
+``parse_graph.cpp`` of ``rmf_fleet_adapter``, ``building.py`` of ``rmf_building_map_tools``.
 """
 
 from __future__ import annotations
@@ -229,6 +231,21 @@ def _add_height(x: object, y: object, navbake_entry: Json) -> list[object]:
 
 # ---------------------------------------------------------------- nav2
 
+# nav2 refuses a graph with a cost of 0 that it may not replace: such costs are written as this [m]
+MIN_NAV2_COST = 1e-6
+COST_TOLERANCE = 1e-6  # costs and lengths are rounded to micrometres [m]
+
+
+def _nav2_may_score(lane: Lane) -> bool:
+    """Whether nav2 may score a lane by its length instead of its cost.
+
+    Links and stairs have costs of their own, and so do lanes through areas that have a price.
+    nav2's `DistanceScorer` divides lengths by ``speed_limit``, which its `AdjustSpeedLimit` takes
+    as a percentage: it would make lanes with a speed limit cheap.
+    """
+    is_priced = abs(lane.cost - lane.length) > COST_TOLERANCE
+    return lane.kind == FLOOR and lane.speed is None and not is_priced
+
 
 def encode_nav2_route(graph: RouteGraph) -> bytes:
     """Encode a graph for nav2's Route Server; log a warning if its nodes are on several levels."""
@@ -245,14 +262,17 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
     for number, lane in enumerate(directed(graph.lanes), len(graph.nodes)):
         metadata = to_entry(lane, "start", "end", "two_way", "cost", "speed")
         if lane.speed is not None:
+            # nav2 reads these as floats and fails on integers
             percent = min(100.0, 100.0 * lane.speed / graph.speed)
-            metadata |= {"abs_speed_limit": lane.speed, "speed_limit": percent}
+            metadata |= {"abs_speed_limit": float(lane.speed), "speed_limit": percent}
+        if lane.cost < MIN_NAV2_COST:
+            metadata["cost"] = lane.cost
         properties = {
             "id": number,
             "startid": lane.start,
             "endid": lane.end,
-            "cost": lane.cost,
-            "overridable": lane.kind == FLOOR,
+            "cost": max(lane.cost, MIN_NAV2_COST),
+            "overridable": _nav2_may_score(lane),
             "metadata": metadata,
         }
         start = list(graph.nodes[lane.start].position)
@@ -292,7 +312,7 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
             reader.add_node(key, geometry.get("coordinates"), metadata, place)
         elif geometry.get("type") in ("LineString", "MultiLineString"):
             entry = {"name": str(properties.get("id", "")), **metadata}
-            if "cost" in properties:
+            if "cost" in properties and "cost" not in metadata:
                 entry["cost"] = properties["cost"]
             if "abs_speed_limit" in metadata:
                 entry["speed"] = metadata["abs_speed_limit"]

@@ -6,6 +6,7 @@ import io
 import itertools
 import math
 import textwrap
+import unicodedata
 import warnings
 from collections.abc import Iterator, Sequence
 from os import PathLike
@@ -265,7 +266,7 @@ def find_fonts(text: str) -> tuple[list[str], set[str]]:
     from matplotlib import font_manager
 
     families = [FONT]
-    missing = {letter for letter in printable(text) if letter > "~"}
+    missing = {letter for letter in drawable(text) if letter > "~"}
     # Last Resort fonts are left out: for every letter they have just a box
     fonts = [
         font for font in font_manager.fontManager.ttflist if not font.name.startswith("Last Resort")
@@ -286,7 +287,18 @@ def find_fonts(text: str) -> tuple[list[str], set[str]]:
 def wrap(text: str, width: float, lines: int = 3) -> str:
     """Break a text into at most `lines` lines of a width [inches]; cut off what doesn't fit."""
     letters = max(int(width * LETTERS_PER_INCH), 8)
-    return textwrap.fill(printable(text), letters, max_lines=lines, placeholder="…")
+    return textwrap.fill(drawable(text), letters, max_lines=lines, placeholder="…")
+
+
+def drawable(text: str) -> str:
+    """Escape the characters of a text that can't be drawn; all kinds of spaces can be.
+
+    `str.isprintable` counts no space but the ASCII one as printable.
+    """
+    is_space = [unicodedata.category(letter) == "Zs" for letter in text]
+    return "".join(
+        letter if drawn else printable(letter) for letter, drawn in zip(text, is_space, strict=True)
+    )
 
 
 def add_axes(
@@ -464,7 +476,7 @@ def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
     points = [to_pixels.transform((label.x, label.y)) for label in labels if not label.width]
     occupied = [Bbox([point - POINT_HALF_SIDE, point + POINT_HALF_SIDE]) for point in points]
     for label in sorted(labels, key=lambda label: -label.width * label.height):
-        full_name = printable(label.text)
+        full_name = drawable(label.text)
         is_point = not label.width
         name = full_name
         if len(full_name) > MAX_LETTERS:
@@ -547,7 +559,7 @@ def _draw_legend(
     if with_route:
         lines.add("path, from o to x")
     entries: list[Patch | Line2D] = [
-        Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=printable(meaning))
+        Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=drawable(meaning))
         for meaning, color in (color_of_meaning | color_of_kind).items()
     ]
     entries += [

@@ -109,6 +109,55 @@ def test_habitat_has_y_up_and_looks_along_minus_z(tmp_path):
     assert found["info"]["geodesic_distance"] == 2.5
 
 
+def read_minos_columns(path):
+    return [(row["episodeId"], row["task"]) for row in csv.DictReader(path.open())]
+
+
+def test_minos_tables_have_the_columns_that_it_reads_its_task_and_id_from(tmp_path):
+    # in minos: EpisodeScheduler's int(r["episodeId"]); sstk's ssc/check-episode-states: p, o, r
+    room = msgspec.structs.replace(
+        POINT, task="room", goals=(Goal(position=(1.0, 2.0, 3.0), radius=0.0, room="1:2"),)
+    )
+    for content, letter in (*((SETS[task], task[0]) for task in SETS),
+                            (EpisodeSet(HEADER, (room,)), "r")):  # fmt: skip
+        write_episodes(content, tmp_path / "set.csv")
+        ids = [episode.id for episode in content.episodes]
+        assert read_minos_columns(tmp_path / "set.csv") == [(name, letter) for name in ids]
+        read = read_episodes(tmp_path / "set.csv")
+        assert [(episode.id, episode.task) for episode in read.episodes] == [
+            (episode.id, episode.task) for episode in content.episodes
+        ]
+    for ids in (("a", "b"), ("01", "2"), ("-1", "2")):
+        named = tuple(msgspec.structs.replace(POINT, id=name) for name in ids)
+        write_episodes(EpisodeSet(HEADER, named), tmp_path / "set.csv")
+        assert read_minos_columns(tmp_path / "set.csv") == [("0", "p"), ("1", "p")]
+
+
+@pytest.mark.parametrize(
+    ("task", "room", "name", "expected"),
+    [
+        ("o", "0_2", "0_5", ("object", "0_5", None, "door")),
+        ("p", "0_2", "", ("point", None, None, "door")),
+        ("r", "0_2", "0_5", ("room", "0_5", "0_2", "Toilet")),
+        ("", "0_2", "0_5", ("room", "0_5", "0_2", "Toilet")),  # without the column, as before
+        ("", "", "0_5", ("object", "0_5", None, "door")),
+    ],
+)
+def test_minos_rows_are_of_the_task_that_they_state(tmp_path, task, room, name, expected):
+    fields = {"task": task, "sceneId": "a", "goalRoomId": room, "goalRoomType": "Toilet",
+              "goalObjectId": name, "goalObjectType": "door", "startAngle": "0"}  # fmt: skip
+    fields |= {f"{end}{axis}": "0" for end in ("start", "goal") for axis in "XYZ"}
+    (tmp_path / "set.csv").write_text(f"{','.join(fields)}\n{','.join(fields.values())}\n")
+    (episode,) = read_episodes(tmp_path / "set.csv").episodes
+    goal = episode.goals[0]
+    assert (episode.task, goal.name, goal.room, goal.category) == expected
+    for wrong in ("x", "point_goal"):
+        fields["task"] = wrong
+        (tmp_path / "set.csv").write_text(f"{','.join(fields)}\n{','.join(fields.values())}\n")
+        with pytest.raises(FormatError, match=f"expected one of p, o, r as task, got '{wrong}'"):
+            read_episodes(tmp_path / "set.csv")
+
+
 def test_minos_has_a_row_an_episode(tmp_path):
     lost = write_episodes(SETS["point"], tmp_path / "set.csv.bz2", scenes={"flat": "17D"})
     assert lost == ["agent", "instruction", "path"]
@@ -122,7 +171,8 @@ def test_minos_has_a_row_an_episode(tmp_path):
     first, second = read.episodes
     assert first.heading == pytest.approx(0.25, abs=1e-3)
     assert second.heading == pytest.approx(-3.0, abs=1e-3)
-    kept = {"id": "0", "heading": 0.0, "path": (), "instruction": None}
+    assert (first.id, second.id) == ("7", "8")
+    kept = {"heading": 0.0, "path": (), "instruction": None}
     goals = (msgspec.structs.replace(POINT.goals[0], radius=0.25),)
     wanted = msgspec.structs.replace(POINT, goals=goals, **kept)
     assert plain(msgspec.structs.replace(first, heading=0.0)) == plain(wanted)

@@ -1,5 +1,6 @@
 """MCAP: what `mcap` and `rosbags`, which know ROS' messages by themselves, read in it."""
 
+import math
 import sys
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +12,7 @@ import navbake
 from command_line import run_command
 from map_grids import sample, small
 from navbake.errors import FormatError, MissingDependencyError
-from navbake.formats.mcap import MESSAGES, define_message
+from navbake.formats.mcap import MESSAGES, define_message, find_headings
 from navbake.formats.occupancy import compute_occupancy_values
 from project_paths import GOLDEN
 
@@ -86,6 +87,15 @@ def test_maps_paths_and_links_of_the_house(tmp_path, read):
         }
         points = positions(pose.pose.position for pose in message.poses)
         np.testing.assert_array_equal(points, way.positions)
+        turns = [pose.pose.orientation for pose in message.poses]
+        assert all(turn.x == turn.y == 0 for turn in turns)
+        for turn, start, end in zip(turns, way.positions, way.positions[1:], strict=False):
+            heading = 2 * math.atan2(turn.z, turn.w)
+            x, y, _ = end - start
+            assert math.hypot(x, y) * np.array([math.cos(heading), math.sin(heading)]) == (
+                pytest.approx([x, y], abs=1e-9)
+            )
+        assert turns[-1] == turns[-2]
     kind, _, message = found["/links"]
     (marker,) = message.markers
     assert (kind, marker.type, marker.ns) == ("visualization_msgs/msg/MarkerArray", 5, "links")
@@ -98,6 +108,24 @@ def test_maps_paths_and_links_of_the_house(tmp_path, read):
             expected.append([*level.lattice.positions(row, col), level.floor[row, col]])
     assert len(expected) > 2
     np.testing.assert_allclose(positions(marker.points), expected)
+
+
+@pytest.mark.parametrize(
+    ("points", "degrees"),
+    [
+        ([(0, 0, 0), (1, 0, 0), (1, 2, 0)], [0, 90, 90]),
+        (
+            [(0, 0, 0), (0, 0, 3), (-1, 0, 3), (-1, 0, 0)],
+            [180, 180, 180, 180],
+        ),  # a lift at each end
+        ([(0, 0, 0), (0, -1, 0), (0, -1, 3), (1, 0, 3)], [-90, 45, 45, 45]),  # and one between
+        ([(2, 2, 0)], [0]),
+        ([(2, 2, 0), (2, 2, 3)], [0, 0]),
+    ],
+)
+def test_poses_head_where_the_path_goes_next(points, degrees):
+    headings = find_headings(np.array(points, dtype=float))
+    assert np.degrees(headings).tolist() == pytest.approx(degrees)
 
 
 @READERS

@@ -158,6 +158,18 @@ def test_networkx_reads_graphml(tmp_path, name):
     assert (tmp_path / "again.graphml").read_bytes() == path.read_bytes()
 
 
+@pytest.mark.parametrize("rows", [["11222"], ["111#222", "1111222", "111#222", "1111222"]])
+def test_graphml_is_one_kind_of_graph_whether_or_not_two_rooms_have_several_ways(tmp_path, rows):
+    level = rooms_of(rows)
+    (path,) = level.convert(tmp_path / "rooms.graphml")
+    read = networkx.read_graphml(path, force_multigraph=True)
+    graph = level.to_graph("rooms").to_networkx()
+    assert type(read) is type(graph) is networkx.MultiGraph
+    assert len(read.edges) == len(graph.edges) >= 1
+    keys = [key for *_, key in read.edges(keys=True)]
+    assert len({*keys}) == len(keys)
+
+
 def test_graphml_holds_odd_names(tmp_path):
     level = rooms_of(["12"])
     names = ["<a & 'b' \"c\">", "客厅\x01\t\n"]

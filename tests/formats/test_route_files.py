@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 
 import networkx
@@ -16,7 +17,7 @@ from navbake.formats.convert import ROUTE_FORMATS
 from navbake.formats.route_files import read_routes, write_routes
 from navbake.routes.build import make_routes
 from navbake.routes.graph import Lane, Node, RouteGraph
-from project_paths import GOLDEN
+from project_paths import GOLDEN, ROOT
 
 SMALL = RouteGraph(
     nodes=(
@@ -102,7 +103,80 @@ def test_nav2_loads_it(tmp_path, house):
     features = json.loads((tmp_path / "b.geojson").read_text())["features"]
     slow = features[4]["properties"]
     assert slow["metadata"]["abs_speed_limit"] == 0.25 and slow["metadata"]["speed_limit"] == 50
-    assert [f["properties"]["overridable"] for f in features[4:]] == [True] * 3 + [False] * 4
+    # the first is slow and has a price, the others are links, but for the third
+    overridable = [feature["properties"]["overridable"] for feature in features[4:]]
+    assert overridable == [False, False, True, False, False, False, False]
+
+
+# a lane that is slow, one that has a price, both, and neither; links that are dear, cheap, free
+PRICED = RouteGraph(
+    nodes=tuple(Node(name, (x, y, 0.0)) for name, x, y in (
+        ("a", 0.0, 0.0), ("b", 4.0, 0.0), ("c", 8.0, 0.0), ("d", 4.0, 5.0), ("e", 4.0, -2.0),
+        ("f", 4.0, -2.0),
+    )),
+    lanes=(
+        Lane(0, 1, "slow", 4.0, 4.0, speed=0.1),
+        Lane(1, 2, "slow, by an integer", 4.0, 4.0, speed=1),
+        Lane(0, 3, "plain", 6.403124, 6.403124),
+        Lane(3, 2, "dear", 6.403124, 64.03124),
+        Lane(0, 4, "dear and slow", 4.472136, 13.416408, speed=0.5, two_way=False),
+        Lane(4, 5, "short", 0.0, 0.0),
+        Lane(5, 2, "a free ride", 4.472136, 0.0, kind="ferry", link="ferry", two_way=False),
+        Lane(3, 1, "cheap", 5.0, 1.25),
+    ),
+    speed=1.5,
+)  # fmt: skip
+
+
+def nav2_costs(path, start, speed_tag="speed_limit"):
+    """Costs of routes from a node, by nav2's planner with its scorer of distances alone.
+
+    In navigation2, nav2_route/src: route_planner.cpp, getTraversalCost: an edge that may not be
+    overridden has its cost, which must be positive; distance_scorer.cpp, score: length / value of
+    the tag, 1 without it; types.hpp, getValue: the value must be a float.
+    """
+    features = json.loads(path.read_text())["features"]
+    points = {
+        feature["properties"]["id"]: feature["geometry"]["coordinates"][:2]
+        for feature in features if feature["geometry"]["type"] == "Point"
+    }  # fmt: skip
+    graph = networkx.MultiDiGraph()
+    for properties in (feature["properties"] for feature in features):
+        if "startid" not in properties:
+            continue
+        ends = (properties["startid"], properties["endid"])
+        if properties["overridable"]:
+            value = properties["metadata"].get(speed_tag, 1.0)
+            assert isinstance(value, float)
+            cost = math.dist(*(points[end] for end in ends)) / value
+        else:
+            cost = properties["cost"]
+            assert cost > 0
+        graph.add_edge(*ends, cost=cost)
+    return networkx.single_source_dijkstra_path_length(graph, start, weight="cost")
+
+
+@pytest.mark.parametrize("speed_tag", ["speed_limit", "none"])  # nav2's default, and the docs'
+def test_nav2_finds_the_cheapest_routes_of_the_graph(tmp_path, house, speed_tag):
+    for graph in (PRICED, house.on_level(0)):
+        write_routes(graph, tmp_path / "a.geojson")
+        assert read_routes(tmp_path / "a.geojson") == graph
+        for start, row in enumerate(graph.distances()):
+            costs = nav2_costs(tmp_path / "a.geojson", start, speed_tag)
+            reached = [costs.get(end, math.inf) for end in range(len(graph.nodes))]
+            assert reached == pytest.approx(row.tolist(), abs=1e-4)
+    limits = [
+        value
+        for feature in json.loads((tmp_path / "a.geojson").read_text())["features"]
+        for key, value in feature["properties"].get("metadata", {}).items()
+        if key in ("speed_limit", "abs_speed_limit")
+    ]
+    assert all(isinstance(limit, float) for limit in limits)
+
+
+def test_the_launch_file_of_the_docs_scores_by_no_percentage():
+    text = (ROOT / "docs" / "routes.md").read_text(encoding="utf-8")
+    assert '"plugin": "nav2_route::DistanceScorer", "speed_tag": "none"' in text
 
 
 def test_lif_is_valid(tmp_path, house):

@@ -333,6 +333,13 @@ def test_long_titles_wrap_and_end_somewhere():
     assert long.shape[1] == short.shape[1]
 
 
+@pytest.mark.parametrize("space", ["\u00a0", "\u202f", "\u3000", "\u2009"])
+def test_spaces_of_all_kinds_are_drawn_as_they_are(space):
+    text = plot.wrap(f"1:{space}hall   2:{space}Salle{space}de{space}bain", 9.0)
+    assert text == f"1:{space}hall   2:{space}Salle{space}de{space}bain"
+    assert plot.wrap("a\u200b\x07b", 9.0) == r"a\u200b\x07b"
+
+
 def test_letters_that_no_font_has_are_known():
     families, missing = plot.find_fonts("\u043a\u0443\u0445\u043d\u044f a\U000e0fff")
     assert families == [plot.FONT]
