@@ -60,7 +60,13 @@ def convert(
         "NAME[=PERCENT]", "Room or polygon of a mask. May be repeated."
     ),
     zones: Path | None = option("GEOJSON", "Polygons of a mask; all unless --zone names some."),
-    agent: str | None = option("NAME", "Agent that a mask of areas is for.  [default: any]"),
+    stairs: str | None = option(
+        "occupied|free",
+        "Floors of a map without heights that only steps lead to.  [default: occupied]",
+    ),
+    agent: str | None = option(
+        "NAME", "Agent whose barred areas a map or mask marks.  [default: any]"
+    ),
     absolute: bool | None = Option(None, "--absolute", help="Limits of areas in m/s, not percent."),
     height: float | None = option("METRES", "How far walls rise over floors [m].  [default: 2.5]"),
     flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground."),
@@ -95,6 +101,7 @@ def convert(
         "inflation": inflation,
         "zone": zone,
         "zones": zones,
+        "stairs": stairs,
         "agent": agent,
         "absolute": absolute,
         "height": height,

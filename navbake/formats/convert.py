@@ -8,9 +8,10 @@ reader is called as ``(path, **options)`` and returns a grid.
 
 from __future__ import annotations
 
+import logging
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from navbake.errors import FormatError
 from navbake.formats.source import check_path, write_files
@@ -19,8 +20,10 @@ from navbake.lazy import resolve
 if TYPE_CHECKING:
     from navbake.formats.source import Files
     from navbake.navgrid.grid import NavGrid
+    from navbake.navgrid.links import Agent
 
 
+LOG = logging.getLogger(__name__)
 OCTREE_SUFFIXES = (".bt", ".ot")
 """Endings of OctoMap's files, whose voxels lie on whole multiples of their edge."""
 VOXEL_SUFFIXES = (".binvox", *OCTREE_SUFFIXES, ".npz")
@@ -43,6 +46,12 @@ class FileFormat(NamedTuple):
             given, as ``module:function``; None for a format of single files.
         inflates: whether `encode_as` inflates the grid for the option ``radius``, instead of the
             writer.
+        loses: kinds of content that the format has no place for, of ``heights`` (of the floor),
+            ``steps`` (between levels), ``areas``, ``links``, ``agents`` and ``doors``. What a grid
+            has of them is told in a warning.
+        closes: what is occupied in the format's files because they have no word for it: ``stairs``
+            (see `navbake.formats.map_losses.find_stairs`), and ``areas`` that bar the agent.
+        closes_by_itself: whether the writer closes these cells, instead of `encode_as`.
     """
 
     name: str
@@ -54,7 +63,12 @@ class FileFormat(NamedTuple):
     read_options: tuple[str, ...] = ()
     list_parts: str | None = None
     inflates: bool = False
+    loses: tuple[str, ...] = ()
+    closes: tuple[str, ...] = ()
+    closes_by_itself: bool = False
 
+
+ALL_LOSSES = ("heights", "steps", "areas", "links", "agents", "doors")
 
 GRID_FORMATS = (
     FileFormat(
@@ -77,9 +91,21 @@ GRID_FORMATS = (
         meaning="map of ROS and nav2: a YAML and an image for each level, or a costmap",
         encode="nav2:encode_nav2",
         read="nav2:read_nav2",
-        write_options=("level", "radius", "mode", "image", "inflation", "scaling"),
+        write_options=(
+            "level",
+            "radius",
+            "mode",
+            "image",
+            "inflation",
+            "scaling",
+            "stairs",
+            "agent",
+        ),
         read_options=("rules",),
         list_parts="nav2:list_images",
+        loses=ALL_LOSSES,
+        closes=("stairs", "areas"),
+        closes_by_itself=True,
     ),
     FileFormat(
         name="nav2-keepout",
@@ -107,8 +133,10 @@ GRID_FORMATS = (
         meaning="ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
         encode="procthor:encode_procthor",
         read="procthor:read_procthor",
-        write_options=("level", "radius"),
+        write_options=("level", "radius", "stairs", "agent"),
         inflates=True,
+        loses=ALL_LOSSES,
+        closes=("stairs", "areas"),
     ),
     FileFormat(
         name="omnigibson",
@@ -116,9 +144,11 @@ GRID_FORMATS = (
         meaning="OmniGibson: floor_trav_N.png of each level, with room maps of level 0",
         encode="omnigibson:encode_omnigibson",
         read="omnigibson:read_omnigibson",
-        write_options=("level", "radius", "categories"),
+        write_options=("level", "radius", "categories", "stairs", "agent"),
         list_parts="omnigibson:list_room_maps",
         inflates=True,
+        loses=ALL_LOSSES,
+        closes=("stairs", "areas"),
     ),
     FileFormat(
         name="grscenes",
@@ -126,16 +156,20 @@ GRID_FORMATS = (
         meaning="occupancy.npy of GRScenes: free, obstacle or undefined",
         encode="grscenes:encode_grscenes",
         read="grscenes:read_grscenes",
-        write_options=("level", "radius"),
+        write_options=("level", "radius", "stairs", "agent"),
         inflates=True,
+        loses=ALL_LOSSES,
+        closes=("stairs", "areas"),
     ),
     FileFormat(
         name="mcap",
         endings=(".mcap",),
         meaning="messages of ROS 2 for Foxglove and rerun: a map of each level, paths, links",
         encode="mcap:encode_mcap",
-        write_options=("level", "radius", "route"),
+        write_options=("level", "radius", "route", "agent"),
         inflates=True,
+        loses=("heights", "areas", "agents", "doors"),
+        closes=("areas",),
     ),
     FileFormat(
         name="mjcf",
@@ -143,6 +177,7 @@ GRID_FORMATS = (
         meaning="MuJoCo scene of walls and floors, and the settings that bake it to these cells",
         encode="extrude:encode_mjcf",
         write_options=("level", "height", "flat"),
+        loses=("areas", "links", "agents", "doors"),
     ),
     FileFormat(
         name="rmf-building",
@@ -155,32 +190,39 @@ GRID_FORMATS = (
         endings=(".glb",),
         meaning="walkable floor as a mesh, glTF 2.0, for Blender, Unity, Unreal",
         encode="floor_mesh:encode_glb",
-        write_options=("tolerance",),
+        write_options=("tolerance", "agent"),
+        loses=("steps", "areas", "links", "agents", "doors"),
+        closes=("areas",),
     ),
     FileFormat(
         name="obj",
         endings=(".obj",),
         meaning="walkable floor as a mesh, Wavefront OBJ, for Recast and any other",
         encode="floor_mesh:encode_obj",
-        write_options=("tolerance", "up"),
+        write_options=("tolerance", "up", "agent"),
+        loses=("steps", "areas", "links", "agents", "doors"),
+        closes=("areas",),
     ),
     FileFormat(
         name="geojson",
         endings=(".geojson",),
         meaning="rooms, walkable areas and doors as polygons and lines",
         encode="shapes:encode_geojson",
+        loses=("steps", "areas", "links", "agents"),
     ),
     FileFormat(
         name="wkt",
         endings=(".wkt", ".csv"),
         meaning="the same as a table with WKT, for GDAL, QGIS, PostGIS",
         encode="shapes:encode_wkt",
+        loses=("steps", "areas", "links", "agents"),
     ),
     FileFormat(
         name="graphml",
         endings=(".graphml",),
         meaning="rooms and the ways between them as a graph, for networkx, Gephi, yEd",
         encode="graphs:encode_graphml",
+        loses=("agents", "doors"),
     ),
     FileFormat(
         name="graph",
@@ -188,6 +230,7 @@ GRID_FORMATS = (
         meaning="free cells and the steps between them as a sparse matrix, for scipy",
         encode="graphs:encode_cell_graph",
         write_options=("cut_corners",),
+        loses=("agents", "doors"),
     ),
 )
 """Formats of grids. If several formats share an ending, a file with it has the first of them."""
@@ -387,11 +430,38 @@ def encode_with(file_format: FileFormat, grid: NavGrid, path: Path, **options: o
                 key=option,
                 value=options[option],
             )
+    if not file_format.loses:
+        encoded: Files = resolve(f"navbake.formats.{file_format.encode}")(grid, path, **options)
+        return encoded
+
+    from navbake.formats import map_losses  # loads numpy
+
+    agent = cast("str | Agent | None", options.get("agent"))
+    level = cast("int | None", options.get("level"))
+    stairs: str | None = "free"
+    if "stairs" in file_format.closes:
+        stairs = cast("str | None", options.get("stairs"))
+    closed = map_losses.find_closed_cells(
+        grid,
+        stairs=stairs,
+        agent=agent,
+        closes_areas="areas" in file_format.closes,
+    )
+    to_encode = grid
     if file_format.inflates:
         radius = options.pop("radius", None)
         if radius is not None:
-            grid = grid.inflate(radius)  # type: ignore[arg-type] # checks the radius itself
-    files: Files = resolve(f"navbake.formats.{file_format.encode}")(grid, path, **options)
+            to_encode = grid.inflate(cast("float", radius))  # checks the radius itself
+    if file_format.closes and not file_format.closes_by_itself:
+        options.pop("stairs", None)
+        options.pop("agent", None)
+        masks = closed.masks()
+        if any(mask.any() for mask in masks):
+            to_encode = map_losses.close_cells(to_encode, masks)
+    files: Files = resolve(f"navbake.formats.{file_format.encode}")(to_encode, path, **options)
+    losses = map_losses.describe_losses(grid, file_format.loses, closed, level=level, agent=agent)
+    if losses:
+        LOG.warning("%s has no place for %s", file_format.name, ", ".join(losses))
     return files
 
 

@@ -32,6 +32,7 @@ from navbake.files import check_regular, readable_stem
 from navbake.formats import occupancy
 from navbake.formats.allowance import ABSENT, JsonPath, check_number, check_vector
 from navbake.formats.level_paths import list_level_paths
+from navbake.formats.map_losses import find_closed_cells
 from navbake.formats.navgrid import check_grid
 from navbake.formats.source import (
     Files,
@@ -44,6 +45,7 @@ from navbake.formats.source import (
 )
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE, Lattice, rounded
+from navbake.navgrid.links import Agent
 from navbake.runtime.inflation import NAV2_SCALING
 from navbake.types import Json
 from navbake.yaml_text import encode_yaml
@@ -96,10 +98,13 @@ def encode_nav2(
     image: str | None = None,
     inflation: float | None = None,
     scaling: float | None = None,
+    stairs: str | None = None,
+    agent: str | Agent | None = None,
 ) -> Files:
     """Encode the maps of a grid: for each level an image, and a YAML that names it.
 
-    Cells without a floor are unknown, all others free or occupied. Modes ``scale`` and ``raw`` also
+    Cells without a floor are unknown, all others free or occupied. A map has no heights and no
+    areas, so stairs and areas that bar the agent are occupied. Modes ``scale`` and ``raw`` also
     have costs: 1 to 98 for weights above 1, and 99 for cells that only an inflation blocks.
 
     Args:
@@ -114,13 +119,18 @@ def encode_nav2(
             costs by nav2's formula; not in mode ``trinary``. With it, `radius` is the radius of the
             grid's agent by default.
         scaling: nav2's ``cost_scaling_factor`` [1/m]; 10 if None.
+        stairs: ``occupied``, or ``free`` to leave floors free that only steps lead to; None means
+            ``occupied``. See `navbake.formats.map_losses.find_stairs`.
+        agent: the agent whose barred areas are occupied: its name in the grid, or the agent itself.
+            None closes those that bar all agents.
 
     Returns:
         The content of each file by its path.
 
     Raises:
         FormatError: there is no such level, mode or kind of image, or options exclude each other.
-        QueryError: a radius, inflation or scaling is out of its range.
+        QueryError: a radius, inflation or scaling is out of its range, or the grid has no such
+            agent.
     """
     if not image:
         image = "png" if mode == "scale" else "pgm"
@@ -134,6 +144,7 @@ def encode_nav2(
         raise FormatError("scaling is how fast the costs of an inflation fall: expected one")
     if scaling is None:
         scaling = NAV2_SCALING
+    closed_cells = find_closed_cells(grid, stairs=stairs, agent=agent).masks()
     if radius is not None and inflation is None:
         grid = grid.inflate(radius)
     files: Files = {}
@@ -143,6 +154,7 @@ def encode_nav2(
         else:
             robot_radius = grid.agent_radius if radius is None else radius
             values = occupancy.compute_costmap_values(grid, k, robot_radius, inflation, scaling)
+        values[closed_cells[k]] = occupancy.OCCUPIED
         files |= encode_map(grid.levels[k], values, yaml_path, mode, image)
     return files
 

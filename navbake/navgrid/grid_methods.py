@@ -545,6 +545,8 @@ class GridMethods:
         image: str | None = None,
         inflation: float | None = None,
         scaling: float | None = None,
+        stairs: str | None = None,
+        agent: str | Agent | None = None,
     ) -> list[Path]:
         """Write maps for nav2's map server: for each level an image, and a YAML that names it.
 
@@ -563,6 +565,10 @@ class GridMethods:
                 nav2's ``inflation_radius`` [m]; not in mode ``trinary``. The radius in the formula
                 is `radius`, or the grid's if that is None.
             scaling: nav2's ``cost_scaling_factor`` [1/m], with `inflation`; None for 10.
+            stairs: ``occupied``, or ``free`` to leave floors free that only steps lead to from the
+                level's commonest ground, as a map has no heights; None means ``occupied``.
+            agent: The agent whose barred areas are occupied: its name in the grid, or the agent
+                itself. None closes those that bar all agents.
 
         Returns:
             The paths of the written files.
@@ -570,7 +576,8 @@ class GridMethods:
         Raises:
             FormatError: There is no such level, mode or image, options exclude each other, or a
                 file cannot be written.
-            QueryError: A radius, inflation or scaling is out of its range.
+            QueryError: A radius, inflation or scaling is out of its range, or the grid has no such
+                agent.
 
         Example:
             >>> grid.to_nav2("map.yaml", level=0, radius=0.3)
@@ -588,6 +595,8 @@ class GridMethods:
             image=image,
             inflation=inflation,
             scaling=scaling,
+            stairs=stairs,
+            agent=agent,
         )
 
     def to_procthor(
@@ -596,6 +605,8 @@ class GridMethods:
         *,
         level: int | None = None,
         radius: float | None = None,
+        stairs: str | None = None,
+        agent: str | Agent | None = None,
     ) -> list[Path]:
         """Write a ``ProcTHORMap`` of MolmoSpaces for each level: free cells and rooms as a PNG.
 
@@ -603,6 +614,10 @@ class GridMethods:
             path: Name of the image, which ends in ``.png``; maps of several levels have numbers.
             level: Write the map of this level only, 0 is the lowest.
             radius: Inflate the grid for a robot of this radius first [m]; see `inflate`.
+            stairs: ``occupied``, or ``free`` to leave floors free that only steps lead to from the
+                level's commonest ground, as a map has no heights; None means ``occupied``.
+            agent: The agent whose barred areas are occupied: its name in the grid, or the agent
+                itself. None closes those that bar all agents.
 
         Returns:
             The paths of the written files.
@@ -610,11 +625,19 @@ class GridMethods:
         Raises:
             FormatError: There is no such level, one has more than 255 rooms, or a file cannot be
                 written.
-            QueryError: The radius is out of its range.
+            QueryError: The radius is out of its range, or the grid has no such agent.
         """
         from navbake.formats.convert import write_as
 
-        return write_as(self._as_grid(), path, "procthor", level=level, radius=radius)
+        return write_as(
+            self._as_grid(),
+            path,
+            "procthor",
+            level=level,
+            radius=radius,
+            stairs=stairs,
+            agent=agent,
+        )
 
     def to_npz(self, path: str | PathLike[str]) -> list[Path]:
         """Write all that the grid holds as a NumPy archive; `navbake.from_npz` reads it.

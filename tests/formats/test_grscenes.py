@@ -28,7 +28,7 @@ def decode(path):
 @pytest.mark.parametrize("name", SAMPLES)
 def test_its_authors_rules_find_the_cells(tmp_path, name):
     grid = sample(name)
-    written = grid.convert(tmp_path / "occupancy.npy")
+    written = grid.convert(tmp_path / "occupancy.npy", stairs="free")
     assert len(written) == len(grid.levels)
     for path, level in zip(written, grid.levels, strict=True):
         points, values = decode(path)

@@ -96,7 +96,7 @@ def expected_values(level):
 @pytest.mark.parametrize("name", SAMPLES)
 def test_nav2_reads_each_sample_cell_by_cell(tmp_path, name, image):
     grid = sample(name)
-    written = grid.to_nav2(tmp_path / "map.yaml", image=image)
+    written = grid.to_nav2(tmp_path / "map.yaml", image=image, stairs="free")
     paths = written[1::2]
     assert len(paths) == len(grid.levels)
     for path, level in zip(paths, grid.levels, strict=True):

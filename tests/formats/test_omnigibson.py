@@ -65,7 +65,7 @@ def positions(level, num=200_000):
 @pytest.mark.parametrize("name", ["apartment", "house", "warehouse"])
 def test_omnigibson_finds_the_free_cells_and_rooms(tmp_path, name):
     grid = sample(name)
-    written = grid.convert(tmp_path / "floor_trav.png", "omnigibson")
+    written = grid.convert(tmp_path / "floor_trav.png", "omnigibson", stairs="free")
     names = {"floor_insseg_0.png", "floor_semseg_0.png", "room_categories.txt"}
     floors = {f"floor_trav_{number}.png" for number in range(len(grid.levels))}
     assert {path.name for path in written} == names | floors
@@ -112,7 +112,7 @@ def test_by_its_own_resolution_of_ten_pixels(tmp_path):
 @pytest.mark.parametrize("name", ["apartment", "house"])
 def test_grids_come_back_cell_for_cell(tmp_path, name):
     grid = sample(name)
-    grid.convert(tmp_path / "floor_trav.png", "omnigibson")
+    grid.convert(tmp_path / "floor_trav.png", "omnigibson", stairs="free")
     for number, level in enumerate(grid.levels):
         back = navbake.from_omnigibson(tmp_path / f"floor_trav_{number}.png")
         assert (back.lattice, back.ground) == (level.lattice, pytest.approx(level.ground))

@@ -69,7 +69,9 @@ def test_a_plot_takes_what_pictures_take():
     # of a picture without a file, the form is no choice
     assert taken[1:] == parameters_of(resolve("navbake.views.plot:render_picture"), first=2)
     (level,) = parameters_of(resolve("navbake.formats.procthor:encode_procthor"), first=2)
-    assert parameters_of(GridMethods.to_procthor, first=2) == [level, ("radius", *level[1:])]
+    names = ("radius", "stairs", "agent")  # of all maps
+    expected = [level, *((name, *level[1:]) for name in names)]
+    assert parameters_of(GridMethods.to_procthor, first=2) == expected
 
 
 def test_a_path_is_found_with_the_arguments_of_path_finder():

@@ -1,0 +1,285 @@
+"""What a file format can't hold of a grid: which cells a map closes for that, and what is told.
+
+A map without heights shows a stair as free floor. A planner of wheeled robots would plan up the
+stair, so such a map has the stair's cells as occupied, unless its user wants them free. A map
+without areas would let robots into the areas that bar them, so these are occupied as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake.errors import FormatError
+from navbake.lazy import lazy
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.islands import STEP_SLACK, label_islands, step_limit, values_by_area
+from navbake.navgrid.links import Agent
+from navbake.types import Bool, Float, JsonValue
+
+ndimage = lazy("scipy.ndimage")
+
+STAIRS_CHOICES = ("occupied", "free")
+DEFAULT_MAX_SLOPE = 45.0  # of a grid whose file doesn't state it [degrees]
+# A rise from a cell to the next one up to the first value is no step for any wheel; from the second
+# one on it is the riser of a stair (the least of the International Building Code, 1011.5.2: 4 in)
+LEAST_RISE_LIMIT = 0.05  # [m]
+LEAST_RISER = 0.1  # [m]
+HEIGHT_BIN = 0.01  # floors that differ by less than that have the same height [m]
+MAX_NAMES = 5  # of links, areas and agents in the line that tells what is lost
+
+
+class ClosedCells(NamedTuple):
+    """The free cells that a map has as occupied, because it has no word for what they are.
+
+    Attributes:
+        stairs: for each level, the floors that only steps lead to, shape (height, width), bool.
+        barred: for each level, the cells of areas that bar the agent, of the same shape, bool.
+    """
+
+    stairs: list[Bool]
+    barred: list[Bool]
+
+    def masks(self) -> list[Bool]:
+        """Return the closed cells of each level, shape (height, width), bool."""
+        return [stairs | barred for stairs, barred in zip(self.stairs, self.barred, strict=True)]
+
+
+def find_closed_cells(
+    grid: NavGrid,
+    *,
+    stairs: str | None = "occupied",
+    agent: str | Agent | None = None,
+    closes_areas: bool = True,
+) -> ClosedCells:
+    """Find the free cells that a map without heights and areas has as occupied.
+
+    Args:
+        grid: the grid, not inflated for the map.
+        stairs: ``occupied`` to close floors that only steps lead to, see `find_stairs`; ``free``
+            to close none. None means ``occupied``.
+        agent: the agent that the map is for: its name in the grid, or the agent itself. None means
+            any: only areas that bar all agents are closed.
+        closes_areas: whether areas that bar the agent are closed.
+
+    Returns:
+        The cells.
+
+    Raises:
+        FormatError: `stairs` is another word.
+        QueryError: the grid has no such agent.
+    """
+    from navbake.runtime.blocking import find_agent  # loads the run time
+
+    if stairs is not None and stairs not in STAIRS_CHOICES:
+        expected = " or ".join(STAIRS_CHOICES)
+        raise FormatError(
+            f"expected {expected} as stairs, got {stairs!r}",
+            key="stairs",
+            value=stairs,
+            expected=expected,
+        )
+    map_agent = find_agent(grid, agent)
+    no_cells = [np.zeros(level.shape, dtype=bool) for level in grid.levels]
+    stair_cells = no_cells
+    if stairs != "free":
+        stair_cells = [find_stairs(grid, number) for number in range(len(grid.levels))]
+    barred_cells = no_cells
+    is_barred = [area.bars(map_agent) for area in grid.areas]
+    if closes_areas and any(is_barred):
+        by_cell = values_by_area(grid, is_barred, False)
+        ends = np.cumsum([level.width * level.height for level in grid.levels])
+        barred_cells = [
+            cells.reshape(level.shape) & level.free
+            for cells, level in zip(np.split(by_cell, ends[:-1]), grid.levels, strict=True)
+        ]
+    return ClosedCells(stair_cells, barred_cells)
+
+
+def find_stairs(grid: NavGrid, number: int) -> Bool:
+    """Find the free cells of a level that only steps lead to from the level's commonest ground.
+
+    The commonest ground is the commonest height of the largest smooth floor. Cells whose floor lies
+    within a step (the grid's `traversableFloorHeight`) of it are ground, and so is all that a
+    smooth floor leads to from there, such as a ramp and what it leads to. The remaining cells are
+    stairs, landings and platforms, or lie below a ledge. A floor is smooth where it rises from cell
+    to cell by no more than the grid's largest slope allows, and by less than the riser of a stair.
+
+    A part of the level that no free cell connects with the ground has a commonest ground of its
+    own, unless a step of the grid's table leads there from another level.
+
+    Args:
+        grid: the grid.
+        number: the level's number.
+
+    Returns:
+        Shape (height, width), bool; all False if the grid has no floor heights.
+    """
+    level = grid.levels[number]
+    free = level.free
+    closed = np.zeros(level.shape, dtype=bool)
+    floor = level.floor
+    has_floor = free & ~np.isnan(floor)
+    if not level.uses_cell_floors or not has_floor.any():
+        return closed
+    step = step_limit(grid) * grid.unit
+    num_cells = level.width * level.height
+    smooth_parts = label_islands(  # the largest is number 1
+        start=np.array([0, num_cells]),
+        width=np.array([level.width]),
+        free=has_floor.ravel(),
+        floor=floor.ravel(),
+        limit=_find_rise_limit(grid, level),
+        steps=np.empty((0, 2), dtype=np.int64),
+    ).reshape(level.shape)
+    ground_height = find_commonest_height(floor[has_floor & (smooth_parts == 1)])
+    is_ground = free & ~(np.abs(floor - ground_height) > step)
+    if not (free & ~is_ground).any():
+        return closed
+
+    regions, num_regions = ndimage.label(free, structure=np.ones((3, 3)))
+    has_step_from_elsewhere = np.zeros(num_regions + 1, dtype=bool)
+    regions_by_cell = regions.ravel()
+    for first_level, first_cell, second_level, second_cell in grid.step_array:
+        if first_level != second_level:
+            if first_level == number:
+                has_step_from_elsewhere[regions_by_cell[first_cell]] = True
+            if second_level == number:
+                has_step_from_elsewhere[regions_by_cell[second_cell]] = True
+    has_ground = np.zeros(num_regions + 1, dtype=bool)
+    has_ground[regions[is_ground]] = True
+    for region in np.flatnonzero(~has_ground & ~has_step_from_elsewhere)[1:].tolist():
+        cells = regions == region
+        largest_part = smooth_parts[cells].min()
+        height = find_commonest_height(floor[cells & (smooth_parts == largest_part)])
+        is_ground |= cells & ~(np.abs(floor - height) > step)
+    is_reached = np.zeros(int(smooth_parts.max()) + 1, dtype=bool)
+    is_reached[smooth_parts[is_ground]] = True
+    closed[free] = ~is_reached[smooth_parts[free]]
+    return closed
+
+
+def find_commonest_height(floor: Float) -> float:
+    """Return the commonest of some floors' heights, to a centimetre; the lowest of several.
+
+    Args:
+        floor: the heights [m], not NaN, shape (n,), n > 0.
+
+    Returns:
+        The mean of the floors at the commonest height [m].
+    """
+    bins = np.round(floor / HEIGHT_BIN)
+    heights, counts = np.unique(bins, return_counts=True)
+    return float(floor[bins == heights[counts.argmax()]].mean())
+
+
+def _find_rise_limit(grid: NavGrid, level: SceneGrid2D) -> float:
+    """Return by how much a smooth floor may rise from a cell to the next one [m]."""
+    max_slope: JsonValue = grid.navbake.get("maxSlope")
+    if type(max_slope) not in (int, float) or not 0 <= max_slope < 90:
+        max_slope = DEFAULT_MAX_SLOPE
+    rise = level.lattice.cell_size * math.tan(math.radians(max_slope)) + STEP_SLACK
+    return min(max(rise, LEAST_RISE_LIMIT), LEAST_RISER - STEP_SLACK)
+
+
+def close_cells(grid: NavGrid, masks: Sequence[Bool]) -> NavGrid:
+    """Return a grid in which some more cells are occupied.
+
+    Args:
+        grid: the grid, which stays as it is.
+        masks: the cells of each level, shape (height, width), bool.
+    """
+    levels = []
+    for level, mask in zip(grid.levels, masks, strict=True):
+        weights = np.where(mask, np.inf, level.weights)
+        occupancy = np.where(mask, np.uint8(1), level.occupancy)
+        attributes = {"occupancy": occupancy}
+        if "floorHeight" not in level.attributes:
+            attributes["floorHeight"] = level.floor_height.copy()
+        levels.append(level.with_layers(weights=weights, attributes=attributes))
+    return grid.with_levels(levels)
+
+
+# ---------------------------------------------------------------- what is told
+
+
+def describe_losses(
+    grid: NavGrid,
+    kinds: Collection[str],
+    closed: ClosedCells,
+    *,
+    level: int | None = None,
+    agent: str | Agent | None = None,
+) -> list[str]:
+    """Describe what a grid holds and a format does not.
+
+    Args:
+        grid: the grid.
+        kinds: the kinds of content that the format has no place for, see `FileFormat.loses`.
+        closed: the cells that the file has as occupied for that.
+        level: the number of the only level that is written, None for all.
+        agent: the agent that the file is for, None for any.
+
+    Returns:
+        A phrase for each kind of content that is lost: ``steps between levels (24)``.
+    """
+    from navbake.runtime.blocking import find_agent  # loads the run time
+
+    numbers = list(range(len(grid.levels))) if level is None else [level]
+    phrases = []
+    if "heights" in kinds:
+        floors = [grid.levels[k].floor[grid.levels[k].free] for k in numbers]
+        ranges = [
+            f"{np.nanmin(floor):.2f} to {np.nanmax(floor):.2f} m"
+            for floor in floors
+            if not np.isnan(floor).all() and np.nanmax(floor) - np.nanmin(floor) > HEIGHT_BIN
+        ]
+        if ranges:
+            phrases.append(f"floor heights ({', '.join(ranges)})")
+    stairs = _measure_area(grid, closed.stairs, numbers)
+    if stairs:
+        phrases.append(f"stairs ({stairs:.2f} m² are occupied; --stairs free leaves them free)")
+    if "areas" in kinds:
+        map_agent = find_agent(grid, agent)
+        barring = [area.name for area in grid.areas if area.bars(map_agent)]
+        barred = _measure_area(grid, closed.barred, numbers)
+        if barred:
+            phrases.append(f"barred areas ({_list_names(barring)}: {barred:.2f} m² are occupied)")
+        others = [
+            area.name
+            for area in grid.areas
+            if (area.name not in barring or not barred)
+            and (area.cost != 1.0 or area.speed is not None or area.agents is not None)
+        ]
+        if others:
+            phrases.append(f"costs, speeds and agents of areas ({_list_names(others)})")
+    if "steps" in kinds:
+        is_between_levels = grid.step_array[:, 0] != grid.step_array[:, 2]
+        is_written = np.isin(grid.step_array[:, ::2], numbers).any(axis=1)
+        num_steps = int(np.count_nonzero(is_between_levels & is_written))
+        if num_steps:
+            phrases.append(f"steps between levels ({num_steps})")
+    if "links" in kinds and grid.links:
+        phrases.append(f"links ({_list_names([link.name for link in grid.links])})")
+    if "agents" in kinds and grid.agents:
+        phrases.append(f"agents ({_list_names(list(grid.agents))})")
+    if "doors" in kinds and grid.doors:
+        phrases.append(f"doors ({len(grid.doors)}, as they stand)")
+    return phrases
+
+
+def _measure_area(grid: NavGrid, masks: Sequence[Bool], numbers: Collection[int]) -> float:
+    """Return the area of the masked cells of some levels [m²]."""
+    return sum(
+        int(np.count_nonzero(masks[k])) * grid.levels[k].lattice.cell_size ** 2 for k in numbers
+    )
+
+
+def _list_names(names: Sequence[str]) -> str:
+    """List some names, and how many more there are."""
+    listed = ", ".join(names[:MAX_NAMES])
+    num_more = len(names) - MAX_NAMES
+    return f"{listed} and {num_more} more" if num_more > 0 else listed

@@ -1,0 +1,168 @@
+"""Maps without heights and areas: which cells they close, and what is told of what is lost."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+import navbake
+from grid_maps import house_from, level_from
+from map_grids import sample
+from navbake.errors import FormatError, QueryError
+from navbake.formats.map_losses import find_stairs
+
+# the map that each format makes of one level, read again
+READERS = {
+    "nav2": ("map.yaml", navbake.from_nav2),
+    "procthor": ("map.png", navbake.from_procthor),
+    "grscenes": ("map.npy", navbake.from_grscenes),
+    "omnigibson": ("map.png", navbake.from_omnigibson),
+}
+
+
+def export(grid, folder, kind, **options):
+    """The free cells of a grid's level 0 in a map."""
+    name, read = READERS[kind]
+    paths = grid.convert(folder / name, kind, level=0, **options)
+    is_map = {"map.yaml", "map.png", "map.npy", "map_0.png"}
+    (path,) = (path for path in paths if path.name in is_map)
+    return read(path).free
+
+
+def with_areas(level, areas, cells):
+    """A level with areas; `cells` has the number of each cell's area, 0 for none."""
+    metadata = {**level.metadata, "navbake": {"version": "0.4.0", **areas}}
+    layer = {"area": np.array(cells, dtype=np.uint8)}
+    return level.with_layers(attributes=layer, metadata=metadata)
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_stairs_are_occupied_unless_they_are_to_be_free(tmp_path, kind):
+    """A stair of the issue: 516 cells of the house, up to 2.8 m over the ground, were white."""
+    house = sample("house")
+    level = house.levels[0]
+    stairs = level.free & (level.floor > level.ground + 0.25 + 0.1)
+    assert np.count_nonzero(stairs) == 516 and level.floor[stairs].max() > 2.8
+    np.testing.assert_array_equal(export(house, tmp_path, kind), level.free & ~stairs)
+    (tmp_path / "free").mkdir()
+    np.testing.assert_array_equal(export(house, tmp_path / "free", kind, stairs="free"), level.free)
+
+
+@pytest.mark.parametrize(
+    ("text", "stairs"),
+    [
+        ("....2468", ".....xxx"),  # up: the first tread is within a step, as a kerb is
+        ("....2222", "........"),  # a kerb
+        ("....1234", "......xx"),  # risers of 0.1 m
+        ("0004.000", "...x...."),  # a platform
+        ("4444444.2", ".......x."),  # most of the level is a platform: what lies below is closed
+        ("....#444", "........"),  # nothing leads there: a floor of its own
+    ],
+)
+def test_only_what_steps_lead_to_is_a_stair(text, stairs):
+    level = level_from(text)
+    expected = np.array([[cell == "x" for cell in stairs]])
+    np.testing.assert_array_equal(find_stairs(level, 0), expected)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.1, 0.5, 0.95])
+@pytest.mark.parametrize("cell_size", [0.02, 0.05, 0.1])
+def test_a_ramp_and_what_it_leads_to_stay_free(slope, cell_size):
+    level = level_from("\n".join(["." * 60] * 3), cell_size=cell_size)
+    rise = np.clip(np.arange(60) - 20, 0, 30) * cell_size * slope
+    noise = np.random.default_rng(1).normal(0.0, 0.001, (3, 60))
+    level.attributes["floorHeight"] = (rise + noise).astype(np.float32)
+    assert not find_stairs(level, 0).any()
+
+
+@pytest.mark.parametrize("riser", [0.1, 0.15, 0.2])
+@pytest.mark.parametrize("cell_size", [0.02, 0.05, 0.1, 0.15])
+def test_a_flight_is_closed_at_any_cell_size(riser, cell_size):
+    num_cells = round(6.0 / cell_size)
+    x = (np.arange(num_cells) + 0.5) * cell_size
+    floor = riser * np.clip(np.floor((x - 3.0) / 0.28) + 1, 0, 8)
+    level = level_from("\n".join(["." * num_cells] * 3), cell_size=cell_size)
+    level.attributes["floorHeight"] = np.broadcast_to(floor, (3, num_cells)).astype(np.float32)
+    closed = find_stairs(level, 0)
+    np.testing.assert_array_equal(closed[0], floor > 0.25 + 1e-6)
+
+
+def test_what_steps_from_another_level_lead_to_is_closed_and_another_building_is_not():
+    levels = [level_from("....#6.#555"), level_from("      .    ", ground=0.8)]
+    levels[0].attributes["floorHeight"][0, 6] = 0.7
+    steps = [((0, 0, 6), (1, 0, 6))]
+    expected = np.array([[cell == "x" for cell in ".....xx...."]])
+    np.testing.assert_array_equal(find_stairs(house_from(levels, steps), 0), expected)
+
+
+def test_grids_without_heights_have_no_stairs():
+    assert not find_stairs(level_from("..4.#", floors=False), 0).any()
+    assert not find_stairs(level_from("####"), 0).any()
+    level = level_from("..4.")
+    level.attributes["floorHeight"][0, 2:] = np.nan  # free cells without a floor
+    assert not find_stairs(level, 0).any()
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_barred_areas_are_occupied(tmp_path, kind, caplog):
+    areas = {
+        "areas": [
+            {"name": "lab", "cost": "inf"},
+            {"name": "dock", "agents": ["truck"]},
+            {"name": "carpet", "cost": 2.0},
+        ],
+        "agents": {"truck": {}, "cart": {"radius": 0.1}},
+    }
+    level = with_areas(level_from("......\n......\n######"), areas, [[1, 1, 2, 2, 3, 0]] * 3)
+    for agent, free in ((None, "  xxxx"), ("truck", "  xxxx"), ("cart", "    xx")):
+        folder = tmp_path / str(agent)
+        folder.mkdir()
+        caplog.clear()
+        found = export(level, folder, kind, agent=agent)
+        np.testing.assert_array_equal(found[0], [cell == "x" for cell in free])
+        (line,) = caplog.messages
+        names = "lab, dock: 0.08" if agent == "cart" else "lab: 0.04"
+        assert f"barred areas ({names} m² are occupied)" in line
+        assert "carpet" in line and "agents (truck, cart)" in line
+    with pytest.raises(QueryError, match="no agent 'cat'"):
+        export(level, tmp_path, kind, agent="cat")
+    with pytest.raises(FormatError, match="expected occupied or free as stairs, got 'maybe'"):
+        export(level, tmp_path, kind, stairs="maybe")
+
+
+def test_an_inflation_is_not_of_stairs_and_areas_but_they_stay_closed(tmp_path):
+    house = sample("house")
+    inflated = house.inflate(0.3).levels[0]
+    free = export(house, tmp_path, "nav2", radius=0.3)
+    np.testing.assert_array_equal(free, inflated.free & ~find_stairs(house, 0))
+    values = navbake.from_nav2(
+        house.to_nav2(tmp_path / "c.yaml", level=0, mode="raw", radius=0.3, inflation=0.5)[1]
+    )
+    assert (values.occupancy[find_stairs(house, 0)] == 1).all()
+
+
+def test_a_mesh_leaves_barred_areas_out(tmp_path):
+    areas = {"areas": [{"name": "lab", "cost": "inf"}]}
+    level = with_areas(level_from("....\n....\n...."), areas, [[1, 0, 0, 0]] * 3)
+    (path,) = level.convert(tmp_path / "a.obj")
+    rows = [line.split() for line in path.read_text().splitlines()]
+    x = [float(row[1]) for row in rows if row and row[0] == "v"]
+    assert min(x) == pytest.approx(0.1) and max(x) == pytest.approx(0.4)
+
+
+def test_what_is_lost_is_one_line_and_nothing_lost_is_none(tmp_path, caplog):
+    house = sample("house")
+    with caplog.at_level(logging.WARNING):
+        house.to_nav2(tmp_path / "map.yaml", level=0)
+    (line,) = caplog.messages
+    assert line == (
+        "nav2 has no place for floor heights (-0.05 to 2.81 m), stairs (5.16 m² are occupied; "
+        "--stairs free leaves them free), steps between levels (20), doors (8, as they stand)"
+    )
+    caplog.clear()
+    house.to_npz(tmp_path / "a.npz")
+    house.convert(tmp_path / "a.json")
+    level_from("...#").to_nav2(tmp_path / "flat.yaml")
+    assert not caplog.messages
