@@ -2,8 +2,8 @@
 
 Each level has its floor as polygons with holes, walls, doors that swing or slide, and the lanes of
 a graph of routes. Walls follow the outlines of the grid's wall cells. The building has the lifts
-whose car is known. A level is flat, at its most frequent floor height; floor that is up to 1 m
-higher or lower is moved to that height.
+whose car is known, with a vertex in the car on each level that they serve. A level is flat, at its
+most frequent floor height; floor that is up to 1 m higher or lower is moved to that height.
 
 The format can't hold stairs, furniture, rooms and links other than lifts: they are left out.
 
@@ -20,18 +20,28 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from navbake.formats.shapes import trace_polygons
 from navbake.formats.source import Files, import_extra
 from navbake.lazy import lazy
-from navbake.navgrid.door_states import DoorLine, find_door_lines, mark_door_cells
+from navbake.navgrid.door_states import DoorLine, find_door_lines, mark_door_cells, name_doors
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import rounded
 from navbake.navgrid.links import Link
 from navbake.navgrid.rooms import Door
+from navbake.routes.graph import LiftCar
+from navbake.routes.lift_cars import (
+    CarPlan,
+    find_nodes_in_cars,
+    is_in_car,
+    list_landings,
+    make_car_stops,
+    plan_cars,
+    to_car_frame,
+)
 from navbake.types import Bool, Float, Json
 from navbake.yaml_text import encode_yaml
 
@@ -39,12 +49,16 @@ if TYPE_CHECKING:
     from shapely import LinearRing
     from shapely.geometry.base import BaseGeometry
 
+    from navbake.routes.graph import Lane, RouteGraph
+
 shapely = lazy("shapely")
 routes = lazy("navbake.routes.build")
 
 LOG = logging.getLogger(__name__)
 WALL_THICKNESS = 0.1  # simulators give each wall this thickness [m]
 SHAFT_GAP = 0.1  # distance of a lift's car from the walls of its shaft [m]
+# vertices nearer to a car than 0.05 m are taken to be in its shaft; more, as places are rounded [m]
+SHAFT_MARGIN = 0.06
 DECIMALS = 4  # of coordinates
 # the format writes a value after the number of its type
 TEXT_TYPE = 1
@@ -55,9 +69,6 @@ BOOLEAN_TYPE = 4
 MAX_HEIGHT_DIFFERENCE = 1.0
 # a leaf slides if its open cells are nearer to the door's line than this share of its width
 MAX_SLIDE_OFFSET = 0.25
-
-LiftCar: TypeAlias = tuple[float, float, float, float, float]
-"""A lift's car, see `Link.car`: x and y of its middle [m], yaw [rad], width and depth [m]."""
 
 
 class _BuildingLevel:
@@ -132,7 +143,7 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
         building_levels.append(building_level)
     _add_lanes(building_levels, grid)
     lift_entries = {
-        link.name: _make_lift(link, link.car, grid, level_names)
+        link.name: _make_lift(link, LiftCar(link.name, *link.car), grid, level_names)
         for link in lifts
         if link.car is not None
     }
@@ -231,9 +242,11 @@ def _find_wall_cells(grid: NavGrid, number: int, lifts: Iterable[Link]) -> Bool:
     for lift in lifts:
         if not lift.car:
             continue
-        _, _, _, width, depth = lift.car
-        car_x, car_y = _to_car_frame(lift.car, x, y)
-        is_wall &= (abs(car_x) > width / 2 + SHAFT_GAP) | (abs(car_y) > depth / 2 + SHAFT_GAP)
+        car = LiftCar(lift.name, *lift.car)
+        car_x, car_y = to_car_frame(car, x, y)
+        is_beside = abs(car_x) > car.width / 2 + SHAFT_GAP
+        is_before = abs(car_y) > car.depth / 2 + SHAFT_GAP
+        is_wall &= is_beside | is_before
     return is_wall
 
 
@@ -300,17 +313,12 @@ def _add_doors(building_level: _BuildingLevel, grid: NavGrid, number: int) -> No
 
 
 def _join_leaves(lines: Iterable[DoorLine]) -> dict[str, list[DoorLine]]:
-    """Return the lines of each door's leaves by the door's name.
-
-    ``NAME_right`` and ``NAME_left`` are the two leaves of the door ``NAME``.
-    """
+    """Return the lines of each door's leaves by the door's name, see `name_doors`."""
     lines = list(lines)
-    ids = {line.id for line in lines}
+    door_names = name_doors(line.id for line in lines)
     leaves_of_door: dict[str, list[DoorLine]] = {}
     for line in lines:
-        stem, _, side = line.id.rpartition("_")
-        is_pair = side in ("right", "left") and {f"{stem}_right", f"{stem}_left"} <= ids
-        leaves_of_door.setdefault(stem if is_pair else line.id, []).append(line)
+        leaves_of_door.setdefault(door_names[line.id], []).append(line)
     return leaves_of_door
 
 
@@ -377,33 +385,72 @@ def _find_motion(
 
 
 def _add_lanes(building_levels: list[_BuildingLevel], grid: NavGrid) -> None:
-    """Add the lanes of the grid's graph of routes, except those over links and between levels."""
+    """Add the lanes of the grid's graph of routes, except those over links and between levels.
+
+    The graph that Open-RMF makes of a building takes all vertices in a lift's shaft for vertices of
+    the lift. So a lift has one vertex there, in the middle of its car, on each level that it
+    serves, with lanes to the landings; nodes on the floor of a car are left out, and landings in a
+    shaft are moved out of it.
+    """
     graph = routes.make_routes(grid)
-    for lane in graph.lanes:
-        start = graph.nodes[lane.start]
-        end = graph.nodes[lane.end]
-        if start.level != end.level or lane.link is not None:
-            continue
-        building_level = building_levels[start.level]
-        start_vertex = building_level.add_vertex(start.position[0], start.position[1], start.name)
-        end_vertex = building_level.add_vertex(end.position[0], end.position[1], end.name)
-        values = {"bidirectional": [BOOLEAN_TYPE, lane.two_way], "graph_idx": [INTEGER_TYPE, 0]}
-        if lane.speed is not None:
+    plans = [plan for plan in plan_cars(graph).values() if not plan.is_guess]
+    nodes_in_shafts = find_nodes_in_cars(graph, plans, SHAFT_MARGIN)
+    places = _place_landings(graph, plans)
+
+    def add_node(number: int) -> int:
+        node = graph.nodes[number]
+        x, y = places.get(number, node.position[:2])
+        vertex: int = building_levels[node.level].add_vertex(x, y, node.name)
+        return vertex
+
+    def add_lane(level: int, start: int, end: int, lane: Lane | None = None) -> None:
+        two_way = lane.two_way if lane is not None else False
+        values: Json = {"bidirectional": [BOOLEAN_TYPE, two_way], "graph_idx": [INTEGER_TYPE, 0]}
+        if lane is not None and lane.speed is not None:
             values["speed_limit"] = [REAL_TYPE, lane.speed]
-        building_level.lanes.append([start_vertex, end_vertex, values])
+        building_levels[level].lanes.append([start, end, values])
+
+    for lane in graph.lanes:
+        level = graph.nodes[lane.start].level
+        is_in_shaft = lane.start in nodes_in_shafts or lane.end in nodes_in_shafts
+        if level == graph.nodes[lane.end].level and lane.link is None and not is_in_shaft:
+            add_lane(level, add_node(lane.start), add_node(lane.end), lane)
+    for stop in make_car_stops(graph, plans):
+        car_vertex = building_levels[stop.level].add_vertex(stop.x, stop.y, stop.name)
+        for number in stop.entries:
+            add_lane(stop.level, add_node(number), car_vertex)
+        for number in stop.exits:
+            add_lane(stop.level, car_vertex, add_node(number))
 
 
-Coordinates = TypeVar("Coordinates", float, Float)
+def _place_landings(graph: RouteGraph, plans: Iterable[CarPlan]) -> dict[int, tuple[float, float]]:
+    """Move landings that lie in the shaft of their lift straight out of it.
 
+    Args:
+        graph: the graph of routes.
+        plans: the lifts' cars.
 
-def _to_car_frame(car: LiftCar, x: Coordinates, y: Coordinates) -> tuple[Coordinates, Coordinates]:
-    """Convert world x and y to the frame of a lift's car: x along its width, y along its depth."""
-    middle_x, middle_y, yaw, _, _ = car
-    cos = math.cos(yaw)
-    sin = math.sin(yaw)
-    dx = x - middle_x
-    dy = y - middle_y
-    return dx * cos + dy * sin, dy * cos - dx * sin
+    Returns:
+        Index of a moved node -> world x, y [m].
+    """
+    landings = list_landings(graph)
+    places = {}
+    for plan in plans:
+        car = plan.car
+        for number in landings[car.name]:
+            x, y = graph.nodes[number].position[:2]
+            if not is_in_car(car, x, y, SHAFT_MARGIN):
+                continue
+            car_x, car_y = to_car_frame(car, x, y)
+            door = _find_car_door(car, x, y)
+            if door.x:
+                car_x = door.x + math.copysign(SHAFT_GAP, door.x)
+            else:
+                car_y = door.y + math.copysign(SHAFT_GAP, door.y)
+            cos = math.cos(car.yaw)
+            sin = math.sin(car.yaw)
+            places[number] = (car.x + car_x * cos - car_y * sin, car.y + car_x * sin + car_y * cos)
+    return places
 
 
 class _CarDoor(NamedTuple):
@@ -418,13 +465,12 @@ class _CarDoor(NamedTuple):
 
 def _find_car_door(car: LiftCar, x: float, y: float) -> _CarDoor:
     """Find the door on the side of a lift's car that faces a stop at world x, y [m]."""
-    _, _, _, width, depth = car
-    stop_x, stop_y = _to_car_frame(car, x, y)
-    if abs(stop_x) - width / 2 >= abs(stop_y) - depth / 2:
+    stop_x, stop_y = to_car_frame(car, x, y)
+    if abs(stop_x) - car.width / 2 >= abs(stop_y) - car.depth / 2:
         side = "right" if stop_x > 0 else "left"
-        return _CarDoor(side, math.copysign(width / 2, stop_x), 0.0, math.pi / 2, depth)
+        return _CarDoor(side, math.copysign(car.width / 2, stop_x), 0.0, math.pi / 2, car.depth)
     side = "front" if stop_y > 0 else "back"
-    return _CarDoor(side, 0.0, math.copysign(depth / 2, stop_y), 0.0, width)
+    return _CarDoor(side, 0.0, math.copysign(car.depth / 2, stop_y), 0.0, car.width)
 
 
 def _make_lift(link: Link, car: LiftCar, grid: NavGrid, level_names: list[str]) -> Json:
@@ -436,7 +482,6 @@ def _make_lift(link: Link, car: LiftCar, grid: NavGrid, level_names: list[str]) 
         grid: the grid.
         level_names: the names of the building's levels.
     """
-    x, y, yaw, width, depth = car
     doors: Json = {}  # side of the car -> entry of its door
     level_doors: dict[str, list[str]] = {}  # level's name -> sides that open there
     initial_level = None
@@ -455,15 +500,15 @@ def _make_lift(link: Link, car: LiftCar, grid: NavGrid, level_names: list[str]) 
             sides.append(door.side)
         # the car stands on the level of the first stop that has a floor in the shaft
         level = grid.levels[stop.level]
-        row, col = level.lattice.rows_cols(np.array([x, y]))
+        row, col = level.lattice.rows_cols(np.array([car.x, car.y]))
         if initial_level is None and np.isfinite(level.floor[row, col]):
             initial_level = level_names[stop.level]
     return {
-        "x": x,
-        "y": y,
-        "yaw": yaw,
-        "width": width,
-        "depth": depth,
+        "x": car.x,
+        "y": car.y,
+        "yaw": car.yaw,
+        "width": car.width,
+        "depth": car.depth,
         "initial_floor_name": initial_level or next(iter(level_doors)),
         "lowest_floor": level_names[min(stop.level for stop in link.stops)],
         "highest_floor": level_names[max(stop.level for stop in link.stops)],

@@ -10,9 +10,11 @@
   name. Each direction of a lane is an edge, in the layout of its start. The time of export is
   fixed, so that equal graphs have equal files.
 - ``rmf``: navigation graph of Open-RMF (YAML). A level has vertices ``[x, y, {name, lift}]``, and
-  a lane ``[from, to, {door_name, speed_limit}]`` for each direction of a lane between these.
-  Open-RMF itself joins the vertices of a lift on several levels. Lanes between levels stand in
-  ``navbake.lanes``, which it ignores.
+  a lane ``[from, to, {door_name, speed_limit}]`` for each direction of a lane between these. A
+  vertex with ``lift`` is inside of the car, see `navbake.routes.lift_cars`; Open-RMF itself joins
+  those of a lift on several levels. ``lifts`` has the cars, ``doors`` the ends of doors. Lanes
+  between levels and over lifts stand in ``navbake.lanes``, and nodes on the floor of a car in
+  ``navbake.nodes``, which Open-RMF ignores.
 - ``graphml``: a directed graph, written by networkx, with an edge for each direction of a lane.
 
 The key ``navbake`` holds what a format has no place for.
@@ -48,9 +50,27 @@ from navbake.formats.allowance import (
 from navbake.formats.convert import ROUTE_FORMATS, find_format
 from navbake.formats.graphs import encode_networkx
 from navbake.lazy import resolve
+from navbake.navgrid.door_states import name_doors
 from navbake.navgrid.links import DEFAULT_SPEED
 from navbake.navgrid.metadata import read_table
-from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph, directed, to_entry, undirected
+from navbake.routes.graph import (
+    FLOOR,
+    TABLES,
+    Doorway,
+    Lane,
+    Node,
+    RouteGraph,
+    directed,
+    to_entry,
+    undirected,
+)
+from navbake.routes.lift_cars import (
+    LIFT,
+    CarStop,
+    find_nodes_in_cars,
+    make_car_stops,
+    plan_cars,
+)
 from navbake.types import Json
 from navbake.yaml_text import encode_yaml
 
@@ -456,49 +476,129 @@ def _check_objects(content: Json, key: str, place: JsonPath) -> list[Json]:
 
 
 def encode_rmf(graph: RouteGraph) -> bytes:
-    """Encode a graph as a navigation graph of Open-RMF."""
-    lifts = {lane.link for lane in graph.lanes if lane.kind == "lift"}
-    names = list(graph.level_names)
-    if len({*names}) < len(names):
-        names = [f"level {number}" for number in range(len(names))]
-    levels: list[Json] = [{"vertices": [], "lanes": []} for _ in names]
-    vertex_of_node = []  # for each node, the index of its vertex on its level
+    """Encode a graph as a navigation graph of Open-RMF.
+
+    A lift has a vertex in its car on each level that it serves, with lanes from and to the landings
+    there. What Open-RMF would misread stands in navbake's own entry: lanes between levels, lanes
+    over lifts, and nodes on the floor of a car, which is there on one level at a time.
+    """
+    level_names = _unique_level_names(graph)
+    levels: list[Json] = [{"vertices": [], "lanes": []} for _ in level_names]
+    plans = plan_cars(graph)
+    guessed = [lift for lift, plan in plans.items() if plan.is_guess]
+    if guessed:
+        LOG.warning(
+            "the cars of %s are not known: they are taken to be between the landings; check their "
+            "places in `lifts`, and the vertices in them", ", ".join(map(repr, guessed)),
+        )  # fmt: skip
+    car_stops = make_car_stops(graph, plans.values())
+    lift_of_node = {stop.node: stop.lift for stop in car_stops if stop.node is not None}
+    nodes_in_cars = find_nodes_in_cars(graph, plans.values())
+    hidden_nodes = []
+    vertex_of_node = {}  # node -> index of its vertex on its level
     for number, node in enumerate(graph.nodes):
-        x, y, _ = node.position
-        vertices = levels[node.level]["vertices"]
-        vertex_of_node.append(len(vertices))
+        navbake_entry = {**to_entry(node), "position": list(node.position), "number": number}
+        if number in nodes_in_cars:
+            hidden_nodes.append(navbake_entry)
+            continue
         fields: Json = {"name": node.name}
-        if node.link and node.link in lifts:
-            fields["lift"] = node.link
-        fields["navbake"] = {**to_entry(node), "position": list(node.position), "number": number}
-        vertices.append([x, y, fields])
-    lanes_between_levels = []
+        if number in lift_of_node:
+            fields["lift"] = lift_of_node[number]
+        fields["navbake"] = navbake_entry
+        vertices = levels[node.level]["vertices"]
+        vertex_of_node[number] = len(vertices)
+        vertices.append([node.position[0], node.position[1], fields])
+    door_names = name_doors(
+        [*(doorway.door for doorway in graph.doorways), *(lane.door or "" for lane in graph.lanes)]
+    )
+    hidden_lanes = []
     for number, lane in enumerate(directed(graph.lanes)):
         navbake_entry = {**to_entry(lane, "start", "end", "two_way"), "number": number}
         level = graph.nodes[lane.start].level
-        if level != graph.nodes[lane.end].level:
-            lanes_between_levels.append([lane.start, lane.end, {"navbake": navbake_entry}])
+        is_hidden = lane.start not in vertex_of_node or lane.end not in vertex_of_node
+        is_hidden |= level != graph.nodes[lane.end].level or lane.kind == LIFT
+        if is_hidden:
+            hidden_lanes.append([lane.start, lane.end, {"navbake": navbake_entry}])
             continue
         fields = {}
         if lane.door:
-            fields["door_name"] = lane.door
+            fields["door_name"] = door_names[lane.door]
         if lane.speed is not None:
             fields["speed_limit"] = lane.speed
         fields["navbake"] = navbake_entry
         start = vertex_of_node[lane.start]
         end = vertex_of_node[lane.end]
         levels[level]["lanes"].append([start, end, fields])
+    for stop in car_stops:
+        _add_car_stop(levels[stop.level], stop, vertex_of_node)
     graph_entry = {
         **to_entry(graph),
         "level_names": list(graph.level_names),
-        "lanes": lanes_between_levels,
+        "lanes": hidden_lanes,
     }
+    if hidden_nodes:
+        graph_entry["nodes"] = hidden_nodes
+    cars = [plan.car for plan in plans.values()]
+    cars += [car for car in graph.cars if car.name not in plans]
     content = {
         "building_name": graph.scene_id or "building",
-        "levels": dict(zip(names, levels, strict=True)),
+        "doors": _list_rmf_doors(graph.doorways, door_names, level_names),
+        "levels": dict(zip(level_names, levels, strict=True)),
+        "lifts": {
+            car.name: {"position": [car.x, car.y, car.yaw], "dims": [car.width, car.depth]}
+            for car in cars
+        },
         "navbake": graph_entry,
     }
     return encode_yaml(content)
+
+
+def _unique_level_names(graph: RouteGraph) -> list[str]:
+    """Return the names of the levels, or numbered names if a name stands twice."""
+    names = list(graph.level_names)
+    if len({*names}) < len(names):
+        return [f"level {number}" for number in range(len(names))]
+    return names
+
+
+def _add_car_stop(level: Json, stop: CarStop, vertex_of_node: dict[int, int]) -> None:
+    """Add the vertex in a lift's car to a level, unless a node is there, and lanes to the landings.
+
+    Args:
+        level: the level's entry in the file.
+        stop: the place in the car.
+        vertex_of_node: index of a node -> index of its vertex on its level.
+    """
+    if stop.node is not None:
+        car_vertex = vertex_of_node[stop.node]
+    else:
+        car_vertex = len(level["vertices"])
+        fields = {"name": stop.name, "lift": stop.lift, "navbake": {"car": stop.lift}}
+        level["vertices"].append([stop.x, stop.y, fields])
+    lanes = [(vertex_of_node[node], car_vertex) for node in stop.entries if node != stop.node]
+    lanes += [(car_vertex, vertex_of_node[node]) for node in stop.exits if node != stop.node]
+    for start, end in lanes:
+        level["lanes"].append([start, end, {"navbake": {"car": stop.lift}}])
+
+
+def _list_rmf_doors(
+    doorways: Sequence[Doorway], door_names: dict[str, str], level_names: Sequence[str]
+) -> Json:
+    """Make the table of doors: the ends of each, over both leaves of a double door.
+
+    Args:
+        doorways: the lines of the leaves.
+        door_names: id of a leaf -> name of its door.
+        level_names: the names of the levels.
+    """
+    doors: Json = {}
+    for name in dict.fromkeys(door_names[doorway.door] for doorway in doorways):
+        leaves = [doorway for doorway in doorways if door_names[doorway.door] == name]
+        level = min(doorway.level for doorway in leaves)
+        ends = [end for leaf in leaves if leaf.level == level for end in (leaf.start, leaf.end)]
+        start, end = max(itertools.combinations(ends, 2), key=lambda pair: math.dist(*pair))
+        doors[name] = {"endpoints": [list(start), list(end)], "map": level_names[level]}
+    return doors
 
 
 def read_rmf(path: str | PathLike[str]) -> RouteGraph:
@@ -511,22 +611,35 @@ def read_rmf(path: str | PathLike[str]) -> RouteGraph:
     for level, (level_name, level_content) in enumerate(levels.items()):
         place = reader.top["levels"][str(level_name)]
         _read_rmf_level(reader, level, str(level_name), check_object(level_content, place), place)
-    _read_lanes_between_levels(reader, graph_entry)
+    _read_hidden_nodes(reader, graph_entry)
+    _read_hidden_lanes(reader, graph_entry)
+    level_names = [str(level_name) for level_name in levels]
     if not graph_entry:
         _join_lifts(reader)
-    return reader.make_graph(graph_entry, [str(level_name) for level_name in levels])
+        graph_entry = {
+            "cars": _read_rmf_lifts(top, reader.top),
+            "doorways": _read_rmf_doors(top, reader.top, level_names),
+        }
+    return reader.make_graph(graph_entry, level_names)
+
+
+def _is_in_added_car(entry: Json, place: JsonPath) -> bool:
+    """Whether a vertex or lane of a file was added by `encode_rmf` for a lift's car."""
+    return "car" in check_optional_object(entry, "navbake", place)
 
 
 def _read_rmf_level(
     reader: _GraphReader, level: int, name: str, content: Json, place: JsonPath
 ) -> None:
-    """Read the vertices and lanes of a level.
+    """Read the vertices and lanes of a level, without those that navbake added for lifts' cars.
 
     The key of a node is the pair of its level's number and its index on the level.
     """
     for number, (x, y, vertex) in enumerate(_check_rows(content, "vertices", place)):
         vertex_place = place["vertices"][number]
         navbake_entry = check_optional_object(vertex, "navbake", vertex_place)
+        if _is_in_added_car(vertex, vertex_place):
+            continue
         entry: Json = {"name": vertex.get("name") or f"{name} {number}", "level": level}
         if vertex.get("lift"):
             entry |= {"link": vertex["lift"], "kind": "stop"}
@@ -534,6 +647,8 @@ def _read_rmf_level(
         reader.add_node((level, number), position, {**entry, **navbake_entry}, vertex_place)
     for number, (start, end, lane) in enumerate(_check_rows(content, "lanes", place)):
         lane_place = place["lanes"][number]
+        if _is_in_added_car(lane, lane_place):
+            continue
         entry = {"name": f"{name} {number}"}
         if lane.get("door_name"):
             entry["door"] = lane["door_name"]
@@ -543,7 +658,56 @@ def _read_rmf_level(
         reader.add_lane((level, start), (level, end), entry, lane_place)
 
 
-def _read_lanes_between_levels(reader: _GraphReader, graph_entry: Json) -> None:
+def _read_rmf_lifts(top: Json, place: JsonPath) -> list[Json]:
+    """Read the table of lifts: the entries of `LiftCar`."""
+    cars = []
+    for name, lift in check_optional_object(top, "lifts", place).items():
+        lift_place = place["lifts"][str(name)]
+        lift_entry = check_object(lift, lift_place)
+        position = _check_numbers(lift_entry, "position", 3, lift_place)
+        dimensions = _check_numbers(lift_entry, "dims", 2, lift_place)
+        fields = ("x", "y", "yaw", "width", "depth")
+        values = zip(fields, [*position, *dimensions], strict=True)
+        cars.append({"name": str(name), **dict(values)})
+    return cars
+
+
+def _read_rmf_doors(top: Json, place: JsonPath, level_names: list[str]) -> list[Json]:
+    """Read the table of doors: the entries of `Doorway`."""
+    doorways = []
+    for name, door in check_optional_object(top, "doors", place).items():
+        door_place = place["doors"][str(name)]
+        door_entry = check_object(door, door_place)
+        level_name = str(door_entry.get("map"))
+        if level_name not in level_names:
+            door_place["map"].refuse("the name of a level", door_entry.get("map"))
+        ends = _check_list(door_entry, "endpoints", door_place)
+        if len(ends) != 2:
+            door_place["endpoints"].refuse("two points", ends)
+        start, end = (
+            _check_numbers({"endpoints": point}, "endpoints", 2, door_place) for point in ends
+        )
+        level = level_names.index(level_name)
+        doorways.append({"door": str(name), "level": level, "start": start, "end": end})
+    return doorways
+
+
+def _check_numbers(content: Json, key: str, count: int, place: JsonPath) -> list[float]:
+    """Return the list of so many numbers in a field of an object."""
+    values = _check_list(content, key, place)
+    if len(values) != count:
+        place[key].refuse(f"{count} numbers", values)
+    return [float(check_number(value, place[key])) for value in values]
+
+
+def _read_hidden_nodes(reader: _GraphReader, graph_entry: Json) -> None:
+    """Read the nodes of navbake's own entry, which lie in the cars of lifts."""
+    place = reader.top["navbake"]
+    for index, node in enumerate(_check_objects(graph_entry, "nodes", place)):
+        reader.add_node(("navbake", index), node.get("position"), node, place["nodes"][index])
+
+
+def _read_hidden_lanes(reader: _GraphReader, graph_entry: Json) -> None:
     """Read the lanes of navbake's own entry; they refer to nodes by their indices in the graph."""
     key_of_number: dict[object, object] = {}
     for entry in reader.nodes.values():
@@ -586,8 +750,10 @@ def encode_graphml(graph: RouteGraph) -> bytes:
     """Encode a graph as GraphML by networkx: nodes by name, with ``x``, ``y``, ``z`` [m]."""
     nx_graph = source.import_extra("networkx").MultiDiGraph()
     graph_entry = to_entry(graph)
-    level_names = orjson.dumps(graph_entry["level_names"]).decode()
-    nx_graph.graph.update({**graph_entry, "level_names": level_names})
+    for name in ("level_names", *TABLES):  # attributes of GraphML are no lists
+        if name in graph_entry:
+            graph_entry[name] = orjson.dumps(graph_entry[name]).decode()
+    nx_graph.graph.update(graph_entry)
     for number, node in enumerate(graph.nodes):
         x, y, z = node.position
         fields = to_entry(node, "position", "name")
@@ -622,8 +788,10 @@ def read_graphml(path: str | PathLike[str]) -> RouteGraph:
         if not nx_graph.is_directed():
             reader.add_lane(end, start, entry, place)
     graph_entry: Json = dict(nx_graph.graph)
-    try:
-        graph_entry["level_names"] = orjson.loads(graph_entry.get("level_names", '["level 0"]'))
-    except (orjson.JSONDecodeError, TypeError) as error:
-        raise FormatError(f"expected a list of names as level_names in {name}") from error
+    defaults = {"level_names": '["level 0"]', **dict.fromkeys(TABLES, "[]")}
+    for key, default in defaults.items():
+        try:
+            graph_entry[key] = orjson.loads(graph_entry.get(key, default))
+        except (orjson.JSONDecodeError, TypeError) as error:
+            raise FormatError(f"expected a list as {key} in {name}") from error
     return reader.make_graph(graph_entry)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
@@ -281,6 +281,27 @@ def find_door_lines(grid: NavGrid, number: int) -> tuple[DoorLine, ...]:
         if ends is not None:
             lines.append(DoorLine(door.id, door.like or door.state, ends[0], ends[1]))
     return tuple(lines)
+
+
+def name_doors(leaf_ids: Iterable[str]) -> dict[str, str]:
+    """Name the doors that leaves belong to, as Open-RMF does.
+
+    ``NAME_right`` and ``NAME_left`` are the two leaves of the door ``NAME``; any other leaf is a
+    door by itself.
+
+    Args:
+        leaf_ids: Ids of doors of a grid, one for each leaf.
+
+    Returns:
+        Id of a leaf -> name of its door.
+    """
+    ids = dict.fromkeys(leaf_ids)
+    names = {}
+    for leaf_id in ids:
+        stem, _, side = leaf_id.rpartition("_")
+        is_pair = side in ("right", "left") and f"{stem}_right" in ids and f"{stem}_left" in ids
+        names[leaf_id] = stem if is_pair else leaf_id
+    return names
 
 
 def mark_door_cells(grid: NavGrid, number: int, *, in_current_state: bool) -> Bool:

@@ -14,15 +14,17 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from navbake.lazy import lazy
+from navbake.navgrid.door_states import find_door_lines
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import DEFAULT_SPEED, Agent, Link
-from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
+from navbake.routes.graph import FLOOR, Doorway, Lane, LiftCar, Node, RouteGraph
 from navbake.runtime.blocking import find_agent, fit_grid
 from navbake.runtime.flat_grid import FlatGrid, find_leaf_cells, find_stairs
 from navbake.runtime.paths import find_path
@@ -97,6 +99,11 @@ class _Builder:
             for door in grid.doors
             for cell in find_leaf_cells(door, self.flat).tolist()
         }
+        self.doorways = [
+            Doorway(line.id, number, _round_xy(line.start), _round_xy(line.end))
+            for number in range(len(grid.levels))
+            for line in find_door_lines(grid, number)
+        ]
 
         self.least_weight = float(self.flat.weight[self.flat.free].min(initial=1.0))
         self.links = [
@@ -616,6 +623,12 @@ class _Builder:
             agent=(self.search.agent and self.search.agent.name) or None,
             radius=self.radius,
             speed=self.speed,
+            cars=tuple(
+                LiftCar(link.name, *(round(float(value), DECIMALS) for value in link.car))
+                for link in self.links
+                if link.car is not None
+            ),
+            doorways=tuple(self.doorways),
         )
 
     def _finish_lane(self, lane: Lane, nodes: list[Node]) -> Lane:
@@ -638,6 +651,12 @@ class _Builder:
         speeds = [self.grid.areas[number - 1].speed for number in area_numbers]
         limits = [speed for speed in speeds if speed is not None]
         return replace(lane, door=min(doors, default=None), speed=min(limits, default=None))
+
+
+def _round_xy(point: Sequence[float]) -> tuple[float, float]:
+    """Round world x, y [m] to micrometres."""
+    x, y = point
+    return round(float(x), DECIMALS) + 0.0, round(float(y), DECIMALS) + 0.0
 
 
 def _measure_clearance(grid: NavGrid, flat: FlatGrid) -> Float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ csgraph = lazy("scipy.sparse.csgraph")
 sparse = lazy("scipy.sparse")
 
 FLOOR = "floor"  # kind of a lane along a straight line on one level
+TABLES = ("cars", "doorways")  # fields of a graph that are tuples of records
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,28 @@ class Lane:
 
 
 @dataclass(frozen=True)
+class LiftCar:
+    """The car of a lift, which agents ride in."""
+
+    name: str  #: The name of the lift, as nodes and lanes have it as their `link`.
+    x: float  #: World x of its middle [m].
+    y: float  #: World y of its middle [m].
+    yaw: float  #: Direction of its width, about z from x [rad].
+    width: float  #: [m]
+    depth: float  #: [m]
+
+
+@dataclass(frozen=True)
+class Doorway:
+    """The line across a doorway, which the leaf of a door closes."""
+
+    door: str  #: The id of the door, as nodes and lanes have it.
+    level: int  #: 0 is the lowest.
+    start: tuple[float, float]  #: One end, world x, y [m].
+    end: tuple[float, float]  #: The other end, world x, y [m].
+
+
+@dataclass(frozen=True)
 class RouteGraph(RouteGraphMethods):
     """Named places and the lanes between them, for agents of one size and speed."""
 
@@ -64,6 +87,8 @@ class RouteGraph(RouteGraphMethods):
     agent: str | None = None  #: The agent's name.
     radius: float = 0.0  #: The agent's radius [m].
     speed: float = 1.0  #: The agent's speed [m/s].
+    cars: tuple[LiftCar, ...] = ()  #: The cars of those lifts whose cars are known.
+    doorways: tuple[Doorway, ...] = ()  #: The lines of doors, by level.
 
     def __repr__(self) -> str:
         one_way = sum(not lane.two_way for lane in self.lanes)
@@ -163,11 +188,17 @@ class RouteGraph(RouteGraphMethods):
             if lane.start in new_index and lane.end in new_index
         ]
         nodes = [replace(self.nodes[index], level=0) for index in on_level]
+        links = {lane.link for lane in lanes}
+        doorways = [
+            replace(doorway, level=0) for doorway in self.doorways if doorway.level == number
+        ]
         return replace(
             self,
             nodes=tuple(nodes),
             lanes=tuple(lanes),
             level_names=(self.level_names[number],),
+            cars=tuple(car for car in self.cars if car.name in links),
+            doorways=tuple(doorways),
         )
 
 
@@ -206,7 +237,7 @@ def undirected(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
 def to_entry(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
     """Return the fields of a node, a lane or a graph as JSON.
 
-    Fields that are None, and the nodes and lanes of a graph, are left out.
+    Fields that are None, empty tables, and the nodes and lanes of a graph, are left out.
 
     Args:
         element: the node, lane or graph.
@@ -214,6 +245,14 @@ def to_entry(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
     """
     without = {"nodes", "lanes", *left_out}
     values = {name: getattr(element, name) for name in element.__dataclass_fields__}
-    return {
+    entry = {
         name: value for name, value in values.items() if value is not None and name not in without
     }
+    for name in TABLES:
+        if name in entry:
+            entry[name] = [asdict(row) for row in entry[name]]
+            for doorway in entry[name] if name == "doorways" else ():
+                doorway |= {"start": list(doorway["start"]), "end": list(doorway["end"])}
+            if not entry[name]:
+                del entry[name]
+    return entry

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 import navbake
+from open_rmf import check_lifts, load_as_adapter, load_yaml, make_nav_graph
 from project_paths import GOLDEN, ROOT
 
 LAB = ROOT / "tests" / "buildings" / "lab.building.yaml"
@@ -83,9 +84,54 @@ def test_lanes_are_free(baked, content):
                 ).reshape(free.shape)
         assert level["lanes"]
         for one, other, _ in level["lanes"]:
+            if any(" car " in level["vertices"][end][3] for end in (one, other)):
+                continue  # the car of a lift is on one level at a time
             a, b = (np.array(level["vertices"][end][:2]) for end in (one, other))
             steps = np.linspace(a, b, 2 + math.ceil(np.hypot(*(b - a)) / 0.02))
             assert free[lattice.rows_cols(steps)].all(), (number, a, b)
+
+
+SIDE_BY_SIDE = """
+building_name: pair
+coordinate_system: cartesian_meters
+levels:
+  L1: &level
+    elevation: 0
+    vertices: [[0, 0, 0, ""], [7, 0, 0, ""], [7, 6, 0, ""], [0, 6, 0, ""]]
+    floors: [{vertices: [0, 1, 2, 3], parameters: {}}]
+    walls: [[0, 1, {}], [1, 2, {}], [2, 3, {}], [3, 0, {}]]
+  L2: {elevation: 3, vertices: [[0, 0, 0, ""], [7, 0, 0, ""], [7, 6, 0, ""], [0, 6, 0, ""]],
+       floors: [{vertices: [0, 1, 2, 3], parameters: {}}],
+       walls: [[0, 1, {}], [1, 2, {}], [2, 3, {}], [3, 0, {}]]}
+lifts:
+  west: {x: 2.4, y: 4.9, yaw: 0, width: 1.6, depth: 1.8, initial_floor_name: L1,
+         doors: {d: {door_type: 2, x: 0, y: -0.9, motion_axis_orientation: 0, width: 1.0}},
+         level_doors: {L1: [d], L2: [d]}}
+  east: {x: 4.2, y: 4.9, yaw: 0, width: 1.6, depth: 1.8, initial_floor_name: L2,
+         doors: {d: {door_type: 2, x: 0, y: -0.9, motion_axis_orientation: 0, width: 1.0}},
+         level_doors: {L1: [d], L2: [d]}}
+"""
+
+
+def test_open_rmf_takes_a_building_with_two_lifts_side_by_side(tmp_path):
+    (tmp_path / "pair.building.yaml").write_text(SIDE_BY_SIDE.replace("&level", ""))
+    grid = navbake.bake(tmp_path / "pair.building.yaml")
+    grid.routes().save(tmp_path / "pair.yaml")
+    grid.convert(tmp_path / "again.building.yaml")
+    served = {"west": {*grid.level_names}, "east": {*grid.level_names}}
+    check_lifts(*load_as_adapter(load_yaml(tmp_path / "pair.yaml")), served)
+    nav_graph = make_nav_graph(load_yaml(tmp_path / "again.building.yaml"))
+    check_lifts(*load_as_adapter(nav_graph), served)
+
+
+@pytest.mark.parametrize("name", ["tower", "lab"])
+def test_open_rmf_takes_the_lifts_of_exported_buildings(tmp_path, baked, name):
+    grid = baked if name == "lab" else navbake.load(GOLDEN / "tower.grid.json.gz")
+    grid.convert(tmp_path / "a.building.yaml")
+    building = load_yaml(tmp_path / "a.building.yaml")
+    served = {name: {*lift["level_doors"]} for name, lift in building["lifts"].items()}
+    assert len(served) == 2 and all(len(levels) >= 2 for levels in served.values())
+    check_lifts(*load_as_adapter(make_nav_graph(building)), served)
 
 
 def test_what_is_lost_is_said(tmp_path, caplog):

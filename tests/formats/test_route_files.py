@@ -16,7 +16,8 @@ from navbake.errors import FormatError
 from navbake.formats.convert import ROUTE_FORMATS
 from navbake.formats.route_files import read_routes, write_routes
 from navbake.routes.build import make_routes
-from navbake.routes.graph import Lane, Node, RouteGraph
+from navbake.routes.graph import Doorway, Lane, LiftCar, Node, RouteGraph
+from open_rmf import check_lifts, load_as_adapter, load_yaml
 from project_paths import GOLDEN, ROOT
 
 SMALL = RouteGraph(
@@ -207,16 +208,116 @@ def without_own(entry):
     return {key: value for key, value in entry.items() if key != "navbake"}
 
 
-def test_open_rmf_finds_names_lifts_and_doors(tmp_path):
+def test_open_rmf_finds_names_lifts_and_doors(tmp_path, caplog):
     write_routes(SMALL, tmp_path / "a.yaml")
-    levels = yaml.safe_load((tmp_path / "a.yaml").read_text())["levels"]
+    content = load_yaml(tmp_path / "a.yaml")
+    levels = content["levels"]
     assert [*levels] == ["ground", "first"]
     vertices, lanes = levels["ground"]["vertices"], levels["ground"]["lanes"]
-    assert [vertex[2]["name"] for vertex in vertices] == ["hall", "gate", 'A <0> & "x"']
-    assert [vertex[2].get("lift") for vertex in vertices] == [None, None, "A"]
-    assert levels["first"]["vertices"][0][2]["lift"] == "A" and not levels["first"]["lanes"]
-    assert [lane[:2] for lane in lanes] == [[0, 1], [1, 0], [2, 0]]
+    assert [vertex[2]["name"] for vertex in vertices] == ["hall", "gate", 'A <0> & "x"', "A car 0"]
+    assert [vertex[2].get("lift") for vertex in vertices] == [None, None, None, "A"]
+    assert [vertex[2].get("lift") for vertex in levels["first"]["vertices"]] == [None, "A"]
+    assert [lane[:2] for lane in lanes] == [[0, 1], [1, 0], [2, 0], [2, 3], [3, 2]]
+    assert [lane[:2] for lane in levels["first"]["lanes"]] == [[0, 1], [1, 0]]
     assert (lanes[0][2]["door_name"], lanes[0][2]["speed_limit"]) == ("door_1", 0.25)
+    load_as_adapter(content)
+    (record,) = caplog.records
+    assert "the cars of 'A' are not known: they are taken to be between" in record.getMessage()
+
+
+CARS = (LiftCar("A", 0.5, -3.0, 0.25, 1.5, 1.6), LiftCar("B", 2.4, -3.0, 0.0, 1.8, 1.6))
+LIFTS = RouteGraph(  # two lifts side by side, whose landings are joined, and a node in a car
+    nodes=(
+        Node("A 0", (0.5, -2.0, 0.0), 0, "stop", link="A"),
+        Node("B 0", (2.4, -2.0, 0.0), 0, "stop", link="B"),
+        Node("in A", (0.6, -3.2, 0.0), 0),
+        Node("A 1", (0.6, -1.9, 3.0), 1, "stop", link="A"),
+        Node("A back", (0.5, -4.2, 3.0), 1, "stop", link="A"),
+        Node("B 1", (2.3, -2.1, 3.0), 1, "stop", link="B"),
+        Node("A car 0", (5.0, 5.0, 0.0), 0),
+    ),
+    lanes=(
+        Lane(0, 1, "a", 1.9, 1.9, door="d_left"),
+        Lane(0, 2, "b", 1.2, 1.2),
+        Lane(0, 3, "c", 3.0, 4.0, kind="lift", link="A"),
+        Lane(0, 4, "d", 3.0, 4.0, kind="lift", link="A"),
+        Lane(3, 4, "e", 3.0, 4.0, kind="lift", link="A"),
+        Lane(3, 5, "f", 1.8, 1.8),
+        Lane(1, 5, "g", 3.0, 4.0, kind="lift", link="B", two_way=False),
+        Lane(1, 6, "h", 7.5, 7.5),
+    ),
+    level_names=("0", "1"),
+    cars=CARS,
+    doorways=(
+        Doorway("d_left", 0, (1.0, -2.5), (1.0, -2.0)),
+        Doorway("d_right", 0, (1.0, -2.0), (1.0, -1.5)),
+        Doorway("e", 1, (3.0, 0.0), (3.0, 1.0)),
+    ),
+)  # fmt: skip
+
+
+def test_open_rmf_loads_lifts_that_stand_side_by_side(tmp_path, caplog):
+    write_routes(LIFTS, tmp_path / "a.yaml")
+    content = load_yaml(tmp_path / "a.yaml")
+    waypoints, _, lifts = load_as_adapter(content)
+    assert lifts == {"A": [0.5, -3.0, 0.25, 1.5, 1.6], "B": [2.4, -3.0, 0.0, 1.8, 1.6]}
+    assert [w[1:] for w in waypoints if w[3]] == [
+        (0.5, -3.0, "A"), (2.4, -3.0, "B"), (0.5, -3.0, "A"), (2.4, -3.0, "B"),
+    ]  # fmt: skip
+    assert (0.6, -3.2) not in [waypoint[1:3] for waypoint in waypoints]
+    assert not caplog.records
+    first, second = (content["levels"][name] for name in ("0", "1"))
+    names = [[vertex[2]["name"] for vertex in level["vertices"]] for level in (first, second)]
+    assert names == [["A 0", "B 0", "A car 0", "A car 0'", "B car 0"],
+                     ["A 1", "A back", "B 1", "A car 1", "B car 1"]]  # fmt: skip
+    # of a lift that leads up only, nobody gets off below or on above
+    assert [lane[:2] for lane in first["lanes"]][-3:] == [[0, 3], [3, 0], [1, 4]]
+    assert [lane[:2] for lane in second["lanes"]][-5:] == [[0, 3], [1, 3], [3, 0], [3, 1], [4, 2]]
+    assert content["doors"] == {
+        "d": {"endpoints": [[1.0, -2.5], [1.0, -1.5]], "map": "0"},
+        "e": {"endpoints": [[3.0, 0.0], [3.0, 1.0]], "map": "1"},
+    }
+    assert first["lanes"][0][2]["door_name"] == "d"
+
+
+@pytest.mark.parametrize("form", ROUTE_FORMATS, ids=lambda form: form.name)
+def test_lifts_and_doors_come_back(tmp_path, form):
+    for graph in (LIFTS, LIFTS.on_level(1)):
+        write_routes(graph, tmp_path / "a", form.name)
+        assert read_routes(tmp_path / "a", form.name) == graph
+
+
+def test_open_rmf_loads_the_tower(tmp_path):
+    tower = make_routes(navbake.load(GOLDEN / "tower.grid.json.gz"))
+    write_routes(tower, tmp_path / "a.yaml")
+    waypoints, lanes, lifts = load_as_adapter(load_yaml(tmp_path / "a.yaml"))
+    names = tower.level_names
+    check_lifts(waypoints, lanes, lifts, {"lift_a": {*names}, "lift_b": {*names[:2]}})
+    assert read_routes(tmp_path / "a.yaml") == tower
+
+
+def test_open_rmfs_own_graphs_come_back_as_it_loads_them(tmp_path):
+    content = {
+        "building_name": "b",
+        "doors": {"d": {"endpoints": [[1, 2], [1, 3]], "map": "L2"}},
+        "lifts": {"E": {"position": [4, 3, 1.5], "dims": [2.0, 1.5]},
+                  "unused": {"position": [9, 9, 0], "dims": [1, 1]}},
+        "levels": {
+            "L1": {
+                "vertices": [[0, 0, {"name": "a"}], [4.2, 3, {"name": "", "lift": "E"}]],
+                "lanes": [[0, 1, {}], [1, 0, {}]],
+            },
+            "L2": {"vertices": [[4.2, 3, {"lift": "E", "name": "top"}], [0, 3, {"name": "c"}]],
+                   "lanes": [[0, 1, {"door_name": "d"}], [1, 0, {}]]},
+        },
+    }  # fmt: skip
+    (tmp_path / "a.yaml").write_text(yaml.safe_dump(content))
+    graph = read_routes(tmp_path / "a.yaml")
+    assert graph.cars == (LiftCar("E", 4, 3, 1.5, 2, 1.5), LiftCar("unused", 9, 9, 0, 1, 1))
+    assert graph.doorways == (Doorway("d", 1, (1, 2), (1, 3)),)
+    write_routes(graph, tmp_path / "b.yaml")
+    assert load_as_adapter(load_yaml(tmp_path / "b.yaml")) == load_as_adapter(content)
+    assert read_routes(tmp_path / "b.yaml") == graph
 
 
 def test_graphml_is_networkxs(tmp_path, house):
@@ -311,6 +412,11 @@ def changed(graph, **changes):
         ("a.yaml", 'levels: {L1: {vertices: [[0, 0, {navbake: {number: 1}}]]}}\n'
          'navbake: {lanes: [["1", 1]]}', "the number of a node, got '1'"),
         ("a.yaml", "a: b: c", "expected a navigation graph"),
+        ("a.yaml", "levels: {}\nlifts: {A: {position: [1, 2], dims: [1, 1]}}", "3 numbers, got"),
+        ("a.yaml", "levels: {}\nlifts: {A: {position: [1, 2, x], dims: [1, 1]}}", "number"),
+        ("a.yaml", "levels: {}\nlifts: {A: 3}", "lifts"),
+        ("a.yaml", "levels: {}\ndoors: {A: {map: L9}}", "the name of a level, got 'L9'"),
+        ("a.yaml", "levels: {L: {}}\ndoors: {A: {map: L, endpoints: [1]}}", "two points"),
         ("a.graphml", "<x", "expected GraphML"),
         ("a.graphml", "<graphml><graph edgedefault='directed'><node id='a'/></graph></graphml>",
          "a finite number"),

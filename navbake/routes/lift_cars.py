@@ -1,0 +1,199 @@
+"""Where routes lead through the cars of lifts: a place in the car on each level that it serves.
+
+Nodes of a graph of routes are landings, beside the car. Open-RMF wants vertices inside of the car,
+at one place on all levels, one a level, with lanes from the landings; and it takes each vertex over
+the car's floor for one of these.
+
+Source: ``parse_graph.cpp`` of ``rmf_fleet_adapter`` (vertices of a lift lie within 0.1 m of each
+other, and no lane joins vertices of two lifts); ``level.py`` and ``lift.py`` of
+``rmf_building_map_tools`` (all vertices within 0.05 m of the car's outline belong to the lift).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeVar
+
+from navbake.routes.graph import LiftCar, RouteGraph
+from navbake.types import Float
+
+Coordinates = TypeVar("Coordinates", float, Float)
+
+LIFT = "lift"  # kind of the lanes over lifts
+# stops in a car that are nearer to their middle than this are the same place [m]
+SAME_PLACE = 0.05
+DEFAULT_CAR_SIZE = 1.0  # width and depth of a car that neither the grid nor the link states [m]
+
+
+class CarPlan(NamedTuple):
+    """The car of a lift, and the place in it where agents ride.
+
+    Attributes:
+        car: the car.
+        x: world x of the place [m].
+        y: world y of the place [m].
+        is_guess: whether the car is not known, but taken to be between the landings.
+    """
+
+    car: LiftCar
+    x: float
+    y: float
+    is_guess: bool
+
+
+@dataclass
+class CarStop:
+    """The place in a lift's car on one of the levels that it serves.
+
+    Attributes:
+        name: a name that no node has, and no other place.
+        lift: the lift's name.
+        level: the level's number.
+        x: world x [m], the same on all levels.
+        y: world y [m].
+        node: index of the node that stands there already; None for none.
+        entries: indices of the landings from which agents get in.
+        exits: indices of the landings to which agents get off.
+    """
+
+    name: str
+    lift: str
+    level: int
+    x: float
+    y: float
+    node: int | None = None
+    entries: list[int] = field(default_factory=list)
+    exits: list[int] = field(default_factory=list)
+
+
+def to_car_frame(car: LiftCar, x: Coordinates, y: Coordinates) -> tuple[Coordinates, Coordinates]:
+    """Convert world x and y to the frame of a car: x along its width, y along its depth [m]."""
+    cos = math.cos(car.yaw)
+    sin = math.sin(car.yaw)
+    dx = x - car.x
+    dy = y - car.y
+    return dx * cos + dy * sin, dy * cos - dx * sin
+
+
+def is_in_car(car: LiftCar, x: float, y: float, margin: float = 0.0) -> bool:
+    """Whether world x, y [m] lies over a car's floor, or beside it by less than a margin [m]."""
+    car_x, car_y = to_car_frame(car, x, y)
+    return abs(car_x) < car.width / 2 + margin and abs(car_y) < car.depth / 2 + margin
+
+
+def list_landings(graph: RouteGraph) -> dict[str, list[int]]:
+    """List the nodes that are joined by lanes over lifts: lift -> indices, ascending."""
+    landings: dict[str, set[int]] = {}
+    for lane in graph.lanes:
+        if lane.kind == LIFT and lane.link is not None:
+            landings.setdefault(lane.link, set()).update((lane.start, lane.end))
+    return {lift: sorted(nodes) for lift, nodes in landings.items()}
+
+
+def plan_cars(graph: RouteGraph) -> dict[str, CarPlan]:
+    """Find the car of each lift that a graph has lanes over, and the place where agents ride.
+
+    The place is the middle of the car, or where the landings are if these lie inside of it at one
+    place. A car that the graph doesn't know is taken to be a square between the landings.
+
+    Returns:
+        Lift -> its plan, in the order of the graph's lanes.
+    """
+    car_of_lift = {car.name: car for car in graph.cars}
+    plans = {}
+    for lift, nodes in list_landings(graph).items():
+        positions = [graph.nodes[node].position[:2] for node in nodes]
+        car = car_of_lift.get(lift)
+        if car is None:
+            x, y = _mean(positions)
+            size = DEFAULT_CAR_SIZE
+            plans[lift] = CarPlan(LiftCar(lift, x, y, 0.0, size, size), x, y, is_guess=True)
+            continue
+        inside = [position for position in positions if is_in_car(car, *position)]
+        x, y = _mean(inside) if inside else (car.x, car.y)
+        if any(math.dist(position, (x, y)) > SAME_PLACE for position in inside):
+            x, y = car.x, car.y
+        plans[lift] = CarPlan(car, x, y, is_guess=False)
+    return plans
+
+
+def _mean(positions: Sequence[Sequence[float]]) -> tuple[float, float]:
+    """Return the mean of points x, y, to a micrometre [m]."""
+    x = sum(position[0] for position in positions) / len(positions)
+    y = sum(position[1] for position in positions) / len(positions)
+    return round(x, 6) + 0.0, round(y, 6) + 0.0
+
+
+def make_car_stops(graph: RouteGraph, plans: Iterable[CarPlan]) -> list[CarStop]:
+    """Make the places in the cars of lifts, one on each level that a lift serves.
+
+    Args:
+        graph: the graph.
+        plans: the cars, of `plan_cars`.
+    """
+    landings = list_landings(graph)
+    names = {node.name for node in graph.nodes}
+    stops = []
+    for plan in plans:
+        lift = plan.car.name
+        stop_of_level: dict[int, CarStop] = {}
+        for number in landings[lift]:
+            node = graph.nodes[number]
+            if node.level not in stop_of_level:
+                name = f"{lift} car {node.level}"
+                while name in names:
+                    name += "'"
+                names.add(name)
+                stop_of_level[node.level] = CarStop(name, lift, node.level, plan.x, plan.y)
+            is_there = math.dist(node.position[:2], (plan.x, plan.y)) <= SAME_PLACE
+            if is_there and not plan.is_guess and stop_of_level[node.level].node is None:
+                stop_of_level[node.level].node = number
+        for lane in graph.lanes:
+            if lane.kind != LIFT or lane.link != lift:
+                continue
+            directions = [(lane.start, lane.end)]
+            if lane.two_way:
+                directions.append((lane.end, lane.start))
+            for start, end in directions:
+                entries = stop_of_level[graph.nodes[start].level].entries
+                exits = stop_of_level[graph.nodes[end].level].exits
+                if start not in entries:
+                    entries.append(start)
+                if end not in exits:
+                    exits.append(end)
+        stops += [stop_of_level[level] for level in sorted(stop_of_level)]
+    return stops
+
+
+def find_nodes_in_cars(
+    graph: RouteGraph, plans: Iterable[CarPlan], margin: float = 0.0
+) -> frozenset[int]:
+    """Find the nodes over the floors of cars, on the levels that the lifts pass.
+
+    Landings of lifts don't count, and cars that are guessed have no floor.
+
+    Args:
+        graph: the graph.
+        plans: the cars, of `plan_cars`.
+        margin: how far beside a car a node counts as over its floor [m].
+
+    Returns:
+        The nodes' indices.
+    """
+    landings = list_landings(graph)
+    all_landings = {number for numbers in landings.values() for number in numbers}
+    inside = set()
+    for plan in plans:
+        lift = plan.car.name
+        levels = [graph.nodes[number].level for number in landings[lift]]
+        for number, node in enumerate(graph.nodes):
+            if (
+                not plan.is_guess
+                and min(levels) <= node.level <= max(levels)
+                and number not in all_landings
+                and is_in_car(plan.car, node.position[0], node.position[1], margin)
+            ):
+                inside.add(number)
+    return frozenset(inside)
