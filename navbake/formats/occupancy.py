@@ -100,7 +100,7 @@ def compute_costmap_values(
         )
     inflated = grid.inflate(radius, inflation - radius, costs="nav2", scaling=scaling)
     values = compute_occupancy_values(inflated, number)
-    costs = nav2_costs(grid.levels[number], radius, inflation, scaling)
+    costs = nav2_costs(grid, radius, inflation, scaling, level=number)
     is_free = (values >= FREE) & (values < INSCRIBED)
     values[is_free] = np.maximum(values, _publish_costs(costs))[is_free]
     return values

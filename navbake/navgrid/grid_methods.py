@@ -275,7 +275,9 @@ class GridMethods:
             mode: ``exact`` or ``minos``.
             costs: The least weight of a cell within the clearance. ``step``: 10. ``nav2``: the cost
                 of nav2's inflation layer, ``floor(252 exp(-scaling (d - radius)))``, where d is the
-                distance from the centre of the nearest occupied cell of the level.
+                distance from the centre of the nearest cell that a geom meets or that has no
+                floor. A hole in the level where another level's floor goes on at the same height
+                is none, as at the top of a stair; what is occupied there counts.
             scaling: nav2's ``cost_scaling_factor`` [1/m], > 0; for costs ``nav2``.
             ledges: In mode ``exact``: ``avoid`` keeps the disc off floors that are more than a step
                 lower, ``ignore`` lets it overhang them.

@@ -27,7 +27,7 @@ from navbake.navgrid.islands import add_layers
 from navbake.navgrid.lattice import Lattice, find_outline_fault, touch_cells
 from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import RealNumber
-from navbake.runtime.surroundings import find_blocked
+from navbake.runtime.surroundings import find_blocked, measure_to_occupied
 from navbake.types import Bool, Float, Int, Int32, Json
 
 ndimage = lazy("scipy.ndimage")
@@ -93,7 +93,10 @@ def inflate(
     """Inflate a grid for an agent of another radius: `SceneGrid2D.inflate`.
 
     `navbake.runtime.surroundings` has the rule of mode ``exact``. If the grid has a layer
-    ``solid``, cells that only the baked disc blocked may become free.
+    ``solid``, cells that only the baked disc blocked may become free. Costs ``nav2`` fall with the
+    distance from the cells that block by this rule: what a geom meets and what has no floor, but
+    not the hole in a level where another level's floor goes on at the same height, as at the top
+    of a stair.
 
     Args:
         grid: the grid, which stays as it is.
@@ -127,7 +130,7 @@ def inflate(
             is_freed = level.free_for_point & ~level.free
             free_weights = np.where(is_freed, 1.0, free_weights)
         if costs == "nav2":
-            level_costs = nav2_costs(level, radius, radius + clearance, scaling)
+            level_costs = nav2_costs(grid, radius, radius + clearance, scaling, level=number)
             free_weights = np.maximum(free_weights, np.clip(level_costs, 1.0, LETHAL_COST))
         elif clearance > 0:
             in_clearance = find_blocked(grid, number, radius + clearance, ledges)
@@ -203,28 +206,37 @@ def _refine_weights(level: SceneGrid2D, radius: float, outer_radius: float) -> F
 
 
 def nav2_costs(
-    level: SceneGrid2D, radius: float, inflation_radius: float, scaling: float = NAV2_SCALING
+    grid: NavGrid,
+    radius: float,
+    inflation_radius: float,
+    scaling: float = NAV2_SCALING,
+    *,
+    level: int = 0,
 ) -> NDArray[np.uint8]:
     """Compute the costs of nav2's inflation layer for a level's cells.
 
+    Distances are to the cells that block an inflation, see
+    `navbake.runtime.surroundings.measure_to_occupied`: so no cell that is free in an inflation for
+    the radius costs 253 or more.
+
     Args:
-        level: a grid of one level.
+        grid: the grid, of one level or several.
         radius: the inscribed radius [m].
         inflation_radius: distance beyond which costs are 0 [m].
         scaling: ``cost_scaling_factor`` [1/m].
+        level: the number of the level.
 
     Returns:
         uint8, shape (height, width): 254 on occupied cells, 253 up to the inscribed radius, then
         ``floor(252 exp(-scaling (d - radius)))``, d from the nearest occupied cell's centre [m].
     """
-    solid = level.solid != 0
-    cell = level.lattice.cell_size
-    if not solid.any():
-        return np.zeros(level.shape, dtype=np.uint8)
+    cell = grid.levels[level].lattice.cell_size
+    # at this distance, costs have fallen to 1
+    reach = min(inflation_radius, radius + math.log(LETHAL_COST) / scaling)
     # squared distances in cells are whole numbers: tabulate their costs
-    squared_distances = np.rint(ndimage.distance_transform_edt(~solid) ** 2).astype(np.int32)
+    squared_distances = measure_to_occupied(grid, level, reach)
     max_square = math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1
-    last_square = min(int(squared_distances.max()), max_square)
+    last_square = max(min(int(squared_distances.max()), max_square), 0)
     distance = np.sqrt(np.arange(last_square + 1)) * cell
     slack = DISTANCE_SLACK * cell
     decay = np.exp(-scaling * np.maximum(distance - radius, 0))
@@ -233,6 +245,7 @@ def nav2_costs(
     cost[distance > inflation_radius + slack] = 0
     cost[0] = OCCUPIED_COST
     costs: NDArray[np.uint8] = cost.astype(np.uint8).take(squared_distances, mode="clip")
+    costs[squared_distances < 0] = 0
     return costs
 
 

@@ -231,28 +231,76 @@ def block_by_floors(
 @subkernel
 def _overlaps_occupied(floor, occupied, level, row, col, offsets, overlap):
     """Whether an agent overlaps an occupied cell of its own level or of one at its height."""
-    # Which levels count at a cell that the agent overlaps depends on which have a floor there that
-    # is about as high as the agent's floor:
-    #   its own level only, or none   its own level counts
-    #   its own and other levels      its own and these other levels count
-    #   only other levels             these other levels count
-    levels, rows, cols = floor.shape
+    rows, cols = floor.shape[1:]
     height = floor[level, row, col]
     for i in range(offsets.shape[0]):
         to_row = row + offsets[i, 0]
         to_col = col + offsets[i, 1]
         if to_row < 0 or to_row >= rows or to_col < 0 or to_col >= cols:
             continue
-        is_covered = False
-        for k in range(levels):
-            if k != level and abs(floor[k, to_row, to_col] - height) < overlap:
-                is_covered = True
-                if occupied[k, to_row, to_col]:
-                    return True
-        own_counts = not is_covered or abs(floor[level, to_row, to_col] - height) < overlap
-        if own_counts and occupied[level, to_row, to_col]:
+        if _is_occupied_at_height(floor, occupied, level, height, to_row, to_col, overlap):
             return True
     return False
+
+
+@subkernel
+def _is_occupied_at_height(floor, occupied, level, height, row, col, overlap):
+    """Whether a cell counts as occupied for an agent of a level whose floor has some height."""
+    # Which levels count depends on which have a floor at the cell that is about as high as the
+    # agent's floor:
+    #   its own level only, or none   its own level counts
+    #   its own and other levels      its own and these other levels count
+    #   only other levels             these other levels count
+    is_covered = False
+    for k in range(floor.shape[0]):
+        if k != level and abs(floor[k, row, col] - height) < overlap:
+            is_covered = True
+            if occupied[k, row, col]:
+                return True
+    own_counts = not is_covered or abs(floor[level, row, col] - height) < overlap
+    return own_counts and occupied[level, row, col] != 0
+
+
+@kernel
+def measure_near_levels(stack, lowest, highest, offsets, squared_lengths, squared_distances):
+    """Measure from cells near another level's floor to the nearest cell that is occupied there.
+
+    Cells count as occupied by the rule of `block_by_floors`. Other cells and occupied ones keep
+    their distances.
+
+    Args:
+        stack: `LevelStack`.
+        lowest: as in `block_by_floors`.
+        highest: as in `block_by_floors`.
+        offsets: from a cell to those that are searched, nearest first, int64, shape (n, 2).
+        squared_lengths: of the offsets, in cells squared, int64, shape (n,).
+        squared_distances: from each of the level's cells, in cells squared, -1 where no offset
+            leads to an occupied cell; int32, shape (rows, cols), written.
+    """
+    floor = stack.floor
+    occupied = stack.occupied
+    level = stack.level
+    levels, rows, cols = floor.shape
+    overlap = stack.height - stack.step
+    for row in range(rows):
+        for col in range(cols):
+            z = floor[level, row, col]
+            is_near_level = False
+            for k in range(levels):
+                begins_below = lowest[k, row // PATCH_SIZE, col // PATCH_SIZE] - z < overlap
+                ends_above = z - highest[k, row // PATCH_SIZE, col // PATCH_SIZE] < overlap
+                is_near_level |= k != level and begins_below and ends_above
+            if not is_near_level or occupied[level, row, col]:
+                continue
+            squared_distances[row, col] = -1
+            for i in range(offsets.shape[0]):
+                to_row = row + offsets[i, 0]
+                to_col = col + offsets[i, 1]
+                if to_row < 0 or to_row >= rows or to_col < 0 or to_col >= cols:
+                    continue
+                if _is_occupied_at_height(floor, occupied, level, z, to_row, to_col, overlap):
+                    squared_distances[row, col] = squared_lengths[i]
+                    break
 
 
 @subkernel

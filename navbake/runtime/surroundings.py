@@ -171,17 +171,70 @@ def block_by_floors(
     highest_floor = np.fmax.reduce(stack.floor, axis=None)
     if len(stack.floor) == 1 and not highest_floor - lowest_floor > stack.step:
         return  # no floor is higher or lower than another by more than a step
-    # for each patch: the lowest and highest floors in the patches that offsets lead to from there
-    patch_size = kernels.PATCH_SIZE
-    window = 2 * -(-int(np.abs(offsets).max()) // patch_size) + 1
-    padding = [(0, 0), *((0, -size % patch_size) for size in blocked.shape)]
-    floor = np.pad(stack.floor, padding, constant_values=np.nan)
-    lowest = _find_extremes_near(np.fmin, floor, patch_size, window)
-    highest = _find_extremes_near(np.fmax, floor, patch_size, window)
+    lowest, highest = _find_floor_extremes(stack, offsets)
     lower_floors_block = ledges == "avoid"
     kernels.block_by_floors(
         stack, lowest, highest, offsets, higher_floors_block, lower_floors_block, blocked
     )
+
+
+def measure_to_occupied(grid: NavGrid, level_number: int, reach: float) -> Int32:
+    """Measure from each cell's centre to the centre of the nearest cell that counts as occupied.
+
+    The cells that count are those of `find_blocked`: `SceneGrid2D.solid`, which has cells without a
+    floor, too; but not where only other levels have a floor about as high as the cell's. There,
+    these levels' cells count.
+
+    Args:
+        grid: the grid; its weights don't count.
+        level_number: number of the level.
+        reach: up to which distance to measure [m].
+
+    Returns:
+        Squared distances in cells, int32, shape (height, width) of the level; -1 where no cell is
+        occupied, or, near other levels, none within the reach.
+    """
+    reach_in_cells = reach / grid.levels[level_number].lattice.cell_size
+    stack, level_window = stack_levels(grid, level_number, math.ceil(reach_in_cells) + 1)
+    occupied = stack.occupied[stack.level] != 0
+    squared_distances = np.full(occupied.shape, -1, dtype=np.int32)
+    if occupied.any():
+        distances = ndimage.distance_transform_edt(~occupied)
+        squared_distances = np.rint(distances**2).astype(np.int32)
+    if len(stack.floor) > 1:
+        compiled.ensure_compiled("runtime.inflation_kernels.")
+        disc = find_disc_offsets(reach_in_cells + 1.0, occupied.shape, to_squares=False)
+        lowest, highest = _find_floor_extremes(stack, disc.offsets)
+        kernels.measure_near_levels(
+            stack,
+            lowest,
+            highest,
+            disc.offsets,
+            disc.squared_distances // 4,  # of half cells
+            squared_distances,
+        )
+    return squared_distances[level_window]
+
+
+def _find_floor_extremes(
+    stack: LevelStack, offsets: Int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Find the lowest and highest floors in the patches that offsets lead to from each patch.
+
+    Args:
+        stack: the cells of a level and those around it.
+        offsets: rows and columns, shape (n, 2).
+
+    Returns:
+        The lowest and the highest floors, each as from `_find_extremes_near`.
+    """
+    patch_size = kernels.PATCH_SIZE
+    window = 2 * -(-int(np.abs(offsets).max()) // patch_size) + 1
+    padding = [(0, 0), *((0, -size % patch_size) for size in stack.floor.shape[1:])]
+    floor = np.pad(stack.floor, padding, constant_values=np.nan)
+    lowest = _find_extremes_near(np.fmin, floor, patch_size, window)
+    highest = _find_extremes_near(np.fmax, floor, patch_size, window)
+    return lowest, highest
 
 
 def _find_extremes_near(

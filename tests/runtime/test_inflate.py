@@ -10,12 +10,15 @@ import pytest
 
 import navbake
 from differences import first_difference
+from grid_maps import random_house
 from level_maps import AGENT, level_of, make_level, shown, stack, stairs
+from map_grids import sample
 from navbake.errors import QueryError
 from navbake.formats.navgrid import dumps_navgrid
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.user_data import UserData
 from navbake.runtime.inflation import nav2_costs
+from navbake.runtime.surroundings import stack_levels
 from oracles import inflation
 from project_paths import SHARED_DATA
 
@@ -370,6 +373,47 @@ def test_nav2_costs_are_its_formula(seed):
         expected = 0 if d > inflation_radius + 1e-9 else expected
         expected = 254 if d == 0 else 253 if d <= radius else expected
         assert costs[row, col] == expected
+
+
+@pytest.mark.parametrize("radius", [0.2, 0.25, 0.3, 0.4])
+def test_nav2_costs_measure_from_what_blocks_the_inflation(radius):
+    """At the top of the house's stair, 24 free cells cost as much as those within the radius."""
+    house = sample("house")
+    for number in range(2):
+        free = house.inflate(radius).levels[number].free
+        costs = nav2_costs(house, radius, radius + 0.35, level=number)
+        assert (costs[free] < 253).all()
+        assert costs[free].max() > 1
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_nav2_costs_of_levels_are_those_of_the_nearest_cell_that_blocks(seed):
+    """The distance to the nearest cell that a disc may not overlap, cell by cell."""
+    rng = np.random.default_rng(seed)
+    grid = random_house(rng, share=0.93, steps=False)
+    if seed % 2:  # both levels at one height, as the landings of a stair are
+        upper = grid.levels[1]
+        upper.attributes["floorHeight"] -= np.float32(1.9)
+    radius = 0.1
+    for number, level in enumerate(grid.levels):
+        costs = nav2_costs(grid, radius, 0.6, 3.0, level=number)
+        free = level.free & (level.solid == 0)
+        stack, window = stack_levels(grid, number, 8)
+        overlap = stack.height - stack.step
+        for row, col in np.argwhere(free):
+            height = level.floor[row, col]
+            near = np.abs(stack.floor - height) < overlap
+            others = near.copy()
+            others[stack.level] = False
+            own_counts = ~others.any(axis=0) | near[stack.level]
+            counts = (others & (stack.occupied != 0)).any(axis=0)
+            counts |= own_counts & (stack.occupied[stack.level] != 0)
+            rows, cols = np.nonzero(counts)
+            at_row, at_col = window[0].start + row, window[1].start + col
+            d = 0.1 * np.hypot(rows - at_row, cols - at_col).min(initial=9.0)
+            expected = math.floor(252 * math.exp(-3.0 * (d - radius)) + 1e-9)
+            expected = 253 if d <= radius + 1e-9 else 0 if d > 0.6 + 1e-9 else expected
+            assert costs[row, col] == (254 if d == 0 else expected)
 
 
 def test_nav2_costs_become_weights_and_open_nothing():
