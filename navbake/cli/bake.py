@@ -237,6 +237,9 @@ def bake(
     radius: float | None = option("METRES", "The same as --set agent.radius=METRES [m]."),
     cell_size: float | None = option("METRES", "The same as --set grid.cell_size=METRES [m]."),
     model_path: ModelPath = None,
+    strict: bool = flag(
+        "--strict", "Refuse an SDF that names models or meshes that aren't there (scene.strict)."
+    ),
     threads: int | None = option("N", "Number of threads.  [default: all cores]", min=1),
     no_timings: bool = flag(
         "--no-timings", "Leave out timings, so that two bakes give the same bytes."
@@ -285,6 +288,7 @@ def bake(
     overrides += [f"agent.radius={radius}"] * (radius is not None)
     overrides += [f"grid.cell_size={cell_size}"] * (cell_size is not None)
     overrides += options.override_model_path(model_path)
+    overrides += ["scene.strict=true"] * strict
     jobs: list[tuple[Path, BakeConfig]] = []
     failed: list[Path] = []
     for path in configs:

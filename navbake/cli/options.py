@@ -110,7 +110,11 @@ Overrides = Annotated[
 ]
 ModelPath = Annotated[
     list[Path] | None,
-    Option("--model-path", metavar="FOLDER", help="Models of an SDF scene. May be repeated."),
+    Option(
+        "--model-path",
+        metavar="FOLDER",
+        help="Models of an SDF, packages of a URDF. May be repeated.",
+    ),
 ]
 SCENE_OPTION = option(
     "SCENE|CONFIG",

@@ -134,7 +134,14 @@ class SceneSettings(Settings):
     )
     unit: Positive = setting(1.0, "the unit of mesh files [m], > 0; of USD in place of its own")
     model_path: Annotated[list[Folder], OneOrMore] = setting(
-        [], "folders of the models of an SDF scene (model://…), relative to this file"
+        [],
+        "folders of the models of an SDF scene (model://…), or of the ROS packages of a URDF, "
+        "relative to this file",
+    )
+    strict: bool = setting(
+        False,
+        "whether models and meshes of an SDF that aren't there are an error; else they are left "
+        "out, and a warning lists them",
     )
     geoms: Literal["auto", "collision", "visual", "all"] = setting(
         "auto", "auto (those that can collide, or all if none can), collision, visual, all"
@@ -547,7 +554,7 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 def settings_digest(config: BakeConfig) -> str:
     """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
     left_out: Any = {"output": True, "verify": True, "grid": {"max_cells"}}
-    left_out["scene"] = {"path", "model_path"}
+    left_out["scene"] = {"path", "model_path", "strict"}  # a strict bake has the same cells
     # without these settings, the digest is the same as in versions that did not have them
     if not config.floors.movable:
         left_out["floors"] = {"movable"}
@@ -573,6 +580,7 @@ def settings_to_store(config: BakeConfig) -> Json:
     scene = dict(settings.get("scene", {}))
     scene["path"] = Path(config.scene.path).name
     scene.pop("model_path", None)
+    scene.pop("strict", None)
     if is_memory_path(config.scene.path):
         del scene["path"]
     settings["scene"] = scene

@@ -15,6 +15,7 @@ from urllib.parse import unquote
 
 from navbake.errors import SceneError
 from navbake.files import check_regular
+from navbake.formats.package_paths import RosPackages, parse_fuel_address
 
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 SDF_SUFFIXES = frozenset({".sdf", ".world"})
@@ -29,7 +30,9 @@ MODEL_PATHS = (
     "GAZEBO_RESOURCE_PATH",
     "SDF_PATH",
 )
-URI_PATTERN = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
+URI_PATTERN = re.compile(rb"<uri>([^<>]*)</uri>")
+# schemes of a URDF's meshes that begin with the name of a ROS package
+PACKAGE_SCHEMES = ("package", "model")
 MATERIAL_SUFFIX = ".material"  # ending of a script of Ogre's, which changes the appearance alone
 # files in the folder of a model of Gazebo
 MODEL_CONFIG = "model.config"
@@ -73,11 +76,15 @@ class FileAccess(Protocol):
         """Copy an existing file to this machine, unless that was done before."""
 
 
-def check_inputs(scene: Path) -> None:
+def check_inputs(scene: Path, folders: Sequence[Path] = ()) -> None:
     """Raise a SceneError for inputs that MuJoCo can't read.
 
     These are a scene's path that is not UTF-8, and pipes and devices, on which it would wait for
     ever.
+
+    Args:
+        scene: the scene's file.
+        folders: `scene.model_path`.
 
     Raises:
         SceneError: there is such an input.
@@ -85,7 +92,7 @@ def check_inputs(scene: Path) -> None:
     if os.fsencode(scene).decode(errors="replace") != str(scene):
         message = f"MuJoCo reads paths in UTF-8 only, got {scene}: rename it"
         raise SceneError(message, path=str(scene), expected="a path in UTF-8", hint="rename it")
-    find_inputs(scene, with_textures=True)
+    find_inputs(scene, with_textures=True, folders=folders)
 
 
 class _Element(NamedTuple):
@@ -116,7 +123,8 @@ def find_inputs(
         files: access to the files if they are not on this machine.
         with_textures: include textures and skins.
         with_missing: include all possible paths of each missing file.
-        folders: folders of the models of an SDF, see `list_sdf_paths`.
+        folders: folders of the models of an SDF, and of the packages of a URDF, see
+            `list_sdf_paths` and `list_mesh_paths`.
 
     Returns:
         The path of the scene's own file, then the paths of the other files, sorted.
@@ -161,10 +169,11 @@ def find_inputs(
     suffix = scene.suffix.lower()
     elements = _parse_elements(read(scene)) if suffix in XML_SUFFIXES else []
     if elements and elements[0].tag == "robot":
+        packages = RosPackages(folders)
         for element in elements:
             if element.tag == "mesh":
                 name = element.attributes.get("filename", "")
-                add_existing(list_mesh_paths(scene, name), only_first=True)
+                add_existing(list_mesh_paths(scene, name, packages), only_first=True)
     else:
         for candidates in _list_mjcf_paths(scene, elements, read, with_textures):
             add_existing(candidates)
@@ -207,29 +216,41 @@ def _list_sdf_inputs(
     """Return, for each file that an SDF or a model.config names, its possible paths."""
     if file.name == MODEL_CONFIG:
         return [[file.parent / name.decode()] for _, name in SDF_NAME.findall(content)]
-    uris = [uri.decode(errors="replace") for uri in URI_PATTERN.findall(content)]
+    uris = [uri.decode(errors="replace").strip() for uri in URI_PATTERN.findall(content)]
     return [
-        _list_model_files(list_sdf_paths(uri, file, folders))
+        _list_model_files(list_sdf_paths(html.unescape(uri), file, folders))
         for uri in uris
-        if with_textures or not uri.endswith(MATERIAL_SUFFIX)
+        if uri and "\0" not in uri and (with_textures or not uri.endswith(MATERIAL_SUFFIX))
     ]
 
 
-def list_mesh_paths(urdf: Path, name: str) -> Iterator[Path]:
+def list_mesh_paths(urdf: Path, name: str, packages: RosPackages) -> Iterator[Path]:
     """Yield the possible paths of a URDF's mesh, in the order of search.
 
-    The path as written is searched in the URDF's folder, then in all folders above. Then its first
-    part is dropped, and so on: this finds ``package://pkg/meshes/a.dae`` without ROS.
+    A mesh ``package://pkg/meshes/a.dae`` is searched in the folders of the settings that hold the
+    package. Then any mesh is searched by its path as written, in the URDF's folder and in all
+    folders above; then in the package as ROS finds it. At last the first part of the path is
+    dropped, and so on: this finds a mesh without ROS.
 
     Args:
         urdf: the URDF.
         name: the mesh's name in it.
+        packages: the folders of packages.
     """
-    mesh_path = Path(name.split("://", 1)[-1])
+    scheme, _, bare_name = name.rpartition("://")
+    mesh_path = Path(bare_name)
+    parts = mesh_path.parts
+    is_in_package = scheme in PACKAGE_SCHEMES and len(parts) > 1 and not mesh_path.is_absolute()
     folders = [urdf.parent, *urdf.absolute().parent.parents]
-    for first in range(len(mesh_path.parts)):
+    if is_in_package:
+        for package in packages.list_stated(parts[0]):
+            yield package.joinpath(*parts[1:])
+    for first in range(len(parts)):
         for folder in folders:
-            yield folder.joinpath(*mesh_path.parts[first:])
+            yield folder.joinpath(*parts[first:])
+        if first == 0 and is_in_package:
+            for package in packages.list_installed(parts[0]):
+                yield package.joinpath(*parts[1:])
 
 
 def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[Path]:
@@ -238,7 +259,8 @@ def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterat
     The file is searched in the SDF's folder (unless the name has a scheme, such as ``model://…``),
     in `folders`, in the folders of the environment variables `MODEL_PATHS`, and last in all folders
     above the SDF and their subfolders ``models``. So a checkout of a world with its models needs no
-    variable.
+    variable. A model of Fuel is searched in these folders by any case of its name, and then in the
+    caches of Fuel.
 
     Args:
         uri: the name in the SDF.
@@ -246,21 +268,31 @@ def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterat
         folders: folders of models, from the settings.
     """
     scheme, _, name = uri.rpartition("://")
+    fuel_file = parse_fuel_address(uri)
     is_beside = scheme in ("", "file")
     path = Path(name if is_beside else name.lstrip("/"))
     if is_beside:
         yield file.parent / path
-    elif scheme in ("http", "https"):  # a model of Fuel, by its name alone
+    elif scheme in ("http", "https", "fuel"):  # by its name alone
         path = Path(path.name)
-    for folder in folders:
+    for folder in _list_model_folders(file, folders):
+        if fuel_file is not None:
+            yield from fuel_file.list_in_folder(folder)
         yield folder / path
+    if fuel_file is not None:
+        yield from fuel_file.list_in_caches()
+
+
+def _list_model_folders(file: Path, folders: Sequence[Path]) -> Iterator[Path]:
+    """Yield the folders in which an SDF's models are searched, see `list_sdf_paths`."""
+    yield from folders
     for variable in MODEL_PATHS:
         for folder_name in os.environ.get(variable, "").split(os.pathsep):
             if folder_name:
-                yield Path(folder_name) / path
+                yield Path(folder_name)
     for parent in file.absolute().parents:
-        yield parent / path
-        yield parent / "models" / path
+        yield parent
+        yield parent / "models"
 
 
 def find_model_file(path: Path) -> Path:

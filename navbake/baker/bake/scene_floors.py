@@ -12,11 +12,17 @@ from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors, fill_ho
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import check_occupancy
+from navbake.baker.readers.mesh import MESH_SUFFIXES
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import SCAN_HOLES, BakeConfig
 from navbake.errors import SceneError
+from navbake.formats.scene_files import scene_suffix
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
+
+NO_FLOOR = "no floor: "  # errors of scenes without floor begin so
+GROUND_MARGIN = 5.0  # that is advised round the things that stand on endless ground [m]
+MIN_GROUND_SIDE = 1.0  # a narrower scene is no room that lacks its ground [m]
 
 
 def find_scene_floors(
@@ -55,9 +61,11 @@ def find_scene_floors(
         if extended.lattice != lattice:
             floors = crop_floors(floors, extended.window)
     except SceneError as error:
-        raise SceneError(
-            f"{config.scene.path}: {error}{_describe_extent(scene, config)}"
-        ) from error
+        text = str(error)
+        advice = _advise_ground(scene, config)
+        if advice and text.startswith(NO_FLOOR):
+            text = f"{NO_FLOOR}{advice}; {text.removeprefix(NO_FLOOR)}"
+        raise SceneError(f"{config.scene.path}: {text}{_describe_extent(scene, config)}") from error
     return floors
 
 
@@ -116,6 +124,28 @@ def measure_holes(
     return areas
 
 
+def _advise_ground(scene: Scene, config: BakeConfig) -> str:
+    """Return the likely remedy for a scene without floor: ground under it, or more of its ground.
+
+    Empty for mesh files, of which axes or units are wrong more often, and for scenes that are too
+    small for a floor.
+    """
+    endless_geoms = scene.shapes.planes.geom
+    if len(endless_geoms):
+        name = scene.geoms[endless_geoms[0]].name
+        return (
+            f"if agents walk on {name!r}, which is endless, `grid.margin={GROUND_MARGIN:g}` takes "
+            "in more of it"
+        )
+    is_mesh_file = scene_suffix(config.scene.path) in MESH_SUFFIXES
+    if is_mesh_file or scene.bounds is None or config.grid.bounds is not None:
+        return ""
+    low, high = scene.bounds
+    if (high - low)[:2].min() < MIN_GROUND_SIDE:
+        return ""
+    return f"if the scene comes without its ground, `scene.ground={low[2]:.6g}` adds it"
+
+
 def _describe_extent(scene: Scene, config: BakeConfig) -> str:
     """Describe where a scene without floor lies: its axes, unit or bounds are often wrong."""
     if scene.bounds is None:
@@ -129,6 +159,5 @@ def _describe_extent(scene: Scene, config: BakeConfig) -> str:
     spans = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)
     endless_geoms = scene.shapes.planes.geom
     if len(endless_geoms):
-        spans += f" without {scene.geoms[endless_geoms[0]].name!r}, which is endless"
-        spans += ": `grid.margin` or `grid.bounds` shows more of it"
+        spans += f" without {scene.geoms[endless_geoms[0]].name!r}"
     return f"; the scene spans, in m, {spans}{'; ' if hint else ''}{hint}"

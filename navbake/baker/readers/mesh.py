@@ -28,7 +28,7 @@ from navbake.baker.geometry.shapes import bounding_box, drop_unused_vertices, tr
 from navbake.config.settings import stem_of
 from navbake.errors import SceneError
 from navbake.formats.allowance import MAX_BYTES
-from navbake.known_names import unique_name
+from navbake.known_names import list_first, unique_name
 from navbake.lazy import lazy
 from navbake.threads import run_in_chunks
 from navbake.types import Float, Int32, Json
@@ -91,22 +91,33 @@ class Triangles(NamedTuple):
     faces: Int32
 
 
-def read_named_meshes(path: Path, up: Direction = "z", unit: float = 1.0) -> list[NamedMesh]:
+class StrayMeshError(SceneError):
+    """All meshes of a file lie beyond `MAX_COORDINATE`."""
+
+
+def read_named_meshes(
+    path: Path, up: Direction = "z", unit: float = 1.0, warnings: list[str] | None = None
+) -> list[NamedMesh]:
     """Read the objects, groups, solids or nodes of a mesh file as meshes in the world frame.
 
     Coordinates are multiplied by a DAE's own ``<unit meter>`` and by `unit`, then rotated so that
     `up` is +z. The up axis that the file states is ignored (`file_up_axis` returns it). Triangles
     without area, unused vertices and meshes without triangles are dropped.
 
+    Exporters leave stray nodes behind: with `warnings`, a mesh beyond `MAX_COORDINATE` is left out
+    if others of the file are not.
+
     Args:
         path: the file.
         up: the direction in the file that is up.
         unit: length of one unit of the file [m].
+        warnings: the list to which a warning of stray meshes is added; None if they are an error.
 
     Returns:
         The meshes, in metres; at least one.
 
     Raises:
+        StrayMeshError: a mesh lies beyond `MAX_COORDINATE`; with `warnings`, all of them do.
         SceneError: the file is missing or broken, or has no triangles.
     """
     try:
@@ -116,7 +127,7 @@ def read_named_meshes(path: Path, up: Direction = "z", unit: float = 1.0) -> lis
             scale = unit * _read_dae_asset(path).meters_per_unit
     except OSError as error:
         raise SceneError(f"cannot read the mesh {path}: {error.strerror or error}") from error
-    return _to_world(meshes, path, up, scale)
+    return _to_world(meshes, path, up, scale, warnings)
 
 
 def is_mesh_scene(scene: object) -> TypeGuard[trimesh.Scene | trimesh.Trimesh]:
@@ -330,8 +341,15 @@ def _read_dae_asset(path: Path) -> DaeAsset:
     return DaeAsset(meters_per_unit, up_axis)
 
 
-def _to_world(meshes: list[NamedMesh], path: Path, up: Direction, scale: float) -> list[NamedMesh]:
-    """Transform meshes to the world frame, with unique names."""
+def _to_world(
+    meshes: list[NamedMesh],
+    path: Path,
+    up: Direction,
+    scale: float,
+    warnings: list[str] | None = None,
+) -> list[NamedMesh]:
+    """Transform meshes to the world frame, with unique names; see `read_named_meshes`."""
+    stray_meshes = list[NamedMesh]()
     matrix = scale * rotation_to_z_up(up)
     used_names = {"world"}  # MuJoCo's own body
     world_meshes = []
@@ -343,12 +361,35 @@ def _to_world(meshes: list[NamedMesh], path: Path, up: Direction, scale: float) 
         vertices, faces = drop_unused_vertices(mesh.vertices, mesh.faces)
         with np.errstate(all="ignore"):
             vertices = _transform(vertices, matrix)
-        checked_mesh = check_mesh(NamedMesh(name, vertices, faces), path)
+        world_mesh = NamedMesh(name, vertices, faces)
+        if warnings is not None and is_beyond_limit(vertices):
+            stray_meshes.append(world_mesh)
+            continue
+        checked_mesh = check_mesh(world_mesh, path)
         if len(checked_mesh.faces):
             world_meshes.append(checked_mesh._replace(name=unique_name(name, used_names)))
+    if stray_meshes and not world_meshes:
+        check_mesh(stray_meshes[0], path)
+    if stray_meshes and warnings is not None:
+        listed = list_first([repr(mesh.name) for mesh in stray_meshes])
+        warning = f"mesh {listed} of {path} left out: it lies beyond {MAX_COORDINATE:g} m"
+        if warning not in warnings:
+            warnings.append(warning)
     if not world_meshes:
         raise SceneError(f"no triangles in {path}: expected a mesh with at least one")
     return world_meshes
+
+
+def is_beyond_limit(vertices: Float) -> bool:
+    """Return whether a mesh has finite coordinates, and some of them beyond `MAX_COORDINATE`.
+
+    Args:
+        vertices: shape (n, 3) [m].
+    """
+    if not len(vertices):
+        return False
+    box = bounding_box(vertices)
+    return bool(np.isfinite(box).all() and np.abs(box).max() > MAX_COORDINATE)
 
 
 def check_mesh(mesh: NamedMesh, path: Path) -> NamedMesh:
@@ -362,14 +403,15 @@ def check_mesh(mesh: NamedMesh, path: Path) -> NamedMesh:
         The mesh; it may have no triangles.
 
     Raises:
-        SceneError: a coordinate is not finite, or beyond `MAX_COORDINATE`.
+        StrayMeshError: a coordinate is beyond `MAX_COORDINATE`.
+        SceneError: a coordinate is not finite.
     """
     box = bounding_box(mesh.vertices) if len(mesh.vertices) else np.zeros(6)
     if not np.isfinite(box).all():
         raise SceneError(f"mesh {mesh.name!r} in {path} has coordinates that are no numbers")
     if np.abs(box).max() > MAX_COORDINATE:
         problem = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
-        raise SceneError(f"mesh {mesh.name!r} in {path} {problem}")
+        raise StrayMeshError(f"mesh {mesh.name!r} in {path} {problem}")
     has_area = triangle_areas(mesh.vertices, mesh.faces) > MIN_TRIANGLE_AREA
     if has_area.all():
         return mesh

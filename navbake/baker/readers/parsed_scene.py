@@ -24,9 +24,9 @@ import mujoco
 import numpy as np
 
 from navbake.baker.geometry.shapes import Mesh, hull_faces, tessellate
-from navbake.baker.readers.mesh import NamedMesh, check_mesh
+from navbake.baker.readers.mesh import MAX_COORDINATE, NamedMesh, check_mesh, is_beyond_limit
 from navbake.errors import ConfigError, NavbakeError, SceneError
-from navbake.known_names import unique_name
+from navbake.known_names import list_first, unique_name
 from navbake.processes import lacked_memory
 from navbake.types import Float, Int, Int32
 
@@ -128,6 +128,8 @@ class ParsedScene:
         decimals: the number of decimals that coordinates in metres are rounded to; None to keep
             all.
         named_leaves: names of the bodies that are leaves of doors, as the file says.
+        empty_bodies: names of bodies without geoms, which patterns of names match all the same:
+            those that settings exclude, and whose files are missing or broken.
     """
 
     geoms: list[ParsedGeom] = field(default_factory=list)
@@ -135,6 +137,7 @@ class ParsedScene:
     warnings: list[str] = field(default_factory=list)
     decimals: int | None = None
     named_leaves: set[str] = field(default_factory=set)
+    empty_bodies: set[str] = field(default_factory=set)
 
 
 def check_count(count: int, path: Path) -> None:
@@ -262,6 +265,7 @@ def build_model(
     static_meshes = dict[str, NamedMesh]()
     moving_meshes = dict[str, NamedMesh]()
     geoms = list[ParsedGeom]()
+    stray_names = list[str]()
     for geom in merge_geoms(parsed_scene, path, warnings):
         geom = geom._replace(name=unique_name(geom.name, used_names))
         body = bodies.get(geom.body)
@@ -273,6 +277,9 @@ def build_model(
             pose = _pose_in_body(geom.pose, body)
             mesh = _join_at_poses([geom.mesh], pose[None], parsed_scene.decimals)
             named_mesh = NamedMesh(geom.name, mesh.vertices, mesh.faces, geom.mode)
+            if is_beyond_limit(named_mesh.vertices):
+                stray_names.append(geom.name)
+                continue
             named_mesh = check_mesh(named_mesh, path)
             if not len(named_mesh.faces):
                 continue
@@ -280,7 +287,16 @@ def build_model(
                 static_meshes[geom.name] = named_mesh
             else:
                 moving_meshes[geom.name] = named_mesh
+        elif is_beyond_limit(geom.pose[None, :3, 3]):
+            stray_names.append(geom.name)
+            continue
         geoms.append(geom)
+    if stray_names:
+        listed = list_first([repr(name) for name in stray_names], most=5)
+        warnings.append(f"geom {listed} of {path} left out: it lies beyond {MAX_COORDINATE:g} m")
+    if stray_names and not geoms:
+        problem = f"all geometry lies beyond {MAX_COORDINATE:g} m, as {stray_names[0]!r}"
+        raise SceneError(f"{problem} of {path}: check its poses and units")
     if not geoms:
         raise SceneError(f"no geometry in {path}: expected at least one mesh or solid")
 
@@ -307,6 +323,8 @@ def build_model(
                 spec_geom.meshname = geom.name
             else:
                 _set_solid(spec, spec_geom, geom, bodies.get(geom.body))
+        for name in sorted(parsed_scene.empty_bodies - spec_bodies.keys()):
+            spec.worldbody.add_body(name=name)
         return compile_geometry(spec, ground, warnings)
 
     model = compile_model(path, warnings, build)

@@ -11,6 +11,8 @@ Source: SDFormat specification 1.12, sdformat.org.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +22,7 @@ import numpy as np
 from navbake.baker.geometry.shapes import Mesh, tessellate
 from navbake.baker.readers.mesh import (
     MESH_SUFFIXES,
-    file_up_axis,
+    StrayMeshError,
     join_meshes,
     read_named_meshes,
     rotation_to_z_up,
@@ -40,16 +42,22 @@ from navbake.baker.readers.sdf_frames import (
     numbers_of,
     text_of,
 )
+from navbake.baker.readers.sdf_shapes import (
+    extrude_outlines,
+    read_height_field,
+    read_image_boxes,
+)
 from navbake.config.settings import SceneSettings
-from navbake.errors import FormatError, SceneError
+from navbake.errors import SceneError
+from navbake.formats.package_paths import equal_model_names, parse_fuel_address
 from navbake.formats.scene_files import find_model_file, list_sdf_paths
-from navbake.formats.source import read_pixels
+from navbake.formats.xml_files import parse_xml
 from navbake.types import Float
 
-HEIGHT_FIELD_BASE = 0.1  # thickness of a height field below its lowest point [m]
-MIN_HEIGHT_RANGE = 1e-6  # least difference between a height field's highest and lowest point [m]
 # A joint with a larger limit counts as unlimited; SDF writes 1e16 for no limit [m or rad]
 MAX_JOINT_LIMIT = 1e10
+FILE_SHAPES = ("mesh", "heightmap", "image")
+GLTF_SUFFIXES = (".glb", ".gltf")
 HINGE_TYPES = ("revolute", "continuous")
 MAX_NESTING = 50  # levels of models in models, and of frames attached to frames
 # The last version of SDF whose joint axes are in the frame of the model
@@ -80,21 +88,6 @@ SOLID_SIZES = {
 }
 
 
-class HeightField(NamedTuple):
-    """A height field that is read from an image.
-
-    Attributes:
-        heights: the heights, scaled to 0 to 1; row 0 is at the smallest y.
-        size: the size as MuJoCo states it: half of the width, half of the depth, the difference
-            between the highest and lowest point, and the thickness of the base [m].
-        lowest: the lowest height [m].
-    """
-
-    heights: Float
-    size: tuple[float, float, float, float]
-    lowest: float
-
-
 class MeshKey(NamedTuple):
     """The key of a mesh in the cache of meshes.
 
@@ -119,18 +112,19 @@ class JointOfScope(NamedTuple):
 def read_world(path: Path, settings: SceneSettings) -> ParsedScene:
     """Read the first world of an .sdf or .world file; if it has none, the models in the file.
 
-    A missing file of a mesh or height field is an error if the geom collides, and a warning if it
-    is only drawn. `navbake.formats.scene_files.list_sdf_paths` lists where models are searched for.
+    Models, meshes and images that aren't there are left out, as in Gazebo, and one warning lists
+    them; with `scene.strict`, they are an error. Bodies and geoms that `scene.exclude` names may be
+    missing or broken. `navbake.formats.scene_files.list_sdf_paths` lists where files are searched.
 
     Args:
         path: the file.
-        settings: `scene.model_path` is used: folders with models.
+        settings: `scene.model_path`, `scene.strict` and `scene.exclude` are used.
 
     Returns:
         The parsed scene.
 
     Raises:
-        SceneError: the file, or a model in it, is missing or broken.
+        SceneError: the file, or a model in it, is broken; or all models are missing.
     """
     return _WorldReader(path, settings).read()
 
@@ -141,6 +135,13 @@ class _WorldReader:
     def __init__(self, path: Path, settings: SceneSettings) -> None:
         self._path = path
         self._model_folders = settings.model_path
+        self._is_strict = settings.strict
+        self._exclude = settings.exclude
+        # What is missing, as messages name it -> how often the scene names it
+        self._num_missing: dict[str, int] = {}
+        # A place in which a missing file was searched in vain, for the message
+        self._searched_places = list[Path]()
+        self._missing_models = set[str]()  # full names of included models that aren't there
         self._parsed_scene = ParsedScene()
         # Name -> world pose, of bodies that may move
         self._body_poses: dict[str, Float] = {}
@@ -171,10 +172,53 @@ class _WorldReader:
         for joint in self._joints:
             self._attach(joint_tree, joint.scope, joint.element)
         self._parsed_scene.bodies = joint_tree.make_bodies()
+        if self._num_missing:
+            self._tell_missing()
         return self._parsed_scene
 
     def _warn(self, text: str) -> None:
-        self._parsed_scene.warnings.append(text)
+        if text not in self._parsed_scene.warnings:
+            self._parsed_scene.warnings.append(text)
+
+    def _tell_missing(self) -> None:
+        """Warn of all missing files at once; raise a SceneError if the settings are strict."""
+        listed = ", ".join(
+            item if count == 1 else f"{item} ({count} times)"
+            for item, count in self._num_missing.items()
+        )
+        places = [*dict.fromkeys(map(str, self._searched_places))]
+        searched = ", ".join(places[:4]) + (", …" if len(places) > 4 else "")
+        empty_folder = next((place for place in self._searched_places if place.is_dir()), None)
+        if empty_folder is not None:
+            searched += f" ({empty_folder} has no {find_model_file(empty_folder).name})"
+        text = f"{self._path} names {listed}, not found in {searched}"
+        advice = (
+            "name the folder that holds them by `--model-path`, `scene.model_path` or "
+            "GZ_SIM_RESOURCE_PATH"
+        )
+        if self._is_strict:
+            raise SceneError(f"{text}: {advice} (`scene.strict` and `--strict` refuse them)")
+        if not self._parsed_scene.geoms:
+            raise SceneError(f"{text}: no geometry is left; {advice}")
+        self._warn(f"{text}: left out, as in Gazebo; {advice}, or refuse them by `--strict`")
+
+    def _add_missing(self, item: str, places: list[Path]) -> None:
+        self._num_missing[item] = self._num_missing.get(item, 0) + 1
+        if len(self._num_missing) == 1:
+            self._searched_places = places
+
+    def _is_excluded_body(self, name: str) -> bool:
+        """Return whether `scene.exclude` names a body, or a model that contains it."""
+        parts = name.split("::")
+        names = ["::".join(parts[: number + 1]) for number in range(len(parts))]
+        return any(
+            fnmatchcase(each_name, pattern)
+            for pattern in self._exclude.bodies
+            for each_name in names
+        )
+
+    def _is_excluded_geom(self, name: str) -> bool:
+        return any(fnmatchcase(name, pattern) for pattern in self._exclude.geoms)
 
     # ------------------------------------------------------------ models
 
@@ -191,22 +235,48 @@ class _WorldReader:
             file: Path | None = scope.file
             model = element if element.tag == "model" else None
             if element.tag == "include":
-                file = self._find_model(text_of(element, "uri"), scope.file)
-                model = None if file is None else self._parse(file).find("model")
+                file, model = self._find_included_model(element, scope)
             if model is not None and file is not None:
                 self._add_to_count()
                 models.append(Scope(self._find_models, model, element, file, scope))
         return models
 
+    def _find_included_model(
+        self, include: Element, scope: Scope
+    ) -> tuple[Path | None, Element | None]:
+        """Find the file of an included model, and its ``<model>``.
+
+        A missing model is one without links, so that frames that are relative to it have a pose. A
+        model that comes with Gazebo, and isn't found, is None.
+        """
+        uri = text_of(include, "uri")
+        name = text_of(include, "name") or _model_name(uri)
+        full_name = scope.full_name(name)
+        empty_model = ElementTree.Element("model", {"name": name})
+        is_excluded = self._is_excluded_body(full_name)
+        file = self._find_model(uri, scope.file)
+        if file is not None:
+            try:
+                return file, self._parse(file).find("model")
+            except SceneError:
+                if not is_excluded:
+                    raise
+        elif _is_model(uri, SUN_MODEL) or _is_model(uri, GROUND_MODEL):
+            return None, None
+        elif not is_excluded and full_name not in self._missing_models:
+            places = list(list_sdf_paths(uri, scope.file, self._model_folders))
+            self._add_missing(f"model {uri!r}", places)
+        self._missing_models.add(full_name)
+        if is_excluded:
+            self._parsed_scene.empty_bodies.add(full_name)
+        return scope.file, empty_model
+
     def _search_model(self, uri: str, file: Path) -> Path | None:
-        """Find the file of an included model; None if it isn't found, but comes with Gazebo."""
-        places = list(list_sdf_paths(uri, file, self._model_folders))
-        for place in places:
+        """Find the file of an included model; None if it isn't there."""
+        for place in list_sdf_paths(uri, file, self._model_folders):
             candidate = find_model_file(place)
             if candidate.is_file():
                 return candidate
-        if _model_name(uri) not in (SUN_MODEL, GROUND_MODEL):
-            raise _not_found_error(f"{uri!r} of {file}", places)
         return None
 
     def _read_models(self, scope: Scope) -> None:
@@ -217,7 +287,7 @@ class _WorldReader:
                 self._warn(f"population {name!r} of {scope.file} is left out: name its models")
             elif element.tag == "include":
                 uri = text_of(element, "uri")
-                if _model_name(uri) == GROUND_MODEL and self._find_model(uri, scope.file) is None:
+                if _is_model(uri, GROUND_MODEL) and self._find_model(uri, scope.file) is None:
                     text = "taken as Gazebo's own, endless ground"
                     self._warn(f"{uri} of {scope.file} not found: {text}")
                     name = text_of(element, "name") or GROUND_MODEL
@@ -241,7 +311,7 @@ class _WorldReader:
                 if element.tag in ("collision", "visual"):
                     name = f"{full_name}::{element.get('name')}"
                     pose = scope.pose_of_element(element, link_name)
-                    self._read_shape(scope, element, name, body, pose)
+                    self._add_shape(scope, element, ParsedGeom(name, body, "", (), pose))
         if not scope.is_static:
             self._joints += [JointOfScope(scope, joint) for joint in scope.element.findall("joint")]
 
@@ -251,109 +321,53 @@ class _WorldReader:
         self._add_to_count()
         self._parsed_scene.geoms.append(geom)
 
-    def _read_shape(
-        self, scope: Scope, element: Element, name: str, body: str, pose: Float
-    ) -> None:
-        """Read the geometry of a ``<collision>`` or a ``<visual>``.
+    def _add_shape(self, scope: Scope, element: Element, place: ParsedGeom) -> None:
+        """Add the geometry of a ``<collision>`` or a ``<visual>`` to the scene.
 
         Args:
             scope: the model that contains the element.
             element: the ``<collision>`` or ``<visual>``.
-            name: the geom's name.
-            body: the name of the geom's body.
-            pose: from the element's frame to the world, (4, 4) [m].
+            place: a geom without a shape: its name, body and pose.
         """
         is_visual = element.tag == "visual"
         geometry = element.find("geometry")
         shape = None if geometry is None else next(iter(geometry), None)
-        if shape is None or shape.tag == "empty":
+        if geometry is None or shape is None or shape.tag == "empty":
             return
-        where = f"{element.tag} {name!r} of {scope.file}"
-
-        def numbers(key: str, count: int = 1, default: list[float] | None = None) -> list[float]:
-            if default is not None and shape.find(key) is None:
-                return default
-            return numbers_of(text_of(shape, key), count, f"<{key}> of {where}")
-
-        mesh = None
-        heights = None
-        size = tuple[float, ...]()
-        kind = shape.tag
-        if kind in SOLID_SIZES:
-            stated_size = SOLID_SIZES[kind]
-            values = numbers(stated_size.element, stated_size.num_values)
-            size = tuple(value * stated_size.factor for value in values)
-        elif kind in ("cylinder", "capsule"):
-            size = (numbers("radius")[0], numbers("length")[0] / 2)
-        elif kind == "cone":  # MuJoCo has no cones
-            mesh = tessellate("cone", (numbers("radius")[0], numbers("length")[0] / 2))
-            kind = "mesh"
-        elif kind == "plane":
-            normal = np.array(numbers("normal", 3, [0.0, 0.0, 1.0]))
-            pose = pose.copy()
-            pose[:3, :3] = pose[:3, :3] @ rotation_to_z_up(normal).T
-            # A plane that collides is endless; only one that is drawn has a size.
-            sides = numbers("size", 2, [0.0, 0.0]) if is_visual else [0.0, 0.0]
-            size = (sides[0] / 2, sides[1] / 2)
-        elif kind in ("mesh", "heightmap"):
+        where = f"{element.tag} {place.name!r} of {scope.file}"
+        reader = _ShapeReader(geometry, shape, place, where)
+        is_excluded = self._is_excluded_body(place.body) or self._is_excluded_geom(place.name)
+        file = None
+        if shape.tag in FILE_SHAPES:
             uri = text_of(shape, "uri")
-            file = self._find_file(uri, scope.file, where, is_required=not is_visual)
+            places = list(list_sdf_paths(uri, scope.file, self._model_folders))
+            file = next((each_place for each_place in places if each_place.is_file()), None)
             if file is None:
+                if is_excluded:
+                    self._parsed_scene.empty_bodies.add(place.body)
+                else:
+                    self._add_missing(f"{uri!r} of {element.tag} {place.name!r}", places)
                 return
-            if kind == "mesh":
-                mesh = self._read_mesh(file, shape, where)
-                pose = pose @ np.diag([*numbers("scale", 3, [1.0, 1.0, 1.0]), 1.0])
-            else:
-                kind = "hfield"
-                position = numbers("pos", 3, [0.0, 0.0, 0.0])
-                height_field = _read_heights(file, numbers("size", 3, [1.0, 1.0, 1.0]))
-                heights = height_field.heights
-                size = height_field.size
-                pose = pose.copy()
-                pose[:3, 3] += pose[:3, :3] @ np.add(position, [0.0, 0.0, height_field.lowest])
-        else:
-            self._warn(f"{where} left out: its geometry is <{kind}>")
+        try:
+            geoms = list(reader.read(file, self._read_mesh, is_visual=is_visual))
+        except StrayMeshError as error:
+            self._warn(f"{where} left out: {error}")
             return
-        self._add_geom(
-            ParsedGeom(
-                name=name,
-                body=body,
-                kind=kind,
-                size=size,
-                pose=pose,
-                mesh=mesh,
-                heights=heights,
-                collides=not is_visual,
-                drawn=is_visual,
-            )
-        )
-
-    def _find_file(self, uri: str, file: Path, where: str, *, is_required: bool) -> Path | None:
-        """Find the file of a mesh or image.
-
-        Args:
-            uri: the file as the scene names it.
-            file: the file of the scene or model that names it.
-            where: the element that names it, for messages.
-            is_required: whether a missing file is an error; else it is a warning.
-
-        Returns:
-            The file; None if it is missing and not required.
-        """
-        places = list(list_sdf_paths(uri, file, self._model_folders))
-        for place in places:
-            if place.is_file():
-                return place
-        if is_required:
-            raise _not_found_error(f"{uri!r} of {where}", places)
-        self._warn(f"{uri!r} of {where} not found: left out, as it is only drawn")
-        return None
+        except SceneError:
+            if not is_excluded:
+                raise
+            self._parsed_scene.empty_bodies.add(place.body)
+            return
+        for geom in geoms:
+            self._add_geom(geom._replace(collides=not is_visual, drawn=is_visual))
+        if not geoms:
+            self._warn(f"{where} left out: its <{shape.tag}> is no shape that navbake reads")
 
     def _read_mesh(self, file: Path, shape: Element, where: str) -> Mesh:
-        """Read a mesh, in metres with z up.
+        """Read a mesh, in metres.
 
-        The unit and up axis that a DAE states are applied; glTF has y up. All other files are taken
-        to be in metres with z up.
+        The unit that a DAE states is applied, but not its up axis: Gazebo doesn't read it
+        (gazebosim/gazebo-classic, issue 1305). glTF has y up.
 
         Args:
             file: the mesh's file.
@@ -364,10 +378,12 @@ class _WorldReader:
         is_centered = is_true(text_of(shape, "submesh/center"))
         key = MeshKey(file, submesh, is_centered)
         if key not in self._meshes:
-            if file.suffix.lower() not in MESH_SUFFIXES:
+            suffix = file.suffix.lower()
+            if suffix not in MESH_SUFFIXES:
                 suffixes = ", ".join(sorted(MESH_SUFFIXES))
                 raise SceneError(f"cannot read {file}, the mesh of {where}: expected {suffixes}")
-            meshes = read_named_meshes(file, file_up_axis(file) or "z")
+            up = "y" if suffix in GLTF_SUFFIXES else "z"
+            meshes = read_named_meshes(file, up, warnings=self._parsed_scene.warnings)
             matching = [mesh for mesh in meshes if submesh in ("", mesh.name)]
             if not matching:
                 listed = ", ".join(sorted(mesh.name for mesh in meshes)[:20])
@@ -408,12 +424,22 @@ class _WorldReader:
             frame_name = child or element.get("attached_to", "")
         raise SceneError(f"no link {name!r} of {scope.name or 'the world'} in {scope.file}")
 
+    def _is_in_missing_model(self, full_name: str) -> bool:
+        return any(
+            full_name == model or full_name.startswith(f"{model}::")
+            for model in self._missing_models
+        )
+
     def _attach(self, joint_tree: JointTree, scope: Scope, element: Element) -> None:
         """Attach the child of a ``<joint>`` to its parent."""
         name = scope.full_name(str(element.get("name")))
-        parent = self._find_body(scope, text_of(element, "parent"))
-        child = self._find_body(scope, text_of(element, "child"))
         where = f"joint {name!r} of {scope.file}"
+        ends = (text_of(element, "parent"), text_of(element, "child"))
+        if any(self._is_in_missing_model(scope.full_name(end)) for end in ends):
+            self._warn(f"{where} is left out: a model that it joins is missing")
+            return
+        parent = self._find_body(scope, ends[0])
+        child = self._find_body(scope, ends[1])
         joint = self._read_joint(scope, element, name, where)
         if not child or not joint_tree.attach(parent, child, joint):
             self._warn(f"{where} is left out: its bodies don't move, or hang on other joints")
@@ -465,15 +491,126 @@ class _WorldReader:
         return None
 
 
+class _ShapeReader(NamedTuple):
+    """Reads the geometry of a ``<collision>`` or a ``<visual>``.
+
+    Attributes:
+        geometry: the ``<geometry>``.
+        shape: its first element, the shape.
+        place: a geom without a shape: its name, body and pose.
+        where: the ``<collision>`` or ``<visual>`` and its file, for errors.
+    """
+
+    geometry: Element
+    shape: Element
+    place: ParsedGeom
+    where: str
+
+    def read(
+        self, file: Path | None, read_mesh: MeshReader, *, is_visual: bool
+    ) -> list[ParsedGeom]:
+        """Read the geometry.
+
+        Args:
+            file: the file of a mesh or an image; None for other shapes.
+            read_mesh: a function that reads a mesh's file, see `_WorldReader._read_mesh`.
+            is_visual: whether it is only drawn.
+
+        Returns:
+            The geoms; none for a shape that navbake doesn't read, or that has no volume.
+
+        Raises:
+            SceneError: the shape is broken.
+        """
+        kind = self.shape.tag
+        if kind in SOLID_SIZES:
+            stated_size = SOLID_SIZES[kind]
+            values = self._numbers(stated_size.element, stated_size.num_values)
+            return [self._geom(kind, tuple(value * stated_size.factor for value in values))]
+        if kind in ("cylinder", "capsule", "cone"):
+            size = (self._number("radius"), self._number("length") / 2)
+            if kind == "cone":  # MuJoCo has no cones
+                return [self._geom("mesh")._replace(mesh=tessellate("cone", size))]
+            return [self._geom(kind, size)]
+        if kind == "plane":
+            return [self._read_plane(is_visual=is_visual)]
+        if kind == "polyline":
+            return self._read_polylines()
+        if file is None:
+            return []
+        if kind == "mesh":
+            mesh = read_mesh(file, self.shape, self.where)
+            scale = np.diag([*self._numbers("scale", 3, [1.0, 1.0, 1.0]), 1.0])
+            return [self._geom("mesh")._replace(mesh=mesh, pose=self.place.pose @ scale)]
+        if kind == "image":
+            return self._read_image(file)
+        height_field = read_height_field(file, self._numbers("size", 3, [1.0, 1.0, 1.0]))
+        position = np.add(self._numbers("pos", 3, [0.0, 0.0, 0.0]), [0.0, 0.0, height_field.lowest])
+        geom = self._geom("hfield", height_field.size, position)
+        return [geom._replace(heights=height_field.heights)]
+
+    def _numbers(self, key: str, count: int, default: list[float] | None = None) -> list[float]:
+        if default is not None and self.shape.find(key) is None:
+            return default
+        return numbers_of(text_of(self.shape, key), count, f"<{key}> of {self.where}")
+
+    def _number(self, key: str, default: float | None = None) -> float:
+        return self._numbers(key, 1, None if default is None else [default])[0]
+
+    def _geom(
+        self,
+        kind: str,
+        size: tuple[float, ...] = (),
+        position: Float | tuple[float, float, float] | None = None,
+    ) -> ParsedGeom:
+        """Return a geom at the place; `position` is that of its centre there, (3,) [m]."""
+        pose = self.place.pose.copy()
+        if position is not None:
+            pose[:3, 3] += pose[:3, :3] @ np.asarray(position)
+        return self.place._replace(kind=kind, size=size, pose=pose)
+
+    def _read_plane(self, *, is_visual: bool) -> ParsedGeom:
+        normal = np.array(self._numbers("normal", 3, [0.0, 0.0, 1.0]))
+        pose = self.place.pose.copy()
+        pose[:3, :3] = pose[:3, :3] @ rotation_to_z_up(normal).T
+        # A plane that collides is endless; only one that is drawn has a size.
+        sides = self._numbers("size", 2, [0.0, 0.0]) if is_visual else [0.0, 0.0]
+        return self.place._replace(kind="plane", size=(sides[0] / 2, sides[1] / 2), pose=pose)
+
+    def _read_polylines(self) -> list[ParsedGeom]:
+        height = self._number("height", 1.0)
+        outlines = list[Float]()
+        for polyline in self.geometry.findall("polyline"):
+            points = [
+                numbers_of((point.text or "").strip(), 2, f"<point> of {self.where}")
+                for point in polyline.findall("point")
+            ]
+            if points:
+                outlines.append(np.array(points))
+        try:
+            prisms = extrude_outlines(outlines, height) if outlines else []
+        except ValueError as error:
+            raise SceneError(f"cannot extrude {self.where}: {error}") from error
+        return [self._geom("mesh")._replace(mesh=prism, mode="hull") for prism in prisms]
+
+    def _read_image(self, file: Path) -> list[ParsedGeom]:
+        half_height = self._number("height", 1.0) / 2
+        boxes = read_image_boxes(file, self._number("scale", 1.0), self._number("threshold", 200.0))
+        return [
+            self._geom("box", (*box.half_sizes, half_height), (*box.center, half_height))
+            for box in boxes
+        ]
+
+
 def parse_sdf(file: Path) -> Element:
-    """Parse an XML file, and return its ``<sdf>`` element.
+    """Parse an XML file as Gazebo does, and return its ``<sdf>`` element.
 
     Raises:
         SceneError: the XML is broken, or no SDF.
     """
     try:
-        root = ElementTree.parse(file).getroot()
-    except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
+        root = parse_xml(file.read_bytes())
+    except ValueError as error:
         raise SceneError(f"broken XML in {file}: {error}") from error
     if root.tag != "sdf":
         raise SceneError(f"expected <sdf> in {file}, got <{root.tag[:40]}>")
@@ -487,42 +624,17 @@ def _version_of(root: Element) -> tuple[int, ...]:
 
 
 def _model_name(uri: str) -> str:
+    """Return the name of the model that an address names."""
+    fuel_file = parse_fuel_address(uri)
+    if fuel_file is not None and not fuel_file.path:
+        return fuel_file.name
     return Path(uri.partition("://")[2] or uri).name
 
 
-def _read_heights(file: Path, sides: list[float]) -> HeightField:
-    """Read a height field from an image: the brighter a pixel, the higher the ground.
-
-    The first row of pixels is at the largest y.
-
-    Args:
-        file: the image.
-        sides: the height field's width, depth and height, which is that of the brightest pixel [m].
-    """
-    try:
-        brightness = read_pixels(file).light[::-1].astype(np.float64)
-    except FormatError as error:
-        raise SceneError(str(error)) from error
-    brightness /= max(float(brightness.max()), 1.0)
-    low = float(brightness.min())
-    high = float(brightness.max())
-    height_range = max((high - low) * sides[2], MIN_HEIGHT_RANGE)
-    return HeightField(
-        heights=(brightness - low) / ((high - low) or 1.0),
-        size=(sides[0] / 2, sides[1] / 2, height_range, HEIGHT_FIELD_BASE),
-        lowest=low * sides[2],
-    )
+def _is_model(uri: str, name: str) -> bool:
+    """Return whether an address names one of the models that come with Gazebo."""
+    return equal_model_names(_model_name(uri), name)
 
 
-def _not_found_error(item: str, places: list[Path]) -> SceneError:
-    """Make the error that says in which places a file or model was searched for, in vain."""
-    folders = list(dict.fromkeys(str(place) for place in places))
-    listed = ", ".join(folders[:4]) + (", …" if len(folders) > 4 else "")
-    existing_folder = next((place for place in places if place.is_dir()), None)
-    hint = ""
-    if existing_folder is not None:
-        hint = f" ({existing_folder} has no {find_model_file(existing_folder).name})"
-    return SceneError(
-        f"{item} not found in {listed}{hint}: name the folder that holds it by `--model-path`, "
-        "`scene.model_path` or GZ_SIM_RESOURCE_PATH"
-    )
+MeshReader = Callable[[Path, Element, str], Mesh]
+"""A function: file, ``<mesh>`` element, where that is -> the mesh."""

@@ -49,6 +49,7 @@ from navbake.baker.scene.pose import data_with_joints
 from navbake.config.settings import BakeConfig, SceneSettings
 from navbake.errors import ConfigError, NavbakeError, SceneError
 from navbake.files import scratch_folder
+from navbake.formats.package_paths import RosPackages
 from navbake.formats.scene_files import (
     BUILDING_SUFFIXES,
     SDF_SUFFIXES,
@@ -58,6 +59,7 @@ from navbake.formats.scene_files import (
     list_mesh_paths,
     scene_suffix,
 )
+from navbake.formats.xml_files import find_root_tag, parse_xml
 from navbake.known_names import list_first, unique_name
 from navbake.lazy import resolve
 from navbake.processes import end_with_parent, ending_of, lacked_memory, limit_memory
@@ -157,13 +159,13 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
             kind = "folder" if path.is_dir() else "device"
             raise SceneError(f"expected a scene file, got a {kind} at {path}")
         if suffix in MESH_SUFFIXES:
-            read = partial(read_named_meshes, path, unit=settings.unit)
+            read = partial(read_named_meshes, path, unit=settings.unit, warnings=warnings)
             meshes = orient_meshes(read, settings, warnings)
             model, exact_meshes = model_of_meshes(meshes, path, ground, warnings)
         elif suffix == MJB_SUFFIX:
             model = _load_binary(path, ground, warnings)
         elif suffix in XML_SUFFIXES:
-            check_inputs(path)
+            check_inputs(path, settings.model_path)
             model = _load_xml(settings, warnings)
         elif suffix in READERS:
             with reading(str(path)):
@@ -336,9 +338,11 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> mujoco.MjModel:
     path = Path(settings.path)
     if path.stat().st_size == 0:
         raise SceneError(f"{path} is empty: expected an MJCF or URDF scene")
-    root_tag = ""  # if Python's parser fails before it
+    root_tag = ""
     with suppress(*XML_ERRORS):
         root_tag = str(next(ElementTree.iterparse(path, events=("start",)))[1].tag)
+    if not root_tag or root_tag.startswith("{"):  # Python's parser fails, or knows a namespace
+        root_tag = find_root_tag(path.read_bytes())
     if root_tag == "robot":
         return _load_urdf(path, settings, warnings)
     if root_tag not in ("mujoco", ""):
@@ -366,11 +370,12 @@ def _load_mjcf(path: Path, ground: float | None, warnings: list[str]) -> mujoco.
 
 def _load_urdf(path: Path, settings: SceneSettings, warnings: list[str]) -> mujoco.MjModel:
     """Load a URDF; its meshes are read by `read_named_meshes`, which reads all mesh formats."""
-    text, mesh_files = read_urdf(path, settings.geoms, warnings)
+    packages = RosPackages(settings.model_path)
+    text, mesh_files = read_urdf(path, settings.geoms, warnings, packages)
 
     def build() -> mujoco.MjModel:
         spec = mujoco.MjSpec.from_string(text)
-        read = cache(lambda key: read_named_meshes(mesh_files[key]))
+        read = cache(lambda key: read_named_meshes(mesh_files[key], warnings=warnings))
         for mesh in spec.meshes:
             vertices, faces = join_meshes(read(mesh.file))
             mesh.file = ""
@@ -404,7 +409,10 @@ def _drop_missing_textures(spec: mujoco.MjSpec, path: Path, warnings: list[str])
 
 
 def read_urdf(
-    path: Path, geoms: str = "auto", warnings: list[str] | None = None
+    path: Path,
+    geoms: str = "auto",
+    warnings: list[str] | None = None,
+    packages: RosPackages | None = None,
 ) -> tuple[str, dict[str, Path]]:
     """Read a URDF: its XML for MuJoCo, and the files of its meshes.
 
@@ -419,6 +427,7 @@ def read_urdf(
         path: the URDF.
         geoms: the value of `scene.geoms`.
         warnings: the list to which warnings are added; None to add none.
+        packages: the folders of ROS packages; None for those that ROS's variables list.
 
     Returns:
         The XML; and key -> file of a mesh: the XML has such a key in place of each mesh's path.
@@ -426,17 +435,19 @@ def read_urdf(
     Raises:
         SceneError: the XML is broken, or a mesh is missing that can't be left out.
     """
+    packages = RosPackages() if packages is None else packages
 
     @cache
     def find_file(name: str) -> Path | None:
-        return next((place for place in list_mesh_paths(path, name) if place.is_file()), None)
+        places = list_mesh_paths(path, name, packages)
+        return next((place for place in places if place.is_file()), None)
 
     def find_missing_meshes(element: ElementTree.Element) -> list[str]:
         names = [mesh.get("filename", "") for mesh in element.iter("mesh")]
         return [name for name in names if not find_file(name)]
 
     try:
-        root = ElementTree.parse(path).getroot()
+        root = parse_xml(path.read_bytes())
         compiler = _urdf_compiler(root)
         visuals_count = geoms in ("visual", "all") or root.find("link/collision/geometry") is None
         if compiler.get("discardvisual") == "true" or not visuals_count:
@@ -451,8 +462,9 @@ def read_urdf(
                 reason = "as it is only drawn, and visuals don't count here"
                 listed = list_first([repr(name) for name in dropped])
                 warnings.append(f"mesh {listed} of {path} not found: left out, {reason}")
-        for name in find_missing_meshes(root):
-            raise SceneError(_describe_missing_mesh(path, name))
+        missing_names = [*dict.fromkeys(find_missing_meshes(root))]
+        if missing_names:
+            raise SceneError(_describe_missing_meshes(path, missing_names))
         used_names: set[str] = set()
         keys: dict[Path, str] = {}
         for mesh in root.iter("mesh"):
@@ -480,15 +492,22 @@ def _urdf_compiler(root: ElementTree.Element) -> ElementTree.Element:
     return compiler
 
 
-def _describe_missing_mesh(urdf: Path, filename: str) -> str:
+def _describe_missing_meshes(urdf: Path, filenames: list[str]) -> str:
+    """Describe where the first of the missing meshes was searched for, and list the others."""
+    filename = filenames[0]
+    others = ", ".join(repr(name) for name in filenames[1:])
     scheme, _, bare_path = filename.rpartition("://")
     folders = Path(bare_path).parts
     tails = [repr(str(Path(*folders[first:]))) for first in range(1, len(folders))]
     hint = f"also as {', '.join(tails)}; " if tails else ""
     if scheme == "package" and folders:
-        hint += f"put the folder of the package {folders[0]!r} beside or above the URDF, or "
+        hint += (
+            f"name the folder that holds the package {folders[0]!r} by `--model-path`, "
+            "`scene.model_path`, ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, or "
+        )
     where = f"not found there, in {urdf.absolute().parent} or in the folders above it"
-    return f"mesh {filename!r} of {urdf} {where}: {hint}write its path from the URDF's folder"
+    text = f"mesh {filename!r} of {urdf} {where}: {hint}write its path from the URDF's folder"
+    return f"{text}; neither are {others}" if others else text
 
 
 # ---------------------------------------------------------------- scenes in memory

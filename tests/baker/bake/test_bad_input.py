@@ -387,7 +387,9 @@ def test_no_floor_beside_an_endless_plane_tells_of_the_margin(tmp_path):
         '<mujoco><worldbody><geom name="ground" type="plane" size="0 0 1"/>'
         '<geom type="box" size=".4 .4 .4" pos="0 0 .4"/></worldbody></mujoco>'
     )
-    with pytest.raises(SceneError, match=r"without 'ground', which is endless: `grid.margin`"):
+    with pytest.raises(
+        SceneError, match=r"no floor: if .* 'ground', which is endless, `grid.margin=5`"
+    ):
         run_bake(parse_config({"scene": {"path": str(path)}}))
 
 

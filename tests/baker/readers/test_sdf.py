@@ -23,6 +23,7 @@ from scenes_alone import load_alone
 from sdf_scenes import write_world
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
+REPORTS = SHARED / "reports"
 BOX = "<geometry><box><size>1 2 4</size></box></geometry>"
 
 
@@ -126,8 +127,7 @@ def test_frames(tmp_path):
 
 
 def test_meshes_bring_their_units_and_axes(tmp_path):
-    """A DAE in centimetres and y up, an STL in millimetres by <scale>, a submesh, a mirror."""
-    # the wedge's z becomes the DAE's y
+    """A DAE in centimetres, whose axis isn't read; an STL by <scale>, a submesh, a mirror."""
     turned = WEDGE.copy()
     turned.vertices = WEDGE.vertices[:, [0, 2, 1]] * [1, 1, -1] * 100
     write_dae(tmp_path / "a.dae", turned, 0.01, "Y_UP")
@@ -147,7 +147,7 @@ def test_meshes_bring_their_units_and_axes(tmp_path):
     ids = {geom.name.split("::")[1]: geom.id for geom in scene.geoms}
     bounds = {name: np.array([(v := scene.exact_meshes[k].vertices).min(0), v.max(0)])
               for name, k in ids.items()}  # fmt: skip
-    assert np.allclose(bounds["dae"], [[0, 0, 0], [3, 2, 1]], atol=1e-6)
+    assert np.allclose(bounds["dae"], [[0, 0, -2], [3, 1, 0]], atol=1e-6)
     assert np.allclose(bounds["stl"], [[0, 0, 0], [3, 2, 1]], atol=1e-6)
     assert np.allclose(bounds["mirror"], [[-3, 0, 0], [0, 2, 1]], atol=1e-6)
     assert np.allclose(bounds["two"][:, 2], 5)
@@ -205,7 +205,7 @@ def test_joints(tmp_path):
 
 
 def test_what_is_drawn_and_what_collides(tmp_path):
-    """Visuals don't count beside collisions; a missing mesh is an error only where it collides."""
+    """Visuals don't count beside collisions; where all meshes are missing, nothing is left."""
     mesh = "<geometry><mesh><uri>model://chair/seat.dae</uri></mesh></geometry>"
     visual = f'<visual name="v">{BOX}</visual><visual name="lost">{mesh}</visual>'
     path = write(tmp_path, model(link(BOX).replace("</link>", f"{visual}</link>")))
@@ -226,8 +226,10 @@ def test_where_models_are_looked_for(tmp_path, monkeypatch):
     ground = "<include><uri>model://ground_plane</uri></include>"
     ground += "<include><uri>model://sun</uri></include>"
     path = write(tmp_path / "near" / "worlds", f'<world name="w">{ground}{include}</world>')
-    with pytest.raises(SceneError, match=r"'model://chair' of .*w\.sdf not found in .*models"):
-        load(path)
+    with pytest.raises(
+        SceneError, match=r"w\.sdf names model 'model://chair', not found in .*models"
+    ):
+        load(path, strict=True)
     scene = load(path, model_path=[far])
     assert {geom.name for geom in scene.geoms} == {"ground_plane", "chair::l::c"}
     assert any("model://ground_plane" in text for text in scene.warnings)
@@ -354,7 +356,7 @@ def test_the_latest_version_of_a_model_is_taken(tmp_path):
 def test_an_empty_folder_hides_no_later_place(tmp_path):
     (tmp_path / "chair").mkdir()
     path = write(tmp_path, "<include><uri>model://chair</uri></include>")
-    with pytest.raises(SceneError, match=r"'model://chair' .*chair has no model\.sdf"):
+    with pytest.raises(SceneError, match=r"'model://chair', .*chair has no model\.sdf"):
         load(path)
     write(tmp_path, model(link(BOX), "chair"), "models/chair/model.sdf")
     assert {geom.name for geom in load(path).geoms} == {"chair::l::c"}
@@ -427,3 +429,193 @@ def test_trimesh_agrees_on_tessellated_solids():
         solid.update_faces(solid.nondegenerate_faces())
         assert solid.is_watertight
         assert solid.volume == pytest.approx(volumes[kind] * np.pi, rel=0.03)
+
+
+# ---------------------------------------------------------------- as Gazebo reads it
+
+FLOOR = model(link("<geometry><box><size>6 4 0.1</size></box></geometry>"), "floor")
+
+
+def include(uri: str, name: str = "") -> str:
+    stated_name = f"<name>{name}</name>" if name else ""
+    return f"<include><uri>{uri}</uri>{stated_name}</include>"
+
+
+def missing_warnings(scene: Scene) -> list[str]:
+    return [text for text in scene.warnings if "not found" in text]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "<!-- gz sim --levels w.sdf -->" + FLOOR,
+        '<plugin><gz-gui><property key="x"/></gz-gui></plugin><gz:system gz:type="a"/>' + FLOOR,
+        "<description>boxes & walls &nbsp;</description>" + FLOOR,
+        '<foo:state xmlns="http://else.where"/>' + FLOOR,
+    ],
+)
+def test_xml_that_only_tinyxml_reads(tmp_path, content):
+    """What Gazebo's parser passes over stops no bake."""
+    path = write(tmp_path, content)
+    assert {geom.name for geom in load(path).geoms} == {"floor::l::c"}
+    text = path.read_text()
+    namespace = text.replace("<sdf ", '<sdf xmlns="http://sdformat.org/schemas/root.xsd" ')
+    path.write_text(f"\n  {namespace}")
+    assert {geom.name for geom in load(path).geoms} == {"floor::l::c"}
+
+
+def test_missing_files_are_left_out_with_one_warning(tmp_path):
+    """All names are in it; strict settings refuse them; the rest of the world is there."""
+    mesh = "<geometry><mesh><uri>model://sofa/{}.dae</uri></mesh></geometry>"
+    world = include("model://chair", "a") + include("model://chair", "b") + include("model://bed")
+    world += FLOOR + model(link(mesh.format("seat")), "sofa")
+    hanging = '<joint name="j" type="fixed"><parent>a::leg</parent><child>floor</child></joint>'
+    placed = model(link(BOX), "lamp", '<static>1</static><pose relative_to="a">1 0 0 0 0 0</pose>')
+    path = write(tmp_path, f'<world name="w">{world}{placed}{hanging}</world>')
+    scene = load(path)
+    assert {geom.name for geom in scene.geoms} == {"floor::l::c", "lamp::l::c"}
+    (warning,) = missing_warnings(scene)
+    for item in (
+        "'model://chair' (2 times)",
+        "'model://bed'",
+        "seat.dae' of collision 'sofa::l::c'",
+    ):
+        assert item in warning
+    assert "--model-path" in warning and "\n" not in warning
+    with pytest.raises(SceneError, match=r"'model://bed', .*seat\.dae.* not found in .*--strict"):
+        load(path, strict=True)
+    with pytest.raises(SceneError, match=r"'model://bed', not found in .*no geometry is left"):
+        load(write(tmp_path, include("model://bed")))
+
+
+def test_exclude_is_heard_before_files_are_read(tmp_path):
+    """A missing, a broken and a far away model don't matter where settings leave them out."""
+    mesh = "<geometry><mesh><uri>{}</uri></mesh></geometry>"
+    (tmp_path / "torn.obj").write_text("v 0 0\nf 1 2 9\n")
+    (tmp_path / "torn" / "model.sdf").parent.mkdir()
+    (tmp_path / "torn" / "model.sdf").write_text("<sdf><model")
+    names = ("chair", "sofa", "shelf", "torn")
+    world = include("model://none", "chair") + model(link(mesh.format("torn.obj")), "sofa")
+    world += model(link(mesh.format("none.obj")), "shelf") + include("model://torn")
+    path = write(tmp_path, f'<world name="w">{world}{FLOOR}</world>')
+    with pytest.raises(SceneError, match="torn"):
+        load(path)
+    scene = load(path, strict=True, exclude={"bodies": [f"{name[:3]}*" for name in names]})
+    assert {geom.name for geom in scene.geoms} == {"floor::l::c"}
+    assert not scene.warnings
+
+
+def test_addresses_of_fuel(tmp_path, monkeypatch):
+    """A model's folder in any case, or in Gazebo's cache: the latest version if none is said."""
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.delenv("GZ_FUEL_CACHE_PATH", raising=False)
+    server = "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Big Drawer"
+    cache = tmp_path / "home/.gz/fuel/fuel.gazebosim.org/openrobotics/models/big drawer"
+    worlds = tmp_path / "worlds"
+    mesh = f"<geometry><mesh><uri>{server}/2/files/meshes/d.obj</uri></mesh></geometry>"
+    by_mesh = write(worlds, FLOOR + model(link(mesh)), "mesh.sdf")
+    by_model = write(worlds, FLOOR + include(server.replace(" ", "%20"), "d"), "model.sdf")
+    saved = mesh.replace(
+        f"{server}/2/files", "file:///home/user/.gz/fuel/fuel.gazebosim.org/openrobotics/models"
+        "/big drawer/2",
+    )  # fmt: skip
+    by_cache = write(worlds, FLOOR + model(link(saved)), "saved.sdf")
+    for path in (by_mesh, by_model, by_cache):
+        assert len(missing_warnings(load(path))) == 1
+    WEDGE.export(worlds / "models.obj")
+    content = (worlds / "models.obj").read_bytes()
+    for folder in (worlds / "models" / "big_Drawer", cache / "2"):
+        (folder / "meshes").mkdir(parents=True)
+        (folder / "meshes" / "d.obj").write_bytes(content)
+        for path in (by_mesh, by_cache):
+            assert len(load(path).geoms) == 2 and not load(path).warnings
+            assert folder / "meshes" / "d.obj" in find_inputs(path)
+        (folder / "meshes" / "d.obj").unlink()
+    for version in (2, 10):
+        write(cache / str(version), model(link(BOX), f"v{version}"), "model.sdf")
+    scene = load(by_model)
+    assert {geom.name for geom in scene.geoms} == {"floor::l::c", "d::l::c"}
+    assert cache / "10" / "model.sdf" in find_inputs(by_model)
+
+
+def test_outlines_are_prisms(tmp_path):
+    """Concave outlines, holes and crossings: what an odd number of outlines encloses is solid."""
+    points = "".join(f"<point>{x} {y}</point>" for x, y in
+                     ((-2, -2), (2, -2), (2, 2), (0, 0), (-2, 2)))  # fmt: skip
+    hole = "".join(f"<point>{x} {y}</point>" for x, y in
+                   ((-0.5, -1.5), (0.5, -1.5), (0.5, -0.5), (-0.5, -0.5)))  # fmt: skip
+    outline = "<polyline><height>1.5</height>{}</polyline>"
+    shape = f"<geometry>{outline.format(points)}{outline.format(hole)}</geometry>"
+    ground = model(link("<geometry><plane/></geometry>"), "ground")
+    path = write(tmp_path, ground + model(link(shape)))
+    grid = navbake.bake({"scene": {"path": str(path)}, "grid": {"bounds": [-4, -4, 4, 4]}})
+    finder = navbake.PathFinder(grid)
+    blocked = [(0, -0.3, 0), (-1.5, 1, 0), (1.5, 0, 0), (0, -1.8, 0)]
+    free = [(0, 1, 0), (-3, 0, 0), (0, -1, 0)]
+    assert not any(finder.is_navigable(position) for position in blocked)
+    assert all(finder.is_navigable(position) for position in free)
+    area = (grid.levels[0].occupancy == 1).sum() * 0.01
+    assert area == pytest.approx(11, abs=2.5)  # 16 - 4 - 1, and the rim of cells that it meets
+
+
+def test_outlines_that_enclose_nothing_are_told(tmp_path):
+    flat = "<geometry><polyline><height>1</height><point>0 0</point><point>1 1</point></polyline>"
+    scene = load(write(tmp_path, FLOOR + model(link(f"{flat}</geometry>"))))
+    assert len(scene.geoms) == 1
+    assert any("'m::l::c'" in text and "<polyline>" in text for text in scene.warnings)
+
+
+def test_dark_pixels_of_images_are_boxes(tmp_path):
+    """From the corner of the first pixel on, columns along x and rows along y."""
+    pixels = np.full((4, 10), 255, np.uint8)
+    pixels[1:3, 2:7] = 200
+    pixels[3, 9] = 0
+    Image.fromarray(pixels).save(tmp_path / "map.png")
+    text = "<image><uri>map.png</uri><scale>0.5</scale><threshold>200</threshold><height>2</height>"
+    scene = load(write(tmp_path, model(link(f"<geometry>{text}</image></geometry>"))))
+    assert [geom.type for geom in scene.geoms] == ["box", "box"]
+    assert np.allclose(scene.shapes.boxes, [[1, 0.5, 0, 3.5, 1.5, 2], [4.5, 1.5, 0, 5, 2, 2]])
+
+
+def test_what_lies_beyond_all_limits_is_left_out(tmp_path):
+    """A stray node of a mesh, a mesh of stray nodes, and a model at a stray pose."""
+    near = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    far = "v 8e17 0 0\nv 9e17 0 0\nv 8e17 1e17 0\n"
+    (tmp_path / "pot.obj").write_text(f"o pot\n{near}o stray\n{far}f 4 5 6\n")
+    (tmp_path / "lost.obj").write_text(f"o lost\n{far}f 1 2 3\n")
+    mesh = "<geometry><mesh><uri>{}.obj</uri></mesh></geometry>"
+    world = model(link(mesh.format("pot")), "pot") + model(link(mesh.format("lost")), "lost")
+    world += model(link(BOX), "away", "<static>1</static><pose>0 -1e17 0 0 0 0</pose>") + FLOOR
+    scene = load(write(tmp_path, world))
+    assert {geom.name for geom in scene.geoms} == {"pot::l::c", "floor::l::c"}
+    for name in ("'stray'", "'lost::l::c'", "'away::l::c'"):
+        assert any(name in text and "1e+10 m" in text for text in scene.warnings)
+    assert np.abs(scene.bounds).max() < 10
+
+
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+@pytest.mark.parametrize(
+    ("name", "settings", "free"),
+    [
+        ("sdf_lenient_xml/comment.sdf", {}, 16.0),
+        ("sdf_lenient_xml/prefix.sdf", {}, 16.0),
+        ("stray_node/room.sdf", {}, 61.4),
+        ("stray_node/room.sdf", {"scene": {"exclude": {"bodies": ["pot"]}}}, 62.4),
+        ("sdf_polyline/poly.sdf", {"grid": {"bounds": [-8, -8, 8, 8]}}, 251.9),
+    ],
+)
+def test_reported_worlds(name, settings, free):
+    path = REPORTS / name
+    if not path.exists():
+        pytest.skip(f"{path} is not there")
+    settings = {**settings, "scene": {**settings.get("scene", {}), "path": str(path)}}
+    grid = navbake.bake(settings)
+    assert sum(level.free.sum() for level in grid.levels) * 0.01 == pytest.approx(free)
+
+
+def test_reported_fuel_mesh():
+    path = REPORTS / "fuel_mesh_uri" / "world.sdf"
+    if not path.exists():
+        pytest.skip(f"{path} is not there")
+    scene = load(path, model_path=[path.parent / "models"])
+    assert [geom.name for geom in scene.geoms] == ["drawer::l::c"] and not scene.warnings

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 import trimesh
 
+import navbake
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
+from navbake.formats.scene_files import find_inputs
 from scene_files import WEDGE, write_dae
 from scenes_alone import load_alone
 
+REPORTS = Path(__file__).parents[4] / "shared" / "data" / "reports"
 ROOM = """
 <robot name="room">
   <material name="red"><color rgba="1 0 0 1"/><texture filename="package://none/a.png"/></material>
@@ -226,7 +229,7 @@ def test_a_missing_mesh_that_counts_is_refused_with_where_it_was_looked_for(
     said = str(caught.value)
     assert f"in {tmp_path / 'pkg/urdf'} or in the folders above it" in said
     assert "'meshes/none.stl', 'none.stl'" in said
-    assert "the package 'my' beside or above the URDF" in said
+    assert "the folder that holds the package 'my' by `--model-path`" in said
 
 
 @pytest.mark.parametrize(
@@ -254,3 +257,93 @@ def test_path_is_not_needed_to_be_absolute(load, wedge, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path / "pkg" / "urdf")
     scene = load_alone(SceneSettings(path=Path("room.urdf")))
     assert len(scene.geoms) == 5
+
+
+PACKAGE_MESH = """
+<robot name="two arms">
+  <link name="world"/>
+  <link name="arm"><collision><geometry>
+    <mesh filename="package://other_pkg/meshes/wedge.stl"/>
+  </geometry></collision></link>
+  <joint name="j" type="fixed"><parent link="world"/><child link="arm"/></joint>
+</robot>
+"""
+
+
+@pytest.mark.parametrize("way", ["--model-path", "AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH", "nested"])
+def test_meshes_in_other_packages(tmp_path, monkeypatch, way):
+    """Found by the settings, and by ROS's variables at any depth, down to a package.xml."""
+    for variable in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH"):
+        monkeypatch.delenv(variable, raising=False)
+    urdf = tmp_path / "ws" / "my_pkg" / "urdf" / "r.urdf"
+    urdf.parent.mkdir(parents=True)
+    urdf.write_text(PACKAGE_MESH)
+    with pytest.raises(
+        SceneError, match=r"other_pkg/meshes/wedge\.stl.*--model-path.*AMENT_PREFIX"
+    ):
+        load_alone(SceneSettings(path=urdf))
+    far = tmp_path / "far"
+    package = far / "share" / "other_pkg"
+    if way == "nested":
+        package = far / "a" / "b" / "checkout"
+    mesh = package / "meshes" / "wedge.stl"
+    mesh.parent.mkdir(parents=True)
+    WEDGE.export(mesh)
+    settings = SceneSettings(path=urdf)
+    if way == "--model-path":
+        settings = SceneSettings(path=urdf, model_path=[far / "share"])
+    elif way == "AMENT_PREFIX_PATH":
+        monkeypatch.setenv(way, f"/nowhere:{far}")
+    elif way == "ROS_PACKAGE_PATH":
+        monkeypatch.setenv(way, str(far / "share"))
+    else:
+        (package / "package.xml").write_text("<package><name>other_pkg</name></package>")
+        monkeypatch.setenv("ROS_PACKAGE_PATH", str(far))
+    assert [geom.body for geom in load_alone(settings).geoms] == ["arm"]
+    assert find_inputs(urdf, folders=settings.model_path) == [urdf, mesh]
+
+
+def test_all_missing_meshes_are_named(load):
+    shape = "<geometry><mesh filename='{0}.stl'/></geometry>"
+    link = f"<link name='{{0}}'><collision>{shape}</collision></link>"
+    with pytest.raises(
+        SceneError, match=r"mesh 'a\.stl' of .* not found there.*neither are 'b\.stl'"
+    ):
+        load(text=f"<robot name='r'>{link.format('a')}{link.format('b')}{link.format('a')}</robot>")
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "<!-- roslaunch a.launch --use-gui -->\n<robot name='r'>",
+        "\n<?xml version='1.0'?>\n<robot name='r' xmlns:xacro='http://wiki.ros.org/xacro'>",
+        "<robot name='r' xmlns='http://www.ros.org'><xacro:arg name='a'/><gazebo gz:type='b'/>",
+        "<robot name='r'><xacro:include filename='x'/><author>R & D</author>",
+    ],
+)
+def test_xml_that_only_tinyxml_reads(load, head):
+    """What MuJoCo's and ROS's parser reads is a scene, with prefixes that are not declared."""
+    box = "<link name='l'><collision><geometry><box size='4 4 1'/></geometry></collision></link>"
+    assert [geom.type for geom in load(text=f"{head}{box}</robot>").geoms] == ["box"]
+
+
+def test_reported_packages(monkeypatch):
+    folder = REPORTS / "urdf_package_path" / "ros"
+    if not folder.exists():
+        pytest.skip(f"{folder} is not there")
+    path = folder / "src" / "my_desc" / "urdf" / "r.urdf"
+    with_paths = load_alone(SceneSettings(path=path, model_path=[folder / "share"]))
+    assert len(with_paths.geoms) == 3
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(folder))
+    assert load_alone(SceneSettings(path=path)).digest == with_paths.digest
+
+
+def test_walls_without_ground_are_told_of_the_ground():
+    """The remedy comes first: a scene of walls lacks its ground."""
+    path = REPORTS / "urdf_no_ground" / "room.urdf"
+    if not path.exists():
+        pytest.skip(f"{path} is not there")
+    with pytest.raises(SceneError, match=r"no floor: if .* its ground, `scene\.ground=0` adds it;"):
+        navbake.bake(path)
+    grid = navbake.bake({"scene": {"path": str(path), "ground": 0.0}})
+    assert grid.levels[0].free.sum() * 0.01 == pytest.approx(46.61)

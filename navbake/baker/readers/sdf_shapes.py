@@ -1,0 +1,204 @@
+"""Geometry of SDF that MuJoCo has no shape for: height maps, extruded outlines and images.
+
+An outline (``<polyline>``) is cut at the heights (y) of its corners and crossings into trapezoids,
+each of which becomes a convex prism: so holes, and outlines that cross themselves, need no rules of
+their own. What an odd number of outlines encloses is solid, as in Gazebo.
+
+Sources: SDFormat specification 1.12, geometry.sdf; gazebosim/gz-common, MeshManager.cc
+(ExtrudePolyline: several outlines, the first one's height); gazebosim/gazebo-classic,
+MapShape.cc (pixels that are not brighter than the threshold are boxes, from the corner of the
+first pixel on).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake.baker.geometry.shapes import Mesh, hull_faces
+from navbake.errors import FormatError, SceneError
+from navbake.formats.floor_mesh import cover_with_quads
+from navbake.formats.source import read_pixels
+from navbake.types import Float
+
+HEIGHT_FIELD_BASE = 0.1  # thickness of a height field below its lowest point [m]
+MIN_HEIGHT_RANGE = 1e-6  # least difference between a height field's highest and lowest point [m]
+MIN_SLICE_HEIGHT = 1e-9  # least size of a trapezoid along y [m]
+MAX_EDGES = 2000  # of the outlines of a geometry: pairs of them are tried for crossings
+MAX_BOXES = 20_000  # of an image
+
+
+class HeightField(NamedTuple):
+    """A height field that is read from an image.
+
+    Attributes:
+        heights: the heights, scaled to 0 to 1; row 0 is at the smallest y.
+        size: the size as MuJoCo states it: half of the width, half of the depth, the difference
+            between the highest and lowest point, and the thickness of the base [m].
+        lowest: the lowest height [m].
+    """
+
+    heights: Float
+    size: tuple[float, float, float, float]
+    lowest: float
+
+
+def read_height_field(file: Path, sides: Sequence[float]) -> HeightField:
+    """Read a height field from an image: the brighter a pixel, the higher the ground.
+
+    The first row of pixels is at the largest y.
+
+    Args:
+        file: the image.
+        sides: the height field's width, depth and height, which is that of the brightest pixel [m].
+
+    Raises:
+        SceneError: the image is broken.
+    """
+    brightness = _read_brightness(file)[::-1]
+    brightness /= max(float(brightness.max()), 1.0)
+    low = float(brightness.min())
+    high = float(brightness.max())
+    height_range = max((high - low) * sides[2], MIN_HEIGHT_RANGE)
+    return HeightField(
+        heights=(brightness - low) / ((high - low) or 1.0),
+        size=(sides[0] / 2, sides[1] / 2, height_range, HEIGHT_FIELD_BASE),
+        lowest=low * sides[2],
+    )
+
+
+def _read_brightness(file: Path, white: float | None = None) -> Float:
+    """Read the brightness of pixels, (height, width), scaled so that white is `white` if given."""
+    try:
+        pixels = read_pixels(file)
+    except FormatError as error:
+        raise SceneError(str(error)) from error
+    brightness: Float = pixels.light.astype(np.float64)
+    if white is not None:
+        brightness *= white / (3.0 * pixels.white)
+    return brightness
+
+
+class ImageBox(NamedTuple):
+    """A box over dark pixels of an image.
+
+    Attributes:
+        center: x, y [m], from the corner of the image's first pixel.
+        half_sizes: half of its size along x and y [m].
+    """
+
+    center: tuple[float, float]
+    half_sizes: tuple[float, float]
+
+
+def read_image_boxes(file: Path, pixel_size: float, threshold: float) -> list[ImageBox]:
+    """Read an image whose dark pixels stand for boxes, and join adjacent pixels to few boxes.
+
+    Args:
+        file: the image; its columns run along x, its rows along y.
+        pixel_size: the edge of a pixel [m].
+        threshold: pixels up to this brightness are dark; white is 255.
+
+    Raises:
+        SceneError: the image is broken, or needs more than `MAX_BOXES` boxes.
+    """
+    is_dark = _read_brightness(file, white=255.0) <= threshold
+    quads = cover_with_quads(is_dark.astype(np.int32), np.zeros(is_dark.shape), 0.0, 0.0, 0.0)
+    num_boxes = len(quads.first_cell)
+    if num_boxes > MAX_BOXES:
+        hint = "make the image smaller, or its threshold lower"
+        raise SceneError(f"{file} stands for {num_boxes} boxes, {MAX_BOXES} at most: {hint}")
+    x = pixel_size * quads.cols
+    y = pixel_size * quads.rows
+    lows = np.stack([x.min(axis=1), y.min(axis=1)], axis=1)
+    highs = np.stack([x.max(axis=1), y.max(axis=1)], axis=1)
+    return [
+        ImageBox((center[0], center[1]), (half[0], half[1]))
+        for center, half in zip(
+            ((lows + highs) / 2).tolist(), ((highs - lows) / 2).tolist(), strict=True
+        )
+    ]
+
+
+def extrude_outlines(outlines: Sequence[Float], height: float) -> list[Mesh]:
+    """Make prisms of what outlines enclose, from z = 0 upwards.
+
+    Args:
+        outlines: the corners x, y of each outline, closed or not, (n, 2) [m].
+        height: the height of the prisms [m].
+
+    Returns:
+        Convex prisms that touch; none if the outlines enclose nothing.
+
+    Raises:
+        ValueError: the outlines have more than `MAX_EDGES` edges.
+    """
+    with np.errstate(all="ignore"):  # coordinates near the largest numbers make no prism
+        return _extrude(outlines, height)
+
+
+def _extrude(outlines: Sequence[Float], height: float) -> list[Mesh]:
+    """Make the prisms of `extrude_outlines`."""
+    starts = np.concatenate(outlines)
+    ends = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])
+    is_flat = starts[:, 1] == ends[:, 1]
+    is_down = starts[:, 1] > ends[:, 1]
+    low = np.where(is_down[:, None], ends, starts)[~is_flat]
+    high = np.where(is_down[:, None], starts, ends)[~is_flat]
+    if len(low) > MAX_EDGES:
+        raise ValueError(f"an outline of {len(low)} edges, {MAX_EDGES} at most")
+    slopes = (high[:, 0] - low[:, 0]) / (high[:, 1] - low[:, 1])
+    cuts = np.unique(np.concatenate([starts[:, 1], _crossing_heights(low, high, slopes)]))
+    prisms = []
+    for bottom, top in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+        if top - bottom < MIN_SLICE_HEIGHT:
+            continue
+        is_cut = (low[:, 1] <= bottom) & (high[:, 1] >= top)
+        bottom_x = low[is_cut, 0] + slopes[is_cut] * (bottom - low[is_cut, 1])
+        top_x = low[is_cut, 0] + slopes[is_cut] * (top - low[is_cut, 1])
+        order = np.argsort(bottom_x + top_x, kind="stable")
+        for left, right in zip(order[::2].tolist(), order[1::2].tolist(), strict=False):
+            corners = np.array(
+                [
+                    (bottom_x[left], bottom),
+                    (bottom_x[right], bottom),
+                    (top_x[right], top),
+                    (top_x[left], top),
+                ]
+            )
+            prism = _extrude_convex(corners, height)
+            if prism is not None:
+                prisms.append(prism)
+    return prisms
+
+
+def _crossing_heights(low: Float, high: Float, slopes: Float) -> Float:
+    """Return y of the places where edges cross, (n,) [m].
+
+    Args:
+        low: the lower end of each edge, (m, 2) [m].
+        high: the upper end of each edge, (m, 2) [m].
+        slopes: dx / dy of each edge, (m,).
+    """
+    at_zero = low[:, 0] - slopes * low[:, 1]
+    slope_differences = slopes[:, None] - slopes[None, :]
+    is_apart = slope_differences != 0.0
+    differences = at_zero[None, :] - at_zero[:, None]
+    y = np.divide(differences, slope_differences, where=is_apart, out=np.full_like(differences, 0))
+    first = np.maximum(low[:, None, 1], low[None, :, 1])
+    last = np.minimum(high[:, None, 1], high[None, :, 1])
+    return np.asarray(y[is_apart & (y > first) & (y < last)])
+
+
+def _extrude_convex(corners: Float, height: float) -> Mesh | None:
+    """Make a prism of a convex outline, (n, 2) [m]; None if it has no volume."""
+    if not np.isfinite(corners).all():
+        return None
+    distinct_corners = np.unique(corners, axis=0)
+    bottom = np.column_stack([distinct_corners, np.zeros(len(distinct_corners))])
+    vertices = np.concatenate([bottom, bottom + np.array([0.0, 0.0, height])])
+    faces = hull_faces(vertices) if len(distinct_corners) >= 3 else None
+    return None if faces is None else Mesh(vertices, faces)

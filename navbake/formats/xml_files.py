@@ -1,0 +1,224 @@
+"""Parses XML as the programs do that read SDF and URDF.
+
+Gazebo, ROS and MuJoCo parse XML by TinyXML-2, which accepts more than the standard: ``--`` in
+comments, prefixes that are not declared, an ``&`` that begins no entity, blank lines before the
+declaration. Namespaces mean nothing to it: ``gz:type`` is a name like any other.
+
+A file that Python's parser (expat) reads is read by it, without namespaces. Only of others the
+text is read here, by the rules of TinyXML-2. Both refuse elements in more than `MAX_DEPTH` others,
+and both take time in proportion to the file's size.
+
+Source: leethomason/tinyxml2, tinyxml2.cpp (XMLNode::ParseDeep, XMLElement::ParseAttributes,
+XMLUtil::GetCharacterRef), and TINYXML2_MAX_ELEMENT_DEPTH in tinyxml2.h.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from contextlib import suppress
+from xml.parsers import expat
+
+Element = ElementTree.Element
+MAX_DEPTH = 500  # elements in elements
+NAME = r"[A-Za-z_:\x80-\U0010ffff][\w.:\-\x80-\U0010ffff]*"
+NAME_PATTERN = re.compile(NAME)
+# An attribute, with the blanks before it
+ATTRIBUTE_PATTERN = re.compile(rf"\s*({NAME})\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
+BLANKS_PATTERN = re.compile(r"\s*")
+ENTITY_PATTERN = re.compile(r"&(?:#(\d{1,7})|#x([0-9A-Fa-f]{1,6})|(lt|gt|amp|quot|apos));")
+ENTITIES = {"lt": "<", "gt": ">", "amp": "&", "quot": '"', "apos": "'"}
+# What is passed by, as it begins -> as it ends
+PASSED_BY = {"<!--": "-->", "<?": "?>", "<!": ">"}
+CDATA_START = "<![CDATA["
+CDATA_END = "]]>"
+BYTE_ORDER_MARKS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+
+
+def parse_xml(content: bytes) -> Element:
+    """Parse the content of an XML file; text after its first element is ignored.
+
+    Args:
+        content: the file's content.
+
+    Returns:
+        The first element. Names of elements and attributes are as written, with their prefixes.
+
+    Raises:
+        ValueError: there is no element, it isn't closed, or its tags are broken; the message is
+            one line, with the number of the line in the file.
+    """
+    try:
+        return _parse_standard(content)
+    except (expat.ExpatError, ValueError, LookupError):
+        return _Parser(_decode(content)).parse()
+
+
+def find_root_tag(content: bytes) -> str:
+    """Return the name of the first element of an XML file as written; empty if there is none."""
+    root_tags = list[str]()
+    parser = _Parser(_decode(content))
+
+    def stop(tag: str, attributes: dict[str, str]) -> None:
+        root_tags.append(tag)
+        raise ValueError("the first element is all that counts")
+
+    parser.on_start = stop
+    with suppress(ValueError):
+        parser.parse()
+    return root_tags[0] if root_tags else ""
+
+
+def _decode(content: bytes) -> str:
+    """Decode a file as UTF-8, or as UTF-16 if it begins so; other bytes become U+FFFD."""
+    encoding = BYTE_ORDER_MARKS.get(content[:2], "utf-8-sig")
+    text = content.decode(encoding, errors="replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _parse_standard(content: bytes) -> Element:
+    """Parse well-formed XML by expat, which bounds what entities expand to."""
+    builder = ElementTree.TreeBuilder()
+    depth = 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > MAX_DEPTH:
+            raise ValueError(f"more than {MAX_DEPTH} elements in elements")
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
+
+    parser = expat.ParserCreate()  # without a separator, it leaves namespaces alone
+    parser.buffer_text = True
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = builder.data
+    parser.Parse(content, True)
+    return builder.close()
+
+
+class _Parser:
+    """Parses a text by the rules of TinyXML-2, up to the end of its first element.
+
+    Args:
+        text: the text of the file.
+
+    Attributes:
+        on_start: is called with the name and the attributes of each element that begins.
+    """
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._position = 0
+        self._builder = ElementTree.TreeBuilder()
+        self._open_tags = list[str]()
+        self.on_start: Callable[[str, dict[str, str]], object] = self._builder.start
+
+    def parse(self) -> Element:
+        """Parse the text; raise a ValueError if it is broken."""
+        is_done = False
+        while not is_done:
+            start = self._text.find("<", self._position)
+            if start < 0:
+                self._position = len(self._text)
+                open_tags = self._open_tags
+                missing = f"</{open_tags[-1][:40]}>" if open_tags else "an element"
+                raise self._error(f"the file ends without {missing}")
+            if self._open_tags and start > self._position:
+                self._builder.data(_replace_entities(self._text[self._position : start]))
+            self._position = start
+            is_done = self._parse_markup()
+        return self._builder.close()
+
+    def _parse_markup(self) -> bool:
+        """Parse what begins with ``<``; return whether it ends the first element."""
+        text = self._text
+        if text.startswith(CDATA_START, self._position):
+            first = self._position + len(CDATA_START)
+            self._skip_past(CDATA_END)
+            if self._open_tags:
+                self._builder.data(text[first : self._position - len(CDATA_END)])
+            return False
+        for beginning, ending in PASSED_BY.items():
+            if text.startswith(beginning, self._position):
+                self._skip_past(ending)
+                return False
+        if text.startswith("</", self._position):
+            return self._parse_end_tag()
+        return self._parse_start_tag()
+
+    def _skip_past(self, ending: str) -> None:
+        end = self._text.find(ending, self._position)
+        if end < 0:
+            beginning = self._text[self._position : self._position + 9].split("\n")[0]
+            raise self._error(f"expected {ending} after {beginning}")
+        self._position = end + len(ending)
+
+    def _parse_start_tag(self) -> bool:
+        name = NAME_PATTERN.match(self._text, self._position + 1)
+        if name is None:
+            got = self._text[self._position : self._position + 20].split("\n")[0]
+            raise self._error(f"expected the name of an element, got {got!r}")
+        tag = name[0]
+        position = name.end()
+        attributes = dict[str, str]()
+        while True:
+            attribute = ATTRIBUTE_PATTERN.match(self._text, position)
+            if attribute is None:
+                break
+            key, double_quoted, single_quoted = attribute.groups()
+            value = double_quoted if double_quoted is not None else single_quoted
+            attributes.setdefault(key, _replace_entities(value))
+            position = attribute.end()
+        blanks = BLANKS_PATTERN.match(self._text, position)
+        position = position if blanks is None else blanks.end()
+        is_empty = self._text.startswith("/>", position)
+        if not is_empty and not self._text.startswith(">", position):
+            got = self._text[position : position + 20].split("\n")[0]
+            raise self._error(f"expected an attribute or > in <{tag[:40]}>, got {got!r}")
+        if len(self._open_tags) == MAX_DEPTH:
+            raise self._error(f"more than {MAX_DEPTH} elements in elements")
+        self.on_start(tag, attributes)
+        self._position = position + (2 if is_empty else 1)
+        if is_empty:
+            self._builder.end(tag)
+            return not self._open_tags
+        self._open_tags.append(tag)
+        return False
+
+    def _parse_end_tag(self) -> bool:
+        name = NAME_PATTERN.match(self._text, self._position + 2)
+        tag = "" if name is None else name[0]
+        expected = self._open_tags[-1] if self._open_tags else ""
+        if not expected or tag != expected:
+            wanted = f"expected </{expected[:40]}>" if expected else "expected an element"
+            raise self._error(f"{wanted}, got </{tag[:40]}>")
+        self._skip_past(">")
+        self._builder.end(tag)
+        self._open_tags.pop()
+        return not self._open_tags
+
+    def _error(self, reason: str) -> ValueError:
+        line = self._text.count("\n", 0, self._position) + 1
+        return ValueError(f"line {line}: {reason}")
+
+
+def _replace_entities(text: str) -> str:
+    """Replace references to characters; what looks like one and is none stays as it is."""
+    return ENTITY_PATTERN.sub(_character_of, text) if "&" in text else text
+
+
+def _character_of(entity: re.Match[str]) -> str:
+    decimal, hexadecimal, name = entity.groups()
+    if name:
+        return ENTITIES[name]
+    code = int(decimal) if decimal else int(hexadecimal, 16)
+    is_character = 0 < code < 0xD800 or 0xDFFF < code < 0x110000
+    return chr(code) if is_character else entity[0]
