@@ -33,7 +33,7 @@ OCCUPIED = 100
 # costs of a cell that isn't blocked
 MIN_COST = 1
 MAX_COST = 252
-LETHAL_COST = 253  # least cost of a blocked cell
+MIN_BLOCKED_COST = 253
 QUARTER_TURN = math.pi / 2
 # a yaw counts as whole quarter turns if a map's farthest corner moves by less [cells]
 QUARTER_TOLERANCE = 0.1
@@ -107,10 +107,13 @@ def compute_costmap_values(
 
 
 def _publish_costs(costs: NDArray[np.uint8]) -> OccupancyValues:
-    """Convert nav2's costs, 0 to 255, to the values of an OccupancyGrid that nav2 publishes."""
+    """Convert nav2's costs, 0 to 255, to the values that nav2 publishes for them.
+
+    Costs of 253 and more, which are those of blocked cells, all become 99.
+    """
     table = 1 + 97 * (np.arange(256) - 1) // 251
     table[0] = FREE
-    table[LETHAL_COST:] = INSCRIBED
+    table[MIN_BLOCKED_COST:] = INSCRIBED
     return table.astype(np.int8)[costs]
 
 

@@ -38,7 +38,7 @@ INFLATION_MODES = ("exact", "minos")
 CLEARANCE_COSTS = ("step", "nav2")
 LEDGE_RULES = ("avoid", "ignore")
 STEP_COST = 10.0  # least weight of cells within the clearance, with costs=``step``
-LETHAL_COST = 252.0  # nav2's highest cost of a cell that is not blocked
+MAX_FREE_COST = 252.0  # nav2's highest cost of a cell that is not blocked
 INSCRIBED_COST = 253  # nav2's cost of cells within the inscribed radius
 OCCUPIED_COST = 254  # nav2's cost of occupied cells
 NAV2_SCALING = 10.0  # [1/m], nav2's default in code
@@ -116,7 +116,7 @@ def inflate(
     """
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     if clearance is None:
-        distance_of_cost_1 = math.log(LETHAL_COST) / scaling  # where nav2's costs fall to 1
+        distance_of_cost_1 = math.log(MAX_FREE_COST) / scaling  # where nav2's costs fall to 1
         clearance = min(distance_of_cost_1, MAX_RADIUS) if costs == "nav2" else 0.0
     weights = []
     for number, level in enumerate(grid.levels):
@@ -131,7 +131,7 @@ def inflate(
             free_weights = np.where(is_freed, 1.0, free_weights)
         if costs == "nav2":
             level_costs = nav2_costs(grid, radius, radius + clearance, scaling, level=number)
-            free_weights = np.maximum(free_weights, np.clip(level_costs, 1.0, LETHAL_COST))
+            free_weights = np.maximum(free_weights, np.clip(level_costs, 1.0, MAX_FREE_COST))
         elif clearance > 0:
             in_clearance = find_blocked(grid, number, radius + clearance, ledges)
             free_weights = np.where(in_clearance, np.maximum(free_weights, STEP_COST), free_weights)
@@ -232,7 +232,7 @@ def nav2_costs(
     """
     cell = grid.levels[level].lattice.cell_size
     # at this distance, costs have fallen to 1
-    reach = min(inflation_radius, radius + math.log(LETHAL_COST) / scaling)
+    reach = min(inflation_radius, radius + math.log(MAX_FREE_COST) / scaling)
     # squared distances in cells are whole numbers: tabulate their costs
     squared_distances = measure_to_occupied(grid, level, reach)
     max_square = math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1
@@ -240,7 +240,7 @@ def nav2_costs(
     distance = np.sqrt(np.arange(last_square + 1)) * cell
     slack = DISTANCE_SLACK * cell
     decay = np.exp(-scaling * np.maximum(distance - radius, 0))
-    cost = np.floor(LETHAL_COST * decay + COST_SLACK)
+    cost = np.floor(MAX_FREE_COST * decay + COST_SLACK)
     cost = np.where(distance <= radius + slack, INSCRIBED_COST, cost)
     cost[distance > inflation_radius + slack] = 0
     cost[0] = OCCUPIED_COST

@@ -131,21 +131,23 @@ def block_near_holes(has_floor, is_checked, offsets, squared_lengths, least_shar
 def block_by_floors(
     stack, lowest, highest, offsets, higher_floors_block, lower_floors_block, blocked
 ):
-    """Update which cells are blocked, by the floors and levels around each cell.
+    """Update which cells are blocked, by the floors around each cell on all levels.
 
-    First, cells near another level's floor of about the same height are computed again. There, an
-    occupied cell of the agent's level doesn't count if another level has a floor over it at that
-    height. So cells may become free.
+    First, with several levels, the cells that are not occupied and are near another level's floor
+    of about their height are decided again. Such a cell is blocked if an agent there overlaps an
+    occupied cell of a level whose floor is about as high as the agent's. Where only other levels
+    have such a floor, the agent's own level doesn't count; where none has, only its own does. So
+    cells may become free.
 
     Then cells are blocked near floors that are more than a step higher, and near drops, unless a
-    slope leads there. A higher floor of another level counts only up to the height of an agent and
-    a slab. Offsets are tried only where the floors of whole patches differ enough.
+    slope leads there. A higher floor of another level blocks only if it is less than the agent's
+    height and a slab's thickness above. Patches whose floors differ little are skipped.
 
     Args:
         stack: `LevelStack`.
-        lowest: for each level and patch, the lowest floor in the patches that offsets lead to from
-            there, shape (levels, patch rows, patch columns).
-        highest: the highest floor there, of the same shape.
+        lowest: for each level and patch, the lowest floor in all patches that an offset can reach
+            from the patch [m], shape (levels, patch rows, patch columns).
+        highest: the highest floor in these patches [m], of the same shape.
         offsets: from an agent's cell to the cells that it overlaps, int64, shape (n, 2).
         higher_floors_block: whether floors more than a step higher block.
         lower_floors_block: whether drops block.

@@ -38,10 +38,11 @@ class RowCells(NamedTuple):
 
 @kernel
 def locate(layout, floors, level, positions):
-    """Find the cells that positions are in, on the level of the highest floor at or below each.
+    """Find the cell that each position is in.
 
-    A floor may be up to `max_step` above the position. If no level has such a floor, the cell
-    without a floor is taken whose level has the highest ground not above z + `max_step`.
+    With a level, it is that level's cell at x, y, whatever its floor. Otherwise, it is the cell
+    with the highest floor that is at most `max_step` above the position. If there is none, the
+    levels without a floor there are compared by their ground in the same way.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.

@@ -105,7 +105,14 @@ class LevelCell(NamedTuple):
 
 
 class LevelArrays(NamedTuple):
-    """A level's floors [m], its free cells, and what to add to rows and columns of level 0."""
+    """A level's floors, and how to find a cell of level 0's lattice in them.
+
+    Attributes:
+        floor: Heights of the floors, (height, width) [m], NaN for none.
+        free: Whether each cell is free, (height, width).
+        row_shift: A row of level 0's lattice and this number add up to the row of this level.
+        col_shift: The same for columns.
+    """
 
     floor: Float
     free: Bool

@@ -169,8 +169,8 @@ class LevelSample:
 def has_cell_floors(level: SceneGrid2D) -> bool:
     """Return whether a level states floors of single cells, not just its ground.
 
-    Floors that all equal the ground don't count in inflated grids of other programs: the inflation
-    wrote them.
+    When `navbake.runtime.inflation` inflates a grid of another program that has no floors of
+    cells, it stores the ground as the floor of its free cells. Such floors don't count.
     """
     if not level.uses_cell_floors or level.navbake or "inflation" not in level.metadata:
         return level.uses_cell_floors
@@ -346,9 +346,11 @@ class CellNeighborhood:
         offsets = np.arange(-max_offset, max_offset + 1)
         distance = np.maximum(np.abs(offsets) - 0.5, 0.0) * cell_size
         overlaps = np.hypot(distance[:, None], distance) < radius * (1 - TOUCHING_SHARE)
-        for row, col in (np.argwhere(overlaps) - max_offset).tolist():
+        for row_offset, col_offset in (np.argwhere(overlaps) - max_offset).tolist():
             for target_level in range(len(self._lattices)):
-                yield self.cells_on_level(level_id, target_level, rows + row, cols + col)
+                yield self.cells_on_level(
+                    level_id, target_level, rows + row_offset, cols + col_offset
+                )
 
     def cells_on_level(
         self, source_level: int, target_level: int, rows: Int, cols: Int

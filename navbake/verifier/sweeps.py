@@ -42,9 +42,10 @@ class PathStretch(NamedTuple):
     Attributes:
         begin: World x and y of its begin, (2,) [m].
         end: World x and y of its end, (2,) [m].
-        floor: The height of its floor [m].
-        lowest_floor: The lowest floor under the cylinder that is within a step [m].
-        highest_floor: The highest floor under the cylinder that is within a step [m].
+        floor: The height of the floor that the path runs over [m].
+        lowest_floor: The lowest floor under the swept cylinder, of those at most a step from
+            `floor` [m].
+        highest_floor: The highest of these floors [m].
         level_id: The index of its level.
     """
 

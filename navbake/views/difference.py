@@ -181,9 +181,9 @@ def describe_extent(name: str, lattice: Lattice) -> Json:
         lattice: the lattice of the map's cells.
 
     Returns:
-        JSON with the name, the size in cells, the cells' size [m], and world x and y of the upper
-        left corner [m]. A page shows each ``every``-th row and column, so that it shows at most
-        `MAX_PAGE_CELLS` cells.
+        JSON with ``name``; ``width`` and ``height`` in cells; ``cellSize`` [m]; ``xMin`` and
+        ``yMax``, world x and y of the upper left corner [m]; and ``every``: a page shows each
+        ``every``-th row and column, so that it shows at most `MAX_PAGE_CELLS` cells.
     """
     every = 1
     while -(-lattice.height // every) * -(-lattice.width // every) > MAX_PAGE_CELLS:

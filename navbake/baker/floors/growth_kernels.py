@@ -78,28 +78,29 @@ def _is_option(labelled, state, last, j, lowest, highest):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def start_growth(labelled, state, blocks, counts, columns, begin, end):
-    """Write where agents can stand in ``blocks[begin:end]``, and find where the floor can grow.
+    """Start the growth of a floor in ``blocks[begin:end]``: write it where agents can stand.
 
-    A floor can grow at a surface if
+    Cells without it, in which it can grow, are listed. A floor can grow at a surface if
 
     - the surface is on no level and belongs to no labelled region (such as a roof or the top of
       furniture);
-    - no surface of a labelled region lies less than a step above it;
+    - no surface of a labelled region, itself on no level, lies at most a step above it;
     - an agent fits between it and the levels above and below.
 
-    A kernel for `navbake.baker.core.blocks.list_rows`. It lists the cells with such surfaces.
+    A kernel for `navbake.baker.core.blocks.list_rows`; each row of its list is a cell.
 
     Args:
         labelled: a `LabelledSurfaces` with the regions at which no floor grows.
         state: a `GrowthState`, whose `floor`, `ring` and `option` are written.
         blocks: ids of blocks.
-        counts: receives how many rows each block has.
+        counts: receives how many cells are listed for each block.
         columns: one array that receives ids of cells, (n,) int64.
         begin: index in `blocks` of the first block.
         end: index past the last one.
 
     Returns:
-        The index in `blocks` of the first block whose rows had no room; `end` if all had room.
+        The index in `blocks` of the first block whose cells didn't fit in `columns`; `end` if all
+        did.
     """
     (cells,) = columns
     num = 0

@@ -138,22 +138,22 @@ def _nearest_on_segment(a, b, keep, v):
     abx = b[0] - a[0]
     aby = b[1] - a[1]
     abz = b[2] - a[2]
-    length = abx * abx + aby * aby + abz * abz
+    squared_length = abx * abx + aby * aby + abz * abz
     t = -(a[0] * abx + a[1] * aby + a[2] * abz)
-    if t <= 0.0 or length == 0.0:
+    if t <= 0.0 or squared_length == 0.0:
         v[0] = a[0]
         v[1] = a[1]
         v[2] = a[2]
         keep[0] = True
         keep[1] = False
-    elif t >= length:
+    elif t >= squared_length:
         v[0] = b[0]
         v[1] = b[1]
         v[2] = b[2]
         keep[0] = False
         keep[1] = True
     else:
-        t /= length
+        t /= squared_length
         v[0] = a[0] + t * abx
         v[1] = a[1] + t * aby
         v[2] = a[2] + t * abz

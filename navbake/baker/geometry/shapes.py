@@ -182,7 +182,9 @@ class Shapes:
         self.meshes.__dict__.pop("expanded", None)
 
     def facets_in_batches(self) -> Iterator[Facets]:
-        """Yield all triangles in batches of few geoms, or at once if they are expanded already."""
+        """Yield all triangles: in batches of whole geoms with about `TRIANGLES_PER_BATCH`
+        triangles, or at once if they are expanded already.
+        """
         if "expanded" in self.meshes.__dict__:
             yield self.triangles
             return

@@ -26,40 +26,44 @@ NO_ROWS = np.empty((0, 0), dtype=np.int32)  # `squared` in the first call of `sw
 
 # ------------------------------------------------------------ directions of walls
 
-# Directions are taken from the walls' geometry, at points about so far apart [m], …
+# If walls have geometry, their directions are taken from points on it, about so far apart [m]
 POINT_SPACING = 0.1
-# … which are counted in bins of angles [°] and on lines of this width [m]: geometry is exact
+# Points on geometry are exact: they are counted in bins of angles of this size [°], and on lines of
+# this width [m]
 GEOMETRY_ANGLE_BIN = 1.0
 GEOMETRY_LINE_WIDTH = 0.01
-# … if this share of the points lies on walls with a direction
+# Directions from geometry are used if at least this share of the points lies on walls with one
 MIN_EXPLAINED_SHARE = 0.5
-# Else they are taken from the cells: from the slope of the distance to closed cells, this far from
-# walls [m], …
+# If they aren't, directions are taken from the cells: from the slope of the distance to the nearest
+# closed cell, at this distance from walls [m]
 SLOPE_DISTANCE = 0.3
-# … and at least so far, as the lattice's steps disturb what is nearer to a wall [cells]
-MIN_SLOPE_CELLS = 5
-# … with these bins of angles [°] and widths of lines [cells]
+# The slope is measured at least this far from walls, as the lattice's steps disturb what is nearer
+# [cells]
+MIN_SLOPE_DISTANCE = 5
+# Points on slopes are counted in bins of angles of this size [°], and on lines of this width
+# [cells]
 CELL_ANGLE_BIN = 5.0
 CELL_LINE_WIDTH = 0.5
-# Where the change of the distance over four cells is below this, two walls are about as near:
-# across a single one it is 4 [cells]
-MIN_SLOPE = 3.2
-# Each direction needs walls of this length [m], and this share of all points
+# The least change of the distance over four cells at which one wall is the nearest: beside a single
+# wall it is 4; where two walls are about as near, it is less [cells]
+MIN_DISTANCE_CHANGE = 3.2
+# A direction counts if walls along it have this length in all [m], and this share of all points
 MIN_WALL_LENGTH = 1.2
 MIN_POINT_SHARE = 0.01
-# Points count as a wall's where this length of it lies on one line [m]
+# The points on a line are those of a wall if they cover at least this length of it [m]
 MIN_LENGTH_ON_LINE = 0.8
-# A direction that is not one of the whole building is searched this near to its walls [m]
+# A direction that is not one of the whole building is used only this near to its own walls [m]
 NEAR_WALL_DISTANCE = 1.5
-# A direction is refined in these steps [bins], by about so many points
+# A direction is refined in steps of this size [bins of angles], with about so many points
 REFINEMENT_STEP = 0.05
 NUM_REFINEMENT_POINTS = 2000
-# An axis of the lattice is taken if it is as sharp as this share of the sharpest angle
-MIN_AXIS_SHARPNESS = 0.9
+# An axis of the lattice is taken as a direction if the points project onto lines across it as
+# sharply as this share of the sharpest projection of all angles
+MIN_AXIS_SHARPNESS_SHARE = 0.9
 # A direction is one of the whole building if it is the first one, or parallel or at right angles to
-# it within this [°]
+# the first one, within this tolerance [°]
 RIGHT_ANGLE_TOLERANCE = 1.0
-# Cells beside the lattice in which slopes at its edge are measured
+# The lattice is padded by so many cells, in which slopes at its edge are measured
 EDGE_PADDING = 2
 
 # ------------------------------------------------------------ rays to walls
@@ -286,7 +290,7 @@ def _mark_near(position: Float, shape: tuple[int, ...], cell_size: float) -> Boo
 
 def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
     """Find points on walls by the slope of the distance to closed cells, at cells off the walls."""
-    reach = max(MIN_SLOPE_CELLS, round(SLOPE_DISTANCE / cell_size))
+    reach = max(MIN_SLOPE_DISTANCE, round(SLOPE_DISTANCE / cell_size))
     # the edge of the lattice is no wall: what is at it goes on beyond it
     closed = np.pad(~open_cells, EDGE_PADDING, mode="edge")
     squared = squared_distances(closed, reach + 2)
@@ -301,7 +305,7 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
     down = below - above
     right = after - before
     # a wall runs across the slope; where two walls are as near, there is less of one
-    is_clear = np.hypot(down, right) > MIN_SLOPE
+    is_clear = np.hypot(down, right) > MIN_DISTANCE_CHANGE
     cells = cells[is_clear]
     distance = distance[is_clear]
     down = down[is_clear]
@@ -364,7 +368,7 @@ def _refine_angle(position: Float, bin_number: int, angle_bin: float, line_width
             # the squares of the sums of two lines next to each other; whole numbers, so exact
             sharpness[k] = max(sharpness[k], count @ count + count[1:] @ count[:-1])
     is_axis = angles % 90.0 == 0.0
-    if (sharpness[is_axis] >= MIN_AXIS_SHARPNESS * sharpness.max()).any():
+    if (sharpness[is_axis] >= MIN_AXIS_SHARPNESS_SHARE * sharpness.max()).any():
         return float(angles[is_axis][0])
     return float(angles[sharpness.argmax()])
 

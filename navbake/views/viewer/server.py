@@ -153,8 +153,10 @@ class PageServer(AbstractContextManager["PageServer"]):
     def is_allowed(self, headers: Message) -> bool:
         """Return whether a request may be answered.
 
-        Its header Host must be the page's own address; this prevents DNS rebinding. Its header
-        Origin, if it has one, must be a page at that address, or one of the allowed origins.
+        Its header Host must be the page's own address, or the host of an allowed origin; if the
+        page listens at all addresses, any numeric address with its port is its own. This prevents
+        DNS rebinding. Its header Origin, if it has one, must be a page at that address, or one of
+        the allowed origins.
         """
         hosts = headers.get_all("Host", [])
         origins = headers.get_all("Origin", [])
