@@ -47,12 +47,12 @@ def level_rough_ground(
 ) -> Columns:
     """Replace the normals of steep facets on ground that is flat enough as a whole.
 
-    A facet steeper than the agent's slope, with the agent's headroom above it, receives the normal
-    of the plane that is fitted to the ground around it, if this plane keeps the slope and each
-    sample of the ground lies within a third of a step of it. The ground is sampled by rays around
-    the facet's line: of each, the highest surface that faces up within a step of the facet's
-    height. Samples outside of the lattice don't count. The result for a cell does not depend on
-    the columns of other cells.
+    A triangle steeper than the agent's slope, with the agent's headroom above it, receives the
+    normal of the plane that is fitted to the ground around it, if this plane keeps the slope and
+    each sample of the ground lies within a third of a step of it. The ground is sampled by rays
+    around the line: of each ray, the highest surface that faces up within a step of the triangle's
+    height. Samples outside of the lattice don't count. The result for a cell does not depend on the
+    columns of other cells.
 
     Args:
         columns: the columns.
@@ -62,7 +62,7 @@ def level_rough_ground(
             `columns.valid_rows`.
     """
     limits = agent_limits(agent)
-    cell, hit = _find_steep_facets(columns, limits, selected)
+    cell, hit = _find_steep_facets(columns, tiled, limits, selected)
     if not len(hit):
         return columns
     normal = columns.normal.copy()
@@ -75,15 +75,22 @@ def level_rough_ground(
 
 
 def _find_steep_facets(
-    columns: Columns, limits: AgentLimits, selected: Bool | None
+    columns: Columns, tiled: TiledShapes, limits: AgentLimits, selected: Bool | None
 ) -> tuple[Int, Int]:
-    """Find the hits that would be standable if they were less steep: their cells and indices."""
+    """Find the hits of triangles that would be standable if they were less steep.
+
+    Returns:
+        The cells of the hits, (n,), and the indices of the hits, (n,).
+    """
     first_cell, end_cell = columns.valid_rows.cell_range(columns.lattice)
     cells = np.arange(first_cell, end_cell)
     if selected is not None:
         cells = np.flatnonzero(selected)
     up = columns.normal[:, 2]
     is_steep = (up > 0.0) & (up < limits.min_up)
+    has_facets = np.zeros(len(tiled.shapes.endless), dtype=np.bool_)
+    has_facets[tiled.shapes.meshes.geom] = True
+    is_steep &= has_facets[columns.geom]
     if not is_steep.any():
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     column, hit = expand_ranges(columns.start[cells], columns.start[cells + 1])
