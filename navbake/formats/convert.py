@@ -225,6 +225,13 @@ GRID_FORMATS = (
         loses=("agents", "doors"),
     ),
     FileFormat(
+        name="gml",
+        endings=(".gml",),
+        meaning="the same in GraphML's older sibling",
+        encode="graphs:encode_gml",
+        loses=("agents", "doors"),
+    ),
+    FileFormat(
         name="graph",
         endings=(".graph.npz",),
         meaning="free cells and the steps between them as a sparse matrix, for scipy",
@@ -263,6 +270,13 @@ ROUTE_FORMATS = (
         meaning="networkx, Gephi, yEd",
         encode="route_files:encode_graphml",
         read="route_files:read_graphml",
+    ),
+    FileFormat(
+        name="gml",
+        endings=(".gml",),
+        meaning="networkx, Gephi, yEd, in GraphML's older sibling",
+        encode="route_files:encode_gml",
+        read="route_files:read_gml",
     ),
 )
 """Formats of graphs of routes."""

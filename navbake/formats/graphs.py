@@ -598,17 +598,34 @@ def encode_graphml(grid: NavGrid, path: Path) -> Files:
     Raises:
         MissingDependencyError: networkx is not installed.
     """
-    room_graph = make_room_graph(grid).to_networkx()
-    # networkx writes the keys of edges as their ids, and counts them anew for each two rooms
-    with_edge_ids = room_graph.__class__()
-    with_edge_ids.add_nodes_from(room_graph.nodes(data=True))
-    for number, (first_room, second_room, attributes) in enumerate(room_graph.edges(data=True)):
-        with_edge_ids.add_edge(first_room, second_room, key=number, **attributes)
-    return {path: encode_networkx(with_edge_ids)}
+    return {path: encode_networkx(_number_edges(make_room_graph(grid).to_networkx()))}
 
 
-def encode_networkx(graph: networkx.Graph[Any]) -> bytes:
-    """Encode a graph of networkx as GraphML; characters that XML can't hold are replaced."""
+def encode_gml(grid: NavGrid, path: Path) -> Files:
+    """Encode a grid's rooms as GML; otherwise as `encode_graphml`."""
+    room_graph = _number_edges(make_room_graph(grid).to_networkx())
+    return {path: encode_networkx(room_graph, as_gml=True)}
+
+
+def _number_edges(graph: networkx.MultiGraph[Any]) -> networkx.MultiGraph[Any]:
+    """Return a copy whose edges have different keys; networkx counts anew for each two nodes.
+
+    In files, the keys of edges are their ids.
+    """
+    numbered = graph.__class__()
+    numbered.add_nodes_from(graph.nodes(data=True))
+    for number, (first, second, attributes) in enumerate(graph.edges(data=True)):
+        numbered.add_edge(first, second, key=number, **attributes)
+    return numbered
+
+
+def encode_networkx(graph: networkx.Graph[Any], *, as_gml: bool = False) -> bytes:
+    """Encode a graph of networkx as GraphML; characters that XML can't hold are replaced.
+
+    Args:
+        graph: the graph.
+        as_gml: whether to write GML instead.
+    """
     networkx_module = import_extra("networkx")
 
     def replace_characters(value: object) -> object:
@@ -624,6 +641,9 @@ def encode_networkx(graph: networkx.Graph[Any]) -> bytes:
         replaced = {key: replace_characters(value) for key, value in attributes.items()}
         attributes.update(replaced)
     file = io.BytesIO()
+    if as_gml:
+        networkx_module.write_gml(clean_graph, file)
+        return file.getvalue()
     # this writer needs the standard library alone, so all machines write the same bytes
     networkx_module.write_graphml_xml(clean_graph, file)
     return file.getvalue() + b"\n"

@@ -4,8 +4,9 @@ The world's origin is in the middle of the image. Columns run along x, rows alon
 has the lowest y. ``floor_trav_0.png`` is 255 where a robot's centre may be on floor 0. Of each
 pixel, ``floor_insseg_0.png`` has the number of the room, and ``floor_semseg_0.png`` the number of
 the room's category: its line in ``room_categories.txt``, from 1. Both are 0 outside of rooms.
-OmniGibson has room maps of floor 0 only. In files that navbake writes, a text chunk of the PNG also
-states the grid's cells, which navbake reads back.
+OmniGibson has room maps of floor 0 only. Beside a map of another name, such as ``house_0.png``,
+they bear that name: ``house_insseg_0.png``. In files that navbake writes, a text chunk of the PNG
+also states the grid's cells, which navbake reads back.
 
 Sources: ``map_base.py``, ``traversable_map.py`` and ``segmentation_map.py`` of OmniGibson.
 """
@@ -18,7 +19,7 @@ import re
 from collections import Counter
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import orjson
@@ -38,12 +39,39 @@ MAX_ROOMS = 255  # largest number in a byte
 PIXEL_SIZE = 0.01  # edge of a pixel [m]
 # a pixel counts as smaller by this on each side, because cells' edges are rounded [m]
 PIXEL_MARGIN = 1e-7
-ROOMS_FILE = "floor_insseg_0.png"
-CATEGORIES_FILE = "floor_semseg_0.png"
-CATEGORY_NAMES_FILE = "room_categories.txt"
+OMNIGIBSON_HEAD = "floor_"  # of the names of OmniGibson's own maps
+MAP_WORD = re.compile(r"(.*_|)trav(_.*|)")  # what stands before and after it in a map's name
 DEFAULT_CATEGORY = "room"
 NO_OBJECTS = "no_obj"  # part of the name of a map without furniture
 TRAILING_NUMBER = re.compile(r"[\s_-]*\d*$")  # at the end of a room's name
+
+
+class RoomFiles(NamedTuple):
+    """The files of rooms beside a map of level 0."""
+
+    rooms: Path  #: Image of each pixel's room.
+    categories: Path  #: Image of each pixel's category.
+    category_names: Path  #: Text, a category a line.
+
+
+def name_room_files(folder: Path, stem: str) -> RoomFiles:
+    """Name the files of rooms of a map, after the map.
+
+    All maps of a scene in OmniGibson's dataset share them, with and without objects or doors:
+    ``floor_trav`` and ``floor_trav_no_obj`` have ``floor_insseg_0.png``.
+
+    Args:
+        folder: the folder of the map.
+        stem: the map's name without the number of the level and the ending.
+    """
+    match = MAP_WORD.fullmatch(stem)
+    head = match[1] if match else f"{stem}_"
+    names_head = "" if head == OMNIGIBSON_HEAD else head
+    return RoomFiles(
+        folder / f"{head}insseg_0.png",
+        folder / f"{head}semseg_0.png",
+        folder / f"{names_head}room_categories.txt",
+    )
 
 
 def encode_omnigibson(
@@ -58,7 +86,8 @@ def encode_omnigibson(
         grid: the grid.
         path: the file, which ends in ``.png``; the level's number is added: ``floor_trav_0.png``.
             Room maps are not written if the name contains ``no_obj``, which marks a map without
-            furniture.
+            furniture. Otherwise they are written for a level without rooms, too, so that those of
+            an earlier grid don't stay.
         level: the number of the only level to write, None for all.
         categories: the ``room_categories.txt`` of OmniGibson's dataset, which has to have all
             rooms' categories. If None, a list of these rooms' categories is written.
@@ -101,8 +130,9 @@ def encode_omnigibson(
         pixels = np.where(free, np.uint8(255), np.uint8(0))
         map_path = path.with_name(f"{path.stem}_{number}{path.suffix}")
         files[map_path] = encode_image(pixels, "PNG", navbake=text)
-        if number == 0 and NO_OBJECTS not in path.stem and scene.room_index.any():
-            files |= _encode_room_maps(grid, path.parent, half_size, categories)
+        if number == 0 and NO_OBJECTS not in path.stem:
+            room_files = name_room_files(path.parent, path.stem)
+            files |= _encode_room_maps(grid, room_files, half_size, categories)
     return files
 
 
@@ -129,7 +159,7 @@ def _sample_pixels(
 
 
 def _encode_room_maps(
-    grid: NavGrid, folder: Path, half_size: int, categories: Path | None
+    grid: NavGrid, room_files: RoomFiles, half_size: int, categories: Path | None
 ) -> Files:
     """Encode the room maps of level 0, and a list of categories if no file of them is given."""
     level = grid.levels[0]
@@ -143,9 +173,7 @@ def _encode_room_maps(
     files: Files = {}
     if categories is None:
         category_names = sorted({*category_of_room.values(), DEFAULT_CATEGORY})
-        files[folder / CATEGORY_NAMES_FILE] = "".join(
-            f"{name}\n" for name in category_names
-        ).encode()
+        files[room_files.category_names] = "".join(f"{name}\n" for name in category_names).encode()
     else:
         category_names = _read_lines(categories)
         for index, category in category_of_room.items():
@@ -165,9 +193,9 @@ def _encode_room_maps(
         limit = f"a map of OmniGibson numbers categories up to {MAX_ROOMS}"
         raise FormatError(f"{limit}, the last of level 0 has the number {category_numbers.max()}")
     room_pixels = _sample_pixels(level.room_index, level.lattice, half_size)
-    files[folder / ROOMS_FILE] = encode_image(room_pixels.astype(np.uint8), "PNG")
+    files[room_files.rooms] = encode_image(room_pixels.astype(np.uint8), "PNG")
     category_pixels = category_numbers[room_pixels].astype(np.uint8)
-    files[folder / CATEGORIES_FILE] = encode_image(category_pixels, "PNG")
+    files[room_files.categories] = encode_image(category_pixels, "PNG")
     return files
 
 
@@ -182,8 +210,9 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
 
     Cells are the pixels of 0.01 m; for a map that navbake wrote, they are the cells of the written
     grid. All have a flat floor, at z = 0 unless navbake wrote the map. Rooms are numbered as in
-    ``floor_insseg_0.png``, which is read beside a map whose name ends in ``_0``; with
-    ``room_categories.txt``, they are named as OmniGibson names them, ``bedroom_0``.
+    ``floor_insseg_0.png``, which is read beside a map whose name ends in ``_0``, see
+    `name_room_files`; with ``room_categories.txt``, they are named as OmniGibson names them:
+    ``bedroom_0``.
 
     Args:
         path: the map.
@@ -224,19 +253,37 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
     free = np.asarray(image.convert("L"))[pixel_of_cell] == 255
     rooms = np.zeros(free.shape, dtype=np.uint16)
     names = dict[int, str]()
-    if list_room_maps(Path(path)):
-        room_pixels, names = _read_room_maps(Path(path).parent, size)
+    room_files = _find_room_files(Path(path))
+    if room_files is not None:
+        room_pixels, names = _read_room_maps(room_files, size)
         rooms = room_pixels[pixel_of_cell].astype(np.uint16)
     return level_from_rooms(free, rooms, names, lattice, ground, readable_stem(path))
 
 
 def list_room_maps(path: Path) -> list[Path]:
     """List the existing files of rooms and categories that `read_omnigibson` reads with a map."""
-    rooms_path = path.with_name(ROOMS_FILE)
-    if not path.stem.endswith("_0") or not rooms_path.exists():
+    room_files = _find_room_files(path)
+    if room_files is None:
         return []
-    candidates = [rooms_path, path.with_name(CATEGORIES_FILE), path.with_name(CATEGORY_NAMES_FILE)]
-    return [candidate for candidate in candidates if candidate.exists()]
+    return [candidate for candidate in room_files if candidate.exists()]
+
+
+def _find_room_files(path: Path) -> RoomFiles | None:
+    """Return the files of rooms that belong to a map; None for a map of another level, or without.
+
+    Earlier versions of navbake gave OmniGibson's names to the rooms of each map.
+    """
+    stem = path.stem.removesuffix("_0")
+    if stem == path.stem:
+        return None
+    for candidate_stem in (stem, f"{OMNIGIBSON_HEAD}trav"):
+        room_files = name_room_files(path.parent, candidate_stem)
+        if room_files.rooms.exists():
+            if not room_files.category_names.exists():  # a list for the whole folder
+                names_path = path.with_name("room_categories.txt")
+                return room_files._replace(category_names=names_path)
+            return room_files
+    return None
 
 
 def _parse_cells(text: str, path: str | PathLike[str]) -> tuple[Lattice, float]:
@@ -263,22 +310,22 @@ def _parse_cells(text: str, path: str | PathLike[str]) -> tuple[Lattice, float]:
     return lattice, ground
 
 
-def _read_room_maps(folder: Path, size: int) -> tuple[NDArray[np.uint8], dict[int, str]]:
+def _read_room_maps(room_files: RoomFiles, size: int) -> tuple[NDArray[np.uint8], dict[int, str]]:
     """Read the room number of each pixel, and the names that OmniGibson gives the rooms.
 
     A name is the room's category (that of its first pixel) with a number: the rooms of a category
     are counted from 0.
 
     Args:
-        folder: the folder of the maps.
+        room_files: the files.
         size: the edge of each image [pixels].
 
     Returns:
         The image of room numbers, and number of a room -> its name.
     """
-    rooms = _read_room_map(folder / ROOMS_FILE, size)
-    categories = _read_room_map(folder / CATEGORIES_FILE, size)
-    names_path = folder / CATEGORY_NAMES_FILE
+    rooms = _read_room_map(room_files.rooms, size)
+    categories = _read_room_map(room_files.categories, size)
+    names_path = room_files.category_names
     category_names = _read_lines(names_path) if names_path.exists() else []
     names = dict[int, str]()
     counts = Counter[str]()

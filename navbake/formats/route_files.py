@@ -15,7 +15,8 @@
   those of a lift on several levels. ``lifts`` has the cars, ``doors`` the ends of doors. Lanes
   between levels and over lifts stand in ``navbake.lanes``, and nodes on the floor of a car in
   ``navbake.nodes``, which Open-RMF ignores.
-- ``graphml``: a directed graph, written by networkx, with an edge for each direction of a lane.
+- ``graphml``, ``gml``: a directed graph, written by networkx, with an edge for each direction of a
+  lane.
 
 The key ``navbake`` holds what a format has no place for.
 
@@ -34,7 +35,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import orjson
 
@@ -73,6 +74,9 @@ from navbake.routes.lift_cars import (
 )
 from navbake.types import Json
 from navbake.yaml_text import encode_yaml
+
+if TYPE_CHECKING:
+    import networkx
 
 LOG = logging.getLogger(__name__)
 
@@ -743,12 +747,22 @@ def _check_rows(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any
     return triples
 
 
-# ---------------------------------------------------------------- GraphML
+# ---------------------------------------------------------------- GraphML and GML
 
 
 def encode_graphml(graph: RouteGraph) -> bytes:
     """Encode a graph as GraphML by networkx: nodes by name, with ``x``, ``y``, ``z`` [m]."""
-    nx_graph = source.import_extra("networkx").MultiDiGraph()
+    return encode_networkx(_to_networkx(graph))
+
+
+def encode_gml(graph: RouteGraph) -> bytes:
+    """Encode a graph as GML by networkx, with the attributes of `encode_graphml`."""
+    return encode_networkx(_to_networkx(graph), as_gml=True)
+
+
+def _to_networkx(graph: RouteGraph) -> networkx.MultiDiGraph[str]:
+    """Convert a graph to networkx, with an edge for each direction of a lane."""
+    nx_graph: networkx.MultiDiGraph[str] = source.import_extra("networkx").MultiDiGraph()
     graph_entry = to_entry(graph)
     for name in ("level_names", *TABLES):  # attributes of GraphML are no lists
         if name in graph_entry:
@@ -763,20 +777,53 @@ def encode_graphml(graph: RouteGraph) -> bytes:
         end = graph.nodes[lane.end].name
         fields = to_entry(lane, "start", "end", "two_way")
         nx_graph.add_edge(start, end, number=number, **fields)
-    return encode_networkx(nx_graph)
+    return nx_graph
 
 
 def read_graphml(path: str | PathLike[str]) -> RouteGraph:
-    """Read a graph from GraphML; its nodes must have ``x`` and ``y``."""
-    networkx = source.import_extra("networkx")
+    """Read a graph from GraphML; its nodes must have ``x`` and ``y`` [m]."""
+    networkx_module = source.import_extra("networkx")
     data, name = source.read_bytes(path)
     try:
-        nx_graph = networkx.read_graphml(io.BytesIO(data), force_multigraph=True)
+        nx_graph = networkx_module.read_graphml(io.BytesIO(data), force_multigraph=True)
     except Exception as error:  # networkx and expat raise many types
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise FormatError(
-            f"expected GraphML, {source.format_path(name)} can't be read: {reason}"
-        ) from error
+        raise _unreadable("GraphML", name, error) from error
+    return _from_networkx(nx_graph, name)
+
+
+def read_gml(path: str | PathLike[str]) -> RouteGraph:
+    """Read a graph from GML.
+
+    Its nodes must have ``x`` and ``y`` [m], or ``graphics`` with these, as yEd and Gephi write
+    them. Nodes are named by their labels, or by their ids if a label is missing or stands twice.
+    """
+    networkx_module = source.import_extra("networkx")
+    data, name = source.read_bytes(path)
+    nx_graph: networkx.Graph[object]
+    try:
+        try:
+            nx_graph = networkx_module.read_gml(io.BytesIO(data), label="label")
+        except networkx_module.NetworkXError as error:
+            if "label" not in str(error):
+                raise
+            nx_graph = networkx_module.read_gml(io.BytesIO(data), label="id")
+    except Exception as error:  # networkx raises many types
+        raise _unreadable("GML", name, error) from error
+    for _, entry in nx_graph.nodes(data=True):
+        graphics = entry.get("graphics")
+        if isinstance(graphics, dict):
+            entry.update({key: graphics[key] for key in "xyz" if key in graphics} | entry)
+    return _from_networkx(nx_graph, name)
+
+
+def _unreadable(what: str, name: str, error: Exception) -> FormatError:
+    """Make the error for a file that networkx can't read."""
+    reason = " ".join(str(error).split())[:200] or type(error).__name__
+    return FormatError(f"expected {what}, {source.format_path(name)} can't be read: {reason}")
+
+
+def _from_networkx(nx_graph: networkx.Graph[Any], name: str) -> RouteGraph:
+    """Make a graph of one of networkx; ``name`` is the file's, for errors."""
     reader = _GraphReader(name)
     for node, entry in nx_graph.nodes(data=True):
         position = [entry.get("x"), entry.get("y"), entry.get("z", 0.0)]

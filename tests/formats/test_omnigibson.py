@@ -157,13 +157,50 @@ def test_categories_are_those_of_the_data_set(tmp_path):
     names = sorted({room.name.lower().replace(" ", "_") for room in grid.rooms})
     listed = tmp_path / "theirs.txt"
     listed.write_text("\n".join(["garage", *names]) + "\n")
-    grid.convert(tmp_path / "a.png", "omnigibson", categories=listed)
+    grid.convert(tmp_path / "floor_trav.png", "omnigibson", categories=listed)
     assert not (tmp_path / "room_categories.txt").exists()
     found = Rooms(tmp_path, listed).names
     assert {name.rsplit("_", 1)[0] for name in found.values()} == {*names}
     listed.write_text("\n".join(names[1:]))
     with pytest.raises(FormatError, match=rf"is a '{names[0]}', which .*theirs.txt doesn't have"):
         grid.convert(tmp_path / "a.png", "omnigibson", categories=listed)
+
+
+def test_room_maps_bear_the_name_of_their_map(tmp_path):
+    rooms, bare = sample("apartment"), level_from("...\n.#.", 0.1, 0.0, 0.0)
+    grids = {"house": rooms, "b_trav": rooms, "shed": bare, "floor_trav": bare}
+    for name, grid in grids.items():
+        grid.convert(tmp_path / f"{name}.png", "omnigibson")
+    heads = ("house_", "b_", "shed_", "floor_")
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *(f"{name}_0.png" for name in grids),
+        *(f"{head}{kind}_0.png" for head in heads for kind in ("insseg", "semseg")),
+        *(f"{head}room_categories.txt" for head in heads[:3]),
+        "room_categories.txt",
+    }
+    for name, grid in grids.items():
+        read = navbake.from_omnigibson(tmp_path / f"{name}_0.png")
+        np.testing.assert_array_equal(read.room_index, grid.levels[0].room_index)
+        assert bool(read.rooms) == (grid is rooms)
+
+
+def test_a_grid_without_rooms_leaves_none_of_an_earlier_one(tmp_path):
+    rooms, bare = sample("apartment"), level_from("...\n.#.", 0.1, 0.0, 0.0)
+    for name in ("floor_trav", "house"):
+        for grid, num_rooms in ((rooms, len(rooms.rooms)), (bare, 0)):
+            grid.convert(tmp_path / f"{name}.png", "omnigibson")
+            assert len(navbake.from_omnigibson(tmp_path / f"{name}_0.png").rooms) == num_rooms
+
+
+def test_variants_of_a_map_share_the_rooms_of_the_scene(tmp_path):
+    grid = sample("apartment")
+    for name in ("floor_trav", "floor_trav_no_obj", "floor_trav_no_door"):
+        grid.convert(tmp_path / f"{name}.png", "omnigibson")
+        assert len(navbake.from_omnigibson(tmp_path / f"{name}_0.png").rooms) == len(grid.rooms)
+    assert len(list(tmp_path.glob("*seg_0.png"))) == 2
+    # navbake up to 0.3 gave the rooms of any map these names
+    (tmp_path / "floor_trav_0.png").rename(tmp_path / "house_0.png")
+    assert len(navbake.from_omnigibson(tmp_path / "house_0.png").rooms) == len(grid.rooms)
 
 
 def test_a_map_without_objects_brings_no_rooms(tmp_path):

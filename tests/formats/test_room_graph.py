@@ -170,6 +170,16 @@ def test_graphml_is_one_kind_of_graph_whether_or_not_two_rooms_have_several_ways
     assert len({*keys}) == len(keys)
 
 
+def test_networkx_reads_gml(tmp_path):
+    grid = navbake.load(GOLDEN / "house.grid.json.gz")
+    (path,) = grid.convert(tmp_path / "rooms.gml")
+    read, graph = networkx.read_gml(path), grid.to_graph("rooms").to_networkx()
+    assert type(read) is networkx.MultiGraph
+    assert dict(read.nodes(data="name")) == dict(graph.nodes(data="name"))
+    doors = [sorted(door for *_, door in found.edges(data="door")) for found in (read, graph)]
+    assert doors[0] == doors[1]
+
+
 def test_graphml_holds_odd_names(tmp_path):
     level = rooms_of(["12"])
     names = ["<a & 'b' \"c\">", "客厅\x01\t\n"]

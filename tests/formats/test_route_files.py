@@ -369,6 +369,33 @@ def test_graphs_of_other_programs(tmp_path):
     assert graph.lanes == (Lane(0, 1, "p - q", 5.0, 5.0),)
 
 
+@pytest.mark.parametrize("directed", [True, False])
+def test_gml_of_other_programs(tmp_path, directed):
+    other = networkx.DiGraph() if directed else networkx.Graph()
+    other.add_node('Küche "1"', x=0.0, y=0)
+    other.add_node("q", graphics={"x": 3.0, "y": 4.0, "w": 30.0})
+    other.add_edge('Küche "1"', "q", weight=2)
+    networkx.write_gml(other, tmp_path / "a.gml")
+    graph = read_routes(tmp_path / "a.gml")
+    assert [node.name for node in graph.nodes] == ['Küche "1"', "q"]
+    assert graph.nodes[1].position == (3.0, 4.0, 0.0)
+    assert [(lane.length, lane.two_way) for lane in graph.lanes] == [(5.0, not directed)]
+    (tmp_path / "b.gml").write_text(
+        "graph [ directed 1 node [ id 7 x 1 y 2 ] node [ id 8 x 1 y 3 ] "
+        "edge [ source 7 target 8 ] ]"
+    )
+    assert [node.name for node in read_routes(tmp_path / "b.gml").nodes] == ["7", "8"]
+
+
+def test_gml_is_networkxs(tmp_path, house):
+    write_routes(house, tmp_path / "a.gml")
+    found = networkx.read_gml(tmp_path / "a.gml")
+    assert found.is_directed() and len(found) == len(house.nodes)
+    start, end = house.nodes[0].name, house.nodes[40].name
+    length = networkx.dijkstra_path_length(found, start, end, weight="cost")
+    assert length == pytest.approx(house.distances()[0, 40])
+
+
 def test_nodes_of_one_name_have_their_ids(tmp_path):
     nodes = [
         {"nodeId": key, "nodeName": name, "nodePosition": {"x": x, "y": 0}}
@@ -420,6 +447,11 @@ def changed(graph, **changes):
         ("a.graphml", "<x", "expected GraphML"),
         ("a.graphml", "<graphml><graph edgedefault='directed'><node id='a'/></graph></graphml>",
          "a finite number"),
+        ("a.gml", "graph [", "expected GML"),
+        ("a.gml", "", "expected GML"),
+        ("a.gml", "graph [ " * 3000, "expected GML"),
+        ("a.gml", "graph [ node [ id 1 label 1 ] ]", "a finite number"),
+        ("a.gml", "graph [ node [ id 1 label \"a\" graphics 3 ] ]", "a finite number"),
         ("a.txt", "", r"expected a name that ends as a format that is read does, \.geojson"),
         ("a.pgm", "", r"got \S+a\.pgm$"),
     ],

@@ -2,7 +2,8 @@
 
 Walls, floors with their holes, doors and lifts get the sizes that rmf_building_map_tools gives them
 for simulators: walls are 2.5 m high and 0.1 m thick, floors 0.1 m thick, doors 2.2 m high.
-Fiducials (points that several levels have in common) align the levels with each other. Furniture
+Fiducials (points that several levels have in common) align the levels with each other. Buildings in
+WGS84 are projected as the editor's tools do it. Furniture
 (`models`) has no geometry in the file and is left out. Of a lift, only the car is read, which moves
 between the floors; its doors are left out.
 
@@ -15,7 +16,7 @@ import math
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -50,7 +51,8 @@ CAR_HEIGHT = 2.5
 CAR_GAP = 0.05  # the free space between a lift's car and its shaft
 SLIDING_DOORS = ("sliding", "double_sliding", "telescopic", "double_telescopic")
 HINGED_DOORS = ("hinged", "double_hinged")
-GEOGRAPHIC_SYSTEMS = ("web_mercator", "wgs84")
+COORDINATE_SYSTEMS = ("reference_image", "cartesian_meters", "wgs84")
+KILOMETRE = 1000.0  # [m]
 
 
 class PlanTransform(NamedTuple):
@@ -63,6 +65,26 @@ class PlanTransform(NamedTuple):
 
     factor: complex
     shift: complex
+
+
+class Projection(NamedTuple):
+    """Maps longitude and latitude [degrees, WGS84] to the world.
+
+    Attributes:
+        transformer: pyproj's transformer, which returns easting and northing [m].
+        offset: easting and northing of the world's origin, as a complex number [m].
+    """
+
+    transformer: Any
+    offset: complex
+
+    def project(self, points: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Project points, longitude + i latitude, to x + iy [m]."""
+        easting, northing = self.transformer.transform(points.real, points.imag)
+        projected = np.asarray(easting) + 1j * np.asarray(northing) - self.offset
+        if not np.isfinite(projected).all():
+            raise SceneError("expected longitude and latitude [degrees] in the area of the CRS")
+        return projected
 
 
 class DoorLeaf(NamedTuple):
@@ -125,16 +147,74 @@ class _BuildingReader:
         self._parsed_scene = ParsedScene()
         self._levels: Json = content["levels"]
         system = content.get("coordinate_system", "reference_image")
-        if system in GEOGRAPHIC_SYSTEMS:
+        if system not in COORDINATE_SYSTEMS:
             raise SceneError(
-                f"{path} is in {system}: expected reference_image or cartesian_meters, which "
+                f"{path} is in {system}: expected {', '.join(COORDINATE_SYSTEMS)}, in which "
                 "traffic-editor saves as well"
             )
         self._is_image = system == "reference_image"
         self._reference_level = content.get("reference_level_name", next(iter(self._levels), ""))
+        self._projection = self._find_projection() if system == "wgs84" else None
         self._transforms = self._find_transforms()
 
     # ------------------------------------------------------------ places
+
+    def _find_projection(self) -> Projection:
+        """Find the projection of a building in WGS84: that of its parameter ``generate_crs``.
+
+        The world's origin is at the parameters ``suggested_offset_x`` and ``suggested_offset_y``,
+        as in simulations; without them, at the whole kilometre south-west of all vertices, with a
+        warning. Source: ``building.py`` and ``wgs84_transform.py`` of ``rmf_building_map_tools``.
+
+        Raises:
+            SceneError: the file states no CRS, or none in metres.
+            MissingDependencyError: pyproj is not installed.
+        """
+        parameters = self._content.get("parameters") or {}
+        with reading(f"`parameters` of {self._path}"):
+            values = {name: value[1] for name, value in parameters.items()}
+        crs_name = values.get("generate_crs")
+        if not crs_name:
+            raise SceneError(
+                f"{self._path} is in wgs84 without a projection: expected the parameter "
+                "`generate_crs`, such as generate_crs: [1, 'EPSG:32632'], got nothing"
+            )
+        pyproj = import_extra("pyproj", what="a building in wgs84")
+        try:
+            crs = pyproj.CRS.from_user_input(str(crs_name))
+            units = {axis.unit_name for axis in crs.axis_info}
+            if not crs.is_projected or units - {"metre", "meter"}:
+                raise ValueError("no projection in metres")
+            # easting first, whatever the order of axes of the CRS
+            transformer = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+        except (pyproj.exceptions.ProjError, ValueError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise SceneError(
+                f"expected a projection in metres as `generate_crs` of {self._path}, such as "
+                f"EPSG:32632, got {crs_name!r}: {reason}"
+            ) from error
+        offset_names = ("suggested_offset_x", "suggested_offset_y")
+        if any(name in values for name in offset_names):
+            with reading(f"`parameters` of {self._path}"):
+                x, y = (float(values.get(name, 0.0)) for name in offset_names)
+            return Projection(transformer, complex(x, y))
+        projection = Projection(transformer, 0j)
+        with reading(f"vertices of {self._path}"):
+            points = np.concatenate(
+                [np.zeros(0, np.complex128), *(self._points(level) for level in self._levels)]
+            )
+            projected = projection.project(points)
+        if not len(projected):
+            return projection
+        x, y = (
+            math.floor(float(values.min()) / KILOMETRE) * KILOMETRE
+            for values in (projected.real, projected.imag)
+        )
+        self._warn(
+            f"{self._path} has no suggested_offset_x and suggested_offset_y: the world's origin is "
+            f"at {x:.0f}, {y:.0f} m in {crs_name}"
+        )
+        return Projection(transformer, complex(x, y))
 
     def _find_transforms(self) -> dict[str, PlanTransform]:
         """For each level, by name: the transform from its plan to the world."""
@@ -207,7 +287,11 @@ class _BuildingReader:
     def _world_points(self, level: str) -> Float:
         """World x and y of a level's vertices [m], shape (n, 2)."""
         transform = self._transforms[level]
-        points = self._points(level) * transform.factor + transform.shift
+        points = self._points(level)
+        if self._projection is not None:
+            with reading(f"vertices of level {level!r} in {self._path}"):
+                points = self._projection.project(points)
+        points = points * transform.factor + transform.shift
         return np.stack([points.real, points.imag], axis=1)
 
     def _elevation(self, level: str) -> float:
@@ -334,7 +418,10 @@ class _BuildingReader:
     def _pose_of_lift(self, lift: Json, z: float) -> Float:
         transform = self._transforms[lift.get("reference_floor_name") or self._reference_level]
         y = -lift["y"] if self._is_image else lift["y"]
-        position = complex(lift["x"], y) * transform.factor + transform.shift
+        position = complex(lift["x"], y)
+        if self._projection is not None:
+            position = complex(self._projection.project(np.array([position]))[0])
+        position = position * transform.factor + transform.shift
         return make_pose((position.real, position.imag, z), float(lift["yaw"]))
 
     def _shaft_corners(self, lift: Json) -> Float:

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 import navbake
-from navbake.baker.readers.building import make_slab
+from navbake.baker.readers.building import make_slab, read_building
 from navbake.baker.scene.model import CompileLimits
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
@@ -167,7 +167,11 @@ def test_fiducials_lay_levels_over_each_other_in_any_pose(lab, write, baked):
     ("change", "named"),
     [
         (lambda lab: lab["levels"]["L1"].pop("measurements"), "level 'L1' .* has no measurement"),
-        (lambda lab: lab.update(coordinate_system="wgs84"), "in wgs84: expected reference_image"),
+        (lambda lab: lab.update(coordinate_system="web_mercator"), "web_mercator: expected ref"),
+        (
+            lambda lab: lab.update(coordinate_system="wgs84"),
+            "expected the parameter `generate_crs`",
+        ),
         (lambda lab: lab["levels"]["L1"]["walls"].append([0, 99, {}]), "index 99"),
         (lambda lab: lab.pop("levels"), "expected `levels`"),
         (lambda lab: lab["lifts"]["A"].update(initial_floor_name="L9"), "lift 'A' .*KeyError 'L9'"),
@@ -281,3 +285,48 @@ def test_doors_of_a_file_are_named_in_a_process_of_its_own(write):
     settings = SceneSettings(path=write(NARROW))
     names = load_alone(settings, limits=CompileLimits()).named_leaves
     assert names == load_alone(settings).named_leaves == {"wc", "screen"}
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:3414"])  # easting first, northing first
+@pytest.mark.parametrize("with_offset", [True, False])
+def test_a_building_in_wgs84_is_projected_as_the_editors_tools_do_it(tmp_path, crs, with_offset):
+    """In rmf_building_map_tools: wgs84_transform.py; building.py, parse_yaml: the parameters."""
+    pyproj = pytest.importorskip("pyproj")
+    corners = np.array([(0, 0), (6, 0), (6, 4), (0, 4)], dtype=float)
+    offset = np.array([500_123.0, 5_300_456.0] if crs == "EPSG:32632" else [28_001.5, 38_002.25])
+    to_degrees = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    shifted = corners + np.array([0.5, 0.25]) + offset
+    degrees = np.stack(to_degrees.transform(*shifted.T), axis=1).tolist()
+    middle = np.array([3.5, 2.25])
+    car = [float(v) for v in to_degrees.transform(*(offset + middle))]
+    level = {
+        "vertices": [[*point, 0, ""] for point in degrees],
+        "floors": [{"vertices": [0, 1, 2, 3], "parameters": {}}],
+        "walls": [[0, 1, {}], [1, 2, {}], [2, 3, {}], [3, 0, {}]],
+    }
+    lift = {"x": car[0], "y": car[1], "yaw": 0, "width": 1.5, "depth": 1.5,
+            "level_doors": {"L1": ["d"], "L2": ["d"]}, "doors": {}}  # fmt: skip
+    parameters = {"generate_crs": [1, crs]}
+    if with_offset:
+        parameters |= {"suggested_offset_x": [3, float(offset[0])],
+                       "suggested_offset_y": [3, float(offset[1])]}  # fmt: skip
+    content = {
+        "building_name": "geo", "coordinate_system": "wgs84", "parameters": parameters,
+        "levels": {"L1": {"elevation": 0, **level}, "L2": {"elevation": 3, **level}},
+        "lifts": {"A": lift},
+    }  # fmt: skip
+    path = tmp_path / "geo.building.yaml"
+    path.write_text(yaml.safe_dump(content))
+    parsed = read_building(path, SceneSettings(path=str(path)))
+    origin = offset if with_offset else np.floor(shifted.min(axis=0) / 1000) * 1000
+    wall = next(geom for geom in parsed.geoms if geom.name == "L1/wall_1")
+    np.testing.assert_allclose(wall.pose[:2, 3], offset + middle - (0, 2) - origin, atol=1e-6)
+    assert wall.size[0] == pytest.approx(3.05, abs=1e-6)
+    body = parsed.bodies["A"]
+    np.testing.assert_allclose(body.pose[:2, 3], offset + middle - origin, atol=1e-6)
+    assert len(parsed.warnings) == (not with_offset)
+    for wrong in ("EPSG:4326", "nonsense", "EPSG:2272"):  # degrees, nothing, feet
+        content["parameters"]["generate_crs"] = [1, wrong]
+        path.write_text(yaml.safe_dump(content))
+        with pytest.raises(SceneError, match="expected a projection in metres as `generate_crs`"):
+            read_building(path, SceneSettings(path=str(path)))
