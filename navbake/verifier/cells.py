@@ -7,7 +7,7 @@ level.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
@@ -19,7 +19,7 @@ from navbake.config.settings import BakeConfig, FloorSettings
 from navbake.navgrid.grid import GridBase
 from navbake.types import Bool, Float, Int, Vector3
 from navbake.verifier import report
-from navbake.verifier.obstacles import ENCLOSING, UNCLEAR, PlacedShape
+from navbake.verifier.obstacles import ENCLOSING, PlacedShape
 from navbake.verifier.probes import (
     CIRCLE_DIRECTIONS,
     DISPUTED,
@@ -31,6 +31,7 @@ from navbake.verifier.probes import (
     SurfaceHit,
 )
 from navbake.verifier.report import Finding, LevelCounts
+from navbake.verifier.ridges import RidgeProbe
 from navbake.verifier.sample import AgentSizes, CellPrisms, LevelSample, shift_between
 
 MAX_MEASURED_FINDINGS = 100  # findings of a kind whose depth or gap is measured
@@ -137,7 +138,7 @@ class FloorCheck:
     is mostly surrounded by walls (so it is a level), or has hardly a place to stand below it (so it
     is a ground). Any other region may be the top of furniture, a shelf or a roof, and is ignored. A
     region that no steps lead to is a fault only if the settings of the bake leave no floors out, or
-    if the grid has no floor at all.
+    if the grid has no floor at all. Ridges are no places to stand, see `RidgeProbe`.
 
     Rows and columns of cells refer to the lowest level's lattice. Cells may lie outside it.
 
@@ -177,11 +178,22 @@ class FloorCheck:
         self._line_at = lru_cache(200_000)(
             lambda row, col: probe.cast_line(*self._center(row, col))
         )
-        self._standable_at = lru_cache(200_000)(
+        self._all_standable_at = lru_cache(200_000)(
             lambda row, col: self._line_at(row, col).standable_hits(
                 agent.height, agent.min_normal_z
             )
         )
+        self._ridges = RidgeProbe(
+            probe, agent, self._lattice, self._line_at, self._all_standable_at
+        )
+        self._standable_at = lru_cache(200_000)(self._find_standable)
+
+    def _find_standable(self, row: int, col: int) -> list[SurfaceHit]:
+        """Return the surfaces to stand on in a cell, lowest first, that are on no ridges."""
+        hits = self._all_standable_at(row, col)
+        if self._settings.tops:
+            return hits
+        return [hit for hit in hits if not self._ridges.is_ridge(row, col, hit.z)]
 
     def check(self, sample: LevelSample, counts: LevelCounts) -> list[Finding]:
         """Check the floors of a level, and search for places to stand that no level has.
@@ -216,7 +228,8 @@ class FloorCheck:
                 row = int(sample.rows[cell]) + shift.rows
                 col = int(sample.cols[cell]) + shift.cols
                 for hit in standable:
-                    if not self._has_floor(row, col, hit.z):
+                    is_missing = not self._has_floor(row, col, hit.z)
+                    if is_missing and self._place_near(row, col, hit.z) is not None:
                         missing_places.append((row, col, hit.z))
                         findings += self._check_missing_place(row, col, (x, y, hit.z), sample, cell)
                 continue
@@ -627,16 +640,9 @@ class OccupancyCheck:
             apart[cell] = any(abs(hit.z - ground) <= self._agent.step for hit in standable)
             self.num_groundless += not apart[cell]
 
-        unclear = np.zeros_like(apart)
-        for crossing in self._find_crossings(sample, apart, volume[0], (UNCLEAR,)):
-            # by the even-odd rule, the cell lies inside of the nearly closed surface
-            unclear[crossing.cell] |= (crossing.num_exits + crossing.num_entries) % 2 == 1
-        apart &= ~unclear
-        num_unclear = int(unclear.sum())
         num_apart = int(apart.sum())
-        counts.disputed += num_unclear
         counts.blocked_apart += num_apart
-        counts.blocked_blocked += int((~sample.free).sum()) - num_unclear - num_apart
+        counts.blocked_blocked += int((~sample.free).sum()) - num_apart
         return [
             self._blocked_finding(sample, cell, volume) for cell in np.flatnonzero(apart).tolist()
         ]
@@ -700,7 +706,7 @@ class OccupancyCheck:
         """
         enclosing_obstacle = np.full(len(is_checked), -1)
         depth = np.zeros(len(is_checked), dtype=np.int64)
-        for crossing in self._find_crossings(sample, is_checked, prisms, ENCLOSING):
+        for crossing in self._find_crossings(sample, is_checked, prisms):
             depth[crossing.cell] += crossing.num_exits - crossing.num_entries
             if crossing.num_exits > crossing.num_entries:
                 enclosing_obstacle[crossing.cell] = crossing.obstacle
@@ -708,16 +714,16 @@ class OccupancyCheck:
         return enclosing_obstacle
 
     def _find_crossings(
-        self, sample: LevelSample, is_checked: Bool, prisms: CellPrisms, kinds: Collection[str]
+        self, sample: LevelSample, is_checked: Bool, prisms: CellPrisms
     ) -> Iterator[CellCrossing]:
-        """Cast a ray up from the middle of each checked cell's volume at obstacles of some kinds.
+        """Cast a ray up from the middle of each checked cell's volume at enclosing obstacles.
 
         Yields only cells whose middle lies in the obstacle's bounding box.
         """
         middle = (prisms.low + prisms.high) / 2
         points = CellPrisms(0.0, False, middle, middle)
         for obstacle, shape in enumerate(self._obstacles.shapes):
-            if shape.kind not in kinds:
+            if shape.kind not in ENCLOSING:
                 continue
             for cell in _find_cells_near(sample, is_checked, shape, points).tolist():
                 x, y = sample.centers[cell].tolist()

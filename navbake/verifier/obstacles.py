@@ -15,31 +15,30 @@ import fcl
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import QhullError
 
 from navbake.baker.scene.scene import Scene
 from navbake.errors import SceneError
 from navbake.lazy import lazy
-from navbake.types import Bool, Float, Int, Json
+from navbake.types import Float, Int, Json
+from navbake.verifier.mesh_parts import (
+    CAVITY,
+    OPEN_SURFACE,
+    SOLID,
+    ClassifiedPart,
+    split_mesh_parts,
+)
 
 trimesh = lazy("trimesh")
 
 GEOM = mujoco.mjtGeom
 
-# Kinds of shapes. The first three are whole geoms, the others are parts of meshes.
+# Kinds of shapes that are whole geoms; parts of meshes have the kinds of `mesh_parts`
 CONVEX = "convex"  # a solid or a hull
 HALF_SPACE = "half-space"  # an infinite plane, solid below
 HEIGHT_FIELD = "height field"
-OPEN_SURFACE = "open surface"  # encloses nothing
-SOLID = "solid"  # closed, its faces point outwards
-CAVITY = "cavity"  # closed, its faces point inwards
-UNCLEAR = "unclear"  # nearly closed: it may enclose something
 ENCLOSING = (HEIGHT_FIELD, SOLID, CAVITY)  # a column inside of these may not touch their surface
 
-MAX_OPEN_EDGES = 0.05  # share of open edges up to which a part of a mesh may be a flawed closed one
-MAX_SHEET_THICKNESS = 1e-6  # a closed part with at most this volume / area is a flat sheet [m]
 INFINITE_HALF_SIZE = 1e4  # stands for the infinite side of a plane whose other side is finite [m]
 MIN_NORMAL_Z = 1e-9  # least |z| of the unit normal of a face that a vertical line can cross
 SAME_DIRECTION_COSINE = 1 - 1e-12  # least cosine between directions that count as the same
@@ -140,18 +139,6 @@ class MeshArrays(NamedTuple):
     vertices: Float
     faces: Int
     hull_vertices: Float
-
-
-class ClassifiedPart(NamedTuple):
-    """A connected part of a mesh.
-
-    Attributes:
-        kind: `OPEN_SURFACE`, `SOLID`, `CAVITY` or `UNCLEAR`.
-        faces: The indices of the vertices of each of its triangles, (m, 3).
-    """
-
-    kind: str
-    faces: Int
 
 
 class Obstacles:
@@ -453,48 +440,6 @@ def _triangle_surface(vertices: Float, faces: Int) -> fcl.BVHModel:
     return surface
 
 
-def _find_inverted_faces(vertices: Float, faces: Int, edge: Int, direction: Int, part: Int) -> Bool:
-    """Return which triangles are wound against most of the area of their part.
-
-    A graph has two nodes for each triangle: as it is, and inverted. If exactly two triangles share
-    an edge, it connects the nodes in which both are wound the same way. So a triangle is wound like
-    the first triangle of its part if the nodes of both, as they are, are connected.
-
-    Args:
-        vertices: (n, 3) [m].
-        faces: The indices of each triangle's vertices, (m, 3).
-        edge: The id of the edge that begins at each corner, (3 m,).
-        direction: 1 where the triangle runs through that edge forwards, -1 for backwards, (3 m,).
-        part: The part of the mesh that each triangle belongs to, (m,).
-
-    Returns:
-        A mask of the triangles, (m,).
-    """
-    order = np.argsort(edge, kind="stable")
-    corner_pairs = np.stack([order[:-1], order[1:]])[:, np.diff(edge[order]) == 0]
-    is_shared_by_two = np.bincount(edge)[edge[corner_pairs[0]]] == 2
-    corner_pairs = corner_pairs[:, is_shared_by_two]
-    num_faces = len(faces)
-    first_face = corner_pairs[0] // 3
-    # neighbors that run through their edge in the same direction are wound differently
-    is_inverted = direction[corner_pairs[0]] == direction[corner_pairs[1]]
-    second_node = corner_pairs[1] // 3 + num_faces * is_inverted
-    num_nodes = 2 * num_faces
-    begin = np.concatenate([first_face, first_face + num_faces])
-    end = np.concatenate([second_node, (second_node + num_faces) % num_nodes])
-    graph = coo_array((np.ones(len(begin), np.int8), (begin, end)), (num_nodes, num_nodes))
-    component = connected_components(graph, directed=False)[1]
-
-    a = vertices[faces[:, 0]]
-    b = vertices[faces[:, 1]]
-    c = vertices[faces[:, 2]]
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    first_component = component[np.unique(part, return_index=True)[1]][part]
-    differs_from_first = component[:num_faces] != first_component
-    first_is_inverted = np.bincount(part, np.where(differs_from_first, area, -area)) > 0
-    return np.asarray(differs_from_first != first_is_inverted[part])
-
-
 def _drop_unused_vertices(vertices: Float, faces: Int) -> tuple[Float, Int]:
     """Return the vertices that faces use, and the faces with indices of these vertices."""
     used_vertices, corners = np.unique(faces, return_inverse=True)
@@ -519,86 +464,3 @@ def _mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> MeshArrays:
     first_id = graph_address + 2 + num_hull_vertices
     hull_ids = model.mesh_graph[first_id:][:num_hull_vertices]
     return MeshArrays(vertices, faces, vertices[hull_ids])
-
-
-def split_mesh_parts(vertices: Float, faces: Int) -> list[ClassifiedPart]:
-    """Split a mesh into its connected parts, and classify each by what it encloses.
-
-    Triangles that share an edge belong to one part. Vertices at the same position count as one
-    vertex, and triangles with two corners at one position are dropped. First, the triangles that
-    are wound against most of their part's area are inverted. Then a part is closed if triangles run
-    through each of its edges as often in one direction as in the other. A part that is not closed,
-    but has few open edges, is unclear.
-
-    Args:
-        vertices: (n, 3) [m].
-        faces: The indices of each triangle's vertices, (m, 3).
-
-    Returns:
-        The parts that enclose, or may enclose, a volume; then all open surfaces as one part, if
-        there is any.
-    """
-    _, point = np.unique(vertices, axis=0, return_inverse=True)
-    corner = point.reshape(-1)[faces]
-    has_area = (corner != np.roll(corner, 1, axis=1)).all(axis=1)
-    faces = faces[has_area]
-    corner = corner[has_area]
-    if not len(faces):
-        return []
-    first = corner.ravel()
-    second = np.roll(corner, -1, axis=1).ravel()
-    ends = np.sort(np.stack([first, second], axis=1), axis=1)
-    _, edge, faces_per_edge = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
-
-    # faces and edges are the nodes of one graph: faces with a common edge are connected
-    face = np.repeat(np.arange(len(faces)), 3)
-    num_nodes = len(faces) + len(faces_per_edge)
-    graph = coo_array(
-        (np.ones(len(face), np.int8), (face, len(faces) + edge)), (num_nodes, num_nodes)
-    )
-    num_parts, component = connected_components(graph, directed=False)
-    part = component[: len(faces)]
-    part_of_edge = component[len(faces) :]
-
-    direction = np.where(first < second, 1, -1)
-    if np.bincount(edge, direction).any():
-        has_open_edge = np.bincount(part_of_edge, faces_per_edge % 2, num_parts) > 0
-        inverted = _find_inverted_faces(vertices, faces, edge, direction, part)
-        inverted &= ~has_open_edge[part]
-        faces = np.where(inverted[:, None], faces[:, ::-1], faces)
-        direction = np.where(inverted[face], -direction, direction)
-    imbalance = np.bincount(edge, direction)
-    is_inconsistent = np.bincount(part_of_edge, imbalance != 0, num_parts) > 0
-    num_open_edges = np.bincount(part_of_edge, faces_per_edge % 2, num_parts)
-    num_edges = np.bincount(part_of_edge)
-
-    # volume as seen from the first corner of each part [m³], and area [m²]
-    first_faces = np.unique(part, return_index=True)[1]
-    origin = vertices[faces[first_faces, 0]][part]
-    a = vertices[faces[:, 0]] - origin
-    b = vertices[faces[:, 1]] - origin
-    c = vertices[faces[:, 2]] - origin
-    cross = np.cross(b - a, c - a)
-    volume = np.bincount(part, (a * cross).sum(axis=1)) / 6
-    area = np.bincount(part, np.linalg.norm(cross, axis=1)) / 2
-
-    kinds = np.where(volume > 0, SOLID, CAVITY).astype(object)
-    # a nearly closed part, with a stray triangle or a membrane, may enclose something
-    kinds[is_inconsistent | (num_open_edges > 0)] = UNCLEAR
-    is_flat = np.abs(volume) <= MAX_SHEET_THICKNESS * area
-    is_open = num_open_edges > MAX_OPEN_EDGES * num_edges
-    kinds[is_open | (is_flat & ~is_inconsistent)] = OPEN_SURFACE
-
-    by_part = np.argsort(part, kind="stable")
-    faces_of_parts = np.split(faces[by_part], np.cumsum(np.bincount(part))[:-1])
-    open_surfaces = []
-    parts = []
-    for kind, part_faces in zip(kinds, faces_of_parts, strict=True):
-        if kind == OPEN_SURFACE:
-            open_surfaces.append(part_faces)
-        else:
-            parts.append(ClassifiedPart(str(kind), part_faces))
-    if open_surfaces:
-        parts.append(ClassifiedPart(OPEN_SURFACE, np.concatenate(open_surfaces)))
-    return parts

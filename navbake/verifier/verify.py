@@ -18,7 +18,7 @@ from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.types import Bool
 from navbake.verifier.cells import FloorCheck, OccupancyCheck
-from navbake.verifier.obstacles import UNCLEAR, Obstacles
+from navbake.verifier.obstacles import Obstacles
 from navbake.verifier.probes import ObstacleProbe
 from navbake.verifier.report import Finding, LevelCounts, VerifyReport
 from navbake.verifier.sample import (
@@ -305,10 +305,7 @@ def _notes_of_obstacles(obstacles: Obstacles, num_disputed: int) -> list[str]:
             subject = f"{names[0]!r} and {len(names) - 1} more count"
         reason = "where MuJoCo collides hulls, infinite planes or nothing"
         notes.append(f"{subject} by the surface, {reason}: FCL and MuJoCo's rays judge alone")
-    if any(shape.kind == UNCLEAR for shape in obstacles.shapes):
-        notes.append("some meshes are nearly closed: what lies inside of them isn't judged")
     if num_disputed:
         note = f"MuJoCo and FCL contradict each other over {num_disputed} cells"
-        reason = "or they lie in meshes that are nearly closed"
-        notes.append(f"{note}, {reason}: these cells aren't counted")
+        notes.append(f"{note}: these cells aren't counted")
     return notes

@@ -1,0 +1,128 @@
+"""Finds ridges by MuJoCo's rays: tops of walls and beams, which are no floors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake.navgrid.lattice import Lattice
+from navbake.verifier.probes import (
+    NO_CONTACT,
+    SAME_HEIGHT,
+    ObstacleProbe,
+    SurfaceHit,
+    UprightPrism,
+    VerticalLine,
+)
+from navbake.verifier.sample import AgentSizes
+
+RIDGE_WIDTH = 0.4  # what is narrower between two drops is a ridge [m]
+MAX_RUN_LENGTH = 2 * RIDGE_WIDTH  # cells across a ridge are looked at over this length [m]
+FEET_THICKNESS = 0.01  # of the slice above a step in which something bars the way [m]
+AXES = ((0, 1), (1, 0))  # row and column to the next cell along x, and along y
+
+StandableAt = Callable[[int, int], list[SurfaceHit]]
+LineAt = Callable[[int, int], VerticalLine]
+
+
+class RunEnd(NamedTuple):
+    """How a row of cells that an agent can walk along ends.
+
+    Attributes:
+        num_cells: The number of cells, without the first one.
+        is_drop: Whether it ends at a drop.
+    """
+
+    num_cells: int
+    is_drop: bool
+
+
+class RidgeProbe:
+    """Says which places to stand are on ridges.
+
+    Rows and columns of cells refer to one lattice. Cells may lie outside it.
+
+    Args:
+        probe: The obstacles that can carry floors.
+        agent: The agent that the grid was baked for.
+        lattice: The lattice of the cells.
+        line_at: Returns the vertical line through the centre of a cell, given its row and column.
+        standable_at: Returns the surfaces to stand on in a cell, lowest first, ridges included.
+    """
+
+    def __init__(
+        self,
+        probe: ObstacleProbe,
+        agent: AgentSizes,
+        lattice: Lattice,
+        line_at: LineAt,
+        standable_at: StandableAt,
+    ) -> None:
+        self._probe = probe
+        self._agent = agent
+        self._lattice = lattice
+        self._line_at = line_at
+        self._standable_at = standable_at
+        self._max_cells = int(MAX_RUN_LENGTH / lattice.cell_size) + 1
+        self.is_ridge = lru_cache(200_000)(self._is_ridge)
+
+    def _is_ridge(self, row: int, col: int, z: float) -> bool:
+        """Return whether a place is narrower than 0.4 m between two drops, or might be.
+
+        The lengths of a strip's rows of cells say how wide it is up to the size of a cell, so each
+        counts as a cell shorter than it is.
+
+        Args:
+            row: The row of the cell.
+            col: The column of the cell.
+            z: The height of the place [m].
+        """
+        inverse_lengths = [0.0, 0.0]
+        for axis, (down, right) in enumerate(AXES):
+            end = self._walk(row, col, down, right, z)
+            other_end = self._walk(row, col, -down, -right, z)
+            num_cells = end.num_cells + other_end.num_cells  # one less than the cells of the row
+            if not end.is_drop or not other_end.is_drop or num_cells > self._max_cells:
+                continue
+            inverse_lengths[axis] = 1 / max(num_cells * self._lattice.cell_size, SAME_HEIGHT)
+        return float(np.hypot(*inverse_lengths)) * RIDGE_WIDTH > 1
+
+    def _walk(self, row: int, col: int, down: int, right: int, z: float) -> RunEnd:
+        """Walk from a place over cells until no surface is within a step of the one before."""
+        for num_cells in range(self._max_cells + 1):
+            next_row = row + down
+            next_col = col + right
+            rises = [hit.z for hit in self._standable_at(next_row, next_col)]
+            nearest = min(rises, key=lambda height: abs(height - z), default=np.inf)
+            if abs(nearest - z) > self._agent.step:
+                return RunEnd(num_cells, self._is_drop((row, col), (next_row, next_col), z))
+            row = next_row
+            col = next_col
+            z = nearest
+        return RunEnd(self._max_cells + 1, False)
+
+    def _is_drop(self, cell: tuple[int, int], beyond: tuple[int, int], z: float) -> bool:
+        """Return whether a surface ends at a drop between two cells, and not at a wall."""
+        if any(abs(hit.z - z) <= self._agent.step for hit in self._line_at(*beyond).hits):
+            return False
+        return not (self._is_barred(*beyond, z) or self._is_barred(*cell, z))
+
+    def _is_barred(self, row: int, col: int, z: float) -> bool:
+        """Return whether something stands over a cell, just above a step from height z [m]."""
+        low = z + self._agent.step
+        middle = low + FEET_THICKNESS / 2
+        if self._line_at(row, col).is_inside(middle):
+            return True
+        x = self._lattice.x_min + (col + 0.5) * self._lattice.cell_size
+        y = self._lattice.y_max - (row + 0.5) * self._lattice.cell_size
+        half_size = self._lattice.cell_size / 2
+        center = np.array([x, y, middle])
+        reach = np.array([half_size, half_size, FEET_THICKNESS / 2])
+        prism = UprightPrism(half_size, half_size, FEET_THICKNESS / 2, False)
+        return any(
+            self._probe.find_contact(obstacle, prism, center) != NO_CONTACT
+            for obstacle in self._probe.obstacles.overlapping(center - reach, center + reach)
+        )
