@@ -53,7 +53,8 @@ MAX_SEARCH_PLACES = 20_000  # largest number of places of one search
 LARGE_AREA_FACTOR = 1.25  # least area of such a region, relative to the least area of a floor
 MIN_WALL_SHARE = 0.5  # of the outline
 MAX_DROP_SHARE = 0.2  # of the outline
-MAX_COVERED_SHARE = 0.2  # of a ground's area, over other places to stand
+# Of a ground's area, over other places to stand; a bake may take it for a roof from 0.1 on
+MAX_COVERED_SHARE = 0.075
 MIN_WALL_HEIGHT = 1.5  # parapets are lower than walls [m]
 MIN_REACHED_AREA = 3.0  # area of the grid's floors that steps from a region have to lead to [m²]
 

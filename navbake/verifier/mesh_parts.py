@@ -192,9 +192,7 @@ def _find_patches(half_edges: HalfEdges, area: Float, remains: Bool) -> Patches:
     component = _connected(begin % num_faces, end % num_faces, num_faces)
     patch = np.full(num_faces, -1)
     face = np.flatnonzero(remains)
-    _, first_index, patch[face] = np.unique(
-        component[face], return_index=True, return_inverse=True
-    )
+    _, first_index, patch[face] = np.unique(component[face], return_index=True, return_inverse=True)
     num = len(first_index)
     is_opposite = oriented[face] != oriented[face[first_index]][patch[face]]
     opposite_area = np.bincount(patch[face], area[face] * is_opposite, num)
@@ -350,7 +348,7 @@ def _surrounds(vertices: Float, outer: Int, inner: Int) -> bool:
 
 
 def _measure_faces(vertices: Float, faces: ArrayLike) -> tuple[Float, Float]:
-    """Return the area of each triangle [m²], and of its pyramid to the first corner, volume [m³]."""
+    """Return the area of each triangle [m²], and the volume of its pyramid to one point [m³]."""
     corners = vertices[np.asarray(faces)]
     a, b, c = np.moveaxis(corners - corners[0, 0], 1, 0)
     cross = np.cross(b - a, c - a)

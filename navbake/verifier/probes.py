@@ -16,7 +16,8 @@ import mujoco
 import numpy as np
 
 from navbake.types import Float, Vector3
-from navbake.verifier.obstacles import CAVITY, CONVEX, HALF_SPACE, HEIGHT_FIELD, SOLID, Obstacles
+from navbake.verifier.mesh_parts import CAVITY, SOLID
+from navbake.verifier.obstacles import CONVEX, HALF_SPACE, HEIGHT_FIELD, Obstacles
 
 GEOM = mujoco.mjtGeom
 
@@ -118,10 +119,17 @@ class VerticalLine(NamedTuple):
         )
 
     def has_upward_hit(self, low: float, high: float) -> bool:
-        """Return whether a surface between two heights [m] faces up, be it inside of a solid."""
-        return any(
-            hit.normal_z >= MIN_UPWARD_NORMAL_Z and low <= hit.z <= high for hit in self.hits
-        )
+        """Return whether a surface between two heights [m] faces up, be it inside of a solid.
+
+        On a steep surface, the heights may differ by what it rises over `EDGE_TOLERANCE`.
+        """
+        for hit in self.hits:
+            if hit.normal_z < MIN_UPWARD_NORMAL_Z:
+                continue
+            margin = EDGE_TOLERANCE / hit.normal_z
+            if low - margin <= hit.z <= high + margin:
+                return True
+        return False
 
     def standable_hits(self, agent_height: float, min_normal_z: float) -> list[SurfaceHit]:
         """Return the surfaces that an agent can stand on, lowest first, one at each height.

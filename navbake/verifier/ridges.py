@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
@@ -88,7 +89,7 @@ class RidgeProbe:
             if not end.is_drop or not other_end.is_drop or num_cells > self._max_cells:
                 continue
             inverse_lengths[axis] = 1 / max(num_cells * self._lattice.cell_size, SAME_HEIGHT)
-        return float(np.hypot(*inverse_lengths)) * RIDGE_WIDTH > 1
+        return math.hypot(*inverse_lengths) * RIDGE_WIDTH > 1
 
     def _walk(self, row: int, col: int, down: int, right: int, z: float) -> RunEnd:
         """Walk from a place over cells until no surface is within a step of the one before."""
@@ -96,7 +97,7 @@ class RidgeProbe:
             next_row = row + down
             next_col = col + right
             rises = [hit.z for hit in self._standable_at(next_row, next_col)]
-            nearest = min(rises, key=lambda height: abs(height - z), default=np.inf)
+            nearest = min(rises, key=lambda height: abs(height - z), default=math.inf)
             if abs(nearest - z) > self._agent.step:
                 return RunEnd(num_cells, self._is_drop((row, col), (next_row, next_col), z))
             row = next_row

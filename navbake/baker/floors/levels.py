@@ -155,7 +155,9 @@ def find_floors(
             context = find_context(surfaces)
     regions = context.regions
     is_large = context.is_large
-    rejected = find_rejected_regions(context, level_height_ranges(level_settings or ()))
+    rejected = find_rejected_regions(
+        context, level_height_ranges(level_settings or ()), shapes.height_fields
+    )
     is_start = find_start_regions(context, rejected, settings.starts)
     is_furniture = rejected.is_top | rejected.is_shelf
     # where agents start is a floor, whatever the rules say

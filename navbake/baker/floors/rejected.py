@@ -27,7 +27,7 @@ from navbake.baker.floors.region_kernels import RegionEdges, RegionSurfaces
 from navbake.baker.floors.regions import find_large_regions
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.threads import run_in_chunks
-from navbake.types import Bool, Float
+from navbake.types import Bool, Float, Int32
 
 # A top drops to a floor along at least this share of its outline
 MIN_DROP_SHARE = 0.25
@@ -82,7 +82,7 @@ class RejectedRegions(NamedTuple):
 
 
 def find_rejected_regions(
-    context: RegionContext, height_ranges: Sequence[HeightRange]
+    context: RegionContext, height_ranges: Sequence[HeightRange], height_fields: Int32
 ) -> RejectedRegions:
     """Find the large regions that are no floors.
 
@@ -93,6 +93,7 @@ def find_rejected_regions(
         context: all regions, and how they end.
         height_ranges: the heights [low, high) of the levels of the configuration [m]; empty if
             it has none.
+        height_fields: the ids of the geoms that are height fields, shape (n,).
     """
     regions = context.regions
     is_large = context.is_large
@@ -107,7 +108,7 @@ def find_rejected_regions(
     num_cells_over = stacks.num_cells * (stacks.upper != stacks.lower)
     over_share = np.bincount(stacks.upper, num_cells_over, regions.num) / size
     if not context.settings.tops:
-        is_top = _find_tops(context)
+        is_top = _find_tops(context, height_fields)
         is_shelf = _find_shelves(
             context, is_large & (sky_share < MIN_SKY_SHARE) & (over_share >= MIN_SHARE_OVER_FLOOR)
         )
@@ -144,7 +145,7 @@ class TopDrops(NamedTuple):
     outline: int
 
 
-def _find_tops(context: RegionContext) -> Bool:
+def _find_tops(context: RegionContext, height_fields: Int32) -> Bool:
     """Find the tops of what stands on a floor: beds, blocks, counters, walls that are metres thick.
 
     A region is a top if all of these hold:
@@ -160,6 +161,13 @@ def _find_tops(context: RegionContext) -> Bool:
       - it drops to a floor larger than 0.9 of its own size;
       - it drops to a floor that winds through it: more edges drop to this floor, from the rims of
         the region's holes and from other regions, than its outer rim has.
+
+    - It is no ground: a plateau of a height field that drops to ground of the same height field has
+      nothing under it.
+
+    Args:
+        context: all regions, and how they end.
+        height_fields: the ids of the geoms that are height fields, shape (n,).
 
     Returns:
         A mask, shape (regions,), bool.
@@ -179,7 +187,7 @@ def _find_tops(context: RegionContext) -> Bool:
     is_top = np.zeros(regions.num, dtype=np.bool_)
     is_too_large = np.zeros(regions.num, dtype=np.bool_)
     for region, drops in drops_by_region.items():
-        if not drops.drops_to:
+        if not drops.drops_to or _is_plateau(context, region, drops, height_fields):
             continue
         size = regions.size[region]
         is_small = size * regions.lattice.cell_size**2 <= LARGE_TOP_AREA
@@ -194,6 +202,23 @@ def _find_tops(context: RegionContext) -> Bool:
         is_top[region] = is_small or is_wound_through
         is_too_large[region] = not is_top[region]
     return is_top | (is_too_large & ~_mark_wider_than(context, is_too_large, MAX_WALL_TOP_WIDTH))
+
+
+def _is_plateau(context: RegionContext, region: int, drops: TopDrops, height_fields: Int32) -> bool:
+    """Return whether a region and most of the floors that it drops to are one height field's."""
+    geom = _main_geom(context, region)
+    if geom not in height_fields:
+        return False
+    num_on_field = sum(
+        num for floor, num in drops.drops_to.items() if _main_geom(context, floor) == geom
+    )
+    return 2 * num_on_field > drops.drops_to.total()
+
+
+def _main_geom(context: RegionContext, region: int) -> int:
+    """Return the id of the geom that most surfaces of a region belong to."""
+    geoms, counts = np.unique(context.regions.surfaces_of(region).geom, return_counts=True)
+    return int(geoms[counts.argmax()])
 
 
 def _mark_wider_than(context: RegionContext, candidates: Bool, width: float) -> Bool:

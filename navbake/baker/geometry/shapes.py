@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.arrays import Facets, Planes, Solids
 from navbake.baker.core.blocks import join_arrays
-from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID
+from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SOLID
 from navbake.baker.geometry.triangle_kernels import expand_mesh, measure_areas
 from navbake.lazy import lazy
 from navbake.threads import num_threads, run_in_chunks
@@ -171,6 +171,12 @@ class Shapes:
     def boxed_geoms(self) -> Int32:
         """Return the geom id of each box in `boxes`, shape (n,)."""
         return np.concatenate([self.solids.geom, self.meshes.geom, self.planes.geom])
+
+    @cached_property
+    def height_fields(self) -> Int32:
+        """Return the ids of the geoms that are height fields, shape (n,)."""
+        is_field = [bool((mesh.closed[:1] == SOLID).any()) for mesh in self.meshes.triangles]
+        return self.meshes.geom[np.array(is_field, dtype=np.bool_)]
 
     @property
     def triangles(self) -> Facets:

@@ -241,9 +241,9 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
     """Find the directions of a mesh that may be up, the likeliest first.
 
     They are the normals of the planes fitted to large flat surfaces, and the opposite directions,
-    unless most of the surface faces the other way. A direction is the likelier the more furniture
-    stands on its floors and, with less weight, the larger its largest floor is. Of equally likely
-    ones, the one nearer to +z comes first.
+    unless most of the surface faces the other way; +z if nothing is flat. A direction is the
+    likelier the more furniture stands on its floors and, with less weight, the larger its largest
+    floor is. Of equally likely ones, the one nearer to +z comes first.
 
     Args:
         sample: a sample of the mesh's triangles.
@@ -286,6 +286,10 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
                     furniture_area=float(furniture_area[stands_on_floor].sum()),
                 )
             )
+    if not orientations:  # nothing is flat
+        orientations.append(
+            Orientation(np.array([0.0, 0.0, 1.0]), floor_area=0.0, furniture_area=0.0)
+        )
     orientations.sort(key=_make_sort_key)
     best = orientations[0]
     other_areas = [CLEAR_RATIO * orientation.furniture_area for orientation in orientations[1:]]
