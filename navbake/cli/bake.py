@@ -119,7 +119,7 @@ def voxelize(
     align: bool = flag("--align", "Begin voxels at multiples of --res, as octrees always do."),
     compact: bool = flag("--compact", ".binvox: renumber the IDs that occur, from 1."),
     twin: bool = flag("--twin", ".binvox with IDs: write NAME.occupied.binvox without IDs, too."),
-    airsim: bool = flag("--airsim", ".binvox: use AirSim's layout."),
+    airsim: bool = flag("--airsim", ".binvox: AirSim's layout, and its places."),
     free: bool = flag("--free", "Octrees: mark voxels that are not occupied as free."),
     outputs: list[Path] = option(
         "FILE", "File: .binvox, .bt, .ot or .npz. May be repeated.", *OUTPUT_FLAGS, default=...
@@ -159,6 +159,7 @@ def voxelize(
         options.check_output(output, inputs=settings.inputs)
     voxelizer = navbake.Voxelizer(settings, ignore=ignore or [])
     print_warnings(voxelizer.scene.warnings)
+    layout: Literal["airsim", "binvox"] = "airsim" if airsim else "binvox"
     # an octree's voxels begin at multiples of their edge, and all files hold the same ones
     grid = voxelizer.create(
         res=res,
@@ -167,10 +168,10 @@ def voxelize(
         size=size,
         align=align or any(is_octree),
         segments=_parse_segments(segments),
+        layout=layout,
     )
     print_warnings(grid.notes)
     num_notes = len(grid.notes)
-    layout: Literal["airsim", "binvox"] = "airsim" if airsim else "binvox"
     for output, ending in zip(outputs, endings, strict=True):
         mapping: Literal["compact"] | None = None
         if compact and ending == ".binvox":

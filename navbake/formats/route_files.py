@@ -257,6 +257,8 @@ def _add_height(x: object, y: object, navbake_entry: Json) -> list[object]:
 
 # nav2 refuses a graph with a cost of 0 that it may not replace: such costs are written as this [m]
 MIN_NAV2_COST = 1e-6
+# fields of an edge with the properties of its types of vehicles, in LIF 1 and in LIF 2
+LIF_EDGE_PROPERTIES = ("vehicleTypeEdgeProperties", "mobileRobotTypeEdgeProperties")
 COST_TOLERANCE = 1e-6  # costs and lengths are rounded to micrometres [m]
 
 
@@ -409,18 +411,19 @@ def encode_lif(graph: RouteGraph) -> bytes:
 
 
 def read_lif(path: str | PathLike[str]) -> RouteGraph:
-    """Read a graph from a file of the Layout Interchange Format (LIF).
+    """Read a graph from a file of the Layout Interchange Format (LIF), version 1 or 2.
 
-    Nodes get the names that the file states; if two nodes have the same name, all nodes get their
-    ids as names. If an edge has several types of vehicles, the first one's speed is used.
+    Each layout is a level. In version 2, layouts stand in origins; the positions of all origins are
+    read as positions of one frame. Nodes get the names that the file states; if two nodes have the
+    same name, all nodes get their ids as names. If an edge has several types of vehicles, the first
+    one's speed is used.
     """
     content, name = source.read_json(path, expected="a LIF (JSON)")
     reader = _GraphReader(name)
     top = check_object(content, reader.top)
-    layouts = _check_objects(top, "layouts", reader.top)
-    name_key = _unique_name_key(layouts, reader.top["layouts"])
-    for level, layout in enumerate(layouts):
-        layout_place = reader.top["layouts"][level]
+    layouts = _list_layouts(top, reader.top)
+    name_key = _unique_name_key(layouts)
+    for level, (layout, layout_place) in enumerate(layouts):
         for number, node in enumerate(_check_objects(layout, "nodes", layout_place)):
             place = layout_place["nodes"][number]
             position = check_object(node.get("nodePosition"), place["nodePosition"])
@@ -432,32 +435,59 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
                 {"name": node_name, "level": level, **navbake_entry},
                 place,
             )
-    for level, layout in enumerate(layouts):
-        layout_place = reader.top["layouts"][level]
+    for layout, layout_place in layouts:
         for number, edge in enumerate(_check_objects(layout, "edges", layout_place)):
             place = layout_place["edges"][number]
             navbake_entry = check_optional_object(edge, "navbake", place)
             entry: Json = {"name": edge.get("edgeId")}
             if not navbake_entry:
-                vehicle_types = _check_objects(edge, "vehicleTypeEdgeProperties", place)
+                vehicle_types = [
+                    properties
+                    for key in LIF_EDGE_PROPERTIES
+                    for properties in _check_objects(edge, key, place)
+                ]
                 if vehicle_types and vehicle_types[0].get("maxSpeed"):
                     entry["speed"] = vehicle_types[0]["maxSpeed"]
             start = edge.get("startNodeId", ABSENT)
             end = edge.get("endNodeId", ABSENT)
             reader.add_lane(start, end, entry | navbake_entry, place)
     names = [
-        str(layout.get("layoutName") or f"level {level}") for level, layout in enumerate(layouts)
+        str(layout.get("layoutName") or f"level {level}")
+        for level, (layout, _) in enumerate(layouts)
     ]
     return reader.make_graph(top.get("navbake"), names)
 
 
-def _unique_name_key(layouts: list[Json], place: JsonPath) -> str:
-    """Return the field with the nodes' names: ``nodeName``, or ``nodeId`` if names occur twice."""
-    nodes = [
-        node
-        for level, layout in enumerate(layouts)
-        for node in _check_objects(layout, "nodes", place[level])
+def _list_layouts(top: Json, place: JsonPath) -> list[tuple[Json, JsonPath]]:
+    """List the layouts of a LIF, each with its place in the file.
+
+    Version 1 has them at the top, version 2 in the ``origins``.
+
+    Raises:
+        FormatError: the file has neither, or something else at their place.
+    """
+    if "layouts" not in top and "origins" not in top:
+        information = check_optional_object(top, "metaInformation", place)
+        version = information.get("lifVersion")
+        stated = "no lifVersion" if version is None else f"lifVersion {version!r}"
+        expected = "`layouts` (LIF 1) or `origins` (LIF 2)"
+        place.fail(f"expected {expected}, got neither, with {stated}")
+    layouts = [
+        (layout, place["layouts"][number])
+        for number, layout in enumerate(_check_objects(top, "layouts", place))
     ]
+    for number, origin in enumerate(_check_objects(top, "origins", place)):
+        origin_place = place["origins"][number]
+        layouts += [
+            (layout, origin_place["layouts"][index])
+            for index, layout in enumerate(_check_objects(origin, "layouts", origin_place))
+        ]
+    return layouts
+
+
+def _unique_name_key(layouts: list[tuple[Json, JsonPath]]) -> str:
+    """Return the field with the nodes' names: ``nodeName``, or ``nodeId`` if names occur twice."""
+    nodes = [node for layout, place in layouts for node in _check_objects(layout, "nodes", place)]
     names = [str(node.get("nodeName") or node.get("nodeId")) for node in nodes]
     return "nodeName" if len({*names}) == len(names) else "nodeId"
 

@@ -31,7 +31,8 @@ from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
 from navbake.formats.source import check_path, format_path, read_bytes, read_header, write_bytes
 from navbake.navgrid.lattice import MAX_COORDINATE
-from navbake.voxels.grid import VoxelGrid, check_three
+from navbake.types import Float
+from navbake.voxels.grid import AIRSIM_SHIFT, VoxelGrid, check_three
 
 IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
 BinvoxLayout: TypeAlias = Literal["auto", "binvox", "airsim"]
@@ -81,6 +82,8 @@ def write_voxels(
         write_bytes(encode_octomap(grid, suffix[1:], free=free), path)
         return
     if suffix == ".binvox":
+        if layout == "airsim":
+            grid.notes.append(_describe_airsim_position(grid, path))
         grid = map_ids(grid, mapping)
         write_bytes(encode_binvox(grid, layout), path)
     else:
@@ -240,6 +243,30 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
     pairs[:, 0] = np.repeat(voxels[run_start], num_pairs)
     pairs[np.cumsum(num_pairs) - 1, 1] = run_length - MAX_BYTE * (num_pairs - 1)
     return header.encode() + pairs.tobytes()
+
+
+def find_airsim_position(grid: VoxelGrid) -> Float:
+    """Find the position that puts a file of AirSim's layout where the voxels are.
+
+    Args:
+        grid: the voxels.
+
+    Returns:
+        The position of the grid that AirSim would have been asked for, and that `read_binvox` takes
+        as `position`: world x, y, z [m], shape (3,), float64. AirSim's own frame is (x, -y, -z).
+    """
+    is_even = np.array(grid.shape) % 2 == 0
+    position: Float = grid.bounds.mean(axis=0) - is_even * AIRSIM_SHIFT * grid.res
+    return position
+
+
+def _describe_airsim_position(grid: VoxelGrid, path: str | PathLike[str]) -> str:
+    """Describe where a file of AirSim's layout lies, which the file doesn't hold."""
+    x, y, z = (_format_number(round(value, 9)) for value in find_airsim_position(grid).tolist())
+    return (
+        f"{path}: AirSim's layout holds no position: x is north, -y is east, and its readers find "
+        f"the voxels round x, y, z = ({x}, {y}, {z})"
+    )
 
 
 def _format_number(value: float) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,11 @@ from navbake.types import Bool, Float, Int, Vector3
 DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers are IDs
 HUGE_COUNT = 2**200  # more than any memory holds, and still a float
 MIN_EDGE = 1e-5  # smallest edge of a voxel, well above the tolerance for touching [m]
+
+
+VoxelLayout: TypeAlias = Literal["binvox", "airsim"]
+# from a grid round a centre to where AirSim samples one of even counts, along x, y and z [voxels]
+AIRSIM_SHIFT = np.array([-0.5, 0.5, -0.5])
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -213,7 +218,8 @@ class VoxelGrid:
             free: For octrees (``.bt``, ``.ot``): write known voxels that are not occupied as free,
                 not as unknown.
             layout: For ``.binvox``: ``airsim`` is the layout of AirSim's ``simCreateVoxelGrid``,
-                which lacks the position of the grid.
+                which lacks the position of the grid. A line of `notes` says which one to state to
+                its readers.
             mapping: For ``.binvox``: ID -> the ID that is written for it, 0 to 255. ``"compact"``
                 numbers the IDs that occur from 1, in order. None writes them as they are.
 
@@ -277,6 +283,7 @@ def place_grid(
     bounds: Float | None,
     *,
     align: bool = False,
+    layout: VoxelLayout = "binvox",
 ) -> Placement:
     """Place a voxel grid around a centre, or over a scene.
 
@@ -291,6 +298,9 @@ def place_grid(
             endless.
         align: Move the corners onto multiples of `res`, as octrees need it: by half a voxel at
             most.
+        layout: ``airsim`` to place voxels where AirSim samples them round a centre: of n voxels
+            along an axis, the middle of voxel ``n // 2`` is at the centre, counted along north (x),
+            east (-y) and up. So grids of even counts lie half a voxel off.
 
     Raises:
         ConfigError: A number is wrong; both `cells` and `size` are given, or only a centre is; or
@@ -347,6 +357,9 @@ def place_grid(
         shape = _as_shape([num_cells(min(float(length), max_length), edge) for length in extent])
     check_memory(shape, 1)  # before arrays overflow
     origin = center - np.array(shape) * edge / 2
+    if layout == "airsim":
+        is_even = np.array(shape) % 2 == 0
+        origin = origin + is_even * AIRSIM_SHIFT * edge
     aligned = np.round(origin / edge) * edge if align else origin
     return Placement(aligned, edge, shape, float(np.abs(aligned - origin).max()))
 

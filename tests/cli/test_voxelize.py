@@ -60,7 +60,8 @@ def test_segments_with_a_table_and_a_twin(arena, run):
 
 
 def test_writes_airsims_layout_when_asked(arena, run):
-    run("voxelize", "arena.xml", *CENTRED, "-o", "a.binvox", "--airsim")
+    _, _, err = run("voxelize", "arena.xml", *CENTRED, "-o", "a.binvox", "--airsim")
+    assert "its readers find the voxels round x, y, z = " in err and "-y is east" in err
     assert b"scale 0.6666" in (arena / "a.binvox").read_bytes()
     assert "AirSim" in navbake.load_voxels("a.binvox").notes[0]
 

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from navbake.errors import FormatError, NavbakeError
 from navbake.formats.voxels import (
     encode_binvox,
+    find_airsim_position,
     id_table_path,
     read_binvox,
     read_voxels,
     write_voxels,
 )
-from navbake.voxels.grid import VoxelGrid
+from navbake.voxels.grid import VoxelGrid, place_grid
 from oracles.voxel_files import read_binvox_plainly, write_binvox_as_airsim
 
 ASYMMETRIC = np.zeros((5, 7, 3), dtype=bool)
@@ -187,6 +188,34 @@ def test_airsims_layout_is_written_when_asked(shape):
     nx, ny, nz = shape
     middle = np.array([nx // 2, ny - 1 - ny // 2, nz // 2]) * 0.5
     np.testing.assert_allclose(back.origin, -middle - 0.25)
+
+
+@pytest.mark.parametrize("shape", [(4, 6, 2), (5, 7, 3), (4, 5, 6), (1, 2, 3)])
+def test_a_file_comes_back_in_place_at_the_position_that_its_note_states(tmp_path, shape):
+    rng = np.random.default_rng(2)
+    grid = grid_of(rng.random(shape) < 0.5, (-1.0, 3.25, 0.5), 0.5)
+    grid.save(tmp_path / "a.binvox", layout="airsim")
+    position = find_airsim_position(grid)
+    back = read_binvox(tmp_path / "a.binvox", position=position, layout="airsim", res=0.5)
+    np.testing.assert_array_equal(back.values, grid.values)
+    np.testing.assert_allclose(back.origin, grid.origin, atol=1e-12)
+    (note,) = grid.notes
+    assert f"({', '.join(repr(float(value)) for value in position)})" in note
+    assert "x is north, -y is east" in note
+
+
+@pytest.mark.parametrize("shape", [(4, 6, 2), (5, 7, 3), (4, 5, 6)])
+def test_voxels_round_a_centre_are_where_airsim_samples_them(shape):
+    """All of its samples, (i - n // 2) * res along north, east and up, are middles of voxels."""
+    center, res = np.array([10.0, -4.0, 2.0]), 0.5
+    place = place_grid(center, shape, None, res, None, layout="airsim")
+    every = list(np.ndindex(shape))
+    _, samples = write_binvox_as_airsim(every, shape, res)
+    expected = {tuple(np.round(center + np.array([n, -e, u]), 9)) for n, e, u in samples}
+    grid = grid_of(np.ones(shape, dtype=bool), tuple(place.origin), res)
+    assert {tuple(np.round(middle, 9)) for middle in grid.centers()} == expected
+    np.testing.assert_allclose(find_airsim_position(grid), center)
+    assert place_grid(center, shape, None, res, None).moved == place.moved == 0
 
 
 def test_a_centred_unit_cube_is_no_airsim_file():

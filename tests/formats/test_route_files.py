@@ -204,6 +204,50 @@ def test_lif_is_valid(tmp_path, house):
         assert len(read_routes(tmp_path / "b.json").nodes) == len(graph.nodes)
 
 
+def lif_2(layouts_by_origin):
+    """A LIF 2 whose layouts have nodes 11 m apart, by the draft of 2025-09."""
+    origins = []
+    for number, num_layouts in enumerate(layouts_by_origin):
+        layouts = []
+        for index in range(num_layouts):
+            name = f"{number}.{index}"
+            nodes = [
+                {"nodeId": f"{name} a", "mapId": "m", "nodePosition": {"x": 0, "y": 0}},
+                {"nodeId": f"{name} b", "mapId": "m", "nodePosition": {"x": 11, "y": 0}},
+            ]
+            robots = [{"mobileRobotTypes": [{"seriesName": "1"}], "maxSpeed": 0.4}]
+            edge = {"edgeId": name, "startNodeId": f"{name} a", "endNodeId": f"{name} b"}
+            edge["mobileRobotTypeEdgeProperties"] = robots
+            layouts.append({"layoutId": name, "nodes": nodes, "edges": [edge]})
+        origins.append({"originId": str(number), "layouts": layouts})
+    return {"metaInformation": {"lifVersion": "2.0.0"}, "origins": origins}
+
+
+@pytest.mark.parametrize("layouts_by_origin", [[1], [2], [1, 2], [0, 1]])
+def test_lif_2_is_read_layout_by_layout(tmp_path, layouts_by_origin):
+    (tmp_path / "a.lif").write_text(json.dumps(lif_2(layouts_by_origin)))
+    graph = read_routes(tmp_path / "a.lif")
+    count = sum(layouts_by_origin)
+    assert [node.level for node in graph.nodes] == [k // 2 for k in range(2 * count)]
+    assert [node.position[:2] for node in graph.nodes[:2]] == [(0, 0), (11, 0)]
+    assert [(lane.length, lane.speed) for lane in graph.lanes] == [(11.0, 0.4)] * count
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"metaInformation": {"lifVersion": "3.0"}}, "got neither, with lifVersion '3.0'"),
+        ({}, r"expected `layouts` \(LIF 1\) or `origins` \(LIF 2\), got neither, with no lif"),
+        ({"origins": 1}, "origins"),
+        ({"origins": [{"layouts": [{"nodes": [{}]}]}]}, r"origins\[0\].layouts\[0\].nodes\[0\]"),
+    ],
+)
+def test_a_lif_of_no_known_version_is_refused(tmp_path, content, message):
+    (tmp_path / "a.lif").write_text(json.dumps(content))
+    with pytest.raises(FormatError, match=message):
+        read_routes(tmp_path / "a.lif")
+
+
 def without_own(entry):
     return {key: value for key, value in entry.items() if key != "navbake"}
 

@@ -32,7 +32,14 @@ from navbake.formats.convert import OCTREE_SUFFIXES
 from navbake.known_names import find_near
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_chunks
-from navbake.voxels.grid import Placement, VoxelGrid, check_memory, dtype_of, place_grid
+from navbake.voxels.grid import (
+    Placement,
+    VoxelGrid,
+    VoxelLayout,
+    check_memory,
+    dtype_of,
+    place_grid,
+)
 
 if TYPE_CHECKING:  # mujoco and trimesh are slow to load
     import mujoco
@@ -58,11 +65,13 @@ class GridOptions(TypedDict, total=False):
         size: what the grid covers along x, y and z [m], in place of the numbers of voxels.
         segments: what the voxels' IDs stand for, see `label_geoms`.
         align: whether to move the grid onto whole multiples of the edge of a voxel.
+        layout: ``airsim`` to place voxels where AirSim samples them.
     """
 
     size: Sequence[float] | None
     segments: Segments | None
     align: bool
+    layout: VoxelLayout
 
 
 def create_voxel_grid(
@@ -92,8 +101,8 @@ def create_voxel_grid(
         res: edge of a voxel [m].
         of: a file to write: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
         ignore: name patterns of bodies that are left out, with all bodies below them.
-        options: `size`, `segments` and `align` of `Voxelizer.create`; if an octree is to be
-            written, `align` is True by default.
+        options: `size`, `segments`, `align` and `layout` of `Voxelizer.create`; if an octree is
+            to be written, `align` is True by default.
 
     Returns:
         The grid; its values are bool, or IDs if `segments` are given.
@@ -188,6 +197,7 @@ class Voxelizer:
         size: Sequence[float] | None = None,
         segments: Segments | None = None,
         align: bool = False,
+        layout: VoxelLayout = "binvox",
     ) -> VoxelGrid:
         """Make a voxel grid of the scene in its current pose.
 
@@ -200,6 +210,9 @@ class Voxelizer:
             segments: what the voxels' IDs stand for, see `label_geoms`; if None, the values are
                 True and False.
             align: move the grid by half a voxel at most, onto whole multiples of `res`.
+            layout: ``airsim`` to place voxels where AirSim's ``simCreateVoxelGrid`` samples them
+                round the centre: of n voxels along an axis, the middle of voxel ``n // 2`` is
+                there, counted along x, -y (its east) and z. So even counts are half a voxel off.
 
         Returns:
             The grid.
@@ -207,7 +220,9 @@ class Voxelizer:
         Raises:
             ConfigError: a number is wrong, or the grid needs more memory than there is.
         """
-        placement = place_grid(position, cells, size, res, self.shapes.bounds, align=align)
+        placement = place_grid(
+            position, cells, size, res, self.shapes.bounds, align=align, layout=layout
+        )
         grid = self.fill(placement, segments)
         if placement.moved > CELL_SLACK * placement.res:
             grid.notes.append(
