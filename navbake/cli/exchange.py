@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 # endings of sets of episodes that no grid has
 EPISODE_ONLY_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")
+ROUTE_ONLY_SUFFIXES = (".graphml", ".gml", ".lif")  # of files that are read; no grid has these
+ROUTE_FORMAT_NAMES = tuple(form.name for form in ROUTE_FORMATS)
 
 # Functions import what reads grids only when they run, so that --help stays quick.
 
@@ -128,6 +130,10 @@ def convert(
         convert_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
     options.refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
+    if origin in ROUTE_FORMAT_NAMES or names[0].endswith(ROUTE_ONLY_SUFFIXES):
+        options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given_options))
+        _convert_routes(source, output, origin, to)
+        return
     reader = _find_format(source, origin, ("--from", "IN"), writing=False)
     writer = _find_format(output, to, ("--to", "OUT"), writing=True)
     read_options = {
@@ -161,6 +167,28 @@ def convert(
         options.check_output(path, inputs=inputs)
     for path in write_files(files):
         say_unless_quiet(path)
+
+
+def _convert_routes(source: Path, output: Path, origin: str | None, to: str | None) -> None:
+    """Convert a graph of routes from one format to another.
+
+    Args:
+        source: the file.
+        output: the file to write, or `STDOUT`.
+        origin: the name of the source's format; None to go by its ending.
+        to: the name of the format to write; None to go by the output's ending.
+    """
+    from navbake.formats.route_files import encode_routes, read_routes
+
+    _find_format(source, origin, ("--from", "IN"), writing=False, formats=ROUTE_FORMATS)
+    if output == STDOUT and to is None:
+        raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
+    _find_format(output, to, ("--to", "OUT"), writing=True, formats=ROUTE_FORMATS)
+    options.check_output(output, inputs=[source])
+    graph = read_routes(source, origin)
+    options.write_output(encode_routes(graph, output, to), output)
+    if output != STDOUT:
+        say_unless_quiet(output)
 
 
 def _plan_route(grid: NavGrid, text: str) -> Route:
@@ -197,6 +225,8 @@ convert.__doc__ = "\n\n".join(
             f"{form.meaning}."
             for form in GRID_FORMATS
         ),
+        f"Graphs of routes ({', '.join(ROUTE_FORMAT_NAMES)}): those that end in "
+        f"{', '.join(ROUTE_ONLY_SUFFIXES)}, or that --from names.",
         f"Sets of episodes (.jsonl, .parquet, .json.gz, .csv.bz2; {', '.join(SET_FORMATS)}): IN is "
         "read by its ending and content.",
     )

@@ -718,9 +718,8 @@ def _read_rmf_doors(top: Json, place: JsonPath, level_names: list[str]) -> list[
         ends = _check_list(door_entry, "endpoints", door_place)
         if len(ends) != 2:
             door_place["endpoints"].refuse("two points", ends)
-        start, end = (
-            _check_numbers({"endpoints": point}, "endpoints", 2, door_place) for point in ends
-        )
+        start = _check_numbers({"endpoints": ends[0]}, "endpoints", 2, door_place)
+        end = _check_numbers({"endpoints": ends[1]}, "endpoints", 2, door_place)
         level = level_names.index(level_name)
         doorways.append({"door": str(name), "level": level, "start": start, "end": end})
     return doorways

@@ -112,10 +112,12 @@ def plan_cars(graph: RouteGraph) -> dict[str, CarPlan]:
             plans[lift] = CarPlan(LiftCar(lift, x, y, 0.0, size, size), x, y, is_guess=True)
             continue
         inside = [position for position in positions if is_in_car(car, *position)]
-        x, y = _mean(inside) if inside else (car.x, car.y)
-        if any(math.dist(position, (x, y)) > SAME_PLACE for position in inside):
-            x, y = car.x, car.y
-        plans[lift] = CarPlan(car, x, y, is_guess=False)
+        place = (car.x, car.y)
+        if inside:
+            mean_place = _mean(inside)
+            if all(math.dist(position, mean_place) <= SAME_PLACE for position in inside):
+                place = mean_place
+        plans[lift] = CarPlan(car, place[0], place[1], is_guess=False)
     return plans
 
 

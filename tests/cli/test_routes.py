@@ -37,6 +37,31 @@ def test_makes_and_audits_a_graph(run):
     assert Path("b.png").exists()
 
 
+def test_graphs_are_converted_from_format_to_format(run):
+    run("routes", "house.json.gz", "-o", "a.gml")
+    graph = read_routes("a.gml")
+    assert run("audit", "a.gml", "--grid", "house.json.gz")[0] == 0
+    for step in (
+        ("a.gml", "b.graphml"),
+        ("b.graphml", "c.lif"),
+        ("c.lif", "d.json"),
+        ("d.json", "e.nav.yaml", "--from", "lif"),
+        ("e.nav.yaml", "f.gml", "--from", "rmf"),
+    ):
+        assert run("convert", *step)[:2] == (0, f"{step[1]}\n")
+        assert read_routes(step[1]) == graph
+    for words, expected in (
+        (("a.gml", "-"), "stdout has no ending"),
+        (("a.gml", "x.npz"), "expected a name that ends as a format that is written does"),
+        (("a.gml", "x.json", "--radius", 1), "--radius"),
+        (("a.gml", "a.gml"), "a.gml"),
+        (("d.json", "x.json"), "'SceneGrid2D'"),
+    ):
+        status, _, err = run("convert", *words)
+        assert status != 0 and expected in err
+    assert run("convert", "a.gml", "-", "--to", "lif")[1].startswith('{"metaInformation"')
+
+
 def test_writes_any_format_to_stdout(run):
     status, out, _ = run("routes", "house.json.gz", "-o", "-", "--to", "rmf", "--level", 1)
     Path("a.yaml").write_text(out)

@@ -193,10 +193,10 @@ class _BuildingReader:
                 f"expected a projection in metres as `generate_crs` of {self._path}, such as "
                 f"EPSG:32632, got {crs_name!r}: {reason}"
             ) from error
-        offset_names = ("suggested_offset_x", "suggested_offset_y")
-        if any(name in values for name in offset_names):
+        if "suggested_offset_x" in values or "suggested_offset_y" in values:
             with reading(f"`parameters` of {self._path}"):
-                x, y = (float(values.get(name, 0.0)) for name in offset_names)
+                x = float(values.get("suggested_offset_x", 0.0))
+                y = float(values.get("suggested_offset_y", 0.0))
             return Projection(transformer, complex(x, y))
         projection = Projection(transformer, 0j)
         with reading(f"vertices of {self._path}"):
@@ -206,10 +206,8 @@ class _BuildingReader:
             projected = projection.project(points)
         if not len(projected):
             return projection
-        x, y = (
-            math.floor(float(values.min()) / KILOMETRE) * KILOMETRE
-            for values in (projected.real, projected.imag)
-        )
+        x = math.floor(float(projected.real.min()) / KILOMETRE) * KILOMETRE
+        y = math.floor(float(projected.imag.min()) / KILOMETRE) * KILOMETRE
         self._warn(
             f"{self._path} has no suggested_offset_x and suggested_offset_y: the world's origin is "
             f"at {x:.0f}, {y:.0f} m in {crs_name}"
