@@ -372,7 +372,8 @@ class Obstacles:
 
     def _hull(self, vertices: Float) -> GeomShape:
         """Return the convex hull of vertices, and add it to MuJoCo's model."""
-        hull = trimesh.convex.convex_hull(vertices)
+        with np.errstate(invalid="ignore"):  # trimesh casts coordinates to integers
+            hull = trimesh.convex.convex_hull(vertices)
         points = np.array(hull.vertices)
         triangles = np.array(hull.faces, dtype=np.int64)
         # FCL takes polygons: the number of corners of each, then its corners

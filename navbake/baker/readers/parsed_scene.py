@@ -159,13 +159,15 @@ def check_count(count: int, path: Path) -> None:
 def reading(source_text: str) -> Iterator[None]:
     """Convert errors inside a with statement to SceneErrors that say what was being read.
 
-    navbake's own errors, OSError and MemoryError are not converted.
+    navbake's own errors, OSError and MemoryError are not converted. Numbers that are too large for
+    numpy's arithmetic make no warning: what comes of them is checked later on.
 
     Args:
         source_text: what is read, such as ``prim /World of room.usda``.
     """
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     except (NavbakeError, OSError, MemoryError):
         raise
     except Exception as error:  # a value of the wrong type, a solver that fails, …

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.geometry.shapes import Mesh, tessellate, triangulate
-from navbake.baker.readers.mesh import rotation_to_z_up
+from navbake.baker.readers.mesh import AXIS_VECTORS, rotation_to_z_up
 from navbake.baker.readers.parsed_scene import (
     JointTree,
     ParsedGeom,
@@ -769,6 +769,8 @@ def _find_stage_frame(stage: Usd.Stage, path: Path, settings: SceneSettings) -> 
     if settings.up == "level":
         raise ConfigError(f"`scene.up: level` is for mesh files, {path} says what is up itself")
     up = settings.up if settings.up != "auto" else str(UsdGeom.GetStageUpAxis(stage)).lower()
+    if isinstance(up, str) and up not in AXIS_VECTORS:
+        raise SceneError(f"expected X, Y or Z as upAxis of {path}, got {up[:40]!r}: set `scene.up`")
     is_unit_set = "unit" in settings.model_fields_set
     unit = settings.unit if is_unit_set else float(UsdGeom.GetStageMetersPerUnit(stage))
     if not 0 < unit < np.inf:

@@ -170,7 +170,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
         elif suffix in READERS:
             with reading(str(path)):
                 parsed_scene = resolve(READERS[suffix])(path, settings)
-            model, exact_meshes = build_model(parsed_scene, path, ground, warnings)
+                model, exact_meshes = build_model(parsed_scene, path, ground, warnings)
             named_leaves = frozenset(parsed_scene.named_leaves)
         elif suffix in CONVERSIONS:
             raise SceneError(f"cannot read {path}: {CONVERSIONS[suffix]}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -488,3 +489,25 @@ def test_what_has_to_be_converted(tmp_path, suffix, hint):
     (tmp_path / f"a{suffix}").write_text("x")
     with pytest.raises(SceneError, match=rf"a\{suffix}: .*{hint}"):
         load(tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize(
+    ("head", "size", "problem"),
+    [
+        ('upAxis = "sideways"', "1", r"expected X, Y or Z as upAxis of .*got 'sideways'"),
+        ('upAxis = "Z"', "1e308", r"coordinates that are no numbers"),
+    ],
+)
+def test_absurd_values_are_one_line_without_numpys_warnings(tmp_path, head, size, problem):
+    path = tmp_path / "room.usda"
+    points = f"[(0,0,0),({size},0,0),({size},{size},0),(0,{size},-{size})]"
+    path.write_text(
+        f'#usda 1.0\n(\n    {head}\n)\ndef Mesh "M" {{\n    point3f[] points = {points}\n'
+        "    int[] faceVertexCounts = [4]\n    int[] faceVertexIndices = [0,1,2,3]\n"
+        f"    float3 xformOp:scale = ({size}, 1, 1)\n"
+        '    uniform token[] xformOpOrder = ["xformOp:scale"]\n}\n'
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(SceneError, match=problem):
+            load(path)
