@@ -197,6 +197,8 @@ def _read_file(path: Path) -> list[NamedMesh]:
     if suffix in REPAIR_FUNCTIONS:
         content = REPAIR_FUNCTIONS[suffix](path)
         source = io.BytesIO(content)
+        if _has_points_alone(content, suffix):
+            raise _make_points_error(path)
     options: dict[str, Any] = {
         "file_type": suffix[1:],
         "process": False,
@@ -204,14 +206,45 @@ def _read_file(path: Path) -> list[NamedMesh]:
     }
     try:
         with _silence_trimesh():
-            meshes = _meshes_of_nodes(trimesh.load_scene(source, **options))
+            scene = trimesh.load_scene(source, **options)
+            meshes = _meshes_of_nodes(scene)
     except Exception as error:  # trimesh passes on whatever its parsers raise
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         text = f"cannot read the mesh {path}, it is broken or cut off: {reason}"
         raise SceneError(text) from error
     if suffix == ".ply":
         _check_ply_counts(content, meshes, path)
+    has_points = any(
+        isinstance(geometry, trimesh.PointCloud) for geometry in scene.geometry.values()
+    )
+    if has_points and not any(len(mesh.faces) for mesh in meshes):
+        raise _make_points_error(path)
     return meshes
+
+
+def _has_points_alone(content: bytes, suffix: str) -> bool:
+    """Whether a PLY or an OBJ states vertices, and nothing that makes triangles of them."""
+    if suffix == ".ply":
+        header, end, _ = content[:MAX_PLY_HEADER].partition(b"end_header")
+        counts = {
+            element: int(count)
+            for element, count in re.findall(rb"element (\w+)[ \t]+(\d{1,18})", header)
+        }
+        num_faces = counts.get(b"face", 0) + counts.get(b"tristrips", 0)
+        return bool(end) and counts.get(b"vertex", 0) > 0 and num_faces == 0
+    if suffix == ".obj":
+        has_vertices = re.search(rb"^[ \t]*v[ \t]", content, re.MULTILINE) is not None
+        has_faces = re.search(rb"^[ \t]*(?:f|fo|surf)[ \t]", content, re.MULTILINE) is not None
+        return has_vertices and not has_faces
+    return False
+
+
+def _make_points_error(path: Path) -> SceneError:
+    """Return the error for a file that is a cloud of points."""
+    return SceneError(
+        f"{path} holds points without triangles: make a mesh of them first, for example with "
+        f"MeshLab or `pip install pymeshlab` (screened Poisson), see docs/scans.md"
+    )
 
 
 def _check_ply_counts(content: bytes, meshes: list[NamedMesh], path: Path) -> None:

@@ -464,6 +464,34 @@ def test_broken_obj_stl_and_ply(read, name, content, culprit):
     assert name in str(caught.value)
 
 
+POINTS_HEADER = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(
+    f"property float {axis}\n" for axis in "xyz"
+)
+NO_FACES = "element face 0\nproperty list uchar int vertex_indices\n"
+TWO_POINTS = "end_header\n0 0 0\n1 1 1\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.ply", POINTS_HEADER + TWO_POINTS),
+        ("a.ply", POINTS_HEADER + NO_FACES + TWO_POINTS),
+        (
+            "a.ply",
+            (POINTS_HEADER + "end_header\n").replace("ascii", "binary_little_endian").encode()
+            + np.ones((2, 3), dtype="<f4").tobytes(),
+        ),
+        ("a.obj", VERTICES),
+        ("a.obj", VERTICES + "p 1 2 3"),
+        ("a.obj", VERTICES + "l 1 2"),
+    ],
+)
+def test_points_alone_are_told_as_such_and_what_to_do(read, name, content):
+    with pytest.raises(SceneError, match=r"holds points without triangles: make a mesh") as caught:
+        read(name, content)
+    assert name in str(caught.value) and "docs/scans.md" in str(caught.value)
+
+
 # ---------------------------------------------------------------- DAE
 
 
