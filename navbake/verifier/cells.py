@@ -51,6 +51,7 @@ MAX_SEARCH_PLACES = 20_000  # largest number of places of one search
 # than half of its outline are walls, and if only a small share of the outline are drops (the top of
 # a table has drops all round). A ground may lie over a cellar or a pipe, up to some share.
 LARGE_AREA_FACTOR = 1.25  # least area of such a region, relative to the least area of a floor
+MIN_LEVEL_AREA = 1.0  # of smaller ones, a few rays don't tell grounds from tops [m²]
 MIN_WALL_SHARE = 0.5  # of the outline
 MAX_DROP_SHARE = 0.2  # of the outline
 # Of a ground's area, over other places to stand; a bake may take it for a roof from 0.1 on
@@ -344,7 +345,8 @@ class FloorCheck:
             edge.landing is not None and edge.landing not in region.places
             for edge in region.outline
         )
-        is_large = num_inner * self._stride_length**2 >= LARGE_AREA_FACTOR * self._settings.min_area
+        least_area = max(LARGE_AREA_FACTOR * self._settings.min_area, MIN_LEVEL_AREA)
+        is_large = num_inner * self._stride_length**2 >= least_area
         has_few_drops = num_drops <= MAX_DROP_SHARE * len(region.outline)
         if not (is_large and self._reports_unreached and has_few_drops):
             return ""

@@ -184,9 +184,9 @@ class Obstacles:
                 continue
             mat = data.geom_xmat[geom].reshape(3, 3).copy()
             pos = data.geom_xpos[geom]
-            if geom in scene.exact_meshes:  # in the world's frame
+            if geom in scene.exact_meshes:  # in the world's frame; MuJoCo holds float32
                 mat = np.eye(3)
-                pos = np.zeros(3)
+                pos = _middle_of(scene.exact_meshes[geom].vertices)
             for shape in self._shapes_of_geom(geom, selection.mesh_mode):
                 self._place_shape(geom, shape, mat, pos)
         self.geom_names = [report.name for report in scene.geoms]
@@ -264,7 +264,7 @@ class Obstacles:
         geom_type = int(model.geom_type[geom])
         size = model.geom_size[geom].copy()
         if exact_mesh is not None:
-            vertices = exact_mesh.vertices
+            vertices = exact_mesh.vertices - _middle_of(exact_mesh.vertices)
             return self._mesh_shapes(
                 MeshArrays(vertices, exact_mesh.faces.astype(np.int64), vertices), mesh_mode
             )
@@ -439,6 +439,12 @@ def _triangle_surface(vertices: Float, faces: Int) -> fcl.BVHModel:
     surface.addSubModel(np.ascontiguousarray(vertices, dtype=np.float64), faces)
     surface.endModel()
     return surface
+
+
+def _middle_of(vertices: Float) -> Float:
+    """Return the middle of the box around vertices, (3,) [m]."""
+    middle: Float = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    return middle
 
 
 def _drop_unused_vertices(vertices: Float, faces: Int) -> tuple[Float, Int]:

@@ -1,0 +1,56 @@
+"""Tops of walls and beams narrower than 0.4 m are no floors, also where a step leads to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import navbake
+from box_worlds import box, world
+from project_paths import SHARED_DATA
+
+REPORT = SHARED_DATA / "reports/wall_tops/office.xml"
+
+
+def wall_with_stairs(folder, width, height=1.0):
+    """A wall along y in the middle of a floor, with treads of 0.2 m up to it."""
+    parts = box("floor", -3, -2, -0.1, 3, 2, 0) + box("wall", 0, -2, 0, width, 2, height)
+    for number in range(1, round(height / 0.2)):
+        x = -0.3 * (round(height / 0.2) - number)
+        parts += box(f"tread {number}", x, -0.5, 0, x + 0.3, 0.5, 0.2 * number)
+    path = folder / "wall.xml"
+    path.write_text(world(parts), encoding="utf-8")
+    return path
+
+
+def top_area(grid, height=1.0):
+    return sum(
+        float((level.free & np.isclose(level.floor_height, height, atol=1e-3)).sum())
+        * level.cell_size**2
+        for level in grid.levels
+    )
+
+
+@pytest.mark.parametrize(("width", "is_floor"), [(0.1, False), (0.2, False), (0.3, False),
+                                                 (0.5, True), (0.8, True)])  # fmt: skip
+def test_a_walls_top_is_a_floor_from_its_width_on(tmp_path, width, is_floor):
+    path = wall_with_stairs(tmp_path, width)
+    grid = navbake.bake(path)
+    assert (top_area(grid) > 0.9 * width * 4) == is_floor
+    # beside the uppermost tread, 1 m long, the wall's top is one more tread
+    assert is_floor or top_area(grid) <= 1.1 * max(width, 0.1)
+    assert navbake.verify(grid, path, sample=None).ok
+
+
+def test_settings_keep_a_ridge(tmp_path):
+    path = wall_with_stairs(tmp_path, 0.2)
+    assert top_area(navbake.bake(path, floors={"tops": True})) > 0.7
+    assert top_area(navbake.bake(path, floors={"from": [[0.1, 1.5, 1.0]]})) > 0.45
+
+
+@pytest.mark.skipif(not REPORT.exists(), reason="needs shared/data")
+def test_the_walls_of_an_office_stay_walls():
+    grid = navbake.bake(REPORT)
+    assert top_area(grid, 2.5) < 0.5
+    assert len([room for room in grid.rooms if not room.outdoors]) == 2
+    assert navbake.verify(grid, REPORT).ok
