@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import time
-from xml.parsers import expat
 
 import pytest
 
-from navbake.formats import xml_files
 from navbake.formats.xml_files import find_root_tag, parse_xml
 
 WELL_FORMED = """<?xml version="1.0"?>
@@ -88,10 +86,10 @@ def test_time_is_linear_in_the_size(piece):
     assert time.perf_counter() - start < 5
 
 
-def test_entities_expand_to_no_more_than_expat_allows():
+def test_entities_that_expand_without_end_stay_as_they_are():
     entities = '<!ENTITY e0 "0123456789">' + "".join(
         f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 10)
     )
-    content = f"<!DOCTYPE a [{entities}]><a>&e9;</a>".encode()
-    with pytest.raises(expat.ExpatError):
-        xml_files._parse_standard(content)
+    start = time.perf_counter()
+    assert parse_xml(f"<!DOCTYPE a [{entities}]><a>&e9;</a>".encode()).text == "&e9;"
+    assert time.perf_counter() - start < 5
