@@ -70,7 +70,14 @@ def convert(
         "NAME", "Agent whose barred areas a map or mask marks.  [default: any]"
     ),
     absolute: bool | None = Option(None, "--absolute", help="Limits of areas in m/s, not percent."),
-    height: float | None = option("METRES", "How far walls rise over floors [m].  [default: 2.5]"),
+    height: str | None = option(
+        "METRES|LOW:HIGH",
+        "How far walls of a scene rise over floors [m].  [default: 2.5]  Of voxels that are read: "
+        "the heights that must be free, world z [m].",
+    ),
+    unknown: str | None = option(
+        "free|occupied|unknown", "Columns of voxels of which nothing is known.  [default: unknown]"
+    ),
     flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground."),
     scaling: float | None = option("FACTOR", "cost_scaling_factor of nav2 [1/m].  [default: 10]"),
     categories: Path | None = option(
@@ -107,6 +114,7 @@ def convert(
         "agent": agent,
         "absolute": absolute,
         "height": height,
+        "unknown": unknown,
         "flat": flat,
         "scaling": scaling,
         "categories": categories,
@@ -139,6 +147,10 @@ def convert(
     read_options = {
         key: given_options.pop(key) for key in reader.read_options if key in given_options
     }
+    if "height" in read_options:
+        read_options["height"] = _parse_heights(read_options["height"])
+    elif "height" in given_options:
+        given_options["height"] = _parse_wall_height(given_options["height"])
     for key in given_options.keys() - {*writer.write_options}:
         purposes = [f"{form.name} as OUT" for form in GRID_FORMATS if key in form.write_options]
         purposes += [f"{form.name} as IN" for form in GRID_FORMATS if key in form.read_options]
@@ -189,6 +201,25 @@ def _convert_routes(source: Path, output: Path, origin: str | None, to: str | No
     options.write_output(encode_routes(graph, output, to), output)
     if output != STDOUT:
         say_unless_quiet(output)
+
+
+def _parse_heights(text: str) -> tuple[float, float]:
+    """Parse the heights between which voxels count, ``LOW:HIGH`` [m]."""
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError:
+        message = f"expected LOW:HIGH of voxels, such as 0.1:1.2 [m], got {text!r}"
+        raise BadParameter(message, param_hint="--height") from None
+    return low, high
+
+
+def _parse_wall_height(text: str) -> float:
+    """Parse the height of a scene's walls [m]."""
+    try:
+        return float(text)
+    except ValueError:
+        message = f"expected the height of walls [m], got {text!r}"
+        raise BadParameter(message, param_hint="--height") from None
 
 
 def _plan_route(grid: NavGrid, text: str) -> Route:

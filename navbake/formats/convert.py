@@ -162,6 +162,22 @@ GRID_FORMATS = (
         closes=("stairs", "areas"),
     ),
     FileFormat(
+        name="octomap",
+        endings=OCTREE_SUFFIXES,
+        meaning="octree of OctoMap: the floor plan between two heights",
+        encode=None,
+        read="voxel_plans:read_voxel_plan",
+        read_options=("height", "unknown"),
+    ),
+    FileFormat(
+        name="binvox",
+        endings=(".binvox",),
+        meaning="voxels of binvox: the floor plan between two heights",
+        encode=None,
+        read="voxel_plans:read_voxel_plan",
+        read_options=("height", "unknown"),
+    ),
+    FileFormat(
         name="mcap",
         endings=(".mcap",),
         meaning="messages of ROS 2 for Foxglove and rerun: a map of each level, paths, links",

@@ -30,6 +30,10 @@ FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree fil
 COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
 LATTICE_TOLERANCE = 1e-3  # by how much a grid may be off the tree's lattice [voxels]
 LEAF_BYTES = 20  # of memory for a leaf
+# A node of a ColorOcTree's ``.ot``: log-odds, red, green and blue, children (OctoMap 1.9,
+# `ColorOcTreeNode::writeData` in ColorOcTree.cpp); its ``.bt`` is that of an OcTree
+COLOR_NODE_BYTES = 8
+COLOR_BYTES = slice(4, 7)
 # OctoMap's clamping thresholds: the log-odds of certainly free or occupied voxels, as bytes
 CERTAIN_ODDS = np.array([[math.log(p / (1 - p))] for p in (0.1192, 0.971)], "<f4").view(np.uint8)
 # states of nodes, as bits: the states of several nodes are joined by bitwise or. MIXED and
@@ -168,9 +172,9 @@ def read_octomap(
     bounds: ArrayLike | None = None,
     max_voxels: int | None = None,
 ) -> VoxelGrid:
-    """Read an octree of class OcTree, ``.bt`` or ``.ot``.
+    """Read an octree of class OcTree or ColorOcTree, ``.bt`` or ``.ot``.
 
-    Log-odds of 0 and more are occupied.
+    Log-odds of 0 and more are occupied. Colours are left out.
 
     Args:
         source: a path, or the file's content.
@@ -189,10 +193,15 @@ def read_octomap(
 
     ensure_compiled("formats.octree_kernels.")
     data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
-    kind, size, res, end = _read_header(data, name)
+    kind, size, res, end, has_colors = _read_header(data, name)
     place = JsonPath(name)
     allowance = Allowance(len(data), "max_voxels", max_voxels)
     nodes = np.frombuffer(data, dtype=np.uint8, offset=end)
+    if has_colors and kind == "ot":
+        num_whole = len(nodes) // COLOR_NODE_BYTES
+        records = nodes[: num_whole * COLOR_NODE_BYTES].reshape(-1, COLOR_NODE_BYTES)
+        rest = nodes[num_whole * COLOR_NODE_BYTES :]
+        nodes = np.append(np.delete(records, COLOR_BYTES, axis=1).ravel(), rest)
     notes = list[str]()
     leaves = np.empty((0, 5), np.int32)
     if size == 0 and not len(nodes):
@@ -264,8 +273,11 @@ def _find_box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, ...]]
     return first, tuple((end - first).tolist())
 
 
-def _read_header(data: bytes, source: str) -> tuple[str, int, float, int]:
-    """Return a file's kind, number of nodes, edge of voxels [m], and the offset of its data."""
+def _read_header(data: bytes, source: str) -> tuple[str, int, float, int, bool]:
+    """Return a file's kind, number of nodes, edge of voxels [m], offset of data, and colours.
+
+    The last value is whether the tree is a ColorOcTree.
+    """
     first_line = data[:200].partition(b"\n")[0].decode("ascii", errors="replace").strip()
     kind = next((kind for kind, line in FIRST_LINES.items() if first_line == line), None)
     if kind is None:
@@ -275,10 +287,10 @@ def _read_header(data: bytes, source: str) -> tuple[str, int, float, int]:
     lines, numbers, end = read_header(data, source, numbers_per_line)
     size = numbers[0][0]
     res = numbers[1][0]
-    if lines.get("id") != ["OcTree"]:
+    if lines.get("id") not in (["OcTree"], ["ColorOcTree"]):
         got = " ".join(lines.get("id", ["none"]))
         raise FormatError(
-            f"expected a tree of id OcTree in {source}, got {got!r}",
+            f"expected a tree of id OcTree or ColorOcTree in {source}, got {got!r}",
             path=source,
             key="id",
             value=got,
@@ -287,4 +299,4 @@ def _read_header(data: bytes, source: str) -> tuple[str, int, float, int]:
         where = f"`size` and `res` in the header of {source}"
         message = f"expected numbers > 0 as {where}, got {size:g} and {res:g}"
         raise FormatError(message, path=source, expected="numbers > 0")
-    return kind, int(size), res, end
+    return kind, int(size), res, end, lines["id"] == ["ColorOcTree"]

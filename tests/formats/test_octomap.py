@@ -233,7 +233,7 @@ OT = encode_octomap(grid_of(ASYMMETRIC), "ot")
     [
         (b"", "expected an OctoMap file"),
         (BT.replace(b"binary", b"bimary", 1), "expected an OctoMap file"),
-        (BT.replace(b"id OcTree", b"id ColorOcTree"), "id OcTree.*'ColorOcTree'"),
+        (BT.replace(b"id OcTree", b"id OcTreeStamped"), "id OcTree.*'OcTreeStamped'"),
         (BT.replace(b"res 0.1", b"res 0"), "numbers > 0 as .*`res`.* and 0"),
         (BT.replace(b"size", b"sise"), "no line `size`"),
         (BT.replace(b"\ndata\n", b"\n"), "no line `data`"),

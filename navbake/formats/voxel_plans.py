@@ -1,0 +1,72 @@
+"""Reads voxel files, OctoMap's and binvox, as a grid of one level: the floor plan of some heights.
+
+As in ``octomap_server``, which projects a tree onto a map, a column of voxels is occupied if a
+voxel between the heights is, else free if one is known to be free, else unknown.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+
+import numpy as np
+
+from navbake.errors import FormatError
+from navbake.files import readable_stem
+from navbake.formats.occupancy import FREE, OCCUPIED, UNKNOWN, level_from_values
+from navbake.formats.voxels import read_voxels
+from navbake.navgrid.grid import SceneGrid2D
+from navbake.voxels.floor_plan import cut_band, lattice_of
+from navbake.voxels.grid import VoxelGrid
+
+UNKNOWN_VALUES = {"free": FREE, "occupied": OCCUPIED, "unknown": UNKNOWN}
+
+
+def read_voxel_plan(
+    path: str | PathLike[str],
+    *,
+    height: tuple[float, float] | None = None,
+    unknown: str = "unknown",
+) -> SceneGrid2D:
+    """Read a voxel file as a grid of one level: its floor plan between two heights.
+
+    Args:
+        path: the file, which ends in ``.bt``, ``.ot`` or ``.binvox``.
+        height: the lower and the upper end of the heights that an agent needs free, world z [m];
+            the lower one is the height of the grid's floor. It has no default.
+        unknown: what columns are of which nothing is known between the heights: ``free``,
+            ``occupied`` or ``unknown`` (without a floor).
+
+    Returns:
+        The level, whose cells are the columns of the voxels.
+
+    Raises:
+        FormatError: the file is broken or needs too much memory, no heights are given, or `unknown`
+            is another word.
+        QueryError: the range of heights is empty.
+    """
+    if height is None:
+        expected = "the heights that an agent needs free, LOW:HIGH [m], world z (--height 0.1:1.2)"
+        raise FormatError(
+            f"expected {expected} to make a grid of the voxels of {path}",
+            path=str(path),
+            key="height",
+            expected=expected,
+        )
+    if unknown not in UNKNOWN_VALUES:
+        expected = " or ".join(UNKNOWN_VALUES)
+        raise FormatError(
+            f"expected {expected} as unknown, got {unknown!r}",
+            key="unknown",
+            value=unknown,
+            expected=expected,
+        )
+    low, high = height
+    voxels = read_voxels(path)
+    is_occupied = cut_band(voxels, low, high) != 0
+    known = np.ones(voxels.shape, dtype=bool) if voxels.known is None else voxels.known
+    known_voxels = VoxelGrid(values=known, origin=voxels.origin, res=voxels.res)
+    is_known = cut_band(known_voxels, low, high) != 0
+    values = np.where(is_known, FREE, UNKNOWN_VALUES[unknown])
+    values = np.where(is_occupied, OCCUPIED, values).astype(np.int8)
+    metadata = {"sceneId": readable_stem(path)}
+    return level_from_values(values, lattice_of(voxels), low, metadata)
