@@ -256,7 +256,10 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
     screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or "none"
     yield "OpenGL", f"libraries {libraries}, display {screen}; the browser of `view` draws by it"
     if (folder := compiled.cache_folder()) is None:
-        yield "compiled", f"NO FOLDER CAN BE WRITTEN: each process compiles anew; {compiled.REMEDY}"
+        yield (
+            "compiled",
+            f"NO FOLDER CAN BE WRITTEN: each process compiles anew; {compiled.CACHE_REMEDY}",
+        )
     else:
         entries = [entry for group in compiled.read_list() for entry in group]
         warm = len(entries) - len(compiled.list_uncompiled(entries))
