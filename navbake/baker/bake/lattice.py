@@ -14,6 +14,8 @@ from navbake.types import Float
 
 # By which share of a box's size its sides may be rounded: sums and products of lengths are
 BOX_ROUNDING = 1e-6
+# How far around `grid.bounds` floors are judged, unless the bounds themselves are larger [m]
+MAX_EXTENSION = 50.0
 
 
 def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
@@ -81,10 +83,11 @@ def _name_largest_geom(scene: Scene) -> str:
 def extend_lattice(
     lattice: Lattice, bounds: Float | None, max_cells: int
 ) -> tuple[Lattice, Window]:
-    """Extend a lattice to the whole scene, by whole cells.
+    """Extend a lattice to the whole scene, or far around it, by whole cells.
 
-    Where that would be too many cells, it is extended equally to all sides, as far as `max_cells`
-    allow.
+    On each side it is extended by at most MAX_EXTENSION, or by the lattice's own longer side if
+    that is more: farther away, nothing decides what is a floor. Where that would be too many cells,
+    it is extended equally to all sides, as far as `max_cells` allow.
 
     Args:
         lattice: the lattice to extend.
@@ -125,7 +128,8 @@ def extend_lattice(
         return extended.width * extended.height > max_cells
 
     # The number of cells grows with the extension: bisect for the largest that is allowed.
-    extensions = range(1, max(num_west, num_east, num_south, num_north) + 1)
+    most_cells = max(math.ceil(MAX_EXTENSION / lattice.cell_size), lattice.width, lattice.height)
+    extensions = range(1, min(most_cells, max(num_west, num_east, num_south, num_north)) + 1)
     max_extension = bisect_left(extensions, True, key=is_too_large)
     first_row = min(num_north, max_extension)
     first_col = min(num_west, max_extension)

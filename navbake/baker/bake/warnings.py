@@ -192,8 +192,8 @@ def _warn_cropped(config: BakeConfig, extended: FloorLattice, scene: Scene) -> I
         x_min, y_min, x_max, y_max = lattice.bounds
         yield (
             "which floors are roofs or reached was decided on a part of the scene, "
-            f"x {x_min:.6g} to {x_max:.6g} m and y {y_min:.6g} to {y_max:.6g} m: all of it has "
-            f"more cells than `grid.max_cells` = {config.grid.max_cells}"
+            f"x {x_min:.6g} to {x_max:.6g} m and y {y_min:.6g} to {y_max:.6g} m: around "
+            f"`grid.bounds`, as far as `grid.max_cells` = {config.grid.max_cells} allow"
         )
 
 

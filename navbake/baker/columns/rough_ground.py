@@ -6,6 +6,7 @@ facets of a scan are steeper than the floor that was scanned.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -23,9 +24,12 @@ from navbake.types import Bool, Float, Int
 
 # The radius of the ground that a foot covers [m]; on larger cells, their size
 FOOT_RADIUS = 0.1
-# Points that are sampled around a line: directions, and distances as shares of the radius
+# Points that are sampled around a line: on circles, whose radii are shares of the foot's
 NUM_DIRECTIONS = 8
 SAMPLED_SHARES = (0.5, 1.0)
+# Four points decide first whether the ground is clearly too steep: if the rise of the plane through
+# them is more than so many times that of the agent's slope, the others aren't sampled
+CLEARLY_STEEP_FACTOR = 1.5
 # Bumps are at most this share of a step off the plane through the ground
 MAX_BUMP_SHARE = 1.0 / 3.0
 # The samples determine a plane if their least variance along any direction of the map is at least
@@ -68,9 +72,13 @@ def level_rough_ground(
     normal = columns.normal.copy()
     num_samples = NUM_DIRECTIONS * len(SAMPLED_SHARES)
     for first in range(0, len(hit), LINES_PER_PASS // num_samples):
-        some = slice(first, first + LINES_PER_PASS // num_samples)
-        plane_normal, is_ground = _mark_flat_ground(columns, tiled, limits, cell[some], hit[some])
-        normal[hit[some][is_ground]] = plane_normal[is_ground]
+        some_cells = cell[first : first + LINES_PER_PASS // num_samples]
+        some_hits = hit[first : first + LINES_PER_PASS // num_samples]
+        is_steep = _mark_clearly_steep(columns, tiled, limits, some_cells, some_hits)
+        some_cells = some_cells[~is_steep]
+        some_hits = some_hits[~is_steep]
+        plane_normal, is_ground = _mark_flat_ground(columns, tiled, limits, some_cells, some_hits)
+        normal[some_hits[is_ground]] = plane_normal[is_ground]
     return replace(columns, hits=columns.hits._replace(normal=normal))
 
 
@@ -102,6 +110,33 @@ def _find_steep_facets(
     is_covered = np.empty(len(hit), dtype=np.bool_)
     run_in_chunks(find_blocked_lines, len(hit), cell, low, high, columns.hits, is_covered)
     return cell[~is_covered], hit[~is_covered]
+
+
+def _mark_clearly_steep(
+    columns: Columns, tiled: TiledShapes, limits: AgentLimits, cell: Int, hit: Int
+) -> Bool:
+    """Mark the hits around which the ground rises much more than the agent's slope.
+
+    Args:
+        columns: the columns.
+        tiled: the shapes.
+        limits: the agent's limits.
+        cell: the cell of each hit, (n,).
+        hit: indices of hits, (n,).
+    """
+    offset = circle_offsets(4, foot_radius(columns.lattice))
+    east, north, west, south = _sample_ground(columns, tiled, limits, cell, hit, offset).T
+    length = 2.0 * foot_radius(columns.lattice)
+    rise = np.hypot(east - west, north - south) / length  # NaN where a sample is missing
+    max_rise = math.sqrt(1.0 / limits.min_up**2 - 1.0)
+    is_steep: Bool = rise > CLEARLY_STEEP_FACTOR * max_rise
+    return is_steep
+
+
+def circle_offsets(num_directions: int, radius: float) -> Float:
+    """Return map offsets x, y on a circle, counter-clockwise from east, (2, num_directions) [m]."""
+    angle = np.arange(num_directions) * (2.0 * np.pi / num_directions)
+    return radius * np.stack([np.cos(angle), np.sin(angle)])
 
 
 class GroundPlane(NamedTuple):
@@ -139,11 +174,15 @@ def _mark_flat_ground(
         The unit normals of the planes, (n, 3), and which of the planes are ground that the agent
         can stand on, (n,).
     """
-    offset, height = _sample_ground(columns, tiled, limits, cell, hit)
+    radius = foot_radius(columns.lattice)
+    offset = np.concatenate(
+        [circle_offsets(NUM_DIRECTIONS, share * radius) for share in SAMPLED_SHARES], axis=1
+    )
+    height = _sample_ground(columns, tiled, limits, cell, hit, offset)
     half_turn = NUM_DIRECTIONS // 2
     opposite = np.roll(height.reshape(len(hit), -1, NUM_DIRECTIONS), half_turn, axis=2)
     mirrored = np.where(np.isnan(opposite.reshape(height.shape)), np.nan, height)
-    min_variance = MIN_VARIANCE_SHARE * foot_radius(columns.lattice) ** 2
+    min_variance = MIN_VARIANCE_SHARE * radius**2
     plane = _fit_planes(offset, mirrored, min_variance)
     one_sided = np.flatnonzero(~plane.is_determined)
     by_all = _fit_planes(offset, height[one_sided], min_variance)
@@ -192,8 +231,13 @@ def _fit_planes(offset: Float, height: Float, min_variance: float) -> GroundPlan
 
 
 def _sample_ground(
-    columns: Columns, tiled: TiledShapes, limits: AgentLimits, cell: Int, hit: Int
-) -> tuple[Float, Float]:
+    columns: Columns,
+    tiled: TiledShapes,
+    limits: AgentLimits,
+    cell: Int,
+    hit: Int,
+    offset: Float,
+) -> Float:
     """Sample the ground around hits.
 
     Args:
@@ -202,16 +246,12 @@ def _sample_ground(
         limits: the agent's limits.
         cell: the cell of each hit, (n,).
         hit: indices of hits, (n,).
+        offset: the map offsets of the samples from the line, x and y, (2, samples) [m].
 
     Returns:
-        The map offsets of the samples from the line, x and y, (2, samples) [m]; and the heights of
-        the ground relative to the hit, (n, samples) [m], NaN where there is none.
+        The heights of the ground relative to the hit, (n, samples) [m], NaN where there is none.
     """
     lattice = columns.lattice
-    angle = np.arange(NUM_DIRECTIONS) * (2.0 * np.pi / NUM_DIRECTIONS)
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    offset = np.concatenate([share * circle for share in SAMPLED_SHARES], axis=1)
-    offset *= foot_radius(lattice)
     center = lattice.positions(*np.divmod(cell, lattice.width))
     points = (center[:, None] + offset.T).reshape(-1, 2)
     rows, cols = lattice.rows_cols(points)
@@ -224,4 +264,4 @@ def _sample_ground(
     is_ground = (rays.normal[:, 2] > 0.0) & (np.abs(rise) <= limits.step + LIMIT_SLACK)
     # heights ascend along a line: the last assignment is that of the highest surface
     height[line[is_ground]] = rise[is_ground]
-    return offset, height.reshape(len(cell), -1)
+    return height.reshape(len(cell), -1)

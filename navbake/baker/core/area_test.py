@@ -74,8 +74,18 @@ def is_large_enough(lattice: Lattice, settings: FloorSettings, marked: Bool) -> 
         settings: settings of `floors`; `min_area` [m²] and `shrink` [m] are used.
         marked: mask of the cells, shape (cells,) or (height, width), bool.
     """
-    test = make_area_test(lattice, settings)
-    padded = np.pad(marked.reshape(lattice.shape), test.radius)
+    return keeps_enough(make_area_test(lattice, settings), marked.reshape(lattice.shape))
+
+
+def keeps_enough(test: AreaTest, marked: Bool) -> bool:
+    """Return whether enough of the marked cells of a window remain after they are eroded.
+
+    Args:
+        test: the area test of the lattice.
+        marked: mask of the window's cells, shape (rows, cols); cells beside the window aren't
+            marked.
+    """
+    padded = np.pad(marked, test.radius)
     remaining = np.flatnonzero(padded)
     for row, half_width in enumerate(test.half_widths.tolist(), start=-test.radius):
         for col in range(-half_width, half_width + 1):

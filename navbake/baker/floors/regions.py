@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.area_test import make_area_test
+from navbake.baker.core.area_test import keeps_enough, make_area_test
 from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.blocks import Blocks
 from navbake.baker.core.components import expand_ranges, label_components
+from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import component_kernels as kernels
 from navbake.baker.floors.component_kernels import (
     JOINED,
@@ -275,12 +276,12 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
     """Mark the regions that are large enough for floors.
 
     A region is large enough if it keeps `floors.min_area` when it is shrunk by `floors.shrink`. Its
-    cells at all heights are shrunk together.
+    cells at all heights are shrunk together. Holes that `floors.fill` closes are part of it.
 
     Args:
         regions: all regions.
         mask: which of them are tested, shape (regions,).
-        settings: the settings of `floors`; `min_area` [m²] and `shrink` [m] are used.
+        settings: the settings of `floors`; `min_area` [m²], `shrink` [m] and `fill` [m²] are used.
 
     Returns:
         A mask of the regions that are large enough, shape (regions,), bool.
@@ -307,7 +308,38 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
         area_test,
         is_large,
     )
+    if settings.fill:
+        max_cells = settings.fill / regions.lattice.cell_size**2
+        for number in np.flatnonzero(mask & ~is_large).tolist():
+            row0, col0, row1, col1 = regions.box[number].tolist()
+            if (row1 - row0) * (col1 - col0) >= area_test.min_cells:
+                filled = _fill_region(regions, number, max_cells)
+                is_large[number] = keeps_enough(area_test, filled)
     return is_large
+
+
+def _fill_region(regions: Regions, region: int, max_cells: float) -> Bool:
+    """Mark the cells of a region, and of its holes, in the window of its box.
+
+    Args:
+        regions: all regions.
+        region: the region's id.
+        max_cells: how many cells a hole to fill has at most.
+    """
+    from scipy.ndimage import label  # scipy loads slowly, and few bakes need this
+
+    row0, col0, row1, col1 = regions.box[region].tolist()
+    row, col = np.divmod(regions.surfaces_of(region).cell, regions.lattice.width)
+    # what lies beside the box is connected all round, and is no hole
+    is_empty = np.ones((row1 - row0 + 2, col1 - col0 + 2), dtype=np.bool_)
+    is_empty[row - row0 + 1, col - col0 + 1] = False
+    hole, _ = label(is_empty)
+    size = np.bincount(hole.ravel())  # [cells]
+    is_filled = size <= max_cells + LIMIT_SLACK
+    is_filled[0] = True  # the region's cells
+    is_filled[hole[0, 0]] = False
+    filled: Bool = is_filled[hole][1:-1, 1:-1]
+    return filled
 
 
 @dataclass(frozen=True)
