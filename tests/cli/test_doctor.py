@@ -43,7 +43,9 @@ def test_a_slow_machine_is_named(lines, monkeypatch):
 
 
 def test_a_missing_extra_names_its_command(lines, monkeypatch):
-    monkeypatch.setattr(check, "_installed_version", lambda name: None if name == "viser" else "1.0")
+    monkeypatch.setattr(
+        check, "_installed_version", lambda name: None if name == "viser" else "1.0"
+    )
     found = lines()
     assert found["[view]"] == 'missing viser: pip install "navbake[view]"'
     assert found["[plot]"] == "matplotlib 1.0"
