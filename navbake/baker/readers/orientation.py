@@ -100,8 +100,8 @@ def orient_meshes(
     """Read the meshes of a file, with the direction up that `scene.up` says.
 
     For ``auto``, that is the axis that the file states. If it states none, it is z; or an axis near
-    y, with a warning, if the mesh looks as if it lay on its side (`lies_on_side`) and
-    `find_orientations` finds that axis. For ``level``, and for ``auto`` with a scan that states no
+    y, with a warning, if the mesh is lowest along y and things clearly stand on what faces along y
+    (`find_orientations`). For ``level``, and for ``auto`` with a scan that states no
     axis, it is the direction that `find_orientations` finds.
 
     Args:
@@ -130,13 +130,8 @@ def orient_meshes(
         return _turn_up(meshes, best.direction)
     to_file_frame = rotation_to_z_up(up).T  # from the world frame
     best_in_file = to_file_frame @ best.direction
-    seems_on_side = settings.up == "auto" and lies_on_side(meshes, sample)
-    if (
-        is_clear
-        and seems_on_side
-        and file_axis is None
-        and abs(best.direction[1]) > MIN_FACING_COSINE
-    ):
+    is_turned = is_auto_without_axis and is_lowest_along_y(meshes)
+    if is_turned and is_clear and abs(best.direction[1]) > MIN_FACING_COSINE:
         name = _name_direction(best_in_file)
         warnings.append(
             f"the mesh lies on its side, and is taken with {name} up, as things stand on what "
@@ -149,7 +144,7 @@ def orient_meshes(
             f"{best.furniture_area:.1f} m² hang from a surface like it above: "
             f"`scene.up: {_name_direction(best_in_file)}` turns the mesh over"
         )
-    elif seems_on_side:
+    elif settings.up == "auto" and lies_on_side(meshes, sample):
         axis = _name_direction(np.abs(to_file_frame[:, 1]))
         warnings.append(
             f"the mesh is lowest along {axis}, and most of its surface faces along {axis}: if it "
@@ -208,6 +203,17 @@ def _turn_up(meshes: list[NamedMesh], up: Direction) -> list[NamedMesh]:
     return [mesh._replace(vertices=mesh.vertices @ rotation.T) for mesh in meshes]
 
 
+def is_lowest_along_y(meshes: Collection[NamedMesh]) -> bool:
+    """Return whether the bounding box of meshes in the world frame is smallest along y.
+
+    Args:
+        meshes: the meshes, world frame [m].
+    """
+    low, high = bounds_of_meshes(meshes)
+    width, depth, height = np.subtract(high, low)
+    return bool(depth < min(width, height))
+
+
 def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
     """Return whether a mesh in the world frame looks as if its y axis were vertical.
 
@@ -222,11 +228,7 @@ def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
     faces_along_z = np.abs(sample.normal[:, 2]) >= np.sqrt(0.5)
     y_area = sample.area[faces_along_y].sum()
     z_area = sample.area[faces_along_z].sum()
-    if y_area <= ON_SIDE_RATIO * z_area:
-        return False
-    low, high = bounds_of_meshes(meshes)
-    width, depth, height = np.subtract(high, low)
-    return bool(depth < min(width, height))
+    return bool(y_area > ON_SIDE_RATIO * z_area) and is_lowest_along_y(meshes)
 
 
 def _name_direction(direction: Float) -> str:

@@ -228,3 +228,37 @@ def test_specks_of_a_scan_are_left_out(tmp_path):
     assert len(whole.faces) - len(kept.faces) == 2 * len(specks[0].faces)
     (told,) = (text for text in load(True).warnings if "pieces of the scan" in text)
     assert told.startswith("2 pieces") and "0.08 m² in all" in told
+
+
+def box_between(low, high) -> trimesh.Trimesh:
+    low, high = np.array(low, dtype=float), np.array(high, dtype=float)
+    return trimesh.creation.box(high - low).apply_translation((low + high) / 2)
+
+
+def furnished_room() -> trimesh.Trimesh:
+    """A room of 10 x 8 m with thick walls, z up; half of its surface are walls."""
+    return trimesh.util.concatenate(
+        [
+            box_between((0, 0, -0.4), (10, 8, 0)),
+            box_between((0, 0, 0), (10, 0.2, 2.6)),
+            box_between((0, 7.8, 0), (10, 8, 2.6)),
+            box_between((0, 0, 0), (0.2, 8, 2.6)),
+            box_between((9.8, 0, 0), (10, 8, 2.6)),
+            box_between((2, 2, 0), (3.5, 3, 0.75)),
+            box_between((7, 5, 0), (9, 7, 0.5)),
+            box_between((5, 0, 0), (5.2, 3, 2.6)),
+        ]
+    )
+
+
+@pytest.mark.parametrize("angle", [-105.0, -90.0, -78.0, 72.0, 90.0, 100.0, 112.0])
+def test_a_mesh_on_its_side_stands_up_whatever_it_is_tilted_by(tmp_path, angle):
+    """A direction that is no axis is taken as it is, and told by its numbers."""
+    room = furnished_room()
+    room.apply_transform(trimesh.transformations.rotation_matrix(np.radians(angle), (1, 0, 0)))
+    path = str(tmp_path / "room.obj")
+    room.export(path)
+    result = run_bake(parse_config({"scene": {"path": path}}))
+    (text,) = (text for text in result.warnings if "lies on its side" in text)
+    assert "is taken with" in text
+    assert result.grid.levels[0].free.sum() == pytest.approx(6690, abs=500)
