@@ -12,8 +12,13 @@ from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.types import Float
 
-# By which share of a box's size its sides may be rounded: sums and products of lengths are
-BOX_ROUNDING = 1e-6
+# The share of a box's size by which its extents may be rounded: sums and products of lengths are
+SIZE_ROUNDING = 1e-6
+# Vertices of a mesh file may be stored in float32: the share of their farthest coordinate by which
+# the extents may be rounded on top of that
+FLOAT32_ROUNDING = 2.0**-22
+# Extents are rounded by at most this share of a cell, however far away a mesh lies
+MAX_ROUNDED_SHARE = 0.25
 # How far around `grid.bounds` floors are judged, unless the bounds themselves are larger [m]
 MAX_EXTENSION = 50.0
 
@@ -21,9 +26,8 @@ MAX_EXTENSION = 50.0
 def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     """Fit a lattice to the scene, or to the bounds of the settings.
 
-    The scene's box is reduced by `BOX_ROUNDING` before its cells are counted, so that rounding of
-    lengths (a mesh in inches) does not add a row or column of cells. That depends on the box's
-    size, and not on how far from the origin it lies.
+    The extents of the scene's box are reduced by `box_rounding` before its cells are counted, so
+    that rounding (of a mesh in inches, say) does not add a row or column of cells.
 
     Args:
         scene: the posed scene.
@@ -63,9 +67,25 @@ def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
             f"(`scene.unit`) and the cell size, bake a part (`grid.bounds`), leave geoms out "
             f"(`scene.exclude`), or raise the limit"
         )
-    rounding = 0.0 if settings.bounds is not None else BOX_ROUNDING * max(width, depth)
+    rounding = 0.0
+    if settings.bounds is None:
+        rounding = box_rounding(scene, np.array(bounds), settings.cell_size)
     bounds = tuple(float(side) for side in bounds)
     return Lattice.cover(bounds, settings.cell_size, settings.margin, rounding)
+
+
+def box_rounding(scene: Scene, bounds: Float, cell_size: float) -> float:
+    """Return by how much the extents of a scene's box may be too large because of rounding [m].
+
+    Args:
+        scene: the posed scene.
+        bounds: the box: x_min, y_min, x_max, y_max, shape (4,) [m].
+        cell_size: edge of a cell [m].
+    """
+    rounding = SIZE_ROUNDING * float((bounds[2:] - bounds[:2]).max())
+    if scene.exact_meshes:
+        rounding += FLOAT32_ROUNDING * float(np.abs(bounds).max())
+    return min(rounding, MAX_ROUNDED_SHARE * cell_size)
 
 
 def _name_largest_geom(scene: Scene) -> str:
@@ -81,7 +101,7 @@ def _name_largest_geom(scene: Scene) -> str:
 
 
 def extend_lattice(
-    lattice: Lattice, bounds: Float | None, max_cells: int
+    lattice: Lattice, bounds: Float | None, max_cells: int, rounding: float = 0.0
 ) -> tuple[Lattice, Window]:
     """Extend a lattice to the whole scene, or far around it, by whole cells.
 
@@ -94,6 +114,7 @@ def extend_lattice(
         bounds: the scene's box, shape (2, 3) [m]; None for an endless scene, for which the lattice
             stays as it is.
         max_cells: the most cells that the extended lattice may have.
+        rounding: by how much the box's extents may be too large because of rounding [m].
 
     Returns:
         The extended lattice, and the window of it that is `lattice`.
@@ -103,7 +124,6 @@ def extend_lattice(
     x_min, y_min, x_max, y_max = lattice.bounds
     scene_x_min, scene_y_min = bounds[0, :2].tolist()
     scene_x_max, scene_y_max = bounds[1, :2].tolist()
-    rounding = BOX_ROUNDING * float((bounds[1, :2] - bounds[0, :2]).max())
 
     def count_cells(length: float) -> int:
         return max(0, math.ceil((length - rounding) / lattice.cell_size - CELL_SLACK))

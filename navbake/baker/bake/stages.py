@@ -23,7 +23,7 @@ import numpy as np
 from navbake.baker.bake.arguments import parse_arguments
 from navbake.baker.bake.baked import BakedPose, BakedStructure, FloorLattice
 from navbake.baker.bake.boxes import find_level_boxes
-from navbake.baker.bake.lattice import extend_lattice, fit_lattice
+from navbake.baker.bake.lattice import box_rounding, extend_lattice, fit_lattice
 from navbake.baker.bake.level_crops import crop_layers, crop_steps, make_grid_door, rooms_to_json
 from navbake.baker.bake.scene_floors import find_scene_floors, measure_holes
 from navbake.baker.bake.uncounted import warn_uncounted
@@ -524,7 +524,10 @@ def find_floor_lattice(lattice: Lattice, scene: Scene, config: BakeConfig) -> Fl
     Returns:
         The extended lattice, and its window that is baked.
     """
-    extended, window = extend_lattice(lattice, scene.bounds, config.grid.max_cells)
+    rounding = 0.0
+    if scene.bounds is not None:
+        rounding = box_rounding(scene, scene.bounds[:, :2].ravel(), lattice.cell_size)
+    extended, window = extend_lattice(lattice, scene.bounds, config.grid.max_cells, rounding)
     return FloorLattice(extended, window)
 
 

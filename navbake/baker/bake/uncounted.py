@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from navbake.baker.core.constants import PLANE
 from navbake.baker.floors.levels import Floors
 from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import Occupancy
@@ -21,6 +22,8 @@ from navbake.types import Bool, Int
 MIN_UNCOUNTED_AREA = 0.04
 MIN_FREE_SHARE = 0.5
 MAX_NAMED_THINGS = 5
+# Thinner geoms are textures and pictures on what collides for them [m]
+MIN_THICKNESS = 0.02
 
 
 def warn_uncounted(
@@ -93,14 +96,12 @@ def warn_uncounted(
 
 
 def _mark_candidates(scene: Scene) -> Bool:
-    """Mark the drawn geoms that can't collide; none of movables that collide by another geom."""
-    counted = np.array([selection.counted for selection in scene.selections], dtype=np.bool_)
+    """Mark the drawn geoms that can't collide, and can't move either; no planes, no posters."""
     cant_collide = [selection.reason == CANT_COLLIDE for selection in scene.selections]
-    mover_counts = np.zeros(len(scene.movable), dtype=np.bool_)
-    mover_counts[scene.mover_of[counted]] = True
-    mover_counts &= ~scene.is_structure_body
     is_candidate: Bool = np.array(cant_collide, dtype=np.bool_) & mark_drawn(scene.model)
-    is_candidate &= ~mover_counts[scene.mover_of]
+    is_candidate &= scene.is_structure_body[scene.mover_of]
+    is_candidate &= scene.model.geom_type != PLANE
+    is_candidate &= 2.0 * scene.model.geom_aabb[:, 3:].min(axis=1) >= MIN_THICKNESS
     return is_candidate
 
 

@@ -37,7 +37,7 @@ from navbake.baker.floors.reach import (
 )
 from navbake.baker.floors.regions import Patch, describe_regions, find_large_regions, find_regions
 from navbake.baker.floors.rejected import find_rejected_regions, mark_reported_roofs
-from navbake.baker.floors.ridges import find_ridges, without_surfaces
+from navbake.baker.floors.ridges import RIDGE_WIDTH, find_ridges, without_surfaces
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.geometry.shapes import Shapes
@@ -153,6 +153,11 @@ def find_floors(
         if is_ridge.any():
             surfaces = without_surfaces(surfaces, is_ridge)
             context = find_context(surfaces)
+            if not context.is_large.any():
+                raise SceneError(
+                    f"no floor: what is large enough is narrower than {RIDGE_WIDTH:g} m between "
+                    f"drops, as tops of walls and beams are; `floors.tops: true` keeps it"
+                )
     regions = context.regions
     is_large = context.is_large
     rejected = find_rejected_regions(

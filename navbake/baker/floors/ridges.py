@@ -7,12 +7,12 @@ import numpy as np
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.outline import RegionContext, neighbor_cells, probe_ranges
 from navbake.baker.floors.reach import MAX_DISTANCE_ON_SURFACE
-from navbake.baker.floors.regions import find_regions, region_join_rule
+from navbake.baker.floors.regions import Regions, find_regions, region_join_rule
 from navbake.baker.floors.ridge_kernels import list_narrow_runs, measure_runs
 from navbake.baker.floors.surface_kernels import EAST, NORTH, SOUTH, WEST, Surfaces
 from navbake.baker.floors.surfaces import find_highest_within_step
 from navbake.threads import run_in_chunks
-from navbake.types import Bool, Int
+from navbake.types import Bool, Int, Int32
 
 # What is narrower between two drops is a ridge [m]
 RIDGE_WIDTH = 0.4
@@ -56,7 +56,14 @@ def find_ridges(context: RegionContext, positions: list[list[float]]) -> Bool:
     inverse_lengths = np.divide(1.0, lengths, out=np.zeros(lengths.shape), where=lengths > 0.0)
     width = 1.0 / np.hypot(inverse_lengths[:, 0], inverse_lengths[:, 1])
     is_ridge[in_run] = width < RIDGE_WIDTH - LIMIT_SLACK
-    return is_ridge & ~_mark_start_ridges(context, is_ridge, positions)
+    if not is_ridge.any():
+        return is_ridge
+    group = np.where(is_ridge, np.int32(0), np.int32(-1))
+    ridges = find_regions(surfaces, context.agent, group)
+    is_floor = _mark_corners(ridges, is_ridge, num_cells_across)
+    is_floor |= _mark_named_ridges(ridges, positions)
+    is_ridge[is_ridge] = ~is_floor[ridges.region_of(np.flatnonzero(is_ridge))]
+    return is_ridge
 
 
 def _mark_runs_between_drops(context: RegionContext, runs: Int) -> Bool:
@@ -111,23 +118,43 @@ def _mark_drops(context: RegionContext, surface: Int, cell: Int, direction: Int)
     return is_drop
 
 
-def _mark_start_ridges(
-    context: RegionContext, is_ridge: Bool, positions: list[list[float]]
-) -> Bool:
-    """Mark the ridges, as wholes, on which one of some positions lies.
+def _mark_corners(ridges: Regions, is_ridge: Bool, num_cells_across: Int32) -> Bool:
+    """Mark the ridges that are corners of wide floors, such as that of a tier turned by 45 degrees.
+
+    A line along x or y cuts a corner short, but not a line along the other axis; and the corner is
+    no longer than a ridge is wide.
 
     Args:
-        context: all regions.
+        ridges: the connected ridges.
         is_ridge: mask of the surfaces that are ridges, shape (surfaces,).
-        positions: x, y, z of each [m].
+        num_cells_across: the cells of each surface's runs, see `measure_runs`.
+
+    Returns:
+        A mask of the ridges, shape (ridges,).
     """
-    is_start = np.zeros_like(is_ridge)
-    if not positions or not is_ridge.any():
-        return is_start
-    surfaces = context.regions.surfaces
-    lattice = context.regions.lattice
-    group = np.where(is_ridge, np.int32(0), np.int32(-1))
-    ridges = find_regions(surfaces, context.agent, group)
+    sides = ridges.box[:, 2:] - ridges.box[:, :2]  # rows and columns
+    max_cells = RIDGE_WIDTH / ridges.lattice.cell_size + LIMIT_SLACK
+    is_short = (sides <= max_cells).all(axis=1)
+    surface = np.flatnonzero(is_ridge)
+    is_cut_twice = (num_cells_across[surface] > 0).all(axis=1)
+    num_cut_twice = np.bincount(ridges.region_of(surface), is_cut_twice, ridges.num)
+    is_corner: Bool = is_short & (num_cut_twice == 0)
+    return is_corner
+
+
+def _mark_named_ridges(ridges: Regions, positions: list[list[float]]) -> Bool:
+    """Mark the ridges on which one of some positions lies.
+
+    Args:
+        ridges: the connected ridges.
+        positions: x, y, z of each [m].
+
+    Returns:
+        A mask of the ridges, shape (ridges,).
+    """
+    surfaces = ridges.surfaces
+    lattice = ridges.lattice
+    is_named = np.zeros(ridges.num, dtype=np.bool_)
     for x, y, z in positions:
         row, col = lattice.rows_cols([x, y])
         if not (0 <= row < lattice.height and 0 <= col < lattice.width):
@@ -135,10 +162,9 @@ def _mark_start_ridges(
         cell = int(row) * lattice.width + int(col)
         surface_ids = np.arange(surfaces.first[cell], surfaces.end[cell])
         is_near = np.abs(surfaces.z[surface_ids] - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK
-        for region in ridges.region_of(surface_ids[is_near]).tolist():
-            if region >= 0:
-                is_start[ridges.surfaces_of(region).surface_id] = True
-    return is_start
+        ridges_at_position = ridges.region_of(surface_ids[is_near])
+        is_named[ridges_at_position[ridges_at_position >= 0]] = True
+    return is_named
 
 
 def without_surfaces(surfaces: Surfaces, mask: Bool) -> Surfaces:

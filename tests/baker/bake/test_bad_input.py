@@ -227,7 +227,8 @@ def test_meshes_cut_off(fails, folder, suffix, share):
 
 def test_a_mesh_of_points(fails, folder):
     write("box.obj", "v 0 0 0\nv 1 0 0\n")
-    assert "no triangles in box.obj" in fails("box.obj", scene={"path": "box.obj"})
+    text = fails("box.obj", scene={"path": "box.obj"})
+    assert "box.obj holds points without triangles" in text
 
 
 # ---------------------------------------------------------------- nothing to stand on

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from navbake.baker.bake.lattice import fit_lattice
 from navbake.baker.bake.pipeline import run_bake
+from navbake.baker.columns import column_sources
+from navbake.baker.floors import ridges
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError
@@ -45,6 +47,18 @@ def examples(number: int) -> settings:
         deadline=None,
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
     )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def surfaces_alone() -> Iterator[None]:
+    """Floors are judged surface by surface: rules of ground and of ridges have tests of their own.
+
+    See test_rough_ground.py and test_ridges.py; these scenes are as small as a ridge is wide.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(column_sources, "level_rough_ground", lambda columns, *_: columns)
+        patch.setattr(ridges, "RIDGE_WIDTH", 0.0)
+        yield
 
 
 # ---------------------------------------------------------------- scenes

@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.baker.bake.lattice import extend_lattice, fit_lattice
+from navbake.baker.bake.lattice import box_rounding, extend_lattice, fit_lattice
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 
@@ -20,6 +20,7 @@ class Box:
 
     def __init__(self, *corners):
         self.bounds = np.array(corners, dtype=np.float64)
+        self.exact_meshes = {0: None}  # a mesh file
 
 
 def count(low, high, cell, **grid):
@@ -61,7 +62,8 @@ def test_a_window_goes_on_by_whole_cells():
     config = parse_config(
         {"scene": {"path": "a.xml"}, "grid": {"bounds": [1e4 + 1, 0.5, 1e4 + 2, 1.5]}}, "x"
     )
-    whole, _ = extend_lattice(fit_lattice(box, config), box.bounds, 10**6)
+    rounding = box_rounding(box, box.bounds[:, :2].ravel(), 0.1)
+    whole, _ = extend_lattice(fit_lattice(box, config), box.bounds, 10**6, rounding)
     assert whole.shape == (20, 33)
 
 

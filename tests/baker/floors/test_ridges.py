@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -54,3 +55,28 @@ def test_the_walls_of_an_office_stay_walls():
     assert top_area(grid, 2.5) < 0.5
     assert len([room for room in grid.rooms if not room.outdoors]) == 2
     assert navbake.verify(grid, REPORT).ok
+
+
+def test_a_scene_of_ridges_alone_says_what_keeps_them():
+    beam = '<mujoco><worldbody><geom type="box" size="4 .15 .5"/></worldbody></mujoco>'
+    spec = mujoco.MjSpec.from_string(beam)
+    floors = {"min_area": 0.1, "shrink": 0.0}
+    with pytest.raises(navbake.SceneError, match=r"narrower than 0\.4 m .*`floors\.tops: true`"):
+        navbake.bake(spec, floors=floors)
+    assert navbake.bake(spec, floors={**floors, "tops": True}).levels[0].free.all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 30.0, 45.0, 70.0])
+def test_the_corners_of_a_tier_are_floor_however_it_is_turned(angle):
+    """A line across a corner is short between two drops, but a corner is no wall."""
+    tier = f'<geom type="box" size="3 1 .2" pos="0 0 .2" euler="0 0 {angle}"/>'
+    step = f'<body euler="0 0 {angle}"><geom type="box" size=".6 .25 .1" pos="0 1.25 .1"/></body>'
+    ground = '<geom type="box" size="5 5 .05" pos="0 0 -.05"/>'
+    spec = mujoco.MjSpec.from_string(
+        f"<mujoco><worldbody>{ground}{tier}{step}</worldbody></mujoco>"
+    )
+    level = navbake.bake(spec).levels[0]
+    assert (abs(level.floor - 0.4) < 1e-6).sum() == pytest.approx(1200, abs=45)
+    corner = np.radians(angle)
+    x, y = 2.9 * np.cos(corner) - 0.9 * np.sin(corner), 2.9 * np.sin(corner) + 0.9 * np.cos(corner)
+    assert level.at((x, y, 0.4)).floor == pytest.approx(0.4)

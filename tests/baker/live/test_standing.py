@@ -529,6 +529,7 @@ def test_the_size_of_a_scene_is_that_of_what_stands(place):
         f"<mujoco><worldbody>{floor}{chair}</worldbody></mujoco>"
     )
     settings = {"grid": {"cell_size": 0.01}, "floors": {"min_area": 0.0001, "shrink": 0.0}}
+    settings["floors"]["tops"] = True  # it is as narrow as the top of a wall
     baker = navbake.Baker(model, **settings)
     assert any("only 0.04 m large" in warning for warning in baker.grid.warnings)
     check_local(baker, settings, bodies={"chair": place})

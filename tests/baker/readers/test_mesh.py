@@ -576,7 +576,7 @@ def test_odd_meshes_make_a_model(tmp_path, vertices, faces, count):
     ("vertices", "faces", "culprit"),
     [
         ([], [], "no triangles in .*odd.obj"),
-        (SQUARE, [], "no triangles"),
+        (SQUARE, [], "holds points without triangles"),
         (SQUARE, [[0, 1, 1]], "no triangles"),
         ([*SQUARE, ["nan", 0, 0]], [[0, 1, 4]], "mesh 'odd.*' in .*odd.obj has"),
         ([*SQUARE, ["inf", 0, 0]], [[0, 1, 4]], "no numbers"),
