@@ -40,10 +40,11 @@ FUEL_CACHE_FILE = re.compile(
 
 
 class RosPackages:
-    """The folders of ROS packages by their names.
+    """Finds the folders of ROS packages by the packages' names.
 
     Args:
-        folders: folders with packages, or folders of packages, which are searched first.
+        folders: the folders of the settings, see `list_stated`: each one contains packages, or is
+            itself the folder of a package.
     """
 
     def __init__(self, folders: Sequence[Path] = ()) -> None:

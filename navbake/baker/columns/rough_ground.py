@@ -14,6 +14,7 @@ import numpy as np
 
 from navbake.baker.columns.columns import Columns, TiledShapes, cast_points
 from navbake.baker.core.components import expand_ranges
+from navbake.baker.core.constants import CONVEX_SOLID
 from navbake.baker.core.limits import AgentLimits, agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
@@ -52,11 +53,16 @@ def level_rough_ground(
     """Replace the normals of steep facets on ground that is flat enough as a whole.
 
     A triangle steeper than the agent's slope, with the agent's headroom above it, receives the
-    normal of the plane that is fitted to the ground around it, if this plane keeps the slope and
-    each sample of the ground lies within a third of a step of it. The ground is sampled by rays
-    around the line: of each ray, the highest surface that faces up within a step of the triangle's
-    height. Samples outside of the lattice don't count. The result for a cell does not depend on the
-    columns of other cells.
+    normal of a plane that is fitted to the ground around it. The plane has to keep the agent's
+    slope, and each fitted sample has to lie within a third of a step of it. Four samples decide
+    first: where they rise far too steeply, no plane is fitted. Primitives and hulls are smooth, and
+    keep their normals.
+
+    The ground is sampled by vertical rays on circles around the cell's centre, up to `foot_radius`
+    away. The sample of a ray is the highest surface that it hits that faces up and is at most a
+    step above or below the triangle. Samples outside of the lattice don't count. A sample without a
+    counterpart on the other side counts only where the others determine no plane; see
+    `_mark_flat_ground`. The result for a cell does not depend on the columns of other cells.
 
     Args:
         columns: the columns.
@@ -66,7 +72,7 @@ def level_rough_ground(
             `columns.valid_rows`.
     """
     limits = agent_limits(agent)
-    cell, hit = _find_steep_facets(columns, tiled, limits, selected)
+    cell, hit = _find_steep_facets(columns, limits, selected)
     if not len(hit):
         return columns
     normal = columns.normal.copy()
@@ -83,9 +89,9 @@ def level_rough_ground(
 
 
 def _find_steep_facets(
-    columns: Columns, tiled: TiledShapes, limits: AgentLimits, selected: Bool | None
+    columns: Columns, limits: AgentLimits, selected: Bool | None
 ) -> tuple[Int, Int]:
-    """Find the hits of triangles that would be standable if they were less steep.
+    """Find the hits that would be standable if they were less steep; none of convex solids.
 
     Returns:
         The cells of the hits, (n,), and the indices of the hits, (n,).
@@ -96,9 +102,7 @@ def _find_steep_facets(
         cells = np.flatnonzero(selected)
     up = columns.normal[:, 2]
     is_steep = (up > 0.0) & (up < limits.min_up)
-    has_facets = np.zeros(len(tiled.shapes.endless), dtype=np.bool_)
-    has_facets[tiled.shapes.meshes.geom] = True
-    is_steep &= has_facets[columns.geom]
+    is_steep &= columns.hits.closed != CONVEX_SOLID
     if not is_steep.any():
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     column, hit = expand_ranges(columns.start[cells], columns.start[cells + 1])

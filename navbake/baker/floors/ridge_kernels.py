@@ -117,15 +117,15 @@ def list_narrow_runs(labelled, rule, max_cells, blocks, counts, columns, begin, 
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def measure_runs(surfaces, rule, runs, num_cells_across, begin, end):
-    """Write the lengths of runs to their surfaces.
+def list_run_surfaces(surfaces, rule, runs, start, surface_cells, begin, end):
+    """List the surfaces of runs, and their cells.
 
     Args:
         surfaces: all surfaces.
         rule: the `JoinRule` of the runs.
         runs: the runs, as `list_narrow_runs` lists them.
-        num_cells_across: by surface and axis, receives the number of cells of the surface's run,
-            (surfaces, 2) int32.
+        start: the surfaces of run n are written to the rows from ``start[n]`` on.
+        surface_cells: receives the id of each surface, and of its cell, (n, 2) int64.
         begin: index of the first run.
         end: index past the last one.
     """
@@ -134,7 +134,8 @@ def measure_runs(surfaces, rule, runs, num_cells_across, begin, end):
         to_previous = 1 if axis == EAST else surfaces.lattice.width
         j = runs[n, 2]
         cell = runs[n, 3]
-        for _ in range(runs[n, 1]):
-            num_cells_across[j, axis] = runs[n, 1]
+        for k in range(runs[n, 1]):
+            surface_cells[start[n] + k, 0] = j
+            surface_cells[start[n] + k, 1] = cell
             j = _find_joined(surfaces, rule, j, cell, axis, -1)
             cell -= to_previous

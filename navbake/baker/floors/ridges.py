@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from navbake.baker.core.components import adjacent_pairs, label_components
 from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.floors.component_kernels import JoinRule
 from navbake.baker.floors.outline import RegionContext, neighbor_cells, probe_ranges
 from navbake.baker.floors.reach import MAX_DISTANCE_ON_SURFACE
-from navbake.baker.floors.regions import Regions, find_regions, region_join_rule
-from navbake.baker.floors.ridge_kernels import list_narrow_runs, measure_runs
+from navbake.baker.floors.regions import region_join_rule
+from navbake.baker.floors.ridge_kernels import list_narrow_runs, list_run_surfaces
 from navbake.baker.floors.surface_kernels import EAST, NORTH, SOUTH, WEST, Surfaces
 from navbake.baker.floors.surfaces import find_highest_within_step
+from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Float, Int, Int32
 
 # What is narrower between two drops is a ridge [m]
 RIDGE_WIDTH = 0.4
@@ -48,22 +51,40 @@ def find_ridges(context: RegionContext, positions: list[list[float]]) -> Bool:
     runs = runs[_mark_runs_between_drops(context, runs)]
     if not len(runs):
         return is_ridge
-    num_cells_across = np.zeros((len(surfaces.z), 2), dtype=np.int32)
-    run_in_chunks(measure_runs, len(runs), surfaces, rule, runs, num_cells_across)
-    in_run = np.flatnonzero(num_cells_across.any(axis=1))
-    lengths = num_cells_across[in_run] * cell_size
-    # a strip at an angle a to x is cut by w / sin(a) along x, and by w / cos(a) along y
-    inverse_lengths = np.divide(1.0, lengths, out=np.zeros(lengths.shape), where=lengths > 0.0)
-    width = 1.0 / np.hypot(inverse_lengths[:, 0], inverse_lengths[:, 1])
-    is_ridge[in_run] = width < RIDGE_WIDTH - LIMIT_SLACK
-    if not is_ridge.any():
-        return is_ridge
-    group = np.where(is_ridge, np.int32(0), np.int32(-1))
-    ridges = find_regions(surfaces, context.agent, group)
-    is_floor = _mark_corners(ridges, is_ridge, num_cells_across)
-    is_floor |= _mark_named_ridges(ridges, positions)
-    is_ridge[is_ridge] = ~is_floor[ridges.region_of(np.flatnonzero(is_ridge))]
+    surface, cell, width = _measure_widths(surfaces, rule, runs)
+    is_narrow = width < RIDGE_WIDTH - LIMIT_SLACK
+    surface = surface[is_narrow]
+    cell = cell[is_narrow]
+    # narrow surfaces in touching cells make up a ridge
+    _, place = np.unique(cell, return_inverse=True)
+    cells = np.unique(cell)
+    ridge = label_components(adjacent_pairs(cells, regions.lattice.width), len(cells))[place]
+    is_floor = _mark_short(ridge, cell, regions.lattice)
+    is_floor |= _mark_named(ridge, surface, cell, context, positions)
+    is_ridge[surface[~is_floor[ridge]]] = True
     return is_ridge
+
+
+def _measure_widths(surfaces: Surfaces, rule: JoinRule, runs: Int) -> tuple[Int, Int, Float]:
+    """Measure how wide the strips are that runs cut, at each of their surfaces.
+
+    Args:
+        surfaces: all surfaces.
+        rule: the rule by which the surfaces of a run are joined.
+        runs: the runs, as `list_narrow_runs` lists them.
+
+    Returns:
+        The ids of the surfaces, ascending, (n,); their cells, (n,); and the widths, (n,) [m].
+    """
+    num_cells = runs[:, 1]
+    start = np.cumsum(num_cells) - num_cells
+    surface_cells = np.empty((int(num_cells.sum()), 2), dtype=np.int64)
+    run_in_chunks(list_run_surfaces, len(runs), surfaces, rule, runs, start, surface_cells)
+    surface, first, place = np.unique(surface_cells[:, 0], return_index=True, return_inverse=True)
+    # a strip at an angle a to x is cut by w / sin(a) along x, and by w / cos(a) along y
+    length = np.repeat(num_cells, num_cells) * surfaces.lattice.cell_size
+    inverse_square = np.bincount(place, 1.0 / length**2)
+    return surface, surface_cells[first, 1], 1.0 / np.sqrt(inverse_square)
 
 
 def _mark_runs_between_drops(context: RegionContext, runs: Int) -> Bool:
@@ -118,52 +139,54 @@ def _mark_drops(context: RegionContext, surface: Int, cell: Int, direction: Int)
     return is_drop
 
 
-def _mark_corners(ridges: Regions, is_ridge: Bool, num_cells_across: Int32) -> Bool:
-    """Mark the ridges that are corners of wide floors, such as that of a tier turned by 45 degrees.
+def _mark_short(ridge: Int32, cell: Int, lattice: Lattice) -> Bool:
+    """Mark the ridges that are no longer than a ridge is wide: no walls, nor beams.
 
-    A line along x or y cuts a corner short, but not a line along the other axis; and the corner is
-    no longer than a ridge is wide.
+    They are tops of posts, and corners of wide floors that are turned against the lattice.
 
     Args:
-        ridges: the connected ridges.
-        is_ridge: mask of the surfaces that are ridges, shape (surfaces,).
-        num_cells_across: the cells of each surface's runs, see `measure_runs`.
+        ridge: the ridge of each surface, (n,).
+        cell: the cell of each surface, (n,).
+        lattice: the cells.
 
     Returns:
         A mask of the ridges, shape (ridges,).
     """
-    sides = ridges.box[:, 2:] - ridges.box[:, :2]  # rows and columns
-    max_cells = RIDGE_WIDTH / ridges.lattice.cell_size + LIMIT_SLACK
-    is_short = (sides <= max_cells).all(axis=1)
-    surface = np.flatnonzero(is_ridge)
-    is_cut_twice = (num_cells_across[surface] > 0).all(axis=1)
-    num_cut_twice = np.bincount(ridges.region_of(surface), is_cut_twice, ridges.num)
-    is_corner: Bool = is_short & (num_cut_twice == 0)
-    return is_corner
+    max_cells = RIDGE_WIDTH / lattice.cell_size + LIMIT_SLACK
+    is_short = np.ones(int(ridge.max(initial=-1)) + 1, dtype=np.bool_)
+    for place in np.divmod(cell, lattice.width):
+        lowest = np.full(len(is_short), np.iinfo(np.int64).max)
+        highest = np.full(len(is_short), -1)
+        np.minimum.at(lowest, ridge, place)
+        np.maximum.at(highest, ridge, place)
+        is_short &= highest - lowest + 1 <= max_cells
+    return is_short
 
 
-def _mark_named_ridges(ridges: Regions, positions: list[list[float]]) -> Bool:
+def _mark_named(
+    ridge: Int32, surface: Int, cell: Int, context: RegionContext, positions: list[list[float]]
+) -> Bool:
     """Mark the ridges on which one of some positions lies.
 
     Args:
-        ridges: the connected ridges.
+        ridge: the ridge of each surface, (n,).
+        surface: ids of the surfaces, (n,).
+        cell: the cell of each surface, (n,).
+        context: all regions.
         positions: x, y, z of each [m].
 
     Returns:
         A mask of the ridges, shape (ridges,).
     """
-    surfaces = ridges.surfaces
-    lattice = ridges.lattice
-    is_named = np.zeros(ridges.num, dtype=np.bool_)
+    lattice = context.regions.lattice
+    heights = context.regions.surfaces.z[surface]
+    is_named = np.zeros(int(ridge.max(initial=-1)) + 1, dtype=np.bool_)
     for x, y, z in positions:
         row, col = lattice.rows_cols([x, y])
-        if not (0 <= row < lattice.height and 0 <= col < lattice.width):
-            continue
-        cell = int(row) * lattice.width + int(col)
-        surface_ids = np.arange(surfaces.first[cell], surfaces.end[cell])
-        is_near = np.abs(surfaces.z[surface_ids] - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK
-        ridges_at_position = ridges.region_of(surface_ids[is_near])
-        is_named[ridges_at_position[ridges_at_position >= 0]] = True
+        is_at_position = cell == int(row) * lattice.width + int(col)
+        is_at_position &= np.abs(heights - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK
+        if 0 <= col < lattice.width:
+            is_named[ridge[is_at_position]] = True
     return is_named
 
 

@@ -111,7 +111,9 @@ class CrossingGroup(NamedTuple):
     Attributes:
         crossings: all crossings of the group.
         middle: the crossing in the middle of the group.
-        width: the width of the group for the agent's disc [m].
+        width: the width of the strip that the agent's disc covers over all crossings of the group:
+            the distance between the outermost ones, plus the disc's diameter or, if larger, a cell
+            [m].
     """
 
     crossings: Crossings

@@ -30,7 +30,7 @@ NO_ROWS = np.empty((0, 0), dtype=np.int32)  # `squared` in the first call of `sw
 POINT_SPACING = 0.1
 # Points on geometry are exact: they are counted in bins of angles of this size [°], and on lines of
 # this width [m]
-GEOMETRY_ANGLE_BIN = 1.0
+GEOMETRY_BIN_WIDTH = 1.0
 GEOMETRY_LINE_WIDTH = 0.01
 # Directions from geometry are used if at least this share of the points lies on walls with one
 MIN_EXPLAINED_SHARE = 0.5
@@ -42,7 +42,7 @@ SLOPE_DISTANCE = 0.3
 MIN_SLOPE_DISTANCE = 5
 # Points on slopes are counted in bins of angles of this size [°], and on lines of this width
 # [cells]
-CELL_ANGLE_BIN = 5.0
+CELL_BIN_WIDTH = 5.0
 CELL_LINE_WIDTH = 0.5
 # The least change of the distance over four cells at which one wall is the nearest: beside a single
 # wall it is 4; where two walls are about as near, it is less [cells]
@@ -196,14 +196,14 @@ class WallPoints(NamedTuple):
         position: row and column of each, in fractions of cells, shape (2, n).
         angle: of the wall there, from the columns' axis towards the rows', 0 to 180, (n,) [°].
         spacing: how far neighbours on a wall are from each other [m].
-        angle_bin: the bins in which angles are counted [°].
+        bin_width: the bins in which angles are counted [°].
         line_width: how wide the lines are on which points are counted [cells].
     """
 
     position: Float
     angle: Float
     spacing: float
-    angle_bin: float
+    bin_width: float
     line_width: float
 
 
@@ -241,9 +241,9 @@ def _list_directions(
     The most common angle of all points is refined. Points with this angle that lie on common lines
     are walls of that direction. Then this is repeated with the remaining points.
     """
-    position, angle, spacing, angle_bin, line_width = points
-    num_bins = round(180 / angle_bin)
-    bins = np.rint(angle / angle_bin).astype(np.int64) % num_bins
+    position, angle, spacing, bin_width, line_width = points
+    num_bins = round(180 / bin_width)
+    bins = np.rint(angle / bin_width).astype(np.int64) % num_bins
     # at the corners of walls the slope has all directions alike
     corner_count = 2.0 * float(np.median(_add_neighbor_bins(np.bincount(bins, minlength=num_bins))))
     min_points = max(MIN_WALL_LENGTH / spacing, MIN_POINT_SHARE * len(bins))
@@ -257,11 +257,11 @@ def _list_directions(
         best = int(count.argmax())
         if count[best] < min_points + corner_count:
             return directions, num_explained
-        difference = np.abs((angle - best * angle_bin + 90.0) % 180.0 - 90.0)
-        is_near = remaining & (difference <= 1.5 * angle_bin)
-        wall_angle = _refine_angle(position[:, is_near], best, angle_bin, line_width)
+        difference = np.abs((angle - best * bin_width + 90.0) % 180.0 - 90.0)
+        is_near = remaining & (difference <= 1.5 * bin_width)
+        wall_angle = _refine_angle(position[:, is_near], best, bin_width, line_width)
         # points on its walls count for no other direction, a few degrees off
-        is_near = remaining & (difference <= 2.5 * angle_bin)
+        is_near = remaining & (difference <= 2.5 * bin_width)
         near_position = position[:, is_near]
         on_walls = _mark_on_walls(near_position, wall_angle, line_width, min_on_line)
         if on_walls.sum() < min_points:
@@ -317,7 +317,7 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
         position=on_wall - EDGE_PADDING,
         angle=angle,
         spacing=cell_size,
-        angle_bin=CELL_ANGLE_BIN,
+        bin_width=CELL_BIN_WIDTH,
         line_width=CELL_LINE_WIDTH,
     )
 
@@ -352,7 +352,7 @@ def _mark_on_walls(position: Float, angle: float, line_width: float, min_points:
     return on_wall
 
 
-def _refine_angle(position: Float, bin_number: int, angle_bin: float, line_width: float) -> float:
+def _refine_angle(position: Float, bin_number: int, bin_width: float, line_width: float) -> float:
     """Find the angle within 1.5 bins at which points, (2, n), lie on the fewest lines [°].
 
     It has the sharpest projection of a Radon transform; an axis of the lattice about as sharp wins.
@@ -360,7 +360,7 @@ def _refine_angle(position: Float, bin_number: int, angle_bin: float, line_width
     position = position[:, :: max(1, position.shape[1] // NUM_REFINEMENT_POINTS)]
     num_steps = round(1.5 / REFINEMENT_STEP)
     steps = np.arange(-num_steps, num_steps + 1, dtype=np.float64)
-    angles = angle_bin * (bin_number + REFINEMENT_STEP * steps)
+    angles = bin_width * (bin_number + REFINEMENT_STEP * steps)
     sharpness = np.zeros(len(angles), dtype=np.int64)
     for k, line in enumerate(_find_lines(position, angles, line_width)):
         for phase in (0.0, 0.5):  # so that no wall falls between two lines
@@ -527,7 +527,7 @@ class WallRays:
             position=np.concatenate(positions, axis=1),
             angle=np.concatenate(angles),
             spacing=stride * cell_size,
-            angle_bin=GEOMETRY_ANGLE_BIN,
+            bin_width=GEOMETRY_BIN_WIDTH,
             line_width=GEOMETRY_LINE_WIDTH / cell_size,
         )
         return points, num_rays

@@ -27,6 +27,8 @@ LINE_SPACING = 0.1
 MAX_LINES = 10_000  # about the most lines: large meshes have a larger spacing
 # The least ground under a hull, a step or more deep, for which the mesh is taken exactly [m²]
 MIN_GROUND_AREA = 1.0
+# Directions that are up in a mesh's frame are equal if they are after rounding
+UP_DECIMALS = 9
 # What a hull hides, as warnings call it
 ROOM = "room to stand in"
 GROUND = "ground that is more than a step deeper"
@@ -53,7 +55,8 @@ class HullRoomTest:
     meshes: MeshTriangles
     agent: AgentSettings
     floors: FloorSettings
-    # Id of a mesh and its rotation as bytes -> what its hull hides
+    # Id of a mesh and the direction that is up in its frame, as bytes -> what its hull hides;
+    # turning a mesh about the vertical changes nothing
     _hidden: dict[tuple[int, bytes], str] = field(default_factory=dict, init=False)
 
     def find_hidden(self, geom: int) -> str:
@@ -73,7 +76,8 @@ class HullRoomTest:
         """
         if not self.is_large(geom) and not self._may_hide_ground(geom):
             return ""
-        key = (int(self.model.geom_dataid[geom]), self.data.geom_xmat[geom].tobytes())
+        up = np.round(self.data.geom_xmat[geom].reshape(3, 3)[2], UP_DECIMALS) + 0.0
+        key = (int(self.model.geom_dataid[geom]), up.tobytes())
         if key not in self._hidden:
             self._hidden[key] = self._search_hull(geom)
         return self._hidden[key]
