@@ -422,8 +422,8 @@ class _SceneSampler:
 
     def _measure_starts(self, stops: Stops, starts: Float, headings: Float) -> _Starts:
         """Measure drawn starts, shape (n, 3) [m], against the stops of an episode."""
-        flat = self.finder.search.flat
-        cells = flat.cells_at(starts)
+        flat_grid = self.finder.search.flat
+        cells = flat_grid.cells_at(starts)
         goals = starts
         distance = np.full(len(starts), np.nan)
         straight = np.full(len(starts), np.nan)
@@ -436,7 +436,9 @@ class _SceneSampler:
             if self.rules.headings != "random":
                 to_goal = goals - starts if self.rules.headings == "goal" else starts - goals
                 headings = np.arctan2(to_goal[:, 1], to_goal[:, 0])
-        levels = np.stack([flat.level_of(cells), flat.level_of(flat.cells_at(goals))], axis=1)
+        levels = np.stack(
+            [flat_grid.level_of(cells), flat_grid.level_of(flat_grid.cells_at(goals))], axis=1
+        )
         return _Starts(
             positions=starts,
             headings=headings,

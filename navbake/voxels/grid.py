@@ -218,8 +218,8 @@ class VoxelGrid:
             free: For octrees (``.bt``, ``.ot``): write known voxels that are not occupied as free,
                 not as unknown.
             layout: For ``.binvox``: ``airsim`` is the layout of AirSim's ``simCreateVoxelGrid``,
-                which lacks the position of the grid. A line of `notes` says which one to state to
-                its readers.
+                which does not store the position of the grid. The grid's `notes` say which position
+                to state when the file is read.
             mapping: For ``.binvox``: ID -> the ID that is written for it, 0 to 255. ``"compact"``
                 numbers the IDs that occur from 1, in order. None writes them as they are.
 

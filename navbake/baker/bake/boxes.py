@@ -59,8 +59,9 @@ def find_level_boxes(
 
     A single level keeps the whole lattice. Its box is the scene's, enlarged where a floor lies
     outside. Several levels are each cropped to the cells that have a floor. A level's box spans its
-    rectangle, up to the scene's sides, from `BOX_MARGIN` below its lowest floor to `BOX_GAP` below
-    the next box above it, or to the scene's top. An agent on the highest floor is inside of the
+    rectangle; where the scene ends in the outer half of the rectangle's last cells, the box ends
+    there, too. It reaches from `BOX_MARGIN` below its lowest floor to `BOX_GAP` below the next box
+    above it, or to the scene's top. An agent on the highest floor is inside of the
     highest level's box. Doors change neither rectangles nor boxes.
 
     Args:
@@ -71,7 +72,8 @@ def find_level_boxes(
         agent_height: height of the agent [m].
 
     Returns:
-        The rectangles, the boxes, and the cells that the original client misplaces.
+        The rectangles, the boxes, how many free cells the original client misplaces, and on which
+        levels.
     """
     floors = [level.floor.astype(np.float32) for level in levels]  # as written to a file
     lowest = [float(np.fmin.reduce(floor, axis=None)) for floor in floors]

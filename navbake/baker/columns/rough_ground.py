@@ -100,9 +100,10 @@ def _find_steep_facets(
     cells = np.arange(first_cell, end_cell)
     if selected is not None:
         cells = np.flatnonzero(selected)
-    up = columns.normal[:, 2]
-    is_steep = (up > 0.0) & (up < limits.min_up)
-    is_steep &= columns.hits.closed != CONVEX_SOLID
+    is_steep = columns.hits.closed != CONVEX_SOLID
+    if is_steep.any():
+        up = columns.normal[:, 2]
+        is_steep &= (up > 0.0) & (up < limits.min_up)
     if not is_steep.any():
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     column, hit = expand_ranges(columns.start[cells], columns.start[cells + 1])

@@ -514,7 +514,7 @@ def _lower_grounds_once(
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
         components.number,
-        candidates.plateau,
+        candidates.component,
         surface_levels.level,
     )
     part = part_of_component[rows[:, 0]]

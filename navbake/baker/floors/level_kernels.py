@@ -36,17 +36,18 @@ NO_FREE_LEVEL_AT_GROUND = -3  # the candidate lies at the ground of a level
 
 
 class Candidates(NamedTuple):
-    """The surfaces that are assigned to levels.
+    """Which surfaces are to be assigned to levels, and which of them belong to stairs.
 
     Attributes:
         group: for each surface, 0 if it is a candidate, else -1, int8.
-        plateau: for each surface, the number of its plateau, int32; empty if no column has two
-            candidates.
-        is_stair: for each plateau, whether it is a part of a stair or a ramp, bool.
+        component: for each surface, the number of its component, which is a part of one plateau (a
+            tread, a landing, a piece of a ramp), int32. Empty if no column has two candidates, as
+            stairs then make no difference.
+        is_stair: for each component, whether its plateau is a part of a stair or a ramp, bool.
     """
 
     group: NDArray[np.int8]
-    plateau: Int32
+    component: Int32
     is_stair: Bool
 
 
@@ -89,9 +90,9 @@ class LevelRule(NamedTuple):
 @subkernel(inline="always")
 def _is_stair(candidates, j):
     """Whether a surface is a part of a stair."""
-    if candidates.plateau.shape[0] == 0:
+    if candidates.component.shape[0] == 0:
         return False
-    return candidates.is_stair[candidates.plateau[j]]
+    return candidates.is_stair[candidates.component[j]]
 
 
 @kernel(nogil=True, **NO_REFCOUNT)

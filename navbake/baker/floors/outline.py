@@ -335,11 +335,12 @@ def find_highest_below(
         labelled: all surfaces, and the regions whose surfaces count.
         cells: ids of cells, shape (n,).
         limits: for each cell, the height below which the surface must lie, shape (n,) [m].
-        regions: for each cell, a region to skip, shape (n,); None to skip none.
+        regions: for each cell, a region that rules the cell out if it has a surface there, at any
+            height, shape (n,); None for no such region.
 
     Returns:
-        The ids of the surfaces (NO_SURFACE if there is none, SAME_REGION if the skipped region has
-        a surface in the cell); and the regions of the surfaces, -1 for none; shape (n,) each.
+        The ids of the surfaces: NO_SURFACE if there is none, SAME_REGION if the cell is ruled out;
+        and the regions of the surfaces, -1 for none; shape (n,) each.
     """
     if regions is None:
         regions = np.full(len(cells), -2, dtype=np.int32)  # no region's id

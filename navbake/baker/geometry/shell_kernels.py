@@ -152,11 +152,13 @@ def chain_edges(number, faces, point, is_proper, last, previous, first, end):
 
 @kernel(nogil=True)
 def pair_half_edges(corners, last, mate, first, end):
-    """Find each half-edge's mate: the only other one at its edge, in the opposite direction.
+    """Find each half-edge's mate: the other half-edge at its edge, which runs the opposite way.
 
-    A half-edge gets NOT_SHELL in place of a mate if there is no other one or there are several; if
-    both run in the same direction, or belong to triangles with the same corners; or if its lower
-    point has more than MAX_EDGES_OF_POINT edges and this is a further one.
+    A half-edge has no mate, and gets NOT_SHELL, if
+
+    - its edge does not have exactly two half-edges,
+    - the two run in the same direction, or their triangles have the same three corners,
+    - or its lower point already has MAX_EDGES_OF_POINT other edges.
 
     Args:
         corners: points of the triangles, (3 m,) int32.

@@ -91,9 +91,10 @@ class LevelFlags(NamedTuple):
     Attributes:
         floor: z of the cell's floor, NaN if it has none [m].
         is_open: whether the cell has a floor, and is in no wall or window.
-        is_hole: whether the cell has no floor, and nothing is at the height of an agent's body.
+        is_hole: whether the cell has no floor, and nothing is at the heights of an agent's body
+            above the level's ground.
         at_edge: whether the cell is open, nothing in it is higher than an agent, and it is at the
-            outer boundary of the scene: next to cells that are empty, or too steep to stand on, up
+            grid's edge, or next to cells that are empty or too steep to stand on and are connected
             to the grid's edge.
         under_sky: whether the cell has a floor and nothing is above an agent's head. All False on
             levels with too few cells at the edge for anything to be outdoors.

@@ -328,8 +328,8 @@ def _find_previous(crossings: _Crossings, scan: Scan) -> Int:
 class SpaceMerger:
     """Joins the spaces on both sides of gaps, pair by pair.
 
-    A gap is only measured again if one of its two spaces is joined to a third one that the lines
-    that measured the gap had met.
+    Measuring a gap casts lines, which may run into further spaces. After a join, a gap is measured
+    again only if one of its own two spaces was joined to such a further space.
 
     Attributes:
         space_of: label -> the space that it belongs to after the joins so far: the least label of

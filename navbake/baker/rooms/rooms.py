@@ -47,7 +47,7 @@ RoomIds = tuple[str | None, str | None]
 """The ids of the rooms on the two sides of a door, None for the outside."""
 
 # The most close calls that a warning lists
-NUM_LISTED_CALLS = 5
+MAX_LISTED_CLOSE_CALLS = 5
 # The most rooms of a level: the largest number in a RoomIndex
 MAX_ROOMS = np.iinfo(np.uint16).max
 # Rooms without a unique name have ids like this; so a name like this is not used as an id
@@ -346,10 +346,10 @@ class _RoomAssignment:
 def _describe_close_calls(calls: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
     """Make the warning that names gaps that were close calls."""
     listed = []
-    for cell, width, separates in calls[:NUM_LISTED_CALLS]:
+    for cell, width, separates in calls[:MAX_LISTED_CLOSE_CALLS]:
         x, y = lattice.positions(*cell).tolist()
         listed.append(f"{width:.1f} m at ({x:.1f}, {y:.1f}) {'parts' if separates else 'joins'}")
-    num_more = len(calls) - NUM_LISTED_CALLS
+    num_more = len(calls) - MAX_LISTED_CLOSE_CALLS
     more = f", and {num_more} more" if num_more > 0 else ""
     return (
         f"openings of rooms on level {level} that were a close call: {', '.join(listed)}{more}; "

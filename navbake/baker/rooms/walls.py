@@ -196,7 +196,7 @@ class WallPoints(NamedTuple):
         position: row and column of each, in fractions of cells, shape (2, n).
         angle: of the wall there, from the columns' axis towards the rows', 0 to 180, (n,) [°].
         spacing: how far neighbours on a wall are from each other [m].
-        bin_width: the bins in which angles are counted [°].
+        bin_width: the width of the bins in which angles are counted [°].
         line_width: how wide the lines are on which points are counted [cells].
     """
 
@@ -406,11 +406,13 @@ def to_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[
 
 
 def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[ScalarT]:
-    """View an array in a direction's scan order by rows and columns of the lattice.
+    """Turn an array in a direction's scan order back into rows and columns of the lattice.
+
+    This is the inverse of `to_scan_order`. The array that is returned is a view.
 
     Args:
         array: see `to_scan_order`.
-        direction: in whose scan order it is.
+        direction: the direction that the array was arranged for.
     """
     return array.T if direction.swapped else array
 
@@ -433,7 +435,7 @@ class RotatedWalls(NamedTuple):
 
 
 class WallRays:
-    """Casts level rays from cells to the walls' geometry, `RAY_HEIGHT` over the floor."""
+    """Casts horizontal rays from cells to the walls' geometry, `RAY_HEIGHT` over the floors."""
 
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
         """Choose and tile the geometry that rays can meet.
