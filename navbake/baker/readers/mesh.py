@@ -187,8 +187,9 @@ def _read_file(path: Path) -> list[NamedMesh]:
     suffix = path.suffix.lower()
     if path.stat().st_size > MAX_BYTES:
         raise SceneError(f"{path} is too large: expected a mesh of {MAX_BYTES >> 20} MiB at most")
+    header: Json | None = None
     if suffix in (".glb", ".gltf"):
-        check_gltf(path)
+        header = check_gltf(path)
     triangles = read_plain(path)
     if triangles is not None:
         return [NamedMesh("", triangles.vertices, triangles.faces)]
@@ -199,11 +200,15 @@ def _read_file(path: Path) -> list[NamedMesh]:
         source = io.BytesIO(content)
         if _has_points_alone(content, suffix):
             raise _make_points_error(path)
+    elif header is not None and scale_normalized_positions(header):
+        source = io.BytesIO(_replace_gltf_header(path, header))
     options: dict[str, Any] = {
         "file_type": suffix[1:],
         "process": False,
         **TRIMESH_OPTIONS.get(suffix, {}),
     }
+    if suffix == ".gltf":
+        options["resolver"] = trimesh.resolvers.FilePathResolver(str(path))  # of its buffers
     try:
         with _silence_trimesh():
             scene = trimesh.load_scene(source, **options)
@@ -641,6 +646,8 @@ def _write_float64(coordinates: Sequence[NDArray[np.floating]], out: Float) -> N
 
 JSON_CHUNK = 0x4E4F534A  # the type of a GLB's chunk of JSON
 TRIANGLE_FAN = 6  # a mode of glTF's primitives
+# glTF's types of normalized integers -> the greatest integer, which stands for 1
+MAX_INTEGERS = {5120: 127, 5121: 255, 5122: 32767, 5123: 65535}
 MESHOPT_HINT = "`gltfpack -i FILE -o unpacked.glb -noq` unpacks it (npm has gltfpack)"
 # Extensions of glTF that trimesh does not read -> what the user can do
 UNREAD_EXTENSIONS = {
@@ -651,8 +658,8 @@ UNREAD_EXTENSIONS = {
 DRACO = "KHR_draco_mesh_compression"  # trimesh reads it if DracoPy is installed
 
 
-def check_gltf(path: Path) -> None:
-    """Check a glTF or GLB file for what trimesh would misread.
+def check_gltf(path: Path) -> Json:
+    """Check a glTF or GLB file for what trimesh would misread, and return its JSON.
 
     Raises:
         SceneError: the file is broken, cut off, or uses a feature that trimesh doesn't read.
@@ -670,6 +677,61 @@ def check_gltf(path: Path) -> None:
         raise SceneError(f"broken glTF {path}: {' '.join(str(error).split())[:200]}") from error
     if problem:
         raise SceneError(f"cannot read {path}: {problem}")
+    return header
+
+
+def scale_normalized_positions(header: Json) -> bool:
+    """Let nodes scale the meshes whose positions are normalized integers, in place.
+
+    trimesh reads the integers as they are. A normalized integer stands for itself divided by the
+    greatest one of its type, so a node with that scale, between the mesh and its node, has the
+    same effect (glTF 2.0, 3.6.2.2).
+
+    Args:
+        header: the JSON of a glTF file, whose nodes are changed.
+
+    Returns:
+        Whether there are such meshes.
+    """
+    scales = {
+        number: _normalized_scale(header, mesh)
+        for number, mesh in enumerate(header.get("meshes", []))
+    }
+    nodes = header.get("nodes", [])
+    for number in range(len(nodes)):
+        node = nodes[number]
+        scale = scales.get(node.get("mesh"), 1.0)
+        if scale == 1.0:
+            continue
+        mesh_node = {"name": node.pop("name", str(number)), "mesh": node.pop("mesh")}
+        node["children"] = [*node.get("children", []), len(nodes)]
+        nodes.append({**mesh_node, "scale": [scale] * 3})
+    return any(scale != 1.0 for scale in scales.values())
+
+
+def _normalized_scale(header: Json, mesh: Json) -> float:
+    """What the integer 1 stands for in the positions of a mesh; 1 for plain positions."""
+    accessors = [
+        header["accessors"][primitive["attributes"]["POSITION"]]
+        for primitive in mesh["primitives"]
+        if "POSITION" in primitive["attributes"]
+    ]
+    for accessor in accessors:
+        if accessor.get("normalized"):
+            return 1.0 / MAX_INTEGERS[accessor["componentType"]]
+    return 1.0
+
+
+def _replace_gltf_header(path: Path, header: Json) -> bytes:
+    """Return the content of a glTF or GLB file with another JSON."""
+    text = json.dumps(header).encode()
+    if path.suffix.lower() == ".gltf":
+        return text
+    content = path.read_bytes()
+    (json_length,) = struct.unpack_from("<I", content, 12)
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), JSON_CHUNK) + text + content[20 + json_length :]
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 def _json_of_glb(content: bytes) -> bytes:
@@ -707,6 +769,13 @@ def _find_problems(header: Json, size: int, folder: Path) -> Iterator[str]:
     for mesh in header.get("meshes", []):
         for primitive in mesh["primitives"]:
             yield from _find_problems_of_primitive(primitive, accessors)
+        is_normalized = {
+            bool(accessors[primitive["attributes"]["POSITION"]].get("normalized"))
+            for primitive in mesh["primitives"]
+            if "POSITION" in primitive["attributes"]
+        }
+        if len(is_normalized) > 1:
+            yield "a mesh has normalized and other positions: export it unquantized"
     for buffer in header.get("buffers", []):
         uri = buffer.get("uri")
         if uri is not None and not uri.startswith("data:"):
@@ -722,8 +791,8 @@ def _find_problems_of_primitive(primitive: Json, accessors: list[Json]) -> Itera
         accessor = accessors[index]
         if "sparse" in accessor:
             yield "it has sparse accessors: export them as plain ones"
-        if accessor.get("normalized"):
-            yield "its positions are normalized integers: export it unquantized"
+        if accessor.get("normalized") and accessor["componentType"] not in MAX_INTEGERS:
+            raise ValueError("its normalized positions are no integers of glTF")
 
 
 def _find_problems_of_buffer(uri: str, folder: Path) -> Iterator[str]:

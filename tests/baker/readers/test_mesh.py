@@ -188,6 +188,52 @@ def test_primitives_are_named_by_their_node_and_the_same_each_time(tmp_path):
     assert len(digests) == 1
 
 
+@pytest.mark.parametrize("dtype", [np.int8, np.uint8, np.int16, np.uint16])
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_positions_may_be_normalized_integers(tmp_path, dtype, suffix):
+    """A sheet of 1 x 1 m, which its node makes 8 m wide, as gltfpack quantizes meshes."""
+    number = {np.int8: 5120, np.uint8: 5121, np.int16: 5122, np.uint16: 5123}[dtype]
+    corners = np.zeros((4, 4), dtype)  # rows of four: a vertex begins at a multiple of four bytes
+    corners[[1, 2], 0] = corners[[2, 3], 2] = np.iinfo(dtype).max
+    positions = corners.tobytes()
+    data = positions + np.array([0, 2, 1, 0, 3, 2], "<u4").tobytes()
+    header = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": ["KHR_mesh_quantization"],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": "floor", "scale": [8, 8, 8]}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [
+            {
+                "bufferView": 0, "componentType": number, "count": 4, "type": "VEC3",
+                "normalized": True, "min": [0, 0, 0], "max": [1, 0, 1],
+            },
+            {"bufferView": 1, "componentType": 5125, "count": 6, "type": "SCALAR"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": len(positions), "byteStride": corners.strides[0]},
+            {"buffer": 0, "byteOffset": len(positions), "byteLength": 24},
+        ],
+        "buffers": [{"byteLength": len(data)}],
+    }  # fmt: skip
+    path = tmp_path / f"sheet{suffix}"
+    if suffix == ".gltf":
+        header["buffers"][0]["uri"] = "sheet.bin"
+        (tmp_path / "sheet.bin").write_bytes(data)
+        path.write_text(json.dumps(header))
+    else:
+        text = json.dumps(header).encode()
+        text += b" " * (-len(text) % 4)
+        body = struct.pack("<II", len(text), 0x4E4F534A) + text
+        body += struct.pack("<II", len(data), 0x004E4942) + data
+        path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
+    (mesh,) = read_named_meshes(path)
+    assert mesh.name == "floor"
+    size = mesh.vertices.max(axis=0) - mesh.vertices.min(axis=0)
+    np.testing.assert_allclose(np.sort(size), [0, 8, 8], atol=1e-6)
+
+
 def test_nodes_without_a_name(tmp_path):
     path = tmp_path / "plain.glb"
     path.write_bytes(make_glb({"nodes": [{"children": [1]}, {"mesh": 0}]}))
