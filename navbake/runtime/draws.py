@@ -80,7 +80,7 @@ class SpawnRules(NamedTuple):
 
 
 class Spacing(NamedTuple):
-    """How far apart agents must be. Two agents clash if they are too near both ways.
+    """How far apart agents must be. Two agents clash if they are too near on the map and in height.
 
     Attributes:
         distance: they are too near on the map if their centres are at most this far apart [m].

@@ -1,7 +1,7 @@
 """The arrays that the kernels of `navbake.runtime` take, and functions that look up cells in them.
 
-The cells of all levels stand in one row: the flat id of a cell is ``start[level] + row *
-width[level] + col``. "By cell" means: one entry for each flat id.
+The cells of all levels are numbered one after the other. The flat id of a cell is ``start[level] +
+row * width[level] + col``. "By cell" means: one entry for each flat id.
 
 To take an array out of a tuple costs more time than a step of a search. So kernels with a hot loop
 take the arrays out of their tuples before the loop.
@@ -78,7 +78,7 @@ class Links(NamedTuple):
 
 
 class FloorHeights(NamedTuple):
-    """The heights of floors, world z [m]. A cell without a floor is level with its neighbours.
+    """The heights of floors, world z [m]. A cell without a floor counts as no step.
 
     Attributes:
         z: by cell, NaN for no floor; the ground on a level whose file has no heights.

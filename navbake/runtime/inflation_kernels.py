@@ -217,7 +217,7 @@ def block_by_floors(
                         blocked[agent_row, agent_col] = _is_drop(
                             floor, slopes, step, level, agent_row, agent_col, row, col
                         )
-                # with a single level, fewer cells are beside drops than are drops: start there
+                # with a single level, fewer cells are above a drop than at its bottom: start above
                 may_fall = levels == 1 and floor[level, row, col] - lowest_floor > step
                 for i in range(offsets.shape[0] if may_fall and lower_floors_block else 0):
                     to_row = row + offsets[i, 0]
@@ -267,8 +267,8 @@ def _is_occupied_at_height(floor, occupied, level, height, row, col, overlap):
 def measure_near_levels(stack, lowest, highest, offsets, squared_lengths, squared_distances):
     """Measure from cells near another level's floor to the nearest cell that is occupied there.
 
-    Cells count as occupied by the rule of `block_by_floors`. Other cells and occupied ones keep
-    their distances.
+    Cells count as occupied by the rule of `block_by_floors`. Cells that are occupied
+    themselves, or not near another level's floor, keep their distances.
 
     Args:
         stack: `LevelStack`.

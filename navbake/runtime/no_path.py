@@ -259,8 +259,8 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
 def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
     """Name the stairs, links and doors that are too narrow for the agent, or else the gap.
 
-    Only those on a route of a point count that avoids the cells too narrow for the agent where it
-    can.
+    They are looked for on the route of an agent of radius 0. Where it can, this route avoids the
+    cells that are too narrow for the agent.
 
     Args:
         search: of the grid, up to date.

@@ -55,8 +55,9 @@ class PathFinder:
     A path steps over the edges and corners of free cells, to other levels where the grid has
     `steps`, and takes the grid's open `links`. Floors of neighbours differ by at most the grid's
     `traversableFloorHeight`. A step costs its length [m] times the weight of the cell that it leads
-    to, and times the cost of its area. A link costs what it says, or its length; and lasts as long
-    as it says, or its cost at the agent's speed.
+    to, and times the cost of its area. A link has the cost that the
+    grid states for it, else its length. It takes the time that the grid states, else its cost
+    divided by the agent's speed.
 
     For an agent, the grid is inflated to its radius, and steps that are too high for it don't
     count. Cells of areas that bar it are not free. Links that bar it or are narrower than twice its
@@ -80,7 +81,7 @@ class PathFinder:
     Not thread-safe: use one object per thread.
 
     Attributes:
-        grid: the grid for the agent's size; the grid that was given if that is for this size.
+        grid: the grid for the agent's size; the given grid itself if it already is for this size.
 
     Args:
         grid: a grid of one or several levels, or its file. Later writes into its arrays have no
@@ -663,8 +664,8 @@ class PathFinder:
         and so never passes thin walls. It may end anywhere in a free cell, up to half a cell nearer
         to obstacles than at its centre.
 
-        Sliding goes on from where the straight walk stops, to the point nearest to the end among
-        those within a walk as long as the rest of the straight one.
+        Sliding continues where the straight walk stops. A slide is at most as long as the rest of
+        the straight walk. It ends at the point nearest to `end` that such a slide can reach.
 
         Args:
             start: world x, y, z [m], shape (3,), or (..., 3) for many.
@@ -922,8 +923,8 @@ class PathFinder:
                 on its level. None for a random heading anywhere.
             max_distance: largest distance from the target, in a straight line on the map [m].
             min_distance: smallest distance from the target [m], >= 0.
-            in_sight: no obstacle may be between agent and target but the object that the target is
-                in, see `snap`.
+            in_sight: no obstacle may be between agent and target, except the object that the target
+                is in, see `snap`.
             same_room: the agent stands in the target's room.
             level: the target's level; without a target, the agent's.
 

@@ -80,7 +80,7 @@ class Follower:
     """Follows a path; made by `PathFinder.follow`.
 
     When cells of its grid are blocked or freed, it replans, and switches to the new path if the
-    rest of the current one is blocked or a tenth longer. Without a path, it drives up to the
+    rest of the current one is blocked, or the new one is shorter by a tenth. Without a path, it drives up to the
     blocked part and waits.
 
     It drives up to the stop of a link, and stands there until the base is at the link's next stop:
@@ -297,7 +297,8 @@ class Follower:
     def _nearest_distance(self, position: Float) -> float:
         """Find the point of the path that is nearest to a position.
 
-        Only points ahead count: up to two lookaheads, and up to the next stop of a link.
+        Only points ahead count: at most two lookaheads away, and none beyond the next stop of a
+        link.
 
         Returns:
             The point's distance along the path [m].

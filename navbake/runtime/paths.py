@@ -257,7 +257,7 @@ def _find_nearest_rings(is_object: Bool, is_passable: Bool, island: Int32, num_r
 
 
 def _mark_blocked_by_objects(level: SceneGrid2D, ids: Int) -> Bool:
-    """Mark the cells of a level that objects block but no wall, by the user data.
+    """Mark the cells of a level that objects block and no wall blocks, by the user data.
 
     `ids` are ids on the level; returns a mask of their shape.
     """
