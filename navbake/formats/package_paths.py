@@ -24,7 +24,7 @@ MAX_FOLDERS = 20_000  # folders of ROS_PACKAGE_PATH that are searched for packag
 # Environment variables with the folder of Fuel's cache, the newest first, and where it is without
 FUEL_CACHE_PATHS = ("GZ_FUEL_CACHE_PATH", "IGN_FUEL_CACHE_PATH")
 FUEL_CACHES = (Path(".gz", "fuel"), Path(".ignition", "fuel"))
-# Fuel's server had another name before; its models are in the cache by either
+# Fuel's server had another name before; its models are in the cache under either name
 FUEL_SERVERS = ("fuel.gazebosim.org", "fuel.ignitionrobotics.org")
 FUEL_ADDRESS = re.compile(
     r"(?:https?|fuel)://(?P<server>[^/]+)/(?:\d+(?:\.\d+)*/)?(?P<owner>[^/]+)/models/"
@@ -100,7 +100,7 @@ def _folders_of(variable: str) -> list[Path]:
 
 
 def _list_package_folders(folder: Path, name: str) -> list[Path]:
-    """Return the folders in which a package may be: one in a folder, or the folder itself."""
+    """Return the folders that may be a package: the subfolder of its name, or `folder` itself."""
     return [folder / name, *([folder] if folder.name == name else [])]
 
 

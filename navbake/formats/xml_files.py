@@ -4,9 +4,9 @@ Gazebo, ROS and MuJoCo parse XML by TinyXML-2, which accepts more than the stand
 comments, prefixes that are not declared, an ``&`` that begins no entity, blank lines before the
 declaration. Namespaces mean nothing to it: ``gz:type`` is a name like any other.
 
-A file that Python's parser (expat) reads is read by it, without namespaces. Only of others the
-text is read here, by the rules of TinyXML-2. Both refuse elements in more than `MAX_DEPTH` others,
-and both take time in proportion to the file's size.
+Python's parser (expat) reads a file first, without namespaces. If it refuses the file, the parser
+of this module reads it, by the rules of TinyXML-2. Both parsers refuse elements in more than
+`MAX_DEPTH` others, and both take time in proportion to the file's size.
 
 Source: leethomason/tinyxml2, tinyxml2.cpp (XMLNode::ParseDeep, XMLElement::ParseAttributes,
 XMLUtil::GetCharacterRef), and TINYXML2_MAX_ELEMENT_DEPTH in tinyxml2.h.
@@ -30,7 +30,7 @@ ATTRIBUTE_PATTERN = re.compile(rf"\s*({NAME})\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 BLANKS_PATTERN = re.compile(r"\s*")
 ENTITY_PATTERN = re.compile(r"&(?:#(\d{1,7})|#x([0-9A-Fa-f]{1,6})|(lt|gt|amp|quot|apos));")
 ENTITIES = {"lt": "<", "gt": ">", "amp": "&", "quot": '"', "apos": "'"}
-# What is passed by, as it begins -> as it ends
+# How markup that is ignored begins -> how it ends
 PASSED_BY = {"<!--": "-->", "<?": "?>", "<!": ">"}
 CDATA_START = "<![CDATA["
 CDATA_END = "]]>"

@@ -206,7 +206,7 @@ class RouteGraph(RouteGraphMethods):
 
 
 def directed(lanes: Iterable[Lane]) -> list[Lane]:
-    """Replace each lane that leads both ways by two: one there, followed by one back."""
+    """Replace each lane for both directions by two lanes: one there, followed by one back."""
     one_way_lanes = []
     for lane in lanes:
         one_way_lanes.append(replace(lane, two_way=False))
@@ -216,7 +216,7 @@ def directed(lanes: Iterable[Lane]) -> list[Lane]:
 
 
 def undirected(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
-    """Replace each two lanes that differ only in direction by one lane that leads both ways.
+    """Replace each pair of lanes that differ only in direction by one lane in both directions.
 
     This is the inverse of `directed`.
     """

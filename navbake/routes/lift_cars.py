@@ -1,8 +1,8 @@
 """Where routes lead through the cars of lifts: a place in the car on each level that it serves.
 
-Nodes of a graph of routes are landings, beside the car. Open-RMF wants vertices inside of the car,
-at one place on all levels, one a level, with lanes from the landings; and it takes each vertex over
-the car's floor for one of these.
+In a graph of routes, the nodes at a lift are landings, beside the car. Open-RMF instead wants one
+vertex inside of the car on each level, all at the same x, y, with lanes from the landings. It takes
+every vertex over the car's floor for such a vertex.
 
 Source: ``parse_graph.cpp`` of ``rmf_fleet_adapter`` (vertices of a lift lie within 0.1 m of each
 other, and no lane joins vertices of two lifts); ``level.py`` and ``lift.py`` of

@@ -79,9 +79,9 @@ class Command:
 class Follower:
     """Follows a path; made by `PathFinder.follow`.
 
-    When cells of its grid are blocked or freed, it replans, and switches to the new path if the
-    rest of the current one is blocked, or the new one is shorter by a tenth. Without a path, it drives up to the
-    blocked part and waits.
+    When cells of its grid are blocked or freed, it replans. It switches to the new path if the
+    rest of the current one is blocked, or if the new one is shorter by more than a tenth.
+    Without a new path, it drives up to the blocked part and waits.
 
     It drives up to the stop of a link, and stands there until the base is at the link's next stop:
     to call a lift, to jump or to climb is up to the caller. Meanwhile the next stop is the

@@ -314,7 +314,7 @@ def _search_row(
     """Compare the nearest cell so far with cells of a row.
 
     The first arguments are those of `find_nearest_cell`; `row_cells` is a `RowCells`. Returns the
-    squared distance [m²] and the flat id of the nearest cell of both.
+    squared distance [m²] and the flat id of the nearer cell of the two.
     """
     level, row, first_col, last_col, stride = row_cells
     size = layout.cell_size[level]

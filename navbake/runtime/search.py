@@ -485,7 +485,7 @@ class Search:
         Args:
             route: of this search.
             places: level, row and column of the route's cells.
-            by: ``cost`` or ``time``, by which the route was planned.
+            by: what the route was planned by, ``cost`` or ``time``.
 
         Returns:
             The cost [m], the duration [s], and the links in the order of the route.

@@ -173,7 +173,7 @@ def plan_buckets(
     Returns:
         The buckets' width, in units of cost; and their number, a power of two.
     """
-    # the most by which the cost of a new entry may exceed the present bucket's
+    # how much higher than the present bucket's the cost of a new entry can be
     farthest = max(
         2.0 * greatest_weight * max(DIAGONAL * cell_size, longest_step), highest_passage_cost
     )
@@ -188,7 +188,7 @@ def plan_buckets(
 
 @subkernel
 def _push(bucket_head, counters, entry_cell, entry_next, bucket_number, cell):
-    """Put a cell into a bucket of the queue, of which the caller has checked that it isn't full.
+    """Put a cell into a bucket of the queue; the caller has checked that the queue isn't full.
 
     `counters` are the queue's counters; `entry_cell` and `entry_next` are described in `Visits` of
     `navbake.runtime.grid_arrays`.

@@ -18,7 +18,7 @@ The agent's centre is on a cell's centre. The rules:
   above or below the agent's floor. So an object under a landing doesn't block the stair to it.
 - Outside the grid: nothing blocks beyond a grid of one level. In a grid of several levels, each
   level is cut to the cells with a floor; the area beyond has no floor and counts as occupied.
-- Cells without a floor that are not occupied, in files of other programs: like in the original
+- Cells without a floor that are not occupied, in files of other programs: as in the original
   client, at least 0.7 of the cells in the disc must have a floor. Here this must hold for every
   smaller radius too, so that a larger agent is never free where a smaller one isn't.
 """

@@ -30,8 +30,8 @@ from navbake.verifier.report import LINK_TOUCHES, NO_LANDING, PATH_TOUCHES, Find
 from navbake.verifier.sample import STEP_SLACK, AgentSizes, CellNeighborhood
 
 MAX_TRIES_PER_PATH = 20  # how often a start and a goal are drawn to find a path between them
-MIN_STRETCH_LENGTH = 1e-6  # shorter stretches, at a corner of cells, belong to no cell [m]
-SAME_FLOOR = 1e-4  # stretches whose floors differ by less are swept as one [m]
+MIN_STRETCH_LENGTH = 1e-6  # shorter parts of a path, at a corner of cells, belong to no cell [m]
+SAME_FLOOR = 1e-4  # parts of a path whose floors differ by less are swept as one [m]
 STRAIGHT_LINK_KINDS = ("drop", "jump")  # kinds of links that run straight between their stops
 CAR_STEP = 0.02  # distance between the positions of a lift's car that are checked [m]
 
@@ -229,7 +229,7 @@ class PathSweep:
         return stretches
 
     def _sweep_stretch(self, stretch: PathStretch, heights: HeightRange) -> SweptContact | None:
-        """Return the first obstacle that the cylinder touches on a stretch, between two heights.
+        """Return the first obstacle between two heights that the cylinder touches on a stretch.
 
         The swept volume is the union of the cylinder at both ends and a box between them.
         """
@@ -271,7 +271,7 @@ def _has_same_floors(stretch: PathStretch, next_stretch: PathStretch) -> bool:
 
 
 def _shares_at_cell_edges(lattice: Lattice, begin: Float, end: Float) -> Float:
-    """Return where a line crosses the edges of cells: ascending shares of its length, 0 to 1."""
+    """Return where a line crosses cells' edges, as fractions of its length, 0 to 1, ascending."""
     shares = np.array([0.0, 1.0])
     corner = np.array([lattice.x_min, lattice.y_max])
     begin_cell = (begin[:2] - corner) / lattice.cell_size
