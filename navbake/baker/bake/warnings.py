@@ -9,6 +9,7 @@ import numpy as np
 
 from navbake.baker.bake.baked import BakedPose, BakedStructure, FloorLattice
 from navbake.baker.bake.boxes import LevelBoxes
+from navbake.baker.bake.lattice import MAX_EXTENSION
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.doors.doors import warn_doors
 from navbake.baker.floors.levels import Floors
@@ -186,14 +187,15 @@ def collect_warnings(
 
 
 def _warn_cropped(config: BakeConfig, extended: FloorLattice, scene: Scene) -> Iterator[str]:
-    """Warn where floors were found on a part of the scene, as the scene has too many cells."""
+    """Warn where floors were found on a part of the scene, around `grid.bounds`."""
     lattice = extended.lattice
     if scene.bounds is not None and mark_cropped_sides(lattice, scene.bounds).any():
         x_min, y_min, x_max, y_max = lattice.bounds
         yield (
             "which floors are roofs or reached was decided on a part of the scene, "
             f"x {x_min:.6g} to {x_max:.6g} m and y {y_min:.6g} to {y_max:.6g} m: around "
-            f"`grid.bounds`, as far as `grid.max_cells` = {config.grid.max_cells} allow"
+            f"`grid.bounds`, up to {MAX_EXTENSION:g} m and `grid.max_cells` = "
+            f"{config.grid.max_cells}; `floors.from` names places that are floors"
         )
 
 

@@ -233,7 +233,7 @@ def _has_points_alone(content: bytes, suffix: str) -> bool:
         header, end, _ = content[:MAX_PLY_HEADER].partition(b"end_header")
         counts = {
             element: int(count)
-            for element, count in re.findall(rb"element (\w+)[ \t]+(\d{1,18})", header)
+            for element, count in re.findall(rb"(?m)^element (\w+)[ \t]+(\d{1,18})", header)
         }
         num_faces = counts.get(b"face", 0) + counts.get(b"tristrips", 0)
         return bool(end) and counts.get(b"vertex", 0) > 0 and num_faces == 0

@@ -100,9 +100,9 @@ def orient_meshes(
     """Read the meshes of a file, with the direction up that `scene.up` says.
 
     For ``auto``, that is the axis that the file states. If it states none, it is z; or an axis near
-    y, with a warning, if the mesh is lowest along y and things clearly stand on what faces along y
-    (`find_orientations`). For ``level``, and for ``auto`` with a scan that states no
-    axis, it is the direction that `find_orientations` finds.
+    y, with a warning, if the mesh looks as if it lay on its side (`lies_on_side`), and things
+    clearly stand on what faces along y (`find_orientations`). For ``level``, and for ``auto`` with
+    a scan that states no axis, it is the direction that `find_orientations` finds.
 
     Args:
         read: a function with the keyword ``up``, the direction in the file that is up; returns the
@@ -130,7 +130,7 @@ def orient_meshes(
         return _turn_up(meshes, best.direction)
     to_file_frame = rotation_to_z_up(up).T  # from the world frame
     best_in_file = to_file_frame @ best.direction
-    is_turned = is_auto_without_axis and is_lowest_along_y(meshes)
+    is_turned = is_auto_without_axis and lies_on_side(meshes, sample)
     if is_turned and is_clear and abs(best.direction[1]) > MIN_FACING_COSINE:
         name = _name_direction(best_in_file)
         warnings.append(

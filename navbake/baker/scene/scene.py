@@ -431,7 +431,10 @@ def _warn_lost_objects(model: mujoco.MjModel) -> list[str]:
         if has_face.all():
             continue
         lost = vertices[~has_face]
-        size = " x ".join(f"{side:.3g}" for side in np.ptp(lost, axis=0))
+        extent = np.ptp(lost, axis=0)
+        if np.count_nonzero(extent) < 2:  # spare points, and no object
+            continue
+        size = " x ".join(f"{side:.3g}" for side in extent)
         name = name_at(model, int(model.name_meshadr[mesh])) or Path(path).stem
         warnings.append(
             f"mesh {name!r}: {len(lost)} of {len(vertices)} vertices have no face, and span {size} "

@@ -16,6 +16,7 @@ from navbake.types import Bool, Float
 if TYPE_CHECKING:
     import mujoco
 
+MIN_INNER_AREA = 4.0  # of the scene under a sky, seen from above [m²]
 SOLID_TYPES = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
 
 
@@ -24,7 +25,9 @@ def find_skies(
 ) -> list[int]:
     """Find solids that enclose all other geoms, with room for an agent over the lowest of these.
 
-    Where such solids lie in each other, all are skies. Endless planes don't matter.
+    What can move is neither, so that a sky is one in any pose. Where such solids lie in each other,
+    all are skies. There is none where an endless plane leads around the solid, or where what lies
+    in it is smaller than MIN_INNER_AREA: that is hidden in a thing.
 
     Args:
         model: the model.
@@ -36,7 +39,11 @@ def find_skies(
         The ids of the geoms, the largest first.
     """
     low, high = geom_boxes(model, data)
-    is_finite = counted & (model.geom_type != constants.PLANE)
+    body = model.geom_bodyid
+    stands = counted & (model.body_weldid[body] == 0) & (model.body_mocapid[body] < 0)
+    if (stands & (model.geom_type == constants.PLANE)).any():
+        return []
+    is_finite = stands & (model.geom_type != constants.PLANE)
     is_finite &= np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
     others = np.flatnonzero(is_finite)
     skies = list[int]()
@@ -48,6 +55,9 @@ def find_skies(
         if (low[inner] < low[largest]).any() or (high[inner] > high[largest]).any():
             break
         if high[largest, 2] - high[inner, 2].min() < min_room:
+            break
+        inner_width, inner_depth = (high[inner].max(axis=0) - low[inner].min(axis=0))[:2]
+        if inner_width * inner_depth < MIN_INNER_AREA:
             break
         if not _encloses(model, data, largest, _box_corners(low[inner], high[inner])):
             break

@@ -229,7 +229,7 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
     )
     candidates = Candidates(
         group=ids.astype(np.int8),
-        plateau=np.arange(num, dtype=np.int32),
+        component=np.arange(num, dtype=np.int32),
         is_stair=np.array(is_stair),
     )
     level = np.empty(num, dtype=np.int32)

@@ -262,3 +262,18 @@ def test_a_mesh_on_its_side_stands_up_whatever_it_is_tilted_by(tmp_path, angle):
     (text,) = (text for text in result.warnings if "lies on its side" in text)
     assert "is taken with" in text
     assert result.grid.levels[0].free.sum() == pytest.approx(6690, abs=500)
+
+
+def test_a_tower_with_balconies_stays_upright(tmp_path):
+    """What projects from a facade doesn't stand on it."""
+    parts = [box_between((0, 0, z - 0.2), (10, 6, z)) for z in (0, 3, 6, 9, 12)]
+    parts += [box_between((0, y, 0), (10, y + 0.2, 12)) for y in (0.0, 5.8)]
+    parts += [box_between((x, 0, 0), (x + 0.2, 6, 12)) for x in (0.0, 9.8)]
+    parts += [
+        box_between((x, -1.2, z), (x + 1.5, 0, z + 0.15)) for x in (1, 4, 7) for z in (3, 6, 9)
+    ]
+    path = str(tmp_path / "tower.obj")
+    trimesh.util.concatenate(parts).export(path)
+    result = run_bake(parse_config({"scene": {"path": path}}))
+    assert len(result.grid.levels) == 4
+    assert not [text for text in result.warnings if "lies on its side" in text]

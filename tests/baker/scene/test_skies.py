@@ -64,3 +64,15 @@ def test_a_sky_is_left_out_and_told():
         grid = navbake.bake(spec)
     assert grid.free.all()
     assert grid.free.size == 100 * 100
+
+
+@pytest.mark.parametrize(
+    "hidden", ['type="box" size=".5 .5 .5" pos="0 0 .5"', 'type="sphere" size=".05"']
+)
+@pytest.mark.parametrize("ground", ["", '<geom type="plane" size="0 0 1"/>'])
+def test_a_thing_with_something_hidden_in_it_is_no_sky(hidden, ground):
+    xml = f'<geom name="tank" type="box" size="3 3 1.5" pos="0 0 1.5"/><geom {hidden}/>{ground}'
+    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{xml}</worldbody></mujoco>")
+    grid = navbake.bake(spec, grid={"bounds": [-4, -4, 4, 4]})
+    assert not [text for text in grid.warnings if "under a sky" in text]
+    assert grid.levels[0].free.sum() < 6000  # of 6400 cells
