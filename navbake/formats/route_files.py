@@ -47,6 +47,7 @@ from navbake.formats.allowance import (
     check_number,
     check_object,
     check_optional_object,
+    format_value,
 )
 from navbake.formats.convert import ROUTE_FORMATS, find_format
 from navbake.formats.graphs import encode_networkx
@@ -79,6 +80,8 @@ if TYPE_CHECKING:
     import networkx
 
 LOG = logging.getLogger(__name__)
+
+MAX_LEVELS = 1000  # of a graph; each has a name, whether nodes are on it or not
 
 
 def write_routes(graph: RouteGraph, path: str | PathLike[str], to: str | None = None) -> list[Path]:
@@ -209,7 +212,8 @@ class _GraphReader:
             level_names: the names of the levels, lowest first; further levels get a number as name.
 
         Raises:
-            FormatError: two nodes have the same name, or a node is on an unknown level.
+            FormatError: two nodes have the same name; or a node or a doorway is on an unknown
+                level.
         """
         node_entries = _sort_by_number(list(self.nodes.values()))
         lane_entries = _sort_by_number(self.lanes)
@@ -219,6 +223,12 @@ class _GraphReader:
             replace(entry.lane, start=index_of_key[entry.start], end=index_of_key[entry.end])
             for entry in lane_entries
         ]
+        for entry in node_entries:
+            if not 0 <= entry.node.level < MAX_LEVELS:
+                self.top.fail(
+                    f"expected a level from 0 to {MAX_LEVELS - 1} of node {entry.node.name!r}, "
+                    f"got {format_value(entry.node.level)}"
+                )
         num_levels = max((node.level for node in nodes), default=0) + 1
         names = [*level_names]
         names += [f"level {number}" for number in range(len(level_names), num_levels)]
@@ -232,6 +242,9 @@ class _GraphReader:
             if node.name in used_names or not 0 <= node.level < len(graph.level_names):
                 self.top.fail(f"expected nodes of unique names on known levels, got {node}")
             used_names.add(node.name)
+        for doorway in graph.doorways:
+            if not 0 <= doorway.level < len(graph.level_names):
+                self.top.fail(f"expected doorways on known levels, got {doorway}")
         return graph
 
 
@@ -864,10 +877,11 @@ def _from_networkx(nx_graph: networkx.Graph[Any], name: str) -> RouteGraph:
         if not nx_graph.is_directed():
             reader.add_lane(end, start, entry, place)
     graph_entry: Json = dict(nx_graph.graph)
-    defaults = {"level_names": '["level 0"]', **dict.fromkeys(TABLES, "[]")}
-    for key, default in defaults.items():
+    for key in ("level_names", *TABLES):
+        if key not in graph_entry:
+            continue
         try:
-            graph_entry[key] = orjson.loads(graph_entry.get(key, default))
+            graph_entry[key] = orjson.loads(graph_entry[key])
         except (orjson.JSONDecodeError, TypeError) as error:
             raise FormatError(f"expected a list as {key} in {name}") from error
     return reader.make_graph(graph_entry)

@@ -507,6 +507,38 @@ def test_broken_files_are_refused_in_a_line(tmp_path, name, text, culprit):
     assert "\n" not in str(caught.value)
 
 
+def write_graph_with_level(path, level, doorways=""):
+    """Write a file of two nodes, one of them on a level, in the form that its name asks for."""
+    if path.suffix == ".gml":
+        table = f'doorways "{doorways.replace(chr(34), "&quot;")}"' if doorways else ""
+        path.write_text(
+            f'graph [ {table} node [ id 0 label "a" x 0 y 0 ] '
+            f'node [ id 1 label "b" x 1 y 0 level {level} ] ]'
+        )
+    else:
+        nodes = [{"nodeId": "a", "nodePosition": {"x": 0, "y": 0}}]
+        nodes += [{"nodeId": "b", "nodePosition": {"x": 1, "y": 0}, "navbake": {"level": level}}]
+        content = {"layouts": [{"nodes": nodes, "edges": []}], "navbake": {}}
+        path.write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize("name", ["a.gml", "a.lif"])
+@pytest.mark.parametrize("level", [3_000_000_000, 30_000_000, 1000, -1])
+def test_level_that_no_building_has_is_refused_before_levels_are_named(tmp_path, name, level):
+    write_graph_with_level(tmp_path / name, level)
+    with pytest.raises(FormatError, match=f"level from 0 to 999 of node 'b', got {level}"):
+        read_routes(tmp_path / name)
+    write_graph_with_level(tmp_path / name, 5)
+    assert read_routes(tmp_path / name).level_names[5] == "level 5"
+
+
+def test_doorway_on_an_unknown_level_is_refused(tmp_path):
+    doorways = '[{"door": "d", "level": 7, "start": [0, 0], "end": [1, 0]}]'
+    write_graph_with_level(tmp_path / "a.gml", 1, doorways)
+    with pytest.raises(FormatError, match="expected doorways on known levels, got Doorway"):
+        read_routes(tmp_path / "a.gml")
+
+
 def test_of_nodes_with_one_number_lanes_between_levels_lead_to_the_first(tmp_path):
     vertices = [[x, 0, {"name": name, "navbake": {"number": 1}}] for x, name in enumerate("ab")]
     top = [[0, 0, {"name": "c", "navbake": {"number": 2}}]]

@@ -2,10 +2,12 @@
 
 An outline (``<polyline>``) is cut at the heights (y) of its corners and crossings into trapezoids,
 each of which becomes a convex prism: so holes, and outlines that cross themselves, need no rules of
-their own. What an odd number of outlines encloses is solid, as in Gazebo.
+their own. A trapezoid goes on past such a height as long as its two sides do, so there are about as
+many as corners and crossings. What an odd number of outlines encloses is solid, as in Gazebo.
 
 Sources: SDFormat specification 1.12, geometry.sdf; gazebosim/gz-common, MeshManager.cc
-(ExtrudePolyline: several outlines, the first one's height); gazebosim/gazebo-classic,
+(ExtrudePolyline: several outlines, the first one's height) and DelaunayTriangulation.cc (what an
+even number of outlines encloses is a hole); gazebosim/gazebo-classic,
 MapShape.cc (pixels that are not brighter than the threshold are boxes, from the corner of the
 first pixel on).
 """
@@ -28,6 +30,7 @@ HEIGHT_FIELD_BASE = 0.1  # thickness of a height field below its lowest point [m
 MIN_HEIGHT_RANGE = 1e-6  # least difference between a height field's highest and lowest point [m]
 MIN_SLICE_HEIGHT = 1e-9  # least size of a trapezoid along y [m]
 MAX_EDGES = 2000  # of the outlines of a geometry: pairs of them are tried for crossings
+MAX_CROSSINGS = 500  # of those edges: each takes prisms of its own, and a building has hardly any
 MAX_BOXES = 20_000  # of an image
 
 
@@ -134,7 +137,8 @@ def extrude_outlines(outlines: Sequence[Float], height: float) -> list[Mesh]:
         Convex prisms that touch; none if the outlines enclose nothing.
 
     Raises:
-        ValueError: the outlines have more than `MAX_EDGES` edges.
+        ValueError: the outlines have more than `MAX_EDGES` edges, or these cross at more than
+            `MAX_CROSSINGS` heights (y).
     """
     with np.errstate(all="ignore"):  # coordinates near the largest numbers make no prism
         return _extrude(outlines, height)
@@ -151,28 +155,75 @@ def _extrude(outlines: Sequence[Float], height: float) -> list[Mesh]:
     if len(low) > MAX_EDGES:
         raise ValueError(f"an outline of {len(low)} edges, {MAX_EDGES} at most")
     slopes = (high[:, 0] - low[:, 0]) / (high[:, 1] - low[:, 1])
-    cuts = np.unique(np.concatenate([starts[:, 1], _crossing_heights(low, high, slopes)]))
+    corner_heights = np.unique(starts[:, 1])
+    cuts = np.unique(np.concatenate([corner_heights, _crossing_heights(low, high, slopes)]))
+    num_crossings = _count_slices(cuts) - _count_slices(corner_heights)
+    if num_crossings > MAX_CROSSINGS:
+        raise ValueError(
+            f"an outline that crosses itself at {num_crossings} heights, "
+            f"{MAX_CROSSINGS} at most: give its points in their order along the outline"
+        )
     prisms = []
+    for left, right, bottom, top in _find_trapezoids(low, high, slopes, cuts):
+        sides = np.array([left, right])
+        bottom_x = low[sides, 0] + slopes[sides] * (bottom - low[sides, 1])
+        top_x = low[sides, 0] + slopes[sides] * (top - low[sides, 1])
+        corners = np.array(
+            [(bottom_x[0], bottom), (bottom_x[1], bottom), (top_x[1], top), (top_x[0], top)]
+        )
+        prism = _extrude_convex(corners, height)
+        if prism is not None:
+            prisms.append(prism)
+    return prisms
+
+
+def _count_slices(cuts: Float) -> int:
+    """Count the slices between heights (y), ascending, without those too thin for a prism."""
+    return int(np.count_nonzero(np.diff(cuts) >= MIN_SLICE_HEIGHT))
+
+
+class _Trapezoid(NamedTuple):
+    """A trapezoid between two edges, with sides parallel to x.
+
+    Attributes:
+        left: the index of the edge at smaller x.
+        right: the index of the edge at larger x.
+        bottom: the smallest y [m].
+        top: the largest y [m].
+    """
+
+    left: int
+    right: int
+    bottom: float
+    top: float
+
+
+def _find_trapezoids(low: Float, high: Float, slopes: Float, cuts: Float) -> list[_Trapezoid]:
+    """Cut what edges enclose into trapezoids, each as high as its two sides go on.
+
+    Args:
+        low: the lower end of each edge, (m, 2) [m].
+        high: the upper end of each edge, (m, 2) [m].
+        slopes: dx / dy of each edge, (m,).
+        cuts: y of all corners and crossings, ascending, (n,) [m].
+    """
+    trapezoids = []
+    bottoms: dict[tuple[int, int], float] = {}  # left and right edge -> where they became sides
+    slice_top = 0.0
     for bottom, top in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
         if top - bottom < MIN_SLICE_HEIGHT:
             continue
-        is_cut = (low[:, 1] <= bottom) & (high[:, 1] >= top)
-        bottom_x = low[is_cut, 0] + slopes[is_cut] * (bottom - low[is_cut, 1])
-        top_x = low[is_cut, 0] + slopes[is_cut] * (top - low[is_cut, 1])
-        order = np.argsort(bottom_x + top_x, kind="stable")
-        for left, right in zip(order[::2].tolist(), order[1::2].tolist(), strict=False):
-            corners = np.array(
-                [
-                    (bottom_x[left], bottom),
-                    (bottom_x[right], bottom),
-                    (top_x[right], top),
-                    (top_x[left], top),
-                ]
-            )
-            prism = _extrude_convex(corners, height)
-            if prism is not None:
-                prisms.append(prism)
-    return prisms
+        edges = np.flatnonzero((low[:, 1] <= bottom) & (high[:, 1] >= top))
+        middle_x = low[edges, 0] + slopes[edges] * ((bottom + top) / 2 - low[edges, 1])
+        order = edges[np.argsort(middle_x, kind="stable")].tolist()
+        # an odd number of edges is to the left of what is enclosed
+        sides = [*zip(order[::2], order[1::2], strict=False)]
+        for left, right in bottoms.keys() - {*sides}:
+            trapezoids.append(_Trapezoid(left, right, bottoms[left, right], slice_top))
+        bottoms = {pair: bottoms.get(pair, bottom) for pair in sides}
+        slice_top = top
+    trapezoids += [_Trapezoid(*pair, bottom, slice_top) for pair, bottom in bottoms.items()]
+    return sorted(trapezoids)
 
 
 def _crossing_heights(low: Float, high: Float, slopes: Float) -> Float:
@@ -185,7 +236,12 @@ def _crossing_heights(low: Float, high: Float, slopes: Float) -> Float:
     """
     at_zero = low[:, 0] - slopes * low[:, 1]
     slope_differences = slopes[:, None] - slopes[None, :]
+    # edges with a common corner meet nowhere else; by rounding they would cross just beside it
+    corner_of_end = np.unique(np.concatenate([low, high]), axis=0, return_inverse=True)[1].ravel()
+    ends = corner_of_end.reshape(2, -1)
     is_apart = slope_differences != 0.0
+    for one_end, other_end in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        is_apart &= ends[one_end][:, None] != ends[other_end][None, :]
     differences = at_zero[None, :] - at_zero[:, None]
     y = np.divide(differences, slope_differences, where=is_apart, out=np.full_like(differences, 0))
     first = np.maximum(low[:, None, 1], low[None, :, 1])

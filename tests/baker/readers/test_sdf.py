@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from PIL import Image
 
 import navbake
 from navbake.baker.readers import parsed_scene
+from navbake.baker.readers.sdf_shapes import extrude_outlines
 from navbake.baker.scene.model import CompileLimits
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import SceneSettings
@@ -563,6 +565,39 @@ def test_outlines_that_enclose_nothing_are_told(tmp_path):
     scene = load(write(tmp_path, FLOOR + model(link(f"{flat}</geometry>"))))
     assert len(scene.geoms) == 1
     assert any("'m::l::c'" in text and "<polyline>" in text for text in scene.warnings)
+
+
+@pytest.mark.parametrize("num_points", [80, 300, 2000])
+def test_outline_that_crosses_itself_too_often_is_refused_at_once(tmp_path, num_points):
+    """Each crossing takes prisms of its own: 300 points in any order took hours."""
+    points = np.random.default_rng(0).uniform(-3, 3, (num_points, 2))
+    text = "".join(f"<point>{x} {y}</point>" for x, y in points.tolist())
+    shape = f"<geometry><polyline><height>1</height>{text}</polyline></geometry>"
+    start = time.perf_counter()
+    with pytest.raises(navbake.SceneError, match=r"'m::l::c'.* crosses itself at \d+ heights"):
+        load(write(tmp_path, FLOOR + model(link(shape))))
+    assert time.perf_counter() - start < 10
+
+
+@pytest.mark.parametrize("is_crossing", [False, True])
+def test_outline_takes_few_prisms(is_crossing):
+    """About as many as corners and crossings, however many teeth stand side by side."""
+    rng = np.random.default_rng(1)
+    heights = np.where(np.arange(200) % 2, rng.uniform(1, 3, 200), rng.uniform(-1, 0, 200))
+    outline = np.array([*zip(range(200), heights.tolist(), strict=True), (199, -2), (0, -2)])
+    area = np.trapezoid(heights) + 2 * 199
+    if is_crossing:  # what lies between the crossing outline and the first one is left
+        outline = np.concatenate(
+            [outline, [[0.0, -1.5], [199.0, -1.5], [199.0, -2.0], [0.0, -2.0]]]
+        )
+        area -= 199 * 0.5
+    prisms = extrude_outlines([outline], 1.0)
+    volume = sum(
+        np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+        for corners in (prism.vertices[prism.faces] for prism in prisms)
+    )
+    assert abs(volume) == pytest.approx(area)
+    assert len(prisms) < 600
 
 
 def test_dark_pixels_of_images_are_boxes(tmp_path):
