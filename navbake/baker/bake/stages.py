@@ -286,7 +286,10 @@ class Stages:
 
     @cached_property
     def standing_occupants(self) -> StandingOccupants | None:
-        """The structure in each cell, classified; None where neither names nor rooms need it."""
+        """The structure in each cell, classified; None where neither names nor rooms need it.
+
+        In the timings, this stage is called ``contents``.
+        """
         cells = self.standing_cells
         with self.clock.stage("contents"):
             if self.extents is None:
@@ -299,11 +302,6 @@ class Stages:
                 agent=self.config.agent,
                 settings=self.config.names,
             )
-
-    @property
-    def contents(self) -> StandingOccupants | None:
-        """The same as `standing_occupants`; its stage is called ``contents`` in the timings."""
-        return self.standing_occupants
 
     # ------------------------------------------------------------ rooms and doors
 

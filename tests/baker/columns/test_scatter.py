@@ -102,7 +102,7 @@ def test_occupancy_as_when_every_cell_asks_every_geom(seed):
 @given(st.integers(0, 2**32 - 1))
 def test_contents_as_when_every_cell_asks_every_geom(seed):
     stages = random_stages(seed)
-    columns, contents = stages.columns, stages.contents
+    columns, contents = stages.columns, stages.standing_occupants
     footprint, height = stages.footprint, stages.config.agent.height
     half = stages.lattice.cell_size / 2 - TOUCH_DEPTH
     extents = measure_extents(stages.scene.shapes, len(stages.scene.geoms))
@@ -165,7 +165,7 @@ def test_any_number_of_threads_finds_the_same():
     for threads in (1, 2):
         with limit_threads(threads):
             stages = random_stages(11)
-            level = stages.contents.levels[0]
+            level = stages.standing_occupants.levels[0]
             every = np.arange(len(level.first))
             listed = entries_of_cells(level.first, level.geom, level.flags, every)
             answers.append([stages.occupancy.levels[0], *listed])

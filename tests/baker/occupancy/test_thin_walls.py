@@ -64,11 +64,11 @@ def test_wall_blocks_the_cells_that_it_touches(tmp_path, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_wall_on_a_line_has_its_name_on_both_sides(tmp_path, kind):
     stages = stages_with_wall(tmp_path, kind, 0.3)
-    assert stages.contents is not None
-    walls = stages.contents.mark_walls(0)[0]
+    assert stages.standing_occupants is not None
+    walls = stages.standing_occupants.mark_walls(0)[0]
     assert blocked_columns(walls) == touched_columns(0.3) == [12, 13]
     window = (slice(0, 20), slice(0, 20))
-    names = name_occupants(stages.contents, stages.occupants, 0, window)
+    names = name_occupants(stages.standing_occupants, stages.occupants, 0, window)
     for cell, entry in names.items():
         beside = cell % 20 in (12, 13)
         assert (entry.get("walls") == ["thin"]) == beside

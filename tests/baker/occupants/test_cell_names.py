@@ -28,7 +28,7 @@ SMALL = {"min_area": 0.1, "shrink": 0.1}
 def user_data(stages: Stages, level: int = 0) -> dict[int, Any]:
     height, width = stages.lattice.shape
     window = (slice(0, height), slice(0, width))
-    return dict(name_occupants(stages.contents, stages.occupants, level, window))
+    return dict(name_occupants(stages.standing_occupants, stages.occupants, level, window))
 
 
 def at(stages: Stages, x: float, y: float, level: int = 0) -> Any:
@@ -110,7 +110,9 @@ def test_things_that_carry_a_floor_are_named_and_floors_and_stairs_are_not(tmp_p
     )
     landing = box("landing", 1.2, -1.9, 0, 4, 1.9, 1.0)
     stages = stages_of_xml(tmp_path, world(FLOOR + rug + toy + steps + landing))
-    kinds = dict(zip((r.name for r in stages.scene.geoms), stages.contents.kinds, strict=True))
+    kinds = dict(
+        zip((r.name for r in stages.scene.geoms), stages.standing_occupants.kinds, strict=True)
+    )
     assert {name for name, kind in kinds.items() if kind == OBJECT} == {"weave", "block"}
     assert at(stages, -1.45, -1.45) == {"objects": ["rug"]}
     assert at(stages, -1.75, 0.15) == {"objects": ["toy"]}
@@ -161,7 +163,7 @@ def test_a_window_counts_cells_from_its_own_corner(tmp_path):
     stages = stages_of_xml(tmp_path, world(FLOOR + box("crate", 0, 0, 0, 0.3, 0.2, 0.5)))
     whole = user_data(stages)
     window = (slice(18, 30), slice(21, 25))
-    part = dict(name_occupants(stages.contents, stages.occupants, 0, window))
+    part = dict(name_occupants(stages.standing_occupants, stages.occupants, 0, window))
     expected = {
         (cell // 40 - 18) * 4 + cell % 40 - 21: data
         for cell, data in whole.items()
@@ -175,7 +177,7 @@ def test_a_window_counts_cells_from_its_own_corner(tmp_path):
 def test_an_empty_level_has_no_user_data(tmp_path):
     stages = stages_of_xml(tmp_path, world(FLOOR))
     assert user_data(stages) == {}
-    assert not stages.contents.mark_walls(0)[0].any()
+    assert not stages.standing_occupants.mark_walls(0)[0].any()
 
 
 def test_the_map_of_a_room(tmp_path):
@@ -187,7 +189,7 @@ def test_the_map_of_a_room(tmp_path):
     stages = stages_of_xml(
         tmp_path, world(floor + walls + things), grid={"cell_size": 0.2}, floors=SMALL
     )
-    contents = stages.contents
+    contents = stages.standing_occupants
     data = user_data(stages)
     picture = "\n".join(
         "".join(

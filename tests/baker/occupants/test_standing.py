@@ -159,7 +159,7 @@ def test_every_geom_in_every_cell(tmp_path, monkeypatch, kinds, floor, radius):
             grid={"cell_size": 0.13, "bounds": [-1.302, -1.003, 1.298, 1.004]},
             floors={"min_area": 0.1, "shrink": 0.1, "roofs": True},
         )
-        contents = stages.contents
+        contents = stages.standing_occupants
         assert compare(stages, contents, things) < 0.01 + 1 / 3 / len(things)  # planes' uppers
         check_whole(stages, contents)
 
@@ -167,7 +167,7 @@ def test_every_geom_in_every_cell(tmp_path, monkeypatch, kinds, floor, radius):
 @pytest.mark.parametrize("name", ["apartment", "house", "warehouse", "terrain", "clutter"])
 def test_what_blocks_is_what_occupies_the_samples(name):
     stages = bake_stages(load_config(CONFIGS / f"{name}.yaml"))
-    check_whole(stages, stages.contents)
+    check_whole(stages, stages.standing_occupants)
 
 
 def test_threads_change_nothing(tmp_path):
@@ -179,7 +179,7 @@ def test_threads_change_nothing(tmp_path):
             stages = stages_of_xml(
                 tmp_path, scene_xml(things), grid={"cell_size": 0.04}, floors=SMALL
             )
-        found.append(stages.contents.levels)
+        found.append(stages.standing_occupants.levels)
     for one, other in zip(*found, strict=True):
         for arrays in zip(all_entries(one), all_entries(other), strict=True):
             np.testing.assert_array_equal(*arrays)
@@ -188,6 +188,6 @@ def test_threads_change_nothing(tmp_path):
 def test_what_lies_at_the_floors_height_does_not_stand_there(tmp_path):
     xml = world(FLOOR + box("sunk", 0, 0, -0.2, 0.5, 0.5, 0.0) + box("on", 1, 1, 0, 1.3, 1.3, 0.3))
     stages = stages_of_xml(tmp_path, xml)
-    contents = stages.contents
+    contents = stages.standing_occupants
     assert not masks(contents.levels[0], 1)[0].any()
     assert masks(contents.levels[0], 2)[0].sum() == 9

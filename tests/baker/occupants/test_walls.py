@@ -29,7 +29,7 @@ def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, more: 
 
 def kinds(stages: Stages) -> list[str]:
     """What each counted geom is, by geom id."""
-    found = stages.contents.kinds
+    found = stages.standing_occupants.kinds
     return [KINDS[int(found[r.id])] for r in stages.scene.geoms if r.counted]
 
 
@@ -240,7 +240,7 @@ def test_patterns_override_the_rule(tmp_path):
     )
     stages = stages_of(tmp_path, things, names={"walls": ["hedge*"]})
     assert kinds(stages) == ["structure", "object", "wall", "wall"]
-    contents = stages.contents
+    contents = stages.standing_occupants
     assert contents.warnings == []
     assert contents.mark_walls(0)[0].sum() == 40 + 40 + 200  # for rooms, walls by shape stay walls
     named = {name for d in user_data(stages).values() for name in d.get("walls", [])}
@@ -249,7 +249,7 @@ def test_patterns_override_the_rule(tmp_path):
 
 def test_a_pattern_that_matches_nothing_is_told_with_near_names(tmp_path):
     things = box(-2, 2, 1, 1.1, 0, 2.5, 'name="wall_north"')
-    contents = stages_of(tmp_path, things, names={"walls": ["wal_north*"]}).contents
+    contents = stages_of(tmp_path, things, names={"walls": ["wal_north*"]}).standing_occupants
     (warning,) = contents.warnings
     assert re.search(r"`names.walls` pattern 'wal_north\*' matches nothing.*wall_north", warning)
 
@@ -257,7 +257,7 @@ def test_a_pattern_that_matches_nothing_is_told_with_near_names(tmp_path):
 def user_data(stages: Stages, level: int = 0) -> dict[int, Any]:
     height, width = stages.lattice.shape
     window = (slice(0, height), slice(0, width))
-    return dict(name_occupants(stages.contents, stages.occupants, level, window))
+    return dict(name_occupants(stages.standing_occupants, stages.occupants, level, window))
 
 
 # ---------------------------------------------------------------- meshes that hold a building
@@ -294,7 +294,7 @@ def test_a_building_in_one_mesh_is_wall_where_it_is_high(tmp_path):
     path = tmp_path / "room.obj"
     path.write_text(shell(2.5))
     stages = bake_stages({"scene": {"path": path, "meshes": "surface"}})
-    contents = stages.contents
+    contents = stages.standing_occupants
     assert kinds(stages) == ["building"]
     expected = np.ones((40, 40), dtype=bool)
     expected[1:-1, 1:-1] = False
@@ -322,7 +322,7 @@ def test_a_low_or_full_mesh_holds_no_building(tmp_path):
 
 
 def wall_names(stages: Stages) -> set[str]:
-    found = stages.contents.kinds
+    found = stages.standing_occupants.kinds
     return {r.name for r in stages.scene.geoms if r.counted and found[r.id] == WALL}
 
 
@@ -354,7 +354,7 @@ def test_the_samples_walls_are_those_called_so_even_without_their_names(name, tm
 def test_walls_of_the_small_house():
     path = DATA / "aws_small_house" / "scene.xml"
     stages = bake_stages({"scene": {"path": path, "meshes": "surface"}})
-    found = stages.contents.kinds
+    found = stages.standing_occupants.kinds
     prefix = "aws_robomaker_residential_"
     by_kind = {
         kind: {
@@ -377,9 +377,9 @@ def test_walls_of_the_small_house():
 def test_a_pattern_makes_a_low_arena_a_wall():
     path = DATA / "turtlebot3_world" / "scene.xml"
     settings = {"scene": {"path": path, "meshes": "surface"}}
-    assert not bake_stages(settings).contents.mark_walls(0)[0].any()
+    assert not bake_stages(settings).standing_occupants.mark_walls(0)[0].any()
     named = {**settings, "names": {"walls": ["ros_symbol#15"]}}
-    assert bake_stages(named).contents.mark_walls(0)[0].sum() > 200
+    assert bake_stages(named).standing_occupants.mark_walls(0)[0].sum() > 200
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -399,5 +399,5 @@ def test_walls_of_a_labmaze(seed, tmp_path):
     stages = bake_stages({"scene": {"path": path}, "levels": levels})
     walls = np.array([list(row) for row in str(maze.entity_layer).split("\n") if row]) == "*"
     np.testing.assert_array_equal(
-        stages.contents.mark_walls(0)[0], np.kron(walls, np.ones((20, 20), dtype=bool))
+        stages.standing_occupants.mark_walls(0)[0], np.kron(walls, np.ones((20, 20), dtype=bool))
     )

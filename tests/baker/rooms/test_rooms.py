@@ -455,5 +455,5 @@ def test_walls_that_are_named_objects_still_part_rooms(tmp_path):
     parted = PARTED + box("pane", 4.04, 0.5, 0, 4.06, 3.1, 2.1)
     stages = stages_of_xml(tmp_path, world(parted), names={"walls": ["one"]})
     assert len(stages.rooms.table) == 2
-    walls = stages.contents.kinds == WALL
+    walls = stages.standing_occupants.kinds == WALL
     assert walls.tolist() == [geom.name == "one" for geom in stages.scene.geoms]
