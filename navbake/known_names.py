@@ -1,11 +1,40 @@
-"""Writes hints about unknown names, for errors and warnings: a similar known name, and all."""
+"""Checks words against a list of choices, and writes hints about unknown names.
+
+A hint stands in an error or a warning: it has a similar known name, and lists the known names.
+"""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
+
+from navbake.errors import NavbakeError
 
 MAX_LISTED = 12  # known names that a hint lists
 MIN_SIMILARITY = 0.85  # of two names, by `difflib`: 1 for equal ones
+
+
+def check_choice(
+    value: str, choices: Collection[str], name: str, error: type[NavbakeError]
+) -> None:
+    """Check that the value of an argument or option is one of the words that it may be.
+
+    Args:
+        value: The value that a user passes.
+        choices: The words that are allowed.
+        name: The name of the argument or option, for the error's message.
+        error: The class of the error that is raised.
+
+    Raises:
+        NavbakeError: The value is none of the choices; an error of the class `error`.
+    """
+    if value not in choices:
+        expected = " or ".join(choices)
+        raise error(
+            f"expected {expected} as {name}, got {value!r}",
+            key=name,
+            value=value,
+            expected=expected,
+        )
 
 
 def find_near(name: object, candidates: Iterable[str], most: int = 1) -> list[str]:

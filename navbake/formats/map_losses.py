@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.errors import FormatError
+from navbake.known_names import check_choice
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import STEP_SLACK, label_islands, step_limit, values_by_area
@@ -74,14 +75,8 @@ def find_closed_cells(
     """
     from navbake.runtime.blocking import find_agent  # loads the run time
 
-    if stairs is not None and stairs not in STAIRS_CHOICES:
-        expected = " or ".join(STAIRS_CHOICES)
-        raise FormatError(
-            f"expected {expected} as stairs, got {stairs!r}",
-            key="stairs",
-            value=stairs,
-            expected=expected,
-        )
+    if stairs is not None:
+        check_choice(stairs, STAIRS_CHOICES, "stairs", FormatError)
     map_agent = find_agent(grid, agent)
     no_cells = [np.zeros(level.shape, dtype=bool) for level in grid.levels]
     stair_cells = no_cells

@@ -43,6 +43,7 @@ from navbake.formats.source import (
     read_pixels,
     read_yaml,
 )
+from navbake.known_names import check_choice
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE, Lattice, rounded
 from navbake.navgrid.links import Agent
@@ -134,8 +135,8 @@ def encode_nav2(
     """
     if not image:
         image = "png" if mode == "scale" else "pgm"
-    check_choice(mode, MODES, "mode")
-    check_choice(image, IMAGE_SUFFIXES, "image")
+    check_choice(mode, MODES, "mode", FormatError)
+    check_choice(image, IMAGE_SUFFIXES, "image", FormatError)
     if mode == "scale" and image == "pgm":
         raise FormatError("mode scale marks unknown cells by transparency: expected image png")
     if inflation is not None and mode == "trinary":
@@ -266,7 +267,7 @@ def read_map(
     Raises:
         FormatError: see `read_nav2`.
     """
-    check_choice(rules, PIXEL_RULES, "rules")
+    check_choice(rules, PIXEL_RULES, "rules", FormatError)
     map_yaml = read_map_yaml(path)
     image = map_yaml.image
     if not os.path.exists(image):  # Path.exists raises for names that are too long
@@ -396,24 +397,3 @@ def read_pixel_values(
     if opacity is not None and hides_transparent:
         values[opacity != 255] = occupancy.UNKNOWN
     return values
-
-
-def check_choice(value: str, choices: tuple[str, ...], name: str) -> None:
-    """Raise a FormatError if an option has none of its possible values.
-
-    Args:
-        value: the option's value.
-        choices: the possible values.
-        name: the option's name, for the error.
-
-    Raises:
-        FormatError: the value is none of them.
-    """
-    if value not in choices:
-        expected = " or ".join(choices)
-        raise FormatError(
-            f"expected {expected} as {name}, got {value!r}",
-            key=name,
-            value=value,
-            expected=expected,
-        )

@@ -28,12 +28,12 @@ from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import JsonPath, check_number, check_object
 from navbake.formats.level_paths import check_level, list_level_paths
-from navbake.formats.nav2 import IMAGE_SUFFIXES, YAML_SUFFIXES, check_choice, encode_map, read_map
+from navbake.formats.nav2 import IMAGE_SUFFIXES, YAML_SUFFIXES, encode_map, read_map
 from navbake.formats.navgrid import check_grid
 from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, OccupancyValues, level_from_values
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.source import Files, check_path, read_yaml
-from navbake.known_names import suggest
+from navbake.known_names import check_choice, suggest
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
 from navbake.navgrid.lattice import cover_cells, touch_cells
@@ -121,7 +121,7 @@ def encode_mask(
         QueryError: the grid has no such agent.
     """
     image = image or "pgm"
-    check_choice(image, IMAGE_SUFFIXES, "image")
+    check_choice(image, IMAGE_SUFFIXES, "image", FormatError)
     if zone is None and zones is None and grid.areas:
         mask_agent = find_agent(grid, agent)
         masks, scale = _mark_areas(grid, mask_agent, is_speed_mask, bool(absolute))

@@ -14,6 +14,7 @@ from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.occupancy import FREE, OCCUPIED, UNKNOWN, level_from_values
 from navbake.formats.voxels import read_voxels
+from navbake.known_names import check_choice
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.voxels.floor_plan import cut_band, lattice_of
 from navbake.voxels.grid import VoxelGrid
@@ -52,14 +53,7 @@ def read_voxel_plan(
             key="height",
             expected=expected,
         )
-    if unknown not in UNKNOWN_VALUES:
-        expected = " or ".join(UNKNOWN_VALUES)
-        raise FormatError(
-            f"expected {expected} as unknown, got {unknown!r}",
-            key="unknown",
-            value=unknown,
-            expected=expected,
-        )
+    check_choice(unknown, UNKNOWN_VALUES, "unknown", FormatError)
     low, high = height
     voxels = read_voxels(path)
     is_occupied = cut_band(voxels, low, high) != 0

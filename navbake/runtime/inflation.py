@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.known_names import check_choice
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MAX_RADIUS, MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
@@ -273,27 +274,6 @@ def check_radius(radius: float, name: str = "radius") -> None:
         )
 
 
-def check_choice(value: str, choices: tuple[str, ...], name: str) -> None:
-    """Check that a word that a user passes is one of the choices.
-
-    Args:
-        value: expected to be one of the choices.
-        choices: the words that are allowed.
-        name: the argument's name in the error.
-
-    Raises:
-        QueryError: the word is none of the choices.
-    """
-    if value not in choices:
-        expected = " or ".join(choices)
-        raise QueryError(
-            f"expected {expected} as {name}, got {value!r}",
-            key=name,
-            value=value,
-            expected=expected,
-        )
-
-
 def check_arguments(
     radius: float, clearance: float | None, mode: str, *, costs: str, scaling: float, ledges: str
 ) -> None:
@@ -313,9 +293,9 @@ def check_arguments(
     check_radius(radius)
     if clearance is not None:
         check_radius(clearance, "clearance")
-    check_choice(mode, INFLATION_MODES, "mode")
-    check_choice(costs, CLEARANCE_COSTS, "costs")
-    check_choice(ledges, LEDGE_RULES, "ledges")
+    check_choice(mode, INFLATION_MODES, "mode", QueryError)
+    check_choice(costs, CLEARANCE_COSTS, "costs", QueryError)
+    check_choice(ledges, LEDGE_RULES, "ledges", QueryError)
     if mode == "minos" and costs != "step":
         hint = "leave `costs` out"
         raise QueryError(
@@ -444,7 +424,7 @@ def inflate_footprint(
     Raises:
         QueryError: the polygon or another argument is not valid.
     """
-    check_choice(ledges, LEDGE_RULES, "ledges")
+    check_choice(ledges, LEDGE_RULES, "ledges", QueryError)
     outline = _check_polygon(polygon)
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
         raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")

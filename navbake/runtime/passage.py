@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.known_names import check_choice
 from navbake.navgrid.grid import MAX_RADIUS, NavGrid
 from navbake.runtime import inflation
 from navbake.runtime.flat_grid import (
@@ -92,7 +93,7 @@ def find_passage(
     Raises:
         QueryError: start or goal is outside the grid or occupied, or the goal is an object.
     """
-    inflation.check_choice(ledges, inflation.LEDGE_RULES, "ledges")
+    check_choice(ledges, inflation.LEDGE_RULES, "ledges", QueryError)
     grid = without_inflation(search.grid)
     flat = search.flat
     is_standable = find_free(grid, 0.0, ledges)

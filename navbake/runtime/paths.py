@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
-from navbake.known_names import suggest
+from navbake.known_names import check_choice, suggest
 from navbake.lazy import lazy, resolve
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.user_data import NAME_KEYS, UserData, names_in
 from navbake.runtime.flat_grid import FlatGrid, list_doors_along
-from navbake.runtime.inflation import check_choice
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int, Int32
 
@@ -332,7 +331,7 @@ def find_path(
     Raises:
         QueryError: an argument is not valid.
     """
-    check_choice(by, CRITERIA, "by")
+    check_choice(by, CRITERIA, "by", QueryError)
     flat = search.flat
     start_position, start_cell = flat.locate(start, level, "start")
     target = find_target(search, goal, level)
@@ -399,7 +398,7 @@ def find_field(
     Raises:
         QueryError: an argument is not valid, or `weighted=False` is combined with ``by="time"``.
     """
-    check_choice(by, CRITERIA, "by")
+    check_choice(by, CRITERIA, "by", QueryError)
     if not weighted and by == "time":
         raise QueryError("expected by='cost' for lengths (weighted=False), got by='time'")
     criterion = by if weighted else "length"

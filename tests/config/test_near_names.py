@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from navbake.config.settings import parse_config
-from navbake.errors import ConfigError
-from navbake.known_names import find_near, suggest
+from navbake.errors import ConfigError, FormatError, QueryError
+from navbake.known_names import check_choice, find_near, suggest
 
 SCENE = {"scene": {"path": "a.xml"}}
 
@@ -64,3 +64,12 @@ def test_one_pattern_is_a_list_of_one(section):
     for part in section.split("."):
         config = getattr(config, part)
     assert config == ["robot*"]
+
+
+@pytest.mark.parametrize("error", [QueryError, FormatError])
+def test_a_word_that_is_no_choice_is_refused_with_the_choices(error):
+    check_choice("up", ("up", "down"), "way", error)
+    with pytest.raises(error, match=r"^expected up or down as way, got 'left'$") as raised:
+        check_choice("left", ("up", "down"), "way", error)
+    assert (raised.value.key, raised.value.value) == ("way", "left")
+    assert raised.value.expected == "up or down"
