@@ -43,7 +43,7 @@ from navbake.batch.scenes import list_jobs
 from navbake.config.settings import BakeConfig, SceneSettings, load_config
 from navbake.episodes import read_episodes, write_episodes
 from navbake.errors import NavbakeError
-from navbake.formats.convert import ROUTE_FORMATS
+from navbake.formats.format_table import ROUTE_FORMATS
 from navbake.formats.grscenes import encode_grscenes
 from navbake.formats.nav2 import encode_nav2
 from navbake.formats.navgrid import dumps_navgrid

@@ -22,6 +22,7 @@ ONLY = {
     "errors": (),
     "types": ("numpy",),
     "navgrid.lattice": ("numpy", "navbake.types"),
+    "formats.format_table": ("navbake.errors",),
 }
 KERNELS_ONLY = ("numpy", "numba", "llvmlite", "navbake.compiled", "navbake.types")
 KERNELS_ONLY += ("navbake.baker.core.arrays", "navbake.baker.core.constants")

@@ -19,7 +19,7 @@ from navbake.episodes.files import write_episodes
 from navbake.episodes.formats import decode
 from navbake.episodes.sampler import make_episodes, make_rules, make_task
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, QueryError
-from navbake.formats.convert import OCTREE_SUFFIXES, VOXEL_SUFFIXES
+from navbake.formats.format_table import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.formats.navgrid import write_navgrid
 from navbake.formats.voxels import write_voxels
 from navbake.lazy import lazy

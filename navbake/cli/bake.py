@@ -25,7 +25,7 @@ from navbake.cli.options import (
 )
 from navbake.cli.printing import print_error, print_json, print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
-from navbake.formats.convert import OCTREE_SUFFIXES, VOXEL_SUFFIXES
+from navbake.formats.format_table import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.views.tables import level_table, make_table
 
 if TYPE_CHECKING:

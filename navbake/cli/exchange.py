@@ -23,15 +23,8 @@ from navbake.cli.options import (
 )
 from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
 from navbake.errors import ConfigError, FormatError, QueryError
-from navbake.formats.convert import (
-    GRID_FORMATS,
-    ROUTE_FORMATS,
-    FileFormat,
-    encode_with,
-    find_format,
-    list_files,
-    read_with,
-)
+from navbake.formats.convert import encode_with, list_files, read_with
+from navbake.formats.format_table import GRID_FORMATS, ROUTE_FORMATS, FileFormat, find_format
 from navbake.formats.source import write_files
 
 if TYPE_CHECKING:

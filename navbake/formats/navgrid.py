@@ -38,7 +38,7 @@ from navbake.formats.allowance import (
     format_value,
 )
 from navbake.formats.arrays import decode_array, encode_array
-from navbake.formats.convert import GRID_FORMATS
+from navbake.formats.format_table import GRID_FORMATS
 from navbake.formats.source import (
     Files,
     Source,
@@ -423,7 +423,7 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
 
 
 def encode_files(grid: NavGrid, path: Path) -> Files:
-    """Encode a NavGrid file; a writer for the table of `navbake.formats.convert`.
+    """Encode a NavGrid file; a writer for `navbake.formats.format_table`.
 
     Args:
         grid: the grid.

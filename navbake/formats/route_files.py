@@ -1,4 +1,4 @@
-"""Files of graphs of routes; `navbake.formats.convert.ROUTE_FORMATS` lists their formats.
+"""Files of graphs of routes; `navbake.formats.format_table.ROUTE_FORMATS` lists their formats.
 
 - ``nav2-route``: GeoJSON of nav2's Route Server. A node is a Point with ``id`` and ``frame``. Each
   direction of a lane is a MultiLineString with ``id``, ``startid``, ``endid`` and ``cost``. Under
@@ -49,7 +49,7 @@ from navbake.formats.allowance import (
     check_optional_object,
     format_value,
 )
-from navbake.formats.convert import ROUTE_FORMATS, find_format
+from navbake.formats.format_table import ROUTE_FORMATS, find_format
 from navbake.formats.graphs import encode_networkx
 from navbake.lazy import resolve
 from navbake.navgrid.door_states import name_doors

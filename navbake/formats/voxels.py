@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath, format_value
-from navbake.formats.convert import OCTREE_SUFFIXES, VOXEL_SUFFIXES
+from navbake.formats.format_table import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
 from navbake.formats.source import check_path, format_path, read_bytes, read_header, write_bytes

@@ -15,7 +15,7 @@ from cli_scenes import P1, P2
 from differences import first_difference
 from navbake import files
 from navbake.errors import FormatError
-from navbake.formats.convert import GRID_FORMATS, find_format
+from navbake.formats.format_table import GRID_FORMATS, find_format
 from navbake.lazy import resolve
 from project_paths import GOLDEN
 

@@ -13,7 +13,7 @@ import yaml
 
 import navbake
 from navbake.errors import FormatError
-from navbake.formats.convert import ROUTE_FORMATS
+from navbake.formats.format_table import ROUTE_FORMATS
 from navbake.formats.route_files import read_routes, write_routes
 from navbake.routes.build import make_routes
 from navbake.routes.graph import Doorway, Lane, LiftCar, Node, RouteGraph

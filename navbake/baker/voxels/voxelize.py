@@ -28,7 +28,7 @@ from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig, SceneSettings
 from navbake.errors import ConfigError, SceneError
-from navbake.formats.convert import OCTREE_SUFFIXES
+from navbake.formats.format_table import OCTREE_SUFFIXES
 from navbake.known_names import find_near
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_chunks
