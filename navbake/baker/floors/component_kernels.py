@@ -1,7 +1,8 @@
 """Label the connected components of surfaces block by block, and list where components meet.
 
-Connected-component labelling by union-find with path halving (Tarjan and van Leeuwen, 1984), inside
-of each block of cells; the caller merges components that meet across a block's border.
+A component is a set of surfaces in neighboring cells, each connected to the next one by a step or
+by slopes. It is found inside of one block of cells, by union-find with path halving (Tarjan and van
+Leeuwen, 1984); the caller merges components that meet across the border of two blocks.
 
 Kernels here list rows of numbers, for `navbake.baker.core.blocks.list_rows`. A row of `list_pairs`
 or `cross_tabulate` has three numbers, and a count of how often these three occur together. The same
@@ -20,13 +21,14 @@ from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Int, Int32
 
 # Kinds of pairs of components
-JOINED = 0  # they are one component, which the border of two blocks divides
-LINKED = 1  # an agent can step from one to the other
-STACKED = 2  # the first lies above the second one, with no third one in between
-# Heights are counted in bins of this size; adjacent surfaces whose heights differ by at most this
-# are one plateau [m]
+JOINED = 0  # they are connected, and only the border of two blocks divides them
+LINKED = 1  # they are not connected, but an agent can step from one to the other
+STACKED = 2  # in a cell, the first lies above the second one, with no other component between them
+# Height of the bins of a histogram of heights: blocks of cells are counted one by one, and counts
+# in the same bin are added up. Also the largest difference in height of adjacent surfaces of one
+# plateau, which is a tread, a landing or a piece of a ramp [m]
 HEIGHT_BIN = 0.02
-# Only so many of the latest rows are searched for the same three numbers; if these stand in an
+# `count_row` looks for three numbers only in this many of the latest rows. If they stand in an
 # older row, they get another row
 NUM_RECENT_ROWS = 8
 # The key of a surface is cell * MAX_RANK + rank, where rank counts the labelled surfaces of the
@@ -47,10 +49,12 @@ class JoinRule(NamedTuple):
     """The limits within which surfaces of neighboring cells are connected, or else linked.
 
     Attributes:
-        step: surfaces of one group are connected if their heights differ by at most this [m].
-        link_step: other surfaces are linked if their heights differ by at most this [m]; negative
-            if no links are listed.
-        by_slopes: whether slopes connect surfaces, too, see `slopes_join`.
+        step: two surfaces of the same group, see `label_blocks`, are connected if their heights
+            differ by at most this [m].
+        link_step: two surfaces that are not connected are linked if their heights differ by at most
+            this [m]; negative if no links are listed.
+        by_slopes: whether surfaces of the same group are also connected where `slopes_join` says
+            so.
     """
 
     step: float
@@ -59,11 +63,11 @@ class JoinRule(NamedTuple):
 
 
 class ComponentNumbering(NamedTuple):
-    """The numbers of components: counted in each block from 0, and counted over all blocks.
+    """The components of surfaces, numbered in each block from 0, and numbered over all blocks.
 
     Attributes:
-        in_block: for each surface, the number of its component in the block, see `label_blocks`,
-            int32.
+        in_block: for each surface, the number of its component in the block, -1 for none, see
+            `label_blocks`, int32.
         offset: for each block, how many components all blocks before it have, int64.
         overall: receives, for each surface, the number of its component over all blocks, -1 for
             none, int32.
@@ -76,21 +80,21 @@ class ComponentNumbering(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def count_row(rows, begin, num, a, b, c):
-    """Add 1 to the count of three numbers that occur together.
+    """Count one more occurrence of three numbers, such as a pair of components and its kind.
 
-    The count stands in the row that begins with these numbers. If there is none among the latest
-    NUM_RECENT_ROWS rows, a row is appended.
+    The count stands in the row that begins with these numbers. If none of the latest
+    NUM_RECENT_ROWS rows does, a row is appended.
 
     Args:
         rows: three numbers and their count in each row, (n, 4) int64.
-        begin: index of the first row of the current block.
-        num: index past the last row.
-        a: the first of the numbers.
-        b: the second one.
-        c: the third one.
+        begin: index of the first row of the current block of cells.
+        num: index past the last row written so far.
+        a: the first of the three numbers.
+        b: the second number.
+        c: the third number.
 
     Returns:
-        The index of the row, or -1 if there is no room for it.
+        The index of the row with the count, or -1 if there is no room for another row.
     """
     for row in range(num - 1, max(begin, num - NUM_RECENT_ROWS) - 1, -1):
         if rows[row, 0] == a and rows[row, 1] == b and rows[row, 2] == c:
@@ -108,13 +112,19 @@ def count_row(rows, begin, num, a, b, c):
 
 @subkernel(inline="always")
 def height_bin(z):
-    """Return the index of the bin, HEIGHT_BIN high, whose center is nearest to a height."""
+    """Return the index of the bin of heights whose middle is nearest to height z [m].
+
+    Bins are HEIGHT_BIN high; the middle of bin 0 is at height 0.
+    """
     return np.int64(np.rint(z / HEIGHT_BIN))
 
 
 @subkernel(inline="always")
 def _group_of(surfaces, group, j):
-    """Return the group of a surface, negative for none, see `label_blocks`."""
+    """Return the group of surface j; negative if the surface is in no component.
+
+    If the array `group` is empty, all STANDABLE surfaces are in group 0, see `label_blocks`.
+    """
     if group.shape[0] > 0:
         return np.int64(group[j])
     return np.int64(0) if surfaces.marks[j] & STANDABLE else np.int64(-1)
@@ -122,7 +132,11 @@ def _group_of(surfaces, group, j):
 
 @subkernel(inline="always")
 def _are_joined(surfaces, group, rule, a, b, direction):
-    """Return whether two surfaces of neighboring cells are connected."""
+    """Return whether surfaces a and b are connected: same group, and joined by a step or slopes.
+
+    `direction` is EAST or SOUTH, from the cell of a to the neighboring cell of b; `rule` is a
+    `JoinRule`.
+    """
     if _group_of(surfaces, group, a) != _group_of(surfaces, group, b):
         return False
     if abs(surfaces.z[a] - surfaces.z[b]) <= rule.step + LIMIT_SLACK:
@@ -132,13 +146,19 @@ def _are_joined(surfaces, group, rule, a, b, direction):
 
 @subkernel(inline="always")
 def _max_rise(rule):
-    """Return the largest difference in height of surfaces that are connected or linked [m]."""
+    """Return an upper limit of the difference in height between connected or linked surfaces [m].
+
+    It is infinite if slopes connect surfaces.
+    """
     return math.inf if rule.by_slopes else max(rule.step, rule.link_step) + LIMIT_SLACK
 
 
 @subkernel(inline="always")
 def _find_root(component, j):
-    """Return the root of the union-find set of surface j; its parent is ``-2 - component[j]``."""
+    """Return the root of the union-find set that surface j is in.
+
+    ``component[j]`` is ``-2 - p``, where surface p is the parent of j; a root is its own parent.
+    """
     while component[j] != -2 - j:
         parent = -2 - component[j]
         component[j] = component[parent]
@@ -150,21 +170,23 @@ def _find_root(component, j):
 def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begin, end):
     """Label and measure the connected components of surfaces inside of ``blocks[begin:end]``.
 
-    A kernel for `navbake.baker.core.blocks.list_rows`. It lists a row for each component, in the
-    order of their first surfaces.
+    A kernel for `navbake.baker.core.blocks.list_rows`. It lists a row for each component of a
+    block, in the order of their first surfaces. A component's first surface is its lowest one in
+    the first of its cells, row by row from the north-west.
 
     Args:
-        surfaces: all surfaces.
-        group: for each surface, its group, negative for none, (n,) int32; if empty, all STANDABLE
-            surfaces are one group. Only surfaces of one group are connected.
+        surfaces: a `Surfaces`.
+        group: the group of each surface, (n,) int32. Only surfaces of the same group are connected;
+            surfaces of a negative group are in no component. If empty, all STANDABLE surfaces are
+            in one group, and the others in none.
         rule: a `JoinRule`.
         component: receives, for each surface, the number of its component in its block, -1 for
             none, (n,) int32. While a block is labelled, it holds the parents of union-find: -2 - p
             for parent p.
-        blocks: ids of blocks.
-        counts: receives how many rows each block has.
-        columns: two arrays that receive the rows: seven numbers, from NUM_SURFACES to END_COL,
-            (n, 7) int64; and the lowest height of the component, (n,) float64 [m].
+        blocks: ids of blocks of cells.
+        counts: receives how many components each block has.
+        columns: two arrays that receive the rows: seven numbers of each component, at the indices
+            from NUM_SURFACES to END_COL, (n, 7) int64; and its lowest height, (n,) float64 [m].
         begin: index in `blocks` of the first block to label.
         end: index past the last one.
 
@@ -257,11 +279,11 @@ def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin,
     ``blocks[begin:end]``, or across the eastern and southern borders of these blocks.
 
     Args:
-        surfaces: all surfaces.
-        group: see `label_blocks`.
+        surfaces: a `Surfaces`.
+        group: the group of each surface, see `label_blocks`.
         rule: a `JoinRule`.
         numbering: a `ComponentNumbering`, whose `overall` is written.
-        blocks: ids of blocks.
+        blocks: ids of blocks of cells.
         counts: receives how many rows each block has.
         columns: one array that receives the rows, (n, 4) int64: the numbers of two components over
             all blocks; the kind of the pair, JOINED (only across borders), LINKED or STACKED; and
@@ -342,17 +364,18 @@ def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin,
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def cross_tabulate(surfaces, label, second_label, level, blocks, counts, columns, begin, end):
-    """Count the surfaces of ``blocks[begin:end]`` by two labels and a level or a height.
+    """Count how many surfaces have the same two labels and the same level, or height.
 
-    A kernel for `navbake.baker.core.blocks.list_rows`. Surfaces with a negative first label, or
-    with level -1, are not counted.
+    The surfaces of ``blocks[begin:end]`` are counted, except those with a negative first label or
+    with level -1. This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        surfaces: all surfaces.
-        label: the first label of each surface, int32.
+        surfaces: a `Surfaces`.
+        label: the first label of each surface, such as the number of its component, int32.
         second_label: the second label of each surface, int32.
-        level: the level of each surface, int32; empty to count by `height_bin` instead.
-        blocks: ids of blocks.
+        level: the level of each surface, int32; if empty, surfaces are counted by their heights, in
+            bins of `height_bin`, instead of by level.
+        blocks: ids of blocks of cells.
         counts: receives how many rows each block has.
         columns: two arrays that receive the rows: the two labels, the level or height bin, and the
             number of surfaces, (n, 4) int64; and the lowest height of these surfaces, (n,) float64

@@ -1,4 +1,8 @@
-"""The floor of each level: where an agent can stand, and how the floor extends under things."""
+"""Find the floor of each level: where an agent can stand, and where it goes on under things.
+
+The floor begins at the level's surfaces on which an agent can stand. From there it grows cell by
+cell under tables, beds and walls, see `growth_kernels`. Links between levels are found here, too.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +31,8 @@ class GrownFloor(NamedTuple):
     Attributes:
         height: the height of the floor in each cell, NaN where there is none, shape (cells,),
             float64 [m].
-        ring: the number of the ring in which the floor grew into each cell: 0 where an agent can
-            stand, -1 for no floor, shape (cells,), int32.
+        ring: how many cells the floor had to grow to reach each cell: 0 where an agent can stand,
+            -1 where there is no floor, shape (cells,), int32.
     """
 
     height: Float
@@ -38,12 +42,13 @@ class GrownFloor(NamedTuple):
 def grow_floors(
     regions: Regions, assignment: LevelAssignment, stops_growth: Bool, agent: AgentSettings
 ) -> list[GrownFloor]:
-    """Find the floor of each level: where an agent can stand, and what grows from there.
+    """Find the floor of each level: where an agent can stand, and where it goes on under things.
 
     Args:
         regions: all regions.
         assignment: the level of each surface.
-        stops_growth: the regions at whose surfaces no floor grows, shape (regions,), bool.
+        stops_growth: the regions whose surfaces floors don't grow onto, such as roofs and tops of
+            furniture, shape (regions,), bool.
         agent: the agent, of which the height and step are used.
 
     Returns:
@@ -63,13 +68,14 @@ def grow_level(
     grown_level: int,
     agent: AgentSettings,
 ) -> GrownFloor:
-    """Find the floor of one level: where an agent can stand, and what grows from there.
+    """Find the floor of one level: where an agent can stand, and where it goes on under things.
 
     Args:
-        labelled: all surfaces; the labelled regions are those at whose surfaces no floor grows.
-        level: `LevelAssignment.level`.
-        final_level: `LevelAssignment.final_level`.
-        grown_level: the final number of the level whose floor grows.
+        labelled: all surfaces; those labelled with a region are surfaces that floors don't grow
+            onto.
+        level: the preliminary number of each surface's level, see `LevelAssignment.level`.
+        final_level: the final number for each preliminary one, see `LevelAssignment.final_level`.
+        grown_level: the final number of the level whose floor is found.
         agent: the agent, of which the height and step are used.
     """
     surfaces = labelled.surfaces
@@ -89,7 +95,8 @@ def grow_level(
     _, (open_cells,) = blocks.list_rows(kernels.start_growth, (NO_CELLS,), labelled, state)
     front = open_cells
     ring_number = 1
-    # all threads grow rings of many cells, one thread the rings after them
+    # a ring is the cells that the floor grows into at the same time; all threads grow large rings,
+    # one thread grows the small rings after them
     while len(front) >= LEAST_CELLS:
         _, (front,) = list_rows(
             kernels.grow_ring, front, (NO_CELLS,), state, ring_number, least=LEAST_CELLS
@@ -111,7 +118,8 @@ def find_level_links(regions: Regions, assignment: LevelAssignment, agent: Agent
         agent: the agent, of which the step and slope are used.
 
     Returns:
-        `navbake.baker.floors.levels.Floors.links`, sorted.
+        The links, sorted, shape (n, 4), int64. Columns: the lower level, its cell, the upper level,
+        its cell; the levels are equal where only a slope joins two cells of one level.
     """
     by_slopes = may_slopes_join(regions.lattice, agent)
     if len(assignment.grounds) == 1 and not by_slopes:

@@ -1,7 +1,8 @@
 """Extend floors under things, ring by ring, and list the links between levels.
 
-Growth is a breadth-first search from all cells in which an agent can stand. A cell's floor depends
-on its own surfaces, and on the floors that its neighbors had one ring before.
+Growth is a breadth-first search from all cells in which an agent can stand. The cells that the
+search reaches at the same time are a ring. The floor that grows into a cell depends on the cell's
+surfaces, and on the floors that its neighbors got in earlier rings.
 """
 
 import math
@@ -24,7 +25,7 @@ LAST_OPTION = 2  # the floor can grow at the surface, but at no higher one of th
 # Values of `GrowthState.ring`
 NO_FLOOR = -1  # the cell has no floor
 # The floor may still grow into the cell: the value is OPEN_CELL - j, where surface j is the lowest
-# one at which it can grow
+# surface of the cell at which the floor can grow
 OPEN_CELL = -2
 
 
@@ -33,8 +34,9 @@ class GrowthState(NamedTuple):
 
     Attributes:
         surfaces: all surfaces that floors may consist of.
-        level: the level of each surface, negative for none, int32.
-        final_level: for each level, its number when levels without surfaces are left out, int64.
+        level: the preliminary number of each surface's level, negative for none, int32.
+        final_level: for each preliminary number, the level's number when levels without surfaces
+            are left out, int64.
         grown_level: the final number of the level whose floor grows.
         height: the agent's height [m].
         step: the highest step [m].
@@ -60,7 +62,8 @@ class GrowthState(NamedTuple):
 def _is_option(labelled, state, last, j, lowest, highest):
     """Return whether the floor may grow at surface j of a cell, see `start_growth`.
 
-    `last` is the end of the cell's surfaces; `lowest` and `highest` bound the floor's height [m].
+    `last` is the id past the cell's highest surface. The floor has to lie between the heights
+    `lowest` and `highest` [m].
     """
     z = state.surfaces.z
     if state.level[j] >= 0 or not lowest <= z[j] <= highest:
@@ -78,21 +81,22 @@ def _is_option(labelled, state, last, j, lowest, highest):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def start_growth(labelled, state, blocks, counts, columns, begin, end):
-    """Start the growth of a floor in ``blocks[begin:end]``: write it where agents can stand.
+    """Write a level's floor where an agent can stand, and list the cells into which it may grow.
 
-    Cells without it, in which it can grow, are listed. A floor can grow at a surface if
+    This is done for the cells of ``blocks[begin:end]``. A labelled region is one that the floor
+    doesn't grow onto, such as a roof or the top of furniture. A floor can grow at a surface if
 
-    - the surface is on no level and belongs to no labelled region (such as a roof or the top of
-      furniture);
-    - no surface of a labelled region, itself on no level, lies at most a step above it;
-    - an agent fits between it and the levels above and below.
+    - the surface is on no level and belongs to no labelled region;
+    - no surface of a labelled region lies above it by a step or less (one on a level may);
+    - it lies at least the agent's height above the surfaces of lower levels in its cell, and below
+      those of higher levels.
 
     A kernel for `navbake.baker.core.blocks.list_rows`; each row of its list is a cell.
 
     Args:
-        labelled: a `LabelledSurfaces` with the regions at which no floor grows.
+        labelled: a `LabelledSurfaces` with the regions that the floor doesn't grow onto.
         state: a `GrowthState`, whose `floor`, `ring` and `option` are written.
-        blocks: ids of blocks.
+        blocks: ids of blocks of cells.
         counts: receives how many cells are listed for each block.
         columns: one array that receives ids of cells, (n,) int64.
         begin: index in `blocks` of the first block.
@@ -155,7 +159,10 @@ def start_growth(labelled, state, blocks, counts, columns, begin, end):
 
 @subkernel(inline="always")
 def _neighbors_of(lattice, cell):
-    """Return the ids of the next cells east, south, west and north, negative for none."""
+    """Return the ids of a cell's neighbors in the east, south, west and north, negative for none.
+
+    `lattice` is the `Lattice` of the cells.
+    """
     width = lattice.width
     col = cell % lattice.width
     east = cell + 1 if col + 1 < width else np.int64(-1)
@@ -168,9 +175,10 @@ def _neighbors_of(lattice, cell):
 def _grow_into(state, cell, ring_number):
     """Let the floor grow into a cell, if it can; return whether it did.
 
-    It can't if the cell has a floor already, or no surface with an OPTION. Otherwise it grows at
-    the surface nearest in height to the floor that a neighbor got in an earlier ring, if the two
-    differ by at most a step; of two surfaces equally near, at the lower one.
+    Of the cell's surfaces at which the floor can grow, see `GrowthState.option`, it grows at the
+    one nearest in height to a neighbor's floor; of two equally near, at the lower one. The
+    neighbor must have got its floor in a ring before `ring_number`, and the heights may differ by
+    at most a step. Nothing grows into a cell that has a floor already.
     """
     z = state.surfaces.z
     floor = state.floor
@@ -196,7 +204,7 @@ def _grow_into(state, cell, ring_number):
             elif math.isnan(nearest_z) and gap <= least_gap:
                 nearest_z = z[j]
                 least_gap = gap
-            # the cell's higher surfaces are no options
+            # the floor can't grow at the cell's higher surfaces
             if option[j] == LAST_OPTION:
                 break
             j += 1
@@ -222,17 +230,17 @@ def _list_open_neighbors(state, cell, cells, num):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def grow_ring(state, ring_number, front, counts, columns, begin, end):
-    """Let the floor grow into ``front[begin:end]``, and list the neighbors for the next ring.
+    """Let the floor grow into the cells ``front[begin:end]``, and list cells for the next ring.
 
-    A kernel for `navbake.baker.core.blocks.list_rows`. It may list a cell several times. The result
-    depends neither on the order of cells nor on threads: a ring reads only the floors of earlier
-    rings.
+    These are the neighbors of the cells into which the floor grew; a neighbor may be listed several
+    times. The result depends neither on the order of cells nor on threads, as a ring reads only the
+    floors of earlier rings. This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
         state: a `GrowthState`.
         ring_number: the number of the ring, from 1.
-        front: ids of the cells into which the floor may grow, int64.
-        counts: receives how many neighbors each cell of `front` has listed.
+        front: ids of the cells into which the floor may grow in this ring, int64.
+        counts: receives, for each cell of `front`, how many of its neighbors are listed.
         columns: one array that receives ids of cells, (n,) int64.
         begin: index in `front` of the first cell.
         end: index past the last one.
@@ -255,12 +263,12 @@ def grow_ring(state, ring_number, front, counts, columns, begin, end):
 
 @kernel(nogil=True)
 def grow_remaining_rings(state, ring_number, front):
-    """Let the floor grow ring by ring, until no floor can grow any more.
+    """Let the floor grow ring by ring, until it can't grow any more.
 
     Args:
         state: a `GrowthState`.
-        ring_number: the number of the first ring.
-        front: ids of the cells into which the first ring may grow, int64.
+        ring_number: the number of the first of these rings.
+        front: ids of the cells into which the floor may grow in that ring, int64.
     """
     while front.shape[0] > 0:
         next_front = np.empty(4 * front.shape[0], np.int64)
@@ -280,12 +288,12 @@ def list_links(surfaces, level, final_level, step, by_slopes, blocks, counts, co
     a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        surfaces: all surfaces.
-        level: see `GrowthState`.
-        final_level: see `GrowthState`.
-        step: the highest step [m].
-        by_slopes: whether slopes join surfaces.
-        blocks: ids of blocks.
+        surfaces: a `Surfaces`.
+        level: the preliminary number of each surface's level, negative for none, int32.
+        final_level: the final number of the level for each preliminary number, int64.
+        step: the highest step that the agent takes [m].
+        by_slopes: whether surfaces that no step joins are also linked where `slopes_join` says so.
+        blocks: ids of blocks of cells.
         counts: receives how many links each block has.
         columns: one array that receives the links, (n, 4) int64: the lower level and its cell, then
             the upper level and its cell. The levels may be equal where a slope joins two surfaces

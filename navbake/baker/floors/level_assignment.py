@@ -2,7 +2,7 @@
 
 The steps, in their order:
 
-1. `_find_stairs` decides which surfaces belong to stairs and ramps rather than floors.
+1. `_find_stairs` tells the surfaces of stairs and ramps from those of floors.
 2. `_find_grounds` finds the grounds, the heights at which levels begin, from histograms of the
    heights of floors that lie over other floors. If the configuration has levels, it gives the
    grounds instead.
@@ -12,7 +12,8 @@ The steps, in their order:
    surfaces, or adds levels.
 5. `_drop_empty_levels` numbers and names the levels that have surfaces.
 
-A column is the vertical line through a cell's centre, with all surfaces on it.
+A column is the vertical line through a cell's centre, with all surfaces on it. Candidates are the
+surfaces that are to be assigned: those of the regions that are floors.
 """
 
 from __future__ import annotations
@@ -57,11 +58,12 @@ CONFIGURED_GROUND_TOLERANCE = 0.02
 # The ground of an added level is lowered by at most this, to include surfaces of the same regions:
 # a scanned floor is this uneven [m]
 UNEVENNESS = 0.005
-# Once MANY_LEVELS levels are found, the next ground is first searched for up to this height above
+# With more than MANY_LEVELS levels, the next ground is first searched for up to this height above
 # the last one, as levels are rarely higher; this saves time in towers [m]
 USUAL_LEVEL_HEIGHT = 8.0
 MANY_LEVELS = 4
-# A plateau is a part of a stair if the floors that it leads to are more than this many times larger
+# A tread, a landing or a piece of a ramp belongs to a stair if the floors that it leads to, up and
+# down, each have more than this many times its own floor's area, see `_find_stairs`
 STAIR_AREA_RATIO = 4
 # Grounds that are found are rounded to this many decimals [m]
 GROUND_DECIMALS = 9
@@ -69,18 +71,21 @@ GROUND_DECIMALS = 9
 EXTRA_LEVEL_RISE = 1.0
 # Empty arrays with the dtypes and shapes of histograms: three numbers and their count, and heights
 NO_HISTOGRAM_ROWS = NO_ROWS, NO_HEIGHTS
-# An area test that shrinks nothing and needs no cell
+# An area test that shrinks nothing and that even an empty set of cells passes
 NO_SHRINKING = AreaTest(0, 0, np.empty(0, dtype=np.int64))
 
 
 def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightRange]:
     """Return, for each level of the configuration, the heights of the surfaces that it may have.
 
-    A range [low, high) [m] begins `CONFIGURED_GROUND_TOLERANCE` below the level's ground. It ends
-    at the level's top, or where the range of the next level begins, if that is lower.
+    A range begins `CONFIGURED_GROUND_TOLERANCE` below the level's ground. It ends at the level's
+    top, or where the range of the next level begins, if that is lower.
 
     Args:
         level_settings: the levels of the configuration, lowest first.
+
+    Returns:
+        The range [low, high) of each level [m], lowest level first.
     """
     height_ranges = []
     for number, level in enumerate(level_settings):
@@ -120,7 +125,7 @@ class LevelAssignment(NamedTuple):
             Preliminary numbers also count levels that have no surface in the end.
         final_level: for each preliminary number, the index of the level in `grounds`, int64.
         counts: how many surfaces each region has on each level.
-        without_level: surfaces left out because all levels are taken by others in their columns.
+        without_level: surfaces left out because other surfaces of their columns have all levels.
     """
 
     grounds: list[float]
@@ -134,12 +139,13 @@ class LevelAssignment(NamedTuple):
 class ComponentLevels(NamedTuple):
     """How many surfaces each component has on each level: a table of columns, shape (n,) each.
 
-    A component and a level may stand in several entries; their numbers are then to be added up.
+    A component is the part of a region in one block of cells. A component and a level may stand in
+    several entries; their numbers are then to be added up.
 
     Attributes:
         component: index of the component in `Regions.components`, int64.
-        level: number of the level, see `LevelAssignment.level`; NO_FREE_LEVEL or less for
-            candidates that found all levels taken, int64.
+        level: preliminary number of the level, see `LevelAssignment.level`; NO_FREE_LEVEL or less
+            for surfaces without a level, as other surfaces of their columns have all levels, int64.
         num_surfaces: how many surfaces of the component are on the level, int64.
         low: the lowest height of these surfaces, float64 [m].
     """
@@ -151,12 +157,12 @@ class ComponentLevels(NamedTuple):
 
 
 class SurfaceLevels(NamedTuple):
-    """The levels of all candidates if levels begin at some grounds: an attempt at an assignment.
+    """Which level each surface is on, for one choice of the heights at which levels begin.
 
     Attributes:
         grounds: the heights at which levels begin, ascending [m].
-        skips_floors: whether, in columns with more candidates than levels, floors are left out
-            rather than stairs.
+        skips_floors: whether floors rather than stairs are left out, in columns with more surfaces
+            of floors and stairs than there are levels.
         level: the level of each surface, see `assign_columns`, int32.
         components: how many surfaces each component has on each level.
     """
@@ -222,13 +228,13 @@ def assign_levels(
     agent: AgentSettings,
     settings: FloorSettings,
 ) -> LevelAssignment:
-    """Assign the surfaces of some regions to levels.
+    """Find the levels, and assign the surfaces of some regions to them.
 
     Args:
         regions: all regions.
-        mask: the regions that are floors, shape (regions,), bool.
-        level_settings: the levels of the configuration, if it has any: only surfaces within their
-            `level_height_ranges` are assigned. If empty, the levels are found.
+        mask: the regions whose surfaces are assigned, shape (regions,), bool.
+        level_settings: the levels of the configuration; only surfaces in the ranges of heights that
+            `level_height_ranges` has for them are assigned. If empty, the levels are found.
         agent: the agent, of which the step and slope are used.
         settings: the settings of `floors`; `min_area` and `shrink` are used.
     """
@@ -271,12 +277,21 @@ def assign_levels(
 
 
 def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Candidates:
-    """Find which candidates are parts of stairs and ramps.
+    """Find which of the surfaces to assign belong to stairs and ramps.
 
-    A plateau (a tread, a landing, a piece of a ramp) is a part of a stair if two paths lead from it
-    to floors more than four times as large as its own floor: one that only goes up, and one that
-    only goes down. A plateau's own floor are all surfaces of its region within half a step of its
-    height, since walls and thresholds divide a floor into several plateaus.
+    A plateau is a set of connected surfaces at one height: a tread, a landing, a piece of a ramp,
+    or a floor between thresholds. It belongs to a stair if one path that only goes up and one that
+    only goes down lead from it to floors more than four times as large as its own floor. All
+    surfaces of its region within half a step of its height count as its own floor, since walls and
+    thresholds divide a floor into several plateaus.
+
+    Args:
+        regions: all regions.
+        group: 0 for each surface to assign, else -1, shape (surfaces,), int8.
+        step: the highest step [m].
+
+    Returns:
+        The surfaces to assign, their plateaus, and which plateaus belong to stairs.
     """
     plateau_rule = JoinRule(min(step, HEIGHT_BIN), link_step=step)
     components = find_components(regions.surfaces, plateau_rule, group.astype(np.int32))
@@ -325,11 +340,11 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Cand
 
 
 def _count_near_height(region: Int, height_bin: Int, num_surfaces: Int, half_step: float) -> Int:
-    """Count the surfaces of a region near a height, for several pairs of a region and a height.
+    """Count, for pairs of a region and a height, the region's surfaces near that height.
 
     Args:
-        region: the region of each entry of a histogram, shape (n,).
-        height_bin: the height of each entry, as a number of `height_bin`, shape (n,).
+        region: the region of each entry of a histogram of heights, shape (n,).
+        height_bin: the number of each entry's bin of heights, see `height_bin`, shape (n,).
         num_surfaces: how many surfaces of the region lie in the bin, shape (n,); several entries of
             one region and bin are added up.
         half_step: half of the highest step [m].
@@ -355,9 +370,9 @@ def _count_near_height(region: Int, height_bin: Int, num_surfaces: Int, half_ste
 def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
     """Find the ground heights of the levels, lowest first [m].
 
-    The first ground is the height of the lowest floor that passes the area test. Each further
-    ground is the height of the lowest floor that passes it and lies above floors of the level
-    below. So a hill, a half-storey, a stair, or a platform with nothing under it is no new level.
+    The first ground is the height of the lowest floor that is large enough. Each further ground is
+    the height of the lowest large floor that lies over floors of the level below. So a hill, a
+    half-storey, a stair, or a platform with nothing under it is no new level.
     """
     half_step = max(assignment_input.agent.traversable_floor_height, HEIGHT_BIN) / 2
     ground = _find_next_ground(assignment_input, -np.inf, half_step)
@@ -383,17 +398,17 @@ def _find_next_ground(
     half_step: float,
     height_limits: Sequence[float] = (np.inf,),
 ) -> float | None:
-    """Find the height of the lowest large floor that lies above floors of a level.
+    """Find the height of the lowest large floor that lies over floors of a level.
 
-    A floor is large if its surfaces within a window of heights pass the area test. Windows are one
-    step high and begin half a step apart.
+    A floor is large if its surfaces in some range of heights keep `floors.min_area` when they are
+    shrunk by `floors.shrink`. The ranges are one step high and begin half a step apart.
 
     Args:
         assignment_input: the surfaces and the settings.
         ground: the ground of the level [m]; -inf to search the lowest surfaces of all columns.
         half_step: half of the highest step [m].
-        height_limits: only windows below the first of these heights are searched, then, if none has
-            a large floor, those below the second one, and so on [m].
+        height_limits: heights, ascending. Only ranges below the first height are searched; if none
+            has a large floor, those below the second height are, and so on [m].
 
     Returns:
         The height [m]; None if there is no such floor.
@@ -433,7 +448,13 @@ def _find_next_ground(
 def _count_heights(
     assignment_input: AssignmentInput, selection: HeightSelection, area_test: AreaTest
 ) -> HeightHistogram:
-    """Make the histogram of the selected floors, shrunk by a test's disc; see `count_heights`."""
+    """Count how many surfaces of floors lie at each height, see `count_heights`.
+
+    Args:
+        assignment_input: all surfaces, and which of them are floors.
+        selection: which of the floors are counted.
+        area_test: the disc by which their cells are shrunk before they are counted.
+    """
     regions = assignment_input.regions
     _, (rows, low) = regions.blocks.list_rows(
         kernels.count_heights,
@@ -451,13 +472,13 @@ def _count_heights(
 def _assign_surfaces(
     assignment_input: AssignmentInput, grounds: list[float], skip_floors: bool = False
 ) -> SurfaceLevels:
-    """Assign the candidates to levels that begin at some grounds, see `assign_columns`.
+    """Assign surfaces to levels whose grounds are given, see `assign_columns`.
 
     Args:
         assignment_input: the surfaces to assign.
         grounds: the heights at which levels begin, ascending [m].
-        skip_floors: whether, in columns with more candidates than levels, floors are left out
-            rather than stairs.
+        skip_floors: whether floors rather than stairs are left out, in columns with more surfaces
+            to assign than there are levels.
     """
     regions = assignment_input.regions
     level = np.empty(len(regions.surfaces.z), dtype=np.int32)
@@ -479,9 +500,17 @@ def _assign_surfaces(
 def _lower_grounds(assignment_input: AssignmentInput, grounds: list[float]) -> SurfaceLevels:
     """Lower each ground to include connected floor just below it, then assign surfaces to levels.
 
-    A floor just below a ground is first assigned to the level below. The ground is lowered to a
-    connected part of that level if the part lies at most a step below the ground, does not consist
-    of stairs alone, and is linked by steps to the ground's level and to no other.
+    A floor just below a ground is first assigned to the level below. The ground is lowered to the
+    lowest surface of a connected part of that level if the whole part lies at most a step below the
+    ground, does not consist of stairs alone, and is linked by steps to the ground's level and to no
+    other part or level.
+
+    Args:
+        assignment_input: the surfaces to assign.
+        grounds: the heights at which levels begin, ascending [m].
+
+    Returns:
+        The levels of all surfaces, with the lowered grounds.
     """
     surface_levels = _assign_surfaces(assignment_input, grounds)
     for _ in grounds[1:]:
@@ -498,7 +527,15 @@ def _lower_grounds(assignment_input: AssignmentInput, grounds: list[float]) -> S
 def _lower_grounds_once(
     assignment_input: AssignmentInput, surface_levels: SurfaceLevels
 ) -> list[float]:
-    """Return the grounds [m], lowered as `_lower_grounds` describes, for one assignment."""
+    """Lower each ground once by the rule of `_lower_grounds`.
+
+    Args:
+        assignment_input: the surfaces to assign.
+        surface_levels: the levels that the surfaces have with the grounds as they are.
+
+    Returns:
+        The height at which each level begins [m].
+    """
     regions = assignment_input.regions
     candidates = assignment_input.candidates
     step = assignment_input.agent.traversable_floor_height
@@ -550,12 +587,16 @@ def _resolve_full_columns(
 ) -> tuple[SurfaceLevels, list[Patch]]:
     """Leave out surfaces or add levels where columns have more surfaces than there are levels.
 
-    Stairs are left out if they are dispensable, see `_are_dispensable`. If they are not, the floors
-    under them are left out, if these are dispensable. Otherwise a level is added at the lowest
-    surface without a level, and it is tried again.
+    Where `_are_dispensable` allows it, surfaces of stairs are left out; else, where it allows that,
+    the floors under them. Otherwise a level is added at the lowest surface that has no level, and
+    the surfaces are assigned again.
+
+    Args:
+        assignment_input: the surfaces to assign.
+        surface_levels: their levels so far.
 
     Returns:
-        The assignment, and a summary of what is left out, region by region.
+        The levels of all surfaces, and a summary of what is left out, region by region.
     """
     regions = assignment_input.regions
     walks = _find_walks(assignment_input, assignment_input.candidates.group)
@@ -585,7 +626,12 @@ def _resolve_full_columns(
 
 
 def _list_full_regions(regions: Regions, surface_levels: SurfaceLevels) -> list[RegionSurfaces]:
-    """List the regions that have a candidate without a level; return all surfaces of each."""
+    """List the regions that have a surface to assign which got no level; all surfaces of each.
+
+    Args:
+        regions: all regions.
+        surface_levels: the levels of the surfaces.
+    """
     components = surface_levels.components
     has_no_level = components.level <= NO_FREE_LEVEL
     region_ids = np.unique(regions.of_component[components.component[has_no_level]])
@@ -597,11 +643,11 @@ def _choose_extra_ground(
 ) -> float:
     """Choose the ground of an added level, for surfaces without a level.
 
-    It is the height of the lowest of them; or up to `UNEVENNESS` lower if their regions have
-    surfaces there, so that an uneven floor stays on one level.
+    It is the height of the lowest of these surfaces; or up to `UNEVENNESS` lower if their regions
+    have surfaces there, so that an uneven floor stays on one level.
 
     Args:
-        candidates: the surfaces that are assigned.
+        candidates: the surfaces to assign.
         surface_levels: their levels.
         full_regions: the regions with surfaces without a level, as `_list_full_regions` lists them.
 
@@ -636,14 +682,15 @@ def _are_dispensable(
     """Return whether the surfaces without a level can be left out.
 
     In each region they must be small. Stairs are small if they are nowhere wider than
-    `floors.shrink`; floors (`surface_levels.skips_floors`), if they fail the area test. And leaving
-    them out must not divide walkable floor: their regions must not get more large walks.
+    `floors.shrink`; floors (if `surface_levels.skips_floors`), if they don't keep
+    `floors.min_area` when shrunk by `floors.shrink`. And leaving them out must not cut a floor in
+    two: their regions must not get more large walks than they have with all surfaces.
 
     Args:
-        assignment_input: the surfaces that are assigned.
+        assignment_input: the surfaces to assign.
         surface_levels: their levels.
         full_regions: the regions with surfaces without a level, as `_list_full_regions` lists them.
-        walks: the walks of all candidates, see `_find_walks`.
+        walks: the walks of all surfaces to assign, see `_find_walks`.
     """
     if not full_regions:
         return True
@@ -669,14 +716,14 @@ def _are_dispensable(
 
 
 def _find_walks(assignment_input: AssignmentInput, group: NDArray[np.int8]) -> Components:
-    """Find the walks: sets of candidates between which an agent can walk by steps and slopes.
+    """Find the walks: sets of surfaces between which an agent can walk by steps and slopes.
 
     Args:
         assignment_input: all surfaces, and the agent.
-        group: 0 for each surface that is a candidate, else -1, shape (surfaces,).
+        group: 0 for each surface that counts, else -1, shape (surfaces,).
 
     Returns:
-        Their parts in each block of cells; `Components.merge` numbers the walks.
+        The part of each walk in each block of cells; `Components.merge` joins and numbers them.
     """
     surfaces = assignment_input.regions.surfaces
     rule = region_join_rule(surfaces.lattice, assignment_input.agent)
@@ -684,7 +731,10 @@ def _find_walks(assignment_input: AssignmentInput, group: NDArray[np.int8]) -> C
 
 
 def _count_walks(walks: Components, regions: list[RegionSurfaces], min_surfaces: int) -> int:
-    """Count the walks with at least `min_surfaces` surfaces in a region, summed over regions."""
+    """Count, in each region, the walks with at least `min_surfaces` surfaces there; add them up.
+
+    A walk, see `_find_walks`, is a set of surfaces between which an agent can walk.
+    """
     walk_of_component = walks.merge()
     num_walks = 0
     for region_surfaces in regions:
@@ -705,8 +755,8 @@ def _drop_empty_levels(
     Args:
         regions: all regions.
         surface_levels: the level of each surface.
-        names: ground -> configured name; levels without one are named by their numbers.
-        without_level: see `LevelAssignment`.
+        names: ground height [m] -> configured name. A level without one is named by its number.
+        without_level: the surfaces that are left out, see `LevelAssignment`.
     """
     components = surface_levels.components
     has_level = components.level >= 0

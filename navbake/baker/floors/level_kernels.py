@@ -1,9 +1,10 @@
 """Count the heights of floors, and assign the surfaces of each column to levels, block by block.
 
-A column is the vertical line through a cell's centre. Its surfaces, and the levels, are two ordered
-lists, which dynamic programming aligns (Needleman and Wunsch, A General Method Applicable to the
-Search for Similarities in the Amino Acid Sequence of Two Proteins, 1970). `find_largest_areas`
-relaxes the edges of a directed acyclic graph in topological order: the order of heights.
+A column is the vertical line through a cell's centre. Its surfaces and the levels are two lists in
+the order of heights, which dynamic programming aligns (Needleman and Wunsch, A General Method
+Applicable to the Search for Similarities in the Amino Acid Sequence of Two Proteins, 1970).
+`find_largest_areas` relaxes the edges of a directed acyclic graph in topological order: the order
+of heights.
 """
 
 import math
@@ -19,17 +20,17 @@ from navbake.baker.floors.region_kernels import region_of_surface, shrink
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Float, Int32
 
-# The costs of an alignment: of moving a surface by one level, and of skipping it. A skipped surface
-# need not keep its order among the others. It is cheaper to move a stair's surface than a floor,
-# and cheaper to skip a stair's surface than to move a floor.
+# What it costs to move a surface by one level, and to skip it, when a column's surfaces are aligned
+# with the levels. A skipped surface need not keep its order among the others. The costs are far
+# apart, so that stairs move rather than floors, and are skipped before a floor moves.
 MOVE_STAIR = 1
 MOVE_FLOOR = 10_000
 SKIP_STAIR = 100
 SKIP_FLOOR = 10_000_000
 # Values in place of the number of a window of heights
 NO_WINDOW = -(1 << 62)  # the surface isn't counted
-ALL_WINDOWS = -(1 << 61)  # surfaces in all windows are counted, each under its own window
-LOWEST_SURFACES = -(1 << 60)  # stairs are counted, too, and all heights under this one number
+ALL_WINDOWS = -(1 << 61)  # surfaces in all windows are counted, each under its window's number
+LOWEST_SURFACES = -(1 << 60)  # stairs are counted, too, and all heights under this number
 # Values in place of the level of a candidate when other surfaces of its column have all levels
 NO_FREE_LEVEL = -2  # the candidate lies at no ground
 NO_FREE_LEVEL_AT_GROUND = -3  # the candidate lies at the ground of a level
@@ -39,11 +40,11 @@ class Candidates(NamedTuple):
     """Which surfaces are to be assigned to levels, and which of them belong to stairs.
 
     Attributes:
-        group: for each surface, 0 if it is a candidate, else -1, int8.
-        component: for each surface, the number of its component, which is a part of one plateau (a
-            tread, a landing, a piece of a ramp), int32. Empty if no column has two candidates, as
-            stairs then make no difference.
-        is_stair: for each component, whether its plateau is a part of a stair or a ramp, bool.
+        group: for each surface, 0 if it is a candidate, that is to be assigned, else -1, int8.
+        component: for each surface, the number of its component: a tread, a landing, a piece of a
+            ramp or of a floor, or the part of it in one block of cells, int32. Empty if no column
+            has two candidates, as stairs then make no difference.
+        is_stair: for each component, whether it belongs to a stair or a ramp, bool.
     """
 
     group: NDArray[np.int8]
@@ -52,17 +53,17 @@ class Candidates(NamedTuple):
 
 
 class HeightSelection(NamedTuple):
-    """Which surfaces `count_heights` counts.
+    """Which of the candidates (surfaces to assign to levels) `count_heights` counts, by height.
 
     Window n of heights goes from ``n * half_step`` to ``(n + 1) * half_step``.
 
     Attributes:
-        ground: the ground of a level [m]. A surface is counted only if another candidate of its
-            column lies below it and at or above this height. If it is -inf, only the lowest
+        ground: the ground of a level [m]. A candidate is counted only if another candidate of its
+            column lies below it and at or above this height. If the ground is -inf, only the lowest
             candidate of each column is counted.
-        window: the number of a window: surfaces in it and in the window above it are counted. It
-            can also be ALL_WINDOWS or LOWEST_SURFACES.
-        half_step: the height of a window [m].
+        window: the number of a window: candidates in it and in the window above it are counted.
+            ALL_WINDOWS counts them at all heights; LOWEST_SURFACES does, too, stairs included.
+        half_step: the height of a window, half of the agent's highest step [m].
         top: only surfaces below this height are counted [m].
     """
 
@@ -78,8 +79,8 @@ class LevelRule(NamedTuple):
     Attributes:
         grounds: the heights at which levels begin, ascending, (levels,) float64 [m].
         tolerance: how far below a ground the floors of its level may lie [m].
-        skip_floors: what is left out of columns with more candidates than levels: floors, the lower
-            ones first, if True; stairs if False.
+        skip_floors: which surfaces are left out in columns with more surfaces to assign than there
+            are levels: floors, the lower ones first, if True; stairs if False.
     """
 
     grounds: Float
@@ -89,7 +90,7 @@ class LevelRule(NamedTuple):
 
 @subkernel(inline="always")
 def _is_stair(candidates, j):
-    """Whether a surface is a part of a stair."""
+    """Return whether surface j belongs to a stair, by a `Candidates`."""
     if candidates.component.shape[0] == 0:
         return False
     return candidates.is_stair[candidates.component[j]]
@@ -97,15 +98,16 @@ def _is_stair(candidates, j):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def mark_candidates(labelled, height_ranges, group, has_stacked_candidates, begin, end):
-    """Mark the surfaces of regions in the blocks from `begin` to `end` as candidates for levels.
+    """Mark the surfaces that are to be assigned to levels: candidates.
 
     Args:
-        labelled: a `LabelledSurfaces` with the regions.
-        height_ranges: the heights [low, high) at which surfaces are candidates, (n, 2) float64 [m];
-            if empty, at all heights.
+        labelled: a `LabelledSurfaces` with the regions whose surfaces are candidates.
+        height_ranges: only surfaces in these ranges [low, high) of heights are candidates, (n, 2)
+            float64 [m]; if empty, surfaces at all heights.
         group: receives, for each surface, 0 for a candidate, else -1.
-        has_stacked_candidates: receives, for each block, whether a cell of it has two candidates.
-        begin: id of the first block.
+        has_stacked_candidates: receives, for each block of cells, whether a cell of it has more
+            than one candidate.
+        begin: id of the first block to mark.
         end: id past the last block.
     """
     surfaces = labelled.surfaces
@@ -133,9 +135,10 @@ def mark_candidates(labelled, height_ranges, group, has_stacked_candidates, begi
 
 @subkernel(inline="always")
 def _window_of(surfaces, candidates, j, selection, is_lowest):
-    """Return the window in which candidate j is counted, or NO_WINDOW.
+    """Return the number of the window of heights in which surface j is counted, or NO_WINDOW.
 
-    `is_lowest` is whether it is the first candidate of its column at or above `selection.ground`.
+    `selection` is a `HeightSelection`; `is_lowest` is whether j is the lowest candidate of its
+    column that lies at or above `selection.ground`.
     """
     if is_lowest != (selection.ground == -math.inf):
         return NO_WINDOW
@@ -150,21 +153,21 @@ def _window_of(surfaces, candidates, j, selection, is_lowest):
 
 @subkernel(**NO_REFCOUNT)
 def _count_block(surfaces, candidates, selection, area_test, block, masks, columns, num):
-    """Count the heights of one block, see `count_heights`.
+    """Make the histogram of heights of one block of cells, see `count_heights`.
 
     Args:
-        surfaces: all surfaces.
+        surfaces: a `Surfaces`.
         candidates: a `Candidates`.
         selection: a `HeightSelection`.
-        area_test: an `AreaTest`.
+        area_test: an `AreaTest`, by whose disc the cells are shrunk.
         block: the id of the block.
         masks: two masks to write: the block's cells with a counted surface, with a margin of the
             disc's radius; and the cells that remain of them after shrinking.
-        columns: receive the rows, see `count_heights`.
+        columns: the arrays that receive the rows, see `count_heights`.
         num: how many rows earlier blocks have.
 
     Returns:
-        How many rows all blocks have now, or -1 if there is no room.
+        How many rows all blocks have now, or -1 if there is no room for another row.
     """
     rows, lowest = columns
     radius = area_test.radius
@@ -211,20 +214,20 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, colum
 
 @kernel(nogil=True)
 def count_heights(surfaces, candidates, selection, area_test, blocks, counts, columns, begin, end):
-    """Make a histogram of the heights of floors in ``blocks[begin:end]``.
+    """Count how many surfaces of floors lie at each height, in ``blocks[begin:end]``.
 
-    Floors are the candidates that are no stairs; `selection` determines which of them are counted.
-    The cells of all selected floors together are shrunk by the disc of an area test, and only
-    surfaces in the remaining cells are counted.
+    The surfaces to assign to levels that are no stairs are floors; `selection` determines which of
+    them are counted. The cells of all selected floors together are shrunk by the disc of an area
+    test, and only surfaces in the remaining cells are counted.
 
     This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        surfaces: all surfaces.
-        candidates: a `Candidates`.
+        surfaces: a `Surfaces`.
+        candidates: a `Candidates`: which surfaces are to be assigned, and which of them are stairs.
         selection: a `HeightSelection`.
         area_test: an `AreaTest`, by whose disc the cells are shrunk; with radius 0 they are not.
-        blocks: ids of blocks.
+        blocks: ids of blocks of cells.
         counts: receives how many rows each block has.
         columns: two arrays that receive the rows: the number of a window, a `height_bin`, 0, and
             the number of surfaces, (n, 4) int64; and the lowest height of these surfaces, (n,)
@@ -251,10 +254,13 @@ def count_heights(surfaces, candidates, selection, area_test, blocks, counts, co
 
 @subkernel(**NO_REFCOUNT)
 def _assign_base_levels(surfaces, candidates, rule, cell, level):
-    """Write the base levels of a cell's candidates, see `assign_columns`.
+    """Write the base level of each surface to assign in a cell, see `assign_columns`.
+
+    It is the level with the highest ground at or below the surface, else the lowest level. Other
+    surfaces of the cell get -1.
 
     Returns:
-        The number of candidates if two of them have the same base level, else 0.
+        How many surfaces are to be assigned if two of them have the same base level, else 0.
     """
     grounds = rule.grounds
     count = 0
@@ -279,25 +285,26 @@ def _assign_base_levels(surfaces, candidates, rule, cell, level):
 def assign_columns(
     surfaces, candidates, rule, component, level, blocks, counts, columns, begin, end
 ):
-    """Assign the candidates in ``blocks[begin:end]`` to levels, at most one of a column to each.
+    """Assign surfaces to levels: of the surfaces in one cell's column, at most one to each level.
 
-    A surface's base level is the level with the highest ground at or below the surface; if there is
-    none, the lowest level. If all candidates of a column have different base levels, each gets its
-    base level. In other columns the candidates are aligned with the levels in their order. They
-    move away from their base levels as little as possible: up rather than down, and stairs rather
-    than floors. A stair's surface for which a floor would have to move is skipped. Skipped surfaces
-    then get the free level nearest to their base level, the upper one of two.
+    The candidates in ``blocks[begin:end]`` are assigned. A surface's base level is the level with
+    the highest ground at or below the surface; if there is none, the lowest level. Usually all
+    candidates of a column have different base levels, and each gets its base level. Otherwise the
+    column's candidates are distributed over the levels in the order of heights. They move away from
+    their base levels as little as possible: up rather than down, and stairs rather than floors. A
+    stair's surface for which a floor would have to move is skipped at first. It then gets the free
+    level nearest to its base level, the upper one of two.
 
     This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        surfaces: all surfaces.
-        candidates: a `Candidates`.
+        surfaces: a `Surfaces`.
+        candidates: a `Candidates`: which surfaces to assign, and which of them belong to stairs.
         rule: a `LevelRule`.
         component: the component of each surface, see `Regions.components`, int32.
         level: receives the level of each surface; NO_FREE_LEVEL or NO_FREE_LEVEL_AT_GROUND if all
             levels are taken; -1 for a surface that is no candidate, int32.
-        blocks: ids of blocks.
+        blocks: ids of blocks of cells.
         counts: receives how many rows each block has.
         columns: two arrays that receive the rows: a component, 0, a level, and how many surfaces of
             the component are on it, (n, 4) int64; and the lowest height of these surfaces, (n,)
@@ -334,9 +341,17 @@ def assign_columns(
 
 @subkernel
 def _assign_column(surfaces, candidates, rule, cell, level, count):
-    """Replace the base levels of a cell's candidates by levels that differ, see `assign_columns`.
+    """Give different levels to a cell's surfaces that have the same base level.
 
-    `count` is the number of candidates.
+    See `assign_columns`, which takes the same arguments.
+
+    Args:
+        surfaces: a `Surfaces`.
+        candidates: a `Candidates`.
+        rule: a `LevelRule`.
+        cell: the id of the cell.
+        level: the base level of each surface, which its level replaces.
+        count: how many surfaces of the cell are to be assigned.
     """
     num_levels = rule.grounds.shape[0]
     num = 0
@@ -377,10 +392,12 @@ def _assign_column(surfaces, candidates, rule, cell, level, count):
 
 @subkernel
 def _align_with_levels(base, move_cost, skip_cost, num_levels, level):
-    """Align a column's surfaces with the levels at the least cost, by dynamic programming.
+    """Distribute a column's surfaces over the levels at the least cost, by dynamic programming.
+
+    The surfaces keep their order: of two, the upper one gets the higher level. Some are skipped.
 
     Args:
-        base: the base level of each surface, ascending.
+        base: the base level of each surface, see `assign_columns`, ascending.
         move_cost: the cost of moving each surface by one level.
         skip_cost: the cost of skipping each surface.
         num_levels: how many levels there are.
@@ -419,6 +436,8 @@ def _align_with_levels(base, move_cost, skip_cost, num_levels, level):
 def find_largest_areas(lower, upper, area, by_lower, by_upper):
     """Find the largest floor that is reached from each plateau by going only up, and only down.
 
+    A plateau is a tread, a landing, a piece of a ramp, or a floor between thresholds.
+
     Args:
         lower: the lower plateau of each step between two plateaus, (steps,) int64.
         upper: the upper plateau of each step, (steps,) int64.
@@ -432,7 +451,8 @@ def find_largest_areas(lower, upper, area, by_lower, by_upper):
     """
     above = np.zeros_like(area)
     below = np.zeros_like(area)
-    # from the highest lower plateau down: the steps up from a plateau come before the steps to it
+    # steps in the order of their lower plateaus, the highest first: so all steps up from a plateau
+    # are done before the steps that lead up to it
     for s in by_lower[::-1]:
         a = lower[s]
         b = upper[s]

@@ -1,6 +1,7 @@
 """Find the floors of a scene: from the surfaces of all columns to the floor of each level.
 
-A column holds all surfaces on the vertical line through a cell's centre.
+A column holds all surfaces on the vertical line through a cell's centre. `find_floors` calls the
+other modules of this folder in their order; `crop_floors` cuts a window out of the result.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ class Floors:
         enclosed_by_planes: floors inside of infinite planes; `Patch.geom` is the plane.
         voids: floors of levels that are left out because no path leads to them and nobody can stand
             upright there, the largest first.
-        without_level: surfaces left out because all levels are taken by others in their columns.
+        without_level: surfaces left out because other surfaces of their columns have all levels.
     """
 
     levels: list[LevelFloor]
@@ -122,7 +123,7 @@ def find_floors(
         agent: the agent that stands and steps on floors.
         settings: the settings of `floors`.
         level_settings: the levels of the configuration, lowest first; None to find the levels.
-        is_occupied: tests whether something stands over cells.
+        is_occupied: tests whether something stands on a floor in some cells.
 
     Raises:
         SceneError: there is no floor at all, none on a level of the configuration, or none at a
@@ -195,13 +196,14 @@ def find_floors(
 
 
 class ReachedLevels(NamedTuple):
-    """The regions that are floors of the grid, on their levels.
+    """The levels of the grid, which regions agents get to, and what is left out.
 
     Attributes:
         assignment: the levels, and the level of each surface.
         is_reached: which regions are reached from a start, shape (regions,), bool.
-        removed_by_reach: see `Floors`.
-        voids: see `Floors`.
+        removed_by_reach: floors that `floors.reach: steps` leaves out, the largest first.
+        voids: floors of levels that are left out because no path leads to them and nobody can stand
+            upright there, the largest first.
     """
 
     assignment: LevelAssignment
@@ -303,11 +305,11 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
 
     Args:
         level: the level.
-        max_cells: how many cells a hole to close has at most.
-        is_occupied: tests whether something stands over cells.
+        max_cells: holes with more cells stay open.
+        is_occupied: tests whether something stands on a floor in some cells.
 
     Returns:
-        The level with a floor in the holes, which its `unseen` marks.
+        The level with a floor in the closed holes; its mask `unseen` is True there.
     """
     from scipy.interpolate import griddata  # scipy loads slowly, and few bakes need this
     from scipy.ndimage import binary_dilation, label  # likewise
@@ -390,7 +392,14 @@ def _is_inside(patch: Patch, window: Window, width: int) -> bool:
 
 
 def _crop_level(level: LevelFloor, window: Window, old_number: int, new_number: int) -> LevelFloor:
-    """Crop a level to a window; a name made of its old number is made of the new one."""
+    """Crop a level to a window of the lattice, and number it anew.
+
+    Args:
+        level: the level on the whole lattice.
+        window: rows and columns of that lattice.
+        old_number: the level's number before cropping; if it is named by it, the name changes.
+        new_number: the level's number after cropping.
+    """
     name = level.name
     if name == f"level {old_number}":
         name = f"level {new_number}"

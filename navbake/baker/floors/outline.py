@@ -1,4 +1,9 @@
-"""How regions end at their edges: at walls, at drops, at the lattice's border, or otherwise."""
+"""Find out how regions end at their edges: at walls, at drops, at the lattice's border.
+
+A region is a set of connected surfaces on which an agent can stand. An edge is a side of a cell
+beyond which the cell's region has no surface. The rules for tops, shelves and roofs, in `rejected`,
+ask how regions end.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +37,8 @@ BARRIER = 1
 DROP = 2
 BORDER = 3
 OPEN = 4
-# A wall has to meet two volumes: one at an agent's feet, one at its head. They are this high [m]
+# A wall is what meets two thin volumes over a floor: one at an agent's feet, one at its head. This
+# is the height of each volume [m]
 PROBE_HEIGHT = 0.01
 # An empty array with the dtype and shape of what `list_edges` lists
 NO_EDGES = np.empty((0, 5), dtype=np.int64)
@@ -40,10 +46,11 @@ NO_EDGES = np.empty((0, 5), dtype=np.int64)
 MIN_CELLS_PER_THREAD = 1000
 
 OccupancyTest = Callable[[Int, Float, HeightRange | None], Bool]
-"""Tests whether a geom meets a range of heights above the floor, over each cell's square.
+"""Tests whether a geom stands on the floor of each of some cells.
 
-It is called with the ids of cells, the floor's height in each [m], and the range of heights above
-the floor [m]; None stands for the range from a step to the agent's height.
+It is called with the ids of cells, (n,); the floor's height in each [m], (n,); and a range of
+heights above the floor [m], None for the range from a step to the agent's height. It returns for
+each cell whether a geom meets that range over the cell's square, (n,) bool.
 """
 
 
@@ -52,10 +59,10 @@ class EdgeEndings(NamedTuple):
 
     Attributes:
         kind: WALL, BARRIER, DROP, BORDER or OPEN, uint8.
-        floor_height: the height of the floor that a drop leads to, NaN for other kinds [m].
-        floor_region: the region of that floor, -1 for other kinds, int32.
-        is_known: whether it is known what lies beyond the edge, bool. It is not where the border of
-            the lattice crops the scene. At other borders the scene ends: nothing lies beyond.
+        floor_height: the height of the floor that a DROP leads to, NaN at other edges [m].
+        floor_region: the region of that floor, -1 at other edges, int32.
+        is_known: whether it is known what lies beyond the edge, bool. It is unknown where the
+            lattice ends and the scene goes on; where both end, it is known that nothing does.
     """
 
     kind: NDArray[np.uint8]
@@ -92,10 +99,11 @@ class RegionContext(NamedTuple):
         columns: the hits of all columns.
         agent: the agent whose floors are found.
         settings: the settings of `floors`.
-        is_occupied: tests whether something stands over cells.
+        is_occupied: tests whether something stands on a floor in some cells.
         is_cropped: at which sides the lattice crops the scene, see `mark_cropped_sides`.
         edges: the edges of the large regions.
-        num_cells_beyond: how many cells beyond an edge are searched for lower floors.
+        num_cells_beyond: how many cells beyond an edge, straight out of the region, are searched
+            for lower floors.
     """
 
     regions: Regions
@@ -123,7 +131,7 @@ class RegionContext(NamedTuple):
         """Return the edges of some large regions, and the lower floors beyond these edges.
 
         Args:
-            mask: the regions, shape (regions,).
+            mask: which large regions, shape (regions,).
             num_cells_beyond: how many cells beyond an edge to search for lower floors.
         """
         regions = self.regions
@@ -140,7 +148,8 @@ class RegionContext(NamedTuple):
             regions_below=np.full((len(cell), num_cells_beyond), -1, dtype=np.int32),
         )
         labelled = regions.label_surfaces(self.is_large)
-        # the edges beyond which the region has not begun again, nor the lattice ended
+        # edges beyond which, in the cells so far, neither the region began again nor the lattice
+        # ended
         open_edges = np.arange(len(cell))
         for k in range(num_cells_beyond):
             cells = neighbor_cells(
@@ -173,8 +182,8 @@ class RegionContext(NamedTuple):
                 context's agent.
 
         Returns:
-            WALL, BARRIER, BORDER or OPEN for each edge, shape (edges,), uint8; drops are not told
-            from OPEN, nor barriers farther out.
+            WALL, BARRIER, BORDER or OPEN for each edge, shape (edges,), uint8. Edges that
+            `classify_edges` makes a DROP, or a BARRIER for something farther out, are OPEN here.
         """
         outer = neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
         kind = np.full(len(outer), OPEN, dtype=np.uint8)
@@ -197,13 +206,16 @@ class RegionContext(NamedTuple):
         - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
           agent's feet (just above a step) and at its head (just below its height).
         - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
-        - DROP: a floor on which the agent can stand lies more than a step lower, in the nearest of
-          `edges.cells_beyond` that has one; there is no barrier before it. So a floor past the
-          frame of a bed is found. It is no drop if a surface continues from the region over that
-          floor, such as a ceiling.
+        - DROP: one of `edges.cells_beyond` has a floor that lies more than a step lower, and on
+          which the agent can stand. Nothing at an agent's feet stands before it. As several cells
+          are searched, the floor past the frame of a bed is found. It is no drop if a surface goes
+          on from the region over that floor, with room for the agent below it.
         - BORDER: the lattice ends.
         - OPEN: none of these: beyond the edge there is an abyss, a steep slope, or a floor on which
           no agent can stand.
+
+        If there is nothing in the cells at the edge, but at an agent's feet in a cell farther out,
+        the edge is a BARRIER, too.
 
         Args:
             edges: edges of large regions, see `select_edges`.
@@ -249,25 +261,30 @@ class RegionContext(NamedTuple):
         return EdgeEndings(kind, floor_height, floor_region, is_known)
 
     def mark_known(self, kind: NDArray[np.uint8], direction: Int) -> Bool:
-        """Mark all edges except those at sides of the lattice that crop the scene.
+        """Mark the edges of which it is known what lies beyond.
+
+        It is known of all edges except those at sides of the lattice where the scene goes on.
 
         Args:
-            kind: how the region ends at each edge, shape (edges,).
-            direction: the direction out of the region, shape (edges,).
+            kind: how the region ends at each edge, WALL to OPEN, shape (edges,).
+            direction: the direction out of the region, EAST to NORTH, shape (edges,).
+
+        Returns:
+            A mask, shape (edges,), bool.
         """
         is_known: Bool = (kind != BORDER) | ~self.is_cropped[direction]
         return is_known
 
     def share_of_edges(self, edges: RegionEdges, mask: Bool, is_known: Bool) -> Float:
-        """Compute for each region which share of its known edges is marked.
+        """Compute for each region which fraction of its edges a mask marks.
 
         Args:
             edges: the edges.
-            mask: the marked edges, shape (edges,).
-            is_known: the known edges; all others are ignored, shape (edges,).
+            mask: the mask, shape (edges,).
+            is_known: the edges to count, of which it is known what lies beyond, shape (edges,).
 
         Returns:
-            Shares from 0 to 1, shape (regions,); NaN for regions without a known edge.
+            Fractions from 0 to 1, shape (regions,); NaN for regions without an edge to count.
         """
         num_marked = np.bincount(edges.region, mask & is_known, len(self.is_large))
         num_known = np.bincount(edges.region, is_known, len(self.is_large))
@@ -291,10 +308,10 @@ def make_region_context(
         regions: all regions.
         is_large: which of them are large enough for floors, shape (regions,), bool.
         columns: the hits of all columns.
-        is_cropped: see `mark_cropped_sides`.
+        is_cropped: at which sides the lattice crops the scene, see `mark_cropped_sides`.
         agent: the agent whose floors are found.
         settings: the settings of `floors`.
-        is_occupied: tests whether something stands over cells.
+        is_occupied: tests whether something stands on a floor in some cells.
     """
     num_cells_beyond = int(np.ceil(settings.shrink / regions.lattice.cell_size)) + 1
     lowest = regions.low[is_large].min(initial=np.inf)
@@ -329,17 +346,17 @@ def make_region_context(
 def find_highest_below(
     labelled: LabelledSurfaces, cells: Int, limits: Float, regions: Int32 | None = None
 ) -> tuple[Int, Int32]:
-    """Find the highest surface below a limit in each cell.
+    """Find in each cell the highest surface that lies below a given height.
 
     Args:
         labelled: all surfaces, and the regions whose surfaces count.
         cells: ids of cells, shape (n,).
         limits: for each cell, the height below which the surface must lie, shape (n,) [m].
-        regions: for each cell, a region that rules the cell out if it has a surface there, at any
-            height, shape (n,); None for no such region.
+        regions: for each cell, a region that must not have a surface there at any height, or else
+            SAME_REGION is returned, shape (n,); None to rule out no region.
 
     Returns:
-        The ids of the surfaces: NO_SURFACE if there is none, SAME_REGION if the cell is ruled out;
+        The ids of the surfaces, NO_SURFACE if there is none, SAME_REGION if the cell is ruled out;
         and the regions of the surfaces, -1 for none; shape (n,) each.
     """
     if regions is None:
@@ -380,7 +397,7 @@ def mark_cropped_sides(lattice: Lattice, bounds: Float | None) -> Bool:
 
 
 def find_hole_edges(edges: RegionEdges, lattice: Lattice) -> Bool:
-    """Mark the edges at the rims of holes in their regions.
+    """Mark the edges at the rims of holes in regions; all others are at the outer rims.
 
     Args:
         edges: all edges of some regions.

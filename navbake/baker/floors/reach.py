@@ -1,4 +1,8 @@
-"""Find where agents start, which floors no path leads to, voids, and floors inside of meshes."""
+"""Find which floors agents get to: where they start, and which floors no path leads to.
+
+Among floors that no path leads to, voids (too low to stand upright in) and floors inside of closed
+meshes are found, too, as warnings tell of them.
+"""
 
 from __future__ import annotations
 
@@ -35,15 +39,16 @@ from navbake.types import Bool, Int
 
 # A position lies on a surface if it is at most this far above or below it [m]
 MAX_DISTANCE_ON_SURFACE = 0.02
-# On a level that is reached in part, an unreached region is reported if it has at least this area:
-# shafts and niches are smaller [m²]
+# On a level that agents reach in part, an unreached region is reported if it has at least this
+# area: shafts and niches are smaller [m²]
 REPORTED_AREA = 6.0
-# An unreached level is a void if at least this share of it has less headroom than an adult needs
+# A level that no path leads to is a void if at least this fraction of its area has less headroom
+# than an adult needs
 VOID_SHARE = 0.9
 # The headroom that an adult needs [m]
 ADULT_HEADROOM = 1.8
-# A floor inside of a closed mesh is not reported if it continues outside along at least this share
-# of its outline (the mesh then stands on it), unless it is as large as a building
+# A floor inside of a closed mesh is not reported if it continues outside along at least this
+# fraction of its outline (the mesh then stands on it), unless it is as large as a building
 CONTINUING_SHARE = 0.25
 # Floors of buildings have at least this area [m²]
 BUILDING_AREA = 50.0
@@ -69,13 +74,14 @@ def find_start_regions(
 ) -> Bool:
     """Find the regions on which agents start, from the positions of `floors.from`.
 
-    A position within 2 cm of a region lies on that region, whatever it is. Otherwise it lies on the
-    highest floor in its cell that is at most a step higher than the position; roofs, and tops of at
-    least 6 m², count as floors here. If there is only furniture, it lies on the floor to which most
-    edges of the furniture drop, or on the furniture if there is no such floor.
+    A position within 2 cm above or below a region lies on that region, whatever it is. Otherwise it
+    lies on the highest floor in its cell that is at most a step higher than the position; roofs,
+    and tops of at least 6 m², count as floors here. If there is only furniture in the cell, the
+    position lies on the floor to which most edges of the furniture drop, or on the furniture itself
+    if there is no such floor.
 
     Args:
-        context: all regions, and how they end.
+        context: all regions with their edges.
         rejected: tops, shelves and roofs, which are floors only if an agent starts on them.
         positions: `floors.from`: x, y, z of each position, world frame [m].
 
@@ -127,12 +133,12 @@ def _find_floor_beside(context: RegionContext, may_start: Bool, furniture: int) 
     """Find the floor to which most edges of a piece of furniture drop.
 
     Args:
-        context: all regions, and how they end.
-        may_start: which regions are floors, shape (regions,).
-        furniture: the region on top of the furniture.
+        context: all regions with their edges.
+        may_start: which regions are floors, shape (regions,), bool.
+        furniture: the id of the region on top of the furniture.
 
     Returns:
-        The floor's region; `furniture` if no edge drops to a floor.
+        The id of the floor's region; `furniture` if no edge drops to a floor.
     """
     is_furniture = np.arange(len(may_start)) == furniture
     context_with_furniture = make_region_context(
@@ -169,7 +175,10 @@ def mark_largest_on_lowest_level(counts: RegionLevelCounts, num_regions: int) ->
 
 
 def count_low_surfaces(context: RegionContext) -> Int:
-    """Count the surfaces with less headroom than an adult needs, region by region.
+    """Count in each region the surfaces over which something is lower than `ADULT_HEADROOM`.
+
+    Args:
+        context: all regions, and the hits of all columns.
 
     Returns:
         How many such surfaces each region has, shape (regions,), int64.
@@ -201,8 +210,8 @@ class ReachedRegions(NamedTuple):
 
     Attributes:
         is_reached: whether a path of steps and slopes leads from a start to the region.
-        is_void: whether the region is only on voids: unreached levels in which nobody can stand
-            upright.
+        is_void: whether the region is on no other levels than voids. A void is a level that no path
+            leads to and in which nobody can stand upright.
     """
 
     is_reached: Bool
@@ -217,12 +226,12 @@ def find_voids(
     Args:
         context: all regions, and the hits of all columns.
         counts: how many surfaces each region has on each level.
-        is_reached: which regions are reached, shape (regions,), bool.
-        has_starts: whether `floors.from` gives the starts. If not, agents start on the largest
-            floor of the lowest level in which one can stand upright.
+        is_reached: which regions are reached so far, shape (regions,), bool.
+        has_starts: whether `floors.from` says where agents start. If not, they start on the largest
+            floor of the lowest level in which an adult can stand upright.
 
     Returns:
-        The regions that are reached from there, and those that are on voids.
+        The regions that agents reach from their starts, and those that are on voids.
     """
     is_void = np.zeros_like(is_reached)
     levels = np.unique(counts.level)
@@ -319,9 +328,9 @@ def find_enclosed_floors(
 ) -> list[Patch]:
     """Find floors on which no agent can stand because they are inside of closed meshes or planes.
 
-    A floor that continues outside of the mesh along a quarter of its outline, at most a step higher
-    or lower, is not listed: a closed object such as a crate stands on it. A floor of at least 50 m²
-    is always listed, as the mesh may be a building.
+    Not listed is a floor that goes on outside of the mesh along a quarter of its outline, at most a
+    step higher or lower: there a closed object, such as a crate, stands on a floor. A floor of at
+    least 50 m² is always listed, as the mesh may be a building.
 
     Args:
         surfaces: all surfaces.

@@ -1,9 +1,10 @@
-"""Find the edges of regions, what lies below them, and what is left of regions that are shrunk.
+"""Find the edges of regions, the floors below these edges, and which regions are large.
 
-An edge is a side of a cell beyond which the cell's region has no surface, as in Recast's region
-contours. Shrinking is an erosion by a disc, whose rows are intervals (Ji, Piper and Tang, Erosion
-and Dilation of Binary Images by Arbitrary Structuring Elements Using Interval Coding, 1989): a cell
-remains if all cells nearer than the disc's radius belong to the mask.
+A region is a set of connected surfaces on which an agent can stand. An edge is a side of a cell
+beyond which the cell's region has no surface, as in Recast's region contours. A region is large if
+enough of it is left after shrinking. This is an erosion by a disc, whose rows are intervals (Ji,
+Piper and Tang, Erosion and Dilation of Binary Images by Arbitrary Structuring Elements Using
+Interval Coding, 1989): a cell remains if all cells nearer than the disc's radius are marked.
 """
 
 import math
@@ -18,9 +19,9 @@ from navbake.baker.floors.surface_kernels import EAST, NORTH, SOUTH, WEST, Surfa
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Float, Int, Int32
 
-# Values in place of the id of the surface below a limit, in a cell
+# Values in place of the id of a cell's highest surface below a given height
 NO_SURFACE = np.int64(-1)  # there is no such surface
-SAME_REGION = np.int64(-2)  # the skipped region has a surface in the cell
+SAME_REGION = np.int64(-2)  # the cell is ruled out: the region at the edge has a surface in it
 
 
 class LabelledSurfaces(NamedTuple):
@@ -28,7 +29,8 @@ class LabelledSurfaces(NamedTuple):
 
     Attributes:
         surfaces: all surfaces.
-        component: the component of each surface, see `Components`, -1 for none, int32.
+        component: the component of each surface, -1 for none, int32. A component is the part of a
+            region in one block of cells, see `Components`.
         region: the region of each component, -1 if the region is not selected, int32.
     """
 
@@ -38,7 +40,7 @@ class LabelledSurfaces(NamedTuple):
 
 
 class RegionSurfaces(NamedTuple):
-    """The surfaces of a region, or some of them, in the order of their cells.
+    """The surfaces of a region, or some of them, in the order of cell ids.
 
     Attributes:
         cell: ids of the cells, shape (n,), int64.
@@ -58,7 +60,7 @@ class RegionSurfaces(NamedTuple):
 
 
 class RegionEdges(NamedTuple):
-    """Edges of regions, and the floors below them, in up to k cells beyond each edge.
+    """Edges of regions, and the lower floors in up to k cells beyond each edge.
 
     Attributes:
         region: the region that ends at each edge, shape (edges,), int32.
@@ -92,12 +94,12 @@ def shrink(mask, area_test, remaining):
 
     Args:
         mask: 1 at the cells to shrink and 0 elsewhere, with a margin of `area_test.radius` cells on
-            each side, int32. It is overwritten with the lengths of the runs of marked cells that
-            end in each cell, so that one comparison tests a row of the disc.
+            each side, int32. It is overwritten: each marked cell gets the number of marked cells in
+            a row that end with it, from the left. So one comparison tests a row of the disc.
         area_test: an `AreaTest`.
-        remaining: receives which cells remain, bool, without the margin.
+        remaining: receives which cells remain, without the margin, bool.
     """
-    # lengths of runs of marked cells, up to and including each cell
+    # how many marked cells in a row end with each cell, from the left
     for row in range(mask.shape[0]):
         for col in range(1, mask.shape[1]):
             mask[row, col] *= mask[row, col - 1] + 1
@@ -106,7 +108,7 @@ def shrink(mask, area_test, remaining):
             remaining[r, c] = True
             for k in range(area_test.half_widths.shape[0]):
                 half = area_test.half_widths[k]
-                # the run that ends at the interval's right end has to cover the interval
+                # the marked cells that end at the interval's right end have to cover the interval
                 if mask[r + k, c + area_test.radius + half] <= 2 * half:
                     remaining[r, c] = False
                     break
@@ -126,9 +128,10 @@ def region_of_surface(labelled, j):
 
 @subkernel(inline="always")
 def _find_surface_below(labelled, row, col, region, limit):
-    """Return the id of the highest surface below a limit [m] in a cell, of other regions than one.
+    """Return the id of the highest surface in a cell that lies below the height `limit` [m].
 
-    Returns NO_SURFACE if there is none, SAME_REGION if `region` has a surface in the cell.
+    Surfaces of the regions of `labelled` count. Returns NO_SURFACE if there is none, SAME_REGION if
+    `region` has a surface in the cell, at any height.
     """
     surfaces = labelled.surfaces
     highest = NO_SURFACE
@@ -144,7 +147,15 @@ def _find_surface_below(labelled, row, col, region, limit):
 
 @subkernel(**NO_REFCOUNT)
 def _mark_region(labelled, region, window, margin, mask):
-    """Mark a region's cells in a window and its margin, in a mask that is all 0."""
+    """Write 1 into a mask at the cells of a region.
+
+    Args:
+        labelled: a `LabelledSurfaces` with the region.
+        region: the region's id.
+        window: rows and columns of cells, see `block_window`.
+        margin: how many cells around the window are marked, too.
+        mask: receives the 1, shape (rows + 2 margin, cols + 2 margin); all 0 before.
+    """
     row0, row1, col0, col1 = window
     lattice = labelled.surfaces.lattice
     for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
@@ -158,11 +169,11 @@ def mark_large_regions(labelled, boxes, regions, start, blocks, area_test, is_la
     """Mark the regions of ``regions[begin:end]`` that keep enough cells after shrinking.
 
     Args:
-        labelled: a `LabelledSurfaces`.
-        boxes: `Regions.box`.
+        labelled: a `LabelledSurfaces` with the regions.
+        boxes: the rows and columns of each region, see `Regions.box`, (n, 4).
         regions: ids of regions.
         start: indices into `blocks`: ``regions[n]`` lies in ``blocks[start[n]:start[n + 1]]``.
-        blocks: ids of blocks.
+        blocks: ids of blocks of cells, region by region.
         area_test: an `AreaTest`: the disc to shrink by, and how many cells have to remain.
         is_large: receives, for each region, whether it is large enough.
         begin: index in `regions` of the first region to test.
@@ -196,7 +207,7 @@ def mark_large_regions(labelled, boxes, regions, start, blocks, area_test, is_la
 
 @subkernel(inline="always")
 def _step_to(lattice, row, col, direction):
-    """Return the row and column of the next cell in a direction; a negative row for none."""
+    """Return the row and the column of the next cell in a direction; row -1 if the lattice ends."""
     row += 1 if direction == SOUTH else (-1 if direction == NORTH else 0)
     col += 1 if direction == EAST else (-1 if direction == WEST else 0)
     if row >= lattice.height or col < 0 or col >= lattice.width:
@@ -206,10 +217,17 @@ def _step_to(lattice, row, col, direction):
 
 @subkernel(**NO_REFCOUNT)
 def _has_drop(labelled, row, col, direction, region, limit, num_cells_beyond):
-    """Return whether another region has a surface below a limit [m] in the cells beyond an edge.
+    """Return whether a lower surface of another region lies beyond an edge of a region.
 
-    The cells are searched from the edge at `row`, `col` on, until one has such a surface, the
-    region begins again, or `num_cells_beyond` are searched.
+    Args:
+        labelled: a `LabelledSurfaces` with the regions.
+        row: row of the cell on the region's side of the edge.
+        col: column of that cell.
+        direction: EAST, SOUTH, WEST or NORTH, out of the region.
+        region: the id of the region that ends at the edge.
+        limit: the surface has to lie below this height [m].
+        num_cells_beyond: how many cells are searched, the nearest first. The search ends at a cell
+            in which the region begins again.
     """
     for _ in range(num_cells_beyond):
         row, col = _step_to(labelled.surfaces.lattice, row, col, direction)
@@ -228,11 +246,11 @@ def list_edges(labelled, lowest, step, num_cells_beyond, blocks, counts, columns
     A kernel for `navbake.baker.core.blocks.list_rows`. It lists a row for each edge.
 
     Args:
-        labelled: a `LabelledSurfaces`.
-        lowest: a lower bound of the heights of the regions' surfaces [m].
+        labelled: a `LabelledSurfaces` with the regions.
+        lowest: the height of the lowest surface of all these regions, or less [m].
         step: the highest step [m].
         num_cells_beyond: how many cells beyond an edge are searched for lower surfaces.
-        blocks: ids of blocks.
+        blocks: ids of blocks of cells.
         counts: receives how many edges each block has.
         columns: one array that receives the rows, (n, 5) int64: the component, the cell, the id of
             the surface, the direction out of the region, and 1 if another region has a surface more
@@ -281,15 +299,16 @@ def list_edges(labelled, lowest, step, num_cells_beyond, blocks, counts, columns
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def find_surfaces_below(labelled, cells, regions, limits, below, regions_below, begin, end):
-    """Find the highest surface of another region below a limit, for each of ``cells[begin:end]``.
+    """Find the highest surface below a given height, in each of the cells ``cells[begin:end]``.
 
     Args:
-        labelled: a `LabelledSurfaces`.
+        labelled: a `LabelledSurfaces` with the regions whose surfaces count.
         cells: ids of cells, (n,) int64.
-        regions: for each cell, the region to skip, (n,) int32.
+        regions: for each cell, the region that rules the cell out if it has a surface there at any
+            height, (n,) int32.
         limits: for each cell, the height below which the surface must lie, (n,) [m].
-        below: receives the surfaces' ids; NO_SURFACE if there is none, SAME_REGION if the skipped
-            region has a surface in the cell, (n,) int64.
+        below: receives the surfaces' ids; NO_SURFACE if there is none, SAME_REGION if the cell is
+            ruled out, (n,) int64.
         regions_below: receives the surfaces' regions, -1 for none, (n,) int32.
         begin: index in `cells` of the first cell.
         end: index past the last one.
@@ -307,10 +326,10 @@ def find_surfaces_below(labelled, cells, regions, limits, below, regions_below, 
 def mark_hole_edges(cells, directions, start, lattice, in_hole):
     """Mark the edges at the rims of holes in regions, by union-find over the cells beyond them.
 
-    The cells just beyond a region's edges are connected if they share a side, or if they share a
-    corner that the region does not close: of the two other cells at the corner, one is outside of
-    the region. Edges are on one rim if the cells beyond them are connected. The rim with the lowest
-    cell id is the region's outer rim; all others are rims of holes.
+    Two cells just beyond a region's edges are connected if they share a side. They are also
+    connected if they share a corner, unless both other cells at the corner belong to the region.
+    Edges with connected cells beyond them are on the same rim. The rim with the first of the cells,
+    row by row from the north-west, is the region's outer rim; all others are rims of holes.
 
     Args:
         cells: the cell of each edge, region by region, (edges,).

@@ -1,4 +1,8 @@
-"""Regions: connected standable surfaces, and which of them are large enough for floors."""
+"""Connect standable surfaces to regions, and find the regions that are large enough for floors.
+
+A region is a set of surfaces between which an agent can walk. Its parts inside of each block of
+cells, the components, are found first and then merged. A `Patch` summarizes a region for warnings.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +52,8 @@ class Components(NamedTuple):
     Attributes:
         number: the component of each surface, -1 for none, shape (surfaces,), int32.
         block: the block that each component lies in, shape (components,).
-        measures: seven numbers of each component, see `label_blocks`, shape (components, 7).
+        measures: seven numbers of each component, such as how many surfaces it has, see
+            `label_blocks`, shape (components, 7).
         low: the lowest height of each component, shape (components,) [m].
         pairs: pairs of components that meet, as `list_pairs` lists them, shape (n, 4).
     """
@@ -98,13 +103,14 @@ class Components(NamedTuple):
 
 
 def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS) -> Components:
-    """Find the connected components of surfaces inside of each block.
+    """Find the connected components of surfaces inside of each block of cells.
 
     Args:
         surfaces: all surfaces.
-        rule: which surfaces are connected, and which are linked.
-        group: the group of each surface, negative for none; only surfaces of one group are
-            connected. If empty, all standable surfaces are one group.
+        rule: the limits within which surfaces are connected, or else linked.
+        group: the group of each surface, shape (surfaces,). Only surfaces of the same group are
+            connected; those of a negative group are left out. If empty, all standable surfaces are
+            in the same group.
     """
     blocks = Blocks(surfaces.lattice)
     number_in_block = np.empty(len(surfaces.z), dtype=np.int32)
@@ -123,7 +129,7 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
 class RegionStacks(NamedTuple):
     """Pairs of regions, one directly above the other; arrays of shape (n,).
 
-    A pair may stand several times; its numbers of cells are then to be added up.
+    A pair may stand in several entries; their numbers of cells are then to be added up.
 
     Attributes:
         upper: the upper region, int32.
@@ -175,10 +181,10 @@ class Regions:
         return self.surfaces.lattice
 
     def label_surfaces(self, mask: Bool) -> LabelledSurfaces:
-        """Return all surfaces, labelled with their regions as far as a mask marks these.
+        """Return all surfaces, with the region of those that belong to a selected region.
 
         Args:
-            mask: the regions, shape (regions,), bool.
+            mask: the selected regions, shape (regions,), bool.
         """
         is_marked = mask[self.of_component]
         region = np.where(is_marked, self.of_component, np.int32(-1)).astype(np.int32)
@@ -195,7 +201,7 @@ class Regions:
         return RegionStacks(self.of_component[upper], self.of_component[lower], num_cells)
 
     def surfaces_of(self, region: int) -> RegionSurfaces:
-        """Return the surfaces of a region, in the order of their cells."""
+        """Return the surfaces of a region, in the order of cell ids."""
         surfaces = self.surfaces
         row0, col0, row1, col1 = self.box[region].tolist()
         # only the cells in the region's box have to be searched
@@ -232,7 +238,7 @@ def region_join_rule(lattice: Lattice, agent: AgentSettings) -> JoinRule:
     """Return the rule by which surfaces are joined into regions: by steps, and by slopes.
 
     Args:
-        lattice: of the surfaces.
+        lattice: the lattice of the surfaces' cells.
         agent: the agent, of which the step and slope are used.
     """
     return JoinRule(agent.traversable_floor_height, by_slopes=may_slopes_join(lattice, agent))
@@ -244,12 +250,13 @@ def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GRO
     Args:
         surfaces: all surfaces.
         agent: the agent, of which the step and slope are used.
-        group: the group of each surface, see `find_components`.
+        group: the group of each surface, see `find_components`; a region lies in one group.
     """
     components = find_components(surfaces, region_join_rule(surfaces.lattice, agent), group)
     merged = components.merge()
     num = int(merged.max(initial=-1)) + 1
-    # sort components by region; the measures of a region are then sums, minima or maxima of a run
+    # sort components by region: those of a region then stand side by side, and the measures of the
+    # region are their sums, minima or maxima
     order = np.argsort(merged, kind="stable")
     start = np.searchsorted(merged[order], np.arange(num))
     measures = components.measures[order]
@@ -275,8 +282,8 @@ def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GRO
 def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) -> Bool:
     """Mark the regions that are large enough for floors.
 
-    A region is large enough if it keeps `floors.min_area` when it is shrunk by `floors.shrink`. Its
-    cells at all heights are shrunk together. Holes that `floors.fill` closes are part of it.
+    A region is large enough if it keeps `floors.min_area` when it is shrunk by `floors.shrink`, all
+    its cells together whatever their heights. Holes that `floors.fill` closes count as part of it.
 
     Args:
         regions: all regions.
@@ -319,12 +326,15 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
 
 
 def _fill_region(regions: Regions, region: int, max_cells: float) -> Bool:
-    """Mark the cells of a region, and of its holes, in the window of its box.
+    """Mark the cells of a region, and of its small holes.
 
     Args:
         regions: all regions.
         region: the region's id.
-        max_cells: how many cells a hole to fill has at most.
+        max_cells: holes with more cells are not marked.
+
+    Returns:
+        A mask of the cells of the region's box, see `Regions.box`, shape (rows, cols).
     """
     from scipy.ndimage import label  # scipy loads slowly, and few bakes need this
 
@@ -403,9 +413,9 @@ def describe_regions(
 
     Args:
         regions: all regions.
-        mask: which of them are described, shape (regions,).
-        height_ranges: ranges of heights [low, high) [m]; only surfaces in them are described. If
-            empty, all are.
+        mask: the regions to summarize, shape (regions,).
+        height_ranges: only surfaces in these ranges of heights [low, high) [m] are summarized; if
+            empty, surfaces at all heights.
     """
     patches = []
     for region in np.flatnonzero(mask).tolist():

@@ -29,9 +29,10 @@ from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int32
 
-# A top drops to a floor along at least this share of its outline
+# A top drops to a floor along at least this fraction of its outline
 MIN_DROP_SHARE = 0.25
-# A region is a mezzanine, not a top, if there is room for an agent under more than this share of it
+# A region is a mezzanine, not a top, if there is room for an agent under more than this fraction of
+# its area
 MAX_SHARE_OVER_ROOM = 0.5
 # Beds, counters and desks are smaller than this; a larger region is a top only on some conditions,
 # see `_find_tops` [m²]
@@ -40,19 +41,20 @@ LARGE_TOP_AREA = 6.0
 MIN_FLOOR_RATIO = 0.9
 # A region that is nowhere wider than this is the top of a wall, however large it is [m]
 MAX_WALL_TOP_WIDTH = 3.0
-# At least this share of a roof lies open to the sky. It is not all of it: a higher roof's eaves may
-# cover a side, and a carport's roof may continue into the house, over the tops of its walls
+# At least this fraction of a roof's area lies open to the sky. Not all of it has to: a higher
+# roof's eaves may cover a side, and a carport's roof may continue into the house, over the tops of
+# its walls
 MIN_SKY_SHARE = 0.5
-# At least this share of a roof or of a shelf lies over a floor
+# At least this fraction of the area of a roof or of a shelf lies over a floor
 MIN_SHARE_OVER_FLOOR = 0.5
 # Under a roof with thick walls and eaves there is less floor. Then at least the first of these
-# shares of it is over a floor, and at least the second one is over a floor, over a wall, or within
-# EAVES_DEPTH of either [m]
+# fractions of its area is over a floor, and at least the second one is over a floor, over a wall,
+# or within EAVES_DEPTH of either [m]
 MIN_SHARE_OVER_FLOOR_WITH_WALLS = 0.1
 MIN_SHARE_OVER_WALLS = 2 / 3
 EAVES_DEPTH = 1.5
-# A region with walls along more than this share of its outline is no roof, but a storey without its
-# ceiling. Such walls are as high as the agent, and at least 1.5 m; parapets reach 1.2 m [m]
+# A region with walls along more than this fraction of its outline is no roof, but a storey without
+# its ceiling. Such walls are as high as the agent, and at least 1.5 m; parapets reach 1.2 m [m]
 MAX_WALL_SHARE = 0.5
 MIN_WALL_HEIGHT = 1.5
 # A roof is reported if it is more than this many times as large as the largest floor (walls and
@@ -61,7 +63,7 @@ REPORTED_ROOF_RATIO = 4 / 3
 REPORTED_ROOF_AREA = 50.0
 # No shelf is deeper than this: pallet racks are 1.1 m, or 2.2 m back to back [m]
 MAX_SHELF_DEPTH = 2.5
-# A shelf drops along more than this share of its outline
+# A shelf drops to a floor along more than this fraction of its outline
 MIN_SHELF_DROP_SHARE = 0.5
 # Fewer cells than this are not worth a call on another thread
 MIN_LINES_PER_THREAD = 1000
@@ -90,7 +92,7 @@ def find_rejected_regions(
     count as floors.
 
     Args:
-        context: all regions, and how they end.
+        context: all regions with their edges.
         height_ranges: the heights [low, high) of the levels of the configuration [m]; empty if
             it has none.
         height_fields: the ids of the geoms that are height fields, shape (n,).
@@ -104,7 +106,8 @@ def find_rejected_regions(
     stacks = regions.find_stacks()
     size = np.maximum(regions.size, 1)
     sky_share = regions.num_uncovered / size
-    # cells over furniture count, too: a hall's roof lies over its floor whatever stands there
+    # `over_share` is the fraction of a region's area that lies over others. Furniture counts, too:
+    # a hall's roof lies over its floor whatever stands there
     num_cells_over = stacks.num_cells * (stacks.upper != stacks.lower)
     over_share = np.bincount(stacks.upper, num_cells_over, regions.num) / size
     if not context.settings.tops:
@@ -134,8 +137,8 @@ class TopDrops(NamedTuple):
     """How many edges of a region drop to each of the regions below it.
 
     Attributes:
-        drops_to: region below -> how many edges drop to it. Empty if the region can't be a top
-            because it has too few drops, or room for an agent under it, see `_find_tops`.
+        drops_to: id of the region below -> how many edges drop to it. Empty if the region can't be
+            a top because it has too few drops, or room for an agent under it, see `_find_tops`.
         drops_in_holes: like `drops_to`, but only for edges at the rims of holes.
         outline: how many edges the region's outer rim has.
     """
@@ -159,14 +162,14 @@ def _find_tops(context: RegionContext, height_fields: Int32) -> Bool:
       - it has at most 6 m²;
       - it is nowhere wider than 3 m;
       - it drops to a floor larger than 0.9 of its own size;
-      - it drops to a floor that winds through it: more edges drop to this floor, from the rims of
-        the region's holes and from other regions, than its outer rim has.
+      - it drops to a floor that winds through it. More edges drop to this floor, from the rims of
+        the region's holes and from other regions, than the region's outer rim has.
 
-    - It is no ground: a plateau of a height field that drops to ground of the same height field has
-      nothing under it.
+    - It is no raised ground: a part of a height field that drops to lower ground of the same height
+      field has nothing under it.
 
     Args:
-        context: all regions, and how they end.
+        context: all regions with their edges.
         height_fields: the ids of the geoms that are height fields, shape (n,).
 
     Returns:
@@ -205,7 +208,17 @@ def _find_tops(context: RegionContext, height_fields: Int32) -> Bool:
 
 
 def _is_plateau(context: RegionContext, region: int, drops: TopDrops, height_fields: Int32) -> bool:
-    """Return whether a region and most of the floors that it drops to are one height field's."""
+    """Return whether a region is raised ground: a part of a height field with lower ground beside.
+
+    It is if the region belongs to a height field, and more than half of its drops lead to regions
+    of the same height field.
+
+    Args:
+        context: all regions.
+        region: the region's id.
+        drops: the drops from the region.
+        height_fields: the ids of the geoms that are height fields, shape (n,).
+    """
     geom = _main_geom(context, region)
     if geom not in height_fields:
         return False
@@ -231,7 +244,15 @@ def _mark_wider_than(context: RegionContext, candidates: Bool, width: float) -> 
 
 
 def _count_drops(context: RegionContext, candidates: Bool) -> dict[int, TopDrops]:
-    """Count the drops from each candidate to the regions below; region -> its drops."""
+    """Count how many edges of each candidate drop to each of the regions below it.
+
+    Args:
+        context: all regions with their edges.
+        candidates: the regions that may be tops, shape (regions,), bool.
+
+    Returns:
+        Id of the candidate -> its drops.
+    """
     if not candidates.any():
         return {}
     regions = context.regions
@@ -274,12 +295,13 @@ def _count_drops(context: RegionContext, candidates: Bool) -> dict[int, TopDrops
 def _count_cells_over_room(context: RegionContext, region: int, floor: float) -> int:
     """Count a region's cells under which an agent has room.
 
-    An agent has room if another region lies below at the height of the floor beside this one, or
-    higher; or if nothing is in the way between the agent's step and height over that floor.
+    An agent has room if a region lies below the cell, at most a step lower than the floor beside
+    the region. It also has room if nothing is in its way there: between a step and the agent's
+    height over the height of that floor.
 
     Args:
-        context: all regions.
-        region: the region.
+        context: all regions, and the hits of all columns.
+        region: the region's id.
         floor: the height of the floor beside it [m].
     """
     members = context.regions.surfaces_of(region)
@@ -312,9 +334,10 @@ def _find_roofs(context: RegionContext, candidates: Bool, over_share: Float) -> 
     roof, as its walls are unknown.
 
     Args:
-        context: all regions, and how they end.
+        context: all regions with their edges.
         candidates: the large regions that are open to the sky, shape (regions,).
-        over_share: the share of each region that lies over other regions, shape (regions,).
+        over_share: the fraction of each region's area that lies over other regions, from 0 to 1,
+            shape (regions,).
 
     Returns:
         A mask, shape (regions,), bool.
@@ -327,7 +350,14 @@ def _find_roofs(context: RegionContext, candidates: Bool, over_share: Float) -> 
 def _mark_without_walls(context: RegionContext, candidates: Bool) -> Bool:
     """Mark the candidates with walls along at most half of their outline.
 
-    Walls at most `floors.shrink` inside of the outline are counted, too.
+    Walls up to `floors.shrink` inside of the outline are counted, too.
+
+    Args:
+        context: all regions with their edges.
+        candidates: the regions that may be roofs, shape (regions,), bool.
+
+    Returns:
+        A mask, shape (regions,), bool.
     """
     if not candidates.any():
         return candidates
@@ -358,7 +388,13 @@ def _mark_without_walls(context: RegionContext, candidates: Bool) -> Bool:
 def _select_outer_edges(
     context: RegionContext, candidates: Bool, num_cells_beyond: int
 ) -> RegionEdges:
-    """Return the edges of the candidates, except those at the rims of holes."""
+    """Return the edges of regions at their outer rims, not those at the rims of holes.
+
+    Args:
+        context: all regions with their edges.
+        candidates: the regions, shape (regions,), bool.
+        num_cells_beyond: how many cells beyond an edge to search for lower floors.
+    """
     edges = context.select_edges(candidates, num_cells_beyond)
     return edges.select(~find_hole_edges(edges, context.regions.lattice))
 
@@ -368,6 +404,13 @@ def _find_shelves(context: RegionContext, candidates: Bool) -> Bool:
 
     A shelf is nowhere deeper than 2.5 m (a mezzanine is deeper). More than half of its outline
     drops to a floor (of a gallery from wall to wall, less does).
+
+    Args:
+        context: all regions with their edges.
+        candidates: the large regions that lie over floors and are covered, shape (regions,), bool.
+
+    Returns:
+        A mask, shape (regions,), bool.
     """
     candidates = candidates & ~_mark_wider_than(context, candidates, MAX_SHELF_DEPTH)
     if not candidates.any():
@@ -381,8 +424,15 @@ def _find_shelves(context: RegionContext, candidates: Bool) -> Bool:
 def _mark_over_walls(context: RegionContext, candidates: Bool) -> Bool:
     """Mark the candidates that lie mostly over other regions or walls, or near these.
 
-    At least `MIN_SHARE_OVER_WALLS` of their cells are over another region or the top of a wall, or
-    within `EAVES_DEPTH` of such a cell.
+    At least two thirds of their cells are over another region or over the top of a wall, or within
+    1.5 m (along x and along y) of such a cell.
+
+    Args:
+        context: all regions, and the hits of all columns.
+        candidates: the regions that may be roofs, shape (regions,), bool.
+
+    Returns:
+        A mask, shape (regions,), bool.
     """
     is_over_walls = np.zeros_like(candidates)
     if not candidates.any():
@@ -441,8 +491,8 @@ def mark_over_wall_tops(context: RegionContext, members: RegionSurfaces) -> Bool
 def mark_reported_roofs(context: RegionContext, is_roof: Bool, is_floor: Bool) -> Bool:
     """Mark the roofs to report: those that may have been meant as floors.
 
-    They are over 4/3 as large as the largest floor; or they have at least 50 m² and no walls under
-    them, as decks do.
+    These have more than 4/3 of the largest floor's area; or they have at least 50 m² and no walls
+    under them, as decks do.
 
     Args:
         context: all regions.

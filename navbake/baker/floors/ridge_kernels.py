@@ -1,6 +1,7 @@
-"""List the narrow runs of regions: rows and columns of few cells between two edges.
+"""Measure how narrow regions are, by runs of cells along x and along y.
 
-Run lengths along both axes, as in run-length encoding of binary images.
+A run is a row of neighboring cells (or a column of them) that an agent can walk along, from one
+edge of a region to the edge on the other side, as in run-length encoding of binary images.
 """
 
 import numpy as np
@@ -14,18 +15,18 @@ from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 @subkernel(**NO_REFCOUNT)
 def _find_joined(surfaces, rule, j, cell, axis, sign):
-    """The standable surface of the next cell along an axis that joins a surface, or -1.
+    """Find the standable surface of the next cell that a step or slopes join to surface j.
 
     Args:
-        surfaces: all surfaces.
+        surfaces: a `Surfaces`.
         rule: a `JoinRule`.
-        j: the id of the surface.
-        cell: its cell.
+        j: the id of a surface.
+        cell: the id of its cell.
         axis: EAST or SOUTH.
-        sign: 1 for the next cell in that direction, -1 for the one in the opposite direction.
+        sign: 1 for the next cell in that direction, -1 for the next cell in the opposite direction.
 
     Returns:
-        Of several surfaces, the one nearest in height.
+        The id of the surface, -1 for none; of several, the one nearest in height.
     """
     lattice = surfaces.lattice
     if axis == EAST:
@@ -55,25 +56,27 @@ def _find_joined(surfaces, rule, j, cell, axis, sign):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def list_narrow_runs(labelled, rule, max_cells, blocks, counts, columns, begin, end):
-    """List the runs of at most `max_cells` cells that end in ``blocks[begin:end]``.
+    """List the places where regions are narrow: runs of at most `max_cells` cells.
 
-    A run is a row of cells, or a column of cells, whose surfaces are joined, and which no surface
-    continues at either end. The rows, see `navbake.baker.core.blocks.list_rows`, hold: the axis,
-    EAST or SOUTH; the number of cells; the surface and the cell at the eastern or southern end; and
-    those at the other end.
+    A run is a row of neighboring cells, or a column of them, whose surfaces are joined by steps or
+    slopes. No surface beyond its two ends is joined to it. Listed are the runs whose eastern or
+    southern end is in ``blocks[begin:end]``. This is a kernel for
+    `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        labelled: a `LabelledSurfaces`: the regions whose runs are listed.
+        labelled: a `LabelledSurfaces` with the regions whose runs are listed.
         rule: a `JoinRule`.
         max_cells: longer runs are not listed.
-        blocks: ids of blocks.
-        counts: receives the number of rows of each block.
-        columns: receive the rows: one array, (capacity, 6) int64.
-        begin: index of the first block in `blocks`.
+        blocks: ids of blocks of cells.
+        counts: receives how many runs each block has.
+        columns: one array that receives the runs, (n, 6) int64: the axis, EAST or SOUTH; the number
+            of cells; the surface and the cell at the eastern or southern end; and the surface and
+            the cell at the other end.
+        begin: index in `blocks` of the first block.
         end: index past the last one.
 
     Returns:
-        The index of the first block that had no room, else `end`.
+        The index in `blocks` of the first block whose runs had no room; `end` if all had room.
     """
     (rows,) = columns
     num = 0
@@ -118,14 +121,14 @@ def list_narrow_runs(labelled, rule, max_cells, blocks, counts, columns, begin, 
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def list_run_surfaces(surfaces, rule, runs, start, surface_cells, begin, end):
-    """List the surfaces of runs, and their cells.
+    """List all surfaces of the runs ``runs[begin:end]``, and the cells of these surfaces.
 
     Args:
-        surfaces: all surfaces.
-        rule: the `JoinRule` of the runs.
-        runs: the runs, as `list_narrow_runs` lists them.
-        start: the surfaces of run n are written to the rows from ``start[n]`` on.
-        surface_cells: receives the id of each surface, and of its cell, (n, 2) int64.
+        surfaces: a `Surfaces`.
+        rule: the `JoinRule` that the runs were found by.
+        runs: the runs, as `list_narrow_runs` lists them, (runs, 6) int64.
+        start: for each run, the row of `surface_cells` from which on its surfaces are written.
+        surface_cells: receives the id of each surface, and the id of its cell, (n, 2) int64.
         begin: index of the first run.
         end: index past the last one.
     """

@@ -1,4 +1,4 @@
-"""Ridges: tops of walls and beams, which are no floors even where a step leads to them."""
+"""Find ridges: tops of walls and beams, which are no floors even where a step leads to them."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# What is narrower between two drops is a ridge [m]
+# A strip of floor between two drops is a ridge, such as the top of a wall, if it is narrower [m]
 RIDGE_WIDTH = 0.4
-# Runs of cells across a ridge are at most this long: of an oblique one, they are longer than it is
-# wide [m]
+# Only rows of cells up to this length are measured. A row along x or y that crosses a ridge
+# obliquely is longer than the ridge is wide: at 45 degrees 1.4 times [m]
 MAX_RUN_LENGTH = 2.0 * RIDGE_WIDTH
 # An empty array of rows of `list_narrow_runs`
 NO_RUNS = np.empty((0, 6), dtype=np.int64)
 
 
 def find_ridges(context: RegionContext, positions: list[list[float]]) -> Bool:
-    """Find the surfaces of large regions that are narrower than 0.4 m between two drops.
+    """Find ridges: the surfaces of large regions where these are narrower than 0.4 m.
 
-    The width of a strip follows from the lengths of its runs of cells along x and y. A run that
-    meets a wall, or a surface within a step, at one of its ends has no two drops, and counts as
-    endless.
+    A ridge has a drop on both sides. Its width follows from the rows of cells that cross it along x
+    and along y. A row that ends at a wall, or at a surface within a step, has no drop there, and
+    counts as endless.
 
     Args:
-        context: all regions.
-        positions: `floors.from`: ridges on which such a position lies are floors [m].
+        context: all regions, and the hits of all columns.
+        positions: `floors.from`: x, y, z of each position [m]. A ridge with such a position on it
+            is a floor, and not marked.
 
     Returns:
         A mask of the surfaces, shape (surfaces,).
@@ -55,7 +56,7 @@ def find_ridges(context: RegionContext, positions: list[list[float]]) -> Bool:
     is_narrow = width < RIDGE_WIDTH - LIMIT_SLACK
     surface = surface[is_narrow]
     cell = cell[is_narrow]
-    # narrow surfaces in touching cells make up a ridge
+    # narrow surfaces in cells that share a side or a corner make up a ridge
     _, place = np.unique(cell, return_inverse=True)
     cells = np.unique(cell)
     ridge = label_components(adjacent_pairs(cells, regions.lattice.width), len(cells))[place]
@@ -66,15 +67,17 @@ def find_ridges(context: RegionContext, positions: list[list[float]]) -> Bool:
 
 
 def _measure_widths(surfaces: Surfaces, rule: JoinRule, runs: Int) -> tuple[Int, Int, Float]:
-    """Measure how wide the strips are that runs cut, at each of their surfaces.
+    """Measure how wide a region is between its drops, at each surface of some rows of cells.
 
     Args:
         surfaces: all surfaces.
-        rule: the rule by which the surfaces of a run are joined.
-        runs: the runs, as `list_narrow_runs` lists them.
+        rule: the rule by which the surfaces of a row of cells are joined.
+        runs: the rows of cells with drops at both ends, as `list_narrow_runs` lists them,
+            shape (k, 6).
 
     Returns:
-        The ids of the surfaces, ascending, (n,); their cells, (n,); and the widths, (n,) [m].
+        The ids of the surfaces, ascending, (n,); their cells, (n,); and the width of the region at
+        each of them, square to its drops, (n,) [m].
     """
     num_cells = runs[:, 1]
     start = np.cumsum(num_cells) - num_cells
@@ -88,7 +91,15 @@ def _measure_widths(surfaces: Surfaces, rule: JoinRule, runs: Int) -> tuple[Int,
 
 
 def _mark_runs_between_drops(context: RegionContext, runs: Int) -> Bool:
-    """Mark the runs, as `list_narrow_runs` lists them, with a drop at both ends."""
+    """Mark the rows of cells that have a drop at both ends.
+
+    Args:
+        context: all regions, and the hits of all columns.
+        runs: rows of cells, as `list_narrow_runs` lists them, shape (n, 6).
+
+    Returns:
+        A mask, shape (n,).
+    """
     axis, _, surface, cell, last_surface, last_cell = runs.T
     direction = np.where(axis == EAST, EAST, SOUTH)
     opposite = np.where(axis == EAST, WEST, NORTH)
@@ -104,17 +115,21 @@ def _mark_runs_between_drops(context: RegionContext, runs: Int) -> Bool:
 
 
 def _mark_drops(context: RegionContext, surface: Int, cell: Int, direction: Int) -> Bool:
-    """Mark the edges of surfaces beyond which it goes down by more than a step.
+    """Mark the edges of surfaces at which an agent would fall by more than a step.
 
-    Beyond a drop there is a lower surface or none, and neither a surface within a step nor
-    something that stands there, such as a wall or a parapet. Where a scan's holes are closed, there
-    has to be a lower surface.
+    At such an edge the next cell in the given direction has no surface within a step of the
+    surface's height, or the scene ends. With `floors.fill`, which closes holes, the next cell must
+    have a lower surface. And nothing that an agent's feet would meet, such as a wall or a parapet,
+    stands in the cells on either side of the edge.
 
     Args:
-        context: all regions.
+        context: all regions, and the hits of all columns.
         surface: ids of surfaces, (n,).
-        cell: the cell of each, (n,).
-        direction: the direction out of each, (n,).
+        cell: the cell of each surface, (n,).
+        direction: EAST, SOUTH, WEST or NORTH: the side of each cell that is tested, (n,).
+
+    Returns:
+        A mask of the edges, shape (n,).
     """
     lattice = context.regions.lattice
     step = context.agent.traversable_floor_height
@@ -140,7 +155,7 @@ def _mark_drops(context: RegionContext, surface: Int, cell: Int, direction: Int)
 
 
 def _mark_short(ridge: Int32, cell: Int, lattice: Lattice) -> Bool:
-    """Mark the ridges that are no longer than a ridge is wide: no walls, nor beams.
+    """Mark the ridges that are at most `RIDGE_WIDTH` long, and so are no tops of walls or beams.
 
     They are tops of posts, and corners of wide floors that are turned against the lattice.
 
@@ -166,14 +181,14 @@ def _mark_short(ridge: Int32, cell: Int, lattice: Lattice) -> Bool:
 def _mark_named(
     ridge: Int32, surface: Int, cell: Int, context: RegionContext, positions: list[list[float]]
 ) -> Bool:
-    """Mark the ridges on which one of some positions lies.
+    """Mark the ridges that have at least one of some positions on them.
 
     Args:
         ridge: the ridge of each surface, (n,).
         surface: ids of the surfaces, (n,).
         cell: the cell of each surface, (n,).
         context: all regions.
-        positions: x, y, z of each [m].
+        positions: x, y, z of each position, world frame [m].
 
     Returns:
         A mask of the ridges, shape (ridges,).
@@ -191,10 +206,12 @@ def _mark_named(
 
 
 def without_surfaces(surfaces: Surfaces, mask: Bool) -> Surfaces:
-    """Return surfaces of which those that a mask marks are neither standable nor floor-like.
+    """Return the surfaces with all their marks removed where a mask is True.
+
+    No agent stands on such a surface then, but a floor beside it may still go on there.
 
     Args:
         surfaces: all surfaces.
-        mask: shape (surfaces,).
+        mask: shape (surfaces,), bool.
     """
     return surfaces._replace(marks=np.where(mask, np.uint8(0), surfaces.marks))

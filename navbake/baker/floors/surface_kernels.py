@@ -28,14 +28,14 @@ STANDABLE = 2  # an agent can stand on the surface
 UNCOVERED = 4  # an agent can stand on the surface, and nothing lies above it
 ENCLOSED = 8  # an agent could stand there if the closed mesh or plane around it were hollow
 
-# Directions from a cell to its neighbor; rows run south, against y
+# Directions from a cell to its neighbor. Row numbers grow to the south, against y
 EAST = 0
 SOUTH = 1
 WEST = 2
 NORTH = 3
 
 # In a building that leans a little, the sides of treads lean, too: z of their unit normals is at
-# most this
+# most this, which is a lean of 2.9 degrees
 MAX_SIDE_UP = 0.05
 
 
@@ -67,16 +67,18 @@ class Surfaces(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def find_planes_above(planes, lattice, cell, z):
-    """Count the infinite planes that a point over a cell's centre lies inside of.
+    """Count the infinite planes behind whose front a point in a cell's column lies.
+
+    Planes are solid there, so the point is inside of them.
 
     Args:
-        planes: the planes, solid behind their normals.
-        lattice: the lattice of the cell.
-        cell: id of the cell.
+        planes: a `Planes`; each plane is solid on the side that its normal points away from.
+        lattice: the `Lattice` of the cell.
+        cell: id of the cell, over whose centre the point lies.
         z: the point's height [m].
 
     Returns:
-        Their number, and the geom id of the last of them, -1 for none.
+        The number of planes around the point, and the geom id of the last of them, -1 for none.
     """
     count = 0
     geom = np.int32(-1)
@@ -97,7 +99,7 @@ def find_planes_above(planes, lattice, cell, z):
 def _height_above(hits, i, last):
     """Return the height of the next hit above hit i of a column [m]; infinity if there is none.
 
-    `last` is the end of the column's hits.
+    Hits within SAME_HEIGHT are not above it. `last` is the index past the column's last hit.
     """
     for j in range(i + 1, last):
         if hits.z[j] - hits.z[i] > SAME_HEIGHT:
@@ -110,7 +112,10 @@ def _count_enclosing(hits, i, last):
     """Count the closed meshes, and the other solids, that hit i of a column lies inside of.
 
     A solid whose underside is at the hit's height (within SAME_HEIGHT) encloses it; one whose top
-    is there does not. `last` is the end of the column's hits.
+    is there does not. `last` is the index past the column's last hit.
+
+    Returns:
+        The number of closed meshes, and the number of other solids.
     """
     z = hits.z
     normal = hits.normal
@@ -132,7 +137,8 @@ def _count_enclosing(hits, i, last):
 def _find_enclosing_mesh(hits, i, last):
     """Return the geom id of the closed mesh around hit i of a column, -1 if there is none.
 
-    Of several meshes it is the one whose top is lowest. `last` is the end of the column's hits.
+    Of several meshes it is the one whose upper side is nearest above the hit. `last` is the index
+    past the column's last hit.
     """
     z = hits.z
     normal = hits.normal
@@ -160,8 +166,8 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
 
     A hit is STANDABLE if it is within the slope, lies inside of no solid, and has the agent's
     headroom below the next hit above it. It is ENCLOSED if it would be STANDABLE without the closed
-    meshes around it, or without the infinite planes above it. Of several hits at one height the
-    lowest counts.
+    meshes around it, or without the infinite planes around it. Of several such hits at one height,
+    the first is marked. A STANDABLE hit is UNCOVERED if the column has no hit above it.
 
     In a building that leans, the line over a tread may cross the side of the next tread, at most a
     step higher. Then the side covers the lower tread, which is STANDABLE nevertheless.
@@ -169,12 +175,12 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
     This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        lattice: the lattice of the cells.
-        hits: the `ColumnHits` of the cells.
-        planes: the infinite planes of the scene.
+        lattice: the `Lattice` of the cells.
+        hits: the `ColumnHits` of all cells.
+        planes: a `Planes`: the infinite planes of the scene.
         limits: the `AgentLimits`.
         cells: ids of cells.
-        counts: receives how many rows each cell has.
+        counts: receives how many surfaces each cell has.
         columns: four arrays that receive the rows, a row for each surface: height [m], geom id,
             marks and normal, as in `Surfaces`. If the normals have shape (n, 0), none are written.
         begin: index in `cells` of the first cell.
@@ -200,7 +206,7 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
             z = hits.z[i]
             up = hits.normal[i, 2]
             is_gentle = up >= limits.min_up
-            # too steep, and no low bump
+            # too steep, and no bump that is low enough to step over
             if not is_gentle and not (up > 0.0 and z - gentle_z <= limits.step + LIMIT_SLACK):
                 continue
             if not is_gentle and up <= MAX_SIDE_UP and gentle_z - standable_z > SAME_HEIGHT:
@@ -224,7 +230,7 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
                 if z - standable_z > SAME_HEIGHT and above - z >= limits.headroom - LIMIT_SLACK:
                     num_meshes, num_solids = _count_enclosing(hits, i, last)
                     num_planes, plane_geom = find_planes_above(planes, lattice, cells[n], z)
-                    # hollow meshes, or scenes without planes, help only if nothing else is around
+                    # only closed meshes, or only planes, are around the hit
                     in_meshes_or_planes_alone = num_solids <= 0 and (
                         num_meshes <= 0 or num_planes == 0
                     )
@@ -247,16 +253,16 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
 def slopes_join(surfaces, a, b, direction, step):
     """Return whether slopes join two surfaces of neighboring cells that no step joins.
 
-    The slope of each surface predicts how much the floor rises from `a` to `b`. At least one must
-    predict more than a step. The surfaces join if the real rise lies between the two predictions
-    (for example if a floor bends between the cells, at the foot of a ramp), or if it differs from
-    each prediction by at most a step.
+    The slope of each of the two surfaces predicts how much the floor rises from `a` to `b`. At
+    least one slope must predict more than a step, up or down. The surfaces join if the real rise
+    lies between the two predictions (for example if a floor bends between the cells, at the foot of
+    a ramp), or if it differs from each prediction by at most a step.
 
     Args:
-        surfaces: all surfaces, with normals.
+        surfaces: a `Surfaces` with normals.
         a: id of a surface.
-        b: id of a surface of the next cell in the direction.
-        direction: EAST or SOUTH.
+        b: id of a surface of the neighboring cell in the direction.
+        direction: EAST or SOUTH, from the cell of a to the cell of b.
         step: the highest step [m].
     """
     rise = surfaces.z[b] - surfaces.z[a]

@@ -1,4 +1,8 @@
-"""Find the surfaces that floors may consist of, in all columns of a lattice."""
+"""Find the surfaces that floors may consist of, in the columns of all cells.
+
+A column is the vertical line through a cell's centre; a surface is a place where it crosses
+geometry that faces up.
+"""
 
 from __future__ import annotations
 
@@ -45,6 +49,8 @@ def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) 
 def may_slopes_join(lattice: Lattice, agent: AgentSettings) -> bool:
     """Return whether the steepest slope that an agent can climb rises by more than a step per cell.
 
+    Only then can a slope join surfaces of neighboring cells that no step joins.
+
     Args:
         lattice: the lattice of the cells.
         agent: the agent, of which the slope and step are used.
@@ -56,7 +62,7 @@ def may_slopes_join(lattice: Lattice, agent: AgentSettings) -> bool:
 def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -> Surfaces:
     """Find the surfaces that floors may consist of, in all columns.
 
-    They are numbered block of cells by block of cells, which makes kernels a third faster.
+    Surfaces are numbered block of cells by block of cells, which makes kernels a third faster.
 
     Args:
         columns: the hits of all columns.
@@ -115,7 +121,7 @@ def find_highest_within_step(
     Args:
         first: the index of each cell's first surface in `heights`, shape (n,).
         end: the index past each cell's last surface, shape (n,).
-        heights: the heights of all surfaces [m].
+        heights: the heights of all surfaces, ascending in each cell [m].
         z: for each cell, the height to compare with, shape (n,) [m].
         step: the highest step [m].
 
