@@ -208,13 +208,13 @@ def find_standing_cells(
     builders = list[OccupantsBuilder]()
     if wall_candidates is not None:
         builders = [OccupantsBuilder(lattice) for _ in floors.levels]
-    for block in columns.row_chunks():
-        tiled = block.nearby_shapes or tiles.near_rows(block.valid_rows)
-        first, end = block.valid_rows.cell_range(lattice)
+    for chunk in columns.row_chunks():
+        tiled = chunk.nearby_shapes or tiles.near_rows(chunk.valid_rows)
+        first, end = chunk.valid_rows.cell_range(lattice)
         cells = np.arange(first, end)
         for k, level in enumerate(floors.levels):
             checked = check_level_occupancy(
-                block,
+                chunk,
                 tiled,
                 footprint=footprint,
                 cells=cells,
@@ -230,7 +230,7 @@ def find_standing_cells(
             if builders:
                 builders[k].append(checked, end / num_cells)
         with clock.part("rooms"):
-            hits = block.hits._replace(start=block.start[first : end + 1])
+            hits = chunk.hits._replace(start=chunk.start[first : end + 1])
             for k, level in enumerate(floors.levels):
                 flag_columns(hits, level, slice(first, end), agent, column_flags[k])
     return StandingCells(

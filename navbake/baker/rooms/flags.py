@@ -484,13 +484,13 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
     geom_ids = list[Int32]()
     for source, source_geoms in sources:
         is_marking = np.isin(np.arange(num_geoms), list(source_geoms))
-        for block in source.row_chunks() if source_geoms else ():
-            first, end = block.valid_rows.cell_range(block.lattice)
-            hit = np.flatnonzero(is_marking[block.geom] & (block.normal[:, 2] > 0))
-            column = np.searchsorted(block.start[first : end + 1], hit, side="right") - 1
+        for chunk in source.row_chunks() if source_geoms else ():
+            first, end = chunk.valid_rows.cell_range(chunk.lattice)
+            hit = np.flatnonzero(is_marking[chunk.geom] & (chunk.normal[:, 2] > 0))
+            column = np.searchsorted(chunk.start[first : end + 1], hit, side="right") - 1
             cells.append(first + column)
-            heights.append(block.z[hit])
-            geom_ids.append(block.geom[hit])
+            heights.append(chunk.z[hit])
+            geom_ids.append(chunk.geom[hit])
     return _Surfaces(np.concatenate(cells), np.concatenate(heights), np.concatenate(geom_ids))
 
 

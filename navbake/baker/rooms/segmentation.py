@@ -238,7 +238,7 @@ def _join_spaces(
             label, squared_distances(mark_wall_nodes(open_cells), reach), count
         )
         graph.join_stairs(is_stair, heights, np.sqrt(peaks))
-    graph.join_small(min_cells, num_at_edge, MAX_GAP_WIDTH / cell_size)
+    graph.join_small_spaces(min_cells, num_at_edge, MAX_GAP_WIDTH / cell_size)
     return graph.select_rooms(min_cells, is_room)[label]
 
 
@@ -395,7 +395,7 @@ class _SpaceGraph:
                 self._join(lowest, stair)
                 peak[lowest] = max(peak[lowest], peak[stair])
 
-    def join_small(self, min_cells: float, num_at_edge: Int, max_counted: float) -> None:
+    def join_small_spaces(self, min_cells: float, num_at_edge: Int, max_counted: float) -> None:
         """Join small spaces, the smallest first, to the one they open to the widest.
 
         A space with cells at the edge of the grid, such as a ledge round a house, joins the one

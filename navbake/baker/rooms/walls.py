@@ -312,9 +312,9 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
     right = right[is_clear]
     angle = np.mod(np.rad2deg(np.arctan2(down, right)) + 90.0, 180.0)
     slope = np.hypot(down, right)
-    on_wall = np.array(np.divmod(cells, width)) - distance * np.stack([down, right]) / slope
+    wall_position = np.array(np.divmod(cells, width)) - distance * np.stack([down, right]) / slope
     return WallPoints(
-        position=on_wall - EDGE_PADDING,
+        position=wall_position - EDGE_PADDING,
         angle=angle,
         spacing=cell_size,
         bin_width=CELL_BIN_WIDTH,
