@@ -1,8 +1,8 @@
 """Gathers the inputs from which rooms are found: flags of each cell, and the rooms that are marked.
 
-`gather_flags` combines the results of earlier stages: floors, column flags, standing occupants, and
-the rooms that geoms, sites and polygons mark. Rooms depend only on these flags, on settings and on
-closed door leaves.
+`gather_flags` combines the results of earlier stages: the floors, flags of each cell's vertical
+line, and the structure in each cell. `mark_rooms` finds the rooms that geoms, sites and polygons
+mark. Rooms depend only on what is gathered here, on settings and on closed door leaves.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ if TYPE_CHECKING:  # a caller that has a model has imported it
 
 # The scene ends at a side of the lattice if it exceeds that side by at most this [cells]
 MAX_SCENE_EXCESS = 0.5
-# An outdoor area has a connected piece at the grid's edge that is longer than this: no opening in a
-# wall is so wide [m]
+# An outdoor area touches the grid's edge over a connected length greater than this: no opening in a
+# wall is that wide [m]
 MIN_OUTDOOR_EDGE = MAX_GAP_WIDTH
 # A mask of all sides of a lattice, [[upper, lower], [left, right]]
 ALL_SIDES = np.ones((2, 2), dtype=np.bool_)
@@ -74,7 +74,7 @@ class MarkedRooms(NamedTuple):
         labels: for each level, the number of each cell's room, 0 for none, shape (height, width).
         warnings: warnings for the user, one line each.
         covered: like `labels`, but cells whose floor is up to a step above the room's own floor (on
-            a podium, for example) also have the room's number. Empty if there are no such cells.
+            a podium, for example) also have the room's number. Empty if it equals `labels`.
         outdoors: the numbers of the rooms that are outdoors.
     """
 
@@ -93,13 +93,15 @@ class LevelFlags(NamedTuple):
         is_open: whether the cell has a floor, and is in no wall or window.
         is_hole: whether the cell has no floor, and nothing is at the heights of an agent's body
             above the level's ground.
-        at_edge: whether the cell is open, nothing in it is higher than an agent, and it is at the
-            grid's edge, or next to cells that are empty or too steep to stand on and are connected
-            to the grid's edge.
+        at_edge: whether the cell is open, nothing taller than 1.5 m stands on its floor, and the
+            cell is at the outer boundary of the scene: at the grid's edge, or next to cells that
+            are empty or too steep to stand on and are connected to the grid's edge.
         under_sky: whether the cell has a floor and nothing is above an agent's head. All False on
             levels with too few cells at the edge for anything to be outdoors.
-        is_bank: whether the cell has no floor because ground under the open sky is too steep.
-        occupied: whether the cell has no floor, or structure meets its square at an agent's height.
+        is_bank: whether the cell has no floor because its highest surface is ground that is too
+            steep to stand on.
+        occupied: whether the cell has no floor, or structure is over the cell's square between the
+            agent's highest step and its height.
     """
 
     floor: Float
@@ -117,9 +119,9 @@ class RoomFlags(NamedTuple):
     Attributes:
         lattice: the whole lattice.
         levels: the flags of each level, lowest first.
-        is_empty: the cells without any geometry above or below, shape (height, width).
-        scene_ends: the sides of the lattice at which the scene ends, [[upper, lower], [left,
-            right]].
+        is_empty: a mask of the cells whose vertical line meets no structure, shape (height, width).
+        scene_ends: a mask of the sides of the lattice at which the scene ends, [[upper, lower],
+            [left, right]]; at the other sides, the lattice crops the scene.
         walls: the geometry of walls, and of meshes that contain a whole building.
         has_ground: whether an endless ground continues beyond the lattice.
         links: steps between cells, see `Floors`, shape (n, 4).
@@ -150,7 +152,7 @@ def gather_flags(
 
     Args:
         scene: the scene, whose geoms and sites may mark rooms.
-        columns: the vertical columns of the structure.
+        columns: hits of structure on the vertical line through each cell's centre.
         floors: the floors of all levels, at least one.
         column_flags: for each level, the flags of its cells, see `flag_columns`, shape (cells,),
             uint8.
@@ -206,7 +208,11 @@ def gather_flags(
 
 
 def _find_scene_ends(scene: Scene, lattice: Lattice) -> Bool:
-    """Find the sides of the lattice at which the scene ends, [[upper, lower], [left, right]]."""
+    """Mark the sides of the lattice that the scene's box doesn't exceed by more than half a cell.
+
+    Returns:
+        A mask of the sides, [[upper, lower], [left, right]]; all False without a box.
+    """
     if scene.bounds is None:
         return ~ALL_SIDES
     x0, y0, x1, y1 = lattice.bounds
@@ -254,13 +260,13 @@ def mark_rooms(
 
     Args:
         scene: the scene, whose geoms and sites may mark rooms.
-        columns: the vertical columns of the structure.
+        columns: hits of structure on the vertical line through each cell's centre.
         levels: the floors of all levels.
         settings: which sources there are, and their patterns and polygons.
         agent: the agent that stands in the volumes of sites.
 
     Returns:
-        Source -> the rooms that it marks.
+        Source (``geoms``, ``sites`` or ``polygons``) -> the rooms that it marks.
     """
     marks = {}
     if "geoms" in settings.sources:
@@ -273,10 +279,10 @@ def mark_rooms(
 
 
 def find_markers(model: mujoco.MjModel, settings: RoomSettings) -> tuple[list[int], list[int]]:
-    """Find the geoms and sites whose names match the patterns of rooms.
+    """Find the geoms and sites whose names match the patterns of the settings' rooms.
 
     Args:
-        model: the model.
+        model: MuJoCo's model of the scene.
         settings: which sources there are, and their patterns.
 
     Returns:
@@ -298,12 +304,12 @@ def _mark_by_geoms(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> MarkedRooms:
-    """Give each cell the room of the geom that is its floor.
+    """Give each cell the room of the geom that is its floor, if the geom's name matches a pattern.
 
-    That is the geom with a matching name whose surface is the highest between 5 cm below the cell's
-    floor (it may be under a rug) and 5 mm above it. Furniture may have such a name, too: so at
-    least half of the geom's upper side has to be floor, or up to a step below a floor (of a carpet
-    or a podium, see `MarkedRooms.covered`).
+    The geom's surface lies between 5 cm below the cell's floor (it may be under a rug) and 5 mm
+    above it; of several such geoms, the highest counts. Furniture may have a matching name, too. So
+    a geom only marks a room if at least half of its upper side is floor, or lies up to a step below
+    a floor (of a carpet or a podium, see `MarkedRooms.covered`).
     """
     num_geoms = scene.model.ngeom
     names = all_names(scene.model).own_geoms
@@ -338,7 +344,7 @@ def _mark_by_geoms(
 
 
 def _remove_prefix(name: str) -> str:
-    """Remove the prefix of a floor's name, unless nothing else is in the name."""
+    """Return a geom's name without a prefix of `FLOOR_PREFIXES`, unless it is only the prefix."""
     for prefix in FLOOR_PREFIXES:
         if name.startswith(prefix) and name != prefix:
             return name[len(prefix) :]
@@ -387,9 +393,9 @@ def _mark_standing_in_site(
 ) -> list[Bool]:
     """Mark the cells of each level on which an agent would stand in a site's volume.
 
-    The vertical line through the cell's centre is in the volume between two heights. Of this
-    stretch, the part from 5 cm below the floor to the agent's height has to be at least half of
-    the stretch, or half of the agent's height.
+    The vertical line through the cell's centre runs through the volume between two heights. The
+    part of this stretch from 5 cm below the floor to the agent's height has to be at least half as
+    long as the stretch, or as the agent is high, whichever is less.
     """
     model = scene.model
     kind = model.site_type[[site]].astype(np.int32)  # sites have the types of geoms
@@ -421,7 +427,11 @@ def _mark_standing_in_site(
 def _mark_by_polygons(
     lattice: Lattice, levels: Sequence[LevelFloor], settings: RoomSettings
 ) -> MarkedRooms:
-    """Give each cell the room whose polygon contains the cell's centre; of several, the first."""
+    """Give each cell the room whose polygon contains the cell's centre; of several, the first.
+
+    Raises:
+        ConfigError: the level of a polygon doesn't exist.
+    """
     polygons = settings.polygons
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     warnings = []
@@ -466,7 +476,16 @@ class _Surfaces(NamedTuple):
 
 
 def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) -> _Surfaces:
-    """Find the upward surfaces of geoms; for a geom that counts by its hull, those of its mesh."""
+    """Find where the vertical lines of cells meet surfaces of geoms that face up.
+
+    A mesh that the bake replaces by its convex hull is met by its own triangles here, and so is a
+    geom that the bake leaves out.
+
+    Args:
+        scene: the scene of the geoms.
+        columns: hits of structure on the vertical line through each cell's centre.
+        geoms: ids of the geoms.
+    """
     num_geoms = len(scene.geoms)
     in_columns = {geom for geom in geoms if scene.geoms[geom].shape not in ("", "hull")}
     sources: list[tuple[ColumnSource, set[int]]] = [(columns, in_columns)]
@@ -495,7 +514,7 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
 
 
 def _find_highest(surfaces: _Surfaces, is_considered: Bool, num_cells: int, no_geom: int) -> Int32:
-    """Find the geom whose surface is the highest in each cell; of several, the first geom.
+    """Find the geom whose surface is the highest in each cell; of equally high ones, the lowest id.
 
     Args:
         surfaces: n surfaces.
@@ -523,8 +542,9 @@ def _match(
 
     Args:
         names: names, in the order of ids.
-        patterns: the patterns.
-        setting: the key of the setting in `rooms`; there is no warning of its default patterns.
+        patterns: patterns with ``*``, ``?`` and ``[…]``.
+        setting: the key in `rooms`, ``geoms`` or ``sites``, of the setting that has the patterns.
+            Its default patterns may match nothing without a warning.
     """
     matching = set[int]()
     warnings = list[str]()

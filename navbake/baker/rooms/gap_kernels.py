@@ -1,11 +1,14 @@
-"""Kernels that find gaps and sills between walls, and measure spaces behind gaps and distances.
+"""Kernels for dividing floors into rooms at gaps.
 
-A scan in a direction follows lines of cells: cell (row, col) is on line ``row - shift[col]``, and
-the cells of a line are connected by edges or corners. A direction is at most 45° from the rows; for
-a steeper one, rows and columns of the lattice are swapped. A line has one cell in each column, so
-lengths along it are counted in columns. "Above" means lower row numbers.
+`gaps.py` calls `mark_gaps`, which finds gaps (narrow places of the floor, such as doorways), and
+`measure_gaps`, which measures the spaces beside them. `walls.py` calls `mark_sills`, which finds
+sills between walls, and `sweep_distances`, which measures distances.
 
-`gaps.py` calls `mark_gaps` and `measure_gaps`; `walls.py` calls `mark_sills` and `sweep_distances`.
+A scan in a direction follows parallel lines of cells: cell (row, col) is on line
+``row - shift[col]``, and the cells of a line are connected by edges or corners. The direction is at
+most 45° from the lattice's rows; for a steeper direction, rows and columns of the lattice are
+swapped. A line has one cell in each column, so lengths along it are counted in columns. "Above"
+means lower row numbers.
 """
 
 from typing import NamedTuple
@@ -24,36 +27,37 @@ from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Float, Int, Int32
 
 Marks = NDArray[np.uint8]
-"""The mark of each cell: 0 for none, `ONE_SIDED` or `DOORWAY`."""
+"""How each cell is marked: 0 if it is in no gap, `ONE_SIDED` or `DOORWAY` if it is in one."""
 
-# Marks: the space widens on one side of the line; or the line is in a doorway, which widens on both
+# The floor is wider on one side of the gap; or on both, as it is at a doorway
 ONE_SIDED = 1
 DOORWAY = 2
 
-# The ends of a gap and of a line: at the first column, and at the last
+# The ends of a gap, and of a line of cells: at the first column, and at the last
 FIRST_END = 0
 LAST_END = 1
 # The sides of a gap
 ABOVE = 0
 BELOW = 1
 
-# Bits of a cell on a line. Bits 0, 1 and 2: a chain of low cells that stays within one cell of the
-# line ends in the cell above it, in it, or below it. This bit: a chain exactly on the line ends
-# here
+# For `mark_sills`: bits of a cell on a line, for chains of low cells that end in the cell's column.
+# Bits 0, 1 and 2: a chain that stays within one cell of the line ends in the cell above this cell,
+# in it, or in the cell below it. EXACT_CHAIN: a chain exactly on the line ends in this cell
 EXACT_CHAIN = 8
 # For the cell above, on and below the line: the bits of the cells in the next column that touch it
 TOUCHING_BITS = 0b011, 0b111, 0b110
 
 
 class GapLimits(NamedTuple):
-    """The limits for lines that `mark_gaps` marks.
+    """The limits by which `mark_gaps` marks gaps.
 
     Attributes:
-        max_width: the longest run that can be a gap [columns].
-        widening_factor: the least factor by which the space beside a gap is wider, > 1.
-        min_widening: the least length by which it is wider [columns].
-        max_thickness: the most rows of a doorway [rows].
-        only_doorways: whether gaps are only marked if the space widens on both sides.
+        max_width: the greatest width of a gap [columns].
+        widening_factor: the least factor by which the floor beside a gap is wider, > 1.
+        min_widening: the least length by which the floor beside a gap is wider [columns].
+        max_thickness: the greatest depth of a doorway from one side of the wall to the other
+            [rows].
+        only_doorways: whether gaps are only marked if the floor is wider on both sides.
     """
 
     max_width: int
@@ -70,11 +74,11 @@ class Gaps(NamedTuple):
 
     Attributes:
         first_col: the gap's first column, shape (n,), int64.
-        last_col: the gap's last column.
+        last_col: the gap's last column, shape (n,), int64.
         top_row: the first marked row in the first and in the last column, shape (n, 2), int64.
-        bottom_row: the last marked row in these two columns.
+        bottom_row: the last marked row in these two columns, shape (n, 2), int64.
         label_above: the label of the space above the gap, shape (n,), int64.
-        label_below: the label of the space below the gap.
+        label_below: the label of the space below the gap, shape (n,), int64.
         is_doorway: whether a cell of the gap is marked `DOORWAY`, shape (n,).
     """
 
@@ -88,12 +92,13 @@ class Gaps(NamedTuple):
 
 
 class Scan(NamedTuple):
-    """A lattice as it is scanned in a direction, shape (rows, cols).
+    """A lattice as it is scanned in a direction, along parallel lines of cells.
 
     Attributes:
-        label: the space of each cell before spaces are joined, 0 for none.
-        is_open: cells that a line can pass through.
-        shift: for each column, how many rows lower a line is than in the first one, shape (cols,).
+        label: the space of each cell before spaces are joined, 0 for none, shape (rows, cols).
+        is_open: a mask of the cells that a line can pass through, shape (rows, cols).
+        shift: for each column, how many rows lower a line is than in the first column, shape
+            (cols,).
         depths: the distances behind gaps at which spaces are measured, shape (depths,) [rows].
         leans: for each depth, how many columns to the right a perpendicular of the direction gets
             as it goes up by that depth, shape (depths,).
@@ -107,11 +112,12 @@ class Scan(NamedTuple):
 
 
 class GapWalls(NamedTuple):
-    """Distances along a scan direction from the last cells of gaps and lines to walls [columns].
+    """Distances along a scan direction from cells beside walls to these walls [columns].
 
     Attributes:
         beside: from the centres of each gap's first and last cell to the walls, shape (gaps, 2).
-        max_distance: the largest distance of a wall from an opening's last cell, shape (gaps,).
+        max_distance: for each gap, the greatest distance at which a wall is taken for the end of an
+            opening, from the centre of the opening's last cell, shape (gaps,).
         coded_distance: for each cell, backward and forward along the direction: the distance to the
             wall plus 1; inf if there is no wall; 0 if no ray was cast yet; shape (cells, 2). See
             `WallRays.measure`.
@@ -123,18 +129,20 @@ class GapWalls(NamedTuple):
 
 
 class GapLines(NamedTuple):
-    """The lines that measure spaces behind gaps: one for each gap, side and depth.
+    """Lines of cells along which the width of the spaces behind gaps is measured.
 
-    All values are -1 if the gap doesn't separate two spaces.
+    Lines are parallel to their gap: one for each gap, side and depth (distance behind the gap). All
+    values are -1 if the gap doesn't separate two spaces.
 
     Attributes:
         length: the line's length, with the gap's columns, shape (gaps, 2, depths), int64 [columns].
-        opening_width: the length of the line, before (0) and after (1) the gap, that is behind
-            further openings to the same space, shape (gaps, 2, depths, 2), int64 [columns].
+        opening_width: the part of the line's length, before (0) and after (1) the gap, that lies
+            behind further openings between the same two spaces, shape (gaps, 2, depths, 2), int64
+            [columns].
         wall_cell: the ids of the line's last cells at both ends, -1 if it ends at no wall, shape
             (gaps, 2, depths, 2), int64.
-        opening_cell: the ids of the last cells of those openings at both ends, -1 if there are
-            none, or the line ends at no wall; shape (gaps, 2, depths, 2), int64.
+        opening_cell: the ids of the last cells of the further openings at both ends, -1 if there
+            are none, or the line ends at no wall; shape (gaps, 2, depths, 2), int64.
     """
 
     length: Int
@@ -150,7 +158,8 @@ class LineBehindGap(NamedTuple):
         gap: the number of the gap.
         side: the side of the gap that the line is on, `ABOVE` or `BELOW`.
         depth: the line's distance from the gap [rows].
-        lean: see `Scan.leans`, for this depth [columns].
+        lean: how far the line is shifted along the gap, because columns are not perpendicular to
+            an oblique direction, see `Scan.leans` [columns].
         space: the space on the line's side of the gap.
         opposite_space: the space on the gap's other side.
     """
@@ -164,14 +173,16 @@ class LineBehindGap(NamedTuple):
 
 
 class LineEnd(NamedTuple):
-    """How far a line behind a gap runs beyond one end of the gap.
+    """How far a line of cells behind a gap runs beyond one end of the gap.
 
     Attributes:
         length: how far the line runs in its space [columns].
-        num_openings: the number of columns behind further openings, up to where the walk ended.
-        num_passed_openings: the number of these within `length`.
+        num_openings: the number of columns in which the line runs behind a further opening to the
+            opposite space, up to where the walk along the line ended.
+        num_passed_openings: the number of such columns within `length`.
         last_cell: the id of the line's last cell, -1 if it does not end at a wall.
-        opening_cell: the id of the last cell of the openings, in the line of the gap; -1 for none.
+        opening_cell: the id of the last cell of these openings, in the line of the gap; -1 for
+            none.
     """
 
     length: int
@@ -186,17 +197,18 @@ class LineEnd(NamedTuple):
 
 @kernel(nogil=True)
 def mark_gaps(is_open, shift, is_near_wall, limits, marks):
-    """Mark the lines of gaps: short runs of open cells next to much longer runs.
+    """Mark the cells of gaps: short runs of open cells next to much longer runs.
 
-    A doorway is a stack of such runs with longer runs above and below it: all of its cells are
-    marked `DOORWAY`. If there is a longer run on one side only, the cells next to it are marked
-    `ONE_SIDED`, unless `limits.only_doorways`.
+    A run is a row of open cells along a line of the scan, from one closed cell to the next. In a
+    doorway, several short runs lie side by side, with longer runs above and below them: all of
+    their cells are marked `DOORWAY`. If the run on one side only is longer, the cells beside it are
+    marked `ONE_SIDED`, unless `limits.only_doorways`.
 
     Args:
-        is_open: the open cells, shape (rows, cols), bool.
-        shift: see `Scan`.
-        is_near_wall: cells near a wall that runs along the line, bool; a run without such a cell is
-            no gap. Changed: if one cell of a run is marked, all cells of the run are marked.
+        is_open: a mask of the open cells, shape (rows, cols), bool.
+        shift: for each column, how many rows lower a line is than in the first column.
+        is_near_wall: a mask of the cells near a wall that runs along the line, bool; a run without
+            such a cell is no gap. Changed: if one cell of a run is marked, all are marked.
         limits: a `GapLimits`.
         marks: receives the `Marks`, shape (rows, cols).
     """
@@ -223,12 +235,13 @@ def mark_gaps(is_open, shift, is_near_wall, limits, marks):
 def measure_runs(is_open, shift, marked):
     """Measure the length of the run of open cells that each cell belongs to, along the scan lines.
 
-    The first pass counts the cells of a run up to each column; the second pass copies the count of
-    the run's last cell to all its cells.
+    A run is a row of open cells along a line of the scan, from one closed cell to the next. The
+    first pass counts the cells of a run up to each column; the second pass copies the count of the
+    run's last cell to all its cells.
 
     Args:
-        is_open: the open cells, shape (rows, cols), bool.
-        shift: see `Scan`.
+        is_open: a mask of the open cells, shape (rows, cols), bool.
+        shift: for each column, how many rows lower a line is than in the first column.
         marked: any mask, bool. Changed: if one cell of a run is marked, all its cells are marked.
 
     Returns:
@@ -263,7 +276,7 @@ def measure_runs(is_open, shift, marked):
 
 @subkernel(**NO_REFCOUNT)
 def _min_longer_run(width, limits):
-    """Return the least length of a run that is much longer than one of length `width` [columns]."""
+    """Return the least length of a run of open cells that is much longer than `width` [columns]."""
     return max(limits.widening_factor * width, width + limits.min_widening)
 
 
@@ -271,7 +284,14 @@ def _min_longer_run(width, limits):
 def _find_doorway_end(run, first_row, col, limits):
     """Return the row after a doorway's last row, or `first_row` if no doorway begins there.
 
-    A doorway ends where the runs get much longer again, at most a wall's thickness away.
+    The doorway is followed down the column, row by row. It ends where the runs of open cells get
+    much longer again, at most `limits.max_thickness` rows on.
+
+    Args:
+        run: the length of the run of open cells that each cell belongs to, see `measure_runs`.
+        first_row: the row of the cell in which the doorway may begin.
+        col: the column of that cell.
+        limits: a `GapLimits`.
     """
     rows = run.shape[0]
     width = run[first_row, col]
@@ -279,7 +299,7 @@ def _find_doorway_end(run, first_row, col, limits):
         row_width = run[row, col]
         if row_width == 0 or row_width > limits.max_width:
             break
-        # If a run is clearly shorter than the first one, the doorway begins only there.
+        # If a run is clearly shorter than the first run, the doorway begins only there.
         least = row_width + limits.min_widening + JAMB_JITTER
         if max(limits.widening_factor * row_width, least) < width:
             break
@@ -290,7 +310,7 @@ def _find_doorway_end(run, first_row, col, limits):
 
 @subkernel
 def _mark_doorway(run, shift, row, col, marks):
-    """Mark all cells of the run that a cell belongs to as `DOORWAY`."""
+    """Mark all cells of the run of open cells that cell (row, col) belongs to as `DOORWAY`."""
     marks[row, col] = DOORWAY
     for step in (-1, 1):
         last_row = row
@@ -315,10 +335,11 @@ def _mark_doorway(run, shift, row, col, marks):
 def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
     """Measure the shares of gaps: a gap's width, divided by that of the space on either side.
 
-    A space is measured along lines parallel to the gap, at each of the scan's depths. A line ends
-    where the space ends, or `MAX_LINE_EXTENSION` gap widths from the gap's ends. Further openings
-    in line with the gap, between the same two spaces, are added to the gap's width; this way, a row
-    of pillars separates nothing. A space that ends before the first depth is measured at its end.
+    A space is measured along lines of cells parallel to the gap, at each of the scan's depths (the
+    distances behind the gap). A line ends where the space ends, or `MAX_LINE_EXTENSION` gap widths
+    from the gap's ends. Further openings in line with the gap, between the same two spaces, are
+    added to the gap's width; this way, a row of pillars separates nothing. A space that ends before
+    the first depth is measured at its end.
 
     The width of a gap is measured up to the walls at its ends. A line's length is counted in
     columns; it is also measured up to the walls if an error of `DECIDING_CELLS` cells could bring
@@ -332,12 +353,12 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
         walls: a `GapWalls`.
 
     Returns:
-        The lines that were measured, a `GapLines` of n gaps.
-        For each gap, its least share on either side, shape (n, 2), float64; 1 on both sides if both
-        are one space.
+        Four values. The lines that were measured, a `GapLines` of n gaps.
+        For each gap, its share of the space above and of the space below, each the least of all
+        depths, shape (n, 2), float64; 1 for both if they are one space.
         For each gap, whether it needs rays to walls that were not cast yet, shape (n,), bool.
-        Pairs (gap, space): other spaces that a gap's lines met. The gap has to be measured again
-        only if such a space is joined to one of the gap's own.
+        A list of pairs (gap, space): third spaces that a gap's lines met. The gap has to be
+        measured again only if such a space is joined to one of the gap's own two spaces.
     """
     num = len(chosen_gaps)
     num_depths = len(scan.depths)
@@ -407,9 +428,19 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
 
 @subkernel(**NO_REFCOUNT)
 def _limit_depth(scan, gaps, gap, side, number):
-    """Return the depth and the lean of one of a gap's lines.
+    """Return how far behind a gap a line measures the space there, and how far it is shifted.
 
-    The first depth is reduced if the space, seen from the middle of the gap, ends before it.
+    The distance is the scan's depth, unless the space, seen from the middle of the gap, ends before
+    the first depth: then that is reduced to the space's end.
+
+    Args:
+        scan, gaps: see `measure_gaps`.
+        gap: the gap's number.
+        side: the side of the gap, `ABOVE` or `BELOW`.
+        number: the index of the depth in `Scan.depths`.
+
+    Returns:
+        The depth [rows] and the lean [columns], see `LineBehindGap`.
     """
     depth = scan.depths[number]
     lean = scan.leans[number]
@@ -437,9 +468,15 @@ def _limit_depth(scan, gaps, gap, side, number):
 
 @subkernel(**NO_REFCOUNT)
 def _distance_to_wall(coded_distance, cell, end, max_distance):
-    """Return the distance of a cell's centre from the wall [columns].
+    """Return the distance of a cell's centre from the wall at one end of a line [columns].
 
-    It is half a column if there is no cell (-1), no wall, or none within `max_distance`.
+    It is half a column if there is no cell (-1), no wall, or no wall within `max_distance`.
+
+    Args:
+        coded_distance: see `GapWalls`.
+        cell: id of the cell, or -1.
+        end: the line's end, `FIRST_END` (the ray goes backward) or `LAST_END` (forward).
+        max_distance: a wall that is farther away does not count [columns].
     """
     if cell < 0 or not 1.0 <= coded_distance[cell, end] <= max_distance + 1.0:
         return 0.5
@@ -448,10 +485,18 @@ def _distance_to_wall(coded_distance, cell, end, max_distance):
 
 @subkernel
 def _measure_line(scan, gaps, line, space_of, met_spaces, lines, entry, number):
-    """Measure a `LineBehindGap`, and write the results to an entry of `lines` and to `met_spaces`.
+    """Measure how far a line behind a gap runs in its space, in both directions.
 
     A line may be longer if the gap is part of a wider opening; so the openings next to the gap are
     counted first.
+
+    Args:
+        scan, gaps, space_of: see `measure_gaps`.
+        line: a `LineBehindGap`.
+        met_spaces: receives (gap, space) for each third space that the line meets.
+        lines: a `GapLines` that receives the results.
+        entry: the gap's index in `lines`.
+        number: the index of the line's depth.
     """
     gap_width = gaps.last_col[line.gap] - gaps.first_col[line.gap] + 1
     opening_width = gap_width
@@ -473,7 +518,7 @@ def _measure_line(scan, gaps, line, space_of, met_spaces, lines, entry, number):
 
 @subkernel
 def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, met_spaces):
-    """Walk along a line from one end of its gap away from it, and return a `LineEnd`.
+    """Follow a line behind a gap from one end of the gap away from it, and return a `LineEnd`.
 
     Args:
         scan, gaps: see `measure_gaps`.
@@ -483,7 +528,7 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
             [columns].
         only_openings: whether the walk ends where the openings next to the gap end.
         space_of: see `measure_gaps`.
-        met_spaces: receives (gap, space) for each other space that the line meets.
+        met_spaces: receives (gap, space) for each third space that the line meets.
     """
     rows, cols = scan.label.shape
     shift = scan.shift
@@ -520,7 +565,7 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
         line_row = line_start + shift[line_col] - shift[start]
         if not 0 <= line_row < rows or not scan.is_open[line_row, line_col]:
             if num_steps == 0:
-                continue  # there is wall beside the gap's end
+                continue  # there is a wall beside the gap's end
             if last_cell >= 0:
                 length = num_steps - 1
                 num_passed_openings = num_openings
@@ -563,9 +608,17 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
 
 @subkernel(**NO_REFCOUNT)
 def _is_passage(is_open, gap_col, top, bottom, mirror_row, mirror_col):
-    """Return whether a column is open in all rows of a gap, and the mirrored cell is open, too.
+    """Return whether a further opening, in line with a gap, is in a column.
 
-    All rows are tested, because a thin oblique wall may be in any of them.
+    The column has to be open in all rows of the gap, because a thin oblique wall may be in any of
+    them. The cell behind it, on the opposite side of the gap from the line, has to be open, too.
+
+    Args:
+        is_open: the open cells, shape (rows, cols).
+        gap_col: the column.
+        top: the first row of the gap, in this column.
+        bottom: the last row of the gap, in this column.
+        mirror_row, mirror_col: the cell on the opposite side.
     """
     rows = is_open.shape[0]
     if top < 0 or bottom >= rows or not 0 <= mirror_row < rows:
@@ -578,7 +631,10 @@ def _is_passage(is_open, gap_col, top, bottom, mirror_row, mirror_col):
 
 @subkernel
 def _record_met_space(met_spaces, gap, space):
-    """Append (gap, space) to `met_spaces` unless it is there; the gap's pairs are the last ones."""
+    """Append the pair (gap, space) to `met_spaces` unless it is among the pairs of that gap.
+
+    The pairs of a gap follow each other, so that those of the last gap are at the end.
+    """
     for n in range(len(met_spaces) - 1, 0, -1):
         if met_spaces[n][0] != gap:
             break
@@ -594,16 +650,17 @@ def _record_met_space(met_spaces, gap, space):
 def mark_sills(is_low, is_wall, shift, is_sill):
     """Mark sills: chains of low cells along lines, from one wall to another wall.
 
-    A chain is exactly on its line; or it stays within one cell of the line, if no wall is beside it
-    and the line itself meets walls at both ends. So chains follow thin sills that alternate between
-    two lines of cells, but not furniture along a wall. One scan finds chains that begin at a wall
-    on the left, another one those that begin at a wall on the right; cells of both are sills.
+    A chain lies exactly on its line; or it stays within one cell of the line, if no wall is beside
+    it and the line itself meets walls at both ends. So chains follow thin sills that alternate
+    between two lines of cells, but not furniture along a wall. One scan finds the chains that begin
+    at a wall on the left, a second scan those that begin at a wall on the right. Sills are the
+    cells that both scans find.
 
     Args:
-        is_low: cells that are only blocked below an agent's head, shape (rows, cols), bool.
+        is_low: cells that are blocked, but not as high as by a wall, shape (rows, cols), bool.
         is_wall: cells of walls, shape (rows, cols), bool.
-        shift: see `Scan`.
-        is_sill: receives the cells of sills, shape (rows, cols), bool.
+        shift: for each column, how many rows lower a line is than in the first column.
+        is_sill: receives a mask of the cells of sills, shape (rows, cols), bool.
     """
     rows, cols = is_low.shape
     is_low = is_low.T
@@ -643,15 +700,15 @@ def mark_sills(is_low, is_wall, shift, is_sill):
 
 @subkernel(**NO_REFCOUNT)
 def _extend_chains(is_low, is_wall, to_next, is_next_wall, next_chains, chains):
-    """Extend chains of low cells from a neighbouring column into a column.
+    """Extend chains of low cells, which may be sills, from a neighbouring column into a column.
 
     Args:
         is_low: the column's low cells.
         is_wall: the column's cells of walls.
         to_next: how many rows lower the lines are in the neighbouring column.
         is_next_wall: the neighbouring column's cells of walls.
-        next_chains: its bits, see `EXACT_CHAIN`.
-        chains: receives the bits of the column.
+        next_chains: the bits of the neighbouring column's cells, see `EXACT_CHAIN`.
+        chains: receives the bits of the column's cells.
     """
     rows = is_low.shape[0]
     for row in range(max(0, -to_next), min(rows, rows - to_next)):
@@ -683,8 +740,8 @@ def sweep_distances(target, reach, along, squared, first, end):
     Args:
         target: the target cells, bool.
         reach: the largest distance that is measured; larger ones become ``reach + 1`` [cells].
-        along: distances to the target within a column, int16. The first call writes the columns
-            ``range(first, end)``; the second call reads all.
+        along: the distance of each cell to the nearest target in its column, int16. The first call
+            writes the columns ``range(first, end)``; the second call reads all.
         squared: receives the squared distances of the rows ``range(first, end)``, int32; empty in
             the first call.
         first: the first column; in the second call, the first row.
@@ -698,7 +755,7 @@ def sweep_distances(target, reach, along, squared, first, end):
 
 @subkernel
 def _sweep_columns(target, beyond, along):
-    """Write the distance to the nearest target above or below each cell, at most `beyond`."""
+    """Write each cell's distance to the nearest target in its column to `along`, up to `beyond`."""
     rows, cols = target.shape  # of some columns: loops from 0 vectorize
     for col in range(cols):
         along[0, col] = 0 if target[0, col] else beyond
@@ -713,7 +770,11 @@ def _sweep_columns(target, beyond, along):
 
 @subkernel
 def _sweep_rows(along, reach, squared, first, end):
-    """Write the least sum of two squares: the distance within a column, and that to the column."""
+    """Write to rows of `squared` the squared distance from each cell to the nearest target.
+
+    It is the least sum of two squares over all columns within `reach`: of the distance to a column,
+    and of the distance to the nearest target within that column.
+    """
     cols = along.shape[1]
     beyond = np.int32((reach + 1) ** 2)
     squares = np.empty(cols + 2 * reach, np.int32)

@@ -6,14 +6,14 @@ This module imports nothing.
 
 # ------------------------------------------------------------ finding: which lines can be gaps
 
-# The widest gap that separates two rooms, unless `rooms.door_width` is set: a wider one connects
+# The widest gap that separates two rooms, unless `rooms.door_width` is set: a wider gap connects
 # two parts of one room [m]
 MAX_GAP_WIDTH = 2.5
 # A long passage is a room of its own if its mouth is at most this wide, unless `rooms.door_width`
 # is set [m]
 MAX_PASSAGE_WIDTH = 3.2
-# The widest opening in a wall that is marked. One that is wider than MAX_GAP_WIDTH separates no
-# rooms; but gaps at other walls end at its marked line [m]
+# The widest opening in a wall that is marked as a gap. An opening that is wider than MAX_GAP_WIDTH
+# separates no rooms; but gaps at other walls end at its line [m]
 MAX_OPENING_WIDTH = 4.0
 # The space beside a gap is wider than the gap by at least this factor, and by at least this length:
 # the cells of an oblique wall are uneven by one or two cells [m]
@@ -21,10 +21,11 @@ WIDENING_FACTOR = 1.15
 MIN_WIDENING = 0.2
 # The largest thickness of a wall at a doorway [m]
 MAX_WALL_THICKNESS = 0.6
-# The lines across one doorway differ in length by at most this: the cells of oblique jambs are
-# uneven [columns]
+# The lines of cells across a doorway, from jamb to jamb, differ in length by at most this: the
+# cells of oblique jambs are uneven [columns]
 JAMB_JITTER = 2.0
-# A gap continues in the next column if its middle there is at most this far from its line [lines]
+# A gap continues in the next column if its middle there is at most this many lines of cells from
+# the line of its middle here
 MAX_LINE_DRIFT = 2
 # A smaller space becomes part of the gaps around it: parallel lines of gaps at oblique walls leave
 # single cells between them [m²]
@@ -35,12 +36,12 @@ MIN_SPACE_AREA = 0.1
 # The width of a space is measured at these distances behind the gap, and the largest width counts:
 # behind a doorway's frame, and before the next wall [m]
 MEASURING_DEPTHS = (0.1, 0.25, 0.45)
-# The longest measured line beyond each end of the gap [widths of the gap]
+# How far a line that measures a space goes on beyond each end of the gap [widths of the gap]
 MAX_LINE_EXTENSION = 2
 # A wall that is farther from the centre of a line's last cell is ignored: the line ends at
 # something else, half a column from that centre [columns]
 MAX_WALL_DISTANCE = 4.0
-# The same limit for the last cells of doorways, if it is larger: their jambs may be oblique [m]
+# The same limit at the ends of doorways, if it is larger: their jambs may be oblique [m]
 MAX_JAMB_DISTANCE = 0.6
 
 # ------------------------------------------------------------ joining: which spaces are one

@@ -1,15 +1,18 @@
 """Divides the floor of a level into spaces at gaps, for example at doorways.
 
-A *gap* is a place where the open floor is much narrower than on both sides of it. The steps:
+A *gap* is a narrow place between two *spaces*: the open floor is much wider beside it. The steps:
 
-1. `find_directions` (in `walls.py`) finds the directions in which walls run. For each, the lattice
-   is scanned along lines of cells, see `gap_kernels.py`; steps 2 and 4 are done per direction.
-2. `_mark_lines` marks the lines of gaps: short runs of open cells next to much longer ones.
-3. `_label_spaces` labels the *spaces*: connected open cells that are not marked.
+1. `find_directions` (in `walls.py`) finds the directions in which walls run. For each direction,
+   the lattice is scanned along parallel lines of cells, see `gap_kernels.py`; steps 2 and 4 are
+   done for each direction.
+2. `_mark_lines` marks the cells of gaps: open cells in a line from wall to wall that is much
+   shorter than the line next to it.
+3. `_label_spaces` labels the spaces: connected open cells that are not marked.
 4. `_list_gaps` combines marked cells in neighbouring columns between the same two spaces to a gap.
-5. `SpaceMerger.measure` measures a gap's *shares*: its width divided by that of either space.
-6. `SpaceMerger.join_spaces` joins the two spaces of a gap whose share is too large, or which is too
-   wide for a door.
+5. `SpaceMerger.measure` measures a gap's two *shares*: the gap's width, divided by the width of the
+   space on either side.
+6. `SpaceMerger.join_spaces` joins the two spaces of a gap if its share is too large, or if it is
+   too wide for a door.
 
 The limits of all steps are in `gap_limits.py`.
 """
@@ -62,10 +65,12 @@ from navbake.types import Bool, Int, Int32
 
 
 class CloseCall(NamedTuple):
-    """A gap whose share is close to the limit between separating two spaces and joining them.
+    """A gap that nearly joined the two spaces beside it, or nearly separated them.
+
+    Its width, divided by that of the narrower space, is close to the limit.
 
     Attributes:
-        cell: row and column of the gap's middle, may be fractions.
+        cell: row and column of the gap's middle, with fractions.
         width: the gap's width [m].
         separates: whether the gap separates the two spaces.
     """
@@ -81,7 +86,7 @@ class DirectionGaps(NamedTuple):
     Attributes:
         direction: the direction.
         scan: the lattice as it is scanned in this direction.
-        gaps: the gaps of the scan.
+        gaps: the gaps that the scan finds.
     """
 
     direction: WallDirection
@@ -123,8 +128,8 @@ def find_gaps(
         door_width: the widest gap that separates two spaces [m]; None for the limits of
             `gap_limits.py`.
         rays: rays to the geometry of walls; None to find the walls' directions from cells.
-        closed: cells of closed door leaves, which are in no space and no gap; lines end at them.
-            None for none.
+        closed: cells of closed door leaves. They are in no space and no gap, and gaps end at them
+            as at walls. None for no leaves.
 
     Returns:
         The gaps and the spaces.
@@ -159,15 +164,24 @@ def _mark_lines(
     cell_size: float,
     door_width: float | None,
 ) -> tuple[list[Marks], Bool]:
-    """Mark the lines of gaps in each direction.
+    """Mark the cells of gaps: lines of open cells between walls, beside which the floor is wider.
 
-    Lines of doorways, where the space widens on both sides, are marked first. Then they count as
-    closed, so that other lines end at them: a line across a corridor does not go through a door,
-    and a line that continues a wall ends at the line of a wide opening.
+    The lines of doorways, beside which the floor is wider on both sides, are marked first. Then
+    they count as closed, so that other lines end at them: a line across a corridor does not go on
+    through a door, and a line that continues a wall ends at a wide opening beside it.
+
+    Args:
+        space: cells that a gap may go across: open cells, and holes in the floor, shape (height,
+            width).
+        closed: cells of closed door leaves, at which lines end.
+        directions: the directions of walls, in which lines run.
+        cell_size: the side of a cell, > 0 [m].
+        door_width: the widest gap that separates two spaces [m]; None for the limits of
+            `gap_limits.py`.
 
     Returns:
-        The marks of each direction, in its scan order.
-        Whether a cell is closed or marked in any direction, shape (height, width).
+        The `Marks` of each direction, in its scan order; and a mask of the cells that are closed,
+        or marked in any direction, shape (height, width).
     """
     marks = [
         np.zeros_like(to_scan_order(space, direction), dtype=np.uint8) for direction in directions
@@ -209,9 +223,13 @@ def _mark_lines(
 
 
 def _label_spaces(open_cells: Bool, is_marked: Bool, cell_size: float) -> tuple[Int32, Int]:
-    """Label the connected open cells that are not marked, and count the cells of each label.
+    """Label the spaces: connected open cells that are not marked as cells of gaps.
 
-    Areas smaller than `MIN_SPACE_AREA` get no label; their cells are added to `is_marked`.
+    Areas smaller than `MIN_SPACE_AREA` are no spaces; their cells are added to `is_marked`.
+
+    Returns:
+        The label of each cell's space, from 1, 0 for none, shape (height, width); and the number of
+        cells of each label, 0 for label 0.
     """
     label, count = label_components_2d(open_cells & ~is_marked)
     num_cells = count_cells_by_label(label, count + 1)
@@ -226,14 +244,16 @@ def _label_spaces(open_cells: Bool, is_marked: Bool, cell_size: float) -> tuple[
 
 
 class _Crossings(NamedTuple):
-    """Runs of marked cells in columns of a scan between two different spaces, as parallel arrays.
+    """Where a column of a scan crosses a gap, as parallel arrays of n crossings, shape (n,).
+
+    The column has consecutive marked cells there, with two different spaces above and below them.
 
     Attributes:
         col: the column.
-        top: the first marked row.
-        bottom: the last marked row.
-        label_above: the label of the space above.
-        label_below: the label of the space below.
+        top: the row of the first marked cell.
+        bottom: the row of the last marked cell.
+        label_above: the label of the space above, in the row before `top`.
+        label_below: the label of the space below, in the row after `bottom`.
         mark: the greatest mark of the cells, see `Marks`.
     """
 
@@ -250,7 +270,8 @@ def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
 
     Args:
         scan: the lattice as it is scanned in one direction.
-        is_marked: the cells that are marked in any direction, in this scan's order.
+        is_marked: a mask of the cells that are closed, or marked in any direction, in this scan's
+            order.
         marks: the marks of this direction.
     """
     crossings = _list_crossings(scan, is_marked, marks)
@@ -274,9 +295,15 @@ def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
 
 
 def _list_crossings(scan: Scan, is_marked: Bool, marks: Marks) -> _Crossings:
-    """List where a column of a scan has marked cells between two different spaces.
+    """List where columns of a scan have marked cells between two different spaces.
 
-    At least one of the cells is marked in this direction, and none is closed.
+    At least one of the cells is marked in the scan's direction, and none is closed.
+
+    Args:
+        scan: the lattice as it is scanned in one direction.
+        is_marked: a mask of the cells that are closed, or marked in any direction, in this scan's
+            order.
+        marks: the marks of this direction.
     """
     label = scan.label
     col, top, end, _ = find_row_runs(is_marked.T)
@@ -300,9 +327,13 @@ def _list_crossings(scan: Scan, is_marked: Bool, marks: Marks) -> _Crossings:
 
 
 def _find_previous(crossings: _Crossings, scan: Scan) -> Int:
-    """Find for each crossing the one in the previous column that it continues; -1 if there is none.
+    """Find for each crossing the crossing in the previous column that belongs to the same gap.
 
-    That one is between the same spaces, and on a near line; of several, the first counts.
+    It lies between the same two spaces, and at most `MAX_LINE_DRIFT` rows off the line of cells
+    through this crossing. If there are several, the first counts.
+
+    Returns:
+        The index of the crossing in the previous column, -1 if there is none, shape (n,).
     """
     num_labels = scan.label.max(initial=0) + 1
     num_cols = scan.label.shape[1]
@@ -328,12 +359,13 @@ def _find_previous(crossings: _Crossings, scan: Scan) -> Int:
 class SpaceMerger:
     """Joins the spaces on both sides of gaps, pair by pair.
 
-    Measuring a gap casts lines, which may run into further spaces. After a join, a gap is measured
-    again only if one of its own two spaces was joined to such a further space.
+    The spaces beside a gap are measured along lines of cells parallel to it. Such a line may end at
+    a third space. After a join, a gap is measured again only if one of its own two spaces was
+    joined to such a third space.
 
     Attributes:
-        space_of: label -> the space that it belongs to after the joins so far: the least label of
-            all that were joined to it, int32.
+        space_of: label -> the space that it belongs to after the joins so far: the least of all
+            labels that belong to that space, int32.
     """
 
     def __init__(
@@ -348,9 +380,10 @@ class SpaceMerger:
         Args:
             separated: the gaps, and the spaces that they separate.
             cell_size: the side of a cell, > 0 [m].
-            door_width: the widest gap that separates two spaces [m], see `find_gaps`.
-            rays: rays to the geometry of walls; None if walls begin half a column from the centres
-                of the last open cells.
+            door_width: the widest gap that separates two spaces [m]; None for the limits of
+                `gap_limits.py`.
+            rays: rays to the geometry of walls, up to which widths are measured. If None, a wall is
+                taken to begin half a column from the centre of the last open cell.
         """
         self._directions = separated.directions
         self._cell_size = cell_size
@@ -381,7 +414,7 @@ class SpaceMerger:
             self._labels[numbers, 1] = gaps.label_below
         # Each gap's width, divided by that of the space above and below
         self._shares = np.ones((num_gaps, 2))
-        # The share that decided about each gap, NaN if none has
+        # The share by which each gap was decided, see `_find_deciding_share`; NaN if by none
         self._deciding_share = np.full(num_gaps, np.nan)
         # For each space, the gaps beside it, and other gaps whose lines met it
         self._gaps_at: list[set[int]] = [set() for _ in separated.num_cells]
@@ -392,10 +425,11 @@ class SpaceMerger:
         self.measure(np.arange(num_gaps))
 
     def join_spaces(self) -> None:
-        """Join spaces until all gaps left separate two spaces.
+        """Join the spaces on both sides of all gaps that are too wide to separate rooms.
 
-        First come gaps with a large share of both spaces, then gaps with a large share of the
-        narrower one. This way, a gap across a room next to a doorway is decided before the doorway.
+        First come the gaps that are nearly as wide as the wider of their two spaces (and so as
+        both), then those that are nearly as wide as the narrower one, or too wide for a door. This
+        way, a gap across a room next to a doorway is decided before the doorway.
         """
         for by_wider in (True, False):
             queue = list[tuple[tuple[bool, float], int]]()
@@ -416,13 +450,13 @@ class SpaceMerger:
                         heapq.heappush(queue, (new_priority, measured_gap))
 
     def _find_priority(self, gap: int, by_wider: bool) -> tuple[bool, float] | None:
-        """Return the priority of joining the spaces of a gap, lowest first; None not to join them.
+        """Return when the spaces of a gap are joined, lowest first; None if they stay apart.
 
         Args:
             gap: the gap's number.
-            by_wider: whether the share of the wider space decides. Then larger shares come first,
-                and doorways last. Otherwise the share of the narrower space decides, and wider gaps
-                come first.
+            by_wider: whether the gap's width is compared with the width of the wider space beside
+                it. Then gaps with a larger share of that width come first, and doorways last. If
+                False, it is compared with that of the narrower space, and wider gaps come first.
         """
         if by_wider:
             share = min(self._shares[gap].tolist())
@@ -434,11 +468,14 @@ class SpaceMerger:
         return False, -float(self._width[gap])
 
     def _find_deciding_share(self, gap: int) -> float:
-        """Return the share that decides whether the spaces of a gap are joined.
+        """Return the number from 0 to 1 that decides whether the spaces of a gap are joined.
 
-        It is 0, which joins nothing, at the mouth of a long passage into a wider space; 1, which
-        joins, for a gap that is too wide for a door; else the gap's share of the narrower space,
-        which is recorded for `list_close_calls`.
+        It is usually the gap's width, divided by the width of the narrower space beside it; then it
+        is recorded for `list_close_calls`. It is 0, which joins nothing, at the mouth of a long
+        passage into a wider space; and 1, which joins, for a gap that is too wide for a door.
+
+        Args:
+            gap: the gap's number.
         """
         above, below = self._shares[gap].tolist()
         passage = self.space_of[self._labels[gap, 0 if above >= below else 1]]
@@ -454,7 +491,7 @@ class SpaceMerger:
         return share
 
     def list_close_calls(self) -> list[CloseCall]:
-        """List the gaps between two large spaces whose share was close to the limit."""
+        """List the gaps between two large spaces that nearly joined, or nearly separated, them."""
         is_close = np.abs(self._deciding_share - JOIN_SHARE_OF_NARROWER) <= CLOSE_SHARE
         is_close &= self._width * self._cell_size >= MIN_CLOSE_WIDTH
         calls = []
@@ -472,7 +509,7 @@ class SpaceMerger:
         return calls
 
     def _middle_of(self, gap: int) -> tuple[float, float]:
-        """Return row and column of a gap's middle, may be fractions."""
+        """Return the row and the column of a gap's middle, with fractions."""
         number = int(self._direction_of[gap])
         direction, _, gaps = self._directions[number]
         k = gap - int(self._first_gap[number])
@@ -490,7 +527,7 @@ class SpaceMerger:
         return bool(self.space_of[above] != self.space_of[below])
 
     def measure(self, gaps: Int) -> None:
-        """Measure the shares of gaps.
+        """Measure which share of the width of the spaces beside it each gap takes.
 
         Args:
             gaps: the numbers of the gaps, (n,).
@@ -527,8 +564,8 @@ class SpaceMerger:
             gap: the gap's number.
 
         Returns:
-            The numbers of the gaps that were measured again: they are beside one of the two spaces,
-            and their lines had met the other one.
+            The numbers of the gaps that were measured again. They are beside one of the two spaces,
+            and the lines that measured them had met the other.
         """
         above, below = self.space_of[self._labels[gap]].tolist()
         changed = self._gaps_at[above] & self._gaps_meeting[below]
@@ -552,8 +589,14 @@ def _find_gap_walls(
 ) -> GapWalls:
     """Find how far walls are from the first and last cells of a direction's gaps.
 
-    A gap has no wall at an end where the opening continues between two other spaces. Without a wall
-    or rays, or if the wall is too far away, a gap ends half a column from its last cell's centre.
+    A gap has no wall at an end where the opening continues between two other spaces. There, or if
+    the wall is too far away, or without rays, the gap ends half a column from the centre of its
+    last cell.
+
+    Args:
+        direction_gaps: the gaps of a direction.
+        cell_size: the side of a cell, > 0 [m].
+        rays: rays to the geometry of walls; None to measure nothing.
     """
     direction, scan, gaps = direction_gaps
     shift = scan.shift

@@ -1,4 +1,7 @@
-"""Finds the closed door leaves that separate the spaces on their two sides."""
+"""Finds the closed door leaves that separate the spaces on their two sides.
+
+A space is a connected part of a level's open floor without the cells of closed leaves.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,8 @@ class ClosedLeaf:
 
     Attributes:
         cells: for each level, the ids of the cells that the leaf blocks, ascending.
-        lines: the cells along lines from its sides and ends; None if it has no finite geometry.
+        lines: the cells along lines from the leaf's sides and ends; None if the leaf has no finite
+            geometry.
     """
 
     cells: Sequence[Int]
@@ -49,10 +53,11 @@ class LeafMarks(NamedTuple):
     """The cells of a level's closed leaves.
 
     Attributes:
-        separating: a mask of the open cells of leaves that separate two spaces, and of these
-            leaves' frames and of small pockets between leaves, shape (height, width).
+        separating: a mask of the open cells of leaves that separate two spaces, of these leaves'
+            frames, and of small pockets between leaves, shape (height, width).
         not_separating: a mask of the open cells of all other leaves.
-        cells_beyond: the ids of cells in the spaces on both sides of separating leaves.
+        cells_beyond: ids of cells in the spaces on both sides of separating leaves: the first cell
+            beyond the leaf on each line of sight.
     """
 
     separating: Bool
@@ -63,7 +68,7 @@ class LeafMarks(NamedTuple):
 def mark_leaves(
     level: LevelFlags, number: int, closed_leaves: Sequence[ClosedLeaf], cell_size: float
 ) -> LeafMarks | None:
-    """Find which closed leaves separate two spaces of a level.
+    """Find which closed leaves separate two spaces of a level, and mark the cells of all leaves.
 
     At first, all leaves are closed: the two leaves of a double door only separate spaces together.
     Leaves that separate nothing are removed, and the rest is tested again, until all remaining
@@ -72,7 +77,7 @@ def mark_leaves(
     Args:
         level: the flags of the level's cells.
         number: the level's number.
-        closed_leaves: all leaves of the scene.
+        closed_leaves: all door leaves of the scene, in their closed state.
         cell_size: the side of a cell, > 0 [m].
 
     Returns:
@@ -102,7 +107,7 @@ def mark_leaves(
 
 
 def _mark_cells(level: LevelFlags, number: int, leaves: Sequence[ClosedLeaf]) -> Bool:
-    """Mark the open cells of leaves on a level."""
+    """Mark the open cells that leaves block on level `number`, shape (height, width)."""
     mask = np.zeros(level.is_open.shape, dtype=np.bool_)
     for leaf in leaves:
         mask.ravel()[leaf.cells[number]] = True
@@ -111,9 +116,10 @@ def _mark_cells(level: LevelFlags, number: int, leaves: Sequence[ClosedLeaf]) ->
 
 
 def _mark_frames(level: LevelFlags, leaf_cells: Bool, ends: Int) -> Bool:
-    """Mark occupied open cells in line with leaves, from their ends on: frames and sidelights.
+    """Mark the frames and sidelights that continue leaves at their ends.
 
-    Cells of such structure are open if it is too short to be a wall.
+    These are the open cells that structure occupies, from a leaf's end on along its line, up to the
+    first other cell. (Structure that is too short to be a wall leaves its cells open.)
 
     Args:
         level: the flags of the level's cells.
@@ -129,7 +135,13 @@ def _mark_frames(level: LevelFlags, leaf_cells: Bool, ends: Int) -> Bool:
 
 
 def _window_near(cells: Int, shape: tuple[int, ...], cell_size: float) -> tuple[slice, slice]:
-    """Return the rows and columns within `DETOUR_REACH` of a leaf's cells."""
+    """Return the rows and columns within `DETOUR_REACH` of a leaf's cells, cropped to the lattice.
+
+    Args:
+        cells: ids of the leaf's cells, shape (n,), at least one.
+        shape: of the lattice, (height, width).
+        cell_size: the side of a cell, > 0 [m].
+    """
     margin = math.ceil(DETOUR_REACH / cell_size)
     rows, cols = np.divmod(cells, shape[1])
     return (
@@ -139,7 +151,7 @@ def _window_near(cells: Int, shape: tuple[int, ...], cell_size: float) -> tuple[
 
 
 class _SpacesBetweenLeaves:
-    """The connected open cells of a level without the cells of closed leaves.
+    """The spaces of a level: its connected open cells without the cells of closed leaves.
 
     Attributes:
         barrier: the open cells of leaves and their frames, shape (height, width); small pockets
@@ -170,9 +182,10 @@ class _SpacesBetweenLeaves:
         self._is_pocket[0] = False
 
     def find_cells_beyond(self, sight: Int) -> Int:
-        """Find the first cell outside the barrier on each line of sight.
+        """Find the first open cell beyond the barrier on each line of sight, before any wall.
 
-        Pockets, areas too small for a space, are added to the barrier; lines continue behind them.
+        A pocket (an area that is too small for a space) on a line is added to the barrier, and the
+        line continues behind it.
 
         Args:
             sight: `LeafLines.sight` of each leaf, shape (leaves, 2, lines, steps).
@@ -197,10 +210,15 @@ class _SpacesBetweenLeaves:
             self._label[in_pocket] = 0
 
     def find_separating(self, beyond: Int, windows: Sequence[tuple[slice, slice]]) -> Bool:
-        """Mark the leaves that separate the spaces on their sides, at least near the leaf.
+        """Mark the leaves that have different spaces on their two sides.
+
+        The space of a side is the one that most of its lines of sight reach. If it is the same
+        space on both sides, the leaf still separates it if the two sides are not connected within
+        the rows and columns near the leaf.
 
         Args:
-            beyond: see `find_cells_beyond`, shape (leaves, 2, lines).
+            beyond: the first cell beyond the barrier on each line of sight, see
+                `find_cells_beyond`, shape (leaves, 2, lines).
             windows: the rows and columns near each leaf.
 
         Returns:
@@ -249,7 +267,8 @@ def _find_majority_label(label: Int32) -> Int32:
     """Find the most common label among the lines of each side; on a tie, the first line's.
 
     Args:
-        label: 0 for none, shape (leaves, 2, lines).
+        label: the label of the space that each line of sight reaches, 0 for none, shape (leaves, 2,
+            lines).
 
     Returns:
         The label, 0 where no line has one, shape (leaves, 2).

@@ -1,4 +1,4 @@
-"""Rooms: the room of each cell, the openings between rooms, and the table of rooms."""
+"""Finds the room of each cell and the openings between rooms, and makes the table of rooms."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
 
 RoomIndex = NDArray[np.uint16]
-"""The room of each cell of a level, shape (height, width) of the whole lattice, 0 for none."""
+"""The index of each cell's room on a level, from 1, 0 for none; shape (height, width) of the whole
+lattice."""
 RoomKey = tuple[int, int]
 """The number of a room's level, and the room's index on that level."""
 RoomIds = tuple[str | None, str | None]
@@ -54,7 +55,7 @@ MAX_ROOMS = np.iinfo(np.uint16).max
 ID_LIKE = re.compile(r"\d+:\d+")
 # Heights are summed in whole micrometres, so that the order of cells makes no difference
 MICROMETRES = 1e6  # in a metre
-# Two indices of rooms make one number to sort by: the first times this, and the second
+# Two indices of rooms become one number to sort by: the first times this, plus the second
 PAIR_BASE = 1 << 16
 
 
@@ -83,7 +84,8 @@ class Rooms:
         openings: the openings between rooms of a level.
         links: pairs of rooms on different levels that a step joins.
         lattice: the whole lattice.
-        open_cells: for each level, a mask of the cells that may be in a room, see `LevelFlags`.
+        open_cells: for each level, a mask of the cells that may be in a room, shape (height,
+            width), see `LevelFlags.is_open`.
         warnings: warnings for the user, one line each.
     """
 
@@ -99,8 +101,8 @@ class Rooms:
         """Return the id of a room.
 
         Args:
-            level: the number of its level.
-            index: its index on the level.
+            level: the number of the room's level.
+            index: the room's index on that level, from 1.
 
         Returns:
             The id, None if there is no such room.
@@ -112,11 +114,14 @@ class Rooms:
         return {(room.level, room.index): room.id for room in self.table}
 
     def with_neighbours(self, doors: Mapping[str, tuple[RoomIds, Sequence[Int]]]) -> Rooms:
-        """Return these rooms with neighbours in their table: by openings, links and doors.
+        """Return a copy of the rooms whose table lists the neighbours of each room.
+
+        Neighbours are joined by an opening on one level, or by a step between two levels. An
+        opening that has doors makes one neighbour for each of its doors.
 
         Args:
-            doors: id of a door -> the ids of the rooms that it joins; and, for each level, the
-                cells that it blocks when it is closed.
+            doors: id of a door -> the ids of the rooms that it joins; and, for each level, the ids
+                of the cells that it blocks when it is closed.
         """
         doors_of = match_doors(self.openings, doors, self._ids, self.lattice)
         # Sets of (room, kind, door), see `Neighbour`; "" for no door, because None doesn't sort
@@ -147,11 +152,12 @@ class Rooms:
 
 
 class NamedRoom(NamedTuple):
-    """The name of a room, its source, and whether it is outdoors.
+    """The name of a room, where the room comes from, and whether it is outdoors.
 
     Attributes:
         name: the name, None for a room without a name.
-        source: ``geoms``, ``sites``, ``polygons`` or ``auto``.
+        source: what marks the room: ``geoms``, ``sites`` or ``polygons``; or ``auto`` if it was
+            found automatically.
         outdoors: whether it is outdoors.
     """
 
@@ -168,19 +174,21 @@ def find_rooms(
 ) -> Rooms:
     """Find the room that each cell belongs to.
 
-    The first source that has a room for a cell decides; for ``auto`` see `assign_unmarked`. Cells
-    without a floor, or in a wall or a window, belong to none. On each level, rooms are numbered by
-    their first cells in reading order: from large y to small, from small x to large. A room over
-    several levels is one room on each.
+    The sources of the settings are tried in their order, and the first that has a room for a cell
+    decides. The source ``auto`` divides what the others leave over, see `assign_unmarked`. Cells
+    without a floor, or in a wall or a window, belong to no room. On each level, rooms are numbered
+    by their first cells in reading order: from large y to small, from small x to large. A room
+    that a geom, site or polygon marks on several levels is a separate room on each of them.
 
-    The source ``auto`` lets no room continue through a closed leaf that separates two spaces; two
-    rooms meet in its cells. The space behind such a leaf is a room whatever its size.
+    A closed door leaf that parts the floor separates rooms of the source ``auto``: they meet in the
+    leaf's cells. The floor behind such a leaf is a room whatever its size.
 
     Args:
         flags: all that rooms depend on besides the other arguments.
         settings: sources and limits.
-        max_step: the highest step over which two rooms of a level open to each other [m].
-        closed_leaves: all leaves of the scene.
+        max_step: the agent's highest step [m]; where floors of two rooms differ by more, there is
+            no opening between them.
+        closed_leaves: all door leaves of the scene, in their closed state.
 
     Returns:
         The rooms, without neighbours in their table.
@@ -222,7 +230,12 @@ def find_rooms(
 
 
 def _find_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
-    """Find the pairs of rooms on different levels that a step joins."""
+    """Return the pairs of rooms on different levels that a step joins, each pair once, sorted.
+
+    Args:
+        index: for each level, the index of each cell's room.
+        links: steps between cells, see `Floors.links`, shape (n, 4).
+    """
     pairs = set[tuple[RoomKey, RoomKey]]()
     to_another_level = links[links[:, 0] != links[:, 2]]
     for first_level, first_cell, second_level, second_cell in to_another_level.tolist():
@@ -237,7 +250,8 @@ class _RoomAssignment:
     """Assigns cells to rooms, source by source; the first source with a room for a cell decides.
 
     Attributes:
-        owner: for each level, the number of each cell's room in `rooms`, from 1; 0 for none.
+        owner: for each level, the number of each cell's room, shape (height, width); 0 for none,
+            room number k + 1 is ``rooms[k]``.
         rooms: the rooms of all levels so far.
         warnings: warnings for the user, one line each.
     """
@@ -256,7 +270,12 @@ class _RoomAssignment:
         self.warnings: list[str] = []
 
     def add_source(self, marked: MarkedRooms, source: str) -> None:
-        """Add the rooms of a source: they get those of their cells that have no room yet."""
+        """Add the rooms that a source marks; each takes those of its cells that have no room yet.
+
+        Args:
+            marked: the rooms of the source.
+            source: the name of the source, see `NamedRoom.source`.
+        """
         self.warnings += marked.warnings
         if not marked.names:
             return
@@ -275,7 +294,10 @@ class _RoomAssignment:
                 np.copyto(under, new_owner[covered[level]], where=under == 0)
 
     def add_segments(self) -> None:
-        """Divide the remaining cells into rooms: the source ``auto``, see `segment_by_gaps`."""
+        """Divide the cells that have no room yet into rooms: the source ``auto``.
+
+        The floor is divided at narrow places, such as doorways, see `segment_by_gaps`.
+        """
         labels = list[Int32]()
         outdoors = set[int]()
         separating_cells: list[Bool | None] = []
@@ -295,11 +317,18 @@ class _RoomAssignment:
     def _segment_level(
         self, number: int, level: LevelFlags, leaves: LeafMarks | None
     ) -> tuple[Int32, set[int]]:
-        """Find the new rooms of a level.
+        """Find the rooms of a level that no other source marks.
+
+        Marked rooms may get more cells: `owner` is changed.
+
+        Args:
+            number: the number of the level.
+            level: the flags of the level's cells.
+            leaves: the cells of the level's closed door leaves; None if there are none.
 
         Returns:
-            The number of each cell's new room, from 1, 0 for none; and the numbers of those that
-            are outdoors.
+            The number of each cell's new room, from 1, 0 for none, shape (height, width); and the
+            numbers of the new rooms that are outdoors.
         """
         lattice = self._flags.lattice
         door_width = self._settings.door_width
@@ -323,10 +352,16 @@ class _RoomAssignment:
         return find_outdoors(segment, self._flags, number)
 
     def _share_segments(self, number: int, segment: Int32, leaves: LeafMarks | None) -> Int32:
-        """Divide a level's segments between marked rooms and new rooms.
+        """Divide the cells of a level between marked rooms and new rooms; changes `owner`.
+
+        Args:
+            number: the number of the level.
+            segment: the part of the floor, between narrow places, that each cell belongs to, from
+                1, 0 for none; see `segment_by_gaps`.
+            leaves: the cells of the level's closed door leaves; None if there are none.
 
         Returns:
-            The number of each cell's new room, from 1, 0 for none. `owner` is changed.
+            The number of each cell's new room, from 1, 0 for none, shape (height, width).
         """
         level = self._flags.levels[number]
         marked = self.owner[number]
@@ -344,7 +379,7 @@ class _RoomAssignment:
 
 
 def _describe_close_calls(calls: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
-    """Make the warning that names gaps that were close calls."""
+    """Make the warning that lists the openings that nearly joined, or nearly parted, two rooms."""
     listed = []
     for cell, width, separates in calls[:MAX_LISTED_CLOSE_CALLS]:
         x, y = lattice.positions(*cell).tolist()
@@ -380,8 +415,8 @@ def describe_rooms(
         num_cells = end - first
         micrometres = np.rint(floor[label > 0] * MICROMETRES)
         height_sums = np.add.reduceat(micrometres, np.cumsum(num_cells) - num_cells)
-        # Sums of whole numbers don't depend on their order. The sum of a run's columns may end in
-        # .5, so twice the sum is used.
+        # Sums of whole numbers don't depend on their order. The mean column of a run of cells may
+        # end in .5, so twice its sum is used.
         count = np.bincount(room, num_cells, minlength=1)
         row_sum = np.bincount(room, row * num_cells, minlength=1)
         twice_col_sum = np.bincount(room, (first + end - 1) * num_cells, minlength=1)
@@ -424,7 +459,8 @@ def find_openings(
     Args:
         index: for each level, the index of each cell's room.
         floors: for each level, z of the floors, NaN for none, shape (height, width) [m].
-        occupied: for each level, see `LevelFlags`.
+        occupied: for each level, a mask of the cells without a floor or with structure at an
+            agent's height, see `LevelFlags.occupied`.
         links: links between cells, see `Floors`, shape (n, 4); those within a level are slopes,
             all others are ignored.
         max_step: the highest step [m].
@@ -472,19 +508,20 @@ def match_doors(
 ) -> dict[int, list[str]]:
     """Find the opening that each door is in.
 
-    A door belongs to one of the openings between the two rooms that it joins: the opening with most
-    cells within `MAX_DOOR_DISTANCE` of the cells that the closed door blocks; on a tie, the nearer
-    one. A door may belong to no opening.
+    A door belongs to one of the openings between the two rooms that it joins: the opening with the
+    most cells within `MAX_DOOR_DISTANCE` of the cells that the closed door blocks; on a tie, the
+    nearest of them. If no opening has such a cell, the door belongs to none.
 
     Args:
-        openings: of all levels.
-        doors: by id the rooms that a door joins, and by level the cells that it blocks when it is
-            closed, ids on the whole lattice.
-        ids: of rooms.
+        openings: the openings of all levels.
+        doors: id of a door -> the ids of the rooms that it joins; and, for each level, the ids of
+            the cells that it blocks when it is closed.
+        ids: level and index of a room -> the room's id.
         lattice: the whole lattice.
 
     Returns:
-        The sorted ids of its doors, by the index of the opening.
+        Index of an opening in `openings` -> the sorted ids of its doors; openings without doors are
+        left out.
     """
     reach = MAX_DOOR_DISTANCE / lattice.cell_size + LIMIT_SLACK  # [cells]
     doors_of: dict[int, list[str]] = {}

@@ -1,15 +1,16 @@
 """Rooms that are found automatically: how the floor of a level is divided into segments.
 
-A *space* is a connected part of the floor while it is being divided; a *segment* is a space at the
-end, which becomes a room unless rooms are marked in it. By stages:
+A *gap* is a narrow place of the floor, such as a doorway, see `gaps.py`. A *space* is a connected
+part of the floor between gaps, while the floor is being divided. A *segment* is a space at the end,
+which becomes a room unless geoms, sites or polygons mark rooms in it. The steps:
 
-1. `segment_by_gaps` separates spaces at gaps (`gaps.py`), joins those that are one, joins stairs
-   and small spaces to a neighbour (`_SpaceGraph`), and gives the cells of gaps to the nearest
-   space.
-2. `assign_covered` and `assign_unmarked` share segments between marked rooms and new ones.
+1. `segment_by_gaps` separates spaces at gaps, joins spaces again whose gap is too wide to be a
+   door, gives the cells of gaps to the nearest space, and joins stairs and small spaces to a
+   neighbour (`_SpaceGraph`).
+2. `assign_covered` and `assign_unmarked` divide the cells of segments between marked and new rooms.
 3. `mark_cavities` finds segments that are hollows of the building, and no rooms.
 4. `find_outdoors` finds segments that are outdoors.
-5. `assign_leaf_cells` gives the cells of closed leaves to the rooms beside them.
+5. `assign_leaf_cells` gives the cells of closed door leaves to the rooms beside them.
 
 `rooms.py` calls these functions.
 """
@@ -45,7 +46,7 @@ from navbake.types import Bool, Float, Int, Int32
 # A tolerance for rounding errors when areas and widths are compared with limits [cells, half cells]
 CELL_ROUNDING = 1e-6
 
-# The part of a segment that no marked room has is no room if it is nowhere as wide as this [m]
+# A part of a segment that belongs to no marked room is no room if it is nowhere as wide as this [m]
 MIN_REMAINDER_WIDTH = 0.5
 
 # A cell is steep, like a stair, where the floor rises by this share of the distance …
@@ -80,39 +81,41 @@ def segment_by_gaps(
     lattice: Lattice | None = None,
     leaves: LeafMarks | None = None,
 ) -> tuple[Int32, list[CloseCall]]:
-    """Divide the open cells of a level into segments, at gaps much narrower than the spaces are.
+    """Divide the open floor of a level into segments, the candidates for rooms, at narrow places.
 
-    A gap is a line in the direction of a wall, closed at both ends after at most 2.5 m, beside
-    which the space is abruptly wider. All gaps separate spaces at first. Then spaces are joined,
-    the widest gaps first:
+    A gap is a narrow place, such as a doorway: a straight line of open cells from wall to wall, in
+    the direction of a wall, beside which the floor is abruptly wider. At first, each gap separates
+    two spaces. Then the spaces on both sides of a gap are joined in these cases:
 
-    - where a gap is as wide as both spaces along its line: parts of one corridor, of an L-shaped
+    - first, if the gap is about as wide as both spaces: parts of one corridor, or of an L-shaped
       room;
-    - then where it is as wide as the narrower one: niches, bays, the depth of a doorway. A long
-      passage that opens into a wider space stays a room of its own, at a mouth of up to 3.2 m;
-    - with a `door_width`, where it is wider than that, in place of the two widths above.
+    - then, if the gap is about as wide as the narrower of both spaces (niches, bays, the depth of a
+      doorway), or wider than 2.5 m. But a long passage that opens into a wider space stays a room
+      of its own, at a mouth of up to 3.2 m. With a `door_width`, this width replaces both limits.
 
-    The width of a space is measured close behind the gap. Gaps in one line between the same spaces
-    count as one, so that a row of pillars separates nothing. Stairs that open to a room over their
-    full width belong to it, at their foot rather than their head. A space smaller than `min_area`
-    joins the one that it opens to the widest, or is in no segment.
+    The width of a space is measured close behind the gap, parallel to it. Gaps in one line between
+    the same two spaces count as one gap, so that a row of pillars separates nothing.
+
+    At the end, stairs that open to a room over their full width are joined to it, at their foot
+    rather than their head. A space smaller than `min_area` is joined to the neighbour that it opens
+    to the widest; without a neighbour, its cells are in no segment.
 
     Args:
         level: the flags of the level's cells.
         cell_size: the side of a cell, > 0 [m].
-        min_area: of a room, > 0 [m²].
+        min_area: the least area of a room, > 0 [m²].
         door_width: the widest gap that separates two rooms, > 0 [m]; None for the limits above.
-        walls: the geometry up to which widths are measured, with `lattice`; None to measure them in
+        walls: the geometry of walls, up to which widths are measured; None to measure them in
             cells.
-        lattice: of the level.
-        leaves: closed leaves; those that separate two spaces do so here: no gap, no line and no
-            join leads through them, and what they lead into is a segment however small it is,
-            unless it opens to another one or lies at the edge of the grid (a threshold). Their own
-            cells are in no segment. None for no leaf.
+        lattice: the lattice of the level; needed if `walls` is given.
+        leaves: the closed door leaves; None if there are none. A leaf that separates two spaces
+            closes its cells: they are in no gap and no segment. What is behind it is a segment
+            however small it is, unless it is joined to a neighbour or lies at the edge of the grid
+            (a threshold).
 
     Returns:
-        The segment of each cell from 1, in reading order, 0 for none, shape (height, width), int32.
-        The gaps that are close to the limit between separating two spaces and joining them.
+        The segment of each cell, from 1 in reading order, 0 for none, shape (height, width), int32;
+        and the gaps that nearly joined, or nearly separated, two spaces.
 
     Source:
         Region merging as in Bormann et al., "Room segmentation: survey, implementation, and
@@ -122,7 +125,7 @@ def segment_by_gaps(
     segment = np.zeros(level.is_open.shape, dtype=np.int32)
     if not level.is_open.any():
         return segment, []
-    # with the walls around it: their directions count, the edge of the grid is none
+    # with the cells around it: walls there have directions that count; the grid's edge is no wall
     open_rows, open_cols = bounding_window(level.is_open)
     window = (
         slice(max(open_rows.start - 1, 0), open_rows.stop + 1),
@@ -166,12 +169,20 @@ def _label_at_gaps(
     rays: WallRays | None,
     closed: Bool,
 ) -> tuple[Int32, list[CloseCall]]:
-    """Find the spaces between gaps, join them where a gap doesn't separate, and list close calls.
+    """Label the spaces between gaps, after the spaces on both sides of wide gaps were joined.
 
-    See `segment_by_gaps` for the arguments.
+    Args:
+        open_cells: cells with a floor and without a wall, shape (height, width).
+        holes: cells with neither floor nor wall.
+        cell_size: the side of a cell, > 0 [m].
+        door_width: the widest gap that separates two rooms [m]; None for the limits of
+            `segment_by_gaps`.
+        rays: rays to the geometry of walls; None to measure widths in cells.
+        closed: cells of the closed leaves that separate two spaces.
 
     Returns:
-        The label of each cell's space, 0 for none; and the close calls.
+        The label of each cell's space, 0 for none, shape (height, width); and the gaps that nearly
+        joined, or nearly separated, two spaces.
     """
     separated = find_gaps(open_cells, holes, cell_size, door_width, rays, closed)
     merger = SpaceMerger(separated, cell_size, door_width, rays)
@@ -180,7 +191,7 @@ def _label_at_gaps(
 
 
 def _label_spaces_behind(beyond: Int, label: Int32, open_cells: Bool) -> None:
-    """Label the spaces behind leaves that consist only of cells of gaps.
+    """Label the spaces behind closed leaves that have no label yet, as all of their cells are gaps.
 
     Args:
         beyond: rows and columns of cells in the spaces that leaves lead into, shape (2, n).
@@ -206,16 +217,19 @@ def _join_spaces(
     cell_size: float,
     min_area: float,
 ) -> Int32:
-    """Join stairs and small spaces to a neighbour; returns labels, 0 where a space is too small.
+    """Join stairs and small spaces to a neighbour.
 
     Args:
-        label: the space of each cell, shape (height, width).
+        label: the space of each cell, 0 for none, shape (height, width).
         open_cells: cells of spaces and of gaps between them.
-        floor: heights [m].
-        at_edge: see `LevelFlags`.
-        beyond: rows and columns of cells in spaces that leaves lead into, shape (2, n).
+        floor: heights of the floor [m].
+        at_edge: cells at the outer boundary of the scene, see `LevelFlags.at_edge`.
+        beyond: rows and columns of cells in spaces that closed leaves lead into, shape (2, n).
         cell_size: the side of a cell, > 0 [m].
-        min_area: of a room [m²].
+        min_area: the least area of a room [m²].
+
+    Returns:
+        The space of each cell after the joins, 0 where it is still too small for a room.
     """
     min_cells = min_area / cell_size**2 - CELL_ROUNDING
     count = int(label.max(initial=0)) + 1
@@ -243,20 +257,20 @@ def _join_spaces(
 
 
 def spread_labels(label: Int32, open_cells: Bool) -> None:
-    """Spread labels to the open cells without one, wave by wave across edges.
+    """Spread labels to the open cells without a label, each wave by one cell across cells' edges.
 
-    If several labels reach a cell in one wave, the label of the nearest labelled cell wins, then
-    the lower label, then the cell further clockwise: a rule that does not depend on the map's
-    orientation.
+    If several labels reach a cell in one wave, the label of the nearest labelled cell wins. On a
+    tie, the lower label wins; of equal labels, the one whose cell lies further clockwise. This rule
+    does not depend on the map's orientation.
 
     Args:
-        label: from 1, 0 for none, shape (height, width); is written into.
+        label: the label of each cell, from 1, 0 for none, shape (height, width); is changed.
         open_cells: cells that may receive a label.
     """
     width = label.shape[1] + 2
     labels = np.pad(label, 1).ravel()
     waiting = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
-    # from each cell to the one that its label is from
+    # from each cell to the cell that its label is from
     downs = np.zeros(len(labels), dtype=np.int32)
     rights = np.zeros(len(labels), dtype=np.int32)
     # to the four neighbours: rows, columns, and both in the padded array
@@ -295,8 +309,8 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     """Mark the labelled cells where the floor rises like a stair.
 
     Args:
-        label: 0 for cells that do not count, which are as high as any, shape (height, width).
-        floor: heights [m].
+        label: the label of each cell, shape (height, width). To cells with 0 no rise is measured.
+        floor: heights of the floor [m].
         cell_size: the side of a cell, > 0 [m].
     """
     reach = max(1, round(STEEPNESS_REACH / cell_size))  # [cells]
@@ -324,8 +338,9 @@ class SpaceContact(NamedTuple):
     """The boundary along which two spaces touch.
 
     Attributes:
-        distance: the largest distance to walls of a place on the boundary [half cells].
-        length: the number of edges between cells of the two spaces.
+        distance: how far the place on the boundary that is farthest from walls is from them, half
+            of the opening's width [half cells].
+        length: the number of edges between a cell of one space and a cell of the other.
     """
 
     distance: float
@@ -333,23 +348,28 @@ class SpaceContact(NamedTuple):
 
 
 class _SpaceGraph:
-    """Spaces that touch: a region adjacency graph whose nodes are contracted (Haris, 1998)."""
+    """Spaces, where they touch, and which of them were joined.
+
+    This is a region adjacency graph whose nodes are contracted (Haris, 1998).
+    """
 
     def __init__(
         self, label: Int32, num_cells: Int, joins: Bool, open_cells: Bool, reach: int
     ) -> None:
-        """Find the passages between spaces.
+        """Find where spaces touch, and how wide the openings between them are.
 
         Args:
             label: the space of each cell, 0 for none.
-            num_cells: of each space, by label.
-            joins: by label, whether a space may join another; passages between others are unknown.
+            num_cells: the number of cells of each space, by label.
+            joins: by label, whether a space may be joined to a neighbour. Between two spaces that
+                may not, no contact is recorded.
             open_cells: cells of spaces and gaps.
             reach: up to which distances to walls are measured [half cells].
         """
         count = len(num_cells)
         self._num_cells = num_cells.copy()
-        self._space_of = np.arange(count, dtype=np.int32)  # what each one is part of by now
+        # label -> the space that it belongs to after the joins so far
+        self._space_of = np.arange(count, dtype=np.int32)
         # the edges between cells of two spaces
         edge_cells = differing_pairs(label)
         spaces = np.sort(label.ravel()[edge_cells].astype(np.int64), axis=0)
@@ -374,12 +394,13 @@ class _SpaceGraph:
             self._passages[second][first] = passage
 
     def join_stairs(self, is_stair: Bool, height: Float, peak: Float) -> None:
-        """Join stairs to the lowest space that they open to in full width.
+        """Join each stair to the lowest of the spaces that it opens to over its full width.
 
         Args:
-            is_stair: by label.
-            height: the mean height of each space's floor [m].
-            peak: the distance to walls at each space's widest place [half cells]; is written into.
+            is_stair: by label, whether the space is a stair.
+            height: by label, the mean height of the space's floor [m].
+            peak: by label, the distance to walls at the space's widest place [half cells]; is
+                changed.
         """
         for stair in np.flatnonzero(is_stair).tolist():
             if self._space_of[stair] != stair:
@@ -396,15 +417,17 @@ class _SpaceGraph:
                 peak[lowest] = max(peak[lowest], peak[stair])
 
     def join_small_spaces(self, min_cells: float, num_at_edge: Int, max_counted: float) -> None:
-        """Join small spaces, the smallest first, to the one they open to the widest.
+        """Join each small space, the smallest first, to the neighbour that it opens to the widest.
 
-        A space with cells at the edge of the grid, such as a ledge round a house, joins the one
-        with most cells there; with more than `max_counted` it joins only one with as many.
+        If the small space has cells at the edge of the grid, as a ledge round a house has, it is
+        joined to the neighbour with the most cells there instead. If it has more than `max_counted`
+        of them, it is only joined to a neighbour that has more than that, too.
 
         Args:
             min_cells: spaces with fewer cells are small.
-            num_at_edge: how many cells of each space are at the edge of the grid; is written into.
-            max_counted: numbers of cells at the edge are compared up to this number.
+            num_at_edge: by label, how many cells of the space are at the edge of the grid; is
+                changed.
+            max_counted: neighbours with this many cells at the edge, or more, count as equal.
         """
         is_small = (self._space_of == np.arange(len(self._num_cells))) & (
             self._num_cells < min_cells
@@ -417,7 +440,7 @@ class _SpaceGraph:
         heapq.heapify(queue)
         while queue:
             num_cells, small = heapq.heappop(queue)
-            # what has grown since it was queued is queued again
+            # a space that has grown since it was queued is in the queue a second time
             if self._space_of[small] != small or self._num_cells[small] != num_cells:
                 continue
             ranks = []
@@ -435,18 +458,18 @@ class _SpaceGraph:
                 heapq.heappush(queue, (int(self._num_cells[best]), best))
 
     def select_rooms(self, min_cells: float, is_room: Bool) -> Int32:
-        """Return, by label, the space that it became part of, 0 where that space is too small.
+        """Return by label the space that the label belongs to now, 0 if that space is too small.
 
         Args:
-            min_cells: how many cells a space needs.
-            is_room: by label, whether the space that it became part of is a room whatever its size.
+            min_cells: the least number of cells of a space that isn't too small.
+            is_room: by label, whether the space that it belongs to is a room whatever its size.
         """
         is_large = self._num_cells >= min_cells
         is_large[self._space_of[is_room]] = True
         return np.where(is_large[self._space_of], self._space_of, np.int32(0))
 
     def _join(self, joined: int, removed: int) -> None:
-        """Make one space a part of another."""
+        """Make the space `removed` a part of the space `joined`."""
         self._space_of[self._space_of == removed] = joined
         for neighbor, passage in self._passages[removed].items():
             del self._passages[neighbor][removed]
@@ -463,14 +486,17 @@ class _SpaceGraph:
 
 
 def _edge_nodes(cells: Int, width: int) -> tuple[Int, Int]:
-    """Rows and columns of the nodes on edges between cells: one end, the middle, the other end.
+    """Return the three nodes on each edge between two cells: its ends and its middle.
+
+    Nodes are points half a cell apart, see `mark_wall_nodes`.
 
     Args:
-        cells: the two cells of each edge, shape (2, n).
-        width: of the lattice.
+        cells: ids of the two cells at each edge, shape (2, n).
+        width: number of columns of the lattice.
 
     Returns:
-        Rows and columns, see `mark_wall_nodes`, shape (3 n,): all first ends, all middles, …
+        Rows and columns of the nodes, shape (3 n,) each: first all edges' first ends, then their
+        middles, then their second ends.
     """
     centers = 2 * np.array(np.divmod(cells, width)) + 1  # rows and columns of both cells
     # an edge and its ends lie across the step from cell to cell
@@ -482,15 +508,17 @@ def _edge_nodes(cells: Int, width: int) -> tuple[Int, Int]:
 
 
 def find_widest_distances(label: Int32, distance: Int32, count: int) -> Int32:
-    """Find the largest distance of a node on any cell of each label.
+    """Find how far the widest place of each labelled area is from walls.
 
     Args:
-        label: shape (height, width), 0 for none.
-        distance: of the nodes, see `mark_wall_nodes`.
-        count: of labels, 0 included.
+        label: the label of each cell, 0 for none, shape (height, width).
+        distance: the squared distance of each node from the nearest wall, shape (2 height + 1,
+            2 width + 1) [half cells squared]; nodes are the cells' centres, corners and middles of
+            edges, see `mark_wall_nodes`.
+        count: number of labels, including label 0.
 
     Returns:
-        The distances by label, shape (count,).
+        By label, the largest squared distance of all nodes on its cells, shape (count,).
     """
     rows = np.maximum(distance[1::2], np.maximum(distance[:-2:2], distance[2::2]))
     nodes = np.maximum(rows[:, 1::2], np.maximum(rows[:, :-2:2], rows[:, 2::2]))
@@ -503,15 +531,15 @@ def find_widest_distances(label: Int32, distance: Int32, count: int) -> Int32:
 
 
 def assign_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
-    """Give cells (of a podium, for example) to the room below their floor.
+    """Give cells without a room (of a podium, for example) to the room below their floor.
 
     This is only done if that room has cells in the same segment: so a house does not become part of
     the ground that it stands on.
 
     Args:
         owner: the marked room of each cell, 0 for none, shape (height, width).
-        under: the room whose floor lies under each cell's, 0 for none.
-        segment: the segment of each cell, 0 for none.
+        under: the marked room whose floor lies under each cell's floor, 0 for none.
+        segment: the part of the floor between gaps that each cell belongs to, 0 for none.
 
     Returns:
         The room of each cell, shape (height, width).
@@ -528,23 +556,25 @@ def assign_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
 def assign_unmarked(
     owner: Int32, segment: Int32, cell_size: float, min_area: float, beyond: Int | None = None
 ) -> tuple[Int32, Int32]:
-    """Divide the cells that no marked room has between marked rooms and new rooms.
+    """Divide the cells that belong to no marked room between marked rooms and new rooms.
 
-    A segment without a marked room becomes a new room. In other segments, each connected area
-    without a marked room becomes a new room. But if it is smaller than `min_area`, or nowhere half
-    a metre wide though its segment is, it goes to the marked room that it touches most. If it
-    touches none, it becomes a room only if a closed leaf leads into it.
+    Marked rooms are those that geoms, sites or polygons mark. A segment (a part of the floor
+    between gaps) without a marked room becomes a new room. In a segment with marked rooms, each
+    connected area that belongs to none of them becomes a new room, unless it is smaller than
+    `min_area`, or nowhere half a metre wide though its segment is. Such an area is added to the
+    marked room that it touches most. If it touches none, it becomes a room only if a closed door
+    leaf leads into it.
 
     Args:
         owner: the marked room of each cell, 0 for none, shape (height, width).
         segment: the segment of each cell, 0 for none.
         cell_size: the side of a cell, > 0 [m].
-        min_area: of a new room [m²].
+        min_area: the least area of a new room [m²].
         beyond: ids of cells in the spaces that closed leaves lead into, None for none.
 
     Returns:
-        The marked room of each cell, with what was added to it.
-        The new room of each cell from 1, 0 for none.
+        The marked room of each cell, with the added areas, 0 for none; and the new room of each
+        cell, from 1, 0 for none.
     """
     min_cells = min_area / cell_size**2 - CELL_ROUNDING
     has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
@@ -554,7 +584,7 @@ def assign_unmarked(
     num_cells, is_wide = _measure_components(component, cell_size)
     is_room = (num_cells >= min_cells) & is_wide
     if not (is_room | (num_cells < min_cells)).all():
-        # what is left of a ledge is as narrow as the ledge was
+        # the rest of a ledge is as narrow as the ledge: that is no reason to give it away
         segment_of = np.zeros(len(num_cells), dtype=np.int32)
         segment_of[component] = segment
         _, is_segment_wide = _measure_components(segment, cell_size)
@@ -578,13 +608,13 @@ def assign_unmarked(
 
 
 def assign_leaf_cells(owner: Int32, leaf_cells: Bool) -> None:
-    """Give leaf cells without a room to the nearest room beside them; on a tie, to the smaller.
+    """Give leaf cells without a room to the nearest room beside them; on a tie, to the smaller one.
 
-    Which of two rooms is the smaller turns with the map, unlike their numbers.
+    Sizes decide, and not the rooms' numbers, because those change when the map is turned.
 
     Args:
-        owner: the room of each cell, 0 for none, shape (height, width); is written into.
-        leaf_cells: the cells of leaves.
+        owner: the room of each cell, 0 for none, shape (height, width); is changed.
+        leaf_cells: a mask of the cells of closed door leaves.
     """
     without_room = leaf_cells & (owner == 0)
     num_cells = count_cells_by_label(owner, int(owner.max(initial=0)) + 1)
@@ -597,10 +627,10 @@ def assign_leaf_cells(owner: Int32, leaf_cells: Bool) -> None:
 
 
 def _measure_components(label: Int32, cell_size: float) -> tuple[Int, Bool]:
-    """Count the cells of each label, and find whether its area is half a metre wide anywhere.
+    """Count the cells of each label, and find whether their area is half a metre wide anywhere.
 
     Returns:
-        The number of cells of each label, 0 for label 0; and whether the label is wide enough.
+        By label, the number of its cells (0 for label 0); and whether they are wide enough.
     """
     reach = int(MIN_REMAINDER_WIDTH / cell_size) + 2
     at_boundary = mark_wall_nodes(label > 0)
@@ -615,9 +645,16 @@ def _measure_components(label: Int32, cell_size: float) -> tuple[Int, Bool]:
 
 
 def _find_most_touched(component: Int32, owner: Int32, count: int) -> Int32:
-    """Find for each component the owner with which it shares most edges of cells; 0 if none.
+    """Find for each area the marked room that it shares the most edges of cells with.
 
-    Of several owners, the first one counts.
+    Args:
+        component: the area of each cell, 0 for none, shape (height, width).
+        owner: the marked room of each cell, 0 for none; areas have cells without a room only.
+        count: number of areas, plus 1.
+
+    Returns:
+        By area, the number of the room, 0 if it touches none, shape (count,). Of equals, the room
+        with the lowest number counts.
     """
     node = np.where(owner > 0, owner + np.int32(count), component)  # components have no owner
     low, high = np.sort(node.ravel()[differing_pairs(node)], axis=0)
@@ -632,14 +669,13 @@ def _find_most_touched(component: Int32, owner: Int32, count: int) -> Int32:
 
 
 def renumber(label: Int32) -> tuple[Int32, Int]:
-    """Renumber labels from 1 by the first cell of each in reading order.
+    """Renumber labels from 1, in the order in which their first cells are read, row by row.
 
     Args:
-        label: 0 for none, shape (height, width).
+        label: the label of each cell, 0 for none, shape (height, width).
 
     Returns:
-        The new labels of the cells.
-        The old labels in the order of the new ones.
+        The new label of each cell; and the old labels in the order of the new ones.
     """
     *_, value = find_row_runs(label)
     used, first = np.unique(value, return_index=True)
@@ -657,14 +693,16 @@ def mark_cavities(
 ) -> Bool:
     """Mark the segments of a level that are cavities: hollow walls, shafts, chases.
 
-    A cavity touches no other space, no link and not the grid's edge; no leaf leads into it; and it
-    is smaller than `MIN_CLOSED_ROOM_AREA` or narrower than `MIN_CLOSED_ROOM_WIDTH`. The largest
-    segment is never a cavity.
+    Nothing leads into a cavity: it touches no other segment or room and not the grid's edge, no
+    link (a step to another level, or a slope) ends in it, and no closed door leaf leads into it.
+    And it is smaller than `MIN_CLOSED_ROOM_AREA`, or narrower than `MIN_CLOSED_ROOM_WIDTH`. The
+    largest segment is never a cavity.
 
     Args:
-        segment: the segment of each cell, 0 for none, shape (height, width).
+        segment: the part of the floor between gaps that each cell belongs to, 0 for none, shape
+            (height, width).
         owner: the marked room of each cell, 0 for none.
-        flags: of all levels.
+        flags: the flags of the cells of all levels, and the links between cells.
         level: the number of the level.
         beyond: ids of cells in the spaces that closed leaves lead into, None for none.
 
@@ -701,18 +739,20 @@ def mark_cavities(
 def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, set[int]]:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
-    A segment is outdoors if it reaches the edge of the grid in one piece wider than any door, and
-    at least half of its cells have nothing above an agent's head or lie under eaves. Walls separate
-    two pieces of outdoors, unless the ground is endless; a ditch does not.
+    A segment is outdoors if it touches the edge of the grid over a connected length that is wider
+    than any door, and if at least half of its cells have nothing above an agent's head or lie under
+    eaves. Outdoor segments that a wall separates stay apart, unless the ground is endless. Segments
+    on both sides of a ditch are united.
 
     Args:
-        segment: the segment of each cell, 0 for none, shape (height, width).
-        flags: of all levels.
+        segment: the part of the floor between gaps that each cell belongs to, 0 for none, shape
+            (height, width).
+        flags: the flags of the cells of all levels.
         level: the number of the level.
 
     Returns:
-        The segment of each cell, with touching outdoor segments united.
-        The numbers of the outdoor segments.
+        The segment of each cell, with touching outdoor segments united; and the numbers of the
+        outdoor segments.
     """
     level_flags = flags.levels[level]
     cell_size = flags.lattice.cell_size
@@ -741,10 +781,15 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
 
 
 def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
-    """Unite outdoor segments that touch each other, or the same bank.
+    """Unite outdoor segments that touch each other, or the same bank (ground that is too steep).
+
+    Args:
+        segment: the segment of each cell, 0 for none, shape (height, width).
+        is_outdoors: by segment, whether it is outdoors.
+        is_bank: cells without a floor whose ground is too steep, see `LevelFlags.is_bank`.
 
     Returns:
-        For each segment, the lowest number of those that it is united with; its own if none.
+        By segment, the lowest number of the segments that it is united with, itself included.
     """
     bank, num_banks = label_components_2d(is_bank)
     # nodes are the segments, and behind them the banks
@@ -758,12 +803,18 @@ def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
 
 
 def _measure_edge_extents(segment: Int32, at_edge: Bool, count: int) -> Float:
-    """Measure, for each segment, the extent of the longest connected piece of its edge [cells].
+    """Measure over which connected length each segment touches the edge of the grid [cells].
+
+    Of several connected pieces of a segment's cells at the edge, the longest counts. The length of
+    a piece is the diagonal of the rectangle round it.
 
     Args:
-        segment: the segment of each cell.
-        at_edge: the cells at the edge.
+        segment: the segment of each cell, shape (height, width).
+        at_edge: a mask of the cells at the edge that are in a segment.
         count: the number of segments, plus 1.
+
+    Returns:
+        The lengths by segment, 0 for segments that don't touch the edge, shape (count,).
     """
     cell = np.flatnonzero(at_edge)
     rows, cols = np.divmod(cell, segment.shape[1])

@@ -1,4 +1,8 @@
-"""Walls: distances to them, the directions that they run in, and the sills that continue them."""
+"""What rooms need to know about walls.
+
+How far cells are from walls, in which directions walls run, where rays meet their geometry, and
+which sills and parapets continue them.
+"""
 
 from __future__ import annotations
 
@@ -26,22 +30,23 @@ NO_ROWS = np.empty((0, 0), dtype=np.int32)  # `squared` in the first call of `sw
 
 # ------------------------------------------------------------ directions of walls
 
-# If walls have geometry, their directions are taken from points on it, about so far apart [m]
+# If walls have geometry, their directions are taken from points on it, about this far apart [m]
 POINT_SPACING = 0.1
-# Points on geometry are exact: they are counted in bins of angles of this size [°], and on lines of
-# this width [m]
+# Points on geometry are exact: they are counted in bins of angles of this size [°], and in parallel
+# strips of this width [m]
 GEOMETRY_BIN_WIDTH = 1.0
 GEOMETRY_LINE_WIDTH = 0.01
-# Directions from geometry are used if at least this share of the points lies on walls with one
+# Directions from geometry are used if at least this share of the points lies on walls that run in
+# one of these directions
 MIN_EXPLAINED_SHARE = 0.5
-# If they aren't, directions are taken from the cells: from the slope of the distance to the nearest
+# Otherwise directions are taken from the cells: from the slope of the distance to the nearest
 # closed cell, at this distance from walls [m]
 SLOPE_DISTANCE = 0.3
 # The slope is measured at least this far from walls, as the lattice's steps disturb what is nearer
 # [cells]
 MIN_SLOPE_DISTANCE = 5
-# Points on slopes are counted in bins of angles of this size [°], and on lines of this width
-# [cells]
+# Points that slopes lead to are counted in bins of angles of this size [°], and in parallel strips
+# of this width [cells]
 CELL_BIN_WIDTH = 5.0
 CELL_LINE_WIDTH = 0.5
 # The least change of the distance over four cells at which one wall is the nearest: beside a single
@@ -50,39 +55,40 @@ MIN_DISTANCE_CHANGE = 3.2
 # A direction counts if walls along it have this length in all [m], and this share of all points
 MIN_WALL_LENGTH = 1.2
 MIN_POINT_SHARE = 0.01
-# The points on a line are those of a wall if they cover at least this length of it [m]
+# The points in a strip are on a wall if there are as many as on a wall of this length [m]
 MIN_LENGTH_ON_LINE = 0.8
 # A direction that is not one of the whole building is used only this near to its own walls [m]
 NEAR_WALL_DISTANCE = 1.5
-# A direction is refined in steps of this size [bins of angles], with about so many points
+# A direction is refined in steps of this size [bins of angles], with about this many points
 REFINEMENT_STEP = 0.05
 NUM_REFINEMENT_POINTS = 2000
-# An axis of the lattice is taken as a direction if the points project onto lines across it as
-# sharply as this share of the sharpest projection of all angles
+# An axis of the lattice is preferred to the best angle if its sharpness, see `_refine_angle`, is at
+# least this share of the best angle's
 MIN_AXIS_SHARPNESS_SHARE = 0.9
 # A direction is one of the whole building if it is the first one, or parallel or at right angles to
 # the first one, within this tolerance [°]
 RIGHT_ANGLE_TOLERANCE = 1.0
-# The lattice is padded by so many cells, in which slopes at its edge are measured
+# The lattice is padded by this many cells, so that slopes can be measured at its edge
 EDGE_PADDING = 2
 
 # ------------------------------------------------------------ rays to walls
 
 # The height over the floor at which walls are measured, below the sills of windows [m]
 RAY_HEIGHT = 0.6
-# The heights of rays are distinguished by this, to skip triangles at other heights [m]
+# Triangles at heights without rays are skipped; heights are compared in bins of this size [m]
 HEIGHT_BIN = 0.01
-# Triangles that are compared with heights at a time, so that caches hold them
+# This many triangles are compared with the heights at a time, so that the CPU's cache holds them
 TRIANGLE_CHUNK = 1 << 14
-# Rays begin at these offsets across them, as a thin wall lies beside the centres of the cells that
-# it is in [cells]
+# From a cell, rays begin at its centre and this far to both sides of it, because a thin piece of
+# wall in the cells ahead may lie beside their centres [cells]
 RAY_OFFSETS = np.array([-0.5, 0.0, 0.5])
 # The height of rays from cells without a floor, which meet nothing [m]
 NO_FLOOR_HEIGHT = -1e9
-# Of many rays, most end within this [cells]; the others are cast once more, as far as needed
+# Rays from at least MANY_RAYS cells are first cast this far, where most of them end [cells]; those
+# that meet nothing are cast once more, at full length
 SHORT_RAY = 2.5
 MANY_RAYS = 200
-# Rays are this long at least, as columns of lines at 45° are √2 cells apart [cells]
+# Rays are at least this long: MAX_WALL_DISTANCE columns, √2 cells each on a line at 45° [cells]
 MIN_RAY_LENGTH = math.sqrt(2) * MAX_WALL_DISTANCE
 # Geometry is widened by this, so that rays between two tiles find it in both [m]
 TILE_MARGIN = 1e-6
@@ -97,14 +103,16 @@ MAX_SILL_THICKNESS = 0.5
 
 
 def squared_distances(target: Bool, reach: int) -> Int32:
-    """Measure how far each cell, or node, is from the nearest target.
+    """Measure how far each cell is from the nearest target cell.
 
     Args:
-        target: shape (rows, cols).
+        target: a mask of the target cells, shape (rows, cols). It may also be a mask of nodes, see
+            `mark_wall_nodes`; distances are then in half cells.
         reach: the largest distance that is measured, >= 0 [cells].
 
     Returns:
-        The squared distance, ``(reach + 1) ** 2`` beyond `reach`, shape (rows, cols), int32.
+        The squared distances [cells squared], shape (rows, cols), int32; ``(reach + 1) ** 2`` also
+        stands for all greater ones.
     """
     target = np.ascontiguousarray(target)
     rows, cols = target.shape
@@ -120,16 +128,19 @@ def squared_distances(target: Bool, reach: int) -> Int32:
 def squared_distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
     """Measure how far some nodes are from the nearest closed cell or the lattice's edge.
 
-    Only cells are swept, of which there are a quarter as many as nodes.
+    Nodes are the centres, the corners and the middles of edges of cells, see `mark_wall_nodes`. The
+    result equals that of ``squared_distances(mark_wall_nodes(open_cells), reach)`` at these nodes,
+    but takes less time: distances are computed for cells, a quarter as many as nodes.
 
     Args:
-        open_cells: shape (height, width).
-        reach: the largest distance that is measured, >= 0 [nodes].
-        row: the nodes' rows, see `mark_wall_nodes`, shape (n,).
-        col: their columns.
+        open_cells: a mask of the open cells, shape (height, width).
+        reach: the largest distance that is measured, >= 0 [half cells].
+        row: the nodes' rows, shape (n,).
+        col: the nodes' columns, shape (n,).
 
     Returns:
-        The `squared_distances` of these nodes to ``mark_wall_nodes(open_cells)``, shape (n,).
+        The squared distances [half cells squared], shape (n,); ``(reach + 1) ** 2`` also stands for
+        all greater ones.
     """
     closed = np.pad(~open_cells, 1, constant_values=True)
     cols = closed.shape[1]
@@ -139,7 +150,7 @@ def squared_distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> In
         kernels.sweep_distances, cols, closed, cell_reach, along, NO_ROWS, least=MIN_CHUNK_COLUMNS
     )
     nearest = np.full(len(row), (reach + 1) ** 2)
-    # the cells above and below each node, which are one where the node is in their middle
+    # the cells above and below each node; the same cell where the node is at its middle
     row_above = (row + 1) // 2
     row_below = (row + 2) // 2
     for shift in range(-(reach // 2) - 1, reach // 2 + 3):
@@ -152,13 +163,17 @@ def squared_distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> In
 
 
 def mark_wall_nodes(open_cells: Bool) -> Bool:
-    """Mark the nodes on a closed cell or the lattice's edge.
+    """Mark the nodes that are on a closed cell or the lattice's edge.
 
-    Node (2 r + 1, 2 c + 1) is the centre of cell (r, c); the others are edges' middles and
-    corners, so that gaps can be measured to half a cell.
+    Nodes are points half a cell apart, so that distances can be measured to half a cell. Node
+    (2 r + 1, 2 c + 1) is the centre of cell (r, c); the other nodes are the corners of cells and
+    the middles of their edges.
+
+    Args:
+        open_cells: a mask of the open cells, shape (height, width).
 
     Returns:
-        The marks, shape (2 height + 1, 2 width + 1).
+        A mask of the nodes, shape (2 height + 1, 2 width + 1).
     """
     closed = np.pad(~open_cells, 1, constant_values=True)
     rows = closed.repeat(2, axis=0)[1:-1]
@@ -171,15 +186,18 @@ def mark_wall_nodes(open_cells: Bool) -> Bool:
 
 
 class WallDirection(NamedTuple):
-    """A direction that walls run in, as a lattice is scanned along it.
+    """A direction that walls run in, and how a lattice is scanned along it.
+
+    The scan follows parallel lines of cells in this direction, from column to column.
 
     Attributes:
-        swapped: whether rows and columns are swapped for the scan, because it is steeper than 45°.
-        shift: for each column of the scan, how many rows lower a line is than in the first column,
-            (cols,), int64.
+        swapped: whether rows and columns are swapped for the scan, because the direction is steeper
+            than 45° to the rows.
+        shift: for each column of the scan, how many rows lower a line of cells is than in the first
+            column, (cols,), int64.
         slope: how many rows the direction goes down per column of the scan, -1 to 1.
         stretch: the length of a line from one column to the next, 1 to √2 [cells].
-        near: mask of the cells near walls in this direction, shape (height, width), not swapped.
+        near: a mask of the cells near walls in this direction, shape (height, width), not swapped.
     """
 
     swapped: bool
@@ -193,11 +211,12 @@ class WallPoints(NamedTuple):
     """Points on walls, from which the directions of the walls are found.
 
     Attributes:
-        position: row and column of each, in fractions of cells, shape (2, n).
-        angle: of the wall there, from the columns' axis towards the rows', 0 to 180, (n,) [°].
-        spacing: how far neighbours on a wall are from each other [m].
+        position: the row and the column of each point, with fractions, shape (2, n) [cells].
+        angle: the direction of the wall at each point, 0 to 180, shape (n,) [°]: 0 along a row of
+            the lattice, 45 where it goes one row down per column, 90 along a column.
+        spacing: the distance between neighbouring points on a wall [m].
         bin_width: the width of the bins in which angles are counted [°].
-        line_width: how wide the lines are on which points are counted [cells].
+        line_width: the width of the parallel strips in which points are counted [cells].
     """
 
     position: Float
@@ -216,12 +235,12 @@ def find_directions(
     they are found from the gradient of the distance to closed cells.
 
     Args:
-        open_cells: the open cells, shape (height, width).
+        open_cells: a mask of the cells without a wall, shape (height, width).
         cell_size: the side of a cell, > 0 [m].
         rays: rays to the walls' geometry; None without geometry.
 
     Returns:
-        The directions, starting with the one of most walls.
+        The directions, starting with the most common one.
     """
     shape = open_cells.shape
     if rays is not None:
@@ -238,13 +257,21 @@ def _list_directions(
 ) -> tuple[list[WallDirection], int]:
     """List the directions of walls, and count the points that lie on walls with such a direction.
 
-    The most common angle of all points is refined. Points with this angle that lie on common lines
-    are walls of that direction. Then this is repeated with the remaining points.
+    The most common angle of all points is refined. Points with about this angle that lie in a
+    straight line are on walls of that direction. Then this is repeated with the remaining points.
+
+    Args:
+        points: points on walls.
+        shape: the shape of the lattice, (height, width).
+        cell_size: the side of a cell, > 0 [m].
+
+    Returns:
+        The directions, starting with the most common one; and the number of points.
     """
     position, angle, spacing, bin_width, line_width = points
     num_bins = round(180 / bin_width)
     bins = np.rint(angle / bin_width).astype(np.int64) % num_bins
-    # at the corners of walls the slope has all directions alike
+    # about this many points of every angle are at corners of walls, where slopes point everywhere
     corner_count = 2.0 * float(np.median(_add_neighbor_bins(np.bincount(bins, minlength=num_bins))))
     min_points = max(MIN_WALL_LENGTH / spacing, MIN_POINT_SHARE * len(bins))
     min_on_line = MIN_LENGTH_ON_LINE / spacing
@@ -260,7 +287,7 @@ def _list_directions(
         difference = np.abs((angle - best * bin_width + 90.0) % 180.0 - 90.0)
         is_near = remaining & (difference <= 1.5 * bin_width)
         wall_angle = _refine_angle(position[:, is_near], best, bin_width, line_width)
-        # points on its walls count for no other direction, a few degrees off
+        # points on walls of this direction count for no other direction, a few degrees off
         is_near = remaining & (difference <= 2.5 * bin_width)
         near_position = position[:, is_near]
         on_walls = _mark_on_walls(near_position, wall_angle, line_width, min_on_line)
@@ -279,7 +306,13 @@ def _list_directions(
 
 
 def _mark_near(position: Float, shape: tuple[int, ...], cell_size: float) -> Bool:
-    """Mark the cells within `NEAR_WALL_DISTANCE` of points, shape (2, n)."""
+    """Mark the cells within `NEAR_WALL_DISTANCE` of points.
+
+    Args:
+        position: rows and columns of the points, shape (2, n) [cells].
+        shape: the shape of the lattice, (height, width).
+        cell_size: the side of a cell, > 0 [m].
+    """
     is_wall: Bool = np.zeros(shape, dtype=np.bool_)
     row, col = np.rint(position).astype(np.int64)
     inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
@@ -289,7 +322,11 @@ def _mark_near(position: Float, shape: tuple[int, ...], cell_size: float) -> Boo
 
 
 def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
-    """Find points on walls by the slope of the distance to closed cells, at cells off the walls."""
+    """Find points on walls from the cells alone, without the walls' geometry.
+
+    At each cell that is about `SLOPE_DISTANCE` from a wall, the distance to closed cells falls
+    straight towards the wall. The point on the wall is that far away in this direction.
+    """
     reach = max(MIN_SLOPE_DISTANCE, round(SLOPE_DISTANCE / cell_size))
     # the edge of the lattice is no wall: what is at it goes on beyond it
     closed = np.pad(~open_cells, EDGE_PADDING, mode="edge")
@@ -304,7 +341,7 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
     below, above, after, before, distance = distances
     down = below - above
     right = after - before
-    # a wall runs across the slope; where two walls are as near, there is less of one
+    # a wall runs across the slope; between two walls that are equally near, the slope is less steep
     is_clear = np.hypot(down, right) > MIN_DISTANCE_CHANGE
     cells = cells[is_clear]
     distance = distance[is_clear]
@@ -323,20 +360,20 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
 
 
 def _add_neighbor_bins(count: Int) -> Int:
-    """Add to each bin of a full circle the counts of its two neighbours."""
+    """Add to each bin's count those of its two neighbours; the last bin is beside the first."""
     return count + np.roll(count, 1) + np.roll(count, -1)
 
 
 def _find_lines(position: Float, angles: Float, line_width: float) -> Float:
-    """Find the line that each point lies on, of parallel lines in each of some directions.
+    """Find for each angle in which of many parallel strips, side by side, each point lies.
 
     Args:
-        position: of points, shape (2, n) [cells].
-        angles: of the lines [°].
-        line_width: [cells].
+        position: rows and columns of the points, shape (2, n) [cells].
+        angles: the directions of the strips, see `WallPoints.angle` [°].
+        line_width: the width of a strip [cells].
 
     Returns:
-        The number of the line, in fractions of lines, shape (angles, n).
+        The number of the strip from 0, with the place across it as fraction, shape (angles, n).
     """
     radians = np.deg2rad(angles)[:, None]
     across = position[0] * np.cos(radians) - position[1] * np.sin(radians)
@@ -344,7 +381,14 @@ def _find_lines(position: Float, angles: Float, line_width: float) -> Float:
 
 
 def _mark_on_walls(position: Float, angle: float, line_width: float, min_points: float) -> Bool:
-    """Mark the points that lie on two neighbouring lines with as many points as a wall has."""
+    """Mark the points that are on walls: those in two neighbouring strips with many points.
+
+    Args:
+        position: rows and columns of the points, shape (2, n) [cells].
+        angle: the direction of the strips [°].
+        line_width: the width of a strip [cells].
+        min_points: the least number of points that two strips with a wall contain together.
+    """
     line = _find_lines(position, np.array([angle]), line_width)[0].astype(np.int64)
     count = np.pad(np.bincount(line), 1)
     pairs = count[1:] + count[:-1]  # each line with the one before
@@ -353,9 +397,17 @@ def _mark_on_walls(position: Float, angle: float, line_width: float, min_points:
 
 
 def _refine_angle(position: Float, bin_number: int, bin_width: float, line_width: float) -> float:
-    """Find the angle within 1.5 bins at which points, (2, n), lie on the fewest lines [°].
+    """Find more exactly the angle of the walls that points lie on [°].
 
-    It has the sharpest projection of a Radon transform; an axis of the lattice about as sharp wins.
+    It is the angle at which the points lie the most densely in parallel strips, like the sharpest
+    projection of a Radon transform. Angles within 1.5 bins are tried. If an axis of the lattice is
+    among them, and about as sharp, it is taken.
+
+    Args:
+        position: rows and columns of the points, shape (2, n) [cells].
+        bin_number: the number of the bin that the angle is near.
+        bin_width: the width of a bin [°].
+        line_width: the width of a strip [cells].
     """
     position = position[:, :: max(1, position.shape[1] // NUM_REFINEMENT_POINTS)]
     num_steps = round(1.5 / REFINEMENT_STEP)
@@ -363,9 +415,9 @@ def _refine_angle(position: Float, bin_number: int, bin_width: float, line_width
     angles = bin_width * (bin_number + REFINEMENT_STEP * steps)
     sharpness = np.zeros(len(angles), dtype=np.int64)
     for k, line in enumerate(_find_lines(position, angles, line_width)):
-        for phase in (0.0, 0.5):  # so that no wall falls between two lines
+        for phase in (0.0, 0.5):  # so that no wall falls between two strips
             count = np.bincount((line + phase).astype(np.int64))
-            # the squares of the sums of two lines next to each other; whole numbers, so exact
+            # how densely points lie in strips and in pairs of strips; whole numbers, so exact
             sharpness[k] = max(sharpness[k], count @ count + count[1:] @ count[:-1])
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= MIN_AXIS_SHARPNESS_SHARE * sharpness.max()).any():
@@ -377,8 +429,8 @@ def direction_of(angle: float, shape: tuple[int, ...]) -> WallDirection:
     """Make a direction from its angle, with all cells marked as near to its walls.
 
     Args:
-        angle: from the columns' axis towards the rows' [°].
-        shape: of the lattice, (height, width).
+        angle: the direction, see `WallPoints.angle` [°].
+        shape: the shape of the lattice, (height, width).
     """
     swapped = 45.0 < angle < 135.0
     slope = np.tan(np.deg2rad(90.0 - angle if swapped else angle))
@@ -393,11 +445,13 @@ def direction_of(angle: float, shape: tuple[int, ...]) -> WallDirection:
 
 
 def to_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[ScalarT]:
-    """Arrange an array as kernels scan it in a direction: its columns lie together in memory.
+    """Arrange an array of cells as kernels scan it in a direction.
+
+    Rows and columns are swapped if the direction needs it, and each column is contiguous in memory.
 
     Args:
-        array: shape (height, width).
-        direction: rows and columns are swapped if this needs it.
+        array: an array with an entry for each cell, shape (height, width).
+        direction: the direction of the scan.
 
     Returns:
         The array in Fortran order, a view or a copy; `from_scan_order` is the inverse.
@@ -406,12 +460,12 @@ def to_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[
 
 
 def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[ScalarT]:
-    """Turn an array in a direction's scan order back into rows and columns of the lattice.
+    """Turn an array that `to_scan_order` arranged back into the lattice's rows and columns.
 
-    This is the inverse of `to_scan_order`. The array that is returned is a view.
+    The array that is returned is a view.
 
     Args:
-        array: see `to_scan_order`.
+        array: an array in a direction's scan order.
         direction: the direction that the array was arranged for.
     """
     return array.T if direction.swapped else array
@@ -421,12 +475,15 @@ def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArra
 
 
 class RotatedWalls(NamedTuple):
-    """Walls in a frame in which a direction of theirs points up, so that rays along it are columns.
+    """Walls in a frame in which one direction of walls points up.
+
+    So rays along this direction are cast like the vertical lines through cells.
 
     Attributes:
-        axes: of the frame, in rows, world frame, shape (3, 3).
-        tiled: the walls in this frame.
-        coded_distance: see `WallRays.measure`.
+        axes: the frame's axes x, y and z as rows, in the world frame, shape (3, 3).
+        tiled: the walls in this frame, by tiles of the lattice.
+        coded_distance: the distances from cells to walls that were measured so far, see
+            `WallRays.measure`.
     """
 
     axes: Float
@@ -435,7 +492,7 @@ class RotatedWalls(NamedTuple):
 
 
 class WallRays:
-    """Casts horizontal rays from cells to the walls' geometry, `RAY_HEIGHT` over the floors."""
+    """Casts horizontal rays from cells to the geometry of walls, at `RAY_HEIGHT` over the floor."""
 
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
         """Choose and tile the geometry that rays can meet.
@@ -443,7 +500,7 @@ class WallRays:
         Args:
             walls: the geometry that rays meet, world frame.
             lattice: the cells that rays begin in.
-            floor: heights of their floors, NaN for none, shape (height, width) [m].
+            floor: heights of these cells' floors, NaN for none, shape (height, width) [m].
         """
         self._lattice = lattice
         has_floor = ~np.isnan(floor)
@@ -460,17 +517,17 @@ class WallRays:
         self._rotated = dict[tuple[bool, float], RotatedWalls]()
 
     def measure(self, direction: WallDirection, cells: Int) -> Float:
-        """Measure distances from cell centres to walls, back and forth along a direction.
+        """Measure distances from cells' centres to walls, backward and forward in a direction.
 
         Args:
-            direction: along which rays are cast.
-            cells: ids of the direction's scan from which a ray goes back, and those from which one
-                goes on, -1 for none; shape (…, 2).
+            direction: the direction along which rays are cast.
+            cells: pairs of cell ids in the direction's scan, shape (…, 2). A ray goes backward from
+                the first cell of a pair, and forward from the second; -1 for no ray.
 
         Returns:
-            For each cell of the scan, the distances back and forth, plus 1, shape (cells, 2)
-            [columns]: 0 if not measured by any call yet, inf for no wall. Later calls for the
-            direction write into the same array.
+            For each cell of the scan, the distance backward and the distance forward, shape (cells,
+            2) [columns]. Distances are stored plus 1, so that 0 means that no call has measured
+            them yet; inf means no wall. Later calls for the direction write into the same array.
         """
         walls = self._rotate(direction)
         entries = np.nonzero(cells >= 0)
@@ -490,18 +547,19 @@ class WallRays:
         return walls.coded_distance
 
     def find_points(self, open_cells: Bool) -> tuple[WallPoints, int]:
-        """Find points on walls by rays along the lattice's axes, from cells beside closed ones.
+        """Find points on walls by rays along the lattice's axes, from open cells to closed ones.
 
         Args:
-            open_cells: shape (height, width).
+            open_cells: a mask of the cells without a wall, shape (height, width).
 
         Returns:
-            The points, and the number of rays that were cast; a ray meets one point or none.
+            The points; and the number of rays, those that meet no wall included, but not those that
+            meet a wall at less than 45°.
         """
         closed = np.pad(~open_cells, 1, mode="edge")
         cell_size = self._lattice.cell_size
         has_floor = open_cells & (self._heights > NO_FLOOR_HEIGHT)
-        stride = max(1, int(POINT_SPACING / cell_size))  # one cell in so many has a ray
+        stride = max(1, int(POINT_SPACING / cell_size))  # one of this many cells has a ray
         rows, cols = open_cells.shape
         positions = list[Float]()
         angles = list[Float]()
@@ -515,7 +573,7 @@ class WallRays:
             walls = self._rotate(direction_of(90.0 * abs(down), open_cells.shape))
             goes_on = np.full(len(row), down + right > 0)
             distance, normal = self._cast(walls, row, col, goes_on, np.zeros(1))
-            # what is steeper to the ray is met by those along the other axis
+            # walls at less than 45° to the ray are met by rays along the other axis
             faces_ray = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])
             num_rays += int(faces_ray.sum())
             meets_wall = faces_ray & np.isfinite(distance)
@@ -537,18 +595,18 @@ class WallRays:
     def _cast(
         self, walls: RotatedWalls, row: Int, col: Int, goes_on: Bool, offsets: Float
     ) -> tuple[Float, Float]:
-        """Cast rays along a direction, on or back from cells.
+        """Cast rays from cells along a direction, forward or backward.
 
         Args:
-            walls: rotated so that rays are vertical.
-            row, col: the cells, shape (n,).
-            goes_on: whether each ray goes on in the direction, else back, shape (n,).
-            offsets: by how much rays begin beside the centres, across them [cells].
+            walls: the walls, rotated so that rays along the direction are vertical.
+            row, col: rows and columns of the cells, shape (n,).
+            goes_on: whether the ray of each cell goes forward, else backward, shape (n,).
+            offsets: how far beside the cell's centre its rays begin, across the direction [cells].
 
         Returns:
-            How far the nearest wall is from each cell's centre over all offsets, inf for none, (n,)
-            [m].
-            The wall's normal there in the rotated frame, 0 for none, shape (n, 3).
+            The distance from each cell to the nearest wall that any of its rays meets, inf for
+            none, shape (n,) [m]; and the wall's normal there in the rotated frame, 0 for none,
+            shape (n, 3).
         """
         lattice = self._lattice
         axes = walls.axes
@@ -587,7 +645,7 @@ class WallRays:
         return distance, normal
 
     def _rotate(self, direction: WallDirection) -> RotatedWalls:
-        """Rotate the walls into a frame in which the direction points up, once per direction."""
+        """Return the walls in a frame in which the direction points up; made once per direction."""
         key = direction.swapped, direction.slope
         if key not in self._rotated:
             along = np.array([1.0, -direction.slope]) / direction.stretch
@@ -600,14 +658,14 @@ class WallRays:
 
 
 def _choose_triangles(bounds: Float, heights: Float) -> Int:
-    """Choose the triangles that are at the height of a ray, to a `HEIGHT_BIN`.
+    """Choose the triangles that a ray may meet, by height; heights are rounded to a `HEIGHT_BIN`.
 
     Args:
-        bounds: of each triangle, shape (n, 6) [m].
-        heights: of the rays, at least one [m].
+        bounds: the box of each triangle, lower corner and upper corner, shape (n, 6) [m].
+        heights: the heights of the rays, at least one [m].
 
     Returns:
-        The numbers of the triangles, ascending.
+        The indices of the triangles, ascending.
     """
     low = heights.min()
     high = heights.max()
@@ -636,15 +694,16 @@ def _choose_triangles(bounds: Float, heights: Float) -> Int:
 
 
 def find_windows(is_low: Bool, is_wall: Bool, cell_size: float) -> Bool:
-    """Mark the cells of sills and parapets that continue a wall.
+    """Mark the cells of sills and parapets that continue a wall, in the mesh of a whole building.
 
-    Where walls, floors and furniture are one mesh, it blocks low cells below heads only, and wall
-    cells above, too. A sill goes from one piece of wall to the next along the wall's direction
-    without a break, and is as thin as a wall, unlike furniture.
+    Sills and furniture both block cells, but don't reach as high as walls: these are low cells. A
+    sill, unlike furniture, leads from one piece of wall to the next along the wall's direction
+    without a break, and is as thin as a wall.
 
     Args:
-        is_low: cells that a building's mesh blocks below heads only, shape (height, width).
-        is_wall: cells of walls.
+        is_low: low cells, which the mesh blocks, but without reaching into the heights of 1.5 to
+            1.8 m over the floor, shape (height, width).
+        is_wall: cells that a wall blocks.
         cell_size: the side of a cell, > 0 [m].
 
     Returns:
