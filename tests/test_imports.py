@@ -389,6 +389,25 @@ def test_the_run_time_loads_no_baker():
     assert loaded.isdisjoint(["mujoco", "fcl", "trimesh", "navbake.baker.bake.pipeline"])
 
 
+# what is no part of the core, see CONTRIBUTING
+SATELLITES = ("arena", "auditor", "batch", "cli", "episodes", "routes", "scores", "tensors")
+SATELLITES += ("testing", "verifier", "views", "voxels", "baker.live", "baker.voxels")
+CORE_FORMATS = ("allowance", "arrays", "format_table", "navgrid", "package_paths")
+CORE_FORMATS += ("scene_files", "shapes", "source", "xml_files")
+
+
+def test_the_core_loads_no_satellite():
+    """What bakes, reads and asks: each satellite could be taken away."""
+    code = "import navbake.baker.bake.pipeline, navbake.baker.bake.stages"
+    code += ", navbake.formats.navgrid, navbake.runtime.path_finder"
+    loaded = loaded_after(code)
+    assert "navbake.baker.rooms.rooms" in loaded
+    satellites = tuple(f"navbake.{name}" for name in SATELLITES)
+    assert {name for name in loaded if belongs(name, satellites)} == set()
+    formats = {name for name in loaded if name.startswith("navbake.formats.")}
+    assert formats == {f"navbake.formats.{name}" for name in CORE_FORMATS}
+
+
 def test_the_run_time_starts_without_what_its_first_question_needs():
     code = "import navbake\nnavbake.load, navbake.SceneGrid2D, navbake.PathFinder"
     assert loaded_after(code).isdisjoint(["mujoco", "fcl", "trimesh", "numba", "scipy"])
