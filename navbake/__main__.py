@@ -16,7 +16,7 @@ from types import FrameType
 # how long code in C may keep Python from handling a signal; then the process ends [s]
 SIGNAL_TIMEOUT = 2.0
 GARBAGE_THRESHOLD = 200_000
-"""Python collects garbage after so many new objects.
+"""Python collects garbage after this many new objects.
 
 It is more than by default, because imports and compilers make many objects that stay.
 """

@@ -49,7 +49,7 @@ PACKAGE = __name__.partition(".")[0]
 PACKAGE_FOLDER = Path(__file__).parent
 KERNEL_LIST = PACKAGE_FOLDER / "kernels.json"
 CACHE_REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
-MAX_PROCESSES = 4  # so many processes compile at the same time
+MAX_PROCESSES = 4  # the most processes that compile at the same time
 # time until the first message on progress; the time to each later one is twice as long [s]
 FIRST_PROGRESS = 5.0
 KERNELS: list[Any] = []
@@ -370,7 +370,7 @@ def _total_seconds(entries: list[Entry]) -> float:
 
 
 def _divide(entries: list[Entry], num_processes: int) -> list[list[Entry]]:
-    """Divide entries into at most so many groups, which take about equally long to compile.
+    """Divide entries into at most `num_processes` groups that take about equally long to compile.
 
     The entries of a module stay together: they share code.
     """

@@ -86,7 +86,7 @@ class BakeWarning(UserWarning):
 
 
 MAX_NAME = 200  # characters of a name in a message
-# a message with more characters than both together keeps so many at its beginning and its end
+# a message with more characters than both together is cut: these many stay at its beginning and end
 MAX_BEGINNING = 700
 MAX_TEXT_END = 400
 

@@ -160,7 +160,7 @@ def check_regular(path: str | PathLike[str]) -> None:
 
 
 def _remove_leftovers_once(folder: Path) -> None:
-    """Remove leftovers from a folder, but once in a process: listing a large folder is slow."""
+    """Remove leftovers from a folder once in a process, because listing a large folder is slow."""
     if folder not in _cleaned_folders:
         _cleaned_folders.add(folder)
         remove_leftovers(folder)

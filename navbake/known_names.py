@@ -47,7 +47,7 @@ def find_near(name: object, candidates: Iterable[str], most: int = 1) -> list[st
     Args:
         name: The name that is not known.
         candidates: The known names.
-        most: Return at most so many names.
+        most: The largest number of names to return.
 
     Returns:
         The known names, the most similar ones first.
@@ -73,7 +73,7 @@ def suggest(
     Args:
         name: The name that is not known.
         candidates: The known names.
-        limit: List at most so many of the known names.
+        limit: The largest number of known names to list.
         owner: What has the known names, such as ``the grid``; the subject of the last sentence.
     """
     names = list(dict.fromkeys(candidates))
@@ -91,7 +91,7 @@ def list_first(names: Sequence[str], most: int = 1) -> str:
 
     Args:
         names: The names.
-        most: List at most so many of them.
+        most: The largest number of names to list.
     """
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more

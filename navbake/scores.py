@@ -410,7 +410,8 @@ class Measures:
     def _coverage(self, positions: Float) -> float:
         """Return the share of the start's island that the agent has covered, by area.
 
-        It has covered what is within the radius of one of its positions, along the floor.
+        The agent has covered each cell whose distance from one of its positions, along the floor,
+        is at most the goal's radius.
         """
         search = self.finder.search
         flat = search.flat

@@ -22,7 +22,7 @@ Result = TypeVar("Result")
 
 LEAST_CELLS = 4096  # work on fewer cells is not worth a call on another thread
 CHUNKS_PER_THREAD = 8  # enough to balance the threads
-# `_limit.count`: so many threads at most run the kernels that the present Python thread starts
+# `_limit.count`: the most threads on which the kernels run that the present Python thread starts
 _limit = threading.local()
 _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()

@@ -1,4 +1,7 @@
-"""Writes YAML, and reads hand-written YAML: scalars as in YAML 1.2; a key twice is an error."""
+"""Writes YAML, and reads hand-written YAML.
+
+Scalars are read as in YAML 1.2. A key that stands twice in a mapping is an error.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,8 @@ from navbake.errors import ConfigError
 if TYPE_CHECKING:  # it loads numpy
     from navbake.types import JsonValue
 
-MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # keys are names, with dots
+# settings whose keys are names, which may contain dots
+MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))
 MAX_PROBLEM = 200  # characters of a message of PyYAML, which repeats long tags and names
 # PyYAML raises these for a value that doesn't fit its explicit tag, such as ``!!bool maybe``
 TAG_ERRORS = (AttributeError, IndexError, KeyError, TypeError, ValueError)

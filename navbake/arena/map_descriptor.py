@@ -28,7 +28,7 @@ ARENA = (20, 15)  # rows and columns of the format's arena
 SQUARE = 0.1  # edge of its squares [m]
 PADDING = np.array([1, 1], dtype=np.uint8)  # before and after the bits of part 1
 MAX_SQUARES = 10**8  # of a map
-END_SLACK = 1e-6  # a ray that ends so near to a square's side ends in the square behind [m]
+END_SLACK = 1e-6  # a ray that ends this near to a square's side ends in the square behind it [m]
 # a ray is parallel to an axis if the other component of its unit vector is at most this
 PARALLEL_TOLERANCE = 1e-12
 

@@ -190,7 +190,7 @@ def check_floors(facts: Facts) -> Iterator[Finding]:
 
 
 class _Patch(NamedTuple):
-    """An island above or below its surroundings; sorts errors first, then the largest first."""
+    """An island above or below its surroundings; sorted, errors come first, then larger islands."""
 
     is_remark: bool
     negative_area: float  # minus the area [m²]
@@ -272,7 +272,7 @@ class _Jumps(NamedTuple):
 
     @classmethod
     def none(cls, num_islands: int) -> _Jumps:
-        """Make the jumps of islands of which no edge has been added yet."""
+        """Make the sums for islands before any edge is added: all are 0."""
         return cls(np.zeros(num_islands), np.zeros(num_islands))
 
     def add(self, islands: NDArray[np.int32], heights: Float) -> None:

@@ -67,7 +67,7 @@ class Remark:
 
 @dataclass
 class AuditReport:
-    """All remarks on a grid."""
+    """All remarks on a grid, or on a graph of routes."""
 
     scene_id: str | None
     remarks: list[Remark] = field(default_factory=list)  # errors first

@@ -140,7 +140,7 @@ def write_index(
     has_table: bool,
     batch_slice: Slice | None = None,
 ) -> None:
-    """Write the index: the rows of a batch, then rows that the index has of other scenes.
+    """Write the index: the rows of a batch, then rows of other scenes that were in it before.
 
     The indexes of slices are merged into it and then removed.
 

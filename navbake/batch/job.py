@@ -431,10 +431,11 @@ def _bake_and_write(plan: Plan, job: Job, begin: float) -> SceneRow:
 
 
 def _copy_twin(plan: Plan, job: Job, scene: BatchScene) -> NavGrid | None:
-    """Return the grid of the scene's twin, with this scene's id and settings in its metadata.
+    """Copy the grid of a scene's twin: an equal scene of the batch, which is baked already.
 
-    The grid is what a bake of this scene would give. Returns None if the scene has no twin, the
-    twin isn't done, or a warning of its grid may name one of the twin's files.
+    The copy has this scene's id and settings in its metadata, and is what a bake of this scene
+    would give. Returns None if the scene has no twin, the twin isn't done, or a warning of its
+    grid may name one of the twin's files.
     """
     if not job.twin:
         return None

@@ -140,7 +140,7 @@ def check_id(name: str, place: str) -> None:
 
 
 def fold_name(name: str) -> str:
-    """Fold a name so that names become equal that some file system takes for the same.
+    """Return a form that is equal for all names that some file system takes for the same name.
 
     This is the canonical caseless matching of Unicode.
     """
@@ -148,7 +148,7 @@ def fold_name(name: str) -> str:
 
 
 def _choose_ids(jobs: list[Job]) -> list[str]:
-    """Return the ids of scenes: that of the job, or else the end of its path.
+    """Return the id of each scene: the id that its job has, or else the end of its path.
 
     The end of a path has as many folders as it takes to differ from the other ids.
     """

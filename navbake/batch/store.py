@@ -411,7 +411,7 @@ class Mirror(ExitStack):
 
 
 def find_disk_full_error(error: BaseException | None) -> OSError | None:
-    """Return the first of an error and its causes that says that there is no room; else None.
+    """Find the error of a full disk among an error and its causes; None if there is none.
 
     That is an error of the operating system with a number of `FULL_DISK_REMEDIES`.
     """

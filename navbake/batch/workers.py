@@ -36,7 +36,9 @@ POLL_INTERVAL = 0.5  # how often the parent checks which jobs have begun [s]
 # A wait that lasts this much longer than `POLL_INTERVAL` shows that this process was suspended [s].
 MAX_OVERSLEEP = 1.0
 JOBS_PER_WORKER = 3  # jobs submitted ahead for each worker, so that no worker waits for the parent
-MAX_BROKEN_POOLS = 3  # an error is raised after so many pools in a row broke without a finished job
+MAX_BROKEN_POOLS = (
+    3  # an error is raised after this many pools in a row broke before any job was done
+)
 MAX_STDERR_TEXT = 200  # characters of a worker's stderr that are quoted in a reason
 # how a job ended
 DONE = "done"
@@ -247,7 +249,7 @@ class Workers:
                     yield self._describe_failure(number, error, duration)
 
     def _describe_failure(self, number: int, error: BaseException, seconds: float) -> JobEnd:
-        """Say how a job ended of which the pool reports an error.
+        """Describe the end of a job for which the pool reports an error.
 
         Args:
             number: the job's index.
@@ -391,7 +393,7 @@ def do_on_ray(
             for the batch; None for ``RAY_ADDRESS``, else ``local``.
         probe_file: an existing file in the output folder. A node that doesn't see it doesn't share
             the folder, which is an error. None for no such check.
-        on_event: is called when a job is submitted, and when it was retried.
+        on_event: is called when a job is submitted, and after it was retried.
 
     Raises:
         NavbakeError: there is no cluster, a node can't do the jobs, or ray isn't installed.
@@ -469,7 +471,8 @@ def _run_task(
     """Do a job on a node of the cluster, in a worker process.
 
     Args:
-        node_functions: checks the node and enters the batch's folder; and makes the workers.
+        node_functions: two functions: the first checks the node and enters the batch's folder, the
+            second makes the workers.
         number: the job's index in the batch.
         job: the job.
 

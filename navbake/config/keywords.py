@@ -165,7 +165,7 @@ def _as_yaml_value(value: object) -> object:
 
 
 def _attribute_hint(scene: object) -> str:
-    """Say what to give in place of an object, if it is known to hold a scene; "" otherwise."""
+    """Name the attribute to give in place of an object that holds a scene; "" for other objects."""
     if type(scene).__name__ == "MjData":
         return ": give its model first, then the data"
     # dm_control's models have `ptr`; environments and dm_control's Physics have `model`

@@ -55,7 +55,7 @@ def check_word(value: str, words: Collection[str], name: str) -> None:
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The base class of all parts of a set; the fields have the same names in files."""
+    """The base class of the parts of a set of episodes; in files, fields have the same names."""
 
 
 class ViewPoint(Record, frozen=True, omit_defaults=True):
@@ -94,7 +94,7 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
     distance: Length | None = None
     """Length, seen from above, of the shortest path over cells to the nearest place of a goal, or
     through all goals of a ``sequence`` [m]; None if it is unknown or has no meaning."""
-    straight: Length | None = None  #: The same distance, but straight through the air [m].
+    straight: Length | None = None  #: Distance to the goals straight through the air [m].
     split: str | None = None  #: The part of the set that it belongs to, such as ``train``.
     room: str | None = None  #: Id of the room of the start.
     levels: tuple[int, ...] = ()  #: Level of the start, and level of the goal.

@@ -97,7 +97,7 @@ def find_stops(
         in_order: whether all goals have to be reached in their order; otherwise any one of them.
 
     Returns:
-        The stops; None if an agent can stand at none of the places of some stop.
+        The stops; None if there is a stop where an agent can stand at none of the places.
     """
     if goals[0].share is not None:
         return Stops(tuple(goals))
@@ -239,7 +239,7 @@ class GoalFinder:
         Args:
             names_of: name of an object or id of a room -> its names.
             patterns: patterns of names.
-            word: what to suggest a similar name for, if nothing fits.
+            word: a word of the patterns; if nothing fits, the error suggests a name like it.
             label: the patterns as the error describes them.
 
         Raises:
@@ -323,7 +323,7 @@ class GoalFinder:
         )
 
     def _find_view_positions(self, object_cells: Int) -> list[Vector3]:
-        """Find centres of free cells near an object, with nothing between them and the object.
+        """Find the places from which an object is visible: centres of free cells near the object.
 
         On each level, only cells on a lattice with a spacing of `VIEW_POINT_SPACING` are tried; if
         no cell near the object is on it, all near cells are.

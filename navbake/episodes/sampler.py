@@ -1,4 +1,7 @@
-"""Draws episodes on grids by rules. A set's header stores the rules, and what each refused."""
+"""Draws episodes on grids by rules.
+
+The set's header stores the rules, and how many draws each rule refused.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,7 @@ if TYPE_CHECKING:
 Kind = TypeVar("Kind")
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
-MAX_FAILURES = 200  # after so many goals in a row without an episode, a scene's draw ends
+MAX_FAILURES = 200  # a scene's draw ends after this many goals in a row without an episode
 
 
 class Rules(Record, frozen=True, kw_only=True):
@@ -525,5 +528,6 @@ class _Starts(NamedTuple):
     cells: Int  # flat ids, shape (n,)
     levels: Int  # levels of start and goal, shape (n, 2)
     rises: Float  # z of the start minus z of the goal [m], shape (n,)
-    distance: Float  # length of the shortest path through the stops [m], shape (n,); NaN without
+    # length of the shortest path through the stops [m], shape (n,); NaN if there is no path
+    distance: Float
     straight: Float  # the same length, but straight through the air [m], shape (n,)

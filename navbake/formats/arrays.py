@@ -18,7 +18,7 @@ from navbake.navgrid.metadata import datatype_name
 from navbake.types import Float, Int, JsonValue
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
-CHUNK_LENGTH = 1 << 20  # so many cells or runs are encoded at once, to limit memory
+CHUNK_LENGTH = 1 << 20  # cells or runs that are encoded at once, to limit memory
 
 
 def decode_array(

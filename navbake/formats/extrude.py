@@ -39,7 +39,7 @@ WALL_HEIGHT = 2.5  # over the highest floor [m]
 # Thickness of a floor [m]; thin, because it takes headroom from the level below
 SLAB_THICKNESS = 0.02
 BOX_INSET = 1e-3  # by how much a box is smaller on each side [cells]
-TOP_MARGIN = 0.01  # the uppermost level ends so far over its highest floor; walls rise on [m]
+TOP_MARGIN = 0.01  # the uppermost level ends this far over its highest floor; walls rise on [m]
 MAX_BOXES = 200_000
 MAX_WALL_HEIGHT = 1e4  # [m]
 DECIMALS = 9  # of lengths in the settings [m]

@@ -29,7 +29,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.types import Float, Int, Json, JsonValue
 
-HEIGHT_TOLERANCE = 0.001  # by default, a quad may be so far off the floor [m]
+HEIGHT_TOLERANCE = 0.001  # how far a quad may be off the floor, by default [m]
 DEFAULT_MAX_SLOPE = 45.0  # for grids that state none [deg]
 SLOPE_TOLERANCE = 1e-6  # share by which a slope may exceed the largest one, for rounding
 NO_ROOM = "no room"
@@ -230,7 +230,7 @@ def cover_with_quads(
 
 
 def find_room_colors(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
-    """Return the colours of each level's rooms; neighbouring rooms have different colours.
+    """Return the colours of each level's rooms; those of neighbours differ where that is possible.
 
     Args:
         grid: the grid.

@@ -38,10 +38,11 @@ class FileFormat(NamedTuple):
         inflates: whether `convert.encode_as` inflates the grid for the option ``radius``, so that
             the writer need not.
         loses: kinds of content that the format has no place for, of ``heights`` (of the floor),
-            ``steps`` (between levels), ``areas``, ``links``, ``agents`` and ``doors``. What a grid
-            has of them is told in a warning.
-        closes: what is occupied in the format's files because they have no word for it: ``stairs``
-            (see `navbake.formats.map_losses.find_stairs`), and ``areas`` that bar the agent.
+            ``steps`` (between levels), ``areas``, ``links``, ``agents`` and ``doors``. A warning
+            names what a grid has of them.
+        closes: which free cells are occupied in the format's files, since a robot must not go there
+            and the format can't say why: ``stairs`` (see
+            `navbake.formats.map_losses.find_stairs`), and ``areas`` that bar the agent.
         closes_by_itself: whether the writer closes these cells, instead of `convert.encode_as`.
     """
 

@@ -585,8 +585,8 @@ def _find_distance(line: Float, points: Float) -> float:
 def encode_graphml(grid: NavGrid, path: Path) -> Files:
     """Encode a grid's rooms as GraphML, see `RoomGraph.to_networkx`.
 
-    Rooms may have several ways between them, and each edge has an id of its own. networkx reads the
-    file as a simple graph where no two rooms have, unless it is called with ``force_multigraph``.
+    Two rooms may have several connections; each is an edge with an id of its own. If no two rooms
+    have several, networkx reads a simple graph, unless it is called with ``force_multigraph``.
 
     Args:
         grid: the grid.
@@ -620,7 +620,7 @@ def _number_edges(graph: networkx.MultiGraph[Any]) -> networkx.MultiGraph[Any]:
 
 
 def encode_networkx(graph: networkx.Graph[Any], *, as_gml: bool = False) -> bytes:
-    """Encode a graph of networkx as GraphML; characters that XML can't hold are replaced.
+    """Encode a graph of networkx as GraphML or GML; characters that XML can't hold are replaced.
 
     Args:
         graph: the graph.

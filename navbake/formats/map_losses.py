@@ -1,4 +1,4 @@
-"""What a file format can't hold of a grid: which cells a map closes for that, and what is told.
+"""Finds the cells that a map closes because it can't say more of them, and describes what is lost.
 
 A map without heights shows a stair as free floor. A planner of wheeled robots would plan up the
 stair, so such a map has the stair's cells as occupied, unless its user wants them free. A map

@@ -171,7 +171,7 @@ def _make_pose(position: Iterable[float], heading: float = 0.0) -> Json:
 
 
 def find_headings(positions: Float) -> list[float]:
-    """Find the heading at each point of a path: that to the next point that lies elsewhere.
+    """Find the heading at each point of a path: the direction to the next point at another x, y.
 
     From the last such point on, the heading stays. Seen from above, a path that goes nowhere, such
     as one that only rises, has the heading 0.

@@ -123,7 +123,7 @@ def encode_nav2(
         stairs: ``occupied``, or ``free`` to leave floors free that only steps lead to; None means
             ``occupied``. See `navbake.formats.map_losses.find_stairs`.
         agent: the agent whose barred areas are occupied: its name in the grid, or the agent itself.
-            None closes those that bar all agents.
+            None closes areas that bar all agents.
 
     Returns:
         The content of each file by its path.

@@ -48,7 +48,7 @@ SPEED_PERCENT = 1
 SPEED_ABSOLUTE = 2
 MAX_VALUE = 100  # of a mask
 MAX_LISTED = 20  # names that an error lists
-# a speed limit that is lower than that of a value by this share still gets the value
+# a value is used even if its limit is higher than the wanted one by this share, for rounding
 LIMIT_SLACK = 1e-9
 ROUND_MULTIPLIERS = (1.0, 0.5, 0.1, 0.05, 0.01)  # tried in this order [m/s]
 

@@ -72,7 +72,7 @@ MULTI_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "timings")
 LINK_TABLES = ("step_array", "links")
 METADATA_TABLES = (*LINK_TABLES, "areas", "agents", "doors", "stated_rooms")
 SPLIT_BYTES = 1 << 20  # smaller files are parsed at once, without msgspec
-CELLS_AT_ONCE = 1 << 16  # user data of so many cells are encoded at once, to limit memory
+CELLS_AT_ONCE = 1 << 16  # cells whose user data are encoded at once, to limit memory
 
 
 # ---------------------------------------------------------------- reading

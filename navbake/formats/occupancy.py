@@ -38,7 +38,7 @@ QUARTER_TURN = math.pi / 2
 # a yaw counts as whole quarter turns if a map's farthest corner moves by less [cells]
 QUARTER_TOLERANCE = 0.1
 MIN_COVER = 0.01  # a new cell is occupied if occupied cells of the map cover this share of it
-CELLS_AT_ONCE = 1 << 18  # so many are compared at once, to limit memory
+CELLS_AT_ONCE = 1 << 18  # occupied cells that are compared with new cells at once, to limit memory
 
 OccupancyValues: TypeAlias = NDArray[np.int8]
 """Values of ``nav_msgs/OccupancyGrid``, shape (height, width), row 0 at the top."""
@@ -122,9 +122,9 @@ def level_from_values(
 ) -> SceneGrid2D:
     """Make a level from occupancy values.
 
-    Cells of 100 are occupied, those of 99 blocked, and those of -1 have no floor. Values from 1 to
-    98 become weights: the lowest cost that nav2 publishes as that value. All cells except unknown
-    ones have a flat floor, also occupied ones.
+    Cells with the value 100 are occupied, those with 99 blocked, and those with -1 have no floor.
+    Values from 1 to 98 become weights: the lowest cost that nav2 publishes as that value. All cells
+    except unknown ones have a flat floor, also occupied ones.
 
     Args:
         values: the values, shape (height, width), int8.

@@ -57,8 +57,8 @@ class RoomFiles(NamedTuple):
 def name_room_files(folder: Path, stem: str) -> RoomFiles:
     """Name the files of rooms of a map, after the map.
 
-    All maps of a scene in OmniGibson's dataset share them, with and without objects or doors:
-    ``floor_trav`` and ``floor_trav_no_obj`` have ``floor_insseg_0.png``.
+    In OmniGibson's dataset, the maps of a scene with and without objects or doors share these
+    files: ``floor_trav`` and ``floor_trav_no_obj`` both have ``floor_insseg_0.png``.
 
     Args:
         folder: the folder of the map.
@@ -269,7 +269,7 @@ def list_room_maps(path: Path) -> list[Path]:
 
 
 def _find_room_files(path: Path) -> RoomFiles | None:
-    """Return the files of rooms that belong to a map; None for a map of another level, or without.
+    """Find the files of rooms of a map of level 0; None for another level, or without such files.
 
     Earlier versions of navbake gave OmniGibson's names to the rooms of each map.
     """

@@ -2,7 +2,7 @@
 
 In reading order, each cell that isn't covered yet becomes the upper left cell of a rectangle. There
 are four planes through the cell: horizontal, or sloped along its row, its column or both. The
-kernel takes the one whose rectangle has the most cells; of several, the first in this order. That
+kernel takes the plane whose rectangle has the most cells; of several, the first in this order. That
 does not find the smallest possible number of rectangles, but comes near it on floor plans.
 """
 

@@ -57,7 +57,8 @@ routes = lazy("navbake.routes.build")
 LOG = logging.getLogger(__name__)
 WALL_THICKNESS = 0.1  # simulators give each wall this thickness [m]
 SHAFT_GAP = 0.1  # distance of a lift's car from the walls of its shaft [m]
-# vertices nearer to a car than 0.05 m are taken to be in its shaft; more, as places are rounded [m]
+# Open-RMF takes vertices nearer to a car than 0.05 m to be in its shaft; this is a little more, as
+# positions are rounded [m]
 SHAFT_MARGIN = 0.06
 DECIMALS = 4  # of coordinates
 # the format writes a value after the number of its type
@@ -116,8 +117,8 @@ class _BuildingLevel:
 def encode_building(grid: NavGrid, path: Path) -> Files:
     """Encode a grid as a building; log a warning that names what the format can't hold.
 
-    The warning names links, steps between levels, and areas; rooms and furniture are left out
-    without one.
+    The warning names links (except lifts whose car is known), steps between levels, and areas;
+    rooms and furniture are left out without one.
 
     Args:
         grid: the grid.

@@ -3,9 +3,9 @@
 - ``nav2-route``: GeoJSON of nav2's Route Server. A node is a Point with ``id`` and ``frame``. Each
   direction of a lane is a MultiLineString with ``id``, ``startid``, ``endid`` and ``cost``. Under
   ``metadata`` are navbake's other fields, and nav2's keys ``speed_limit`` [%] and
-  ``abs_speed_limit`` [m/s]. nav2 may replace (``overridable``) a cost only where it is the length
-  of a lane without a speed limit, so prices survive whatever scores the other lanes. nav2 knows no
-  levels, so a file should hold one level, see `RouteGraph.on_level`.
+  ``abs_speed_limit`` [m/s]. nav2 may replace a cost (``overridable``) only where it is the length
+  of a lane without a speed limit. So the prices of areas and links stay, whichever scorer nav2
+  uses. nav2 knows no levels, so a file should hold one level, see `RouteGraph.on_level`.
 - ``lif``: Layout Interchange Format of the VDMA (JSON). Each level is a layout. A node's id is its
   name. Each direction of a lane is an edge, in the layout of its start. The time of export is
   fixed, so that equal graphs have equal files.
@@ -739,7 +739,7 @@ def _read_rmf_doors(top: Json, place: JsonPath, level_names: list[str]) -> list[
 
 
 def _check_numbers(content: Json, key: str, count: int, place: JsonPath) -> list[float]:
-    """Return the list of so many numbers in a field of an object."""
+    """Return the list of `count` numbers in a field of an object."""
     values = _check_list(content, key, place)
     if len(values) != count:
         place[key].refuse(f"{count} numbers", values)

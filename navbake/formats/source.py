@@ -52,7 +52,7 @@ Files: TypeAlias = dict[Path, bytes]
 """Path -> content of files to be written, in this order."""
 
 LOG = logging.getLogger("navbake")
-FIRST_BYTES = 1 << 20  # so many are read first, to check how a file begins
+FIRST_BYTES = 1 << 20  # bytes that are read first, to check how a file begins
 BOM = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 GZIP_MAGIC = b"\x1f\x8b"
 # first two bytes of a packed file -> name of the packing, and function that opens the file

@@ -34,7 +34,7 @@ def read_voxel_plan(
         path: the file, which ends in ``.bt``, ``.ot`` or ``.binvox``.
         height: the lower and the upper end of the heights that an agent needs free, world z [m];
             the lower one is the height of the grid's floor. It has no default.
-        unknown: what columns are of which nothing is known between the heights: ``free``,
+        unknown: the state of columns about which nothing is known between the heights: ``free``,
             ``occupied`` or ``unknown`` (without a floor).
 
     Returns:

@@ -31,7 +31,7 @@ ROOM_LEGEND = "#6b6f78"  # in the legend: occupied cells of any room
 
 MAX_NEIGHBOR_GAP = 0.6  # rooms are neighbours if the gap between them is no wider [m]
 
-# of links, visible on walls as well
+# colours of links, visible on walls as well
 LINK_UP = "#3bcb11"
 LINK_DOWN = "#b870fd"
 LINK_ACROSS = "#889590"  # between cells of the same level

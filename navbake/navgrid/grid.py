@@ -250,7 +250,7 @@ class GridBase(GridMethods):
         return [level.width * level.height for level in self.levels]
 
     def _table(self, name: str, parse: Callable[[Any], Table], part: str = "") -> Table:
-        """Parse a table of the metadata; parse it again only once its entries were replaced.
+        """Return a parsed table of the metadata; parse it only if its entries are new.
 
         Args:
             name: Key of the table under ``navbake``.
@@ -358,7 +358,7 @@ class SceneGrid2D(GridBase):
 
         Args:
             levels: A list with the new level alone.
-            metadata: The new metadata; None to keep those of the new level.
+            metadata: The new metadata; None to keep the metadata of the new level.
         """
         (level,) = levels
         changed = level if metadata is None else level.with_layers(metadata=metadata)

@@ -1,9 +1,9 @@
 """The methods of a grid whose code is in other modules: queries, planning, export, pictures.
 
 Each method of `GridMethods` calls one function of another module. Most of these modules belong to
-folders above this one and import `navbake.navgrid.grid`. So this is the only module of the package
-that imports upwards: for type annotations, and inside of its methods. The graph of imports in
-`tests/test_imports.py` and `scripts/draw_imports.py` leaves it out.
+folders above this one and import `navbake.navgrid.grid`. So this module imports upwards: for type
+annotations, and inside of its methods. Only `navbake.routes.graph_methods` does so, too. The graph
+of imports in `tests/test_imports.py` and `scripts/draw_imports.py` leaves both out.
 """
 
 from __future__ import annotations
@@ -464,15 +464,15 @@ class GridMethods:
             dtype: ``"float32"`` or ``"float64"``, of positions and of all values in metres; None
                 for the library's default. float32 is refused if it cannot resolve the cells at
                 their distance from the origin.
-            goals: Goals as `PathFinder.find_path` takes them; `GridTensors.distance_to_goal` and
-                `path_step` number them in this order.
-            max_drop: Largest height above the floor at which `GridTensors.is_navigable` is true
+            goals: Goals as `PathFinder.find_path` takes them; `navbake.tensors.distance_to_goal`
+                and `navbake.tensors.path_step` number them in this order.
+            max_drop: Largest height above the floor at which `navbake.tensors.is_navigable` is true
                 [m], >= 0.
             cut_corners: Allow diagonal steps past blocked corners.
             agent: See `PathFinder`; the arrays describe the grid for an agent of its size.
 
         Returns:
-            The arrays, and methods that answer queries with them.
+            The arrays; the functions of `navbake.tensors` answer queries with them.
 
         Raises:
             MissingDependencyError: The extra ``navbake[tensors]`` is not installed.
@@ -481,7 +481,7 @@ class GridMethods:
         Example:
             >>> import torch
             >>> tensors = grid.tensors(torch, device="cuda", goals=["room:kitchen"])
-            >>> distance = tensors.distance_to_goal(positions)
+            >>> distance = navbake.tensors.distance_to_goal(tensors, positions)
         """
         from navbake.tensors.build import make_tensors
 
@@ -709,7 +709,7 @@ class GridMethods:
             tolerance: Largest distance between the mesh and the floor at a cell's centre [m], >= 0.
 
         Returns:
-            A mesh for each level, lowest first.
+            The mesh, with a `LevelMesh` for each level, lowest first.
 
         Raises:
             QueryError: The tolerance is not valid.

@@ -333,7 +333,7 @@ class _StopsEntry(msgspec.Struct):
 
 
 def _parse_entries(entries: JsonValue) -> list[StepEntry | _StopsEntry]:
-    """Convert a table of links to steps (tuples) and the stops of named links, in its order."""
+    """Convert a table of links to steps (tuples) and stops of named links, in the table's order."""
     separate = unflatten(entries or [])
     has_links = isinstance(separate, list) and any(isinstance(entry, dict) for entry in separate)
     if has_links:

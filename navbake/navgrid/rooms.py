@@ -195,14 +195,15 @@ class Door:
 
     @property
     def states(self) -> list[str]:
-        """The states that it can have: those for which the grid has its cells, and ``removed``."""
+        """The states that it can have: ``removed``, and those for which the grid has its cells."""
         return [state for state in DOOR_STATES if state in self.cells or state == "removed"]
 
     @property
     def like(self) -> str | None:
-        """``closed`` or ``open`` if its state is ``modelled`` and it blocks the same cells so.
+        """For a door whose state is ``modelled``: whether that is like ``closed`` or like ``open``.
 
-        None if its state is another one, or equals neither.
+        The door blocks the same cells in both states. None if the door has another state, or blocks
+        other cells than when it is closed or open.
         """
         modelled_cells = self.cells.get("modelled")
         if self.state != "modelled" or modelled_cells is None:

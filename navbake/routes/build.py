@@ -39,7 +39,8 @@ MIN_ISLAND_AREA = 4.0  # smaller islands have no nodes but the stops of links [m
 MAX_NODE_DISTANCE = 1.8  # from any cell to its nearest node [m]
 MIN_JUNCTION_SPACING = 1.0  # a junction nearer to a node in its sight is left out [m]
 CORNER_SNAP = 0.4  # a node this near to a path's corner may take its place [m]
-# nodes whose cells are this many regions apart or fewer need a short route between them
+# a node's region are the cells from which no other node is nearer; two nodes need a short route
+# between them if at most this many borders of regions lie between them
 MAX_REGION_HOPS = 3
 MAX_DETOUR = 1.05  # largest cost of a route over other lanes, as a multiple of the lane's own cost
 MAX_LANE_LENGTH = 20.0  # [m]
@@ -53,8 +54,8 @@ def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
 
     Args:
         grid: the grid, with its doors and obstacles in their present states.
-        agent: an agent's name in the grid, or an Agent; None for one of the grid's radius with all
-            rights.
+        agent: an agent's name in the grid, or an Agent; None for an agent of the grid's radius that
+            may use all links and enter all areas.
 
     Returns:
         The graph, with positions in world coordinates [m].
@@ -307,7 +308,8 @@ class _Builder:
     def _lane_cost(self, node: int, target: int) -> float:
         """Compute the cost of a lane between two nodes [m].
 
-        On one level, it is the cost of the straight line; between levels, the length on the map.
+        On one level, it is the cost of the straight line; between levels, its length seen from
+        above.
         """
         level = self.nodes[node].level
         if level != self.nodes[target].level:
@@ -333,7 +335,11 @@ class _Builder:
         return self.flat.cells_at(start + shares * (end - start), level)
 
     def _doors_on_lane(self, node: int, target: int) -> set[str | None]:
-        """List the ids of the doors whose leaves a lane crosses or its ends stand in, and None."""
+        """List the ids of the doors that a lane leads through, and None.
+
+        A lane leads through a door if it crosses the leaf, or if a node at its end stands in the
+        door.
+        """
         start, end = self.points[[node, target], :2]
         cells = self._cells_on_line(start, end, self.nodes[node].level)
         crossed = {self.leaf_doors.get(cell) for cell in cells.tolist()}
@@ -346,7 +352,7 @@ class _Builder:
     def _is_lane_free(self, node: int, target: int, allowed_doors: set[str | None]) -> bool:
         """Whether a straight lane is free, and leads through no doors but the allowed ones.
 
-        `allowed_doors` holds their ids, and None.
+        `allowed_doors` holds the ids of these doors, and None, which stands for no door.
         """
         is_seen = self._sees(self.cells[node], self.cells[target])
         return is_seen and self._doors_on_lane(node, target) <= allowed_doors

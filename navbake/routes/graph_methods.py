@@ -31,7 +31,7 @@ class RouteGraphMethods:
 
         Args:
             path: Name of the file; its ending says the format unless `to` does.
-            to: Name of the format: ``nav2-route``, ``lif``, ``rmf`` or ``graphml``.
+            to: Name of the format: ``nav2-route``, ``lif``, ``rmf``, ``graphml`` or ``gml``.
 
         Returns:
             The paths of the written files.

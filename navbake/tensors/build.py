@@ -49,9 +49,9 @@ def make_tensors(
         grids: one grid, or several, numbered as `scene_id` in the order given.
         xp: ``numpy``, ``torch``, ``jax.numpy`` or another module that follows the Python array
             API.
-        device: of the arrays, as the library names it; its default unless given.
-        dtype: ``"float32"`` or ``"float64"``: of positions and of all values in metres; the
-            library's default unless given. float32 is refused if the grid is so far from the origin
+        device: the device of the arrays, as the library names it; None for the library's default.
+        dtype: ``"float32"`` or ``"float64"``, the dtype of positions and of all values in metres;
+            None for the library's default. float32 is refused if the grid is so far from the origin
             that float32 can't tell cells apart.
         goals: for one grid, a sequence of goals as `PathFinder.find_path` takes them. For several
             grids, such a sequence for each grid, all equally long. `distance_to_goal` and
@@ -140,8 +140,8 @@ def _open_library(
 
     Args:
         xp: the library.
-        device: of the arrays; None for the library's default.
-        dtype: ``float32`` or ``float64``, for arrays of floats; None for the library's default.
+        device: the device of the arrays; None for the library's default.
+        dtype: ``float32`` or ``float64``, the dtype of floats; None for the library's default.
 
     Returns:
         The library's namespace by the array API; and a function that converts an array of numpy.
@@ -181,9 +181,9 @@ def _pad(search: Search, values: NDArray[Any], shape: PaddedShape, padding: floa
     """Arrange the values of a grid's cells by level, row and column, padded to the largest grid.
 
     Args:
-        search: of the grid.
-        values: by flat id.
-        shape: the padded shape.
+        search: the search on the grid, which has the flat ids of cells.
+        values: a value for each cell of the grid, by flat id.
+        shape: the largest numbers of levels, rows and columns of any grid.
         padding: the value of cells beyond the grid.
 
     Returns:
@@ -340,7 +340,7 @@ def find_smallest_true(
             (n,). A condition that holds at a number holds at every larger one.
         low: numbers at which the conditions don't hold, shape (n,).
         high: numbers at which the conditions hold, shape (n,).
-        dtype: of the numbers.
+        dtype: the dtype of the numbers.
 
     Returns:
         The numbers, shape (n,).
@@ -366,7 +366,7 @@ def find_first_in_cells(
         x_min: the first column's edge [m].
         size: width of a column [m].
         count: number of columns.
-        dtype: of the numbers.
+        dtype: the dtype of the numbers.
 
     Returns:
         x, shape (count + 1,) [m].
@@ -388,7 +388,7 @@ def find_lowest_within_step(
     Args:
         floors: z of floors, shape (n,) [m].
         max_step: the highest step [m].
-        dtype: of the numbers.
+        dtype: the dtype of the numbers.
 
     Returns:
         z, shape (n,) [m].

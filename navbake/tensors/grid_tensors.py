@@ -191,7 +191,10 @@ def first_level(t: GridTensors, scene_id: Ids) -> Array | int:
 
 
 def split(t: GridTensors, cell: Array) -> tuple[Array, Array, Array]:
-    """Convert ids of cells to index among the levels of all scenes, row and column."""
+    """Convert ids of cells to three arrays: level, row and column.
+
+    A level is its index among the levels of all scenes.
+    """
     cells_per_level = t.shape.rows * t.shape.cols
     cell_of_level = cell % cells_per_level
     return cell // cells_per_level, cell_of_level // t.shape.cols, cell_of_level % t.shape.cols

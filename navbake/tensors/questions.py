@@ -230,10 +230,10 @@ def heights(
 
     Args:
         t: the tensors.
-        positions: of the agents, world x, y, z, shape (..., 3) [m].
-        yaw: their headings, 0 along x, counted towards y, shape (...) [rad].
+        positions: positions of the agents, world x, y, z, shape (..., 3) [m].
+        yaw: headings of the agents, 0 along x, counted towards y, shape (...) [rad].
         pattern: points in the agents' frames, x ahead, y to the left, shape (k, 2) [m].
-        scene_id: of each agent, where the tensors have several grids.
+        scene_id: each agent's scene; needed where the tensors have several grids.
 
     Returns:
         World z, shape (..., k), NaN for no floor [m].
@@ -258,12 +258,12 @@ def patch(
 
     Args:
         t: the tensors.
-        positions: of the agents, world x, y, z, shape (..., 3) [m].
-        yaw: their headings, as in `heights` [rad].
+        positions: positions of the agents, world x, y, z, shape (..., 3) [m].
+        yaw: headings of the agents, as in `heights` [rad].
         shape: rows and columns of the map.
         cell: edge of a pixel [m].
         layer: ``free``, ``floor``, ``clearance``, ``room``, ``area`` or ``island``.
-        scene_id: of each agent, where the tensors have several grids.
+        scene_id: each agent's scene; needed where the tensors have several grids.
 
     Returns:
         Shape (..., rows, columns): ``free`` as bool, False outside; ``floor`` and ``clearance``,
@@ -295,10 +295,10 @@ def _pattern_points(
 
     Args:
         t: the tensors.
-        positions: of the agents, world x, y, z, shape (..., 3) [m].
-        yaw: their headings, shape (...) [rad].
+        positions: positions of the agents, world x, y, z, shape (..., 3) [m].
+        yaw: headings of the agents, shape (...) [rad].
         pattern: points in the agents' frames, x ahead, y to the left, shape (k, 2) [m].
-        scene_id: of each agent.
+        scene_id: each agent's scene, or None.
 
     Returns:
         World x, y, z of the points, shape (..., k, 3); and their scenes, shape (..., 1), None for
@@ -331,7 +331,7 @@ def distance_to_goal(
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        goal: its number, see `make_tensors`: an integer, or integers that broadcast to
+        goal: number of the goal, see `make_tensors`: an integer, or integers that broadcast to
             (...).
         scene_id: each position's scene; needed where the tensors have several grids.
 
@@ -354,8 +354,8 @@ def distances(
     Args:
         t: the tensors.
         starts: world x, y, z, shape (..., 3) [m].
-        goals: their numbers, shape (m,); all goals of the tensors in their order unless given.
-        scene_id: of each start, where the tensors have several grids.
+        goals: numbers of the goals, shape (m,); None for all goals of the tensors, in their order.
+        scene_id: each start's scene; needed where the tensors have several grids.
 
     Returns:
         Metres times weights, shape (..., m); inf for no path, NaN outside the grid.
@@ -384,7 +384,7 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        goal: its number, see `make_tensors`: an integer, or integers that broadcast to
+        goal: number of the goal, see `make_tensors`: an integer, or integers that broadcast to
             (...).
         scene_id: each position's scene; needed where the tensors have several grids.
 
@@ -459,7 +459,7 @@ def sample(
         min_clearance: only in cells with at least this `clearance` [m]; one number.
         reachable_from: only cells of the island that this position is on, world x, y, z, shape
             (3,); or (..., 3), one for each place [m].
-        scene_id: of each place, where the tensors have several grids.
+        scene_id: each place's scene; needed where the tensors have several grids.
 
     Returns:
         World x, y and floor z [m], shape (..., 3); NaN if there is no such place.

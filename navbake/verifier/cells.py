@@ -87,7 +87,7 @@ class OutlineEdge(NamedTuple):
 
 
 class RegionSearch(NamedTuple):
-    """A region: all places that no level has and that steps connect with the place of a search.
+    """The region that a search found: places to stand that steps connect, and that no level has.
 
     Attributes:
         places: The places of the region.

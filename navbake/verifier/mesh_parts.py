@@ -78,9 +78,9 @@ def split_mesh_parts(vertices: Float, faces: Int) -> list[ClassifiedPart]:
     and duplicates of triangles, are dropped. Then open surfaces are peeled off: triangles at an
     edge that no other triangle shares, until there is none. The rest are patches of triangles,
     connected over edges at which two of them meet; triangles wound against most of their patch's
-    area are inverted. Patches without which fewer edges are unbalanced are membranes, and are
-    dropped. Patches that close each other's edges are one part. It is closed if triangles run
-    through each of its edges as often in one direction as in the other.
+    area are inverted. Membranes (see `_drop_membranes`) are dropped. Patches that close each
+    other's edges are one part. It is closed if triangles run through each of its edges as often in
+    one direction as in the other.
 
     Args:
         vertices: (n, 3) [m].
@@ -113,7 +113,7 @@ def split_mesh_parts(vertices: Float, faces: Int) -> list[ClassifiedPart]:
 
 
 def _mark_first_copies(corner: Int) -> Bool:
-    """Mark the triangles that no earlier one has the same corners as, in the same cyclic order."""
+    """Mark each triangle unless an earlier one has the same corners in the same cyclic order."""
     if not len(corner):
         return np.zeros(0, np.bool_)
     shift = corner.argmin(axis=1)
@@ -141,7 +141,11 @@ def _find_half_edges(corner: Int) -> HalfEdges:
 
 
 def _remaining_at(half_edges: HalfEdges, edges: Int, remains: Bool) -> tuple[Int, Int]:
-    """Return the half-edges of remaining triangles at some edges, and each one's edge's index."""
+    """List the half-edges of remaining triangles at some edges.
+
+    Returns:
+        The half-edges, (n,); and for each, the index of its edge in `edges`, (n,).
+    """
     first = half_edges.start[edges]
     count = half_edges.start[edges + 1] - first
     index = np.repeat(np.arange(len(edges)), count)
@@ -220,9 +224,11 @@ def _wound_directions(half_edges: HalfEdges, patches: Patches) -> Int:
 
 
 def _drop_membranes(half_edges: HalfEdges, area: Float, patches: Patches, remains: Bool) -> bool:
-    """Drop patches, the smallest first, without which fewer half-edges have no partner.
+    """Drop membranes: patches without which fewer half-edges lack a partner.
 
-    Only edges at which more than two triangles meet count, and those of dropped ones count too.
+    The partner of a half-edge runs along the same edge in the opposite direction. Patches are
+    judged one after the other, the smallest first. Only edges at which more than two triangles meet
+    are looked at; triangles of dropped patches count at an edge, too.
 
     Returns:
         Whether any patch was dropped.

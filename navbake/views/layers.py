@@ -33,7 +33,7 @@ RELIEF_SLOPE = 0.3
 # largest shares of white and of black that relief mixes into a colour
 MAX_LIGHT = 0.3
 MAX_SHADE = 0.35
-MAX_SAMPLES = 400  # to place a room's name, at most so many cells along its longer side are used
+MAX_SAMPLES = 400  # most cells along a room's longer side that are looked at to place its name
 OCCUPANCY_COLORS = {"free": colors.FREE, "occupied": colors.OCCUPIED, "no floor": colors.NO_FLOOR}
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 

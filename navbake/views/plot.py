@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 DEFAULT_LAYERS = ("occupancy", "floor")
 DPI = 150  # pixels per inch of a PNG
 MAX_MAPS_PER_ROW = 3
-WIDE_ASPECT = 2.4  # maps that are more than so many times wider than high lie below each other
+WIDE_ASPECT = 2.4  # maps whose width is more than this times their height lie below each other
 MAX_ASPECT = 40.0  # a map that is longer and narrower than this shows empty space beside the grid
 
 # Lengths [inches]. A picture is at most 8.3 inches wide. A README shows 100 pixels per inch, so

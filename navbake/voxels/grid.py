@@ -28,7 +28,8 @@ MIN_EDGE = 1e-5  # smallest edge of a voxel, well above the tolerance for touchi
 
 
 VoxelLayout: TypeAlias = Literal["binvox", "airsim"]
-# from a grid round a centre to where AirSim samples one of even counts, along x, y and z [voxels]
+# AirSim samples a grid of even counts at places that are shifted by this much from the middles of
+# the voxels of a grid round the same centre, along x, y and z [voxels]
 AIRSIM_SHIFT = np.array([-0.5, 0.5, -0.5])
 
 

@@ -34,11 +34,11 @@ intersections = lazy("trimesh.intersections")
 trimesh = lazy("trimesh")
 
 NUM_SHOWN_GROUPS = 3  # MuJoCo's viewers show the geoms of the groups 0 to 2
-PLANE_MARGIN = 1.5  # an endless plane is drawn so many times larger than the scene
+PLANE_MARGIN = 1.5  # an endless plane is drawn this many times larger than the scene
 # Corners of a rectangle's two triangles
 RECTANGLE_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
-# Pairs of a number of round geoms, and how many corners a circle has if there are at most so many
-# round geoms. Without a graphics card, a browser draws about 100,000 triangles smoothly.
+# Pairs: a number of round geoms, and how many corners a circle has if the scene has at most this
+# many round geoms. Without a graphics card, a browser draws about 100,000 triangles smoothly.
 CIRCLE_CORNERS = ((100, 20), (500, 12), (1 << 62, 8))
 # If the meshes of all geoms together have more triangles than this, they are coarsened.
 MAX_MESH_TRIANGLES = 200_000
