@@ -150,7 +150,7 @@ def any_free_in_annulus(
     """Return whether any free cell on a position's level has its centre in an annulus round it.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         position: world x, y, z [m].
         min_distance: inner radius [m].
         max_distance: outer radius [m].
@@ -205,9 +205,9 @@ def reachable_positions(
     """List the lattice positions that steps reach: `PathFinder.reachable_positions`.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         start: world x, y, z [m].
-        spacing: of the lattice [m], at least a cell's size.
+        spacing: the spacing of the lattice [m], at least a cell's size.
         level: the start's level; None finds it by z.
     """
     flat = search.flat
@@ -266,7 +266,7 @@ def _draw_places(
     """Draw places in some cells.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         cells: flat ids of free cells.
         rng: the generator; None for a new one.
         count: how many places; None for one, of shape (3,).
@@ -310,7 +310,7 @@ def _find_cells_near(
     """List the free cells whose centres are at a distance from a position within given limits.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         position: world x, y, z [m]; free, unless `straight`.
         min_distance: the smallest distance [m].
         max_distance: the largest distance [m].
@@ -372,7 +372,7 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
     """Draw collision-free start poses for many agents: `PathFinder.spawn`.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         rng: the generator; None for a new one.
         n: how many agents, >= 1.
         rules: where they may start.
@@ -448,7 +448,7 @@ def _split_cells(
     """Split cells into parts, among which the agents are divided evenly.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         cells: flat ids, in the order of Hilbert's curve.
         stratify: ``area`` for n parts of equal area, ``room`` or ``island`` for a part for each of
             them; None for one part.

@@ -244,7 +244,7 @@ class FlatGrid:
         their cost.
 
         Args:
-            radius: of the agent [m].
+            radius: the agent's radius [m].
             least_weight: the smallest weight of a free cell, >= 0.
             by_time: whether the cost of passages is in seconds; if False, in metres.
 
@@ -270,7 +270,7 @@ class FlatGrid:
         """List the steps, and the passages that an agent of a radius fits through.
 
         Args:
-            radius: of the agent [m].
+            radius: the agent's radius [m].
             by_time: whether the cost of passages is in seconds; if False, in metres.
             are_reversed: whether each link leads from its end to its start.
         """
@@ -305,8 +305,8 @@ def make_links(ends: Int, length: Float, cost: Float, num_cells: int) -> Links:
 
     Args:
         ends: the flat ids that each link leads from and to, shape (n, 2), steps before passages.
-        length: of each step [m], 0 of a passage, shape (n,).
-        cost: of each passage, 0 of a step, shape (n,).
+        length: the length of each step [m], 0 for a passage, shape (n,).
+        cost: the cost of each passage, 0 for a step, shape (n,).
         num_cells: number of cells of the grid.
 
     Returns:
@@ -647,8 +647,8 @@ def find_stairs(grid: NavGrid, flat: FlatGrid) -> list[LevelStairs]:
 class IslandMap:
     """The islands of a grid: connected parts of its free cells, numbered from 1, the largest."""
 
-    number: Int32  #: Of each cell, by flat id, shape (n,); 0 where it isn't free.
-    areas: Float  #: Of each island [m²], shape (count + 1,); 0 for number 0.
+    number: Int32  #: Number of each cell's island, by flat id, shape (n,); 0 where it isn't free.
+    areas: Float  #: Area of each island, by its number [m²], shape (count + 1,); 0 for number 0.
     #: Pairs of islands, shape (k, 2): links lead from the first to the second, none lead back.
     one_way_links: Int
 
@@ -690,7 +690,7 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
 
     Args:
         flat: the grid.
-        radius: of the agent [m]; links that are too narrow for it don't count.
+        radius: the agent's radius [m]; links that are too narrow for it don't count.
         moves: by flat id, see `navbake.runtime.grid_arrays.Graph`; if given, cells that a diagonal
             move joins are connected, too.
     """

@@ -64,8 +64,8 @@ class Links(NamedTuple):
         cell: flat ids of all cells that links lead from or to, ascending, each once, shape (n,).
         start: index in `target` of the first link of each of `cell`, shape (n + 1,).
         target: flat ids that the links lead to, ascending for each cell, shape (m,).
-        length: of each step [m], shape (m,); 0 of a passage.
-        cost: of each passage, [m] or [s], shape (m,); 0 of a step.
+        length: the length of each step [m], shape (m,); 0 for a passage.
+        cost: the cost of each passage, [m] or [s], shape (m,); 0 for a step.
         is_end: by cell, whether it is one of `cell`; empty if there are no links.
     """
 
@@ -130,7 +130,7 @@ class OffCenter(NamedTuple):
             agent fits: if `anywhere` is true, or only solid squares of the cell's own level are
             near.
         solid_before: entry i is the number of solid cells with flat ids below i, shape (n + 1,).
-        radius: of the agent [m]; 0 if only free cells count.
+        radius: the agent's radius [m]; 0 if only free cells count.
         is_solid_outside: whether the area beyond a level's cells is solid.
     """
 

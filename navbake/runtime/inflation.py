@@ -54,9 +54,9 @@ class Margins(NamedTuple):
     """Least distances from an obstacle to a cell's centre [m].
 
     Attributes:
-        standing: for an agent to stand there.
-        diagonal: to step diagonally from there.
-        anywhere: to be anywhere in the cell.
+        standing: the distance from which an agent can stand on the cell.
+        diagonal: the distance from which an agent can step diagonally from the cell.
+        anywhere: the distance from which an agent can be anywhere in the cell.
     """
 
     standing: float
@@ -101,7 +101,7 @@ def inflate(
 
     Args:
         grid: the grid, which stays as it is.
-        radius: of the agent [m], 0 to 10,000.
+        radius: the agent's radius [m], 0 to 10,000.
         clearance: distance beyond the radius in which cells cost more [m]. None means 0 with
             costs=``step``; with ``nav2``, the distance at which the cost has fallen to 1.
         mode: ``exact``, or ``minos`` for the weights of the original client's ``refine``.
@@ -183,7 +183,7 @@ def _refine_weights(level: SceneGrid2D, radius: float, outer_radius: float) -> F
 
     Args:
         level: a grid of one level.
-        radius: of the agent, in cells.
+        radius: the agent's radius, in cells.
         outer_radius: radius plus clearance, in cells.
 
     Returns:
@@ -329,7 +329,7 @@ def compute_margins(grid: NavGrid, radius: float | None = None) -> Margins:
 
     Args:
         grid: the grid; where it isn't inflated, all distances are the radius.
-        radius: of the agent [m]; the grid's if None.
+        radius: the agent's radius [m]; the grid's if None.
 
     Raises:
         QueryError: the radius is no number from 0 to 10,000.

@@ -37,7 +37,7 @@ class LevelStack(NamedTuple):
             uint8. Shape of `floor`, or (0, 0, 0) if there are no such links.
         level: index in the arrays of the level that the agent is on.
         step: largest difference of neighbours' floors that an agent can step over [m].
-        height: of the agent [m].
+        height: the agent's height [m].
     """
 
     floor: NDArray[np.float32]
@@ -105,8 +105,8 @@ def block_near_holes(has_floor, is_checked, offsets, squared_lengths, least_shar
         is_checked: whether to check each cell, bool, shape (rows, cols).
         offsets: rows and columns from a cell to the cells within the radius, the nearest first,
             int64, shape (n, 2).
-        squared_lengths: of `offsets`, shape (n,).
-        least_share: at least this share of the cells within a distance must have a floor.
+        squared_lengths: the squared length of each of `offsets`, in cells squared, shape (n,).
+        least_share: the least share of the cells within a distance that must have a floor.
         blocked: bool, shape (rows, cols), written.
     """
     rows, cols = has_floor.shape
@@ -148,7 +148,8 @@ def block_by_floors(
         lowest: for each level and patch, the lowest floor in all patches that an offset can reach
             from the patch [m], shape (levels, patch rows, patch columns).
         highest: the highest floor in these patches [m], of the same shape.
-        offsets: from an agent's cell to the cells that it overlaps, int64, shape (n, 2).
+        offsets: rows and columns from an agent's cell to the cells that the agent overlaps, int64,
+            shape (n, 2).
         higher_floors_block: whether floors more than a step higher block.
         lower_floors_block: whether drops block.
         blocked: whether each of the level's cells is blocked, bool, shape (rows, cols), written.
@@ -274,10 +275,12 @@ def measure_near_levels(stack, lowest, highest, offsets, squared_lengths, square
         stack: `LevelStack`.
         lowest: as in `block_by_floors`.
         highest: as in `block_by_floors`.
-        offsets: from a cell to those that are searched, nearest first, int64, shape (n, 2).
-        squared_lengths: of the offsets, in cells squared, int64, shape (n,).
-        squared_distances: from each of the level's cells, in cells squared, -1 where no offset
-            leads to an occupied cell; int32, shape (rows, cols), written.
+        offsets: rows and columns from a cell to the cells to search, nearest first, int64, shape
+            (n, 2).
+        squared_lengths: the squared length of each offset, in cells squared, int64, shape (n,).
+        squared_distances: receives the squared distance from each cell of the level to that cell,
+            in cells squared, -1 where no offset leads to an occupied cell; int32, shape (rows,
+            cols).
     """
     floor = stack.floor
     occupied = stack.occupied

@@ -164,7 +164,7 @@ def disc_passes(start, end, layout, level, solid_before, radius, is_solid_outsid
         layout: `navbake.runtime.grid_arrays.Layout`.
         level: number of the level.
         solid_before: `OffCenter.solid_before` of `navbake.runtime.grid_arrays`.
-        radius: of the disc, in cells.
+        radius: the disc's radius, in cells.
         is_solid_outside: `OffCenter.is_solid_outside`.
     """
     u0, v0 = start
@@ -325,7 +325,7 @@ def _pull_string(points, levels, link_to, graph, off_center):
 
     Args:
         points: x, y of the route's points [m], shape (n, 2).
-        levels: of the points, shape (n,).
+        levels: the level of each point, shape (n,).
         link_to: not 0 where a link leads from a point to the next one, shape (n - 1,).
         graph: `navbake.runtime.grid_arrays.Graph`.
         off_center: `navbake.runtime.grid_arrays.OffCenter`.

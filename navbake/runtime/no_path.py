@@ -43,7 +43,7 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
     """Say in one sentence why there is no path: `PathFinder.why_not`.
 
     Args:
-        search: of the grid, up to date.
+        search: the search on the grid, up to date with added obstacles.
         start: world x, y, z [m].
         goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
         level: the level of positions; None finds each one's level by its z.
@@ -178,7 +178,7 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
     """Say where added obstacles block the route that would exist without them.
 
     Args:
-        search: of the grid, up to date.
+        search: the search on the grid, up to date with added obstacles.
         start_cell: flat id of a free cell.
         goals: flat ids of free cells.
 
@@ -218,7 +218,7 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
     The route is planned as if all doors and added obstacles were removed.
 
     Args:
-        search: of the grid, up to date.
+        search: the search on the grid, up to date with added obstacles.
         start_cell: flat id of a free cell.
         goals: flat ids of free cells.
 
@@ -263,7 +263,7 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
     cells that are too narrow for the agent.
 
     Args:
-        search: of the grid, up to date.
+        search: the search on the grid, up to date with added obstacles.
         start_cell: flat id of a free cell.
         goals: flat ids of free cells.
 
@@ -308,7 +308,7 @@ def _measure_gap(search: Search, cell: int, radius: float) -> float:
     """Measure the width of the gap between the occupied squares on both sides of a bottleneck.
 
     Args:
-        search: on the grid without inflation.
+        search: the search on the grid without inflation.
         cell: flat id of the bottleneck.
         radius: the largest radius that passes there [m].
 
@@ -350,7 +350,7 @@ def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> s
     any width.
 
     Args:
-        search: of the grid, up to date.
+        search: the search on the grid, up to date with added obstacles.
         start_cell: flat id of a free cell.
         goals: flat ids of free cells.
 
@@ -387,10 +387,10 @@ def _explain_link(search: Search, route: Route, index: int, name: str) -> str | 
     """Say why the agent can't use a link that a route takes; None if it can.
 
     Args:
-        search: of the agent.
+        search: the agent's search.
         route: the route.
         index: index in the route of the cell that the link leads to.
-        name: of the link.
+        name: the link's name.
     """
     link = next(link for link in search.grid.links if link.name == name)
     reason = link.refuses(search.agent)
@@ -431,7 +431,7 @@ def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
     """Say between which levels all steps are blocked, or that no steps leave the start's level.
 
     Args:
-        search: of the grid, up to date.
+        search: the search on the grid, up to date with added obstacles.
         start_cell: flat id of a free cell.
         goals: flat ids of free cells.
 

@@ -37,7 +37,7 @@ LEAST_AREA = 0.5  # [m²] of free cells that passable stairs lead to, at least, 
 class Passage:
     """The widest agent that gets from one place to another, and where it only just fits."""
 
-    radius: float  #: Of the agent [m]; inf where no radius is too large.
+    radius: float  #: The agent's radius [m]; inf where no radius is too large.
     position: Float | None
     """World x, y and floor z [m] of the first bottleneck, shape (3,): the centre of a cell that is
     blocked for any larger agent. None where no radius is too large."""
@@ -47,7 +47,7 @@ class WidestRadius(NamedTuple):
     """The largest radius of an agent that gets from one place to another.
 
     Attributes:
-        radius: of the agent [m]; inf where no radius is too large.
+        radius: the agent's radius [m]; inf where no radius is too large.
         free: mask of the cells that are free at this radius, by flat id.
         free_for_next: mask of the cells that are free at the next larger radius, by flat id.
     """
@@ -81,7 +81,7 @@ def find_passage(
     This is the code of `PathFinder.max_radius`.
 
     Args:
-        search: of the grid, up to date.
+        search: the search on the grid, up to date with added obstacles.
         start: world x, y, z [m].
         goal: a position, several of them, or ``room:NAME``.
         level: the level of positions; None finds each one's level by its z.
@@ -389,7 +389,7 @@ def _has_open_step(search: Search, levels: list[int], steps: Int) -> bool:
     """Whether one of the steps between two levels is free, and leads to enough of both levels.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         levels: numbers of the two levels.
         steps: flat ids of each step's cells on the first and the second level, shape (n, 2).
     """

@@ -627,11 +627,11 @@ class PathFinder:
                 the nearest floor in space.
             same_room: the place must be in the position's room; there is none if the position is in
                 no room.
-            room: only cells of this room.
-            island: only cells of this island.
+            room: take a cell of this room only.
+            island: take a cell of this island only.
             in_sight: no obstacle may be between position and place. From inside an object, the
                 line between them must leave the object within its room.
-            max_distance: at most this far away [m], >= 0.
+            max_distance: the largest distance of the place [m], >= 0.
 
         Returns:
             World x, y and floor z [m], float64: shape (3,), None for no such place; for many
@@ -801,11 +801,12 @@ class PathFinder:
 
         Args:
             rng: a numpy Generator; None makes a new one.
-            count: how many, with repetition; None for one place.
-            level: only on this level.
-            room: only in this room.
-            island: only on this island.
-            reachable_from: only where a path leads to from this free position, world x, y, z [m].
+            count: how many places, which may coincide; None for one place.
+            level: draw places on this level only.
+            room: draw places in this room only.
+            island: draw places on this island only.
+            reachable_from: draw only places to which a path leads from this free position, world
+                x, y, z [m].
             anywhere: draw points anywhere in the cells, up to half a cell nearer to obstacles;
                 else the cells' centres, where the agent's radius fits.
 
@@ -853,10 +854,10 @@ class PathFinder:
             rng: a numpy Generator; None makes a new one.
             position: world x, y, z [m], shape (3,); free, unless `straight`.
             max_distance: the largest distance [m].
-            count: how many, with repetition; None for one place.
+            count: how many places, which may coincide; None for one place.
             min_distance: the smallest distance [m], >= 0.
             straight: whether distances are straight lines.
-            room: only in this room.
+            room: draw places in this room only.
             level: the position's level, for which x, y are then enough; None finds it by z.
             anywhere: draw points anywhere in the cells, see `random_point`.
 
@@ -973,10 +974,11 @@ class PathFinder:
         Args:
             rng: a numpy Generator; None makes a new one.
             n: how many agents, >= 1.
-            rooms: in these rooms; one or several.
-            level: only on this level.
-            island: only on this island.
-            reachable_from: only where a path leads to from this free position, world x, y, z [m].
+            rooms: a room or several rooms: agents start in these only.
+            level: agents start on this level only.
+            island: agents start on this island only.
+            reachable_from: agents start only where a path leads to from this free position, world
+                x, y, z [m].
             clearance: radius of a disc round each agent that overlaps no obstacle and no drop, as
                 with `grid.inflate` [m]. The discs of two agents don't overlap either, unless
                 `min_distance` is given.

@@ -43,16 +43,16 @@ class Path:
     cells: Int
     """Level, row and column of each cell of the route, shape (m, 3), int64. A smooth path may
     leave these cells where that is shorter and costs no more."""
-    length: float  #: Of the path, seen from above [m].
-    #: Of the route: of each step [m] times the weight of the cell that it leads to, and its area's
-    #: cost; and of links [m].
+    length: float  #: Length of the path, seen from above [m].
+    #: Cost of the route [m]: the sum of each step's length times the weight of the cell that it
+    #: leads to, and times the cost of that cell's area; plus the costs of links.
     cost: float
     rooms: list[str]  #: Ids of the rooms along the path, in order, repeated where entered again.
     doors: list[str]  #: Ids of the doors along the path, in order.
     links: list[str]  #: Names of the links that it takes, in order.
     seconds: float  #: How long the route takes, at the agent's speed and the limits of areas.
     by: str  #: What it was planned for, ``cost`` or ``time``.
-    #: From which of the positions each of `links` leads on, and to which, shape (k, 2).
+    #: For each of `links`, the indices of the positions that it leads from and to, shape (k, 2).
     stops: Int
     grid: NavGrid | None = None  #: The grid of the search.
 
@@ -77,8 +77,8 @@ class Path:
         """Compute positions at distances along the path.
 
         Args:
-            distance: from the start, seen from above [m], shape (...); less than 0 is the start,
-                more than `length` the end.
+            distance: the distance from the start, seen from above [m], shape (...); less than 0
+                stands for the start, more than `length` for the end.
 
         Returns:
             World x, y, z [m], shape (..., 3).
@@ -110,7 +110,7 @@ class Target:
     """The cells of a goal.
 
     Attributes:
-        name: of the goal, for messages.
+        name: the goal's name, for messages.
         cells: flat ids, free or not; -1 for positions in no cell.
         positions: the goal's positions, world x, y or x, y, z [m], shape (n, 2) or (n, 3); None if
             the goal is a room or an object.
@@ -130,7 +130,7 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
     """Find the cells of a goal.
 
     Args:
-        search: of the grid, up to date.
+        search: the search on the grid, up to date with added obstacles.
         goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
         level: the level of positions; None finds each one's level by its z.
 
@@ -174,8 +174,8 @@ def cells_next_to_object(search: Search, name: str) -> Int:
     are listed.
 
     Args:
-        search: of the grid, up to date.
-        name: of the object, in the grid's user data.
+        search: the search on the grid, up to date with added obstacles.
+        name: the object's name in the grid's user data.
 
     Returns:
         Flat ids, ascending.
@@ -276,7 +276,7 @@ def cells_with_name(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     Args:
         grid: the grid with the names.
         flat: the grid's cells.
-        name: of the object, door or wall, in the user data.
+        name: the name of the object, door or wall in the user data.
 
     Returns:
         Flat ids, at least one.
@@ -318,7 +318,7 @@ def find_path(
     """Find the cheapest or the quickest path: `PathFinder.find_path`.
 
     Args:
-        search: of the grid, up to date.
+        search: the search on the grid, up to date with added obstacles.
         start: world x, y, z [m].
         goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
         level: the level of positions; None finds each one's level by its z.
@@ -386,7 +386,7 @@ def find_field(
     """Compute the costs of `PathFinder.distance_field`, by flat id.
 
     Args:
-        search: of the grid, up to date.
+        search: the search on the grid, up to date with added obstacles.
         goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
         level: the level of positions; None finds each one's level by its z.
         weighted: whether weights and areas count; else costs are lengths [m].

@@ -39,7 +39,7 @@ PIXEL_SLACK = 1e-6  # share of a pixel: if less than this is left at the edge, i
 class NearestObstacle:
     """The nearest point of an obstacle."""
 
-    distance: float  #: On the map [m].
+    distance: float  #: Distance seen from above [m].
     position: Float  #: World x, y, z [m], shape (3,); z is the floor's at the queried position.
 
 
@@ -65,7 +65,7 @@ def island_at(search: Search, position: ArrayLike, level: int | None = None) -> 
     """Find the number of the island of a position; None where it isn't free.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         position: world x, y, z [m].
         level: the position's level; None finds it by z.
     """
@@ -79,7 +79,7 @@ def room_at(search: Search, position: ArrayLike, level: int | None = None) -> st
     """Find the id of a position's room; None for none.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         position: world x, y, z [m].
         level: the position's level; None finds it by z.
     """
@@ -93,7 +93,7 @@ def room_near(
     """Find the id of the room nearest to a position, on the position's level; None for none.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         position: world x, y, z [m].
         max_distance: largest distance to a cell's centre [m].
         level: the position's level; None finds it by z.
@@ -131,7 +131,7 @@ def is_navigable(
     """Whether each position's cell is free, and the cell's floor at most `max_drop` below it.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         position: world x, y, z [m], shape (3,) or (..., 3).
         level: the level of all positions; None finds each one's level by its z.
         max_drop: largest height of a position above its floor [m]; it doesn't count with `level`.
@@ -327,7 +327,7 @@ def try_step(
     """Move straight from positions towards others: `PathFinder.try_step`.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         start: world x, y, z [m], shape (..., 3).
         end: world x, y, z [m], shape (3,) or the shape of `start`.
         slide: whether to slide on from where the straight walk stops.
@@ -363,7 +363,7 @@ def line_of_sight(search: Search, first: ArrayLike, second: ArrayLike, level: in
     """Whether the straight line between two positions crosses no occupied cell.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         first: world x, y, z [m].
         second: world x, y, z [m].
         level: the level of both; None finds each one's level by its z.
@@ -384,7 +384,7 @@ def nearest_obstacle(
     """Find the nearest point of an occupied cell's square: `PathFinder.nearest_obstacle`.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         position: world x, y, z [m].
         level: the position's level; None finds it by z.
         max_distance: largest distance to the obstacle [m].
@@ -411,7 +411,7 @@ def clearance(
     """Compute the distances to the nearest obstacles [m]: `PathFinder.clearance`.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         position: world x, y, z [m], shape (3,) or (..., 3).
         level: the level of all positions; None finds each one's level by its z.
         max_distance: largest distance [m].
@@ -467,7 +467,7 @@ def draw_top_down(
     """Draw a level's free cells as an image: `PathFinder.top_down`.
 
     Args:
-        search: of the grid.
+        search: the search on the grid.
         level: number of the level.
         metres_per_pixel: > 0; None for one pixel a cell.
 

@@ -44,7 +44,7 @@ class Route(NamedTuple):
     Attributes:
         cells: flat ids, from the start to the goal, shape (n,).
         by_link: whether the route enters the cell over a link or from another level, shape (n,).
-        cost: of the route: [m] if it was planned by cost, [s] if by time.
+        cost: the route's cost, in [m] if it was planned by cost, in [s] if by time.
     """
 
     cells: Int
@@ -57,7 +57,7 @@ class TakenLink(NamedTuple):
 
     Attributes:
         cell_index: index in the route of the cell that the link leads to.
-        name: of the link.
+        name: the link's name.
     """
 
     cell_index: int
@@ -78,7 +78,7 @@ class Search:
     Not thread-safe.
 
     Args:
-        grid: as it was loaded or baked.
+        grid: the grid as it was loaded or baked.
         cut_corners: see `PathFinder`.
         agent: the agent that plans: an `Agent`, the name of one that the grid lists, or None.
         radius: the search leaves out links that are narrower than twice this [m]; None for the

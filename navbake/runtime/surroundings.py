@@ -55,7 +55,7 @@ class DiscOffsets(NamedTuple):
 
     Attributes:
         offsets: rows and columns from the cell to these cells, shape (n, 2), nearest first.
-        squared_distances: to these cells, in half cells squared, shape (n,).
+        squared_distances: the squared distances to these cells, in half cells squared, shape (n,).
         half_widths: the rows of the disc, see `navbake.runtime.inflation_kernels.dilate`.
     """
 
@@ -91,7 +91,7 @@ def find_blocked(
     Args:
         grid: the grid; its weights don't count.
         level_number: number of the level.
-        radius: of the agent [m], >= 0.
+        radius: the agent's radius [m], >= 0.
         ledges: ``avoid`` or ``ignore``, see `navbake.runtime.inflation.inflate`.
         counts_own_occupied: if False, occupied cells of the agent's own level don't block, and
             every cell of another level counts as occupied.
@@ -130,7 +130,7 @@ def find_free(grid: NavGrid, radius: float, ledges: str) -> Bool:
 
     Args:
         grid: a grid of one or several levels.
-        radius: of the agent [m], >= 0.
+        radius: the agent's radius [m], >= 0.
         ledges: ``avoid`` or ``ignore``.
 
     Returns:
@@ -158,7 +158,7 @@ def block_by_floors(
         grid: the grid.
         level_number: number of the agent's level.
         stack: the cells of this level and those around it, from `stack_levels`.
-        radius: of the agent [m].
+        radius: the agent's radius [m].
         offsets: rows and columns from an agent's cell to the cells that it overlaps, shape (n, 2).
         ledges: ``avoid`` or ``ignore``.
         blocked: whether each cell of the stack is blocked, bool, shape (rows, cols), written.
@@ -271,7 +271,7 @@ def find_disc_offsets(
     """List the offsets from a cell to the cells that a disc round its centre overlaps.
 
     Args:
-        radius: of the disc, in cells.
+        radius: the disc's radius, in cells.
         shape: rows and columns of the array; longer offsets are left out.
         to_squares: whether the disc has to overlap the cells' squares, else their centres.
     """

@@ -270,7 +270,7 @@ def check_numbers(
         numbers: an integer or integers.
         label: what they are, for errors.
         count: how many there are.
-        shape: of the result.
+        shape: the shape of the result.
 
     Returns:
         Integers, -1 in place of any that is not from 0 to count - 1: traced arrays can't raise.

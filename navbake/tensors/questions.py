@@ -455,10 +455,11 @@ def sample(
         u: numbers in [0, 1), shape (..., 3): the first chooses the cell, the others the x and y in
             it. 0.5 is the cell's centre, where the agent's radius fits for certain.
             Shape (..., 1) returns centres.
-        room: only in this room, by its number (see `room`); an integer or integers of shape (...).
-        min_clearance: only in cells with at least this `clearance` [m]; one number.
-        reachable_from: only cells of the island that this position is on, world x, y, z, shape
-            (3,); or (..., 3), one for each place [m].
+        room: take cells of this room only, by its number (see `room`); an integer or integers of
+            shape (...).
+        min_clearance: take cells with at least this `clearance` only [m]; one number.
+        reachable_from: take cells of the island that this position is on only, world x, y, z, shape
+            (3,); or (..., 3), a position for each place [m].
         scene_id: each place's scene; needed where the tensors have several grids.
 
     Returns:

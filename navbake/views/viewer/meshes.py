@@ -930,7 +930,7 @@ def pick(
 
     Args:
         grid: the grid.
-        ray: from the camera through the click.
+        ray: the ray from the camera through the click.
         surfaces: the surfaces of the scene, then those of the grid.
         levels: the numbers of the shown levels.
 

@@ -536,7 +536,7 @@ class ViewState:
 
         Args:
             choices: the choices before the click.
-            ray: from the camera through the click.
+            ray: the ray from the camera through the click.
         """
         floors = [self.floor_surfaces[number] for number in choices.levels]
         clicked = meshes.pick(self.grid, ray, [*self.surfaces(choices), *floors], choices.levels)
