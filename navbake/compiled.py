@@ -310,7 +310,7 @@ def warm_up() -> list[str]:
 
 
 def _compile(entries: list[Entry]) -> None:
-    """Compile those of some kernels that have no code on disk, in a few processes.
+    """Compile the kernels of `entries` that have no code on disk, in a few processes.
 
     Progress is logged. A lock lets only one process at a time do this. Where no folder can be
     written, or no further Python can be started, nothing is compiled here: each kernel is compiled

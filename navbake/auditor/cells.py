@@ -311,9 +311,9 @@ def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
 class _Gap(NamedTuple):
     """Blocked cells between two islands."""
 
-    area: float  # of the smaller island [m²]
+    area: float  # area of the smaller island [m²]
     level: int
-    cells: list[int]  # ascending
+    cells: list[int]  # ids of the cells on the level, ascending
 
 
 def check_cut_off(facts: Facts) -> Iterator[Finding]:

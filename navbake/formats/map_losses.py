@@ -185,7 +185,7 @@ def close_cells(grid: NavGrid, masks: Sequence[Bool]) -> NavGrid:
 
     Args:
         grid: the grid, which stays as it is.
-        masks: the cells of each level, shape (height, width), bool.
+        masks: for each level, the cells to close, shape (height, width), bool.
     """
     levels = []
     for level, mask in zip(grid.levels, masks, strict=True):

@@ -706,7 +706,7 @@ def _read_rmf_level(
 
 
 def _read_rmf_lifts(top: Json, place: JsonPath) -> list[Json]:
-    """Read the table of lifts: the entries of `LiftCar`."""
+    """Read the table of lifts: for each, the fields of its `LiftCar`."""
     cars = []
     for name, lift in check_optional_object(top, "lifts", place).items():
         lift_place = place["lifts"][str(name)]
@@ -720,7 +720,7 @@ def _read_rmf_lifts(top: Json, place: JsonPath) -> list[Json]:
 
 
 def _read_rmf_doors(top: Json, place: JsonPath, level_names: list[str]) -> list[Json]:
-    """Read the table of doors: the entries of `Doorway`."""
+    """Read the table of doors: for each, the fields of its `Doorway`."""
     doorways = []
     for name, door in check_optional_object(top, "doors", place).items():
         door_place = place["doors"][str(name)]

@@ -780,7 +780,7 @@ class GridMethods:
         Args:
             kind: ``cells``: a node for each free cell, an edge for each step of `PathFinder`, with
                 its cost. ``rooms``: a node for each room, an edge for each door or opening between
-                two.
+                two rooms.
             cut_corners: Allow diagonal steps past blocked corners; of kind ``cells``.
 
         Returns:

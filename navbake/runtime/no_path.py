@@ -129,7 +129,7 @@ def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str,
     """Say which islands the start and the goals are in, and how near these are to each other.
 
     Returns:
-        The clause; and the flat ids of the two nearest cells of both islands on one level, None if
+        A clause; and the flat ids of the two nearest cells of both islands on one level, None if
         no level has cells of both.
     """
     flat = search.flat
@@ -183,7 +183,7 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
         goals: flat ids of free cells.
 
     Returns:
-        The clause, such as ``the way at (1.00, 2.00, 0.00) is blocked for now``; None if there are
+        A clause, such as ``the way at (1.00, 2.00, 0.00) is blocked for now``; None if there are
         no added obstacles, or no route without them.
     """
     grid = search.grid
@@ -223,7 +223,7 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
         goals: flat ids of free cells.
 
     Returns:
-        The clause, such as ``door 'kitchen' (closed) is in the way``; None if no door is in the
+        A clause, such as ``door 'kitchen' (closed) is in the way``; None if no door is in the
         way, or there is no such route.
     """
     grid = search.grid
@@ -268,7 +268,8 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
         goals: flat ids of free cells.
 
     Returns:
-        The clause; None if the grid isn't inflated, or not even a point gets to a goal.
+        A clause; None if the grid isn't inflated, or an agent of radius 0 can't
+        get to a goal, either.
     """
     grid = search.grid
     flat = search.flat
@@ -355,7 +356,7 @@ def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> s
         goals: flat ids of free cells.
 
     Returns:
-        The clause, such as ``the area 'lab' bars all agents``; None if there is no such link, area
+        A clause, such as ``the area 'lab' bars all agents``; None if there is no such link, area
         or route.
     """
     grid = search.grid
@@ -436,7 +437,7 @@ def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
         goals: flat ids of free cells.
 
     Returns:
-        The clause; None if a goal is on the start's level, or a step is free between all levels
+        A clause; None if a goal is on the start's level, or a step is free between all levels
         that steps join.
     """
     flat = search.flat

@@ -124,8 +124,8 @@ class Follower:
         """Compute the velocities of a differential-drive base; call it once per control step.
 
         Args:
-            position: the base's, world x, y, z [m], shape (3,).
-            heading: the base's, 0 along x, counted towards y [rad].
+            position: the base's position, world x, y, z [m], shape (3,).
+            heading: the base's heading, 0 along x, counted towards y [rad].
 
         Returns:
             Velocities, 0 unless it is driving, and the point that the base heads for.
@@ -166,7 +166,7 @@ class Follower:
         """Compute the point for a position-controlled base to head for.
 
         Args:
-            position: the base's, world x, y, z [m], shape (3,).
+            position: the base's position, world x, y, z [m], shape (3,).
 
         Returns:
             World x, y, z [m], shape (3,): on the path within the lookahead; while the base waits,
@@ -182,7 +182,7 @@ class Follower:
         """Plan from a position and switch to that path.
 
         Args:
-            position: the base's, world x, y, z [m], shape (3,).
+            position: the base's position, world x, y, z [m], shape (3,).
 
         Returns:
             Whether there is a path.

@@ -40,7 +40,7 @@ class NearestObstacle:
     """The nearest point of an obstacle."""
 
     distance: float  #: Distance seen from above [m].
-    position: Float  #: World x, y, z [m], shape (3,); z is the floor's at the queried position.
+    position: Float  #: World x, y, z [m], shape (3,); z is that of the queried position's floor.
 
 
 # ---------------------------------------------------------------- islands and rooms

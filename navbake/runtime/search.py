@@ -483,7 +483,7 @@ class Search:
         """Compute the cost of a route, how long it takes, and which named links it takes.
 
         Args:
-            route: of this search.
+            route: a route that this search found.
             places: level, row and column of the route's cells.
             by: what the route was planned by, ``cost`` or ``time``.
 

@@ -449,7 +449,7 @@ def _floor_in_metres(level: SceneGrid2D) -> NDArray[np.float32]:
 
 
 def _paste(canvas: NDArray[np.generic], piece: NDArray[np.generic], row: int, col: int) -> None:
-    """Copy the part of an array that overlaps another one into it.
+    """Copy an array into a canvas; what lies outside of the canvas is left out.
 
     Args:
         canvas: the array that is written.

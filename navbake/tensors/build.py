@@ -333,7 +333,7 @@ def _sort_free_cells(
 def find_smallest_true(
     condition: Callable[[Float], Bool], low: Float, high: Float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """Find, by bisection, the smallest number of a dtype at which each of n conditions holds.
+    """Find, by bisection, the smallest number of a dtype for which each of n conditions is true.
 
     Args:
         condition: takes n numbers, and returns whether each condition holds at its number, shape
@@ -360,7 +360,7 @@ def find_smallest_true(
 def find_first_in_cells(
     x_min: float, size: float, count: int, dtype: Floating
 ) -> NDArray[np.floating]:
-    """Find the smallest x of a dtype in each column, and the smallest one beyond the last column.
+    """Find the smallest x that a dtype can hold in each column, and beyond the last column.
 
     Args:
         x_min: the first column's edge [m].
@@ -383,7 +383,7 @@ def find_first_in_cells(
 def find_lowest_within_step(
     floors: Float, max_step: float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """Find, for each floor, the lowest z of a dtype that is at most a step below the floor.
+    """Find, for each floor, the lowest z that a dtype can hold at most a step below the floor.
 
     Args:
         floors: z of floors, shape (n,) [m].

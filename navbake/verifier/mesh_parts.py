@@ -83,7 +83,7 @@ def split_mesh_parts(vertices: Float, faces: Int) -> list[ClassifiedPart]:
     one direction as in the other.
 
     Args:
-        vertices: (n, 3) [m].
+        vertices: The positions of the vertices, (n, 3) [m].
         faces: The indices of each triangle's vertices, (m, 3).
 
     Returns:
@@ -125,7 +125,7 @@ def _mark_first_copies(corner: Int) -> Bool:
 
 
 def _find_half_edges(corner: Int) -> HalfEdges:
-    """Return the half-edges of triangles, given their corners as points, (m, 3)."""
+    """Return the half-edges of triangles; `corner` has the points at their corners, (m, 3)."""
     begin = corner.ravel()
     end = np.roll(corner, -1, axis=1).ravel()
     ends = np.sort(np.stack([begin, end], axis=1), axis=1)
@@ -177,7 +177,7 @@ def _peel(half_edges: HalfEdges, remains: Bool) -> None:
 
 
 def _find_patches(half_edges: HalfEdges, area: Float, remains: Bool) -> Patches:
-    """Find the patches of the remaining triangles, and the triangles wound against most of theirs.
+    """Find the patches of the remaining triangles, and those that are wound against their patch.
 
     A graph has two nodes for each triangle: as it is, and inverted. An edge at which two triangles
     meet connects the nodes in which both are wound the same way.
@@ -292,7 +292,7 @@ def _classify_parts(
     """Classify closed parts by their volume: solids, cavities in solids, or open surfaces.
 
     Args:
-        vertices: (n, 3) [m].
+        vertices: The positions of the vertices, (n, 3) [m].
         faces: The indices of each triangle's vertices, (m, 3).
         part: The closed part of each triangle, (m,), -1 for none.
         is_flipped: The triangles to invert, (m,).

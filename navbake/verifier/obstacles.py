@@ -105,7 +105,7 @@ class PlacedShape(NamedTuple):
 
     @property
     def is_same_in_mujoco(self) -> bool:
-        """Whether MuJoCo collides this same shape; for surfaces and finite planes it does not."""
+        """Whether MuJoCo collides the same shape; it doesn't for surfaces and finite planes."""
         return self.kind in (CONVEX, HALF_SPACE)
 
 
@@ -131,7 +131,7 @@ class MeshArrays(NamedTuple):
     """A mesh of a MuJoCo model, in the frame of its geom.
 
     Attributes:
-        vertices: (n, 3) [m].
+        vertices: The positions of the vertices, (n, 3) [m].
         faces: The indices of each triangle's vertices, (m, 3).
         hull_vertices: The vertices of MuJoCo's convex hull, all vertices if it has none, (k, 3).
     """

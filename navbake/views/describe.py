@@ -117,7 +117,7 @@ def _describe_areas(grid: NavGrid) -> list[Json]:
 
 
 def _list_inflations(grid: NavGrid) -> list[Json]:
-    """List the inflations in a grid's metadata; what `inflate` hasn't written there is left out."""
+    """List the inflations in a grid's metadata; entries that `inflate` hasn't made are left out."""
     entries = grid.metadata.get("inflation")
     if not isinstance(entries, list):
         return []

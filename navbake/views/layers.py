@@ -218,7 +218,7 @@ def relief_shading(heights: Reals, step: float) -> NDArray[np.float32]:
 
 
 def linear_scale(values: Reals, label: str, *, dark_high: bool = False) -> ColorScale:
-    """Make a linear scale. Its ticks are round numbers; if all values are equal, it is that value.
+    """Make a linear color scale; its ticks are round numbers, or the value if all are equal.
 
     Args:
         values: finite values, shape (n,).

@@ -30,7 +30,7 @@ def cut_band(
 
     Args:
         voxels: Voxels of any dtype; those that are not 0 are occupied.
-        low: Lower end of the range [m]: world z, or the height over the floor if one is given.
+        low: Lower end of the range [m]: world z, or the height over the floor if `floor` is given.
         high: Upper end of the range [m], > low.
         floor: World z of each cell's floor [m], shape (ny, nx); where it is NaN, there is no floor,
             and the column is occupied.

@@ -771,7 +771,7 @@ def draw_overlay(floor_surface: Surface, rgb: Picture, opacity: float = 1.0) -> 
         opacity: the opacity of the layer, 0 to 1.
 
     Returns:
-        GLB.
+        The triangles as GLB.
     """
     picture = Image.fromarray(rgb)
     picture = picture.reduce(-(-max(picture.size) // MAX_SIDE))
@@ -796,7 +796,7 @@ def draw_surfaces(
             if they are in the world frame.
 
     Returns:
-        GLB.
+        The triangles as GLB.
     """
     to_world = np.eye(3) if rotation is None else np.asarray(rotation)
     lit_surfaces = []
@@ -832,7 +832,7 @@ def make_glb(surfaces: Sequence[Surface], pictures: Mapping[int, Picture] | None
         pictures: id of a texture, see `Surface.texture` -> its picture.
 
     Returns:
-        GLB.
+        The triangles as GLB.
     """
     buffer = GlbBuffer()
     primitives = list[Json]()
