@@ -111,7 +111,7 @@ def _run_kernel(
 
 
 def num_threads() -> int:
-    """Return on how many threads, at most, the kernels run that this Python thread starts."""
+    """Return the most threads on which the kernels run that this Python thread starts."""
     return int(getattr(_limit, "count", None) or numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 

@@ -475,7 +475,7 @@ def is_settings(path: str | PathLike[str]) -> bool:
 
 
 def defaults_of(scene: Path) -> dict[str, Any]:
-    """Return the default settings for a scene file; in a building with lifts, they find lifts."""
+    """Return the default settings for a scene file; a building with lifts gets links for them."""
     settings: dict[str, Any] = {"scene": {"path": scene}}
     if scene_suffix(scene) in BUILDING_SUFFIXES and scene.is_file():
         settings["links"] = [{"auto": "lift"}] if LIFTS_KEY.search(scene.read_bytes()) else []

@@ -376,8 +376,8 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
 
     Args:
         grid: a grid of one or several levels.
-        agent: the agent whose rights and speed count. None for an agent at 1 m/s that may use all
-            open links, and all areas except areas of infinite cost.
+        agent: the agent: its speed counts, and which areas and links it may use. None for an agent
+            at 1 m/s that may use all open links, and all areas except areas of infinite cost.
         penalty: if given, the agent may use all links and areas, but at a high cost: passages that
             it may not use cost this much more [m], and areas that bar it multiply weights by it.
 

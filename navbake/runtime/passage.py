@@ -314,7 +314,7 @@ def similar_search(
 ) -> Search:
     """Make a search with the settings of another one, on a grid of the same cells.
 
-    The agent's rights and speed are kept; its size is ignored.
+    The agent's speed, and which areas and links it may use, are kept; its size is ignored.
 
     Args:
         grid: the grid of the new search; may be the grid of the other one.

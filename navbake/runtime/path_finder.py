@@ -339,9 +339,9 @@ class PathFinder:
         """Find the widest agent that can get from a place to a goal, and its bottleneck.
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
-        for no larger one. Obstacles that `grid.block` added count. The agent's rights count, but
-        not its size. An inflation of the grid doesn't count, as far as the file also holds the grid
-        without it.
+        for no larger one. Obstacles that `grid.block` added count. Areas and links that the agent
+        may not use are closed to it; its size doesn't count. An inflation of the grid doesn't
+        count, as far as the file also holds the grid without it.
 
         Args:
             start: world x, y, z [m], shape (3,).
