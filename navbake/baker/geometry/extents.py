@@ -1,4 +1,4 @@
-"""Upright boxes around geoms, aligned with the sides of each geom."""
+"""Measure the upright box around each geom: rotated about z so that it follows the geom's sides."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,8 @@ from navbake.baker.geometry.triangle_kernels import (
 from navbake.threads import run_in_chunks
 from navbake.types import Float, Int, Int32
 
-# Into how many directions a quarter turn is divided, for counting what vertical faces face
+# To find the direction that most vertical faces of a geom face, a quarter turn is divided into this
+# many directions, half a degree apart
 NUM_DIRECTIONS = 180
 # The directions of this many triangles are found at a time
 TRIANGLES_PER_CALL = 1 << 16
@@ -65,9 +66,8 @@ class Extents(NamedTuple):
 def measure_extents(shapes: Shapes, num_geoms: int) -> Extents:
     """Compute the upright box of each geom that has geometry in `shapes`.
 
-    A solid's box is aligned with one of the solid's own axes, the one that makes the box smallest
-    seen from above. A box around triangles is aligned with the direction that most of their
-    vertical faces face.
+    A solid's box follows one of the solid's own axes: the one that makes the box smallest, seen
+    from above. A box around triangles follows the direction that most of their vertical faces face.
 
     Args:
         shapes: the geometry.
@@ -89,7 +89,7 @@ def measure_extents(shapes: Shapes, num_geoms: int) -> Extents:
 
 
 def _measure_solids(solids: Solids, out: Extents) -> None:
-    """Compute the boxes of solids, and write them to `out`."""
+    """Compute the upright boxes of solids, and write them to `out`, at the solids' geom ids."""
     axes = solids.mat.reshape(-1, 3, 3)
     least_area = np.full(len(solids.geom), np.inf)
     for axis in range(3):
@@ -128,12 +128,12 @@ def _horizontal_half_widths(solids: Solids, axes: Float, direction: Float) -> Fl
 
 
 def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
-    """Compute the boxes of geoms made of triangles, and write them to `out`.
+    """Compute the upright boxes of geoms made of triangles, and write them to `out`.
 
     Args:
-        geom: the geom of each triangle, ascending, shape (m,).
+        geom: the id of each triangle's geom, ascending, shape (m,).
         corners: corners of the triangles, shape (m, 3, 3) [m].
-        out: receives the boxes.
+        out: receives the boxes, at the geom ids.
     """
     first = np.flatnonzero(np.diff(geom, prepend=np.int32(-1)))
     geom_ids = geom[first]
@@ -157,7 +157,9 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
 
 
 def facing_angles(corners: Float, group: Int32, num_groups: int) -> Float:
-    """Find the horizontal direction that most vertical faces of each group face.
+    """Find the horizontal direction that most vertical faces of each group of triangles face.
+
+    A face counts by its area as seen from the side. Directions a quarter turn apart count as equal.
 
     Args:
         corners: corners of triangles, shape (m, 3, 3) [m].

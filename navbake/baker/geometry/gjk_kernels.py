@@ -32,15 +32,17 @@ from navbake.baker.core.constants import (
 from navbake.compiled import NO_REFCOUNT, subkernel
 from navbake.types import Bool, Float
 
+# The answer is UNDECIDED if this many steps have proved nothing
 MAX_STEPS = 128
-# Rounding alone may let the squared distance grow from step to step by at most this share of itself
+# Rounding alone may let the squared distance grow in a step by at most this fraction of itself
 MAX_ROUNDING_GROWTH = 1e-3
-# The two meet if they are proved to be this near to each other, which is less than TOUCH_DEPTH [m]
+# The solid and the prism meet if they are proved to be this near to each other, which is less than
+# TOUCH_DEPTH [m]
 CONTACT_DISTANCE = 1e-7
 
 
 class Simplex(NamedTuple):
-    """A simplex of points of the Minkowski difference, and scratch to reduce it in.
+    """A simplex of points of the Minkowski difference, and room for reducing it.
 
     Attributes:
         points: the corners, (4, 3) float64 [m]; the first ones are valid.
@@ -68,7 +70,10 @@ def make_simplex():
 
 @subkernel(inline="always")
 def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
-    """Write the farthest point of a solid along a direction (dx, dy, dz) to `out`, (3,)."""
+    """Write the farthest point of a solid along a direction (dx, dy, dz) to `out`, (3,).
+
+    The solid is given by MuJoCo's type, position, rotation matrix and size, see `Solids`.
+    """
     # direction in the solid's own frame: transpose of the row-major matrix
     lx = mat[0] * dx + mat[3] * dy + mat[6] * dz
     ly = mat[1] * dx + mat[4] * dy + mat[7] * dz
@@ -134,7 +139,10 @@ def _dot(a, b):
 
 @subkernel(inline="always")
 def _nearest_on_segment(a, b, keep, v):
-    """Write a segment's nearest point to the origin to `v`, and which ends it needs to `keep`."""
+    """Write a segment's nearest point to the origin to `v`, and to `keep` which ends it lies on.
+
+    Both ends, a and b, are kept if the nearest point lies between them.
+    """
     abx = b[0] - a[0]
     aby = b[1] - a[1]
     abz = b[2] - a[2]
@@ -163,8 +171,9 @@ def _nearest_on_segment(a, b, keep, v):
 
 @subkernel(**NO_REFCOUNT)
 def _nearest_on_triangle(a, b, c, keep, v):
-    """Write a triangle's nearest point to the origin to `v`, and the corners it needs to `keep`.
+    """Write a triangle's nearest point to the origin to `v`, and its corners to keep to `keep`.
 
+    These are the corners a, b, c of which the nearest point is a mean: one, two of an edge, or all.
     The Voronoi regions of the corners, the edges and the face are tested in turn.
     """
     keep[0] = False
@@ -244,7 +253,7 @@ def _nearest_on_triangle(a, b, c, keep, v):
 
 @subkernel(inline="always")
 def _origin_outside(a, b, c, d):
-    """Return whether the origin is outside of a tetrahedron, beyond the face a, b, c.
+    """Return whether the origin is outside of the tetrahedron a, b, c, d, beyond its face a, b, c.
 
     It counts as outside if the tetrahedron is flat: d lies in the face's plane.
     """
@@ -342,7 +351,7 @@ def gjk_meets_prism(solids, s, prism, simplex):
         solids: the solids, as `Solids`.
         s: index of the solid.
         prism: the prism, as `Prism`.
-        simplex: scratch, see `make_simplex`.
+        simplex: room for the iteration, see `make_simplex`.
 
     Returns:
         APART or MEETS, which are proved, or UNDECIDED.

@@ -5,12 +5,13 @@
 2. `_find_patches` divides the rest into manifold patches, by a flood over the edges at which two
    triangles meet, and finds the triangles that face the other way; `_flip_minority` flips them (Ju,
    Robust repair of polygonal models, 2004, section 2, lists the faults of meshes).
-3. `_drop_membranes` drops the patches that close no edge.
-4. `_unite_patches` unites patches that close each other's edges. A part is closed if its triangles
-   run along each edge as often in one direction as in the other.
+3. `_drop_membranes` drops patches that lie across the inside of a closed surface.
+4. `_unite_patches` unites the patches that close a surface together. A part is closed if its
+   triangles run along each edge as often in one direction as in the other.
 
 A half-edge is one side of a triangle. Half-edge ``3 f + k`` runs from corner k of triangle f to the
-next corner. The half-edges at edge e are ``half_edges[edge_start[e] : edge_start[e + 1]]``.
+next corner. The half-edges at edge e are ``half_edges[edge_start[e] : edge_start[e + 1]]``. Two
+half-edges at one edge that run in opposite directions are partners.
 """
 
 import numpy as np
@@ -18,22 +19,26 @@ import numpy as np
 from navbake.baker.core.union_find import find_root, unite
 from navbake.compiled import kernel, subkernel
 
-# Values in place of a triangle's closed part
-NO_CLOSED_PART = np.int32(-1)  # the triangle is in none
+# Values in place of the number of a triangle's closed part
+NO_CLOSED_PART = np.int32(-1)  # the triangle is in no closed part
 DUPLICATE = np.int32(-2)  # an earlier triangle has the same corners
 
 
 @subkernel(inline="always")
 def _opposite_corner(faces, half_edge):
-    """Return the point of a triangle that is not on one of its edges."""
+    """Return the corner of a triangle that lies opposite to a half-edge: the number of its point.
+
+    `faces` are the points of each triangle's corners, (m, 3).
+    """
     return faces[half_edge // 3, (half_edge % 3 + 2) % 3]
 
 
 @subkernel(inline="always")
 def _direction(faces, is_flipped, half_edge):
-    """Return 1 if a half-edge runs from its lower to its higher point (by number), else -1.
+    """Return 1 if a half-edge runs up, from the point with the lower number to the other, else -1.
 
-    Half-edges of flipped triangles run the other way.
+    `faces` are the points of each triangle's corners. Half-edges of flipped triangles run the other
+    way.
     """
     face = half_edge // 3
     k = half_edge % 3
@@ -60,12 +65,19 @@ def _sort_keys(keys, count):
 
 @subkernel
 def _list_edges(faces, num_points):
-    """List the half-edges edge by edge.
+    """List the half-edges of a mesh, edge by edge.
 
-    Half-edges are collected by their lower point (counting sort), then sorted by the upper one.
+    Half-edges are collected by the lower number of their two points (counting sort), then sorted by
+    the higher number.
+
+    Args:
+        faces: the points of each triangle's corners, (m, 3) int32.
+        num_points: how many points there are.
 
     Returns:
-        edge_start, (edges + 1,) int32, and half_edges, (3 m,) int32, ascending for each edge.
+        edge_start: edge e has the half-edges ``half_edges[edge_start[e] : edge_start[e + 1]]``,
+            (edges + 1,) int32.
+        half_edges: the half-edges, ascending for each edge, (3 m,) int32.
     """
     end_of_point = np.zeros(num_points, np.int32)
     half_edges = np.empty(3 * faces.shape[0], np.int32)
@@ -107,7 +119,10 @@ def _list_edges(faces, num_points):
 
 @subkernel(inline="always")
 def _mark_duplicates(faces, edge_start, half_edges, part):
-    """Mark the triangles that have the same corners as an earlier one, in the same cyclic order."""
+    """Mark duplicates: triangles with the corners of an earlier triangle, in the same cyclic order.
+
+    `part` receives DUPLICATE for each of them.
+    """
     keys = np.empty(16, np.int64)
     for e in range(edge_start.shape[0] - 1):
         if edge_start[e + 1] - edge_start[e] > keys.shape[0]:
@@ -132,7 +147,11 @@ def _mark_duplicates(faces, edge_start, half_edges, part):
 
 @subkernel(inline="always")
 def _is_bare(faces, e, edge_start, half_edges, num_at_edge, remains):
-    """Return whether an edge is bare: one triangle remains at it, or two with the same corners."""
+    """Return whether edge e is bare: one triangle remains at it, or two with the same corners.
+
+    `remains` says which triangles of the mesh are not removed yet; `num_at_edge` is the number of
+    these at each edge.
+    """
     if num_at_edge[e] == 1:
         return True
     if num_at_edge[e] != 2:
@@ -148,7 +167,10 @@ def _is_bare(faces, e, edge_start, half_edges, num_at_edge, remains):
 
 @subkernel(inline="always")
 def _remove_at_edge(e, edge_start, half_edges, remains, queue, queue_end):
-    """Remove the triangles at an edge and queue them; return the end of the queue."""
+    """Remove the remaining triangles at edge e, and append them to a queue.
+
+    `remains` becomes False for them. Returns the index past the last entry of the queue.
+    """
     for h in half_edges[edge_start[e] : edge_start[e + 1]]:
         if remains[h // 3]:
             remains[h // 3] = False
@@ -159,9 +181,10 @@ def _remove_at_edge(e, edge_start, half_edges, remains, queue, queue_end):
 
 @subkernel
 def _peel(faces, edge_of_half, edge_start, half_edges, remains):
-    """Remove triangles with a bare edge until there is none.
+    """Remove triangles with a bare edge, at which no other triangle ends, until there is none.
 
-    Returns the number of remaining triangles at each edge, int32.
+    So all of an open surface is removed. `remains` becomes False for the removed triangles. Returns
+    the number of remaining triangles at each edge, int32.
     """
     num_at_edge = np.zeros(edge_start.shape[0] - 1, np.int32)
     for h in range(edge_of_half.shape[0]):
@@ -189,9 +212,17 @@ def _peel(faces, edge_of_half, edge_start, half_edges, remains):
 
 @subkernel(inline="always")
 def _mate_of(e, face, edge_start, half_edges, remains):
-    """Return the half-edge of the other triangle at an edge where two remain, -1 for none.
+    """Return a triangle's neighbor over an edge at which two triangles remain.
 
-    `face` is the one triangle.
+    Args:
+        e: the edge.
+        face: the triangle.
+        edge_start: see `_list_edges`.
+        half_edges: see `_list_edges`.
+        remains: which triangles remain, bool.
+
+    Returns:
+        The neighbor's half-edge at the edge, -1 if there is no neighbor.
     """
     for h in half_edges[edge_start[e] : edge_start[e + 1]]:
         if remains[h // 3] and h // 3 != face:
@@ -202,6 +233,14 @@ def _mate_of(e, face, edge_start, half_edges, remains):
 @subkernel
 def _find_patches(faces, edge_of_half, edge_start, half_edges, remains, num_at_edge):
     """Number the manifold patches: triangles connected over edges where two triangles meet.
+
+    Args:
+        faces: the points of each triangle's corners, (m, 3) int32.
+        edge_of_half: the edge of each half-edge, (3 m,) int32.
+        edge_start: see `_list_edges`.
+        half_edges: see `_list_edges`.
+        remains: which triangles are not removed, (m,) bool.
+        num_at_edge: how many of these are at each edge, int32.
 
     Returns:
         patch: the patch of each triangle, int32; -1 for removed triangles.
@@ -251,7 +290,16 @@ def _find_patches(faces, edge_of_half, edge_start, half_edges, remains, num_at_e
 
 @subkernel(inline="always")
 def _flip_minority(area, patch_faces, patch_start, is_opposite, is_flipped):
-    """Flip the triangles of each patch that face to the side that less than half its area faces."""
+    """Flip triangles so that a patch faces to one side: the one that most of its area faces.
+
+    Args:
+        area: area of each triangle, float64 [m²].
+        patch_faces: the triangles of all patches, see `_find_patches`.
+        patch_start: where each patch begins in `patch_faces`.
+        is_opposite: whether each triangle faces to the other side than the first triangle of its
+            patch.
+        is_flipped: receives which triangles are flipped.
+    """
     for p in range(patch_start.shape[0] - 1):
         same_area = 0.0
         opposite_area = 0.0
@@ -270,7 +318,9 @@ def _flip_minority(area, patch_faces, patch_start, is_opposite, is_flipped):
 def _remove_from_balance(faces, edge_of_half, face, num_at_edge, is_flipped, balance, sign):
     """Remove a triangle from the balances of its edges (`sign` 1), or add it to them (-1).
 
-    Only edges at which more than two triangles meet have a balance, see `_drop_membranes`.
+    The balance of an edge is how many of its half-edges run up, less how many run down, see
+    `_direction`; its absolute value is the number of half-edges without a partner. Only edges at
+    which more than two triangles meet are changed.
 
     Returns:
         By how much the number of half-edges without a partner falls.
@@ -289,10 +339,10 @@ def _remove_from_balance(faces, edge_of_half, face, num_at_edge, is_flipped, bal
 def _drop_membranes(
     faces, area, edge_of_half, num_at_edge, patch_faces, patch_start, is_flipped, remains
 ):
-    """Drop patches, the smallest first, if that leaves fewer half-edges without a partner.
+    """Drop membranes: patches without which fewer half-edges have no partner, the smallest first.
 
-    Such a patch is a membrane, for example a wall without thickness across a block. Returns whether
-    any patch was dropped.
+    A membrane is, for example, a wall without thickness across the inside of a block. `remains`
+    becomes False for the triangles of dropped patches. Returns whether any patch was dropped.
     """
     # for each edge: how many of its half-edges run up, less how many run down, see `_direction`
     balance = np.zeros(num_at_edge.shape[0], np.int32)
@@ -320,11 +370,11 @@ def _drop_membranes(
 
 @subkernel
 def _unite_patches(faces, edge_start, half_edges, remains, patch, is_flipped, num_patches):
-    """Unite patches at edges that none of them closes by itself.
+    """Unite the patches that meet at an edge at which each has half-edges without a partner.
 
     Returns:
-        parent: the parent of each patch, see `find_root`; united patches have one root.
-        is_open: for each root, whether a half-edge of its patches has no partner.
+        parent: the parent of each patch, see `find_root`; united patches have the same root.
+        is_open: for each root, whether its patches together leave a half-edge without a partner.
     """
     parent = np.arange(num_patches)
     is_open = np.zeros(num_patches, np.bool_)
@@ -352,7 +402,7 @@ def _unite_patches(faces, edge_start, half_edges, remains, patch, is_flipped, nu
 
 @kernel
 def find_parts(faces, area, num_points):
-    """Find the closed parts of a mesh.
+    """Find the closed parts of a mesh: connected triangles that have no open edge.
 
     Args:
         faces: the three different points of each triangle, (m, 3) int32.

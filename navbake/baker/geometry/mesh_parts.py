@@ -33,15 +33,16 @@ MAX_PAIRS = 1 << 20
 def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     """Separate the parts of a mesh that enclose a volume from its open surfaces.
 
-    Parts are connected over edges; vertices at one place count as one. A part is closed if its
-    triangles run along each edge as often in one direction as in the other. A closed part that
-    faces out encloses a volume. So does one that faces in if it lies inside of one that faces out:
-    it is a cavity. By itself it is a room drawn from inside, and encloses nothing. Stray triangles
-    at a closed part do not open it, nor do membranes across its inside.
+    Parts are connected over edges; vertices at one place count as one vertex. A part is closed if
+    its triangles run along each edge as often in one direction as in the other. A closed part that
+    faces out encloses a volume. A closed part that faces in bounds a cavity if it lies inside of a
+    part that faces out, and then counts as enclosing, too. By itself it is a room drawn from
+    inside, and encloses nothing. Stray triangles at a closed part don't open it, nor do membranes
+    across its inside.
 
-    In closed parts, a triangle that faces to the other side than most of its patch is flipped, see
-    `mesh_part_kernels`. Left out are duplicates of triangles, and triangles with two corners at one
-    place.
+    In closed parts, a triangle that faces to the other side than most triangles around it is
+    flipped, see `mesh_part_kernels`. Left out are duplicates of triangles, and triangles with two
+    corners at one place.
 
     Args:
         vertices: shape (n, 3) [m].
@@ -100,7 +101,11 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
 
 
 def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
-    """Find the shells of a mesh, see `shell_kernels`.
+    """Find the shells of a mesh: connected parts in which exactly two triangles meet at each edge.
+
+    Args:
+        vertices: shape (n, 3) [m].
+        faces: vertices of each triangle, shape (k, 3).
 
     Returns:
         The triangles whose corners are at three places, as vertices, (m, 3); their corners as
@@ -133,6 +138,13 @@ def _find_enclosing(
     vertices: Float, faces: Int32, is_flipped: Bool, part: Int32, num_parts: int
 ) -> Bool:
     """Mark the closed parts that enclose a volume, see `split_mesh`.
+
+    Args:
+        vertices: shape (n, 3) [m].
+        faces: vertices of each triangle, shape (m, 3).
+        is_flipped: which triangles count as facing the other way, shape (m,).
+        part: the closed part of each triangle, from 1; 0 for none, shape (m,).
+        num_parts: how many closed parts there are.
 
     Returns:
         A mask by number of the part, shape (num_parts + 1,); parts count from 1, entry 0 is False.
@@ -217,14 +229,15 @@ def _find_surrounding(corners: Float, part: Int32, point: Float) -> tuple[Int, I
 
 
 def _winding_above(corners: Float, point: Float) -> Int:
-    """Return how triangles above points wind around them, seen from above.
+    """Return which way round a triangle above a point winds around it, for pairs of both.
 
     Args:
         corners: corners of n triangles, one for each point, shape (n, 3, 3) [m].
         point: the points, shape (n, 3) [m].
 
     Returns:
-        1 for counter-clockwise, -1 for clockwise, 0 for no triangle above the point; shape (n,).
+        Seen from above: 1 for counter-clockwise, -1 for clockwise, 0 if the triangle is not above
+        the point; shape (n,).
     """
     x = point[:, :1]
     y = point[:, 1:2]

@@ -28,7 +28,7 @@ ANY_GEOM = np.int32(-1)
 
 
 class Polygons(NamedTuple):
-    """Scratch for clipping: two polygons, of which each is clipped into the other in turn.
+    """Room for clipping: a polygon is clipped from the first array into the second, then back.
 
     Attributes:
         first, second: corners, (MAX_CORNERS, 3) float64 [m].
@@ -77,7 +77,7 @@ def facet_meets_prism(facets, t, prism, polygons):
         t: index of the triangle.
         prism: the prism, as `Prism`, already narrowed by TOUCH_DEPTH; for open surfaces it is
             widened here by twice that.
-        polygons: scratch, see `make_polygons`.
+        polygons: room for clipping, see `make_polygons`.
     """
     margin = 2.0 * TOUCH_DEPTH if facets.closed[t] == OPEN_SURFACE else 0.0
     widened = Prism(prism.x, prism.y, prism.low, prism.high, prism.half + margin, prism.is_round)
@@ -88,7 +88,7 @@ def facet_meets_prism(facets, t, prism, polygons):
 
 @subkernel(**NO_REFCOUNT)
 def clip(points, num, out, axis, limit, sign):
-    """Clip a polygon to the half-space in which ``sign * (coordinate - limit) >= 0``.
+    """Clip a polygon by a plane across an axis: keep where ``sign * (coordinate - limit) >= 0``.
 
     Args:
         points: corners, (>= num, 3) float64 [m].
@@ -128,7 +128,7 @@ def clip_between(points, num, spare, axis, limits, out):
     Args:
         points: corners, (>= num, 3) float64 [m].
         num: number of corners.
-        spare: scratch, (MAX_CORNERS, 3) float64.
+        spare: room for a polygon in between, (MAX_CORNERS, 3) float64.
         axis: which coordinate: X, Y or Z.
         limits: the least and the greatest coordinate [m].
         out: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64; may be `points`.
@@ -173,7 +173,7 @@ def triangle_meets_prism(corners, prism, polygons):
     Args:
         corners: (3, 3) float64 [m].
         prism: the prism, as `Prism`.
-        polygons: scratch, see `make_polygons`.
+        polygons: room for clipping, see `make_polygons`.
     """
     polygon = polygons.first
     spare = polygons.second
@@ -217,11 +217,11 @@ def plane_meets_prism(planes, p, prism):
 def is_line_blocked(hits, cell, heights, geom):
     """Return whether a column's line crosses a geom in a range of heights, or runs inside of one.
 
-    It runs inside of one if the winding number of the line above the range is positive.
+    It runs inside of a geom if, above the range, it leaves geoms more often than it enters them.
 
     Args:
         hits: the columns, as `ColumnHits`.
-        cell: the column.
+        cell: index of the column.
         heights: the range, as `HeightRange`.
         geom: MuJoCo's id of the geom, or ANY_GEOM.
     """
@@ -240,7 +240,9 @@ def is_line_blocked(hits, cell, heights, geom):
 
 @kernel(nogil=True)
 def find_blocked_lines(cells, low, high, hits, blocked, first, end):
-    """Find where the lines of columns cross something between two heights, or run inside of it.
+    """Test for several columns whether something is in the way between two heights.
+
+    Something is in the way if the column's line crosses a geom there, or runs inside of one.
 
     Args:
         cells: index of the column of each test, (n,) int64.

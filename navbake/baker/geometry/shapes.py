@@ -1,4 +1,7 @@
-"""The geometry of the geoms that count, as arrays in the world frame, for rays and overlaps."""
+"""The geometry of the geoms that count, as arrays in the world frame, for rays and overlaps.
+
+Primitives are solids, infinite planes are half-spaces, and all other geoms are triangles.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +27,10 @@ spatial = lazy("scipy.spatial")
 # Half-size that stands for the infinite side of a plane whose other side is finite; heights on a
 # tilted one are off by about 1e-16 ENDLESS_HALF_SIZE^2 [m]
 ENDLESS_HALF_SIZE = 1e4
-# A share of the points or triangles of a mesh has at least this many
+# The points or triangles of a mesh are divided into shares, ranges for one thread each, of at least
+# this many; fewer are not worth a call on another thread
 MIN_ITEMS_PER_SHARE = 4096
-# A mesh is divided into at most this many shares: each has arrays of its own
+# A mesh is divided into at most this many shares, as each needs arrays of its own
 MAX_SHARES = 8
 NUM_SIDES = 32  # of round solids that are made of triangles
 # Triangles of about this many are expanded at a time
@@ -43,7 +47,7 @@ class GeomTriangles(NamedTuple):
             those that enclose nothing, and for all geoms but meshes.
         closed: OPEN_SURFACE, CLOSED_SURFACE, SOLID (height fields) or CONVEX_SOLID (hulls), (m,)
             uint8. The inside of all but the first counts as occupied.
-        kind: `GeomReport.shape` of the geom.
+        kind: what the triangles are, in words, for `GeomReport.shape`.
     """
 
     vertices: Float
@@ -54,7 +58,7 @@ class GeomTriangles(NamedTuple):
 
 
 class Mesh(NamedTuple):
-    """Triangles that several pieces of a scene may share.
+    """A mesh of triangles.
 
     Attributes:
         vertices: (n, 3) float64 [m].
@@ -99,7 +103,7 @@ class Meshes:
         return Meshes(self.geom[mask], triangles, self.boxes[mask])
 
     def expand(self) -> Facets:
-        """Return all triangles, ordered by geom, with their corners and boxes."""
+        """Return all triangles of all geoms, ordered by geom, with their corners and boxes."""
         start = np.cumsum([0, *self.counts])  # of each geom
         num_triangles = int(start[-1])
         corners = np.empty((num_triangles, 3, 3))
@@ -143,8 +147,8 @@ class Shapes:
         solids: the primitives.
         planes: the planes that are infinite along both sides.
         meshes: the geoms that are made of triangles.
-        endless: mask by geom id of planes with one infinite side: their triangles reach
-            ENDLESS_HALF_SIZE, and do not count for `bounds`.
+        endless: marks the planes with one infinite side, whose triangles extend ENDLESS_HALF_SIZE
+            there and don't count for `bounds`, shape (ngeom,), bool.
     """
 
     solids: Solids
@@ -163,7 +167,7 @@ class Shapes:
 
     @cached_property
     def boxes(self) -> Float:
-        """Boxes around the geoms, shape (n, 6), infinite for planes: lower, upper corner [m]."""
+        """Boxes around the geoms, infinite for planes: lower, upper corner, shape (n, 6) [m]."""
         planes = np.tile(np.repeat([-np.inf, np.inf], 3), (len(self.planes.geom), 1))
         return np.concatenate([self.solids.bounds, self.meshes.boxes, planes])
 
@@ -188,8 +192,9 @@ class Shapes:
         self.meshes.__dict__.pop("expanded", None)
 
     def facets_in_batches(self) -> Iterator[Facets]:
-        """Yield all triangles: in batches of whole geoms with about `TRIANGLES_PER_BATCH`
-        triangles, or at once if they are expanded already.
+        """Yield all triangles in batches of entire geoms, with about `TRIANGLES_PER_BATCH` each.
+
+        If they are expanded already, they are yielded as one batch.
         """
         if "expanded" in self.meshes.__dict__:
             yield self.triangles
@@ -217,10 +222,10 @@ class Shapes:
         return Shapes(select(self.solids), select(self.planes), meshes, self.endless & geoms)
 
     def with_replaced(self, new: Shapes, geoms: Bool) -> Shapes:
-        """Return the shapes, with those of the marked geoms replaced by new ones.
+        """Return the shapes, with the geometry of the marked geoms replaced.
 
         Args:
-            new: the geometry of the marked geoms, of the same kinds.
+            new: the new geometry of the marked geoms; a solid stays a solid, a plane a plane.
             geoms: mask by geom id, shape (ngeom,).
         """
 
@@ -262,10 +267,10 @@ class Shapes:
 
 
 def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
-    """Gather the triangles of geoms, without those of geoms that have none.
+    """Gather the geoms that have triangles, and compute their boxes.
 
     Args:
-        triangles: by geom id, ascending.
+        triangles: geom id -> its triangles, maybe none; ids ascend.
     """
     non_empty = {geom: mesh for geom, mesh in triangles.items() if len(mesh.faces)}
     boxes = np.empty((len(non_empty), 6))
@@ -293,14 +298,14 @@ def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
 
 
 def support_distances(kind: Int32, direction: Float, size: Float) -> Float:
-    """Compute how far solids reach from their centres in a direction: their support functions.
+    """Compute how far solids extend from their centres in a direction: their support functions.
 
     Args:
         kind, size: fields of `Solids`.
         direction: a unit vector in the frame of each solid, shape (n, 3).
 
     Returns:
-        shape (n,) [m].
+        Distances, shape (n,) [m].
     """
     components = np.abs(direction)
     distances = np.empty(len(kind))
@@ -349,7 +354,7 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
     lower = np.concatenate([base[0, :-1], base[:-1, -1], base[-1, :0:-1], base[:0:-1, 0]])
     next_upper = np.roll(upper, -1, axis=0)
     next_lower = np.roll(lower, -1, axis=0)
-    # the bottom is fanned over the same border points, so that every edge is met from both sides
+    # the bottom is a fan over the same border points, so that two triangles meet at every edge
     middle = np.broadcast_to((base[0, 0] + base[-1, -1]) / 2, lower.shape)
     parts.append(np.stack([lower, next_lower, next_upper], axis=-2))
     parts.append(np.stack([lower, next_upper, upper], axis=-2))
@@ -384,7 +389,7 @@ def hull_faces(vertices: Float) -> Int32 | None:
 
 
 def choose_num_shares(count: int) -> int:
-    """Return into how many shares `count` points or triangles are divided, each for a thread."""
+    """Return into how many shares `count` points or triangles are divided, one for each thread."""
     return max(1, min(num_threads(), MAX_SHARES, count // MIN_ITEMS_PER_SHARE))
 
 
@@ -396,7 +401,7 @@ def triangle_areas(vertices: Float, faces: Int32) -> Float:
         faces: vertices of each triangle, shape (m, 3).
 
     Returns:
-        shape (m,) [m²].
+        Areas, shape (m,) [m²].
     """
     area = np.empty(len(faces))
     run_in_chunks(measure_areas, len(faces), vertices, faces, area, least=MIN_ITEMS_PER_SHARE)
@@ -431,7 +436,7 @@ def mark_used_vertices(num_vertices: int, faces: Int32) -> Bool:
         faces: vertices of each triangle, shape (m, 3).
 
     Returns:
-        shape (num_vertices,).
+        A mask, shape (num_vertices,), bool.
     """
     marks = np.zeros((choose_num_shares(len(faces)), num_vertices), dtype=np.bool_)
 
@@ -519,7 +524,7 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
 
 
 def triangulate(vertices: Float, counts: Int, indices: Int, holes: Int) -> Int32:
-    """Divide polygons in space into triangles, which wind as the polygons do.
+    """Divide polygons in space into triangles that face to the same side as the polygons.
 
     Convex polygons become fans; of others ears are cut off (Meisters, Polygons have ears, 1975).
     Polygons with fewer than three corners are left out.
@@ -596,7 +601,7 @@ def _cut_ears(points: Float, corners: Int32) -> Int32:
             ear = ear_at(k)
             a, b, c = flat[ear]
             remaining_corners = flat[[p for p in remaining if p not in ear]]
-            # corners at the place of one of the ear's belong to a slit
+            # a slit in the polygon has two corners at one place: those at the ear's don't count
             is_slit = (remaining_corners[:, None] == [a, b, c]).all(axis=2).any(axis=1)
             corner = remaining_corners[~is_slit]
             side_areas = [area(a, b, corner), area(b, c, corner), area(c, a, corner)]

@@ -4,9 +4,9 @@ The two triangles run along the edge in opposite directions. A part with any oth
 `mesh_part_kernels` decides what it encloses.
 
 Points at one place are welded by a hash table; a filter with one hash (Bloom, 1970) first finds the
-few points that may have an equal. Half-edges with the same lower point are chained, and those of a
-chain are compared by their upper point. Triangles are united (union-find) over the edges at which
-two meet.
+few points that may be at the place of another point. Half-edges with the same lower point (by
+number) are chained, and those of a chain are compared by their upper point. Triangles are united
+(union-find) over the edges at which two meet.
 
 A half-edge is one side of a triangle. Half-edge ``3 f + k`` runs from corner k of triangle f to the
 next corner.
@@ -18,10 +18,10 @@ from navbake.baker.core.union_find import find_root, unite
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 MINUS_ZERO = np.uint64(1 << 63)  # the bits of -0.0
-# In place of a triangle's shell, or a half-edge's mate: there is none
+# In place of the number of a triangle's shell, or of a half-edge's mate: there is none
 NOT_SHELL = np.int32(-1)
-# At most this many edges of a point are searched. Triangles at further edges are in no shell;
-# `find_parts` decides what they enclose
+# The edges of a point are searched one by one, so at most this many are. Triangles at further edges
+# are in no shell; `find_parts` decides what they enclose
 MAX_EDGES_OF_POINT = 256
 
 
@@ -52,7 +52,7 @@ def _hash(points, i):
 
 @subkernel(inline="always")
 def _filter_bit(key, filter_size):
-    """Return the byte of a filter, and the bit in it, that stand for a hash."""
+    """Return the index of a byte of a filter, and the bit in it, that stand for a hash."""
     bit = key & np.uint64(8 * filter_size - 1)
     return np.int64(bit >> np.uint64(3)), np.uint8(1 << np.int64(bit & np.uint64(7)))
 
@@ -117,9 +117,10 @@ def _next(half_edge):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def chain_edges(number, faces, point, is_proper, last, previous, first, end):
-    """Chain the half-edges by their lower point, for shares ``range(first, end)`` of the triangles.
+    """Chain the half-edges that have the same lower point.
 
-    Each share has its own chains.
+    Triangles are divided into shares, ranges for one thread each. This is done for shares
+    ``range(first, end)``, each with its own chains.
 
     Args:
         number: the point of each vertex, see `weld_points`, (n,) int32.

@@ -31,10 +31,10 @@ def _point_gap(dx, dy, half, is_round):
 def _plan_gap(solids, s, upright_axis, dx, dy, half, is_round):
     """Return the distance from an upright box or cylinder to a prism, seen from above [m].
 
-    It is negative if they overlap; for boxes and square prisms it may be a lower bound.
+    It is negative if they overlap. For a box and a square prism it may be less than the distance.
 
     Args:
-        solids: the solids.
+        solids: the solids, as `Solids`.
         s: index of the solid.
         upright_axis: number of the solid's own axis that points up or down.
         dx, dy: the prism's axis, from the solid's centre [m].
@@ -65,9 +65,16 @@ def _plan_gap(solids, s, upright_axis, dx, dy, half, is_round):
 
 @subkernel(inline="always")
 def _axis_gap(solids, s, prism, half, is_round):
-    """Return a lower bound of the distance of a leaning capsule or cylinder to a prism [m].
+    """Return a lower bound of the distance between a capsule or cylinder and a prism [m].
 
-    It is negative only if they overlap.
+    It is used where the solid leans, and for capsules. It is negative only if the two overlap.
+
+    Args:
+        solids: the solids, as `Solids`.
+        s: index of the solid.
+        prism: the prism, as `Prism`.
+        half: half of the prism's edge, or its radius [m].
+        is_round: whether the prism is round.
     """
     pos = solids.pos[s]
     mat = solids.mat[s]
@@ -95,9 +102,16 @@ def _axis_gap(solids, s, prism, half, is_round):
 
 @subkernel(inline="always")
 def _gap(solids, s, prism, half, is_round):
-    """Return a lower bound of a solid's distance to a prism [m].
+    """Return a lower bound of the distance between a solid and a prism [m].
 
-    It is negative only if they overlap, and 0 if nothing is known.
+    It is negative only if the two overlap, and 0 if nothing is known.
+
+    Args:
+        solids: the solids, as `Solids`.
+        s: index of the solid.
+        prism: the prism, as `Prism`.
+        half: half of the prism's edge, or its radius [m].
+        is_round: whether the prism is round.
     """
     kind = solids.kind[s]
     pos = solids.pos[s]
@@ -124,7 +138,7 @@ def solid_meets_prism(solids, s, prism, simplex):
         solids: the solids, as `Solids`.
         s: index of the solid.
         prism: the prism, as `Prism`.
-        simplex: scratch, see `make_simplex`.
+        simplex: room for the iteration of GJK, see `make_simplex`.
 
     Returns:
         APART, MEETS or UNDECIDED.

@@ -131,9 +131,10 @@ def measure_part_volumes(vertices, faces, is_flipped, part, volume, area, first,
         vertices: (n, 3) float64 [m].
         faces: vertices of each triangle, (m, 3) int32.
         is_flipped: which triangles count as facing the other way, (m,) bool.
-        part: of each triangle, (m,) int32.
-        volume: by part, zeros; receives the volume, positive for parts that face out [m³].
-        area: by part, zeros; receives the area [m²].
+        part: the part that each triangle belongs to, (m,) int32.
+        volume: zeros, one for each part; receives the volume, positive for parts that face out,
+            float64 [m³].
+        area: zeros, one for each part; receives the area, float64 [m²].
         first, end: range of parts.
     """
     origin = vertices[faces[0, 0]]
@@ -173,10 +174,13 @@ def bound_parts(vertices, faces, is_flipped, part, box, largest_area, largest_tr
         vertices: (n, 3) float64 [m].
         faces: vertices of each triangle, (m, 3) int32.
         is_flipped: which triangles count as facing the other way, (m,) bool.
-        part: of each triangle, (m,) int32.
-        box: (parts, 6) of inf and -inf; receives lower and upper corners [m].
-        largest_area: (parts,) of negative numbers; receives twice the largest area [m²].
-        largest_triangle: (parts,) int64; receives the largest triangle, the last one of several.
+        part: the part that each triangle belongs to, (m,) int32.
+        box: receives the lower and the upper corner of each part's box, (parts, 6) [m]; inf and
+            -inf before.
+        largest_area: receives twice the area of each part's largest triangle, (parts,) [m²];
+            negative before.
+        largest_triangle: receives the index of that triangle, (parts,) int64; of several equally
+            large triangles, the last one.
     """
     for f in range(faces.shape[0]):
         p = part[f]
@@ -198,12 +202,13 @@ def bound_parts(vertices, faces, is_flipped, part, box, largest_area, largest_tr
 def find_nearest_axes(normal, axes, max_distance, nearest, first, end):
     """Find the axis that each unit normal is nearest to, for normals ``range(first, end)``.
 
-    An axis counts in both directions.
+    A normal may point along the axis or against it.
 
     Args:
         normal: unit normals, (n, 3) float64.
         axes: unit vectors with ascending z, (k, 3) float64.
-        max_distance: a distance that no normal exceeds to its nearest axis.
+        max_distance: every normal must have an axis within this distance, measured between the ends
+            of the unit vectors.
         nearest: receives the index of the nearest axis, (n,) int64.
         first, end: range of normals.
     """
@@ -224,18 +229,19 @@ def find_nearest_axes(normal, axes, max_distance, nearest, first, end):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def find_facing_directions(corners, num_directions, direction, weight, weighted_angle, first, end):
-    """Find the horizontal direction that triangles ``range(first, end)`` face.
+    """Find the horizontal direction that each of the triangles ``range(first, end)`` faces.
 
-    Directions are modulo a quarter turn.
+    Directions a quarter turn apart count as equal.
 
     Args:
-        corners: (m, 3, 3) float64 [m].
+        corners: corners of the triangles, (m, 3, 3) float64 [m].
         num_directions: how many directions a quarter turn is divided into.
-        direction: receives the nearest direction, (m,) int32.
-        weight: receives twice the area as seen from the side, 0 for level triangles, (m,) float64
-            [m²].
-        weighted_angle: receives the weight times the angle from the nearest direction [m² rad],
-            (m,) float64.
+        direction: receives the number of the direction nearest to the triangle's, (m,) int32;
+            direction n is at ``n / num_directions`` of a quarter turn from x.
+        weight: receives twice the triangle's area as seen from the side, 0 for horizontal
+            triangles, (m,) float64 [m²].
+        weighted_angle: receives the weight times the angle from the nearest direction to the
+            triangle's own, (m,) float64 [m² rad].
         first, end: range of triangles.
     """
     step = QUARTER_TURN / num_directions
@@ -255,7 +261,7 @@ def find_facing_directions(corners, num_directions, direction, weight, weighted_
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def measure_spans(corners, group, direction, low, high):
-    """Measure the spans of groups of triangles in the group's direction, across it, and in height.
+    """Measure how far groups of triangles extend along a direction, across it, and in height.
 
     Args:
         corners: (m, 3, 3) float64 [m].
