@@ -1,5 +1,6 @@
-"""Sources of columns and of shapes on lattices that may be too large to keep in memory.
+"""Provide columns and shapes, also of lattices that are too large to keep in memory.
 
+A column is the vertical line through a cell's centre, with all places where it crosses a geom.
 Columns of large lattices are cast chunk by chunk of rows, and cast again on each request.
 """
 
@@ -58,7 +59,7 @@ class ChunkedShapes:
     """
 
     def __init__(self, shapes: Shapes, lattice: Lattice, margin: float) -> None:
-        """List the solids; triangles are expanded later, on request.
+        """List the solids by tile; triangles are listed later, on request.
 
         Args:
             shapes: the shapes.
@@ -93,10 +94,10 @@ class ChunkedShapes:
         return self._expand(is_near)
 
     def _expand(self, is_near: Bool) -> TiledShapes:
-        """List the triangles of the marked meshes, and all solids, by tile.
+        """List the triangles of some meshes, and all solids, by tile.
 
         Args:
-            is_near: mask of the meshes, shape (meshes,).
+            is_near: marks the meshes whose triangles are listed, shape (meshes,).
         """
         facets = self._shapes.meshes.only(is_near).expand()
         start, item = list_by_tile(facets.bounds, self._margin, self.lattice)
@@ -181,15 +182,15 @@ class ColumnCaster:
                 next_columns = run_beside(self._cast_rows, rows)
             # popped, so that no reference is held here while the caller works on it
             yield columns.pop()
-        give_back_memory()  # free blocks lie between what lasts
+        give_back_memory()  # memory that is freed between arrays in use stays reserved
 
     def _wait(self, next_columns: Callable[[], Columns]) -> Columns:
-        """Return the result of a cast on another thread, and time how long it is waited for."""
+        """Wait for columns that another thread casts, and add the time to the clock's stage."""
         with self._clock.part("columns"):
             return next_columns()
 
     def covering(self, cells: Int | Int32) -> Columns:
-        """Return columns in which at least those of some cells are valid.
+        """Return columns of the lattice that are valid for some cells, and maybe for others.
 
         Args:
             cells: ids of the cells, in any order.
@@ -223,7 +224,11 @@ class ColumnCaster:
         return builder.build()
 
     def _correct_columns(self, columns: Columns, tiled: TiledShapes) -> Columns:
-        """Resolve the seams, level the rough ground and close the cracks of cast columns."""
+        """Correct columns where they are not what an agent would meet, after they were cast.
+
+        Lines in seams between geoms get the hits of one geom, steep facets of rough ground get the
+        normal of the ground, and lines in cracks of a floor get a hit of the floor.
+        """
         columns = resolve_seams(columns, tiled)
         columns = level_rough_ground(columns, tiled, self._agent)
         return close_cracks(columns, tiled, self._agent, self._crack)
@@ -265,7 +270,7 @@ class WindowColumns(NamedTuple):
         yield join_columns(self.source, self.window, self.lattice)
 
     def covering(self, cells: Int | Int32) -> Columns:
-        """Return columns in which at least those of some cells are valid.
+        """Return columns of the lattice that are valid for some cells, and maybe for others.
 
         Args:
             cells: ids of the cells in the window, in any order.
@@ -296,12 +301,12 @@ def cast_cells(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: I
 
     Args:
         shapes: the shapes on the lattice.
-        agent: see `close_cracks`.
-        crack: see `close_cracks` [m].
+        agent: the agent, by whose slope, step and height floors are told from other surfaces.
+        crack: how wide cracks may be to be closed, see `close_cracks` [m].
         cells: ids of the cells, ascending, (n,).
 
     Returns:
-        Columns, of which only those of the cells are valid.
+        Columns of the lattice, of which only those of these cells are valid.
     """
     tiled = shapes.near_cells(cells)
     lattice = shapes.lattice
@@ -324,7 +329,7 @@ def index_by_cell(lattice: Lattice, cells: Int, hits: ColumnHits) -> Columns:
         hits: the hits of n columns; column i belongs to ``cells[i]``.
 
     Returns:
-        Columns, of which only those of the cells are valid.
+        Columns of the lattice, of which only those of these cells are valid.
     """
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     start[cells] = hits.start[:-1]

@@ -1,7 +1,8 @@
-"""Columns: all crossings of the vertical line through each cell's centre with the scene's surfaces.
+"""Cast columns: find where the vertical line through each cell's centre crosses surfaces.
 
-Shapes are first listed by the tiles of cells that they lie over (`tile_shapes`). Then lines are
-cast: through the centres of cells (`cast_columns`), or through points (`cast_points`).
+Shapes are first listed by the tiles that they lie over, squares of 8 x 8 cells (`tile_shapes`).
+Then lines are cast: through the centres of cells (`cast_columns`), or through given points
+(`cast_points`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,8 +27,8 @@ from navbake.types import Float, Int, Int32
 CELLS_PER_CHUNK = 1 << 20
 # Fewer lines than this are not worth a call on another thread
 MIN_POINTS_PER_CALL = 1024
-# If there are more than MIN_BOXES_PER_TILE boxes for each tile, each thread lists them in this many
-# chunks
+# Boxes are listed on several threads, in this many chunks for each, if there are more than
+# MIN_BOXES_PER_TILE boxes for each tile; fewer are listed on one thread
 CHUNKS_PER_THREAD = 2
 MIN_BOXES_PER_TILE = 4
 WORLD_AXES = np.eye(3)
@@ -51,7 +52,9 @@ class RowChunk(NamedTuple):
 
 
 def split_into_row_chunks(lattice: Lattice, num_alive: int = 1) -> list[RowChunk]:
-    """Split a lattice into chunks of entire rows of tiles, of about `CELLS_PER_CHUNK` cells each.
+    """Split a lattice into chunks of rows, of about `CELLS_PER_CHUNK` cells each.
+
+    A chunk consists of entire rows of tiles.
 
     Args:
         lattice: the cells.
@@ -209,7 +212,7 @@ class ColumnSource(Protocol):
         """Yield the columns of all rows, as chunks of rows in their order."""
 
     def covering(self, cells: Int | Int32) -> Columns:
-        """Return columns in which at least those of some cells are valid.
+        """Return columns of the lattice that are valid for some cells, and maybe for others.
 
         Args:
             cells: ids of the cells, in any order.
@@ -364,13 +367,14 @@ def _cast_groups(
     lines_of_groups: slice,
     least: int = 1,
 ) -> ColumnHits:
-    """Intersect some groups of lines with shapes, see `cast_lines`.
+    """Intersect lines with shapes, group by group of lines, on all threads; see `cast_lines`.
 
     Args:
         tiled: the shapes.
         lines: lines through points; without points, the lines run through the centres of cells.
         shape_index: the shapes by tile for lines through points, else by row of tiles.
-        groups: numbers of the groups of lines.
+        groups: numbers of the groups to cast: of `LINES_PER_CALL` lines through points, or of the
+            lines of a row of tiles.
         start: zeros, (lines + 1,) int64; becomes `ColumnHits.start`.
         lines_of_groups: the part of `start` that belongs to these lines, with the entry after the
             last one.
@@ -411,7 +415,7 @@ def _cast_groups(
 def _remove_dropped(
     hits: ColumnHits, groups: range, lines_per_group: int, num_dropped: Int
 ) -> ColumnHits:
-    """Remove the hits that are DROPPED.
+    """Remove the hits that are marked as superfluous, by DROPPED in place of their geom.
 
     Args:
         hits: the hits; `start` is changed.
@@ -456,12 +460,12 @@ def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
 
 
 def gather_hits(arrays: Sequence[NDArray[Any]], first: Int, counts: Int) -> ColumnHits:
-    """Copy runs of hits to new columns, a run for each column.
+    """Copy hits to new columns; each new column receives a range of the old hits.
 
     Args:
-        arrays: `ColumnHits.entries`.
-        first: index of the first hit of each run, (columns,).
-        counts: how many hits each run has, (columns,).
+        arrays: the old hits, `ColumnHits.entries`.
+        first: index of the first old hit for each new column, (columns,).
+        counts: how many old hits each new column receives, (columns,).
     """
     start = np.concatenate([[0], np.cumsum(counts)])
     indices = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
@@ -537,7 +541,11 @@ def list_by_tile_row(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int
 def _list_boxes(
     boxes: Float, margin: float, lattice: Lattice, num_tiles: int, *, by_tile_row: bool
 ) -> tuple[Int, Int32]:
-    """List boxes by tile, or by row of tiles, on all threads."""
+    """List boxes by tile, or by row of tiles, on all threads.
+
+    The arguments and the returned arrays are as in `list_by_tile` or, with `by_tile_row`, as in
+    `list_by_tile_row`; `num_tiles` is the number of tiles, or of rows of tiles.
+    """
     if not len(boxes):
         return np.zeros(num_tiles + 1, dtype=np.int64), np.empty(0, dtype=np.int32)
     threads = num_threads()

@@ -1,4 +1,4 @@
-"""Find floors on opposite sides of lines that cross no floor at that height: cracks to close.
+"""Find cracks: cells whose vertical line crosses no floor, between floors on opposite sides of it.
 
 What an agent can stand on is divided into convex pieces. A piece is a triangle or a face of a box
 that keeps the slope limit; or the part of a round solid's surface that keeps it, which is described
@@ -6,7 +6,7 @@ by a point or a segment, and a radius. Seen from above, the direction from a lin
 point of a piece is perpendicular to the piece's edge. So the directions to the two sides of a crack
 are opposite.
 
-A piece beside a line is stored as a row of numbers, a `side`; the constants from DIRECTION to
+A side is a piece beside a line, stored as a row of numbers; the constants from DIRECTION to
 PREVIOUS are the indices of its numbers.
 """
 
@@ -22,21 +22,23 @@ from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int
 
-# A surface that a ray hits belongs to a piece if its height differs from the piece's by at most
-# this plus the piece's radius [m]
+# A surface that a ray hits belongs to a piece of floor if its height differs from the piece's by at
+# most this plus the piece's radius [m]
 SAME_PIECE = 1e-3
-# Directions count as equal if the cosine of the angle between them is at least this
+# Directions count as equal if the cosine of the angle between them is at least this (26 degrees),
+# and as opposite if it is at most the negative of this
 SAME_DIRECTION = 0.9
-# The numbers of a side
+# Indices of the numbers of a side
 DIRECTION = 0  # x, then y of the unit vector from the line to the nearest point of the piece
-DISTANCE = 2  # from the line to that point, seen from above [m]
+DISTANCE = 2  # distance from the line to that point, seen from above [m]
 HEIGHT = 3  # z of that point [m]
-RADIUS = 4  # of the piece, 0 for triangles and boxes [m]
+RADIUS = 4  # radius of the piece, 0 for triangles and boxes [m]
 GEOM = 5  # the piece's geom id
-CELL = 6  # the line's cell
+CELL = 6  # the id of the line's cell
 PREVIOUS = 7  # index of the previous side of the same cell, or -1
 NUM_COLUMNS = 8
-# At most this many heights are kept at which all cells of a tile have a floor
+# At most this many heights are kept at which all cells of a tile have a floor; to forget others
+# costs time alone
 MAX_COMMON_HEIGHTS = 8
 
 
@@ -46,7 +48,7 @@ class TiledGeometry(NamedTuple):
     Attributes:
         solids: primitives.
         facets: triangles.
-        tile_index: which of them lie over each tile, or at most a crack's width beside it.
+        tile_index: which of them lie over each tile of cells, or at most a crack's width beside it.
     """
 
     solids: Solids
@@ -55,15 +57,18 @@ class TiledGeometry(NamedTuple):
 
 
 class CrackScratch(NamedTuple):
-    """Scratch arrays for `_list_in_tile`.
+    """Arrays that `_list_in_tile` works in, allocated once for many tiles.
 
     Attributes:
-        candidates: sides that may bound a crack, (n, NUM_COLUMNS) float64.
-        corners: a piece's corners, (4, 3) float64 [m].
-        box: a piece's box, (1, 6) float64 [m].
-        nearest: the nearest point of a piece, (3,) float64 [m].
-        heights: heights at which all cells of a tile have a floor, (MAX_COMMON_HEIGHTS,) float64.
-        last_side: the last side of each cell of a tile, (TILE * TILE,) int64.
+        candidates: sides that may bound a crack, see the module's docstring, (n, NUM_COLUMNS)
+            float64.
+        corners: the corners of a piece of floor, (4, 3) float64 [m].
+        box: the box around a piece: lower corner, upper corner, (1, 6) float64 [m].
+        nearest: the point of a piece nearest to a line, (3,) float64 [m].
+        heights: heights at which all cells of a tile have a floor, (MAX_COMMON_HEIGHTS,) float64
+            [m].
+        last_side: index in `candidates` of the last side of each cell of a tile, -1 for none,
+            (TILE * TILE,) int64.
     """
 
     candidates: Float
@@ -76,7 +81,7 @@ class CrackScratch(NamedTuple):
 
 @subkernel
 def _make_scratch(num_candidates):
-    """Allocate scratch arrays, with room for some candidates."""
+    """Allocate a `CrackScratch` with room for `num_candidates` sides."""
     return CrackScratch(
         np.empty((num_candidates, NUM_COLUMNS)),
         np.empty((4, 3)),
@@ -89,18 +94,19 @@ def _make_scratch(num_candidates):
 
 @subkernel(**NO_REFCOUNT)
 def _write_piece(solids, facets, item, face, min_up, corners):
-    """Write the corners of a piece.
+    """Write the corners of a piece of floor: a triangle, a box's upper face, or a solid's top.
 
     Args:
         solids, facets: the shapes.
         item: index into `facets` if `face` is -1, else into `solids`.
-        face: -1 for a triangle; the number of an axis for the upper face of a box across it; 0 for
-            the upper part of a round solid.
+        face: -1 for a triangle; for a box, the number of its own axis across which the face lies,
+            the upper one of two; 0 for the upper part of a round solid.
         min_up: least z of a unit normal within the slope limit.
-        corners: (4, 3) float64; receives the corners.
+        corners: receives the corners, (4, 3) float64 [m].
 
     Returns:
-        The number of corners, 0 if the piece is too steep; and the piece's radius [m].
+        The number of corners, 0 if the piece is too steep; and the radius around the corners that
+        belongs to the piece, 0 for triangles and boxes [m].
     """
     if face < 0:
         c = facets.corners[item]
@@ -159,10 +165,17 @@ def _write_piece(solids, facets, item, face, min_up, corners):
 
 @subkernel(**NO_REFCOUNT)
 def _distance(corners, num_corners, radius, x, y, nearest):
-    """Return the distance from a line at (x, y) to a piece, seen from above [m].
+    """Return the distance from a vertical line to a piece of floor, seen from above [m].
 
-    It is not positive where the line crosses the piece. `nearest`, (3,), receives the nearest point
-    of the corners' polygon, to which the radius is not added; its x and y are relative to the line.
+    It is 0 or negative where the line crosses the piece.
+
+    Args:
+        corners: the corners of the piece, (4, 3) float64 [m].
+        num_corners: how many of them the piece has.
+        radius: the radius around the corners that belongs to the piece [m].
+        x, y: the line [m].
+        nearest: receives the point nearest to the line of the polygon of corners, without the
+            radius; x and y are relative to the line, (3,) [m].
     """
     least_square = math.inf
     is_left_of_any = False
@@ -193,7 +206,7 @@ def _distance(corners, num_corners, radius, x, y, nearest):
 
 @subkernel(**NO_REFCOUNT)
 def _has_floor(column_hits, cell, z, step, min_up):
-    """Return whether a line crosses a floor at most a step [m] above or below a height.
+    """Return whether a cell's line crosses a floor at most `step` above or below height z [m].
 
     A floor is a surface whose unit normal has a z of at least `min_up`.
     """
@@ -208,7 +221,16 @@ def _has_floor(column_hits, cell, z, step, min_up):
 def _find_common_heights(lattice, column_hits, window, selected, limits, heights):
     """Find heights at which all selected cells of a window have a floor, to within half a step.
 
-    Returns how many of them are written to `heights`; -1 if no cell is selected.
+    Args:
+        lattice: the cells.
+        column_hits: their columns, as `ColumnHits`.
+        window: rows and columns of cells, see `tile_window`.
+        selected: mask of the cells that count, (cells,) bool; if empty, all cells.
+        limits: what an agent can stand on, as `AgentLimits`.
+        heights: receives the heights, (MAX_COMMON_HEIGHTS,) float64 [m].
+
+    Returns:
+        How many heights were written; -1 if no cell of the window is selected.
     """
     count = -1
     for row in range(window[0], window[1]):
@@ -234,9 +256,15 @@ def _find_common_heights(lattice, column_hits, window, selected, limits, heights
 
 @subkernel(inline="always")
 def _is_common(heights, count, low, high, step):
-    """Return whether all cells of a tile have a floor within a step of all heights in a range.
+    """Return whether all cells of a tile surely have a floor within a step of a range of heights.
 
-    It may return False though they have; `heights` are from `_find_common_heights`.
+    False means that they may or may not have one.
+
+    Args:
+        heights: heights at which all cells have a floor, see `_find_common_heights` [m].
+        count: how many heights there are.
+        low, high: the range [m]; a floor has to be within a step of all of it.
+        step: the highest step [m].
     """
     is_common = False
     for k in range(count):
@@ -246,11 +274,16 @@ def _is_common(heights, count, low, high, step):
 
 @subkernel(**NO_REFCOUNT)
 def _bounds_crack(sides, n, last, step):
-    """Return whether side n bounds a crack.
+    """Return whether side n, a piece of floor beside a cell's line, bounds a crack.
 
-    It does if another side of its cell lies in the opposite direction, and no nearer one in the
-    same direction; only sides within a step of its height count. `last` is the index of the cell's
-    last side.
+    It does if the cell has another side in the opposite direction, and no nearer side in the same
+    direction. Only sides within a step of its height count.
+
+    Args:
+        sides: sides, (m, NUM_COLUMNS) float64, see the module's docstring.
+        n: index of a side.
+        last: index of the last side of the same cell.
+        step: the highest step [m].
     """
     m = last
     has_opposite = False
@@ -273,13 +306,26 @@ def _bounds_crack(sides, n, last, step):
 def _list_in_tile(
     lattice, column_hits, geometry, tile, limits, crack, selected, scratch, sides, num_sides
 ):
-    """Append the sides of a tile's lines to the first `num_sides` rows of `sides`.
+    """List the sides of cracks in one tile of cells: append them to `sides`.
 
-    For each piece, the lines near it are visited. The piece becomes a candidate side of those lines
-    that cross no floor near its height. Candidates that bound a crack are the sides.
+    For each piece of floor, the lines of cells near it are visited. The piece becomes a candidate
+    side of those lines that cross no floor near its height. Candidates that bound a crack are
+    listed. Arguments that aren't described here are as in `list_sides`.
+
+    Args:
+        lattice: the cells.
+        column_hits: their columns.
+        geometry: the shapes, as `TiledGeometry`.
+        tile: the number of the tile.
+        limits: what an agent can stand on.
+        crack: see `list_sides` [m].
+        selected: see `list_sides`.
+        scratch: a `CrackScratch`.
+        sides: receives the sides from row `num_sides` on, (m, NUM_COLUMNS) float64.
+        num_sides: how many sides are listed already.
 
     Returns:
-        The new number of sides; -1 if there is no room.
+        The new number of sides; -1 if there is no room for them.
     """
     solids = geometry.solids
     facets = geometry.facets
@@ -393,7 +439,10 @@ def _list_in_tile(
 def list_sides(
     lattice, column_hits, solids, facets, tile_index, limits, crack, selected, first_tile, end
 ):
-    """List the floors on opposite sides of lines that cross no floor at that height.
+    """List the pieces of floor on both sides of cracks in which cells' lines run.
+
+    A line runs in a crack if it crosses no floor, and pieces of floor at that height lie on
+    opposite sides of it.
 
     Args:
         lattice: the cells.
@@ -406,7 +455,8 @@ def list_sides(
         first_tile, end: range of tiles.
 
     Returns:
-        An array of sides, (m, NUM_COLUMNS) float64, and how many of its first rows are valid.
+        An array whose rows are sides, see the module's docstring, (m, NUM_COLUMNS) float64; and how
+        many of its first rows are valid.
     """
     geometry = TiledGeometry(solids, facets, tile_index)
     scratch = _make_scratch(256)

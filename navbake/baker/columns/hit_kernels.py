@@ -2,11 +2,13 @@
 
 Hits are sorted by insertion, as most columns are short and nearly sorted.
 
-The hard case are lines through an edge that triangles share. A line hits all triangles that it
-misses by at most RIM_WIDTH; so of two hits on neighboring triangles of one part, one is dropped. A
-line within a vertical side of a closed part hits triangles that rounding has tilted a little. The
-steepest of them are dropped until the line leaves the part as often as it enters it; otherwise
-everything below would count as inside.
+A line through an edge that triangles share is the hard case. A line hits all triangles that it
+misses by at most RIM_WIDTH; so of two hits on neighboring triangles of a mesh, one is dropped. A
+line within a vertical side of a closed surface hits triangles that rounding has tilted a little.
+The steepest of them are dropped until the line leaves the surface as often as it enters it;
+otherwise everything below would count as inside.
+
+A part, here, is a connected closed part of a geom's mesh, see `Facets.part`.
 """
 
 from typing import NamedTuple
@@ -63,7 +65,7 @@ def make_hits(count):
 
 @subkernel
 def view_hits(column_hits, first, end):
-    """Return a view of some hits of columns as `LineHits`: writing to it writes to the columns.
+    """Return some hits of columns as `LineHits`, so that writing to these writes to the columns.
 
     Args:
         column_hits: the columns, as `ColumnHits`.
@@ -98,7 +100,11 @@ def copy_hit(hits, source, target_hits, target):
 
 @subkernel(forceinline=True)
 def _is_less(first_hits, i, hits, j):
-    """Return whether a hit comes before another: ordered by height, then geom, undersides first."""
+    """Return whether hit i of `first_hits` comes before hit j of `hits` in a column.
+
+    The lower hit comes first; of two at one height, the one of the lower geom id; of two of one
+    geom, the one on an underside.
+    """
     if first_hits.z[i] != hits.z[j]:
         return first_hits.z[i] < hits.z[j]
     if first_hits.geom[i] != hits.geom[j]:
@@ -108,7 +114,10 @@ def _is_less(first_hits, i, hits, j):
 
 @subkernel(inline="always")
 def _sort(hits, first, end, spare, spare_place):
-    """Sort the hits of a line by insertion; `spare` has room for a hit at `spare_place`."""
+    """Sort the hits ``first:end`` of a line by insertion, in the order of `_is_less`.
+
+    `spare` is a `LineHits` with room for one hit at index `spare_place`.
+    """
     for i in range(first + 1, end):
         if not _is_less(hits, i, hits, i - 1):
             continue
@@ -122,7 +131,7 @@ def _sort(hits, first, end, spare, spare_place):
 
 @subkernel(inline="always")
 def _has_edge(hits, first, end):
-    """Return whether any hit of a line is at a triangle's edge; most lines have none."""
+    """Return whether any of the hits ``first:end`` of a line is at the edge of a triangle."""
     at_edge = hits.at_edge
     for i in range(first, end):  # noqa: SIM110 (numba has no generators in `any`)
         if at_edge[i]:
@@ -132,16 +141,16 @@ def _has_edge(hits, first, end):
 
 @subkernel(inline="always")
 def _is_same_part(hits, i, j, facets):
-    """Return whether two hits of triangles are of one part of one geom."""
+    """Return whether hits i and j are of triangles of the same part of the same geom."""
     is_same_geom = hits.geom[i] == hits.geom[j]
     return is_same_geom and facets.part[hits.facet[i]] == facets.part[hits.facet[j]]
 
 
 @subkernel(inline="always")
 def _drop_doubles(hits, first, end, facets):
-    """Of two hits on neighboring triangles at their shared edge, drop one.
+    """Drop one of two hits on neighboring triangles, where a line runs through their shared edge.
 
-    Returns the index past the last hit that remains.
+    The line has the hits ``first:end``. Returns the index past the last hit that remains.
     """
     remaining_end = first
     for i in range(first, end):
@@ -162,9 +171,10 @@ def _drop_doubles(hits, first, end, facets):
 
 @subkernel(inline="always")
 def _steepest_of_part(hits, first, end, i, facets, side):
-    """Return the index of the steepest hit at an edge of the part that hit i belongs to, or -1.
+    """Find the steepest triangle that a line hits at an edge, in the same mesh part as hit i.
 
-    Only hits that face up are considered if `side` is 1, only those that face down if it is -1.
+    The line has the hits ``first:end``. Only triangles that face up count if `side` is 1, only
+    those that face down if it is -1. Returns the index of the hit, -1 for none.
     """
     steepest = np.int64(-1)
     least_up = 0.0
@@ -180,9 +190,9 @@ def _steepest_of_part(hits, first, end, i, facets, side):
 
 @subkernel(inline="always")
 def _balance_parts(hits, first, end, facets):
-    """Drop hits at edges until the line leaves each closed part as often as it enters it.
+    """Drop hits at edges until the line leaves each closed part of a mesh as often as it enters it.
 
-    Returns the index past the last hit that remains.
+    The line has the hits ``first:end``. Returns the index past the last hit that remains.
     """
     i = first
     while i < end:
@@ -209,7 +219,10 @@ def _balance_parts(hits, first, end, facets):
 
 @subkernel(**NO_REFCOUNT)
 def _clean_edges(hits, first, end, facets):
-    """Drop superfluous hits at edges; return the index past the last hit that remains."""
+    """Drop superfluous hits at edges of triangles, so that each crossing is counted once.
+
+    The line has the hits ``first:end``. Returns the index past the last hit that remains.
+    """
     return _balance_parts(hits, first, _drop_doubles(hits, first, end, facets), facets)
 
 

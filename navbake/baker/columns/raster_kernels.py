@@ -21,10 +21,10 @@ from navbake.compiled import NO_REFCOUNT, subkernel
 
 # For edges shorter than this, the distance is always computed [m]
 SHORT_EDGE = 1e-6
-# In place of three `_edge_limit`: distances are always computed
+# In place of the `_edge_limit` of a triangle's three edges: distances are always computed
 NO_LIMITS = (np.inf, np.inf, np.inf)
-# If a triangle's box is wider than this, its first and last column are computed anew for each row
-# [cells]
+# If the first and the last column under a triangle's box are at least this far apart, they are
+# computed anew for each row [cells]
 MIN_COLUMNS_FOR_SPANS = 4
 
 
@@ -47,9 +47,10 @@ def is_beside(boxes, i, x, y):
 
 @subkernel(inline="always")
 def _edge_limit(corners, t, i, j):
-    """Return the edge function at twice RIM_WIDTH from the edge between corners i and j.
+    """Return the edge function of points at twice RIM_WIDTH from the edge between corners i and j.
 
-    For an edge shorter than SHORT_EDGE it is inf.
+    The edge function of a point is its distance to the edge times the edge's length [m²]. For an
+    edge shorter than SHORT_EDGE, inf is returned.
     """
     dx = corners[t, j, 0] - corners[t, i, 0]
     dy = corners[t, j, 1] - corners[t, i, 1]
@@ -59,7 +60,7 @@ def _edge_limit(corners, t, i, j):
 
 @subkernel(inline="always")
 def _cross_triangle(corners, t, x, y, limits):
-    """Return whether a line crosses a triangle, and the height of the crossing [m].
+    """Return whether the vertical line at (x, y) crosses triangle t, and at which height [m].
 
     The first number is 0 for no crossing, 1 for a crossing inside, 2 for a crossing at most
     RIM_WIDTH from an edge. `limits` are the `_edge_limit` of the edges opposite to corners 0, 1 and
@@ -138,9 +139,9 @@ def hit_triangle(corners, n, facets, t, x, y, limits, hits, place, writing):
 
 @subkernel(inline="always")
 def _span_of_row(corners, t, x_low, x_high, y, limits):
-    """Return the range of x, within (x_low, x_high), where a triangle may be crossed at y [m].
+    """Return the range of x between x_low and x_high in which lines at y may cross triangle t [m].
 
-    Edge functions are linear along a row, so each bounds the span.
+    Edge functions are linear along a row of cells, so each edge bounds the range.
     """
     x0 = corners[t, 0, 0]
     y0 = corners[t, 0, 1]
@@ -167,7 +168,7 @@ def _span_of_row(corners, t, x_low, x_high, y, limits):
 
 @subkernel(**NO_REFCOUNT)
 def raster_triangles(facets, triangles, is_crossed, lattice, rows, hits, end, writing):
-    """Write the hits of lines through centres of cells with the triangles that cover them.
+    """Write where the vertical lines through cells' centres cross triangles.
 
     Args:
         facets: the triangles.

@@ -5,11 +5,12 @@ and one down from above; triangles by `raster_kernels`. `hit_kernels` turns the 
 
 For each shape, the cells under it are visited, as in rasterizers (Pineda, 1988). Each thread takes
 rows of tiles, so no two threads write to one column; within a row of tiles the order is fixed. So
-the result is the same for any number of threads. Everything is done twice: to count, then to write.
+the result is the same for any number of threads. All lines are cast twice: first to count the hits,
+then to write them.
 
-Most hits are on level faces: ends of upright boxes and cylinders, and level planes. There MuJoCo's
-rays give the same height on all lines, to the last bit, since x and y are multiplied by zero. So
-one ray through the middle serves all lines that are well inside of the rim.
+Most hits are on horizontal faces: ends of upright boxes and cylinders, and horizontal planes. There
+MuJoCo's rays give the same height on all lines, to the last bit, since x and y are multiplied by
+zero. So one ray through the middle serves all lines that are well inside of the rim.
 """
 
 import math
@@ -48,8 +49,8 @@ from navbake.types import Float, Int
 EIGHTH_TURN = 0.7853981633974483
 # A plane's type; for a plain int, numba would compile functions once more
 PLANE_KIND = np.int32(PLANE)
-# For lines this far from the rim of an upright solid, rounding can't change whether they cross it
-# [m]
+# Whether a line crosses an upright solid is beyond doubt of rounding if it is farther than this
+# from the solid's rim [m]
 RIM_CLEARANCE = 1e-5
 # In solids with a smaller half-size, no ray serves several lines [m]
 MIN_HALF_SIZE = 1e-3
@@ -94,7 +95,7 @@ class Geometry(NamedTuple):
 
 
 def _load_mujoco() -> None:
-    """Make MuJoCo's functions known to compiled code; runs before that is compiled or called."""
+    """Make MuJoCo's functions known to compiled code, before such code is compiled or called."""
     folder = Path(find_spec("mujoco").origin).parent  # type: ignore[union-attr,arg-type]
     for pattern in ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll"):
         for path in sorted(folder.glob(pattern)):
@@ -113,14 +114,14 @@ _ray_geom = types.ExternalFunction(
 
 
 class Ray(NamedTuple):
-    """A ray, and scratch for casting it; arrays of (3,) float64.
+    """A ray, its result, and room for casting it; arrays of shape (3,), float64.
 
     Attributes:
-        point: where it begins [m].
-        direction: unit vector.
-        normal: unit normal of the surface where it hits.
-        nudged: a point beside `point` [m].
-        enlarged_size: size of a solid, enlarged [m].
+        point: where the ray begins [m].
+        direction: its direction, a unit vector.
+        normal: receives the unit normal of the surface that it hits.
+        nudged: room for a point beside `point`, see `_cast_at_rim` [m].
+        enlarged_size: room for an enlarged size of a solid, see `_cast_at_rim` [m].
     """
 
     point: Float
@@ -132,7 +133,11 @@ class Ray(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def _cast(pos, mat, size, kind, point, ray):
-    """Return the distance to a geom along a ray from a point, or -1; set the ray's normal."""
+    """Return the distance from a point to a geom along a ray, -1 if the ray misses it [m].
+
+    `ray.normal` receives the normal of the surface that is hit. The geom is given by MuJoCo's
+    position, rotation matrix, size and type.
+    """
     return _ray_geom(
         pos.ctypes.data,
         mat.ctypes.data,
@@ -148,7 +153,8 @@ def _cast(pos, mat, size, kind, point, ray):
 def _cast_at_rim(solids, s, ray):
     """Cast a ray at a solid; a ray that misses it by at most RIM_WIDTH is moved onto its rim.
 
-    Returns the distance, or -1; sets the ray's normal.
+    Returns the distance to the solid, -1 if the ray misses it [m]. `ray.normal` receives the normal
+    of the surface that is hit.
     """
     pos = solids.pos[s]
     mat = solids.mat[s]
@@ -180,7 +186,10 @@ def _aim(ray, is_down, low, high):
 
 @subkernel(inline="always")
 def _write_hit(hits, place, z, normal, up, geom):
-    """Write a hit of a solid or a plane, except `closed` and `facet`; `up` is the normal's z."""
+    """Write a hit of a solid or a plane into `hits`, at index `place`, except `closed` and `facet`.
+
+    `up` is written as the normal's z.
+    """
     hits.z[place] = z
     hits.normal[place, 0] = normal[0]
     hits.normal[place, 1] = normal[1]
@@ -191,7 +200,10 @@ def _write_hit(hits, place, z, normal, up, geom):
 
 @subkernel(**NO_REFCOUNT)
 def _hit_solid(solids, s, x, y, ray, hits, place):
-    """Write the hits where a line enters and leaves a solid; return their number."""
+    """Write where the vertical line at (x, y) enters and leaves solid s; return how many hits.
+
+    They are written into `hits` from index `place` on.
+    """
     box = solids.bounds[s]
     count = np.int64(0)
     ray.point[0] = x
@@ -219,7 +231,11 @@ def _is_upright(mat):
 
 @subkernel(**NO_REFCOUNT)
 def _hit_plane(planes, p, x, y, heights, ray, hits, place):
-    """Write the hits where a line crosses the front of an infinite plane; return their number."""
+    """Write where the vertical line at (x, y) crosses the front of plane p; return how many hits.
+
+    They are written into `hits` from index `place` on. `heights` are a height below all shapes and
+    one above all of them, from which rays are cast.
+    """
     count = np.int64(0)
     pos = planes.pos[p]
     mat = planes.mat[p]
@@ -242,9 +258,10 @@ def _hit_plane(planes, p, x, y, heights, ray, hits, place):
 
 @subkernel(inline="always")
 def _distance_to_rim(solids, s, x, y):
-    """Return the distance from a line to an upright solid's rim, negative inside [m].
+    """Return the distance from the vertical line at (x, y) to upright solid s's rim [m].
 
-    For boxes it is the larger of the distances along the box's x and y.
+    It is negative where the line runs through the solid. For a box it is the larger one of the
+    distances along the box's x and y.
     """
     mat = solids.mat[s]
     size = solids.size[s]
@@ -260,14 +277,18 @@ def _distance_to_rim(solids, s, x, y):
 
 @subkernel(inline="always")
 def _has_simple_rim(solids, s):
-    """Return whether `_distance_to_rim` is valid for a solid."""
+    """Return whether `_distance_to_rim` is valid for solid s: a sphere, upright box or cylinder."""
     kind = solids.kind[s]
     return kind == SPHERE or (kind in (BOX, CYLINDER) and _is_upright(solids.mat[s]))
 
 
 @subkernel(inline="always")
 def _has_level_ends(solids, s):
-    """Return whether all lines well inside of an upright solid's rim cross it at equal heights."""
+    """Return whether the ends of an upright solid are flat: a cylinder or a box, but no sphere.
+
+    All lines well inside of its rim then cross it at the same heights. Solids that are too small
+    for any such line don't count.
+    """
     size = solids.size[s]
     kind = solids.kind[s]
     is_wide = size[0] > MIN_HALF_SIZE and (kind == CYLINDER or size[1] > MIN_HALF_SIZE)
@@ -276,14 +297,14 @@ def _has_level_ends(solids, s):
 
 @subkernel(**NO_REFCOUNT)
 def _cast_solid(solids, s, lattice, rows, ray, middle_hits, hits, end, writing):
-    """Write the hits of lines through centres of cells with solid s.
+    """Write where the vertical lines through cells' centres cross solid s.
 
     Args:
-        solids: the solids.
+        solids: the solids, as `Solids`.
         s: index of the solid.
         lattice, rows, hits, end, writing: see `raster_triangles`.
-        ray: scratch.
-        middle_hits: scratch for the hits of the line through the solid's middle.
+        ray: a `Ray` to cast.
+        middle_hits: room for the hits of the line through the solid's middle, as `LineHits`.
     """
     box = solids.bounds[s]
     cell_size = lattice.cell_size
@@ -324,7 +345,16 @@ def _cast_solid(solids, s, lattice, rows, ray, middle_hits, hits, end, writing):
 
 @subkernel(**NO_REFCOUNT)
 def _cast_plane(planes, p, lattice, rows, heights, ray, middle_hits, hits, end, writing):
-    """Write the hits of lines through centres of cells with a plane, see `_cast_solid`."""
+    """Write where the vertical lines through cells' centres cross the front of plane p.
+
+    Args:
+        planes: the infinite planes, as `Planes`.
+        p: index of the plane.
+        lattice, rows, hits, end, writing: see `raster_triangles`.
+        heights: heights below and above all shapes, from which rays are cast.
+        ray: a `Ray` to cast.
+        middle_hits: room for the hits of one line, as `LineHits`.
+    """
     is_level = _is_upright(planes.mat[p])
     count = np.int64(0)
     first_place = np.int64(0)
@@ -340,10 +370,14 @@ def _cast_plane(planes, p, lattice, rows, heights, ray, middle_hits, hits, end, 
 
 @subkernel(**NO_REFCOUNT)
 def _finish_lines(hits, start, end, facets, spare):
-    """Finish the hits of lines, see `finish_line`; return how many were dropped.
+    """Sort the hits of lines, and drop superfluous ones; return how many were dropped.
 
-    `start` are the indices of the lines' first hits in the arrays of all columns, `end` the indices
-    past their last hits in `hits`.
+    Args:
+        hits: the hits of all these lines, as `LineHits`.
+        start: index of each line's first hit in the arrays of all columns.
+        end: index past each line's last hit in `hits`.
+        facets: the triangles, as `Facets`.
+        spare: room for one hit, as `LineHits`.
     """
     num_dropped = 0
     for line in range(end.shape[0]):
@@ -362,7 +396,16 @@ def make_ray():
 def _cast_tile_row(
     lattice, geometry, shape_index, is_crossed, tile_row, ray, middle_hits, hits, end, writing
 ):
-    """Write the hits of the lines through the cells of a row of tiles, see `raster_triangles`."""
+    """Write where the vertical lines through the cells of a row of tiles cross all shapes.
+
+    Args:
+        lattice, is_crossed, hits, end, writing: see `raster_triangles`.
+        geometry: the shapes, as `Geometry`.
+        shape_index: the shapes over each row of tiles.
+        tile_row: number of the row of tiles.
+        ray: a `Ray` to cast.
+        middle_hits: room for the hits of one line, as `LineHits`.
+    """
     solids = geometry.solids
     facets = geometry.facets
     planes = geometry.planes
@@ -394,9 +437,10 @@ def _project(axes, axis, corners, t):
 
 @subkernel(inline="always")
 def _may_cross(corners, t, x, y, axes, local_corners):
-    """Return whether a line may cross a triangle.
+    """Return whether a line at (x, y) of a frame may cross triangle t.
 
-    If so, `local_corners`, (1, 3, 3), receives its corners in the line's frame.
+    The line is vertical in the frame with the given axes. If it may cross the triangle,
+    `local_corners`, (1, 3, 3), receives the triangle's corners in that frame.
     """
     x0, x1, x2 = _project(axes, X, corners, t)
     if (
@@ -421,9 +465,19 @@ def _may_cross(corners, t, x, y, axes, local_corners):
 
 @subkernel(**NO_REFCOUNT)
 def _cast_line(lattice, geometry, tile_index, lines, n, ray, local_corners, hits, place, writing):
-    """Write the hits of line n, from `place` on; return their number.
+    """Write where line n crosses all shapes; return how many hits.
 
-    `local_corners` has room for a triangle's corners, (1, 3, 3).
+    Args:
+        lattice: the cells.
+        geometry: the shapes, as `Geometry`.
+        tile_index: the shapes over each tile.
+        lines: the lines, as `Lines`.
+        n: index of the line.
+        ray: a `Ray` to cast.
+        local_corners: room for a triangle's corners, (1, 3, 3).
+        hits: `LineHits` to write into.
+        place: index in `hits` of the line's first hit.
+        writing: whether there is room for all hits; else they are only counted.
     """
     solids = geometry.solids
     facets = geometry.facets

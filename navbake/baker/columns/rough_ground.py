@@ -1,4 +1,4 @@
-"""Rough ground: steep facets of a scan, of gravel or of a bevel that a foot covers as a whole.
+"""Let agents stand on rough ground: on small steep facets, as of scans, of gravel or of bevels.
 
 The slope of ground is that of the plane through what a foot covers, not that of a single facet:
 facets of a scan are steeper than the floor that was scanned.
@@ -23,18 +23,19 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int
 
-# The radius of the ground that a foot covers [m]; on larger cells, their size
+# The radius of the ground that a foot covers; on larger cells, the cells' size is the radius [m]
 FOOT_RADIUS = 0.1
-# Points that are sampled around a line: on circles, whose radii are shares of the foot's
+# Points around a cell's line at which the ground is sampled: in this many directions, on circles
+# whose radii are these fractions of the foot's radius
 NUM_DIRECTIONS = 8
 SAMPLED_SHARES = (0.5, 1.0)
-# Four points decide first whether the ground is clearly too steep: if the rise of the plane through
-# them is more than so many times that of the agent's slope, the others aren't sampled
+# Four points decide first whether the ground is clearly too steep: if the plane through them rises
+# more than this many times as much as the agent's steepest slope, no other points are sampled
 CLEARLY_STEEP_FACTOR = 1.5
-# Bumps are at most this share of a step off the plane through the ground
+# Bumps are at most this fraction of a step above or below the plane through the ground
 MAX_BUMP_SHARE = 1.0 / 3.0
-# The samples determine a plane if their least variance along any direction of the map is at least
-# this share of the squared radius: samples along a line don't
+# The samples determine a plane if their least variance along any horizontal direction is at least
+# this fraction of the squared radius: samples along a line don't
 MIN_VARIANCE_SHARE = 0.02
 # A facet differs from the plane clearly if the cosine of their angle is at most this
 MAX_SAME_COSINE = np.cos(np.radians(10.0))
@@ -54,14 +55,14 @@ def level_rough_ground(
 
     A triangle steeper than the agent's slope, with the agent's headroom above it, receives the
     normal of a plane that is fitted to the ground around it. The plane has to keep the agent's
-    slope, and each fitted sample has to lie within a third of a step of it. Four samples decide
-    first: where they rise far too steeply, no plane is fitted. Primitives and hulls are smooth, and
+    slope, and each sample of the ground has to lie within a third of a step of it. Where four
+    samples already rise far too steeply, no plane is fitted. Primitives and hulls are smooth, and
     keep their normals.
 
     The ground is sampled by vertical rays on circles around the cell's centre, up to `foot_radius`
-    away. The sample of a ray is the highest surface that it hits that faces up and is at most a
-    step above or below the triangle. Samples outside of the lattice don't count. A sample without a
-    counterpart on the other side counts only where the others determine no plane; see
+    away. A ray's sample is the highest surface that faces up and lies at most a step above or below
+    the triangle. Samples outside of the lattice don't count. First, only pairs of samples on
+    opposite sides of the centre count; all samples do where the pairs determine no plane, see
     `_mark_flat_ground`. The result for a cell does not depend on the columns of other cells.
 
     Args:
@@ -91,7 +92,12 @@ def level_rough_ground(
 def _find_steep_facets(
     columns: Columns, limits: AgentLimits, selected: Bool | None
 ) -> tuple[Int, Int]:
-    """Find the hits that would be standable if they were less steep; none of convex solids.
+    """Find the hits on which an agent could stand if they were less steep; none of convex solids.
+
+    Args:
+        columns: the columns.
+        limits: the agent's limits.
+        selected: mask of the cells whose columns are valid, see `level_rough_ground`.
 
     Returns:
         The cells of the hits, (n,), and the indices of the hits, (n,).
@@ -139,7 +145,10 @@ def _mark_clearly_steep(
 
 
 def circle_offsets(num_directions: int, radius: float) -> Float:
-    """Return map offsets x, y on a circle, counter-clockwise from east, (2, num_directions) [m]."""
+    """Return x and y of points on a circle around the origin, shape (2, num_directions) [m].
+
+    They are spaced evenly, counter-clockwise from x.
+    """
     angle = np.arange(num_directions) * (2.0 * np.pi / num_directions)
     return radius * np.stack([np.cos(angle), np.sin(angle)])
 
@@ -162,11 +171,12 @@ class GroundPlane(NamedTuple):
 def _mark_flat_ground(
     columns: Columns, tiled: TiledShapes, limits: AgentLimits, cell: Int, hit: Int
 ) -> tuple[Float, Bool]:
-    """Fit planes to the ground around hits, and mark those that are flat enough.
+    """Fit planes to the ground around hits, and mark the planes that are flat enough.
 
-    Samples with a counterpart on the other side of the line count alone where these determine a
-    plane: so a smooth slope keeps its own steepness, however it bends. Beside walls and edges,
-    where they determine none, all samples count; the facet has to differ from that plane clearly.
+    A plane is fitted to the pairs of samples on opposite sides of the cell's line, if these
+    determine a plane: so a smooth slope keeps its own steepness, however it bends. Beside walls and
+    edges they determine none, and all samples count. The steep facet then has to differ clearly
+    from the plane through them.
 
     Args:
         columns: the columns.
@@ -204,9 +214,10 @@ def _fit_planes(offset: Float, height: Float, min_variance: float) -> GroundPlan
     """Fit a plane to each row of samples, and to the hit itself, which is at the origin.
 
     Args:
-        offset: the map offsets of the samples, (2, samples) [m].
-        height: their heights, (n, samples) [m], NaN for none.
-        min_variance: the least variance along any direction that determines a plane [m²].
+        offset: x and y of the samples relative to the hit, (2, samples) [m].
+        height: their heights relative to the hit, NaN for none, (n, samples) [m].
+        min_variance: the samples determine a plane if their variance along each horizontal
+            direction is at least this [m²].
     """
     is_sample = ~np.isnan(height)
     num_samples = 1.0 + is_sample.sum(axis=1)
@@ -251,10 +262,10 @@ def _sample_ground(
         limits: the agent's limits.
         cell: the cell of each hit, (n,).
         hit: indices of hits, (n,).
-        offset: the map offsets of the samples from the line, x and y, (2, samples) [m].
+        offset: x and y of the samples relative to the cell's centre, (2, samples) [m].
 
     Returns:
-        The heights of the ground relative to the hit, (n, samples) [m], NaN where there is none.
+        The heights of the ground relative to the hit, NaN where there is none, (n, samples) [m].
     """
     lattice = columns.lattice
     center = lattice.positions(*np.divmod(cell, lattice.width))

@@ -1,7 +1,7 @@
 """Mend columns whose line runs exactly between two geoms, or between two parts of a floor.
 
 A seam is where vertical faces of two geoms meet. A crack is a gap between floors at one height that
-is too narrow for any agent.
+is too narrow to matter to any agent.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ ALL_CELLS = np.empty(0, dtype=np.bool_)
 
 
 def resolve_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None) -> Columns:
-    """Cast the lines that run exactly in faces of two geoms again, a little beside the seam.
+    """Cast lines again that run exactly between two geoms: a little to the east or north.
 
     In scenes with round coordinates, many cells' centres lie where one geom ends and the next one
-    begins, and the columns have both. Like rasterizers with their top-left rule, the bake gives
-    such a line to what lies east and north of the seam. Only faces of boxes and triangles that are
-    aligned with the axes are considered; no line runs in two other faces by chance.
+    begins, and the columns have hits of both. Like rasterizers with their top-left rule, the bake
+    gives such a line to the geom east or north of this seam. Only faces of boxes and triangles that
+    are perpendicular to x or y are considered; no line runs in two other faces by chance.
 
     Args:
         columns: the columns.
@@ -112,10 +112,10 @@ def _aligned_boxes(tiled: TiledShapes, tiles: Int) -> Float:
 
 
 def _upright_triangles(tiled: TiledShapes, tiles: Int) -> Float:
-    """Return the corners of the triangles over some tiles that lie in a plane of one x or one y.
+    """Return the vertical triangles over some tiles that are perpendicular to x or to y.
 
     Returns:
-        shape (n, 3, 3) [m].
+        Their corners, shape (n, 3, 3) [m].
     """
     bounds = tiled.facets.bounds
     index = tiled.tile_index
@@ -149,7 +149,9 @@ def _are_over(start: Int, item: Int32, tiles: Int, num_items: int) -> Bool:
 
 
 def _find_seams(centers: tuple[Float, Float], axis: int, box_bounds: Float, corners: Float) -> Bool:
-    """Mark the cells of a window whose lines run in two opposite faces perpendicular to an axis.
+    """Mark the cells of a window whose lines run in two faces that look in opposite directions.
+
+    Both faces are perpendicular to the same axis, x or y.
 
     Args:
         centers: x of the window's columns and y of its rows, ascending [m].
@@ -216,7 +218,8 @@ def splice_columns(
 
     Args:
         columns: the columns.
-        cell: ids of cells, ascending, (n,); a cell is repeated if several runs of its hits change.
+        cell: ids of cells, ascending, (n,); a cell is repeated if several ranges of its hits
+            change.
         first, last: the hits to replace for ``cell[i]`` are ``first[i]:last[i]`` of the arrays of
             `columns.hits` (not counted within the column), (n,).
         new_hits: their replacements; its column i belongs to ``cell[i]``.
@@ -252,8 +255,9 @@ def close_cracks(
 
     A line runs in a crack if floors lie on two opposite sides of it, each nearer than `crack`,
     their heights differ by at most a step, and the line itself crosses no floor at that height. The
-    lower of the two is added to the column as an open surface; if several such floors are within a
-    step, only the lowest is added. The result for a cell does not depend on other cells.
+    lower of the two floors is added to the column as an open surface; of several such floors within
+    a step of each other, only the lowest is added. The result for a cell does not depend on other
+    cells.
 
     Args:
         columns: the columns.
@@ -309,10 +313,10 @@ def close_cracks(
 def _list_all_sides(
     columns: Columns, tiled: TiledShapes, limits: AgentLimits, crack: float, selected: Bool
 ) -> Float:
-    """List the floors on opposite sides of lines, see `list_sides`, ordered by cell.
+    """List the pieces of floor on both sides of cracks, see `list_sides`, ordered by cell.
 
     Returns:
-        shape (n, NUM_COLUMNS), float64.
+        A row of numbers for each piece, see `crack_kernels`, shape (n, NUM_COLUMNS), float64.
     """
     tiles = tiles_of_rows(columns.lattice, columns.valid_rows)
     sides_of_chunk = dict[int, Float]()  # by the first tile of the chunk
@@ -367,7 +371,7 @@ def _find_lower_sides(cell: Int, z: Float, direction: Float, step: float) -> Boo
 
 
 def _are_buried(hits: ColumnHits, cells: Int, z: Float) -> Bool:
-    """Return whether something is in the way just above heights on the lines of columns.
+    """Mark the heights just above which a column's line runs inside of something, or crosses it.
 
     Args:
         hits: the columns.
@@ -375,7 +379,7 @@ def _are_buried(hits: ColumnHits, cells: Int, z: Float) -> Bool:
         z: heights, (n,) [m].
 
     Returns:
-        shape (n,), bool.
+        A mask, shape (n,), bool.
     """
     buried = np.empty(len(cells), dtype=np.bool_)
     low = z + SAME_HEIGHT
