@@ -1,4 +1,7 @@
-"""The area test of floors: do enough cells remain (`floors.min_area`) after `floors.shrink`?"""
+"""The area test of floors: is enough area (`floors.min_area`) left after `floors.shrink`?
+
+Regions of floor, grounds of levels, and the room that a mesh's hull hides have to pass it.
+"""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -18,8 +21,8 @@ class AreaTest(NamedTuple):
         min_cells: how many cells have to remain.
         radius: radius of the disc [cells]. A cell remains if all cells of the disc around it are in
             the set.
-        half_widths: for each row of the disc, from ``-radius`` to `radius`, how many cells it has
-            on either side of its middle, (2 radius + 1,) int64; -1 for rows that need no test.
+        half_widths: for each row of the disc, from ``-radius`` to `radius`, how many cells the row
+            has on either side of its middle, (2 radius + 1,) int64; -1 for rows that need no test.
     """
 
     min_cells: int

@@ -22,10 +22,11 @@ class StageClock:
     """
 
     def __init__(self, progress: Progress | None = None) -> None:
-        """Start with no stage.
+        """Make a clock that has timed no stage yet.
 
         Args:
-            progress: called when a stage begins and when it ends.
+            progress: called with a stage's name and 0 when the stage begins, 1 when it ends; None
+                to report nothing.
         """
         self._progress = progress
         # for each stage that runs now, the outermost first: the time of stages nested in it [s]

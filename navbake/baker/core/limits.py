@@ -1,4 +1,4 @@
-"""The limits of an agent on floors: slope, headroom and step, as kernels take them."""
+"""The limits of an agent on floors, as kernels take them: slope, headroom and step."""
 
 from typing import NamedTuple
 

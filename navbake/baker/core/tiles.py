@@ -1,9 +1,9 @@
 """Tiles of a lattice, and the lists of boxes over each of them, for kernels.
 
-Tiles are a uniform grid, like that of the broad phase of collision detection (Ericson, Real-Time
-Collision Detection, 2005, 7.1). They have TILE x TILE cells; a cell is tested only against what
-lies over its tile. The lists are made by a counting sort over chunks of the boxes, each chunk with
-its own counts, so that any number of threads makes the same lists.
+Tiles are squares of TILE x TILE cells, a uniform grid as in the broad phase of collision detection
+(Ericson, Real-Time Collision Detection, 2005, 7.1): a cell is tested only against the shapes whose
+boxes lie over its tile. The lists are made by a counting sort over chunks of the boxes, each chunk
+with its own counts, so that any number of threads makes the same lists.
 
 Blocks are larger squares, of BLOCK x BLOCK cells; stages list their results block by block, see
 `navbake.baker.core.blocks`.
@@ -28,7 +28,10 @@ FIRST_COLUMN_BITS = np.int64(sum(1 << (row * TILE) for row in range(TILE)))
 
 @subkernel(inline="always")
 def tile_window(lattice, tile):
-    """Return the window of a tile's cells: first row, end of rows, first column, end of columns."""
+    """Return the window of a tile's cells: first row, end of rows, first column, end of columns.
+
+    `tile` is the tile's number; tiles are numbered row by row from the north-west.
+    """
     tiles_x = (lattice.width + TILE - 1) // TILE
     row = tile // tiles_x * TILE
     col = tile % tiles_x * TILE
@@ -37,7 +40,10 @@ def tile_window(lattice, tile):
 
 @subkernel(inline="always")
 def block_window(lattice, block):
-    """Return the window of a block's cells, see `tile_window`."""
+    """Return the window of a block's cells: first row, end of rows, first column, end of columns.
+
+    `block` is the block's number; blocks are numbered row by row from the north-west.
+    """
     blocks_x = (lattice.width + BLOCK - 1) // BLOCK
     row = block // blocks_x * BLOCK
     col = block % blocks_x * BLOCK
@@ -143,7 +149,11 @@ def centers_between(low, high, cell_size, count):
 
 @subkernel(inline="always")
 def _tile_range(low, high, num_tiles, tile_size):
-    """Return the first and last tile between two coordinates along an axis."""
+    """Return the first and the last tile of a row of tiles that a stretch overlaps.
+
+    The stretch is from `low` to `high`, measured from the outer edge of the first tile [m]. The
+    last tile is before the first one if it overlaps none.
+    """
     first = int(np.floor(max(low, 0.0) / tile_size))
     last = int(np.floor(min(high, num_tiles * tile_size) / tile_size))
     return first, min(last, num_tiles - 1)
@@ -151,9 +161,17 @@ def _tile_range(low, high, num_tiles, tile_size):
 
 @subkernel(inline="always")
 def _tiles_under(boxes, n, margin, lattice):
-    """Return the tiles that a widened box reaches into: first row, last row, first and last column.
+    """Find the tiles that a box overlaps, widened by a margin, seen from above.
 
-    The last row is before the first one if there is no such tile.
+    Args:
+        boxes: (n, 6) float64, lower corner, upper corner [m].
+        n: index of the box.
+        margin: how much the box is widened on each side [m].
+        lattice: the cells.
+
+    Returns:
+        The first and the last row, and the first and the last column of these tiles. The last row
+        is before the first row if there is no such tile.
     """
     width = lattice.width
     height = lattice.height
@@ -172,9 +190,13 @@ def _tiles_under(boxes, n, margin, lattice):
 
 @subkernel(inline="always")
 def _tile_rows_under(boxes, n, margin, lattice):
-    """Return the first and last row of tiles where a widened box covers a cell's centre.
+    """Find the rows of tiles in which a box, widened by a margin, covers a cell's centre.
 
-    Two zeros follow, where `_tiles_under` returns the first and last column.
+    The arguments are as in `_tiles_under`.
+
+    Returns:
+        The first and the last row of tiles; then two zeros, where `_tiles_under` returns columns.
+        The last row is before the first row if the box covers no centre.
     """
     x_low = boxes[n, 0] - margin - lattice.x_min
     x_high = boxes[n, 3] + margin - lattice.x_min
