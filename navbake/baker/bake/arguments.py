@@ -1,4 +1,4 @@
-"""The arguments of `navbake.bake`: a scene, its pose, settings, and bodies to leave out."""
+"""Checks the arguments of `navbake.bake`: a scene, its pose, settings, and bodies to leave out."""
 
 from __future__ import annotations
 
@@ -95,7 +95,17 @@ def _exclude_settings(
     exclude: Mapping[str, object] | None,
     robot: References | None,
 ) -> ExcludeSettings:
-    """Add the bodies and geoms of the arguments `exclude` and `robot` to the settings'."""
+    """Add what the arguments `exclude` and `robot` name to the settings of `scene.exclude`.
+
+    Args:
+        model: the compiled scene, which has the names of bodies and geoms.
+        settings: the settings of `scene.exclude`.
+        exclude: see `parse_arguments`.
+        robot: see `parse_arguments`.
+
+    Raises:
+        ConfigError: an argument is wrong, or names a body or geom that the scene does not have.
+    """
     if exclude is None:
         exclude = {}
     if not isinstance(exclude, Mapping):
@@ -127,13 +137,17 @@ def _exclude_settings(
 def _find_patterns(
     references: References, names: Sequence[str], kind: str, keyword: str
 ) -> list[str]:
-    """Return name patterns of bodies or geoms, given by name, id or pattern, or as MuJoCo's view.
+    """Turn references to bodies or geoms into name patterns.
 
     Args:
-        references: one or several of them.
+        references: one or several bodies or geoms, each by its name or id, as a name pattern, or as
+            MuJoCo's view of it.
         names: the names of all bodies or geoms, by id.
         kind: ``body`` or ``geom``.
-        keyword: the argument of `navbake.bake`, for errors.
+        keyword: the argument of `navbake.bake` that has the references, for errors.
+
+    Raises:
+        ConfigError: a reference is of a wrong type, or names nothing in the scene.
     """
     first_id = 1 if kind == "body" else 0  # the world, body 0, is no body of the scene
     patterns = list[str]()

@@ -103,7 +103,8 @@ class BakedPose:
             state; `door_leaves` are the doors among them.
         is_obstacle_geom: for each geom, whether it belongs to a movable or to a leaf that is no
             door, (ngeom,). Such geoms only block cells; see `mark_obstacle_geoms`.
-        occupants: these geoms in each cell; and the cells that they or structure block.
+        occupants: the geoms of `is_obstacle_geom` in each cell; and the cells that these geoms or
+            structure block.
         lost_floors: id of a movable body -> the area [m²] of its top that would be floor if the
             body could not move.
         grid_doors: the doors of the grid, with their entries in its file.

@@ -1,6 +1,6 @@
 """Finds the box of each level (`bbox`), from which the original client finds a position's level.
 
-The client takes the first level whose box contains a position, edges included; without one, it
+The client takes the first level whose box contains a position, edges included; if no box does, it
 fails. So a box begins below the lowest floor of its level, and ends below the next box above its
 cells. If levels interleave (a stair of one level rises past the lowest tread of the next), a box
 ends where the client finds the wrong level for the fewest free cells.
@@ -60,12 +60,12 @@ def find_level_boxes(
     A single level keeps the whole lattice. Its box is the scene's, enlarged where a floor lies
     outside. Several levels are each cropped to the cells that have a floor. A level's box spans its
     rectangle; where the scene ends in the outer half of the rectangle's last cells, the box ends
-    there, too. It reaches from `BOX_MARGIN` below its lowest floor to `BOX_GAP` below the next box
-    above it, or to the scene's top. An agent on the highest floor is inside of the
-    highest level's box. Doors change neither rectangles nor boxes.
+    there, too. In height, it spans from `BOX_MARGIN` below the level's lowest floor to `BOX_GAP`
+    below the next box above it, or to the scene's top. An agent on the highest floor is inside of
+    the highest level's box. Doors change neither rectangles nor boxes.
 
     Args:
-        levels: lowest first.
+        levels: the levels on the whole lattice, lowest first.
         occupied: the cells of each level that structure occupies, (height, width).
         lattice: the cells of all levels.
         scene_box: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
@@ -152,16 +152,21 @@ def _find_tops(
 
 
 def _are_adjacent(first: Window, second: Window) -> bool:
-    """Whether two windows have cells in common, or beside each other."""
+    """Return whether two windows have cells in common, or touch along an edge or at a corner."""
     ranges = zip(first, second, strict=True)
     return all(a.start <= b.stop and b.start <= a.stop for a, b in ranges)
 
 
 def _last_floor(floors: Float, heights_above: Float) -> float:
-    """The highest floor that a level's box should contain; -inf for none.
+    """Return the height of the highest floor that a level's box should contain; -inf for none [m].
 
-    It is the height up to which the box contains most of the level's floors less those of higher
-    levels.
+    It is chosen so that the box contains as many floors of its own level as possible, less the
+    floors of higher levels that it contains, too.
+
+    Args:
+        floors: heights of the level's free cells, shape (n,) [m].
+        heights_above: heights of the free cells of higher levels over the same rectangle, at or
+            above the bottom of the level's box, shape (m,) [m].
     """
     # Of the floors below all of the higher levels', only the highest can be the best.
     is_low = floors < heights_above.min(initial=np.inf)
@@ -177,7 +182,15 @@ def _last_floor(floors: Float, heights_above: Float) -> float:
 
 
 def _level_sides(lattice: Lattice, scene_box: Float | None) -> Float:
-    """x_min, y_min, x_max, y_max of a level; the scene's side where it crosses the outer cells."""
+    """Return x_min, y_min, x_max, y_max of a level's box, shape (4,) [m].
+
+    They are the sides of the level's rectangle of cells. Where the scene ends in the outer half of
+    the rectangle's last cells, the scene's side takes their place.
+
+    Args:
+        lattice: the cells of the level's rectangle.
+        scene_box: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
+    """
     x_min, y_min, x_max, y_max = lattice.bounds
     sides = np.round([x_min, y_min, x_max, y_max], LENGTH_DECIMALS) + 0.0
     if scene_box is None:
@@ -194,7 +207,15 @@ def _level_sides(lattice: Lattice, scene_box: Float | None) -> Float:
 def _single_level_box(
     sides: Float, lowest: float, highest: float, scene_box: Float | None, agent_height: float
 ) -> Box:
-    """The box of the only level: the scene's, enlarged by the grid's parts outside of it."""
+    """Return the box of the only level: the scene's box, enlarged where the grid extends beyond it.
+
+    Args:
+        sides: x_min, y_min, x_max, y_max of the grid, shape (4,) [m].
+        lowest: height of the lowest floor [m].
+        highest: height of the highest floor [m].
+        scene_box: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
+        agent_height: height of the agent [m].
+    """
     if scene_box is None:
         bottom = round(lowest - BOX_MARGIN, LENGTH_DECIMALS)
         top = round(highest + agent_height, LENGTH_DECIMALS)

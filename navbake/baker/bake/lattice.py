@@ -12,14 +12,16 @@ from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.types import Float
 
-# The share of a box's size by which its extents may be rounded: sums and products of lengths are
+# Sums and products of lengths are rounded: the extents of a box may be too large by this fraction
+# of its size
 SIZE_ROUNDING = 1e-6
-# Vertices of a mesh file may be stored in float32: the share of their farthest coordinate by which
-# the extents may be rounded on top of that
+# Vertices of a mesh file may be stored in float32: its extents may also be too large by this
+# fraction of the largest coordinate
 FLOAT32_ROUNDING = 2.0**-22
-# Extents are rounded by at most this share of a cell, however far away a mesh lies
+# Extents are never reduced by more than this fraction of a cell, however far away a mesh lies
 MAX_ROUNDED_SHARE = 0.25
-# How far around `grid.bounds` floors are judged, unless the bounds themselves are larger [m]
+# Floors are found on the scene up to this far around `grid.bounds`, or up to the longer side of the
+# bounds, if that is more [m]
 MAX_EXTENSION = 50.0
 
 
@@ -89,7 +91,10 @@ def box_rounding(scene: Scene, bounds: Float, cell_size: float) -> float:
 
 
 def _name_largest_geom(scene: Scene) -> str:
-    """Name the geom with the largest finite box seen from above, as the begin of a sentence."""
+    """Name the geom with the largest finite box, seen from above, as the beginning of a sentence.
+
+    The text is empty if no geom has a finite box with an area.
+    """
     boxes = scene.shapes.boxes
     sides = boxes[:, 3:5] - boxes[:, :2]
     area = np.where(np.isfinite(sides).all(axis=1), sides.prod(axis=1), 0.0)

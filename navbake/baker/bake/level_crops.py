@@ -21,11 +21,11 @@ from navbake.types import Int, Json
 def crop_layers(
     levels: Sequence[LevelFloor], rooms: Rooms, windows: Sequence[Window]
 ) -> list[StructureLayers]:
-    """Crop the layers that structure makes to each level's own rectangle.
+    """Crop the layers that follow from structure to each level's own rectangle.
 
     Args:
-        levels: on the lattice, lowest first.
-        rooms: on the lattice.
+        levels: the levels on the whole lattice, lowest first.
+        rooms: the room of each cell of the whole lattice.
         windows: the rectangle of each level: rows and columns of the lattice.
 
     Returns:
@@ -52,7 +52,7 @@ def crop_steps(steps: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
     Args:
         steps: level a, cell a, level b, cell b, shape (n, 4), int64; cells of the lattice.
         boxes: the rectangle of each level.
-        width: the number of columns of the lattice.
+        width: the number of columns of the whole lattice.
 
     Returns:
         The rows of `steps`, with each cell's id replaced by its id on its level's own rectangle.
@@ -111,7 +111,15 @@ def door_to_json(door: Door) -> Json:
 
 
 def _runs_to_json(by_state: Mapping[str, Mapping[int, Runs]]) -> Json:
-    """The runs of cells of each state, as a list of levels and their runs."""
+    """Return the cells of each state of a door as they are written to a file.
+
+    Args:
+        by_state: state of the door -> level -> runs of cells on the level's rectangle. Runs are a
+            list of the first cell and the number of cells of each run, in turns.
+
+    Returns:
+        State of the door -> a list of pairs of a level and its runs.
+    """
     entry: Json = {}
     for state, by_level in by_state.items():
         entry[state] = [[level, runs] for level, runs in by_level.items()]

@@ -315,7 +315,7 @@ def _build_level_grid(
 def _make_metadata(
     config: BakeConfig, baked_structure: BakedStructure, baked_pose: BakedPose
 ) -> Json:
-    """The metadata of a grid: the format's own keys, and navbake's under ``navbake``."""
+    """Make the metadata of a grid: the format's own keys, and navbake's under ``navbake``."""
     agent = config.agent
     agents = {
         name: Agent(name, **settings.model_dump()).to_json()
@@ -365,7 +365,10 @@ def _make_metadata(
 
 
 def _named_links_to_json(baked_structure: BakedStructure, baked_pose: BakedPose) -> list[Json]:
-    """The named links as written to a file, with cells counted on each level's own rectangle."""
+    """Return the named links as they are written to a file.
+
+    The cells of their stops are counted on each level's own rectangle.
+    """
 
     def crop_stop(stop: Stop) -> Stop:
         window = baked_structure.boxes.windows[stop.level]

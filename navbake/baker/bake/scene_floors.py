@@ -1,4 +1,4 @@
-"""The floors of a whole scene, and the holes in the floor of a mesh."""
+"""Finds the floors of a whole scene, and measures the holes in the floor of a mesh."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ from navbake.formats.scene_files import scene_suffix
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
-NO_FLOOR = "no floor: "  # errors of scenes without floor begin so
-GROUND_MARGIN = 5.0  # that is advised round the things that stand on endless ground [m]
-MIN_GROUND_SIDE = 1.0  # a narrower scene is no room that lacks its ground [m]
+NO_FLOOR = "no floor: "  # how errors of scenes without a floor begin
+# The `grid.margin` that an error advises where things stand on endless ground [m]
+GROUND_MARGIN = 5.0
+# A scene narrower than this is no building that lacks its ground, and no ground is advised [m]
+MIN_GROUND_SIDE = 1.0
 
 
 def find_scene_floors(
@@ -125,10 +127,10 @@ def measure_holes(
 
 
 def _advise_ground(scene: Scene, config: BakeConfig) -> str:
-    """Return the likely remedy for a scene without floor: ground under it, or more of its ground.
+    """Return advice for a scene without floor: to add ground, or to bake more of its ground.
 
-    Empty for mesh files, of which axes or units are wrong more often, and for scenes that are too
-    small for a floor.
+    The advice is empty where neither is likely to help: for mesh files without an endless plane, as
+    their axes or units are wrong more often; with `grid.bounds`; and for scenes that are too small.
     """
     endless_geoms = scene.shapes.planes.geom
     if len(endless_geoms):

@@ -162,7 +162,7 @@ class Stages:
 
     @cached_property
     def footprint(self) -> Footprint:
-        """The volume above a cell's floor that has to be free for an agent."""
+        """The volume over a cell's floor that has to be free for an agent."""
         return Footprint.of(self.config.agent, self.lattice.cell_size)
 
     @cached_property
@@ -307,7 +307,7 @@ class Stages:
 
     @cached_property
     def room_flags(self) -> RoomFlags:
-        """All that rooms depend on, except settings and leaves."""
+        """The facts about cells from which rooms are found, together with settings and leaves."""
         cells = self.standing_cells
         standing_occupants = self.standing_occupants
         with self.clock.stage("rooms"):

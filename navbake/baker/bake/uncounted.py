@@ -1,4 +1,4 @@
-"""Finds drawn things that count nowhere, as they can't collide, but stand on free floor."""
+"""Warns of drawn geoms that don't count, as they can't collide, but stand on free floor."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Int
 
-# A thing is told of where it would block so much free floor [m²], and if so much of the floor
-# that it would block is free: drawn geoms often lie a little beside those that collide for them
+# A geom is warned of if it would block at least this area of free floor [m²], and if at least this
+# fraction of the floor that it would block is free: drawn geoms often lie a little beside geoms
+# that collide for them
 MIN_UNCOUNTED_AREA = 0.04
 MIN_FREE_SHARE = 0.5
-MAX_NAMED_THINGS = 5
+MAX_NAMED_THINGS = 5  # geoms that the warning names
 # Thinner geoms are textures and pictures on what collides for them [m]
 MIN_THICKNESS = 0.02
 
@@ -96,7 +97,10 @@ def warn_uncounted(
 
 
 def _mark_candidates(scene: Scene) -> Bool:
-    """Mark the drawn geoms that can't collide, and can't move either; no planes, no posters."""
+    """Mark the drawn geoms that can't collide, and can't move either.
+
+    Planes, and geoms thinner than `MIN_THICKNESS`, aren't marked.
+    """
     cant_collide = [selection.reason == CANT_COLLIDE for selection in scene.selections]
     is_candidate: Bool = np.array(cant_collide, dtype=np.bool_) & mark_drawn(scene.model)
     is_candidate &= scene.is_structure_body[scene.mover_of]
@@ -108,7 +112,10 @@ def _mark_candidates(scene: Scene) -> Bool:
 def _mark_over_free_floor(
     scene: Scene, floors: Floors, free: list[Bool], lattice: Lattice, agent: AgentSettings
 ) -> Bool:
-    """Mark the geoms whose bounding boxes lie over mostly free floor, at heights of the agent.
+    """Mark the geoms whose bounding boxes lie over free floor, at a height where an agent would be.
+
+    At least a quarter of the cells under the box have to be free on some level. Geoms around the
+    whole scene, such as a sky, aren't marked.
 
     Args:
         scene: the posed scene.
@@ -149,7 +156,16 @@ def _mark_over_free_floor(
 
 
 def _sum_windows(mask: Bool, window: list[Int]) -> Int:
-    """Count the marked cells in windows: first and end rows, first and end columns, (n,) each."""
+    """Count the marked cells in each of some windows.
+
+    Args:
+        mask: the marked cells, shape (height, width).
+        window: the first rows of the windows, the ends of their rows, their first columns, and the
+            ends of their columns, shape (n,) each; ends are exclusive.
+
+    Returns:
+        How many cells are marked in each window, shape (n,).
+    """
     first_row, end_row, first_col, end_col = window
     total = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), dtype=np.int64)
     np.cumsum(np.cumsum(mask, axis=0, dtype=np.int64), axis=1, out=total[1:, 1:])

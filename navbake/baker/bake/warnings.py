@@ -25,12 +25,12 @@ from navbake.config.settings import BakeConfig
 from navbake.errors import printable
 from navbake.types import Bool, Float, Int
 
-SAMPLED_ROWS = 64  # one row in so many is read first, to see how low a level's floor is
+SAMPLED_ROWS = 64  # every 64th row is read first, to see how low a level's floor is
 ROW_CHUNK = 64  # rows of a level that are searched together for a free cell
-# How far below a level's ground, as the settings have it, the meant floor may lie: a slab's
-# thickness [m]
+# A configured ground may have been set too high by a slab's thickness: a floor up to this far below
+# it may be the one that was meant [m]
 MAX_GROUND_ERROR = 0.5
-MIN_HOLE_AREA = 0.05  # of the holes of a mesh that a warning counts [m²]
+MIN_HOLE_AREA = 0.05  # smaller holes in a mesh aren't counted in a warning [m²]
 MAX_NAMED_BODIES = 3  # movable bodies that a warning names
 
 
@@ -218,7 +218,10 @@ def _warn_nothing_free(config: BakeConfig, floors: Floors, baked_pose: BakedPose
 
 
 def _has_free_cell(standable: Bool, is_blocked: Bool) -> bool:
-    """Whether any cell is standable and not blocked; most levels have one in their first rows."""
+    """Return whether any cell of a level is standable and not blocked.
+
+    Rows are searched chunk by chunk, as most levels have such a cell in their first rows.
+    """
     for row in range(0, len(is_blocked), ROW_CHUNK):
         rows = slice(row, row + ROW_CHUNK)
         if (standable[rows] > is_blocked[rows]).any():
@@ -279,7 +282,13 @@ def _warn_lost_floors(baked_pose: BakedPose) -> Iterator[str]:
 def _warn_patches(
     floors: Floors, scene: Scene, patch_warnings: dict[str, PatchWarning]
 ) -> Iterator[str]:
-    """Warn of patches: the name, area and height of the first, and how many more there are."""
+    """Warn of patches of surface, with the name, area and height of the first one of each kind.
+
+    Args:
+        floors: the levels, and the lists of patches.
+        scene: the posed scene, for the names of geoms.
+        patch_warnings: attribute of `floors` that is a list of patches -> the warning about them.
+    """
     for attribute, (min_area, text) in patch_warnings.items():
         patches = [patch for patch in getattr(floors, attribute) if patch.area >= min_area]
         if not patches:
@@ -301,10 +310,10 @@ def _warn_patches(
 
 
 def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
-    """Warn of grounds in `levels` that are a little higher than the floors that were meant.
+    """Warn of grounds in the setting `levels` that are a little higher than the meant floors.
 
-    Their level has no floor within a step above its ground, and another level has a large floor
-    within `MAX_GROUND_ERROR` below it.
+    It is so where a level has no floor within a step above its ground, and another level has a
+    large floor within `MAX_GROUND_ERROR` below that ground.
     """
     if config.levels == "auto":
         return
@@ -335,7 +344,10 @@ def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
 
 
 def _warn_unreached(floors: Floors, baked_pose: BakedPose) -> Iterator[str]:
-    """Warn of floors that no step leads to, level by level; not of a level where a link stops."""
+    """Warn of floors that no step leads to, level by level.
+
+    A whole level that no step leads to is not warned of if a link stops on it.
+    """
     linked_levels = {stop.level for link in baked_pose.links.links for stop in link.stops}
     for unreached in floors.unreached:
         is_level = unreached.is_whole_level
@@ -368,7 +380,10 @@ def _warn_holes(config: BakeConfig, holes: Float) -> Iterator[str]:
 
 
 def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Iterator[str]:
-    """Warn of an infinite level plane that lies lower than all floors of the grid."""
+    """Warn of an infinite horizontal plane that lies lower than all floors of the grid.
+
+    The grid then doesn't show it, though agents may walk on it around the other geoms.
+    """
     if config.grid.bounds is not None or config.grid.margin > 0:
         return
     levels = floors.levels
