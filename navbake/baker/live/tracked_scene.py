@@ -1,4 +1,4 @@
-"""Tracks the poses of a scene: finds what changes from one pose to the next."""
+"""Tracks the poses of a scene: finds which geoms and leaves change from one pose to the next."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from navbake.types import Bool, Float
 if TYPE_CHECKING:
     import mujoco
 
-# The attributes of a model that decide which geoms count, as what, and how large they are. Users
-# may write to them between two updates.
+# The attributes of a model that decide which geoms count, which shapes they have, and how large
+# they are. Users may write to them between two updates.
 GEOM_ATTRIBUTES = (
     "geom_type", "geom_size", "geom_dataid", "geom_contype", "geom_conaffinity", "geom_group",
     "geom_rgba", "geom_matid", "mat_rgba",
@@ -234,7 +234,12 @@ class TrackedScene:
         )
 
     def _move_shapes(self, data: mujoco.MjData, changed_geoms: Bool) -> Shapes:
-        """The current scene's shapes, with some geoms in the next pose."""
+        """Return the current scene's shapes, with the changed geoms in the next pose.
+
+        Args:
+            data: the next pose.
+            changed_geoms: the geoms that are placed anew, (ngeom,).
+        """
         scene = self.scene
         if not changed_geoms.any():
             return scene.shapes
@@ -251,7 +256,16 @@ class TrackedScene:
     def _find_full_bake_reason(
         self, scene: Scene, changed_geoms: Bool, moved: Bool, snapshot: PoseSnapshot
     ) -> str:
-        """Return why structure or a marker of rooms has changed; empty if none has."""
+        """Return why the whole scene has to be baked again; empty if an update is enough.
+
+        That is so if structure, the choice of leaves, or a marker of rooms has changed.
+
+        Args:
+            scene: the scene in the next pose.
+            changed_geoms: see `SceneChange`, (ngeom,).
+            moved: the geoms whose poses differ between the two poses, (ngeom,).
+            snapshot: the values of the next pose.
+        """
         old_scene = self.scene
         is_changed = changed_geoms & (old_scene.is_structure | scene.is_structure)
         is_changed |= old_scene.is_structure != scene.is_structure
@@ -277,7 +291,15 @@ class TrackedScene:
         return snapshot.joint_attributes != self._snapshot.joint_attributes
 
     def _update_leaves(self, scene: Scene, moved: Bool, snapshot: PoseSnapshot) -> Scene:
-        """Find the door candidates of the next pose, if any of them may have changed."""
+        """Return the scene with the door candidates of the next pose, and the roles after these.
+
+        Nothing is searched if no candidate may have changed.
+
+        Args:
+            scene: the scene in the next pose, with the candidates of the current one.
+            moved: the geoms whose poses differ between the two poses, (ngeom,).
+            snapshot: the values of the next pose.
+        """
         may_be_leaf = self._is_jointed_geom | mark_candidate_geoms(len(moved), scene.leaves)
         may_change = (
             not np.array_equal(snapshot.joint_positions, self._snapshot.joint_positions)
@@ -304,7 +326,10 @@ class TrackedScene:
     def _reuse_leaves(
         self, leaves: list[DoorCandidate], changed_geoms: Bool, snapshot: PoseSnapshot
     ) -> list[DoorCandidate]:
-        """Replace the candidates that haven't changed by the objects of the current scene."""
+        """Replace the candidates that haven't changed by the objects of the current scene.
+
+        So later steps tell unchanged candidates by their identity.
+        """
         are_joints_changed = self._are_joints_changed(snapshot)
         old_leaves = {leaf.id: leaf for leaf in self.scene.leaves}
 
@@ -388,7 +413,7 @@ class TrackedScene:
         data.qpos[model.jnt_qposadr[joint]] = numbers.item()
 
     def _check_finite(self, data: mujoco.MjData) -> None:
-        """Raise a QueryError that names a body whose pose is not finite."""
+        """Raise a QueryError if the pose of a body is not finite; the error names the body."""
         model = self._model
         wrong_qpos = np.flatnonzero(~np.isfinite(data.qpos))
         is_mocap_finite = np.isfinite(data.mocap_pos).all(axis=1)
@@ -442,7 +467,13 @@ def find_changed_geoms(old: Shapes, new: Shapes) -> Bool:
 
 
 def _mark_changed_primitives(old: Primitives, new: Primitives, is_changed: Bool) -> None:
-    """Mark the geoms whose solids or planes appeared, vanished or changed."""
+    """Mark the geoms whose solids or planes appeared, vanished or changed.
+
+    Args:
+        old: the solids or the planes of one scene.
+        new: those of the other scene.
+        is_changed: becomes True for these geoms, (ngeom,).
+    """
     num_geoms = len(is_changed)
     old_counts = np.bincount(old.geom, minlength=num_geoms)
     new_counts = np.bincount(new.geom, minlength=num_geoms)

@@ -306,13 +306,17 @@ def _with_digest(baked: BakedScene, digest: str) -> BakedScene:
 
 
 def _boxes_of_geoms(scene: Scene, mask: Bool) -> Float:
-    """The boxes of the marked geoms of a scene, (n, 6) [m]."""
+    """Return the boxes of the marked geoms of a scene: lower corner, upper corner, (n, 6) [m]."""
     boxes: Float = scene.shapes.boxes[mask[scene.shapes.boxed_geoms]]
     return boxes
 
 
 def _update_leaves(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
-    """Classify the leaves of a scene again that changed.
+    """Bring the leaves up to date: classify those leaves again that changed.
+
+    Args:
+        baked: the values of the last bake or update.
+        scene: the scene in the next pose.
 
     Returns:
         All leaves; the same list as before if none has changed.
@@ -345,7 +349,19 @@ def _update_leaves(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
 def _update_lost_floors(
     pose: BakedPose, structure: BakedStructure, is_changed: Bool, config: BakeConfig
 ) -> dict[int, float]:
-    """Measure the floor that movables would carry, again for bodies with changed geoms."""
+    """Bring up to date how much floor each movable body would carry if it could not move.
+
+    Only bodies with changed geoms are measured again.
+
+    Args:
+        pose: the values of the next pose, with the areas of the last one.
+        structure: all that follows from structure.
+        is_changed: the geoms that have changed, (ngeom,).
+        config: all settings.
+
+    Returns:
+        Id of the body -> the area [m²], see `BakedPose.lost_floors`.
+    """
     scene = pose.scene
     mover_of = scene.mover_of
     is_changed_body = np.zeros(len(scene.is_structure_body), dtype=np.bool_)
@@ -364,7 +380,18 @@ def _update_lost_floors(
 
 
 def _update_grid_doors(pose: BakedPose, baked: BakedScene, config: BakeConfig) -> BakedPose:
-    """Make doors of the grid again if they moved, or the occupancy of their cells changed."""
+    """Bring the doors of the grid up to date.
+
+    A door is made again if it moved, or if the occupancy of a cell that it blocks changed.
+
+    Args:
+        pose: the values of the next pose, with the doors of the last one.
+        baked: the values of the last bake or update.
+        config: all settings.
+
+    Returns:
+        The values of the next pose, with its doors.
+    """
     door_leaves = pose.door_leaves
     if not door_leaves:
         return replace(pose, grid_doors=[])
@@ -388,7 +415,7 @@ def _update_grid_doors(pose: BakedPose, baked: BakedScene, config: BakeConfig) -
 
 
 def _mark_changed_cells(new_layers: Sequence[Bool], old_layers: Sequence[Bool]) -> list[Bool]:
-    """Return for each level a flat mask of the cells in which two layers differ."""
+    """Return for each level a mask of the cells, by id, in which its two layers differ."""
     return [(new != old).ravel() for new, old in zip(new_layers, old_layers, strict=True)]
 
 
@@ -410,7 +437,8 @@ def _find_changed_cells(old_grid: NavGrid, new_grid: NavGrid) -> tuple[list[Int]
     """Find the cells of each level in which any layer changed.
 
     Returns:
-        The ids of the cells, and whether levels or their lattices changed; then all cells.
+        For each level, the ids of the cells; and whether the levels or their lattices changed. If
+        they did, all cells of the new grid are returned.
     """
     old_lattices = [level.lattice for level in old_grid.levels]
     new_lattices = [level.lattice for level in new_grid.levels]
