@@ -22,11 +22,11 @@ from navbake.types import Int
 if TYPE_CHECKING:
     import mujoco
 
-# The least cosine of the angle between a lift's joint and the vertical
+# The least cosine of the angle between a lift's joint and the vertical, for 2.6 degrees
 MIN_VERTICAL_COSINE = 0.999
 # The least area of a car's floor [m²]
 MIN_CAR_AREA = 0.25
-# Surfaces within this distance of the floor's height belong to the floor [m]
+# Surfaces at most this far above or below a car's floor belong to the floor [m]
 FLOOR_FLATNESS = 0.01
 
 

@@ -271,7 +271,14 @@ def _warn_unused(
 
 
 def _single_part(vertices: Float, faces: Int32, closed: int, kind: str) -> GeomTriangles:
-    """Make `GeomTriangles` whose triangles all belong to one part."""
+    """Make `GeomTriangles` whose triangles all enclose the same, and are not divided into parts.
+
+    Args:
+        vertices: shape (n, 3) [m].
+        faces: indices of vertices, shape (m, 3).
+        closed: OPEN_SURFACE, SOLID or CONVEX_SOLID, for all triangles.
+        kind: what the triangles are, for `GeomReport.shape`.
+    """
     num_faces = len(faces)
     part = np.zeros(num_faces, np.int32)
     closed_codes = np.full(num_faces, closed, np.uint8)

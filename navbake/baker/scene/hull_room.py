@@ -1,4 +1,7 @@
-"""Finds meshes whose hull hides room or ground, such as those of buildings and of terrain."""
+"""Finds meshes whose convex hull hides room or ground, such as buildings and terrain.
+
+MuJoCo collides such a mesh as its hull, which would fill the rooms of a building.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +25,11 @@ from navbake.types import Bool, Int
 if TYPE_CHECKING:
     import mujoco
 
-# The least distance between the vertical lines on which room is searched for [m]
+# The distance between the vertical lines on which room is searched for; larger for large meshes [m]
 LINE_SPACING = 0.1
-MAX_LINES = 10_000  # about the most lines: large meshes have a larger spacing
-# The least ground under a hull, a step or more deep, for which the mesh is taken exactly [m²]
+MAX_LINES = 10_000  # about the most lines that are searched for a mesh
+# A mesh counts by its triangles if its hull hides at least this area of ground, more than a step
+# below the hull [m²]
 MIN_GROUND_AREA = 1.0
 # Directions that are up in a mesh's frame are equal if they are after rounding
 UP_DECIMALS = 9
@@ -101,7 +105,10 @@ class HullRoomTest:
         return is_wide and height > self.agent.traversable_floor_height
 
     def is_large(self, geom: int) -> bool:
-        """Return whether the bounding box of a mesh geom is large enough for such room."""
+        """Return whether the bounding box of a mesh geom is large enough for room to stand in.
+
+        It has to be as high as the agent, and as large as a floor, see `find_hidden`.
+        """
         width, depth, height = self._box_size(geom)
         floor_width = width - 2 * self.floors.shrink
         floor_depth = depth - 2 * self.floors.shrink
@@ -110,7 +117,7 @@ class HullRoomTest:
         return floor_width * floor_depth >= self.floors.min_area - LIMIT_SLACK
 
     def _search_hull(self, geom: int) -> str:
-        """Cast vertical lines at the mesh and at its hull, and test the areas of what they meet."""
+        """Find what the hull of a mesh geom hides, see `find_hidden`, by casting vertical lines."""
         mesh_shapes = self._collect(geom, "surface")
         hull_shapes = self._collect(geom, "hull")
         bounds = hull_shapes.bounds
@@ -144,11 +151,12 @@ class HullRoomTest:
 
 
 def _mark_room(mesh: Columns, hull: Columns, height: float) -> Bool:
-    """Mark the cells on whose line there is room; see `HullRoomTest.find_hidden`.
+    """Mark the cells on whose vertical line a mesh's hull hides room for an agent.
 
-    The hits of a line are sorted by z. For each, it is known what room may begin above it, and
-    whether room may end at it. The stretch between two hits is room if it begins at the lower one
-    and, where it needs a ceiling, ends at the upper one, outside of the mesh's closed parts.
+    See `HullRoomTest.find_hidden`. The hits of a line are sorted by z. For each hit, it is known
+    what room may begin above it, and whether room may end at it. The stretch of the line between
+    two hits is room if room may begin at the lower hit and, where room needs a ceiling, may end at
+    the upper one; it has to be outside of the mesh's closed parts.
 
     Args:
         mesh: the hits of the mesh's surfaces.
@@ -189,7 +197,9 @@ def _mark_room(mesh: Columns, hull: Columns, height: float) -> Bool:
 
 
 def _mark_ground(mesh: Columns, hull: Columns, limits: AgentLimits) -> Bool:
-    """Mark the cells in which the mesh's uppermost surface is ground deep below the hull.
+    """Mark the cells in which the uppermost surface of a mesh is ground that its hull hides.
+
+    It is no steeper than the agent's slope, and more than a step below the hull.
 
     Args:
         mesh: the hits of the mesh's surfaces.

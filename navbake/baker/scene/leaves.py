@@ -28,14 +28,15 @@ if TYPE_CHECKING:
 
 UNLIMITED_HINGE_RANGE = np.pi / 2  # how far a hinge without limits opens [rad]
 UNLIMITED_SLIDE_RANGE = 1.0  # how far a slide without limits opens [m]
-# The sizes that a leaf has if no pattern names it, and a tolerance for rounded sizes [m]
+# A leaf that no pattern names is found by its size. The limits, and a tolerance for rounded sizes
+# [m]
 MIN_HEIGHT = 1.5
 MIN_WIDTH = 0.4
 MAX_WIDTH = 2.5
 MAX_THICKNESS = 0.2
 SIZE_ROUNDING = 1e-6
-# A leaf without a joint stands between two jambs. A jamb's largest thickness, the least height
-# difference from the leaf's top to its own, and its largest distance from the leaf's end [m]
+# A leaf without a joint stands between two jambs. These are the largest thickness of a jamb, the
+# least height by which it rises above the leaf, and its largest distance from the leaf's end [m]
 MAX_JAMB_THICKNESS = 0.6
 MIN_JAMB_RISE = 0.1
 MAX_JAMB_GAP = 0.1
@@ -74,7 +75,7 @@ class DoorCandidate:
         return self.positions.get(state, self.positions.get("modelled"))
 
     def only(self, shapes: Shapes) -> Shapes:
-        """Return those of some shapes that belong to this candidate."""
+        """Return the shapes of the geoms that belong to this candidate."""
         return shapes.only(mark_candidate_geoms(len(shapes.endless), [self]))
 
 
@@ -222,7 +223,7 @@ def _find_leaf_geoms(shapes: Shapes, num_geoms: int, geoms: Mapping[int, Int]) -
 def _stands_between_jambs(leaf_geom: int, body_geoms: Int, extents: Extents) -> bool:
     """Return whether there is a jamb at both ends of a leaf.
 
-    A jamb reaches from below the leaf's middle to above its top.
+    A jamb is a piece of structure that begins below the leaf's middle and ends above its top.
 
     Args:
         leaf_geom: id of the leaf's largest geom.
@@ -249,10 +250,13 @@ def _stands_between_jambs(leaf_geom: int, body_geoms: Int, extents: Extents) -> 
 
 
 def _find_positions(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> dict[str, float]:
-    """Return state -> position of a joint [rad or m].
+    """Find the positions of a door's joint when it is as modelled, open and closed.
 
-    A door is closed at the position nearest to 0, and open at the end of the joint's range that is
-    farther from that.
+    A door is closed at the position in the joint's range that is nearest to 0. It is open at the
+    end of the range that is farther from the closed position.
+
+    Returns:
+        State (``modelled``, ``open``, ``closed``) -> position [rad or m].
     """
     low = float(model.jnt_range[joint, 0])
     high = float(model.jnt_range[joint, 1])

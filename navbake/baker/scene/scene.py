@@ -100,8 +100,8 @@ class Scene:
         bounds: lowest and highest x, y, z of all finite geoms of the structure, (2, 3) [m]; None if
             there are none.
         digest: sha256 of the posed model: its geoms, their poses, and how they can move.
-        warnings: messages of one line.
-        hints: those of the warnings that say that axes or units look wrong.
+        warnings: the warnings about the scene, one line each.
+        hints: the warnings that say that axes or units look wrong; `warnings` has them, too.
         model: the compiled model. It has a tetrahedron in place of each mesh of `exact_meshes`.
         data: the model's data in the pose that is baked.
         selections: for each geom, whether it counts and how it is represented.
@@ -307,7 +307,7 @@ def _count_geoms_without(
     Args:
         left_out_bodies: for each body, whether its geoms are left out, (nbody,).
         scene_model: the compiled model.
-        hull_room: says which meshes' hulls hide room; has the model's pose.
+        hull_room: tells what the hull of a mesh hides; it also has the model and its pose.
         config: all settings.
     """
     model = hull_room.model
@@ -349,7 +349,10 @@ def _leave_out_skies(
     selections: list[GeomSelection],
     agent: AgentSettings,
 ) -> list[str]:
-    """Leave solids out that enclose everything, in place; return a warning that names them."""
+    """Leave out the skies of a scene, see `find_skies`; return a warning that names them.
+
+    Their entries in `selections`, one for each geom, are changed.
+    """
     counted = np.array([selection.counted for selection in selections], dtype=np.bool_)
     skies = find_skies(model, data, counted, min_room=agent.height)
     for geom in skies:
@@ -445,7 +448,10 @@ def _warn_lost_objects(model: mujoco.MjModel) -> list[str]:
 
 
 def _warn_unused_settings(settings: SceneSettings, exact_meshes: dict[int, NamedMesh]) -> list[str]:
-    """Warn of settings for mesh files and stages if the scene is neither."""
+    """Warn of `scene.up` and `scene.unit` if they do nothing.
+
+    They are for mesh files and USD stages; other scenes state their own axes and units.
+    """
     suffix = Path(settings.path).suffix.lower()
     is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES
     if is_mesh_file or suffix in STAGE_SUFFIXES:

@@ -1,4 +1,4 @@
-"""Finds skies: solids around all else in a scene, which can't be entered and are there for looks.
+"""Finds skies: solids around everything else in a scene, which are there for looks.
 
 Does not import mujoco.
 """
@@ -16,24 +16,28 @@ from navbake.types import Bool, Float
 if TYPE_CHECKING:
     import mujoco
 
-MIN_INNER_AREA = 4.0  # of the scene under a sky, seen from above [m²]
-SOLID_TYPES = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
+# What lies inside of a sky covers at least this area, seen from above; what lies inside of a
+# smaller solid is hidden in a thing [m²]
+MIN_INNER_AREA = 4.0
+# MuJoCo's types from sphere to box; capsule, ellipsoid and cylinder lie between them
+SOLID_TYPES = range(constants.SPHERE, constants.BOX + 1)
 
 
 def find_skies(
     model: mujoco.MjModel, data: mujoco.MjData, counted: Bool, min_room: float
 ) -> list[int]:
-    """Find solids that enclose all other geoms, with room for an agent over the lowest of these.
+    """Find the skies of a scene: solids that enclose all other geoms, and room for an agent.
 
-    What can move is neither, so that a sky is one in any pose. Where such solids lie in each other,
-    all are skies. There is none where an endless plane leads around the solid, or where what lies
-    in it is smaller than MIN_INNER_AREA: that is hidden in a thing.
+    Several solids that enclose each other are all skies. Geoms that can move are no skies, and need
+    not be enclosed, so that a sky is one in any pose. There is no sky in a scene with a plane that
+    counts, nor where the enclosed geoms cover less than `MIN_INNER_AREA`.
 
     Args:
         model: the model.
         data: its pose.
         counted: which geoms count, shape (ngeom,).
-        min_room: the least height of the solid over what lies lowest in it [m].
+        min_room: the least distance from the lowest of the enclosed geoms' tops to the solid's top
+            [m].
 
     Returns:
         The ids of the geoms, the largest first.
@@ -77,14 +81,14 @@ def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Float, Float
 
 
 def _box_corners(low: Float, high: Float) -> Float:
-    """The eight corners of each box, shape (8 n, 3)."""
+    """Return the eight corners of each box, shape (8 n, 3)."""
     takes_high = np.array(list(np.ndindex(2, 2, 2)), dtype=np.bool_)
     corners: Float = np.where(takes_high, high[:, None], low[:, None])
     return corners.reshape(-1, 3)
 
 
 def _encloses(model: mujoco.MjModel, data: mujoco.MjData, geom: int, points: Float) -> bool:
-    """Whether all points, world frame, lie inside a solid."""
+    """Return whether all points, shape (n, 3), world frame, lie inside a solid geom."""
     rotation = data.geom_xmat[geom].reshape(3, 3)
     local = (points - data.geom_xpos[geom]) @ rotation
     size = model.geom_size[geom] + TOUCH_DEPTH
