@@ -3,9 +3,9 @@
 Walls, floors with their holes, doors and lifts get the sizes that rmf_building_map_tools gives them
 for simulators: walls are 2.5 m high and 0.1 m thick, floors 0.1 m thick, doors 2.2 m high.
 Fiducials (points that several levels have in common) align the levels with each other. Buildings in
-WGS84 are projected as the editor's tools do it. Furniture
-(`models`) has no geometry in the file and is left out. Of a lift, only the car is read, which moves
-between the floors; its doors are left out.
+WGS84 are projected as the editor's tools do it. Furniture (`models`) has no geometry in the file
+and is left out. Of a lift, only the car is read, which moves between the floors; its doors are left
+out.
 
 Source: open-rmf/rmf_traffic_editor, ``rmf_building_map_tools/building_map``.
 """
@@ -59,8 +59,8 @@ class PlanTransform(NamedTuple):
     """Maps a level's plan to the world: a point p = x + iy becomes factor * p + shift.
 
     Attributes:
-        factor: rotates and scales.
-        shift: translates [m].
+        factor: the rotation and the scale, as a complex number [m per unit of the plan].
+        shift: the translation, as a complex number x + iy [m].
     """
 
     factor: complex
@@ -406,7 +406,7 @@ class _BuildingReader:
     # ------------------------------------------------------------ lifts
 
     def _passes_through(self, lift: Json, z: float) -> bool:
-        """Whether a lift's shaft leads through the level at an elevation."""
+        """Return whether a lift's shaft leads through the floors at elevation z [m]."""
         lowest = lift.get("lowest_floor")
         highest = lift.get("highest_floor")
         is_above = not lowest or z >= self._elevation(lowest)

@@ -92,7 +92,7 @@ class Triangles(NamedTuple):
 
 
 class StrayMeshError(SceneError):
-    """All meshes of a file lie beyond `MAX_COORDINATE`."""
+    """A mesh lies beyond `MAX_COORDINATE`; a reader may leave it out instead."""
 
 
 def read_named_meshes(
@@ -228,7 +228,12 @@ def _read_file(path: Path) -> list[NamedMesh]:
 
 
 def _has_points_alone(content: bytes, suffix: str) -> bool:
-    """Whether a PLY or an OBJ states vertices, and nothing that makes triangles of them."""
+    """Return whether a PLY or an OBJ has vertices, but no faces.
+
+    Args:
+        content: the content of the file.
+        suffix: the file's suffix; other files than ``.ply`` and ``.obj`` are not looked at.
+    """
     if suffix == ".ply":
         header, end, _ = content[:MAX_PLY_HEADER].partition(b"end_header")
         counts = {
@@ -710,7 +715,14 @@ def scale_normalized_positions(header: Json) -> bool:
 
 
 def _normalized_scale(header: Json, mesh: Json) -> float:
-    """What the integer 1 stands for in the positions of a mesh; 1 for plain positions."""
+    """Return the coordinate that the integer 1 stands for in a mesh's normalized positions.
+
+    For a mesh whose positions are not normalized, it is 1.
+
+    Args:
+        header: the JSON of a glTF file.
+        mesh: the mesh's entry in it.
+    """
     accessors = [
         header["accessors"][primitive["attributes"]["POSITION"]]
         for primitive in mesh["primitives"]
@@ -723,7 +735,7 @@ def _normalized_scale(header: Json, mesh: Json) -> float:
 
 
 def _replace_gltf_header(path: Path, header: Json) -> bytes:
-    """Return the content of a glTF or GLB file with another JSON."""
+    """Return the content of a glTF or GLB file, with its JSON replaced by `header`."""
     text = json.dumps(header).encode()
     if path.suffix.lower() == ".gltf":
         return text

@@ -1,10 +1,10 @@
-"""Finds which direction of a mesh is up: that of the flat surfaces with most furniture on them.
+"""Finds which direction of a mesh is up: the one that floors with most furniture on them face.
 
-In outline: triangles are sampled. The directions that most of their area faces are searched
-(`_find_axes`), and along each the largest flat surfaces (`_find_planes`). Floors are the large ones
-among these, and each direction that floors face may be up. Most things stand on floors and not on
-walls or ceilings, so the direction with most area a little above its floors is taken as up
-(`find_orientations`).
+A sample of the triangles is taken. The directions that most of its area faces are searched
+(`_find_axes`), and along each direction the largest flat surfaces (`_find_planes`). The large ones
+of these surfaces are floors, and each direction that floors face may be up. Most things stand on
+floors and not on walls or ceilings, so the direction with most area a little above its floors is
+taken as up (`find_orientations`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float
 
 MIN_PIECE_AREA = 0.1  # smaller connected pieces of a scan are left out [m²]
-MAX_TRIANGLES = 30_000  # the most that are sampled, about; from more, every second, third, … one
+# About the most triangles that are sampled: of a larger mesh every second, third, … triangle is
+MAX_TRIANGLES = 30_000
 # A mesh may lie on its side if more than this many times as much area faces along y as along z
 ON_SIDE_RATIO = 1.5
 CEILING_WARNING = "this floor may be a ceiling: what stands in the mesh doesn't say which way is up"
@@ -52,15 +53,18 @@ MIN_PLANE_VARIANCE = 0.04
 # Heights above a floor between which a surface counts as furniture [m]
 MIN_FURNITURE_HEIGHT = 0.12
 MAX_FURNITURE_HEIGHT = 1.1
-FLOOR_SHARE = 0.5  # a floor has at least this share of the area of the largest flat surface
-WALL_SHARE = 0.25  # a flat surface of more than this share of it is no furniture
-# For a floor: the largest share of its area by which what faces down may exceed what faces up
+# A floor has at least this fraction of the area of the largest flat surface; a flat surface with
+# more than the second fraction is no furniture
+FLOOR_SHARE = 0.5
+WALL_SHARE = 0.25
+# In a floor, the area of triangles that face down may exceed the area of those that face up by this
+# fraction of the floor's area
 MAX_DOWN_SHARE = 0.2
 FLOOR_WEIGHT = 0.1  # weight of a floor's area, where the area of the furniture on it has weight 1
 MIN_FLOOR_AREA = 4.0  # a mesh whose largest flat surface is smaller may be furniture [m²]
-# It is clear which direction is up if the furniture's area is more than this share of the floor's …
+# It is clear which direction is up if the furniture's area is more than this fraction of the
+# floor's area, and more than this many times the furniture's area in any other direction
 CLEAR_SHARE = 0.1
-# … and more than this many times the furniture's area in any other direction
 CLEAR_RATIO = 1.3
 
 
@@ -85,8 +89,8 @@ class TriangleSample(NamedTuple):
     Attributes:
         center: the triangles' centres, (n, 3) [m].
         normal: the triangles' unit normals, (n, 3).
-        area: the triangles' areas, times the number of triangles of the mesh that each represents,
-            (n,) [m²].
+        area: the area that each triangle stands for: its own, times the number of triangles of the
+            mesh for each triangle of the sample, (n,) [m²].
     """
 
     center: Float
@@ -242,10 +246,10 @@ def _name_direction(direction: Float) -> str:
 def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
     """Find the directions of a mesh that may be up, the likeliest first.
 
-    They are the normals of the planes fitted to large flat surfaces, and the opposite directions,
-    unless most of the surface faces the other way; +z if nothing is flat. A direction is the
-    likelier the more furniture stands on its floors and, with less weight, the larger its largest
-    floor is. Of equally likely ones, the one nearer to +z comes first.
+    A direction may be up if a large flat surface is perpendicular to it, and doesn't clearly face
+    the other way; if nothing is flat, +z may be. A direction is the likelier, the more furniture
+    stands on its floors and, with less weight, the larger its largest floor is. Of equally likely
+    directions, the one nearer to +z comes first.
 
     Args:
         sample: a sample of the mesh's triangles.
@@ -301,7 +305,7 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
 
 
 def _make_sort_key(orientation: Orientation) -> float:
-    """Return a number that is lowest for the direction that is most likely up."""
+    """Return a number by which to sort directions: the likelier a direction is up, the lower."""
     area = orientation.furniture_area + FLOOR_WEIGHT * orientation.floor_area
     return float(-round(area, 3) - 1e-6 * orientation.direction[2])
 

@@ -244,10 +244,16 @@ class _WorldReader:
     def _find_included_model(
         self, include: Element, scope: Scope
     ) -> tuple[Path | None, Element | None]:
-        """Find the file of an included model, and its ``<model>``.
+        """Find the file of an included model, and its ``<model>`` element.
 
-        A missing model is one without links, so that frames that are relative to it have a pose. A
-        model that comes with Gazebo, and isn't found, is None.
+        Args:
+            include: the ``<include>``.
+            scope: the world or model that contains it.
+
+        Returns:
+            The file and the element. For a missing model, an element without links is returned, so
+            that frames that are relative to the model have a pose. For a model that comes with
+            Gazebo and isn't found, both are None.
         """
         uri = text_of(include, "uri")
         name = text_of(include, "name") or _model_name(uri)
@@ -563,7 +569,14 @@ class _ShapeReader(NamedTuple):
         size: tuple[float, ...] = (),
         position: Float | tuple[float, float, float] | None = None,
     ) -> ParsedGeom:
-        """Return a geom at the place; `position` is that of its centre there, (3,) [m]."""
+        """Make a geom of the ``<collision>`` or ``<visual>`` that is read.
+
+        Args:
+            kind: one of `GEOM_TYPES`.
+            size: the size as MuJoCo states it [m].
+            position: where the geom's centre is, in the frame of the ``<collision>`` or
+                ``<visual>``, (3,) [m]; at its origin if None.
+        """
         pose = self.place.pose.copy()
         if position is not None:
             pose[:3, 3] += pose[:3, :3] @ np.asarray(position)

@@ -1,9 +1,10 @@
 """Geometry of SDF that MuJoCo has no shape for: height maps, extruded outlines and images.
 
-An outline (``<polyline>``) is cut at the heights (y) of its corners and crossings into trapezoids,
-each of which becomes a convex prism: so holes, and outlines that cross themselves, need no rules of
-their own. A trapezoid goes on past such a height as long as its two sides do, so there are about as
-many as corners and crossings. What an odd number of outlines encloses is solid, as in Gazebo.
+The area that outlines (``<polyline>``) enclose is cut into trapezoids at the y of all corners and
+crossings, and each trapezoid becomes a convex prism. So holes, and outlines that cross themselves,
+need no rules of their own. A trapezoid goes on past such a y as long as its two sides do, so there
+are about as many trapezoids as corners and crossings. What an odd number of outlines encloses is
+solid, as in Gazebo.
 
 Sources: SDFormat specification 1.12, geometry.sdf; gazebosim/gz-common, MeshManager.cc
 (ExtrudePolyline: several outlines, the first one's height) and DelaunayTriangulation.cc (what an
@@ -29,9 +30,12 @@ from navbake.types import Float
 HEIGHT_FIELD_BASE = 0.1  # thickness of a height field below its lowest point [m]
 MIN_HEIGHT_RANGE = 1e-6  # least difference between a height field's highest and lowest point [m]
 MIN_SLICE_HEIGHT = 1e-9  # least size of a trapezoid along y [m]
-MAX_EDGES = 2000  # of the outlines of a geometry: pairs of them are tried for crossings
-MAX_CROSSINGS = 500  # of those edges: each takes prisms of its own, and a building has hardly any
-MAX_BOXES = 20_000  # of an image
+# The most edges that the outlines of a geometry may have, as all pairs are tested for crossings
+MAX_EDGES = 2000
+# The most heights (y) at which these edges may cross: each makes more prisms, and outlines of
+# buildings hardly ever cross
+MAX_CROSSINGS = 500
+MAX_BOXES = 20_000  # the most boxes that an image may stand for
 
 
 class HeightField(NamedTuple):
@@ -74,7 +78,12 @@ def read_height_field(file: Path, sides: Sequence[float]) -> HeightField:
 
 
 def _read_brightness(file: Path, white: float | None = None) -> Float:
-    """Read the brightness of pixels, (height, width), scaled so that white is `white` if given."""
+    """Read the brightness of an image's pixels, shape (height, width).
+
+    Args:
+        file: the image.
+        white: the number that stands for white; None to leave the numbers of the file as they are.
+    """
     try:
         pixels = read_pixels(file)
     except FormatError as error:
@@ -145,7 +154,7 @@ def extrude_outlines(outlines: Sequence[Float], height: float) -> list[Mesh]:
 
 
 def _extrude(outlines: Sequence[Float], height: float) -> list[Mesh]:
-    """Make the prisms of `extrude_outlines`."""
+    """Make prisms of what outlines enclose, see `extrude_outlines`; numbers may overflow."""
     starts = np.concatenate(outlines)
     ends = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])
     is_flat = starts[:, 1] == ends[:, 1]
@@ -178,7 +187,10 @@ def _extrude(outlines: Sequence[Float], height: float) -> list[Mesh]:
 
 
 def _count_slices(cuts: Float) -> int:
-    """Count the slices between heights (y), ascending, without those too thin for a prism."""
+    """Count the slices between neighboring cuts, without slices that are too thin for a prism.
+
+    `cuts` are the y of the cuts, ascending, (n,) [m].
+    """
     return int(np.count_nonzero(np.diff(cuts) >= MIN_SLICE_HEIGHT))
 
 
@@ -188,8 +200,8 @@ class _Trapezoid(NamedTuple):
     Attributes:
         left: the index of the edge at smaller x.
         right: the index of the edge at larger x.
-        bottom: the smallest y [m].
-        top: the largest y [m].
+        bottom: y of the side at smaller y [m].
+        top: y of the side at larger y [m].
     """
 
     left: int
@@ -199,7 +211,9 @@ class _Trapezoid(NamedTuple):
 
 
 def _find_trapezoids(low: Float, high: Float, slopes: Float, cuts: Float) -> list[_Trapezoid]:
-    """Cut what edges enclose into trapezoids, each as high as its two sides go on.
+    """Cut the area that edges enclose into trapezoids with sides parallel to x.
+
+    A trapezoid goes on along y as long as the same two edges bound the area.
 
     Args:
         low: the lower end of each edge, (m, 2) [m].
@@ -227,7 +241,7 @@ def _find_trapezoids(low: Float, high: Float, slopes: Float, cuts: Float) -> lis
 
 
 def _crossing_heights(low: Float, high: Float, slopes: Float) -> Float:
-    """Return y of the places where edges cross, (n,) [m].
+    """Find the places where edges cross; return the y of each, (n,) [m].
 
     Args:
         low: the lower end of each edge, (m, 2) [m].

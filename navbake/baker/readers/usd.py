@@ -337,8 +337,9 @@ class _StageReader:
             )
 
     def _read_solid(self, prim: Usd.Prim, kind: str, state: _PrimState) -> _PrimShape:
-        """Make the shape of a solid: a plane that collides is endless, and the larger of two radii
-        counts.
+        """Make the shape of a solid.
+
+        A plane that collides is endless. Of a solid with two radii, the larger radius counts.
         """
         if kind == "Cube":
             half = self._get_number(prim, "size") / 2
@@ -614,8 +615,10 @@ class _StageReader:
     # ------------------------------------------------------------ places
 
     def _matrix_to_world(self, matrix: Gf.Matrix4d) -> Float:
-        """Convert a matrix from a prim's to the stage's frame into one from the prim's frame to the
-        world, (4, 4) [m]. It is multiplied by column vectors.
+        """Return the matrix from a prim's frame to the world, for column vectors, (4, 4) [m].
+
+        Args:
+            matrix: the matrix from the prim's frame to the stage's; points are row vectors.
         """
         return np.asarray(self._to_world @ np.array(matrix).T)
 
