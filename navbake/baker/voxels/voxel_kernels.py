@@ -1,10 +1,11 @@
 """Fill voxels with the labels of the geoms that meet them, column by column (along z).
 
-A convex solid or a half-space meets one run of a column's voxels; both ends are found by bisection
-with the tests of occupancy (`solid_kernels` and `overlap_kernels`). A triangle is clipped to the
-column's square, and meets the voxels between its lowest and its highest point there. A voxel that
-no triangle of a closed surface meets is inside of the surface if its centre is. This is decided by
-the winding number of the column's middle line (scan conversion of solids: Lee and Requicha, 1982).
+The voxels of a column that a convex solid or a half-space meets follow each other without a gap;
+the first and the last of them are found by bisection with the tests of occupancy (`solid_kernels`
+and `overlap_kernels`). A triangle is clipped to the column's square, and meets the voxels between
+its lowest and its highest point there. A voxel that no triangle of a closed surface meets is inside
+of the surface if its centre is. This is decided by the winding number of the column's middle line
+(scan conversion of solids: Lee and Requicha, 1982).
 
 A geom that reaches into a voxel by less than TOUCH_DEPTH does not meet it. If several geoms meet a
 voxel, it gets the least of their labels, in whatever order they come.
@@ -49,7 +50,10 @@ class Voxels(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def _label(column, first, end, label):
-    """Give voxels ``first:end`` of a column a label; a lower label (other than 0) stays."""
+    """Give the voxels ``first:end`` of a column a label.
+
+    A voxel that has a lower label already (other than 0, for an empty voxel) keeps it.
+    """
     for k in range(first, end):
         if column[k] == 0 or column[k] > label:
             column[k] = label
@@ -57,7 +61,10 @@ def _label(column, first, end, label):
 
 @subkernel(**NO_REFCOUNT)
 def _fill_between(voxels, column, low, high, label):
-    """Label the voxels of a column that reach into a range of heights [m]."""
+    """Label the voxels of a column that overlap the heights from `low` to `high` [m].
+
+    Voxels that are overlapped by less than TOUCH_DEPTH are not labelled.
+    """
     num_voxels = column.shape[0]
     start = (low + TOUCH_DEPTH - voxels.bottom) / voxels.res
     end = (high - TOUCH_DEPTH - voxels.bottom) / voxels.res
@@ -68,9 +75,16 @@ def _fill_between(voxels, column, low, high, label):
 
 @subkernel(**NO_REFCOUNT)
 def _meets(voxels, solids, planes, item, x, y, first, end, simplex):
-    """Return whether a solid or a plane meets any of the voxels ``first:end`` of a column at x, y.
+    """Return whether a solid or a plane meets any of the voxels ``first:end`` of a column.
 
-    `item` is the index of a solid, or the number of solids plus the index of a plane.
+    Args:
+        voxels: the grid, as `Voxels`.
+        solids: the solids, as `Solids`.
+        planes: the infinite planes, as `Planes`.
+        item: the index of a solid, or the number of solids plus the index of a plane.
+        x, y: the column's middle line [m].
+        first, end: range of voxels, counted from the bottom.
+        simplex: room for the iteration of GJK, see `make_simplex`.
     """
     low = voxels.bottom + first * voxels.res + TOUCH_DEPTH
     high = voxels.bottom + end * voxels.res - TOUCH_DEPTH
@@ -85,7 +99,11 @@ def _meets(voxels, solids, planes, item, x, y, first, end, simplex):
 
 @subkernel(**NO_REFCOUNT)
 def _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex):
-    """Label the voxels of a column that a solid or a half-space meets, see `_meets`."""
+    """Label the voxels of a column that a convex solid or a half-space meets.
+
+    The arguments are as in `_meets`; `column` are the voxels of the column, and `label` is their
+    new label.
+    """
     first = np.int64(0)
     end = np.int64(column.shape[0])
     if item < solids.geom.shape[0]:  # only as far as its box reaches
@@ -118,7 +136,15 @@ def _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex):
 
 @subkernel(**NO_REFCOUNT)
 def _fill_inside(voxels, column, hits, cell, labels):
-    """Label the voxels of a column whose centres are inside of closed surfaces."""
+    """Label the voxels of a column whose centres are inside of closed surfaces.
+
+    Args:
+        voxels: the grid, as `Voxels`.
+        column: the voxels of the column.
+        hits: hits of the columns' middle lines with triangles, as `ColumnHits`.
+        cell: index of the column in `hits`.
+        labels: the label of each geom, by geom id.
+    """
     first = hits.start[cell]
     last = hits.start[cell + 1]
     for i in range(first, last):
@@ -145,8 +171,18 @@ def _fill_inside(voxels, column, hits, cell, labels):
 def _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip):
     """Label the voxels that a triangle meets.
 
-    The triangle is clipped to each strip of columns with the same x; what is left of it is clipped
-    to each column of the strip.
+    The triangle is clipped to each strip of columns with the same x; the rest of it is clipped to
+    each column of the strip.
+
+    Args:
+        voxels: the grid, as `Voxels`.
+        lattice: the lattice whose cells are the columns.
+        window: only columns over these rows and columns of cells are filled, see `tile_window`.
+        facets: the triangles, as `Facets`.
+        t: index of the triangle.
+        label: the label of its geom.
+        polygons: room for clipping, see `make_polygons`.
+        strip: room for the triangle clipped to a strip, (12, 3) float64.
     """
     half = voxels.res / 2.0
     num_rows = lattice.height
