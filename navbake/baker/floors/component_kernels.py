@@ -203,7 +203,7 @@ def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begi
     width = lattice.width
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
-        # unite each cell's surfaces with those of its western and northern neighbors
+        # unite each cell's surfaces with the surfaces of its western and northern neighbors
         for row in range(row0, row1):
             for cell in range(row * width + col0, row * width + col1):
                 first_in_cell = first[cell]

@@ -229,9 +229,9 @@ def count_heights(surfaces, candidates, selection, area_test, blocks, counts, co
         area_test: an `AreaTest`, by whose disc the cells are shrunk; with radius 0 they are not.
         blocks: ids of blocks of cells.
         counts: receives how many rows each block has.
-        columns: two arrays that receive the rows: the number of a window, a `height_bin`, 0, and
-            the number of surfaces, (n, 4) int64; and the lowest height of these surfaces, (n,)
-            float64 [m].
+        columns: two arrays that receive the rows: the number of a window, a `height_bin`, a 0
+            without a meaning, and the number of surfaces, (n, 4) int64; and the lowest height of
+            these surfaces, (n,) float64 [m].
         begin: index in `blocks` of the first block to count.
         end: index past the last one.
 
@@ -306,9 +306,9 @@ def assign_columns(
             levels are taken; -1 for a surface that is no candidate, int32.
         blocks: ids of blocks of cells.
         counts: receives how many rows each block has.
-        columns: two arrays that receive the rows: a component, 0, a level, and how many surfaces of
-            the component are on it, (n, 4) int64; and the lowest height of these surfaces, (n,)
-            float64 [m].
+        columns: two arrays that receive the rows: a component, a 0 without a meaning, a level, and
+            how many surfaces of the component are on it, (n, 4) int64; and the lowest height of
+            these surfaces, (n,) float64 [m].
         begin: index in `blocks` of the first block.
         end: index past the last one.
 

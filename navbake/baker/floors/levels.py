@@ -282,7 +282,7 @@ def _make_level_floors(
     settings: FloorSettings,
     is_occupied: OccupancyTest,
 ) -> list[LevelFloor]:
-    """Make the floor of each level, and close its holes if `floors.fill` is set."""
+    """Make the `LevelFloor` of each level, with its holes closed if `floors.fill` is set."""
     levels = []
     for name, ground, grown_floor in zip(
         assignment.names, assignment.grounds, grown_floors, strict=True

@@ -32,11 +32,11 @@ from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 # How a region ends at an edge, see `RegionContext.classify_edges`
-WALL = 0
-BARRIER = 1
-DROP = 2
-BORDER = 3
-OPEN = 4
+WALL = 0  # something stands there at an agent's feet and at its head
+BARRIER = 1  # something stands there at an agent's feet only
+DROP = 2  # a floor lies more than a step lower
+BORDER = 3  # the lattice ends
+OPEN = 4  # none of these
 # A wall is what meets two thin volumes over a floor: one at an agent's feet, one at its head. This
 # is the height of each volume [m]
 PROBE_HEIGHT = 0.01

@@ -73,9 +73,9 @@ class RejectedRegions(NamedTuple):
     """The large regions that are no floors; masks of shape (regions,).
 
     Attributes:
-        is_top: marks the tops, except those that are roofs.
-        is_shelf: marks the shelves, except those that are roofs.
-        is_roof: marks the roofs.
+        is_top: marks the tops of what stands on a floor, such as beds, except those that are roofs.
+        is_shelf: marks the shelves, which hang over a floor, except those that are roofs.
+        is_roof: marks the roofs: over a floor, open to the sky, and without walls around.
     """
 
     is_top: Bool
@@ -235,7 +235,10 @@ def _main_geom(context: RegionContext, region: int) -> int:
 
 
 def _mark_wider_than(context: RegionContext, candidates: Bool, width: float) -> Bool:
-    """Mark the candidates that are wider than a width [m] at some place."""
+    """Mark the candidates that are wider than a width [m] at some place.
+
+    A region is that wide if a cell of it is left when it is shrunk by half of the width.
+    """
     if not candidates.any():
         return candidates
     one_cell = {"min_area": context.regions.lattice.cell_size**2, "shrink": width / 2}

@@ -67,9 +67,7 @@ class Surfaces(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def find_planes_above(planes, lattice, cell, z):
-    """Count the infinite planes behind whose front a point in a cell's column lies.
-
-    Planes are solid there, so the point is inside of them.
+    """Count the infinite planes that a point over a cell's centre lies inside of.
 
     Args:
         planes: a `Planes`; each plane is solid on the side that its normal points away from.
