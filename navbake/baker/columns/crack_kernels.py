@@ -97,7 +97,7 @@ def _write_piece(solids, facets, item, face, min_up, corners):
     """Write the corners of a piece of floor: a triangle, a box's upper face, or a solid's top.
 
     Args:
-        solids, facets: the shapes.
+        solids, facets: the shapes, as `Solids` and `Facets`.
         item: index into `facets` if `face` is -1, else into `solids`.
         face: -1 for a triangle; for a box, the number of its own axis across which the face lies,
             the upper one of two; 0 for the upper part of a round solid.
@@ -222,7 +222,7 @@ def _find_common_heights(lattice, column_hits, window, selected, limits, heights
     """Find heights at which all selected cells of a window have a floor, to within half a step.
 
     Args:
-        lattice: the cells.
+        lattice: the cells, as `Lattice`.
         column_hits: their columns, as `ColumnHits`.
         window: rows and columns of cells, see `tile_window`.
         selected: mask of the cells that count, (cells,) bool; if empty, all cells.
@@ -313,7 +313,7 @@ def _list_in_tile(
     listed. Arguments that aren't described here are as in `list_sides`.
 
     Args:
-        lattice: the cells.
+        lattice: the cells, as `Lattice`.
         column_hits: their columns.
         geometry: the shapes, as `TiledGeometry`.
         tile: the number of the tile.
@@ -445,9 +445,9 @@ def list_sides(
     opposite sides of it.
 
     Args:
-        lattice: the cells.
+        lattice: the cells, as `Lattice`.
         column_hits: their columns, as `ColumnHits`.
-        solids, facets: the shapes.
+        solids, facets: the shapes, as `Solids` and `Facets`.
         tile_index: the shapes over each tile, including those within `crack` of it.
         limits: what an agent can stand on, as `AgentLimits`.
         crack: how far from the line the floors on both sides may be [m].

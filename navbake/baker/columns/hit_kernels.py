@@ -234,7 +234,7 @@ def finish_line(hits, first, end, facets, spare, spare_place):
         hits: `LineHits`; the line has the hits ``first:end``. They are sorted in place; the last
             ones get DROPPED as their geom.
         first, end: range of the line's hits.
-        facets: the triangles.
+        facets: the triangles, as `Facets`.
         spare: `LineHits` that has room for one hit, as scratch.
         spare_place: index of this room in `spare`.
 

@@ -171,11 +171,11 @@ def raster_triangles(facets, triangles, is_crossed, lattice, rows, hits, end, wr
     """Write where the vertical lines through cells' centres cross triangles.
 
     Args:
-        facets: the triangles.
+        facets: the triangles, as `Facets`.
         triangles: indices into `facets` of those to cross, ascending.
         is_crossed: whether any line crosses each entry of `triangles`, bool; written while
             counting, read while writing.
-        lattice: the cells.
+        lattice: the cells, as `Lattice`.
         rows: the first row to cast lines in, and the row after the last one.
         hits: `LineHits` of the rows' lines.
         end: for each line of the rows, where its next hit goes in `hits`, int64; advanced by 1 for

@@ -468,7 +468,7 @@ def _cast_line(lattice, geometry, tile_index, lines, n, ray, local_corners, hits
     """Write where line n crosses all shapes; return how many hits.
 
     Args:
-        lattice: the cells.
+        lattice: the cells, as `Lattice`.
         geometry: the shapes, as `Geometry`.
         tile_index: the shapes over each tile.
         lines: the lines, as `Lines`.
@@ -531,7 +531,7 @@ def cast_lines(
     It is called twice: first with empty hits, to count, then with room for the hits.
 
     Args:
-        lattice: the cells.
+        lattice: the cells, as `Lattice`.
         lines: lines through points, in groups of LINES_PER_CALL; or none, for lines through the
             centres of the lattice's cells, in groups of a row of tiles each.
         geometry: the shapes, as `Geometry`.

@@ -167,7 +167,7 @@ def _tiles_under(boxes, n, margin, lattice):
         boxes: (n, 6) float64, lower corner, upper corner [m].
         n: index of the box.
         margin: how much the box is widened on each side [m].
-        lattice: the cells.
+        lattice: the cells, as `Lattice`.
 
     Returns:
         The first and the last row, and the first and the last column of these tiles. The last row
@@ -220,7 +220,7 @@ def list_boxes_by_tile(
     Args:
         boxes: (n, 6) float64, lower corner, upper corner [m].
         margin: how much the boxes are widened on each side [m].
-        lattice: the cells.
+        lattice: the cells, as `Lattice`.
         by_tile_row: if True, list by row of tiles instead of by tile, and only boxes that cover a
             cell's centre there.
         tiles_under: receives, for each box, the first row, last row, first and last column of the

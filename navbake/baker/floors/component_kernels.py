@@ -175,11 +175,11 @@ def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begi
     the first of its cells, row by row from the north-west.
 
     Args:
-        surfaces: a `Surfaces`.
+        surfaces: the surfaces of all cells, as `Surfaces`.
         group: the group of each surface, (n,) int32. Only surfaces of the same group are connected;
             surfaces of a negative group are in no component. If empty, all STANDABLE surfaces are
             in one group, and the others in none.
-        rule: a `JoinRule`.
+        rule: a `JoinRule`: the limits within which surfaces are connected, or else linked.
         component: receives, for each surface, the number of its component in its block, -1 for
             none, (n,) int32. While a block is labelled, it holds the parents of union-find: -2 - p
             for parent p.
@@ -279,9 +279,9 @@ def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin,
     ``blocks[begin:end]``, or across the eastern and southern borders of these blocks.
 
     Args:
-        surfaces: a `Surfaces`.
+        surfaces: the surfaces of all cells, as `Surfaces`.
         group: the group of each surface, see `label_blocks`.
-        rule: a `JoinRule`.
+        rule: a `JoinRule`: the limits within which surfaces are connected, or else linked.
         numbering: a `ComponentNumbering`, whose `overall` is written.
         blocks: ids of blocks of cells.
         counts: receives how many rows each block has.
@@ -370,7 +370,7 @@ def cross_tabulate(surfaces, label, second_label, level, blocks, counts, columns
     with level -1. This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        surfaces: a `Surfaces`.
+        surfaces: the surfaces of all cells, as `Surfaces`.
         label: the first label of each surface, such as the number of its component, int32.
         second_label: the second label of each surface, int32.
         level: the level of each surface, int32; if empty, surfaces are counted by their heights, in

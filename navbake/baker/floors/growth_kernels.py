@@ -237,7 +237,7 @@ def grow_ring(state, ring_number, front, counts, columns, begin, end):
     floors of earlier rings. This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        state: a `GrowthState`.
+        state: a `GrowthState`: the growing floor, which is changed.
         ring_number: the number of the ring, from 1.
         front: ids of the cells into which the floor may grow in this ring, int64.
         counts: receives, for each cell of `front`, how many of its neighbors are listed.
@@ -266,7 +266,7 @@ def grow_remaining_rings(state, ring_number, front):
     """Let the floor grow ring by ring, until it can't grow any more.
 
     Args:
-        state: a `GrowthState`.
+        state: a `GrowthState`: the growing floor, which is changed.
         ring_number: the number of the first of these rings.
         front: ids of the cells into which the floor may grow in that ring, int64.
     """
@@ -288,7 +288,7 @@ def list_links(surfaces, level, final_level, step, by_slopes, blocks, counts, co
     a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        surfaces: a `Surfaces`.
+        surfaces: the surfaces of all cells, as `Surfaces`.
         level: the preliminary number of each surface's level, negative for none, int32.
         final_level: the final number of the level for each preliminary number, int64.
         step: the highest step that the agent takes [m].

@@ -156,9 +156,9 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, colum
     """Make the histogram of heights of one block of cells, see `count_heights`.
 
     Args:
-        surfaces: a `Surfaces`.
-        candidates: a `Candidates`.
-        selection: a `HeightSelection`.
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        candidates: a `Candidates`: which surfaces are to be assigned to levels.
+        selection: a `HeightSelection`: which of these surfaces are counted.
         area_test: an `AreaTest`, by whose disc the cells are shrunk.
         block: the id of the block.
         masks: two masks to write: the block's cells with a counted surface, with a margin of the
@@ -223,9 +223,9 @@ def count_heights(surfaces, candidates, selection, area_test, blocks, counts, co
     This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        surfaces: a `Surfaces`.
+        surfaces: the surfaces of all cells, as `Surfaces`.
         candidates: a `Candidates`: which surfaces are to be assigned, and which of them are stairs.
-        selection: a `HeightSelection`.
+        selection: a `HeightSelection`: which of these surfaces are counted.
         area_test: an `AreaTest`, by whose disc the cells are shrunk; with radius 0 they are not.
         blocks: ids of blocks of cells.
         counts: receives how many rows each block has.
@@ -298,9 +298,9 @@ def assign_columns(
     This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        surfaces: a `Surfaces`.
+        surfaces: the surfaces of all cells, as `Surfaces`.
         candidates: a `Candidates`: which surfaces to assign, and which of them belong to stairs.
-        rule: a `LevelRule`.
+        rule: a `LevelRule`: the grounds of the levels, and how surfaces get to them.
         component: the component of each surface, see `Regions.components`, int32.
         level: receives the level of each surface; NO_FREE_LEVEL or NO_FREE_LEVEL_AT_GROUND if all
             levels are taken; -1 for a surface that is no candidate, int32.
@@ -346,9 +346,9 @@ def _assign_column(surfaces, candidates, rule, cell, level, count):
     See `assign_columns`, which takes the same arguments.
 
     Args:
-        surfaces: a `Surfaces`.
-        candidates: a `Candidates`.
-        rule: a `LevelRule`.
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        candidates: a `Candidates`: which surfaces are to be assigned to levels.
+        rule: a `LevelRule`: the grounds of the levels, and how surfaces get to them.
         cell: the id of the cell.
         level: the base level of each surface, which its level replaces.
         count: how many surfaces of the cell are to be assigned.

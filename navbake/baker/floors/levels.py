@@ -113,9 +113,9 @@ def find_floors(
 ) -> Floors:
     """Find the levels of a scene, the floor of each, and the links between them.
 
-    The stages: find the standable surfaces; drop ridges; connect surfaces to regions; keep the
-    large regions; drop tops, shelves and roofs; assign the rest to levels; drop what is not reached
-    or is a void; let floors grow under things; list the links.
+    The stages: find the standable surfaces; connect them to regions; drop ridges, and connect the
+    rest again; keep the large regions; drop tops, shelves and roofs; assign the rest to levels;
+    drop what is not reached or is a void; let floors grow under things; list the links.
 
     Args:
         columns: the hits of all columns.
@@ -124,6 +124,9 @@ def find_floors(
         settings: the settings of `floors`.
         level_settings: the levels of the configuration, lowest first; None to find the levels.
         is_occupied: tests whether something stands on a floor in some cells.
+
+    Returns:
+        The floors on the whole lattice, their links, and what warnings report.
 
     Raises:
         SceneError: there is no floor at all, none on a level of the configuration, or none at a

@@ -96,7 +96,7 @@ def shrink(mask, area_test, remaining):
         mask: 1 at the cells to shrink and 0 elsewhere, with a margin of `area_test.radius` cells on
             each side, int32. It is overwritten: each marked cell gets the number of marked cells in
             a row that end with it, from the left. So one comparison tests a row of the disc.
-        area_test: an `AreaTest`.
+        area_test: an `AreaTest`, whose disc is used.
         remaining: receives which cells remain, without the margin, bool.
     """
     # how many marked cells in a row end with each cell, from the left
@@ -119,7 +119,7 @@ def region_of_surface(labelled, j):
     """Return the id of a surface's region, or -1 if it belongs to no selected region.
 
     Args:
-        labelled: a `LabelledSurfaces`.
+        labelled: a `LabelledSurfaces` with the regions.
         j: the id of the surface.
     """
     component = labelled.component[j]
@@ -335,7 +335,7 @@ def mark_hole_edges(cells, directions, start, lattice, in_hole):
         cells: the cell of each edge, region by region, (edges,).
         directions: the direction out of the region at each edge, (edges,).
         start: the n-th region has the edges ``start[n]:start[n + 1]``.
-        lattice: the lattice of the cells.
+        lattice: the `Lattice` of the cells.
         in_hole: receives, for each edge, whether it is at a hole's rim, (edges,) bool.
     """
     # ids of cells on a padded lattice: a margin around it, and an empty column between two rows

@@ -18,8 +18,8 @@ def _find_joined(surfaces, rule, j, cell, axis, sign):
     """Find the standable surface of the next cell that a step or slopes join to surface j.
 
     Args:
-        surfaces: a `Surfaces`.
-        rule: a `JoinRule`.
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        rule: a `JoinRule`: the limits within which surfaces are connected, or else linked.
         j: the id of a surface.
         cell: the id of its cell.
         axis: EAST or SOUTH.
@@ -65,7 +65,7 @@ def list_narrow_runs(labelled, rule, max_cells, blocks, counts, columns, begin, 
 
     Args:
         labelled: a `LabelledSurfaces` with the regions whose runs are listed.
-        rule: a `JoinRule`.
+        rule: a `JoinRule`: the limits within which surfaces are connected, or else linked.
         max_cells: longer runs are not listed.
         blocks: ids of blocks of cells.
         counts: receives how many runs each block has.
@@ -124,7 +124,7 @@ def list_run_surfaces(surfaces, rule, runs, start, surface_cells, begin, end):
     """List all surfaces of the runs ``runs[begin:end]``, and the cells of these surfaces.
 
     Args:
-        surfaces: a `Surfaces`.
+        surfaces: the surfaces of all cells, as `Surfaces`.
         rule: the `JoinRule` that the runs were found by.
         runs: the runs, as `list_narrow_runs` lists them, (runs, 6) int64.
         start: for each run, the row of `surface_cells` from which on its surfaces are written.

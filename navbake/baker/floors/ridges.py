@@ -35,8 +35,8 @@ def find_ridges(context: RegionContext, positions: list[list[float]]) -> Bool:
 
     Args:
         context: all regions, and the hits of all columns.
-        positions: `floors.from`: x, y, z of each position [m]. A ridge with such a position on it
-            is a floor, and not marked.
+        positions: `floors.from`: x, y, z of each position, world frame [m]. A ridge with such a
+            position on it is a floor, and not marked.
 
     Returns:
         A mask of the surfaces, shape (surfaces,).

@@ -45,7 +45,7 @@ class Surfaces(NamedTuple):
     Surfaces are numbered block of cells by block of cells, not in the order of cell ids.
 
     Attributes:
-        lattice: the lattice of the cells.
+        lattice: the `Lattice` of the cells.
         first: the id of the lowest surface of each cell, shape (cells,), int32.
         end: the id past the highest surface of each cell, shape (cells,), int32.
         z: heights, ascending in a cell, shape (n,), float64 [m].

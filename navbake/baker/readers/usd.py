@@ -768,7 +768,17 @@ def _round(value: float, decimals: int) -> float:
 
 
 def _find_stage_frame(stage: Usd.Stage, path: Path, settings: SceneSettings) -> tuple[float, Float]:
-    """Return a stage's unit [m], and the matrix from its frame to the world, (4, 4) [m]."""
+    """Find a stage's unit, and which way is up in it.
+
+    `scene.unit` and `scene.up` count, if they are set, before what the stage states.
+
+    Returns:
+        The length of one unit of the stage [m]; and the matrix from its frame to the world, (4, 4).
+
+    Raises:
+        ConfigError: `scene.up` is ``level``.
+        SceneError: the stage states no axis, or a wrong unit.
+    """
     if settings.up == "level":
         raise ConfigError(f"`scene.up: level` is for mesh files, {path} says what is up itself")
     up = settings.up if settings.up != "auto" else str(UsdGeom.GetStageUpAxis(stage)).lower()

@@ -212,8 +212,8 @@ class CompileResult(NamedTuple):
     Attributes:
         warnings: warnings of MuJoCo and of the reader.
         error: the reason that there is no model; None if there is one.
-        exact_meshes: see `SceneModel`.
-        named_leaves: see `SceneModel`.
+        exact_meshes: geom id -> mesh in the world frame, see `SceneModel`.
+        named_leaves: names of the bodies that are leaves of doors, as the file says.
     """
 
     warnings: list[str]
