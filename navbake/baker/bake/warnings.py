@@ -397,8 +397,8 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
     if not (planes.pos[:, 2] < lowest_sampled - step).any():
         return
     lowest = min(float(np.nanmin(level.floor)) for level in levels)
-    is_level = planes.normal[:, 2] >= 1.0 - 1e-9
-    is_hidden = is_level & (planes.pos[:, 2] < lowest - step)
+    is_horizontal = planes.normal[:, 2] >= 1.0 - 1e-9
+    is_hidden = is_horizontal & (planes.pos[:, 2] < lowest - step)
     for plane in np.flatnonzero(is_hidden)[:1].tolist():
         name = scene.geoms[planes.geom[plane]].name
         z = planes.pos[plane, 2]

@@ -283,7 +283,7 @@ def _has_simple_rim(solids, s):
 
 
 @subkernel(inline="always")
-def _has_level_ends(solids, s):
+def _has_flat_ends(solids, s):
     """Return whether the ends of an upright solid are flat: a cylinder or a box, but no sphere.
 
     All lines well inside of its rim then cross it at the same heights. Solids that are too small
@@ -320,7 +320,7 @@ def _cast_solid(solids, s, lattice, rows, ray, middle_hits, hits, end, writing):
     )
     has_simple_rim = _has_simple_rim(solids, s)
     copies_middle = False
-    if has_simple_rim and _has_level_ends(solids, s):
+    if has_simple_rim and _has_flat_ends(solids, s):
         x = solids.pos[s, 0]
         y = solids.pos[s, 1]
         copies_middle = _hit_solid(solids, s, x, y, ray, middle_hits, np.int64(0)) == 2
@@ -355,11 +355,11 @@ def _cast_plane(planes, p, lattice, rows, heights, ray, middle_hits, hits, end, 
         ray: a `Ray` to cast.
         middle_hits: room for the hits of one line, as `LineHits`.
     """
-    is_level = _is_upright(planes.mat[p])
+    is_horizontal = _is_upright(planes.mat[p])
     count = np.int64(0)
     first_place = np.int64(0)
     for line in range(end.shape[0]):
-        if not is_level or line == 0:
+        if not is_horizontal or line == 0:
             x, y = cell_center(lattice, rows[0] * lattice.width + line)
             count = _hit_plane(planes, p, x, y, heights, ray, middle_hits, first_place)
         place = end[line] if writing else 0
