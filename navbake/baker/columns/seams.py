@@ -389,7 +389,7 @@ def _are_buried(hits: ColumnHits, cells: Int, z: Float) -> Bool:
 
 
 def _add_surfaces(columns: Columns, cell: Int, rays: ColumnHits, hit: Int) -> Columns:
-    """Add hits of rays to columns as open surfaces.
+    """Add hits of rays to the columns of cells, as surfaces that enclose nothing.
 
     Args:
         columns: the columns.

@@ -19,8 +19,8 @@ class AreaTest(NamedTuple):
 
     Attributes:
         min_cells: how many cells have to remain.
-        radius: radius of the disc [cells]. A cell remains if all cells of the disc around it are in
-            the set.
+        radius: radius of the disc [cells]. Of some marked cells, a cell remains if all cells of the
+            disc around it are marked.
         half_widths: for each row of the disc, from ``-radius`` to `radius`, how many cells the row
             has on either side of its middle, (2 radius + 1,) int64; -1 for rows that need no test.
     """

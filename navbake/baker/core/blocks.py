@@ -32,7 +32,7 @@ class Blocks:
     """
 
     def __init__(self, lattice: Lattice) -> None:
-        """Divide a lattice."""
+        """Divide a lattice into blocks of BLOCK x BLOCK cells."""
         self.lattice = lattice
         self.rows = -(-lattice.height // BLOCK)
         self.cols = -(-lattice.width // BLOCK)
