@@ -204,7 +204,17 @@ def run_bake(
 def _verify_grid(
     grid: SceneGrid2D | MultiLevelGrid, scene: Scene, config: BakeConfig, sample: int
 ) -> SceneGrid2D | MultiLevelGrid:
-    """Verify a sample of cells; returns the grid with the counts, and a warning if any differs."""
+    """Compare a sample of cells with what MuJoCo and FCL say of them.
+
+    Args:
+        grid: the grid.
+        scene: the posed scene.
+        config: all settings.
+        sample: how many cells to compare.
+
+    Returns:
+        The grid with the counts in its metadata, and with a warning if any cell differs.
+    """
     # A bake that doesn't verify starts without FCL's and MuJoCo's shapes of the scene.
     from navbake.verifier.verify import verify_scene
 

@@ -410,7 +410,15 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
 
 
 def _warn_interleaved(floors: Floors, occupancy: Occupancy, boxes: LevelBoxes) -> Iterator[str]:
-    """Warn of free cells that the original client puts on another level."""
+    """Warn of free cells that MINOS's client would put on a wrong level, or on none.
+
+    It finds a position's level by the levels' boxes, though levels may interleave in height.
+
+    Args:
+        floors: the levels and their floors.
+        occupancy: the cells of each level that structure occupies.
+        boxes: the levels' boxes, and how many free cells the client misplaces.
+    """
     if not boxes.num_misplaced:
         return
     num_free = sum(

@@ -235,7 +235,13 @@ class _StageReader:
                 pending += [(child, prim_state) for child in children]
 
     def _read_prim(self, prim: Usd.Prim, name: str, state: _PrimState) -> bool:
-        """Read one prim; return whether its children are to be read."""
+        """Read one prim of the stage; return whether its children are to be read, too.
+
+        Args:
+            prim: the prim.
+            name: the name of the geom or instancer that it may become.
+            state: what the prim inherits from its ancestors, and its own.
+        """
         kind = str(prim.GetTypeName())
         if kind == "PointInstancer":
             self._read_instancer(prim, name, state)
@@ -705,7 +711,7 @@ def _straighten(kinds: NDArray[np.str_], rotations: Float, scales: Float) -> tup
         scales: the scales along the axes of the frames, (n, 3).
 
     Returns:
-        The frames and scales after this, with the same shapes.
+        The new frames and scales, with the same shapes.
     """
     order = np.tile(np.arange(3), (len(rotations), 1))
     boxes = np.flatnonzero((kinds == "box") | (kinds == "ellipsoid"))

@@ -166,8 +166,8 @@ def assign_roles(
     Args:
         model: the model.
         counted: for each geom, whether it counts, (ngeom,).
-        movable: see `SceneRoles`.
-        is_structure_body: see `SceneRoles`.
+        movable: for each body, whether it can move and carries no floor, (nbody,).
+        is_structure_body: for each body, whether it is structure, (nbody,).
         leaves: the door candidates.
 
     Returns:
