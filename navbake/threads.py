@@ -4,6 +4,7 @@ Kernels release the GIL. They are used in place of numba's own parallel loops: t
 fraction of the time, and work after a fork and from any thread.
 """
 
+import _thread
 import os
 import threading
 from collections import deque
@@ -11,12 +12,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from queue import SimpleQueue
 from typing import TypeVar
 
 import numba
 import numpy as np
 
-from navbake.errors import ConfigError
+from navbake.errors import ConfigError, NavbakeError
 
 Result = TypeVar("Result")
 
@@ -26,6 +28,8 @@ CHUNKS_PER_THREAD = 8  # enough to balance the threads
 _limit = threading.local()
 _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
+_baking_threads: list[int] = []  # the thread of each `baking` statement that is entered
+_was_forked_midway = False  # whether another thread was baking as this process was forked
 
 
 def run_in_chunks(
@@ -44,6 +48,9 @@ def run_in_chunks(
         least: Fewest indices that are worth a call, >= 1; if there are no more, only this thread
             works.
         begin: First index.
+
+    Raises:
+        NavbakeError: This process was forked while another thread was baking, see `baking`.
     """
     max_threads = num_threads()
     chunk_size = max(least, -(-count // (max_threads * CHUNKS_PER_THREAD)))
@@ -56,15 +63,19 @@ def run_in_chunks(
         [(first, min(first + chunk_size, end)) for first in range(begin, end, chunk_size)]
     )
     num_helpers = min(max_threads, -(-count // chunk_size)) - 1  # threads besides this one
-    futures = [_get_pool().submit(_run_kernel, kernel, args, chunks) for _ in range(num_helpers)]
-    try:
-        _run_kernel(kernel, args, chunks)
-    finally:
-        deque(chunks, maxlen=0)  # after an error, no further chunk begins
-        # cancel calls that have not begun: they would find no chunk
-        begun = [future for future in futures if not future.cancel()]
-        for future in begun:
-            future.result()
+    with baking():
+        pool = _get_pool()
+        futures = []
+        try:
+            for _ in range(num_helpers):
+                futures.append(pool.submit(_run_kernel, kernel, args, chunks))
+            _run_kernel(kernel, args, chunks)
+        finally:
+            deque(chunks, maxlen=0)  # after an error, no further chunk begins
+            # cancel calls that have not begun: they would find no chunk
+            begun = [future for future in futures if not future.cancel()]
+            for future in begun:
+                future.result()
 
 
 def run_beside(task: Callable[..., Result], *args: object) -> Callable[[], Result]:
@@ -80,10 +91,14 @@ def run_beside(task: Callable[..., Result], *args: object) -> Callable[[], Resul
 
     Returns:
         A function that waits, and returns the result of `task` or raises its error.
+
+    Raises:
+        NavbakeError: This process was forked while another thread was baking, see `baking`.
     """
     max_threads = num_threads()
     if max_threads == 1:
         return partial(task, *args)
+    _check_fork()
     future = _get_pool().submit(_run_with_limit, max_threads, task, args)
 
     def wait() -> Result:
@@ -97,7 +112,7 @@ def run_beside(task: Callable[..., Result], *args: object) -> Callable[[], Resul
 def _run_with_limit(
     max_threads: int, task: Callable[..., Result], args: tuple[object, ...]
 ) -> Result:
-    with limit_threads(max_threads):  # each Python thread has a limit of its own
+    with baking(), limit_threads(max_threads):  # each Python thread has a limit of its own
         return task(*args)
 
 
@@ -140,21 +155,89 @@ def limit_threads(count: int | None) -> Iterator[None]:
         _limit.count = count_before
 
 
+@contextmanager
+def baking() -> Iterator[None]:
+    """In a with statement, note that this Python thread is baking.
+
+    If another thread forks the process meanwhile, the new process gets copies of all locks that
+    this thread holds, in MuJoCo, in numba and in Python, but not the thread, so nothing unlocks
+    them. A bake there would wait for ever; it gets an error in place of that.
+
+    Raises:
+        NavbakeError: This process was forked while another thread was baking.
+    """
+    _check_fork()
+    thread = threading.get_ident()
+    _baking_threads.append(thread)
+    try:
+        yield
+    finally:
+        _baking_threads.remove(thread)
+
+
+def _check_fork() -> None:
+    if _was_forked_midway:
+        hint = (
+            'start processes by multiprocessing.get_context("spawn"), or fork before another '
+            "thread bakes"
+        )
+        raise NavbakeError(
+            f"this process was forked while another thread was baking, so it can't bake: {hint}",
+            hint=hint,
+        )
+
+
 def _get_pool() -> ThreadPoolExecutor:
-    global _pool
+    """Return the pool of threads; the first call starts all of them, on another thread.
+
+    On the main thread, Ctrl-C could raise KeyboardInterrupt while a thread starts, and leave one
+    that the pool doesn't know of: Python would wait for it at its end for ever.
+    """
     with _pool_lock:
         if _pool is None:
-            max_threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-            _pool = ThreadPoolExecutor(max_threads, "navbake")
+            starts = SimpleQueue[BaseException | None]()
+            _thread.start_new_thread(_start_pool, (starts,))
+            error = starts.get()
+            if error is not None:
+                raise error
+        assert _pool is not None
         return _pool
 
 
-def _reset_pool() -> None:
-    """Make a forked process start a new pool: it has no threads, and its lock may be locked."""
-    global _pool, _pool_lock
+def _start_pool(starts: SimpleQueue[BaseException | None]) -> None:
+    """Start the pool with all its threads.
+
+    Args:
+        starts: gets None at the end, or the error if the system starts no further thread.
+    """
+    global _pool
+    max_threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+    pool = ThreadPoolExecutor(max_threads, "navbake")
+    are_started = threading.Event()
+    try:
+        for _ in range(max_threads):
+            pool.submit(are_started.wait)  # while all threads wait, the pool starts another one
+    except RuntimeError as error:
+        starts.put(error)
+    else:
+        _pool = pool
+        starts.put(None)
+    finally:
+        are_started.set()
+
+
+def _adapt_to_fork() -> None:
+    """Make a forked process start a new pool: it has no threads, and its lock may be locked.
+
+    Also find out whether it can bake, see `baking`.
+    """
+    global _pool, _pool_lock, _was_forked_midway
     _pool = None
     _pool_lock = threading.Lock()
+    own_entries = [thread for thread in _baking_threads if thread == threading.get_ident()]
+    _was_forked_midway |= len(own_entries) < len(_baking_threads)
+    _baking_threads[:] = own_entries
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_reset_pool)
+    os.register_at_fork(after_in_child=_adapt_to_fork)

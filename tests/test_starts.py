@@ -37,6 +37,68 @@ if __name__ == "__main__":
         assert pool.map_async(bake_and_voxelize, [scene] * 8).get(240) == [expected] * 8
 """
 
+FORKED_MIDWAY = """
+import os, signal, sys, threading
+import numpy as np
+import navbake
+from navbake.baker.bake.pipeline import run_bake
+from navbake.config.settings import as_config
+from navbake.errors import NavbakeError
+from navbake.threads import run_beside, run_in_chunks
+from test_starts import bake_and_voxelize
+
+def fork_and(do):
+    child = os.fork()
+    if child:
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    signal.alarm(60)  # ends a child that waits for ever
+    try:
+        do()
+    except NavbakeError as error:
+        print(error, flush=True)
+        os._exit(1)
+    os._exit(0)
+
+scene = sys.argv[1]
+config = as_config({"scene": {"path": scene}})
+baker = navbake.Baker(scene)
+voxelizer = navbake.Voxelizer(scene)
+expected = bake_and_voxelize(scene)
+is_baking = threading.Event()
+go_on = threading.Event()
+
+def wait(stage, share):
+    is_baking.set()
+    go_on.wait()
+
+thread = threading.Thread(target=run_bake, args=(config,), kwargs={"progress": wait})
+thread.start()
+is_baking.wait()
+for do in (
+    lambda: navbake.bake(scene),
+    lambda: navbake.Baker(scene),
+    lambda: baker.update(),
+    lambda: navbake.Voxelizer(scene),
+    lambda: run_beside(len, ""),
+    lambda: run_in_chunks(np.zeros, 10_000),
+):
+    assert fork_and(do) == 1
+# what needs no lock still works
+assert fork_and(lambda: baker.grid.inflate(0.2)) == 0
+go_on.set()
+thread.join()
+assert bake_and_voxelize(scene) == expected
+assert fork_and(lambda: os._exit(bake_and_voxelize(scene) != expected)) == 0
+
+def fork_in_bake(stage, share):
+    # the thread that bakes is in the new process, too
+    if (stage, share) == ("grid", 0):
+        assert fork_and(lambda: os._exit(bake_and_voxelize(scene) != expected)) == 0
+        print("forked in a bake", flush=True)
+
+run_bake(config, progress=fork_in_bake)
+"""
+
 
 def bake_and_voxelize(path: str) -> str:
     """A digest of a scene's grid and of its voxels."""
@@ -66,6 +128,26 @@ def test_bakes_in_processes_after_a_bake(scene, method, tmp_path):
         check=True,
         timeout=300,
     )
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_process_forked_while_another_thread_bakes_says_so(scene):
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORKED_MIDWAY, scene],
+        env={**os.environ, "PYTHONPATH": path, "NUMBA_NUM_THREADS": "2"},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+        timeout=300,
+    )
+    *errors, last = run.stdout.splitlines()
+    assert last == "forked in a bake"
+    assert len(errors) == 6
+    assert set(errors) == {
+        "this process was forked while another thread was baking, so it can't bake: start "
+        'processes by multiprocessing.get_context("spawn"), or fork before another thread bakes'
+    }
 
 
 def test_bakes_in_threads(scene):

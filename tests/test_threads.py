@@ -1,5 +1,8 @@
 """How many threads a bake may be told to run on."""
 
+import os
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -95,3 +98,72 @@ def test_what_no_thread_has_begun_is_run_by_the_one_that_asks():
         go_on.set()
     for wait in busy:
         assert wait()
+
+
+INTERRUPTED = """
+import os, signal, threading
+signal.signal(signal.SIGINT, signal.default_int_handler)  # tests may run in the background
+start_thread = threading.Thread.start
+def start_and_interrupt(thread):
+    threading.Thread.start = start_thread
+    start_thread(thread)
+    os.kill(os.getpid(), signal.SIGINT)
+threading.Thread.start = start_and_interrupt
+from navbake.threads import num_threads, run_beside
+try:
+    for _ in range(100):
+        run_beside(num_threads)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+assert run_beside(num_threads)() == num_threads()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+def test_ctrl_c_while_a_thread_starts_leaves_none_that_never_ends():
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED],
+        env={**os.environ, "NUMBA_NUM_THREADS": "2"},
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert done.stdout == "interrupted\n"
+
+
+def test_no_chunk_begins_after_ctrl_c(monkeypatch):
+    """Also where it comes before this thread has begun to work."""
+    monkeypatch.setattr("navbake.threads.num_threads", lambda: 2)
+    chunks = []
+
+    def note(first, end):
+        chunks.append(first)
+        time.sleep(0.05)
+
+    class InterruptedPool(ThreadPoolExecutor):
+        def submit(self, *arguments):
+            super().submit(*arguments)
+            while not chunks:
+                time.sleep(0.001)
+            raise KeyboardInterrupt
+
+    with InterruptedPool(1) as pool:
+        monkeypatch.setattr("navbake.threads._pool", pool)
+        with pytest.raises(KeyboardInterrupt):
+            run_in_chunks(note, 100)
+    assert chunks == [0]
+
+
+def test_a_pool_without_threads_raises_the_error(monkeypatch):
+    """Where the system starts no further thread."""
+
+    def fail(thread):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("navbake.threads._pool", None)
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", fail)
+        with pytest.raises(RuntimeError, match="can't start new thread"):
+            run_beside(num_threads)
+    assert run_beside(num_threads)() == num_threads()

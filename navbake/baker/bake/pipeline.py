@@ -30,7 +30,7 @@ from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.links import Agent, Link, Stop
 from navbake.navgrid.user_data import UserData
-from navbake.threads import limit_threads
+from navbake.threads import baking, limit_threads
 from navbake.types import Bool, Json
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
@@ -118,6 +118,7 @@ def bake(
         ConfigError: a setting is wrong, or names a body that doesn't exist; the data belongs to a
             different model; `scene` has a type that cannot be baked.
         SceneError: the scene cannot be read or compiled, or holds nothing to bake.
+        NavbakeError: this process was forked while another thread was baking.
 
     Example:
         >>> import navbake
@@ -174,9 +175,10 @@ def run_bake(
     Raises:
         ConfigError: the lattice would have too many cells, or would be endless.
         SceneError: the scene cannot be read, or has nothing to bake.
+        NavbakeError: this process was forked while another thread was baking.
     """
     clock = StageClock(progress)
-    with limit_threads(threads):
+    with baking(), limit_threads(threads):
         stages = open_stages(config, clock, limits, scene_model)
         scene = stages.scene
         hints = [printable(hint) for hint in scene.hints]

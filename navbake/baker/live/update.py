@@ -45,7 +45,7 @@ from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import NavGrid
-from navbake.threads import limit_threads
+from navbake.threads import baking, limit_threads
 from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
@@ -143,7 +143,7 @@ class Baker:
         self._scene_model = scene_model
         self._threads = threads
         self._lock = threading.Lock()
-        with limit_threads(threads):
+        with baking(), limit_threads(threads):
             baked = self._bake(scene_model)
             # None during an update, and after one that failed
             self._baked: BakedScene | None = baked
@@ -203,7 +203,7 @@ class Baker:
             >>> changes.cells[0]  # of the lowest level
         """
         begin = time.perf_counter()
-        with self._lock, limit_threads(self._threads):
+        with baking(), self._lock, limit_threads(self._threads):
             change = self._tracked_scene.move(data, bodies, joints)
             # After an error or an interruption below, the next update bakes the whole scene.
             old_baked = self._baked

@@ -28,6 +28,7 @@ from navbake.baker.readers.mesh import MAX_COORDINATE, NamedMesh, check_mesh, is
 from navbake.errors import ConfigError, NavbakeError, SceneError
 from navbake.known_names import list_first, unique_name
 from navbake.processes import lacked_memory
+from navbake.threads import baking
 from navbake.types import Float, Int, Int32
 
 # The model has this mesh in place of each that is stored exactly outside of the model
@@ -660,7 +661,7 @@ def catch_warnings() -> Iterator[list[str]]:
     Yields:
         A list that receives the warnings, each with `MUJOCO_PREFIX` before it.
     """
-    with _WARNING_LOCK:
+    with baking(), _WARNING_LOCK:
         old_hook = mujoco.get_mju_user_warning()
         warnings: list[str] = []
         mujoco.set_mju_user_warning(lambda text: warnings.append(f"{MUJOCO_PREFIX}{text}"))
