@@ -5,79 +5,90 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import signal
+import socket
 import sys
 import threading
 import time
+from contextlib import suppress
 from types import FrameType
 
-# how long code in C may keep Python from handling a signal; then the process ends [s]
-SIGNAL_TIMEOUT = 2.0
+# the process ends so long after a signal, whatever it still does [s]
+SIGNAL_TIMEOUT = 1.5
 GARBAGE_THRESHOLD = 200_000
 """Python collects garbage after this many new objects.
 
 It is more than by default, because imports and compilers make many objects that stay.
 """
 _exit_status: int | None = None
-"""The exit status once a signal has come: 128 + its number, as in shells. None before that."""
+"""The exit status once a signal was raised: 128 + its number, as in shells. None before that."""
+_is_ending = False  # whether the command has ended, so that only Python's own end is left
 
 
 def main() -> None:
     """Run the command line of this process; after Ctrl-C, exit with status 130 and no traceback.
 
-    Ctrl-C raises KeyboardInterrupt wherever Python is. Libraries may turn that into an error of
-    their own, as numpy does while it is imported, so any error after Ctrl-C counts as its effect.
-    Another Ctrl-C ends the process at once.
+    Ctrl-C raises SystemExit wherever Python is, so that temporary files are removed; so does
+    SIGTERM, with status 143. KeyboardInterrupt would not do: after one that passed through `exec`,
+    ``python -m`` ignores the exit status. Libraries may turn the exception into an error of their
+    own, as numpy does while it is imported, so any error after a signal counts as its effect.
 
-    SIGTERM is handled like Ctrl-C, with status 143, so that temporary files are removed. A second
-    SIGTERM changes nothing, because service managers may send several. While MuJoCo compiles,
-    Python handles neither signal: then a thread ends the process after SIGNAL_TIMEOUT.
+    The exception may also never be raised, while code in C runs; a library may catch it; and it may
+    stop a thread or a lock half way, so that Python waits for ever at its end. So a thread, see
+    `_watch_signals`, ends the process SIGNAL_TIMEOUT after the first signal in any case, and at
+    once at another Ctrl-C.
     """
+    global _is_ending
     gc.set_threshold(GARBAGE_THRESHOLD)
     # numba makes hundreds of messages that nobody sees: colouring them takes a tenth of the time
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     try:
-        # where Ctrl-C is ignored already (for example in the background of a script), it stays so
-        for number, default in (
-            (signal.SIGINT, signal.default_int_handler),
-            (signal.SIGTERM, signal.SIG_DFL),
-        ):
-            if signal.getsignal(number) is default:
-                signal.signal(number, _handle_signal)
-        read_end, write_end = os.pipe()
-        os.set_blocking(write_end, False)
-        signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
-        sys.unraisablehook = _exit_if_stopped
-        threading.Thread(
-            target=_watch_signals, args=(read_end,), name="signals", daemon=True
-        ).start()
+        _handle_signals()
         from navbake.cli.main import main as run  # now that Ctrl-C is expected
 
         run()
     except BaseException as error:
-        # from here on, a signal would only end the process while Python cleans up
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _is_ending = True
         is_done = isinstance(error, SystemExit) and error.code in (None, 0)
         if _exit_status is not None and not (is_done and _exit_status == 128 + signal.SIGINT):
             sys.exit(_exit_status)
         raise
     finally:
+        _is_ending = True
         # as it ends, Python collects garbage several times: 0.3 s for memory that the system
         # frees at once
         gc.disable()
         gc.freeze()
 
 
+def _handle_signals() -> None:
+    """Set up the handlers of Ctrl-C and SIGTERM, and the thread that watches both."""
+    # where Ctrl-C is ignored already (for example in the background of a script), it stays so
+    for number, default in (
+        (signal.SIGINT, signal.default_int_handler),
+        (signal.SIGTERM, signal.SIG_DFL),
+    ):
+        if signal.getsignal(number) is default:
+            signal.signal(number, _handle_signal)
+            # Python calls it last. Without it, a signal while Python frees its modules would end
+            # the process as if it had failed.
+            atexit.register(signal.signal, number, signal.SIG_IGN)
+    receiver, sender = socket.socketpair()
+    sender.setblocking(False)
+    signal.set_wakeup_fd(sender.detach(), warn_on_full_buffer=False)
+    sys.unraisablehook = _exit_if_stopped
+    threading.Thread(target=_watch_signals, args=(receiver,), name="signals", daemon=True).start()
+
+
 def _handle_signal(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise an exception for the first; end the process at another Ctrl-C."""
+    """Raise an exception for the first signal, unless the process ends by itself already."""
     global _exit_status
-    if _exit_status is None:
+    if _exit_status is None and not _is_ending:
         _exit_status = 128 + number
-        raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(_exit_status)
-    if number == signal.SIGINT:
-        os._exit(_exit_status)
+        raise SystemExit(_exit_status)
 
 
 def _exit_if_stopped(unraisable: sys.UnraisableHookArgs) -> None:
@@ -87,20 +98,25 @@ def _exit_if_stopped(unraisable: sys.UnraisableHookArgs) -> None:
     sys.__unraisablehook__(unraisable)
 
 
-def _watch_signals(read_end: int) -> None:
-    """End the process if `_handle_signal` isn't called within SIGNAL_TIMEOUT after a signal.
+def _watch_signals(receiver: socket.socket) -> None:
+    """End the process SIGNAL_TIMEOUT after the first signal, or at another Ctrl-C before that.
 
-    That happens while code in C runs on the main thread.
+    Another SIGTERM changes nothing, because service managers may send several.
 
     Args:
-        read_end: The reading end of a pipe into which Python writes the number of each signal.
+        receiver: the socket that receives the number of each signal when it arrives.
     """
-    while True:
-        number = os.read(read_end, 1)[0]
-        if number in (signal.SIGINT, signal.SIGTERM):
-            time.sleep(SIGNAL_TIMEOUT)
-            if _exit_status is None:
-                os._exit(128 + number)
+    number = 0
+    while number not in (signal.SIGINT, signal.SIGTERM):
+        number = receiver.recv(1)[0]
+    exit_status = 128 + number
+    end = time.monotonic() + SIGNAL_TIMEOUT
+    is_interrupted_again = False
+    while not is_interrupted_again and (remaining := end - time.monotonic()) > 0:
+        receiver.settimeout(remaining)
+        with suppress(TimeoutError):
+            is_interrupted_again = receiver.recv(1)[0] == signal.SIGINT
+    os._exit(exit_status)
 
 
 if __name__ == "__main__":

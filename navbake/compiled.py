@@ -41,6 +41,7 @@ from typing import Any, NamedTuple, TypeVar, cast, overload
 import numba
 
 from navbake.lazy import lazy
+from navbake.processes import end_with_parent
 
 filelock = lazy("filelock")  # only needed to compile
 
@@ -411,6 +412,7 @@ def _start_helper(entries: list[Entry], folder: Path) -> subprocess.Popen[bytes]
 
 def compile_from_stdin() -> None:
     """Compile the entries that stdin holds as JSON; a process of `_start_helper` runs this."""
+    end_with_parent()
     for entry in json.load(sys.stdin):
         Entry(*entry).compile()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from functools import partial
 
 import pytest
 
+import sweep_signals
 from command_line import run_command
 from grid_maps import level_from
 from navbake.cli.main import COMMANDS
@@ -186,6 +188,7 @@ def test_ctrl_c_is_clean_at_any_time(tmp_path, delay):
     assert delay > 0.3 or child.returncode == 130
 
 
+RAISED = "signal.raise_signal(signal.SIGINT)"
 LIBRARY = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # tests may run in the background
@@ -194,7 +197,7 @@ import navbake.cli.main as command_line
 def run():
     try:
         signal.raise_signal(signal.SIGINT)
-    except KeyboardInterrupt as error:
+    except SystemExit as error:
         {body}
 command_line.main = run
 start.main()
@@ -219,7 +222,7 @@ import hashlib, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from navbake import __main__ as start
 import navbake.cli.main as command_line
-start.PATIENCE = 0.3
+start.SIGNAL_TIMEOUT = 0.3
 def run():
     print("ready", flush=True)
     hashlib.pbkdf2_hmac("sha256", b"", b"", 2_000_000_000)
@@ -236,13 +239,23 @@ start.main()
             child.kill()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+def test_ctrl_c_within_exec_has_its_status(tmp_path):
+    """A KeyboardInterrupt there would make ``python -m`` end by the signal."""
+    code = LIBRARY.format(body="raise")
+    in_exec = code.replace(RAISED, f'exec("{RAISED}")')
+    (tmp_path / "command.py").write_text(in_exec)
+    done = subprocess.run([sys.executable, "-m", "command"], cwd=tmp_path, capture_output=True)
+    assert (done.returncode, done.stderr) == (130, b"")
+
+
 def test_bugs_are_no_ctrl_c():
     body = "raise SystemExit(0)"
     done = subprocess.run(
         [sys.executable, "-c", LIBRARY.format(body=body)], capture_output=True, text=True
     )
     assert done.returncode == 0
-    code = LIBRARY.replace("signal.raise_signal(signal.SIGINT)", "1 / 0").format(body="pass")
+    code = LIBRARY.replace(RAISED, "1 / 0").format(body="pass")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 1 and "ZeroDivisionError" in done.stderr
 
@@ -251,7 +264,6 @@ TIDY = """
 import signal, time
 from navbake import __main__ as start
 import navbake.cli.main as command_line
-start.PATIENCE = 0.1
 def run():
     try:
         {begin}
@@ -274,3 +286,125 @@ def test_what_tidies_up_after_a_sigterm_is_not_ended_by_another(meanwhile):
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
     )
     assert (done.returncode, done.stdout, done.stderr) == (143, "tidy\n", "")
+
+
+# ---------------------------------------------------------------- what would never end
+
+STARTING_THREAD = """
+import os, signal, sys, threading
+signal.signal(signal.SIGINT, signal.default_int_handler)  # tests may run in the background
+number = int(sys.argv.pop(1))
+start_thread = threading.Thread.start
+signalled = []
+def start_and_signal(thread):
+    start_thread(thread)
+    if thread.name.startswith("navbake") and not signalled:
+        signalled.append(thread)
+        print("ready", flush=True)
+        os.kill(os.getpid(), number)
+threading.Thread.start = start_and_signal
+from navbake.__main__ import main
+main()
+"""
+HANGING = """
+import atexit, signal, threading, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from navbake import __main__ as start
+import navbake.cli.main as command_line
+start.SIGNAL_TIMEOUT = {timeout}
+def wait():
+    print("ready", flush=True)
+    threading.Event().wait()
+def run():
+    {body}
+command_line.main = run
+start.main()
+"""
+BODIES = {
+    "a library catches the exception": """
+    while True:
+        try:
+            wait()
+        except BaseException:
+            pass""",
+    "Python waits for a thread": """
+    threading.Thread(target=threading.Event().wait).start()
+    wait()""",
+    "what is called at the end hangs": "atexit.register(wait)",
+}
+
+
+def status_at_end(child, number=None):
+    """The exit status of a process, which ends after it said that it is ready.
+
+    Args:
+        child: the process.
+        number: the signal that it gets when it is ready; None if it sends one to itself.
+    """
+    try:
+        assert child.stdout.readline() == "ready\n"
+        if number is not None:
+            child.send_signal(number)
+        return child.wait(20)
+    finally:
+        child.kill()
+
+
+both_signals = pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@both_signals
+def test_a_signal_while_a_thread_starts_ends_the_bake(tmp_path, number, status):
+    house = str(ROOT / "configs" / "house.yaml")
+    command = [sys.executable, "-c", STARTING_THREAD, str(int(number)), "bake", house]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as child:
+        assert status_at_end(child) == status
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@both_signals
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+def test_what_would_never_end_is_ended(number, status, body):
+    code = HANGING.format(timeout=0.3, body=body)
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as child:
+        assert status_at_end(child, number) == status
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@both_signals
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+def test_another_ctrl_c_ends_at_once(number, status, body):
+    code = HANGING.format(timeout=300.0, body=body)
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "ready\n"
+        child.send_signal(number)
+        time.sleep(0.5)
+        assert child.poll() is None
+        child.send_signal(signal.SIGINT)
+        try:
+            assert child.wait(30) == status
+        finally:
+            child.kill()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_command_has_ended_changes_nothing(number):
+    body = f"atexit.register(signal.raise_signal, {int(number)})"
+    code = HANGING.format(timeout=300.0, body=body)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the sweep reads /proc")
+@pytest.mark.parametrize(("name", "count"), [("bake", 2), ("convert", 1), ("batch", 2)])
+def test_signals_at_random_moments(name, count, tmp_path, monkeypatch):
+    """The sweep itself says how fast commands end, on a machine that does nothing else."""
+    monkeypatch.setattr(sweep_signals, "MAX_SECONDS", sweep_signals.PATIENCE)
+    part, old_folder = sweep_signals.make_part(tmp_path, name)
+    assert sweep_signals.sweep(name, part, old_folder, count, random.Random(0))
