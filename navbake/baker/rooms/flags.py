@@ -124,7 +124,8 @@ class RoomFlags(NamedTuple):
             [left, right]]; at the other sides, the lattice crops the scene.
         walls: the geometry of walls, and of meshes that contain a whole building.
         has_ground: whether an endless ground continues beyond the lattice.
-        links: steps between cells, see `Floors`, shape (n, 4).
+        links: pairs of cells that a step to another level, or a slope, joins, see `Floors.links`,
+            shape (n, 4).
         marks: source -> the rooms that it marks.
     """
 
@@ -157,7 +158,8 @@ def gather_flags(
         column_flags: for each level, the flags of its cells, see `flag_columns`, shape (cells,),
             uint8.
         standing_occupants: the structure that stands in the cells; None if walls are not needed.
-        occupied: for each level, see `LevelFlags.occupied`.
+        occupied: for each level, a mask of the cells without a floor or with structure at an
+            agent's height, see `LevelFlags.occupied`.
         settings: how rooms are marked.
         agent: the agent that stands in the volumes of sites.
     """
@@ -223,7 +225,7 @@ def _find_scene_ends(scene: Scene, lattice: Lattice) -> Bool:
 
 
 def mark_edge(is_empty: Bool, sides: Bool) -> Bool:
-    """Mark the cells that are not empty at the outer boundary of a scene.
+    """Mark the cells at the outer boundary of a scene.
 
     Args:
         is_empty: the empty cells, shape (height, width).

@@ -70,7 +70,8 @@ class GapLimits(NamedTuple):
 class Gaps(NamedTuple):
     """The gaps of one scan direction, as parallel arrays of n gaps.
 
-    A gap is a strip of marked cells between two spaces, from column to column.
+    A gap is a strip of marked cells between two spaces (connected parts of the floor), which goes
+    on from column to column.
 
     Attributes:
         first_col: the gap's first column, shape (n,), int64.

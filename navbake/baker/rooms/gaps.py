@@ -65,7 +65,7 @@ from navbake.types import Bool, Int, Int32
 
 
 class CloseCall(NamedTuple):
-    """A gap that nearly joined the two spaces beside it, or nearly separated them.
+    """A gap, such as a doorway, that nearly joined the spaces beside it, or nearly parted them.
 
     Its width, divided by that of the narrower space, is close to the limit.
 
@@ -95,7 +95,7 @@ class DirectionGaps(NamedTuple):
 
 
 class SeparatedSpaces(NamedTuple):
-    """The spaces that all gaps together separate, before any are joined.
+    """The spaces (connected parts of the floor) between all gaps, before any of them are joined.
 
     Attributes:
         directions: the gaps of each direction.
@@ -268,6 +268,8 @@ class _Crossings(NamedTuple):
 def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
     """List the gaps of a scan: marked cells in neighbouring columns between the same two spaces.
 
+    Spaces are connected parts of the floor; cells of narrow places between them were marked.
+
     Args:
         scan: the lattice as it is scanned in one direction.
         is_marked: a mask of the cells that are closed, or marked in any direction, in this scan's
@@ -357,7 +359,7 @@ def _find_previous(crossings: _Crossings, scan: Scan) -> Int:
 
 
 class SpaceMerger:
-    """Joins the spaces on both sides of gaps, pair by pair.
+    """Joins the spaces (connected parts of the floor) on both sides of gaps, pair by pair.
 
     The spaces beside a gap are measured along lines of cells parallel to it. Such a line may end at
     a third space. After a join, a gap is measured again only if one of its own two spaces was
@@ -518,7 +520,7 @@ class SpaceMerger:
         return (col, row) if direction.swapped else (row, col)
 
     def separates(self, gap: int) -> bool:
-        """Return whether the spaces on both sides of a gap are not joined yet.
+        """Return whether a gap still separates two spaces: those beside it have not been joined.
 
         Args:
             gap: the gap's number.

@@ -234,7 +234,7 @@ def _find_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, R
 
     Args:
         index: for each level, the index of each cell's room.
-        links: steps between cells, see `Floors.links`, shape (n, 4).
+        links: pairs of cells that a step or a slope joins, see `Floors.links`, shape (n, 4).
     """
     pairs = set[tuple[RoomKey, RoomKey]]()
     to_another_level = links[links[:, 0] != links[:, 2]]
