@@ -30,7 +30,7 @@ from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
 from navbake.navgrid.links import Area
 from navbake.types import Bool, Json
 
-MAX_BELOW = 0.05  # a geom marks a floor that lies up to so far over it, as a rug does [m]
+MAX_BELOW = 0.05  # a geom also marks floors up to this far above it, such as a rug on it [m]
 
 
 class PaintedAreas(NamedTuple):
@@ -111,7 +111,7 @@ def paint_areas(
 
 
 def _warn_narrow(area: AreaSettings, width: float, cell_size: float) -> str:
-    """Return the warning of an area that is narrower than a cell [m]."""
+    """Return the warning that an area of some width [m] is narrower than a cell."""
     effect = "it takes cells by their centres, so it has gaps"
     if area.keeps_out:
         effect = "it takes each cell that it touches, so it is wider in the grid"
@@ -122,7 +122,7 @@ def _warn_narrow(area: AreaSettings, width: float, cell_size: float) -> str:
 
 
 def _mark_room(area: AreaSettings, rooms: Rooms) -> MarkedArea:
-    """Mark the cells of the rooms with the area's id or name."""
+    """Mark the cells of all rooms whose id or name the area states."""
     masks = [np.zeros_like(layer, dtype=np.bool_) for layer in rooms.index]
     area_rooms = [room for room in rooms.table if area.room in (room.id, room.name)]
     for room in area_rooms:
@@ -141,7 +141,14 @@ def _mark_box(
     lattice: Lattice,
     levels: Sequence[LevelFloor],
 ) -> MarkedArea:
-    """Mark the cells of a box on all levels with floors in it."""
+    """Mark the cells on all levels whose floor lies in a box.
+
+    Args:
+        area: the area's settings.
+        box: the lower and the upper corner, [[x, y, z], [x, y, z]] [m].
+        lattice: the whole lattice.
+        levels: the floors of each level.
+    """
     (x_min, y_min, z_min), (x_max, y_max, z_max) = box
     outline = [[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]]
     is_covered = _cover(area, [outline], lattice)
@@ -154,7 +161,7 @@ def _mark_box(
 
 
 def _mark_polygon(area: AreaSettings, lattice: Lattice, levels: Sequence[LevelFloor]) -> MarkedArea:
-    """Mark the cells of a polygon on its level.
+    """Mark the cells of the area's polygon on the level that the area states.
 
     Raises:
         ConfigError: the level doesn't exist.
@@ -180,9 +187,14 @@ def _mark_polygon(area: AreaSettings, lattice: Lattice, levels: Sequence[LevelFl
 def _cover(
     area: AreaSettings, rings: Sequence[Sequence[Sequence[float]]], lattice: Lattice
 ) -> Bool:
-    """Mark the cells of a polygon.
+    """Mark the cells that an area takes with its polygon.
 
-    Of a keep-out area, these are the cells that it overlaps; of others, those with centres in it.
+    A keep-out area takes all cells that the polygon overlaps, other areas those with centres in it.
+
+    Args:
+        area: the area's settings.
+        rings: the polygon's outline, then its holes and further parts, as corners [x, y] [m].
+        lattice: the whole lattice.
     """
     cover = touch_cells if area.keeps_out else cover_cells
     return cover(rings, lattice)
@@ -195,9 +207,9 @@ def _mark_geoms(
     levels: Sequence[LevelFloor],
     agent_height: float,
 ) -> MarkedArea:
-    """Mark the cells where geoms of the area are between the floor and the agent's height.
+    """Mark the cells where the area's geoms are over the floor, up to the agent's height.
 
-    Geoms count also if the bake leaves them out.
+    Geoms up to `MAX_BELOW` below the floor count, too, and so do geoms that the bake leaves out.
     """
     names = [geom.geom for geom in all_names(scene.model).geoms]
     masks = [np.zeros(lattice.shape, np.bool_) for _ in levels]
@@ -221,7 +233,7 @@ def _mark_geoms(
         return MarkedArea(masks, np.nan, warnings)
     tiled = tile_shapes(shapes, lattice.cut(*window), lattice.cell_size)
     columns = cast_columns(tiled)
-    # surfaces that enclose nothing are tested in squares wider by 2 * TOUCH_DEPTH
+    # surfaces that enclose nothing are tested against squares that are wider by 2 * TOUCH_DEPTH
     touching = Footprint(
         square=lattice.cell_size / 2 - 3 * TOUCH_DEPTH,
         radius=0.0,

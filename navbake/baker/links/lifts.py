@@ -32,8 +32,8 @@ from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int
 
 LADDER_PATTERNS = ("*ladder*",)  # names of bodies and geoms that are ladders, if no others are set
-LADDER_GAP = 0.6  # between a ladder and where one stands beside it [m]
-LIFT_GAP = 0.5  # between the floor of a car and a landing [m]
+LADDER_GAP = 0.6  # the widest gap between a ladder and an agent that stands beside it [m]
+LIFT_GAP = 0.5  # the widest gap between the floor of a car and a landing [m]
 
 
 # ---------------------------------------------------------------- ladders
@@ -44,8 +44,8 @@ def find_ladders(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
 
     A free cell is a possible stop of a ladder if it lies, seen from above, within the rule's gap
     [m] of the ladder's box, and if its floor lies between a step below the ladder's foot and a
-    step above its top. The ladder stops on each level with such a cell, at the nearest one. The
-    link is as wide as the ladder's box, seen from above.
+    step above its top. On each level with such cells, the stop is on the nearest of them. The link
+    is as wide as the longer side of the ladder's box, seen from above.
 
     Args:
         search: floors, free cells and geometry.
@@ -68,16 +68,20 @@ def find_ladders(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
 
 
 def _name_ladders(search: LinkSearch, patterns: Sequence[str]) -> list[tuple[str, Bool]]:
-    """Return the names of bodies, and then geoms, that match, and the geoms of each, as a mask.
+    """Find the bodies, and then the single geoms, whose names match a pattern of ladders.
 
-    Of nested matches only the first counts.
+    A body counts with the geoms of all bodies below it. A body or geom that is part of an earlier
+    match is left out.
+
+    Returns:
+        For each match, its name and a mask by geom id of its geoms, shape (ngeom,), bool.
     """
     model = search.scene.model
     names = all_names(model)
     subtree_ends = find_subtree_ends(model)
     candidates: list[tuple[str, Bool]] = []
     for body, body_name in enumerate(names.bodies):
-        if body > 0:  # the world is none
+        if body > 0:  # the world is no ladder
             candidates.append(
                 (body_name, mark_geoms_of_bodies(model, body, int(subtree_ends[body])))
             )
@@ -97,7 +101,13 @@ def _name_ladders(search: LinkSearch, patterns: Sequence[str]) -> list[tuple[str
 
 
 def _stops_beside(box: Float, max_gap: float, search: LinkSearch) -> Iterator[Stop]:
-    """Yield a stop on the nearest free cell to a box, (2, 3), on each level that it reaches."""
+    """Yield for each level that a ladder reaches a stop on the free cell nearest to the ladder.
+
+    Args:
+        box: the ladder's box, lower and upper corner, shape (2, 3) [m].
+        max_gap: the largest distance of the cell's centre from the box, seen from above [m].
+        search: floors and free cells.
+    """
     (x_min, y_min, low), (x_max, y_max, high) = box.tolist()
     x = search.lattice.center_x()
     y = search.lattice.center_y()[:, None]
@@ -128,7 +138,8 @@ class Car(NamedTuple):
         min_height: lowest height that the floor can reach [m].
         max_height: highest height that the floor can reach [m].
         width: width of the floor [m].
-        pose: x and y of the car's middle [m], yaw [rad], width along the yaw [m], depth [m].
+        pose: x and y of the car's middle [m], its yaw [rad], its width in the direction of the yaw
+            [m], and its depth [m].
     """
 
     name: str
@@ -149,9 +160,9 @@ def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
 
     The car can stop at a height if a straight way leads from its floor to a free cell beside the
     car. The way crosses a gap no wider than the rule's [m], goes up or down by a step at most, and
-    is free of obstacles while the car is at that height. On each level there is one stop for each
-    side of the car with such ways, in their middle. The link is as wide as the car's floor, or as
-    the narrowest way out where that is narrower.
+    is free of obstacles while the car is at that height. On each level there is a stop for each
+    side of the car with such ways, at the middle of the widest group of ways side by side. The link
+    is as wide as the car's floor, or as the narrowest of these groups if that is narrower.
 
     Args:
         search: floors, free cells and geometry.
@@ -201,7 +212,11 @@ def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
 
 
 def _landing_test(car: Car, level: int, search: LinkSearch) -> LandingTest:
-    """Return a function that tests whether lines from the car end on a level, beside the car."""
+    """Return a function that tests whether ways out of a car end on a level, beside the car.
+
+    A way ends on a free cell whose floor is within a step of a height that the car's floor can
+    reach. Ways start at the outer cells of the car's floor, and don't lead over this floor.
+    """
 
     def check_landing(rows: Int, cols: Int, _from_height: Float, _num_between: int) -> Landings:
         floor = search.floors[level, rows, cols]
@@ -218,7 +233,13 @@ def _landing_test(car: Car, level: int, search: LinkSearch) -> LandingTest:
 
 
 def _find_cars(search: LinkSearch, patterns: Sequence[str], max_gap: float) -> Iterator[Car]:
-    """Yield the cars whose bodies' names match, and which have a floor over the lattice."""
+    """Yield the cars of lifts whose names match a pattern, and whose floor is over the lattice.
+
+    Args:
+        search: the scene and its geometry.
+        patterns: patterns of the names of cars' bodies.
+        max_gap: the widest gap between the car's floor and a landing [m].
+    """
     scene = search.scene
     lattice = search.lattice
     model = scene.model
@@ -258,16 +279,25 @@ def _find_cars(search: LinkSearch, patterns: Sequence[str], max_gap: float) -> I
 
 
 def _mark_cells(cells: Int, window: Window, window_lattice: Lattice, lattice: Lattice) -> Bool:
-    """Mark cells of a window on the whole lattice, (height, width)."""
+    """Mark cells of a window on the whole lattice, shape (height, width).
+
+    Args:
+        cells: ids of the cells on the window's lattice.
+        window: the rows and columns of the window.
+        window_lattice: the window's lattice.
+        lattice: the whole lattice.
+    """
     marked = np.zeros(lattice.shape, dtype=np.bool_)
     marked[window][np.divmod(cells, window_lattice.width)] = True
     return marked
 
 
 def _car_pose(search: LinkSearch, car_floor: CarFloor, bounds: Float) -> tuple[float, ...]:
-    """Return x, y of a car's middle [m], its yaw [rad], its width along it and its depth [m].
+    """Return where a car is, and its size: x and y of its middle, its yaw, its width and its depth.
 
-    They are those of its floor's geom if that is an upright box, else those of its bounds.
+    The yaw is in radians, all else in metres; the width is measured in the direction of the yaw.
+    They are those of the geom of the car's floor if that is an upright box, else those of the car's
+    bounding box, with a yaw of 0.
     """
     model = search.scene.model
     data = search.scene.data
@@ -286,7 +316,7 @@ def _car_pose(search: LinkSearch, car_floor: CarFloor, bounds: Float) -> tuple[f
 
 
 def _geometry_at(car: Car, height: float, search: LinkSearch) -> CollisionGeometry:
-    """Return the geometry round a car while its floor is at a height [m]."""
+    """Return the geometry that an agent may collide with while a car's floor is at a height [m]."""
     scene = search.scene
     model = scene.model
     joint_axis = float(scene.data.xaxis[car.joint, 2])

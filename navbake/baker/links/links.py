@@ -24,7 +24,7 @@ from navbake.types import Float, Int
 
 # The largest distance of a stop of the settings from its cell, seen from above, and in height [m]
 STOP_REACH = 0.5
-# Height of drops, and widest gap, where the settings state none [m]
+# The greatest height of drops, and the widest gap, where the settings state none [m]
 DROP_HEIGHT = 1.0
 EDGE_GAP = 0.5
 
@@ -88,13 +88,18 @@ def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
 
 
 def _set_fields(settings: LinkSettings) -> dict[str, object]:
-    """Return the fields of a link, except its stops, that the settings state."""
+    """Return by name those of width, cost, seconds, agents and state that the settings state."""
     fields = settings.model_dump(include={"width", "cost", "seconds", "agents", "state"})
     return {key: value for key, value in fields.items() if value is not None}
 
 
 def _place_link(settings: LinkSettings, search: LinkSearch) -> tuple[LatticeLink, list[str]]:
-    """Make a link of the settings, each stop on the nearest free cell; and warn of wrong stops."""
+    """Make a link that the settings list, each of its stops on the nearest free cell.
+
+    Returns:
+        The link, without the stops that have no such cell; and a warning about these stops, if
+        there are any.
+    """
     stops = list[Stop]()
     errors = list[str]()
     used_cells = set[tuple[int, int]]()
@@ -121,9 +126,15 @@ def _place_link(settings: LinkSettings, search: LinkSearch) -> tuple[LatticeLink
 
 
 def _find_stop(x: float, y: float, z: float, search: LinkSearch) -> Stop | str:
-    """Return a stop on the level whose floor is nearest to z, on the nearest free cell.
+    """Make a stop of the settings at a position, on the free cell nearest to it.
 
-    Where there is none, return what is wrong with the position.
+    Args:
+        x, y, z: the position, world frame [m].
+        search: floors and free cells.
+
+    Returns:
+        The stop, on the level whose floor is nearest to z; or, if there is none within
+        `STOP_REACH`, what is wrong with the position, the end of a sentence.
     """
     lattice = search.lattice
     window = lattice.window(np.array([[x, y], [x, y]]), STOP_REACH)
@@ -169,7 +180,7 @@ def find_edges(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     """
     is_drop = rule.auto == "drop"
     max_gap = EDGE_GAP if rule.gap is None else rule.gap
-    # jumps lead both ways: two directions find them all
+    # jumps lead both ways: two of the four directions find them all
     directions = range(len(DIRECTIONS) if is_drop else 2)
     check_landing = _drop_test(search, rule) if is_drop else _jump_test(search, rule)
     crossings = [
@@ -196,18 +207,25 @@ def find_edges(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
 
 
 def _rises(search: LinkSearch, rows: Int, cols: Int, from_height: Float) -> Float:
-    """Return the height of each level's floor above the starts [m], (levels, n).
+    """Return how far the floor of each level lies above the start of each line, (levels, n) [m].
 
     It is -inf where a level has no floor.
+
+    Args:
+        search: the floors.
+        rows, cols: the cells that the lines have come to, (n,).
+        from_height: heights of the floors where the lines start, (n,) [m].
     """
     rise: Float = np.nan_to_num(search.floors[:, rows, cols] - from_height, nan=-np.inf)
     return rise
 
 
 def _drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
-    """Return a function that tests whether lines end on a floor lower by more than a step.
+    """Return a function that tests where lines over an edge land as drops.
 
-    Of several such floors, it takes the highest.
+    A line lands on a free floor that is more than a step lower than its start, and lower by at most
+    the rule's height; of several such floors, on the highest. It goes on as long as no floor lies
+    within a step of its start's height.
     """
     max_drop = LIMIT_SLACK + (rule.height or DROP_HEIGHT)
 
@@ -224,7 +242,12 @@ def _drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
 
 
 def _jump_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
-    """Return a function that tests whether lines end beyond a gap, on the floor nearest in z."""
+    """Return a function that tests where lines over a gap land as jumps.
+
+    A line lands beyond at least one cell, on the floor nearest in height to its start, if that is
+    free and differs by at most a step, or the rule's height if it has one. The line goes on as long
+    as no floor lies within a step of its start's height.
+    """
     max_rise = LIMIT_SLACK + (rule.height or search.max_step)
 
     def check_landing(rows: Int, cols: Int, from_height: Float, num_between: int) -> Landings:

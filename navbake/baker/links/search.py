@@ -1,4 +1,8 @@
-"""Searches for places of links: free cells of all levels, and crossings of gaps between them."""
+"""What the searches for drops, jumps, ladders and lifts share.
+
+Straight crossings of gaps between free cells are found, tested for obstacles, and grouped; stops
+are made of cells.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +27,9 @@ from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int, Json
 
 DIRECTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0))
-"""The directions in which links cross gaps, as steps of row and column; opposite ones: 2 apart."""
-MAX_SETBACK = 0.5  # of a stop from the edge, for agents larger than the bake's [m]
+"""The directions in which links cross gaps, as steps of row and column. The index of the opposite
+direction differs by 2."""
+MAX_SETBACK = 0.5  # how far a stop is moved from the edge at most, for large agents [m]
 
 CROSSING = np.dtype(
     [
@@ -57,8 +62,9 @@ class Landings(NamedTuple):
 
 
 LandingTest = Callable[[Int, Int, Float, int], Landings]
-"""Takes the rows and columns of cells that lines have come to, (n,), the heights of the floors at
-their starts, (n,) [m], and how many cells lie between."""
+"""A function that decides which lines over a gap end in the cells that they have come to. It takes
+the rows and the columns of these cells, (n,), the heights of the floors at the lines' starts, (n,)
+[m], and how many cells lie between start and end."""
 
 
 class LatticeLink(NamedTuple):
@@ -74,7 +80,12 @@ class LatticeLink(NamedTuple):
 
 
 class CollisionShapes(NamedTuple):
-    """Geometry that an agent may collide with: its vertical columns, and its shapes by tiles."""
+    """Geometry that an agent may collide with.
+
+    Attributes:
+        columns: its hits on the vertical line through each cell's centre.
+        tiles: its shapes near each tile of cells.
+    """
 
     columns: ColumnSource
     tiles: ShapeSource
@@ -84,7 +95,7 @@ class CollisionGeometry(NamedTuple):
     """The geometry that an agent on a link may collide with.
 
     Attributes:
-        sources: the geometry; a place is free if it is free of each of them.
+        sources: the geometry; a place is free if no source blocks it.
         footprint: the volume over a cell that has to be free.
         window: the part of the whole lattice that the geometry is on; None for all of it.
     """
@@ -111,9 +122,9 @@ class CrossingGroup(NamedTuple):
     Attributes:
         crossings: all crossings of the group.
         middle: the crossing in the middle of the group.
-        width: the width of the strip that the agent's disc covers over all crossings of the group:
-            the distance between the outermost ones, plus the disc's diameter or, if larger, a cell
-            [m].
+        width: the width of the strip that the agent's disc covers on all crossings of the group
+            [m]: the distance between the outermost crossings, plus the disc's diameter, or plus the
+            edge of a cell if that is longer.
     """
 
     crossings: Crossings
@@ -129,8 +140,8 @@ class LinkSearch(NamedTuple):
         shapes: the geometry of everything except doors.
         lattice: the whole lattice.
         floors: height of the floor [m], NaN for none, shape (levels, height, width), float64.
-        free: mask of the cells that nothing blocks, and no door in any of its states, (levels,
-            height, width), bool.
+        free: mask of the cells with a floor that nothing blocks, not even a door in any of its
+            states, (levels, height, width), bool.
         geometry: the geometry that an agent on a link may collide with.
         agent: the agent; its radius, height and highest step are read.
     """
@@ -164,9 +175,10 @@ class LinkSearch(NamedTuple):
     def make_stop_off_edge(self, level: int, cell: int, direction: int, width: float) -> Stop:
         """Make a stop so far from an edge that an agent as wide as the link can stand there.
 
-        The stop lies in `direction` from the cell at the edge, at most `MAX_SETBACK` away. All
-        cells up to it are free, without a step between them; where such cells end earlier, the
-        stop is on the last of them.
+        The stop lies in `direction` from the cell at the edge, half of the link's width away, but
+        at most `MAX_SETBACK`. All cells up to the stop are free, and the floors of neighbours among
+        them differ by at most the agent's highest step. Where such cells end earlier, the stop is
+        on the last of them.
 
         Args:
             level: number of the level.
@@ -200,7 +212,7 @@ class LinkSearch(NamedTuple):
         max_gap: float,
         check_landing: LandingTest,
     ) -> Crossings:
-        """Follow straight lines from cells of a level until they land; return those that do.
+        """Find the straight lines from cells of a level, over a gap, that land on a floor.
 
         Args:
             level: number of the level that the lines start on.
@@ -210,7 +222,7 @@ class LinkSearch(NamedTuple):
             check_landing: the test that decides in which cell a line ends.
 
         Returns:
-            The lines that end, an array of `CROSSING`.
+            The lines that land, an array of `CROSSING`.
         """
         crossings = [np.empty(0, dtype=CROSSING)]
         num_rows, num_cols = self.lattice.shape
@@ -249,9 +261,9 @@ class LinkSearch(NamedTuple):
         return np.concatenate(crossings)
 
     def mark_clear(self, crossings: Crossings, geometry: CollisionGeometry) -> Bool:
-        """Mark the crossings that are free of obstacles.
+        """Mark the crossings on which an agent meets no obstacle.
 
-        The agent moves at the height of the higher end over all cells, and down to the lower end.
+        The agent moves over all cells at the height of the higher end, and down to the lower end.
 
         Args:
             crossings: the crossings, shape (n,).
@@ -280,7 +292,7 @@ class LinkSearch(NamedTuple):
         heights.append(top)
         crossing_of_cell.append(every_crossing)
 
-        # the fall at the end, in volumes over each other without a gap
+        # the fall at the lower end, as a stack of volumes without a gap between them
         volume_height = self.agent.height - self.agent.traversable_floor_height
         low = crossings["to_height"] + volume_height
         while True:
@@ -313,7 +325,7 @@ class LinkSearch(NamedTuple):
         """Group the crossings that lie side by side.
 
         Crossings of a group have the same direction and the same two levels, and start in adjacent
-        cells. Between two neighbors, the heights of both ends differ by a step at most.
+        cells. From one crossing to the next, the heights of both ends change by a step at most.
         """
         groups = []
         num_cols = self.lattice.width
