@@ -1,9 +1,9 @@
 """Finds which leaves are doors, which rooms each connects, and which cells each blocks.
 
-Floors and levels are found without the leaves; closed leaves separate rooms. Whether a leaf is a
-door depends on floors and rooms alone, not on movables. The cells that only a door blocks
-are stored separately. So a door's state can be switched in a grid, with the same result as a bake
-in that state.
+A leaf is a body that may be a door, see `DoorCandidate`. Floors and levels are found without the
+leaves; closed leaves separate rooms. Whether a leaf is a door depends on floors and rooms alone,
+not on movables. The cells that only a door blocks are stored separately. So a door's state can be
+switched in a grid, with the same result as a bake in that state.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ STATE_TEXTS = {
 
 @dataclass(frozen=True, eq=False)
 class ClassifiedLeaf:
-    """A leaf that is classified as a door, or as an obstacle that stays in its modelled pose.
+    """A door leaf, classified as a door or as an obstacle that stays in its modelled pose.
 
     It depends on floors and rooms, and not on movables.
 
@@ -53,7 +53,7 @@ class ClassifiedLeaf:
         blocked: state -> for each level, ids of the cells that the leaf blocks, see `LeafCells`.
         blocked_squares: state -> for each level, ids of the cells whose square overlaps the leaf,
             see `LeafCells`.
-        carried_floor: a warning that an agent could walk on the door's top; empty if it can't.
+        carried_floor: the warning that an agent could walk on the door's top; empty if none could.
     """
 
     leaf: Leaf
@@ -83,7 +83,7 @@ class DoorContext:
     """The values on which the classification of leaves depends.
 
     Attributes:
-        columns: the vertical columns of the structure.
+        columns: hits of structure on the vertical line through each cell's centre.
         floors: the floors of each level.
         rooms: the rooms; closed leaves separate them.
         agent: the agent; its height and highest step are read.
@@ -104,7 +104,7 @@ def select_doors(leaves: Sequence[ClassifiedLeaf]) -> list[ClassifiedLeaf]:
 
 
 def classify_leaves(leaves: Sequence[LeafCells], context: DoorContext) -> list[ClassifiedLeaf]:
-    """Classify leaves as doors or not.
+    """Classify leaves (bodies that may be doors) as doors or not.
 
     A leaf that a pattern of the settings or the scene file names as a door is always a door. All
     other leaves are doors if they stand between two rooms, or between a room and the outside.
@@ -197,10 +197,11 @@ def _rooms_beside(
 ) -> RoomIds | None:
     """Find the rooms on both sides of a closed leaf, along lines away from it.
 
-    A line's room is the last one that it meets before a wall or another closed leaf. If this gives
-    the same room on both sides, lines continue behind other leaves. If it is still the same (if the
-    doorway belongs to the room, for example), lines also continue where there is no room: there, a
-    side is the outside.
+    The room of a line is the last room that it meets before a wall or another closed leaf; the room
+    of a side is that of most of its lines. If both sides have the same room, lines continue behind
+    other leaves, up to a wall. If both sides still have the same room (the doorway may belong to
+    it, for example), the last cell of a line counts, even if it is in no room: then that side is
+    the outside.
 
     Args:
         leaf: the leaf.
@@ -209,8 +210,8 @@ def _rooms_beside(
         context: floors and rooms.
 
     Returns:
-        The ids of the two rooms, None for the outside; None instead of a pair if a side meets only
-        a wall, or both sides have the same room.
+        The ids of the two rooms, None for the outside. None instead of a pair if a side meets only
+        a wall, if both sides have the same room, or if the leaf blocks no cell.
     """
     num_closed = [len(cells) for cells in closed]
     if not any(num_closed) or leaf.lines is None:
@@ -235,11 +236,11 @@ def _rooms_beside(
 
 
 def _room_in_sight(room: Int, seen: Bool, level: int, rooms: Rooms) -> str | None:
-    """Return the id of the room in which most lines of a side end; None if it is no room.
+    """Return the id of the room in which most lines of a side end; None if most end in no room.
 
     Args:
-        room: index of the room at each step, shape (lines, steps).
-        seen: the steps that count, of the same shape.
+        room: index of the room at each step along each line, 0 for none, shape (lines, steps).
+        seen: a mask of the steps that count, shape (lines, steps); a line ends at its last one.
         level: number of the level.
         rooms: the rooms.
     """
@@ -321,7 +322,7 @@ def make_door(
     Args:
         leaf: a leaf that is a door.
         cells: the cells that only the door blocks, ids on the whole lattice.
-        windows: the window of each level; ids of cells in the grid are counted in it.
+        windows: for each level, the rows and columns of the whole lattice that the grid holds.
         width: number of columns of the whole lattice.
         wanted: the door's state; ``modelled`` is used if the door doesn't have that state.
     """
@@ -338,15 +339,16 @@ def make_door(
 def _to_windows(
     cells_by_state: CellsByState, windows: Sequence[Window], width: int
 ) -> dict[str, dict[int, Runs]]:
-    """Convert cells to runs in the windows of levels.
+    """Convert ids of cells on the whole lattice to ids in the grid, as runs of consecutive ids.
 
     Args:
         cells_by_state: state -> for each level, ids of cells on the whole lattice.
-        windows: the window of each level.
+        windows: for each level, the rows and columns of the whole lattice that the grid holds.
         width: number of columns of the whole lattice.
 
     Returns:
-        State -> number of a level -> runs of cell ids in the level's window.
+        State -> number of a level -> runs of cell ids in the level's grid; a level without such
+        cells is left out.
     """
     runs_by_state: dict[str, dict[int, Runs]] = {}
     for state, cells_by_level in cells_by_state.items():
@@ -365,10 +367,10 @@ def _to_windows(
 def warn_doors(
     doors: Sequence[ClassifiedLeaf], stuck_ids: Collection[str], wanted: str
 ) -> list[str]:
-    """Return warnings of doors.
+    """Return the warnings about doors.
 
-    They name doors that stay closed when open, doors that should be open but have no joint, and
-    doors with a top that an agent could walk on.
+    They name doors that close their doorway even when open, doors that should be open but have no
+    joint, and doors with a top that an agent could walk on.
 
     Args:
         doors: the doors.
@@ -395,7 +397,15 @@ def warn_doors(
 
 
 def _warn_carried_floor(leaf: Leaf, context: DoorContext) -> str:
-    """Return the warning that a door carries floor; empty if it doesn't."""
+    """Return the warning that an agent could walk on a door's top, in the first such state.
+
+    Args:
+        leaf: the door's geometry in each state.
+        context: floors and rooms.
+
+    Returns:
+        The warning, empty if `MIN_CARRIED_AREA` of the top or more is walkable in no state.
+    """
     for state, shapes in leaf.tops.items():
         area = _walkable_area(shapes, context)
         if area >= MIN_CARRIED_AREA - LIMIT_SLACK:
@@ -410,7 +420,11 @@ def _warn_carried_floor(leaf: Leaf, context: DoorContext) -> str:
 def _walkable_area(shapes: Shapes, context: DoorContext) -> float:
     """Return the area of a door's top that agents can walk on [m²]; 0 if no step leads there.
 
-    A top that is at most a step above the floor, like a mat's, does not count.
+    Where the top is at most a step above the floor, like a mat's, it does not count.
+
+    Args:
+        shapes: the door's geometry in one state.
+        context: floors, rooms and the agent.
     """
     lattice = context.rooms.lattice
     agent = context.agent
@@ -427,7 +441,7 @@ def _walkable_area(shapes: Shapes, context: DoorContext) -> float:
     row, col = np.nonzero(~np.isnan(top))
     cells = (row + rows.start) * lattice.width + col + cols.start
     heights = top[row, col]
-    is_covered = np.zeros(len(cells), dtype=np.bool_)  # by something an agent would not fit below
+    is_covered = np.zeros(len(cells), dtype=np.bool_)  # by structure too low for an agent below it
     find_blocked_lines(
         cells,
         heights + LIMIT_SLACK,

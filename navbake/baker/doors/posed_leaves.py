@@ -1,7 +1,8 @@
 """Poses the leaves of doors in each of their states, and finds the cells that they block.
 
-All leaves are posed, also those that are later classified as no doors. The cells that a leaf
-blocks are found above the floors of structure, and regardless of other geometry.
+A leaf is a body that may be a door, see `DoorCandidate`; those that turn out to be none are posed,
+too. The cells that a leaf blocks are found above the floors of structure, regardless of other
+geometry.
 """
 
 from __future__ import annotations
@@ -31,19 +32,20 @@ from navbake.navgrid.rooms import DOOR_STATES
 from navbake.threads import limit_threads
 from navbake.types import Float, Int
 
-# The length of lines of sight from each side of a closed leaf; they reach at least so many cells
-# beyond those that it blocks [m, cells]
+# The length of lines of sight from each side of a closed leaf [m]; they reach at least this many
+# cells beyond those that the leaf blocks [cells]
 SIGHT_LENGTH = 0.6
 SIGHT_CELLS = 2.0
 # How far beyond a leaf's ends a frame is looked for, if it is no wall [m]
 FRAME_LENGTH = 0.5
-# Where lines of sight begin along the leaf, as shares of its width from its middle, off the frame
+# Where lines of sight begin along the leaf, as shares of its width from its middle; not at its
+# ends, where the frame is
 SIGHT_OFFSETS = (-0.3, -0.15, 0.0, 0.15, 0.3)
-# The least floor on a door that is worth a warning [m²]
+# A door's top that agents could walk on is worth a warning if it has at least this area [m²]
 MIN_CARRIED_AREA = 0.5
 
 CellsByState = Mapping[str, Sequence[Int]]
-"""By a door's state and level, the ids of cells on the whole lattice, ascending."""
+"""State of a door -> for each level, ids of cells on the whole lattice, ascending."""
 
 
 class LeafWindow(NamedTuple):
@@ -52,7 +54,7 @@ class LeafWindow(NamedTuple):
     Attributes:
         window: the window's rows and columns of the whole lattice.
         tiled: the leaf's geometry, by tiles of the window.
-        columns: the vertical columns of the leaf's geometry, for the cells of the window.
+        columns: the leaf's hits on the vertical line through the centre of each cell of the window.
     """
 
     window: Window
@@ -70,8 +72,9 @@ class Leaf:
             with the same joint position share a window.
         lines: the cells along lines away from the closed leaf, on both sides; None if the leaf has
             no finite geometry.
-        tops: the leaf's geometry by state, only if its top is large enough to walk on.
-        travel: how far its joint opens it, as text with the unit; empty without a joint.
+        tops: the leaf's geometry by state; only of states in which the leaf, seen from above, is
+            large enough to walk on.
+        travel: how far the leaf's joint opens it, as text with the unit; empty without a joint.
     """
 
     candidate: DoorCandidate
@@ -139,13 +142,13 @@ def pose_shapes(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Sha
 def pose_leaves(
     scene: Scene, candidates: Sequence[DoorCandidate], lattice: Lattice, reach: float
 ) -> list[Leaf]:
-    """Pose candidates in each state, and cast the columns near their geometry.
+    """Pose door candidates in each state, and find which vertical lines of cells meet them.
 
     Args:
         scene: the scene of the candidates.
         candidates: the door candidates to pose.
         lattice: the whole lattice.
-        reach: distance from the geometry [m] within which columns are cast.
+        reach: how far from the geometry cells are considered [m].
 
     Returns:
         A leaf for each candidate, in the same order.
@@ -181,7 +184,16 @@ def _pose_leaf(
     lattice: Lattice,
     reach: float,
 ) -> Leaf:
-    """Make the leaf of a candidate; the shapes and extents are those of all candidates."""
+    """Make the leaf of a door candidate.
+
+    Args:
+        candidate: the candidate.
+        scene: the scene of the candidate.
+        shapes_by_state: state -> the geometry of all candidates.
+        extents_by_state: state -> bounding boxes of the geoms of all candidates.
+        lattice: the whole lattice.
+        reach: how far from the geometry cells are considered [m].
+    """
     leaf_shapes = {state: candidate.only(shapes) for state, shapes in shapes_by_state.items()}
     windows = dict[str, LeafWindow | None]()
     # states at one position of the joint share what the first of them finds
@@ -213,7 +225,11 @@ def _pose_leaf(
 
 
 def _cast_near(shapes: Shapes, lattice: Lattice, reach: float) -> LeafWindow | None:
-    """Cast the columns within `reach` [m] of some shapes; None where no cell is that near."""
+    """Find where the vertical lines of cells within `reach` [m] of shapes meet these shapes.
+
+    Returns:
+        The window with these cells, with the shapes and their hits; None if no cell is that near.
+    """
     bounds = shapes.bounds
     window = None if bounds is None else lattice.window(bounds, reach)
     if window is None:
@@ -223,7 +239,17 @@ def _cast_near(shapes: Shapes, lattice: Lattice, reach: float) -> LeafWindow | N
 
 
 def _draw_lines(extents: Extents, geoms: Int, lattice: Lattice, reach: float) -> LeafLines | None:
-    """Return the cells along lines from a closed leaf, which blocks those within `reach` [m]."""
+    """Find the cells along lines away from the sides of a closed leaf, and on from its ends.
+
+    Args:
+        extents: bounding boxes of the geoms of closed leaves.
+        geoms: ids of the leaf's geoms; the one with the largest side is the panel of the leaf.
+        lattice: the whole lattice.
+        reach: how far from its geometry the leaf may block cells [m].
+
+    Returns:
+        The cells along the lines; None if the leaf has no finite geometry.
+    """
     panel = find_largest_side(extents, geoms)
     center = extents.center[panel]
     if not np.isfinite(center).all():
@@ -248,7 +274,7 @@ def _draw_lines(extents: Extents, geoms: Int, lattice: Lattice, reach: float) ->
 
 
 def _cells_at(points: Float, lattice: Lattice) -> Int:
-    """Return the ids of the cells that points are in, shape (…), -1 beside the lattice."""
+    """Return the id of the cell that each point, (…, 2) [m], is in, -1 outside the lattice."""
     rows, cols = lattice.rows_cols(points)
     inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
     return np.where(inside, rows * lattice.width + cols, -1)
@@ -292,7 +318,7 @@ def _block_cells(
             squares[state] = squares[former_states[0]]
         else:
             blocked[state], squares[state] = _find_blocked(near, floors, footprint, lattice)
-    # one that can't move is closed as it is modelled, and blocks nothing when it is open
+    # a leaf that can't move is closed as it is modelled; when it is open, it blocks nothing
     if not leaf.candidate.positions:
         blocked["open"] = no_cells
         squares["open"] = no_cells
@@ -302,7 +328,18 @@ def _block_cells(
 def _find_blocked(
     near: LeafWindow, floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
 ) -> tuple[list[Int], list[Int]]:
-    """Return by level the cells that a leaf blocks, and those whose squares alone it blocks."""
+    """Find the cells that a leaf in one state blocks over the floors of each level.
+
+    Args:
+        near: the leaf's geometry, and the window of the lattice near it.
+        floors: the floors of each level, on the whole lattice.
+        footprint: the volume over a floor that has to be free.
+        lattice: the whole lattice.
+
+    Returns:
+        For each level, the ids of the cells where the leaf overlaps the footprint; and the same for
+        the cell's own square, without the agent's disc.
+    """
     rows, cols = near.window
     blocked = list[Int]()
     squares = list[Int]()
