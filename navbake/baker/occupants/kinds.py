@@ -516,11 +516,12 @@ def classify_floor_geoms(
     is_on_floor = counts.num_on_floors >= MIN_ON_FLOOR_SHARE * counts.num_cells
     covers_floor = counts.num_covers >= MIN_ON_FLOOR_SHARE * counts.num_cells
 
-    is_level = steps.rise <= SAME_HEIGHT
-    level_pairs = np.stack([steps.lower[is_level], steps.higher[is_level]])
-    plateau = label_components(level_pairs, num_geoms)  # floors at one height, side by side
-    plateau_area = np.bincount(plateau, counts.num_cells)[plateau] * cell_size**2
-    things = is_floor & is_on_floor & (plateau_area <= THING_AREA + LIMIT_SLACK)
+    is_same_height = steps.rise <= SAME_HEIGHT
+    same_height_pairs = np.stack([steps.lower[is_same_height], steps.higher[is_same_height]])
+    # floors of several geoms that continue each other at the same height
+    joined_floor = label_components(same_height_pairs, num_geoms)
+    joined_area = np.bincount(joined_floor, counts.num_cells)[joined_floor] * cell_size**2
+    things = is_floor & is_on_floor & (joined_area <= THING_AREA + LIMIT_SLACK)
 
     is_step = (steps.rise > SAME_HEIGHT) & (steps.rise <= max_step + LIMIT_SLACK)
     is_step &= ~covers_floor[steps.lower]
