@@ -21,7 +21,7 @@ WALLS = 2
 BLOCKERS = 4
 USER_DATA_KEYS = {"objects": OBJECTS, "walls": WALLS}
 OBJECTS_OR_WALLS = OBJECTS | WALLS
-NUM_BITS_VALUES = 8  # bits are below this
+NUM_BITS_VALUES = 8  # all sums of these bits are below this
 
 
 def name_geoms(scene: Scene) -> list[str]:
@@ -82,7 +82,18 @@ def name_cells(
 
 
 def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, Int]:
-    """Return the unique pairs of cell and name, sorted, with their bits."""
+    """Merge the entries with the same cell and name; entries without a bit are dropped.
+
+    Args:
+        cell: the cell of each entry, (n,).
+        name: the number of the name of a geom in the cell, (n,).
+        bits: the bits of the geom in the cell, (n,).
+        num_names: the number of names; all of `name` are below it.
+
+    Returns:
+        Cells and names of the unique pairs, sorted by cell and then name; and the bits that any
+        entry of the pair has.
+    """
     counts = bits > 0
     cell = cell[counts]
     name = name[counts]
@@ -100,14 +111,18 @@ def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, I
 
 
 def _describe(token: Int, begin: Int, end: Int, names: Sequence[str]) -> list[CellNames]:
-    """Return the user data of each cell.
+    """Make the user data of each distinct list of tokens, which several cells may share.
+
+    A token is ``number of a name * NUM_BITS_VALUES + bits``.
 
     Args:
-        token: tokens of all cells, one cell after the other; a token is a name's number and its
-            bits.
-        begin: for each cell, the index of its first token.
-        end: for each cell, the index after its last token.
-        names: the names.
+        token: tokens of all cells, one cell after the other.
+        begin: for each list, the index of its first token.
+        end: for each list, the index after its last token.
+        names: the names, by number.
+
+    Returns:
+        For each list, its sorted names by key.
     """
     size = end - begin
     num_entries = len(size)
@@ -133,7 +148,7 @@ def _describe(token: Int, begin: Int, end: Int, names: Sequence[str]) -> list[Ce
 
 
 def _ranks(names: Sequence[str]) -> Int:
-    """Return the place of each name among all of them, sorted."""
+    """Return for each name its place in the sorted list of all names."""
     ranks = np.empty(len(names), dtype=np.int64)
     ranks[sorted(range(len(names)), key=names.__getitem__)] = np.arange(len(names))
     return ranks

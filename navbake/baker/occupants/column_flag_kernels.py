@@ -1,15 +1,18 @@
-"""Kernel that flags the vertical columns of cells: empty, a hole, steep, under the sky, or tall."""
+"""Kernel that flags cells by the hits of structure on the vertical line through their centres.
+
+A cell can be empty, a hole, steep ground, under the sky, or hold something tall.
+"""
 
 import numpy as np
 
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.compiled import kernel
 
-EMPTY = 1  # the column has no hits
+EMPTY = 1  # the cell's vertical line has no hits
 HOLE = 2  # the cell has no floor, and nothing is at the heights of an agent's body
 STEEP_GROUND = 4  # no floor; the highest surface is ground that is too steep to stand on
 SKY = 8  # the cell has a floor, and nothing is above an agent's head
-TALL = 16  # the lowest surface above the cell's floor faces up and is higher than `above_heads`
+TALL = 16  # what stands on the cell's floor has its top more than `above_heads` above the floor
 COLUMN_FLAGS = (EMPTY, HOLE, STEEP_GROUND, SKY, TALL)
 
 
@@ -17,17 +20,20 @@ COLUMN_FLAGS = (EMPTY, HOLE, STEEP_GROUND, SKY, TALL)
 def flag_columns(hits, floor, ground, limits, above_heads, flags, begin, end):
     """Write the `COLUMN_FLAGS` of the cells ``[begin, end)`` of a level.
 
-    A cell without a floor is a HOLE if nothing is in the way of the agent's body there: of the
-    surfaces more than a step above the ground, there is none, or the lowest is above the agent's
-    height and faces down. (If it faces up, the solid below it is in the way.)
+    A cell without a floor is a HOLE if nothing is in the way of the agent's body there. Only
+    surfaces more than a step above the level's ground count: there is none, or the lowest of them
+    faces down and is higher than the agent. (If it faces up, the solid below it is in the way.)
+
+    A cell with a floor is TALL if something stands on it whose top is more than `above_heads` above
+    the floor: the lowest surface above the floor is at that height, and faces up.
 
     Args:
-        hits: the hits of the vertical columns; column i belongs to cell i.
+        hits: hits of structure on the vertical line through the centre of each cell, as
+            `ColumnHits`; line i belongs to cell i.
         floor: z of each cell's floor, float64, NaN for none [m].
         ground: z of the level's ground [m].
-        limits: the agent's limits.
-        above_heads: height above the floor [m]; something whose lowest surface faces up and is
-            higher is TALL.
+        limits: what the agent can stand and walk on, as `AgentLimits`.
+        above_heads: the height above the floor from which on something is TALL [m].
         flags: receives the flags of each cell, uint8.
         begin: id of the first cell.
         end: id after the last cell.

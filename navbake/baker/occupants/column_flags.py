@@ -1,4 +1,7 @@
-"""Flags the vertical columns of cells: empty, a hole, steep, under the sky, or tall."""
+"""Flags cells by the hits of structure on the vertical line through their centres.
+
+A cell can be empty, a hole, steep ground, under the sky, or hold something tall.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +24,14 @@ def flag_columns(
     agent: AgentSettings,
     flags: NDArray[np.uint8],
 ) -> None:
-    """Write the flags of the columns of a range of cells, relative to a level's floor and ground.
+    """Write the `COLUMN_FLAGS` of a range of cells, for a level's floor and ground.
 
     Args:
-        hits: the hits of the vertical columns of these cells only, in the cells' order.
+        hits: hits of structure on the vertical lines of these cells only, in the cells' order.
         level: the floor of each cell, and the height of the ground.
         cells: the range of cell ids.
         agent: the agent; its height, highest step and largest slope are read.
-        flags: receives the `COLUMN_FLAGS`, indexed by cell id on the whole lattice, uint8.
+        flags: receives the flags, indexed by cell id on the whole lattice, uint8.
     """
     floor = level.floor.ravel()[cells]
     run_in_chunks(

@@ -56,7 +56,8 @@ MAX_WALL_BOTTOM = 0.6
 MIN_WALL_HEIGHT = 1.5
 # The limits of a thin wall, and of a thicker wall that has to be long
 THIN_WALLS = (WallLimits(0.25, 0.5, 3.0), WallLimits(0.5, 3.0, 6.0))
-# A wall that is thicker still has to meet another one at a corner, with tops this near [m]
+# The limits of a wall that is thicker still. It has to meet a second wall at a corner, and their
+# tops differ in height by at most SAME_TOP [m]
 THICK_WALL = WallLimits(1.2, 3.0, 3.0)
 SAME_TOP = 0.1
 # Two walls meet at a corner if the cosine of their angle is at most that of 45 degrees [1]
@@ -64,8 +65,9 @@ MAX_CORNER_COSINE = 0.5**0.5
 # Least height of a geom named like a wall, and of one that is also thin and long [m]
 MIN_NAMED_HEIGHT = 1.0
 MIN_NAMED_THIN_HEIGHT = 0.5
-# A body is furniture if it is this much deeper than its panel, and at most so deep, so long [m],
-# and of so many geoms
+# A body with a panel (a geom with the shape of a wall) is furniture if it is deeper than the panel
+# by at least FURNITURE_OVER_PANEL [m], and has at most this depth [m], length [m] and number of
+# geoms
 FURNITURE_OVER_PANEL = 0.1
 FURNITURE_DEPTH = 1.2
 FURNITURE_LENGTH = 3.0
@@ -74,23 +76,23 @@ FURNITURE_GEOMS = 200
 LINE_SLACK = 0.03
 END_GAP = 0.05
 MAX_PAIRS = 1_000_000  # of geoms that are compared at once, for the memory they take
-# Least width both ways of a mesh that holds a building [m], and share of its box that walls fill at
-# most
+# Least width along both axes of a mesh that holds a building [m], and the greatest share of its
+# box, seen from above, that it fills within `WALL_HEIGHTS`
 BUILDING_WIDTH = 2.0
 MAX_FILLED_SHARE = 0.5
-# Its shape in the report of geoms
+# The shapes, in the report of geoms, that such a mesh may have
 TRIANGLE_SHAPES = ("surface", "closed surface", "partly closed", "shell")
-# Heights over a floor where such a mesh is wall [m]
+# Heights over a floor at which walls are, but neither sills nor most furniture [m]
 WALL_HEIGHTS = HeightRange(1.5, 1.8)
-# Least share of its cells in which a wall is in `WALL_HEIGHTS`
+# Least share of a wall's cells in which it reaches into `WALL_HEIGHTS`
 MIN_UPRIGHT_SHARE = 0.5
 
-# A thing that one can stand on is at most this large [m²]. In at least this share of its cells it
-# lies on a floor: at most this high over it [m], unless it is solid down to it
+# A thing that an agent can stand on has at most this area [m²]. In at least this share of its cells
+# it lies on a floor: at most this high over it [m], unless the thing is solid down to it
 THING_AREA = 4.0
 MIN_ON_FLOOR_SHARE = 0.9
 THING_HEIGHT = 1.0
-# A lower rise does not count as a step up [m]
+# A thing of at most this height only covers the floor, as a rug does: no step leads up to it [m]
 COVERING = 0.03
 # The least width of a ceiling along both axes [m]
 CEILING_WIDTH = 1.5
@@ -102,12 +104,12 @@ class OccupantSizes(NamedTuple):
     Attributes:
         base: the least height of the geom's bottom over the floor of a cell that it occupies [m];
             inf where it occupies no cell, and for an endless plane.
-        rise: the greatest height of the geom's top over its bottom, or over the floor of such a
-            cell where the floor is higher [m]; -inf where it occupies no cell, and for an endless
-            plane.
-        area: the area that it occupies on the level where that is largest [m²].
+        rise: the greatest height of the geom's top over its bottom, or over the floor of a cell
+            that it occupies where the floor is higher than its bottom [m]; -inf where it occupies
+            no cell, and for an endless plane.
+        area: the area that the geom occupies on the level where that is largest [m²].
         area_at_wall_height: the same, counting only cells that it occupies within `WALL_HEIGHTS`
-            [m²]; 0 for geoms that are no wall candidates.
+            [m²]; 0 for geoms whose shape is not that of walls, see `mark_wall_candidates`.
     """
 
     base: Float
@@ -121,9 +123,10 @@ class FloorCounts(NamedTuple):
 
     Attributes:
         num_cells: number of cells in which the geom's surface is the floor.
-        num_on_floors: number of these cells in which the geom lies on the floor of a second geom.
-        num_covers: number of these cells in which it covers the floor of a second geom by at most
-            `COVERING`.
+        num_on_floors: number of these cells in which the geom lies on the floor of a second geom,
+            see `THING_HEIGHT`.
+        num_covers: number of these cells in which the geom's surface is at most `COVERING` above
+            the floor of a second geom.
         stood_on: whether an agent can stand on the geom in any cell, bool.
     """
 
@@ -164,7 +167,13 @@ class FloorGeoms(NamedTuple):
 
 
 class ClassifiedGeoms(NamedTuple):
-    """The kinds of geoms by geom id, and warnings; see the attributes of `StandingOccupants`."""
+    """What geoms are, and warnings.
+
+    Attributes:
+        kinds: for each geom, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
+        room_kinds: like `kinds`, but for finding rooms, see `StandingOccupants`.
+        warnings: warnings about patterns of walls, one line each.
+    """
 
     kinds: NDArray[np.uint8]
     room_kinds: NDArray[np.uint8]
@@ -229,7 +238,16 @@ def mark_wall_candidates(scene: Scene, extents: Extents) -> Bool:
 
 
 def mark_buildings(scene: Scene, extents: Extents, sizes: OccupantSizes) -> Bool:
-    """Mark, by geom id, the meshes of a whole building: tall, wide along both axes, and hollow."""
+    """Mark the meshes that hold a whole building: tall, wide along both axes, and hollow.
+
+    Args:
+        scene: the scene of the geoms.
+        extents: bounding boxes of the geoms.
+        sizes: the areas that the geoms occupy.
+
+    Returns:
+        A mask by geom id, shape (ngeom,), bool.
+    """
     box_area = extents.short_side * extents.long_side
     is_hollow = sizes.area_at_wall_height < MAX_FILLED_SHARE * box_area
     return _may_hold_building(scene, extents) & is_hollow
@@ -271,18 +289,20 @@ def match_wall_names(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[
 def mark_wall_geoms(
     scene: Scene, extents: Extents, sizes: OccupantSizes, floor_geoms: FloorGeoms, excluded: Bool
 ) -> Bool:
-    """Mark, by geom id, the geoms whose shapes and names are those of walls.
+    """Mark, by geom id, the geoms whose shapes or names are those of walls.
 
-    A wall is static and vertical, begins near a floor, rises more than 1.5 m, and is long and at
-    most 0.25 m thick. A geom up to 0.5 m thick has to be longer. A geom up to 1.2 m thick also has
-    to meet a wall, or a second geom as thick, at a corner, and be as high as that; a rack, a
-    container or a row of cupboards isn't. Excluded geoms, panels of furniture, and geoms that an
-    agent can stand on are no walls.
+    By its shape, a geom is a wall if it is static and vertical, begins near a floor, rises at least
+    1.5 m, and is long and at most 0.25 m thick. A geom up to 0.5 m thick has to be longer. A geom
+    up to 1.2 m thick also has to meet a wall, or a second geom as thick, at a corner, and be as
+    high as that, which racks, containers and rows of cupboards don't. Panels of furniture, and
+    geoms that an agent can stand on, are no walls.
 
-    If `wall` or `partition` is in the name of the geom, its mesh or its body, a height of 1 m is
-    enough, whatever its shape; 0.5 m is enough if it is also thin and long. Pieces that continue
-    in the line of a wall (parapets, lintels, stubs, windows) are also walls, unless they carry
-    floors.
+    By its name, a static geom that begins near a floor is a wall if `wall` or `partition` is in the
+    name of the geom, its mesh or its body. Its height has to be at least 1 m, or 0.5 m if it is
+    also thin and long.
+
+    Static pieces that continue in the line of a wall (parapets, lintels, stubs, windows) are walls,
+    too, unless they carry floors. Excluded geoms are no walls in any case.
     """
     names = [" ".join(geom_names).lower() for geom_names in all_names(scene.model).geoms]
     has_wall_name = np.array([bool(WALL_NAME.search(name)) for name in names], dtype=np.bool_)
@@ -311,9 +331,7 @@ def mark_wall_geoms(
 
 
 def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
-    """Mark, by geom id, the panes that close an opening in a wall.
-
-    Panes are fixed panes, sliding doors and closed leaves.
+    """Mark, by geom id, the panes that close an opening in a wall: glass, sliding doors, leaves.
 
     A pane is as thin, long and tall as a wall, and begins near a floor or a sill. Each of its two
     ends meets a wall, or a second pane in the same opening.
@@ -321,7 +339,7 @@ def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
     is_pane = _is_slender(extents, THIN_WALLS[0])
     is_pane &= extents.top - extents.bottom >= MIN_WALL_HEIGHT
     is_pane &= (sizes.base <= MAX_WALL_BOTTOM) & ~is_wall
-    # without a pane that ends nowhere, its neighbor may end nowhere, too
+    # once a pane that meets nothing at an end is left out, its neighbor may meet nothing there
     while is_pane.any():
         panes = np.flatnonzero(is_pane)
         neighbors = np.flatnonzero(
@@ -382,7 +400,13 @@ def _end_of(geoms: Int, half: float, extents: Extents) -> Float:
 
 
 def _ends_at(geoms: Int, neighbors: Int, extents: Extents) -> Bool:
-    """Mark the geoms that have the middle of an end on their neighbor, seen from above."""
+    """Mark the geoms that end at their neighbor: the middle of an end lies on it, from above.
+
+    Args:
+        geoms: ids of the geoms, (n,).
+        neighbors: the id of the neighbor that each geom is compared with, (n,).
+        extents: bounding boxes of all geoms.
+    """
     ends = np.zeros(len(geoms), dtype=np.bool_)
     for half in (-0.5, 0.5):
         ends |= _is_on(_end_of(geoms, half, extents), neighbors, extents)
@@ -390,7 +414,13 @@ def _ends_at(geoms: Int, neighbors: Int, extents: Extents) -> Bool:
 
 
 def _is_on(points: Float, geoms: Int, extents: Extents) -> Bool:
-    """Mark the points, (n, 2) [m], that are on their geom, seen from above."""
+    """Mark the points that lie on a geom, or at most `END_GAP` beside it, seen from above.
+
+    Args:
+        points: the points, (n, 2) [m].
+        geoms: the id of the geom that each point is compared with, (n,).
+        extents: bounding boxes of all geoms.
+    """
     offset = points - extents.center[geoms]
     beyond_side = (
         np.abs((offset * extents.short_axis[geoms]).sum(axis=1)) - extents.short_side[geoms] / 2
@@ -402,7 +432,16 @@ def _is_on(points: Float, geoms: Int, extents: Extents) -> Bool:
 
 
 def _continue_walls(is_wall: Bool, may_continue: Bool, extents: Extents) -> Bool:
-    """Add the pieces that touch a wall's end and continue in its line, no thicker than it is."""
+    """Add to the walls the pieces that continue in the line of one, and are no thicker than it is.
+
+    Args:
+        is_wall: mask by geom id of the walls; it is not changed.
+        may_continue: mask by geom id of the geoms that may be such pieces.
+        extents: bounding boxes of all geoms.
+
+    Returns:
+        A mask by geom id of the walls and the pieces.
+    """
     is_wall = is_wall.copy()
     is_thin = extents.short_side <= THICK_WALL.max_thickness
     may_continue = may_continue & is_thin
@@ -426,7 +465,16 @@ def _continue_walls(is_wall: Bool, may_continue: Bool, extents: Extents) -> Bool
 
 
 def _near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterator[tuple[Int, Int]]:
-    """Yield the pairs of geoms and neighbors whose boxes touch, some of the geoms at a time."""
+    """Yield the pairs of geoms and neighbors whose boxes touch, in chunks.
+
+    Args:
+        geoms: ids of the first geoms of pairs.
+        neighbors: ids of the second geoms of pairs.
+        extents: bounding boxes of all geoms.
+
+    Yields:
+        The first and the second geom of each pair, two arrays of ids.
+    """
     every_geom = np.arange(len(extents.short_side))
     center = np.column_stack([extents.center, (extents.bottom + extents.top) / 2])
     half_size = np.column_stack(
@@ -447,7 +495,10 @@ def _near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterator[tuple[
 
 
 def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, subtree_ends: Int) -> bool:
-    """Return whether a body that holds the geom is furniture, see `FURNITURE_DEPTH`."""
+    """Return whether a geom is a panel of furniture: of a body that is deeper than the panel.
+
+    The body is the geom's own, or one above it; see `FURNITURE_DEPTH` for the limits.
+    """
     model = scene.model
     for body in _bodies_above(model, geom):
         body_geoms = geoms_of_bodies(model, body, int(subtree_ends[body]))
@@ -496,8 +547,8 @@ def classify_floor_geoms(
     a. Its floor, together with floors that continue it at the same height, covers at most 4 m².
     b. In at least 90 % of its cells the floor of a second geom lies below it.
     c. That lower floor is at most 1 m lower, or the thing is solid down to it.
-    d. It is at most 3 cm above that floor in 90 % of its cells, or no step leads up from it to the
-       building.
+    d. It is at most 3 cm above that lower floor in 90 % of its cells, or no step leads up from the
+       thing to a part of the building.
 
     All other geoms are parts of the building: floors, stairs, ramps, platforms, terrain.
 
@@ -527,7 +578,7 @@ def classify_floor_geoms(
     is_step &= ~covers_floor[steps.lower]
     lower = steps.lower[is_step]
     higher = steps.higher[is_step]
-    # a thing that leads to the building is part of it, and may make another one lead there
+    # a thing that leads to the building is a part of it; other things may then lead to that
     while True:
         leads_to_building = np.unique(lower[things[lower] & ~things[higher]])
         if not len(leads_to_building):
@@ -537,10 +588,10 @@ def classify_floor_geoms(
 
 
 def mark_ceilings(extents: Extents, base: Float, is_static: Bool, agent: AgentSettings) -> Bool:
-    """Mark the geoms that are ceilings or roofs, (ngeom,).
+    """Mark the geoms that are ceilings or roofs; returns a mask by geom id, (ngeom,).
 
-    They are static, at least `CEILING_WIDTH` wide along both axes, not taller than wide, and above
-    the agent's head.
+    They are static, at least `CEILING_WIDTH` wide along both axes, not taller than wide, and over
+    no floor lower than the agent's head.
 
     Args:
         extents: bounding boxes of all geoms.
@@ -563,9 +614,12 @@ def find_steps(floors: Floors, floor_geom: Int32, lattice: Lattice) -> FloorStep
         floor_geom: the id of the geom whose surface is the floor, -1 for none, shape (levels,
             cells).
         lattice: the lattice of the floors.
+
+    Returns:
+        The steps, one for each pair of adjacent cells.
     """
     num_cells = floor_geom.shape[1]
-    # cells of all levels are numbered on: level * num_cells + cell
+    # cells of all levels are numbered one level after the other: level * num_cells + cell
     floor = np.concatenate([level.floor.ravel() for level in floors.levels])
     from_level, from_cell, to_level, to_cell = floors.links.T
     from_number = from_level * num_cells + from_cell

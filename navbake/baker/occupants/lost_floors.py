@@ -15,7 +15,7 @@ from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Int
 
-# The least floor on something that can move that is worth a warning [m²]
+# The top of a movable body is worth a warning if at least this area of it would be floor [m²]
 MIN_LOST_AREA = 1.0
 
 
@@ -31,7 +31,8 @@ def find_lost_floors(
 
     Args:
         shapes: all geometry that the bake uses.
-        is_checked: for each geom, whether it is checked, shape (ngeom,), bool.
+        is_checked: for each geom, whether it is one of the movable geoms to check, shape (ngeom,),
+            bool.
         mover_of: for each geom, the id of the body that it moves with, shape (ngeom,).
         levels: the levels with the floors that structure makes.
         lattice: the lattice of the floors.

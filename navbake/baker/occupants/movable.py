@@ -42,10 +42,10 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData, without_garbage_collection
 from navbake.types import Bool, Float, Int, Int32
 
-# Rows of cells in a row chunk, whose entries lie together
+# Entries are stored in chunks; a chunk has those of this many rows of cells
 CHUNK_ROWS = 16
-# If more than this share of the cells of some rows are checked, all columns of these rows are cast
-# together, which is faster by the column
+# If more than this share of the cells of some rows are checked, the vertical lines of all cells in
+# these rows are cast together, which takes less time for each line
 MAX_SHARE_OF_SINGLE_CELLS = 1 / 8
 
 
@@ -68,7 +68,8 @@ class LevelMovables(NamedTuple):
 
     Attributes:
         entries: the geoms in the cells.
-        blocked: ids of the cells where these geoms overlap an agent at the cell's centre.
+        blocked: ids of the cells where these geoms overlap the footprint of an agent at the cell's
+            centre (the cell's square joined with the agent's disc).
         blocked_squares: the same for the cell's own square, without the agent's disc.
     """
 
@@ -138,6 +139,9 @@ def find_movable_occupants(
         context: the floors, and the structure that stands on them.
         shapes: all geometry that the bake uses.
         is_obstacle_geom: mask by geom id of the geoms to search for, shape (ngeom,), bool.
+
+    Returns:
+        The geoms in each cell, and the cells that they or structure block.
     """
     num_chunks = -(-context.lattice.height // CHUNK_ROWS)
     nothing = MovableOccupants(
@@ -217,7 +221,14 @@ def _write_blocked(layer: Bool, standing: Bool, cells: Int, blocked: Int) -> Non
 def _replace_entries(
     row_chunks: list[OccupantEntries], cells: Int, new_entries: OccupantEntries, lattice: Lattice
 ) -> OccupantEntries:
-    """Replace the entries of some cells, ascending, in their row chunks; return the former ones."""
+    """Replace the entries of some cells in their row chunks; return the entries that were replaced.
+
+    Args:
+        row_chunks: the entries of each row chunk; the list is changed.
+        cells: ids of the cells, ascending.
+        new_entries: the new entries of these cells.
+        lattice: the whole lattice.
+    """
     chunk_size = CHUNK_ROWS * lattice.width
     former_entries = [NO_ENTRIES]
     chunk_of_cell = cells // chunk_size
@@ -245,7 +256,7 @@ def _replace_entries(
 
 
 def _select_entries(entries: OccupantEntries, places: Bool | Int) -> OccupantEntries:
-    """Return the entries at places, or under a mask."""
+    """Return the entries at some indices, or those that a mask marks."""
     return OccupantEntries(entries.cell[places], entries.geom[places], entries.flags[places])
 
 
@@ -261,7 +272,17 @@ def join_entries(row_chunks: Sequence[OccupantEntries]) -> OccupantEntries:
 def _count_blocked_alone(
     entries: OccupantEntries, standing: Bool, mover_of: Int, num_bodies: int
 ) -> Int:
-    """Count for each body the cells that it blocks and structure doesn't."""
+    """Count for each body the cells that it blocks and structure doesn't.
+
+    Args:
+        entries: geoms in cells of a level.
+        standing: a mask of the cells that structure blocks, shape (height, width).
+        mover_of: for each geom, the id of the body that it moves with.
+        num_bodies: number of bodies.
+
+    Returns:
+        The number of cells by body id, shape (num_bodies,).
+    """
     blocks_alone = (entries.flags & BLOCKING) > 0
     blocks_alone &= ~standing.ravel()[entries.cell]
     # a cell's entries lie together, and so do those of a body in it
@@ -278,7 +299,7 @@ def _find_over_cells(
 
     Args:
         context: the floors, and the structure that stands on them.
-        shapes: the geometry of the movables.
+        shapes: the geometry of the movables near the cells.
         rows: the rows that contain the cells.
         cells: ids of the cells, ascending.
     """
@@ -322,7 +343,17 @@ def _find_over_cells(
 
 
 def _mark_geoms_near(shapes: Shapes, cells: Int, lattice: Lattice, reach: float) -> Bool:
-    """Mark the geoms whose boxes are near the rectangle round some cells, ascending."""
+    """Mark the geoms whose boxes are near the rectangle round some cells, seen from above.
+
+    Args:
+        shapes: the geometry of the geoms.
+        cells: ids of the cells, ascending, at least one.
+        lattice: the whole lattice.
+        reach: how far from a cell's centre a geom can matter [m].
+
+    Returns:
+        A mask by geom id, shape (ngeom,), bool.
+    """
     row, col = np.divmod(cells, lattice.width)
     margin = reach + lattice.cell_size
     corners = lattice.positions(row[[0, -1]], np.array([col.min(), col.max()]))
@@ -344,7 +375,8 @@ def name_occupants(
     `objects` names all things between the floor and the next storey, also those that an agent
     stands on (rugs, pallets), except walls and the building's own floors, ceilings and stairs.
     `walls` names the walls there. `blockers` names the geoms that the agent's disc or the cell's
-    square meets within the agent's height; it is left out where it has the same names as both.
+    square meets within the agent's height; it is left out where it has the same names as `objects`
+    and `walls` together.
     `navbake.navgrid.door_states.with_door_names` adds the doors.
 
     Args:
@@ -364,7 +396,14 @@ def name_occupants(
 def _name_cells(
     standing: StandingOccupants, row_chunks: Sequence[OccupantEntries], level: int, window: Window
 ) -> Shared:
-    """Name what is in a level's cells, see `name_occupants`."""
+    """Return the names of the geoms in a level's cells, see `name_occupants`.
+
+    Args:
+        standing: the structure in the cells.
+        row_chunks: the movables in the cells of the level, by row chunk.
+        level: number of the level.
+        window: the rows and columns of the lattice that the grid holds.
+    """
     occupants = standing.levels[level]
     every_cell = np.arange(len(occupants.first))
     cell, geom, flags = entries_of_cells(

@@ -1,4 +1,7 @@
-"""Kernels on the lists of geoms in each cell of a level: heights over floors, marks of walls."""
+"""Kernels that read the lists of geoms in each cell of a level.
+
+They measure how high geoms rise over floors, and mark the cells that walls block.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +20,19 @@ from navbake.types import Bool, Float, Int32
 if TYPE_CHECKING:  # kernels depend on kernels alone
     from navbake.navgrid.lattice import Lattice
 
-# Columns of the rows of `measure_blocks`, int64. In how many cells of the block a geom ...
+# Columns of the rows of `measure_blocks`, int64. A row is about a geom in a block of cells: in how
+# many cells of the block the geom ...
 NUM_CELLS = 0  # is an occupant
 NUM_AT_WALL_HEIGHT = 1  # is an occupant that is AT_WALL_HEIGHT
-NUM_FLOORS = 2  # is the surface of the floor
-NUM_ON_FLOORS = 3  # is so, and lies on another geom's floor
-NUM_COVERS = 4  # is so, and only covers another geom's floor
+NUM_FLOORS = 2  # has the surface that is the floor
+NUM_ON_FLOORS = 3  # has that surface, and lies on another geom's floor
+NUM_COVERS = 4  # has that surface, and only covers another geom's floor, as a rug does
 NUM_COUNTS = 5
-IS_STANDABLE = 5  # 1 if an agent can stand on it anywhere, else 0
-GEOM = 6  # its id
-# Their columns of heights, float64 [m]
-LOWER_END = 0  # the least height of its lower end over a floor
-# The greatest height of its upper end over its lower end, or over the floor if higher
+IS_STANDABLE = 5  # 1 if an agent can stand on the geom in any cell of the block, else 0
+GEOM = 6  # the geom's id
+# Columns of heights of the same rows, float64 [m]
+LOWER_END = 0  # the least height of the geom's lower end over a floor
+# The greatest height of the geom's upper end over its lower end, or over the floor if higher
 EXTENT_UP = 1
 
 
@@ -40,16 +44,16 @@ class LevelOccupants(NamedTuple):
 
     Attributes:
         lattice: the whole lattice.
-        first: shape (cells,), int32.
-        geom: MuJoCo's geom ids, ascending within a cell, int32.
+        first: for each cell, the index in `geom` at which its list begins, shape (cells,), int32.
+        geom: MuJoCo's geom ids, ascending within a cell, with -1 after each list, int32.
         flags: the flags of each entry of `geom`, uint8: OCCUPYING if the geom meets the cell's
             square between floor and ceiling; BLOCKING if it meets the agent's footprint;
             AT_WALL_HEIGHT if it is OCCUPYING and meets the square within `WALL_HEIGHTS`; only wall
             candidates have it.
         floor_geom: the id of the geom whose surface is the cell's floor, -1 for none, (cells,),
             int32.
-        gap_below: how far below the floor the next floor of a different geom lies [m], inf for
-            none, (cells,), float64.
+        gap_below: how far below the floor the next surface of a different geom lies that is not too
+            steep for a floor [m], inf for none, (cells,), float64.
     """
 
     lattice: Lattice
@@ -91,9 +95,16 @@ class GeomHeights(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def _get_row(rows, row_of_geom, first_row, num_rows, geom):
-    """Return the row of a geom in the block whose rows begin at `first_row`; -1 for no room.
+    """Return the row of a geom in the block whose rows begin at `first_row`.
 
-    A geom that has no row yet gets the next one.
+    A geom that has no row in this block yet gets the next row; -1 if there is no room for it.
+
+    Args:
+        rows: counts and heights, see `measure_blocks`.
+        row_of_geom: the row that each geom got last, in this block or one before; it is changed.
+        first_row: the first row of the block.
+        num_rows: the number of rows in use.
+        geom: id of the geom.
     """
     counts, heights = rows
     row = row_of_geom[geom]
@@ -111,15 +122,15 @@ def _get_row(rows, row_of_geom, first_row, num_rows, geom):
 
 @kernel(nogil=True)
 def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, begin, end):
-    """Measure, block by block, the heights of geoms over floors, and count the cells they floor.
+    """Measure how high geoms rise over floors, and in how many cells their surfaces are the floor.
 
-    One row is written for each pair of a block and a geom in it. The caller is
-    `navbake.baker.core.blocks.list_rows`.
+    It does so block by block (squares of cells). A row is written for each pair of a block and a
+    geom in it. The caller is `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        occupants: the geoms in the level's cells.
-        floors: the floors of the level.
-        geoms: heights of all geoms.
+        occupants: the geoms in the level's cells, as `LevelOccupants`.
+        floors: the floors of the level, as `FloorLayers`.
+        geoms: heights of all geoms, as `GeomHeights`.
         blocks: ids of the blocks to measure.
         num_in_block: receives the number of rows of each block.
         rows: two arrays that receive the rows: ``NUM_CELLS`` to ``GEOM``, (capacity, 7) int64; and
@@ -179,12 +190,12 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, begin, 
 def mark_walls(occupants, kinds, cells, is_wall, is_low_wall, begin, end):
     """Mark which of ``cells[begin:end]`` a wall blocks, and which a low wall blocks.
 
-    In a marked cell the wall is both OCCUPYING and BLOCKING. The mesh of a whole building counts
-    as a wall in a cell where it is AT_WALL_HEIGHT, else as a low wall. A cell with a building's
-    mesh AT_WALL_HEIGHT has no low wall.
+    In a marked cell the wall is over the cell's square (OCCUPYING) and meets the agent's footprint
+    (BLOCKING). The mesh of a whole building counts as a wall in a cell where it is AT_WALL_HEIGHT,
+    else as a low wall. A cell with a building's mesh AT_WALL_HEIGHT has no low wall.
 
     Args:
-        occupants: the geoms in the level's cells.
+        occupants: the geoms in the level's cells, as `LevelOccupants`.
         kinds: kinds by geom id, see `StandingOccupants`, uint8.
         cells: cell ids.
         is_wall: receives for each of `cells` whether a wall blocks it, bool.

@@ -1,7 +1,7 @@
 """Finds the structure in each cell: occupied cells, the geoms in them, their kinds and names.
 
-The cells of all levels are checked once, block by block, against structure. Movables are checked
-separately, see `navbake.baker.occupants.movable`.
+The cells of all levels are checked once against structure, one chunk of rows after the other.
+Movables are checked separately, see `navbake.baker.occupants.movable`.
 """
 
 from __future__ import annotations
@@ -67,12 +67,12 @@ class LevelOccupancy(NamedTuple):
 
 
 class StandingCells(NamedTuple):
-    """The structure in the cells of all levels, and flags of their columns.
+    """The structure in the cells of all levels, and flags of the cells' vertical lines.
 
     Attributes:
         occupancy: the cells that structure occupies.
         occupants: for each level, the geoms in its cells; empty if they were not requested.
-        column_flags: for each level, the flags of each cell's vertical column, see `flag_columns`.
+        column_flags: for each level, the flags of each cell's vertical line, see `flag_columns`.
     """
 
     occupancy: Occupancy
@@ -130,6 +130,8 @@ def find_level_ceilings(floors: Floors) -> list[float]:
     return [*(level.ground for level in floors.levels[1:]), np.inf]
 
 
+# It stands here because the list of a cell's occupants depends on the level's ceiling and on the
+# heights of walls, which the stage of occupancy doesn't know. `movable.py` calls it, too.
 def check_level_occupancy(
     columns: Columns,
     tiled: TiledShapes,
@@ -140,10 +142,10 @@ def check_level_occupancy(
     agent: AgentSettings,
     wall_candidates: Bool | None,
 ) -> LevelOccupancy:
-    """Check which cells of a level are occupied, and list the occupants.
+    """Check which cells of a level some geoms occupy, and list the geoms in each cell.
 
     Args:
-        columns: the vertical columns of the cells.
+        columns: the geoms' hits on the vertical line through each cell's centre.
         tiled: the geoms near the cells.
         footprint: the volume over a floor that has to be free.
         cells: cell ids, ascending.
@@ -186,10 +188,10 @@ def find_standing_cells(
     wall_candidates: Bool | None,
     clock: StageClock,
 ) -> StandingCells:
-    """Find the structure in all cells, and the flags of their columns that rooms depend on.
+    """Find the structure in all cells, and the flags of their vertical lines for finding rooms.
 
     Args:
-        columns: the vertical columns of the structure.
+        columns: hits of structure on the vertical line through each cell's centre.
         tiles: the structure's geometry, by tiles of the same lattice.
         floors: the floors of all levels.
         footprint: the volume over a floor that has to be free.
@@ -241,7 +243,7 @@ def find_standing_cells(
 
 
 class OccupantsBuilder:
-    """Collects the occupants of a level while cells are checked block by block.
+    """Collects the occupants of a level while its cells are checked in chunks.
 
     Attributes:
         occupants: the occupants of all cells; cells that were not appended have empty lists.
@@ -333,7 +335,16 @@ def classify_occupants(
 def _measure_levels(
     levels: Sequence[LevelOccupants], floors: Floors, extents: Extents
 ) -> tuple[OccupantSizes, FloorCounts]:
-    """Measure the heights of geoms above floors, and count the cells where they are the floor."""
+    """Measure how high geoms rise over floors, and in how many cells their surfaces are the floor.
+
+    Args:
+        levels: for each level, the geoms in its cells.
+        floors: the floors of all levels.
+        extents: bounding boxes of the geoms.
+
+    Returns:
+        Heights and occupied areas, and counts of cells, by geom id.
+    """
     lattice = levels[0].lattice
     num_geoms = len(extents.bottom)
     heights = GeomHeights(
