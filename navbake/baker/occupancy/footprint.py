@@ -12,13 +12,17 @@ from navbake.config.settings import AgentSettings
 
 
 class Footprint(NamedTuple):
-    """The volume over a cell's floor: the union of its square and the agent's disc, extruded.
+    """The volume over a cell's floor that has to be free for an agent to stand there.
+
+    It is an upright prism. Its base is the union of the cell's square and the agent's disc round
+    the cell's centre. It begins above the highest step that the agent can take, and ends at the
+    agent's height.
 
     Attributes:
         square: half of the square's edge less TOUCH_DEPTH; 0 if the disc covers the square [m].
         radius: the disc's radius less TOUCH_DEPTH; 0 if the square covers the disc [m].
         low: height of the volume's bottom above the floor: the highest step plus TOUCH_DEPTH [m].
-        high: height of its top above the floor: the agent's height less TOUCH_DEPTH [m].
+        high: height of the volume's top above the floor: the agent's height less TOUCH_DEPTH [m].
     """
 
     square: float
@@ -33,10 +37,10 @@ class Footprint(NamedTuple):
 
     @classmethod
     def of(cls, agent: AgentSettings, cell_size: float) -> Footprint:
-        """Return the footprint of an agent.
+        """Return the footprint of an agent over a cell.
 
         Args:
-            agent: its radius, height and highest step.
+            agent: the agent; its radius, height and highest step are read.
             cell_size: edge of a cell [m].
         """
         half = cell_size / 2
@@ -49,5 +53,5 @@ class Footprint(NamedTuple):
         )
 
     def between(self, heights: HeightRange) -> Footprint:
-        """Return a footprint of the same outline, between two heights above the floor [m]."""
+        """Return the volume with the same base, between two heights above the floor [m]."""
         return self._replace(low=heights.low + TOUCH_DEPTH, high=heights.high - TOUCH_DEPTH)

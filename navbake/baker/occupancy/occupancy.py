@@ -1,4 +1,8 @@
-"""Occupancy: does a geom meet the agent's footprint over a cell's floor?"""
+"""Decides which cells are occupied: where a geom meets the agent's footprint over the floor.
+
+The footprint is an upright prism, from the highest step to the agent's height above the floor, see
+`Footprint`.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +41,7 @@ FCL_SHAPES: dict[int, Callable[[Float], object]] = {
     CYLINDER: lambda size: fcl.Cylinder(size[0], 2 * size[1]),
     BOX: lambda size: fcl.Box(*(2 * size)),
 }
-"""FCL's shape for each of MuJoCo's geom types, of MuJoCo's size."""
+"""MuJoCo's geom type -> a function that makes FCL's shape from MuJoCo's size of a geom."""
 NO_LISTS = OccupantLists(
     ceiling=np.empty(0),
     first=np.empty(0, np.int32),
@@ -48,7 +52,7 @@ NO_LISTS = OccupantLists(
     wall_high=0.0,
     min_up=0.0,
 )
-"""For `check_occupancy`: list no occupants."""
+"""Settings for `check_occupancy` to list no occupants."""
 
 
 class Occupancy(NamedTuple):
@@ -56,7 +60,7 @@ class Occupancy(NamedTuple):
 
     Attributes:
         levels: for each level, a mask of shape (height, width) of the whole lattice: structure
-            meets an agent's volume over the cell's floor, or the cell has no floor.
+            meets the agent's footprint over the cell's floor, or the cell has no floor.
         blocked_squares: the same for the volume over the cell's square alone, without the agent's
             disc; None if the disc doesn't reach beyond the square.
     """
@@ -72,8 +76,8 @@ class CellOccupancy(NamedTuple):
         occupied: whether a geom meets the footprint over the cell's floor, shape (n,), bool.
         square_occupied: whether a geom meets the volume over the cell's square alone, without the
             agent's disc, shape (n,), bool.
-        geom: the lists of occupants, one after the other: geom ids, and -1 at the end of each list,
-            int32; see `check_tiles`.
+        geom: the lists of the geoms in each cell, one after the other: geom ids, and -1 at the end
+            of each list, int32; see `check_tiles`.
         flags: the flags of each entry of `geom`, see `volume_kernels`, uint8.
     """
 
@@ -93,12 +97,14 @@ def check_occupancy(
 ) -> CellOccupancy:
     """Check whether a geom meets the footprint over the floors of cells.
 
-    If the cell's vertical line crosses a geom within the footprint, or runs inside of one, the cell
-    is occupied. Otherwise each geom nearby is tested; if rounding leaves open whether it meets the
-    footprint, FCL decides. A geom that reaches in by less than TOUCH_DEPTH does not meet it.
+    The footprint is an upright prism over the cell's square and the agent's disc, usually from the
+    highest step to the agent's height above the floor. If the cell's vertical line crosses a geom
+    within the footprint, or runs inside of a geom there, the cell is occupied. Otherwise each geom
+    nearby is tested; if rounding leaves open whether it meets the footprint, FCL decides. A geom
+    that reaches in by less than TOUCH_DEPTH does not meet it.
 
     Args:
-        columns: the columns of the cells.
+        columns: the geoms' hits on the vertical line through each cell's centre.
         tiled: the geoms near the cells, on the same lattice.
         footprint: the volume over a floor that has to be free.
         cells: cell ids, shape (n,), int64, in any order; a cell may be repeated.
@@ -164,7 +170,8 @@ def check_occupancy(
             square_occupied[n] = _fcl_finds_overlap(tiled, square, int(cells[n]), float(floors[n]))
         square_occupied &= occupied
     if len(lists.first):
-        # FCL has decided about the cell, not about a geom: all that may block an occupied cell do
+        # FCL has decided about the cell, not about a geom: all geoms that may block an occupied
+        # cell count as blocking it
         for n in np.flatnonzero(occupied & ((query_flags & MAYBE_BLOCKING) > 0)):
             i = lists.first[n]
             while geom[i] >= 0:
@@ -181,12 +188,12 @@ def _join_lists(
     cells: Int,
     lattice: Lattice,
 ) -> tuple[Int32, NDArray[np.uint8]]:
-    """Join the lists of occupants that several calls of `check_tiles` made.
+    """Join the lists of the geoms in each cell that several calls of `check_tiles` made.
 
     Args:
-        lists_by_row: first row of tiles of a call -> geoms and flags that it listed.
-        first_entry: `OccupantLists.first`: where each cell's list begins in the lists of its call;
-            changed to where it begins in the joined lists.
+        lists_by_row: first row of tiles of a call -> geom ids and flags that the call listed.
+        first_entry: for each cell, where its list begins in the lists of its call; changed to where
+            it begins in the joined lists. Empty if nothing is listed.
         cells: the cells, ascending.
         lattice: the lattice.
 
@@ -212,7 +219,14 @@ def _join_lists(
 
 
 def _fcl_finds_overlap(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:
-    """Return whether FCL finds that a solid near a cell meets the footprint over its floor."""
+    """Return whether FCL finds that a solid meets the footprint over the floor of a cell.
+
+    Args:
+        tiled: the geoms near the cell; of these, the primitives (solids) are tested.
+        footprint: the volume over a floor that has to be free.
+        cell: id of the cell.
+        floor: height of its floor [m].
+    """
     lattice = tiled.lattice
     tiles = tiled.tile_index
     solids = tiled.shapes.solids

@@ -1,12 +1,15 @@
 """Find which cells are occupied, and which geoms are in each, in one pass over the geoms near them.
 
-A query is a cell and the height of a floor in it. It is decided in these steps:
+A query is a cell and the height of a floor in it. Geoms are tested against upright prisms over that
+floor, see `volume_kernels`. The query is occupied if a geom meets the agent's footprint: the prism
+over the cell's square and the agent's disc, from the highest step above the floor (the ground
+clearance) to the agent's height above it. The steps:
 
-1. `_check_lines`: a query whose own vertical line hits a surface within the agent's volume, or runs
-   inside of a solid there, is occupied.
-2. `_check_geom`: the geoms over a tile of cells, in the order of their ids, each get their flags in
-   the queries near them: first those that the line proves (`find_flags_on_line`), then those of the
-   volumes that one of the geom's shapes meets (`shape_meets_prism`). `volume_kernels` has both.
+1. `_check_lines`: if the vertical line through the cell's centre hits a surface within the
+   footprint, or runs inside of a solid there, the query is occupied.
+2. `_check_geom`: each geom over a tile of cells, in the order of their ids, gets its flags in the
+   queries near it. A flag says that the geom meets the prism of that name. Some flags are proved by
+   the vertical line (`find_flags_on_line`), the others by the geom's shapes (`shape_meets_prism`).
 3. `_keep_flags`: the geom's flags are added to the query's flags, and the geom to the tile's list
    of occupants. A query is occupied if any geom is BLOCKING.
 4. If no geom is BLOCKING, but one is MAYBE_BLOCKING, the caller has to ask FCL.
@@ -79,12 +82,14 @@ FIRST_CAPACITY = 1024  # how many entries arrays have room for at first
 
 
 class TileEntries(NamedTuple):
-    """The occupants of a tile's queries, in the order of geom ids; arrays of one length.
+    """Which geoms are over the floors of a tile's cells, in the order of geom ids; shape (n,) each.
+
+    A query is a cell with the height of a floor.
 
     Attributes:
         query: index of the query, int32.
-        geom: id of a geom that has a flag there, int32.
-        flags: the geom's flags there, uint8.
+        geom: id of a geom that meets one of the prisms over the query's floor, int32.
+        flags: which of these prisms the geom meets, uint8.
     """
 
     query: Int32
@@ -96,19 +101,20 @@ class TileState(NamedTuple):
     """The queries of a tile, and which of its cells are still to be tested.
 
     Attributes:
-        row_queries: for each row of the tile, the index of its first query, and that past its last
-            one, (TILE, 2) int64.
+        row_queries: for each row of the tile, the index of its first query (a cell with the height
+            of a floor), and the index past its last query, (TILE, 2) int64.
         first_query: for each cell of the tile, the index of its first query, (TILE, TILE) int64.
         end_query: for each cell, the index past its last query, (TILE, TILE) int64.
-        heights: lowest and highest z of all volumes that are tested, (2,) float64 [m].
+        heights: lowest and highest z of all prisms that are tested, (2,) float64 [m].
         open_cells: a bit for each cell for which further geoms are tested, (1,) int64.
-        pending: for each flag, a bit for each cell in which the current geom is to be tested for
-            the flag, (4,) int64.
-        pending_heights: for each flag, the lowest and highest z of the volumes of these cells,
+        pending: for each flag, a bit for each cell in which the current geom is to be tested
+            against the flag's prism, (4,) int64.
+        pending_heights: for each flag, the lowest and highest z of the prisms of these cells,
             (4, 2) float64 [m].
-        geom_box: box around the current geom over the tile, (1, 6) float64 [m].
+        geom_box: box around the current geom over the tile, lower corner, upper corner, (1, 6)
+            float64 [m].
         plane: index of the current plane, (1,) int32.
-        scratch: room for the tests.
+        scratch: memory for the tests.
     """
 
     row_queries: Int
@@ -129,12 +135,12 @@ class TileTask(NamedTuple):
     Attributes:
         lattice: the cells.
         window: rows and columns of the tile, see `tile_window`.
-        hits: the columns of the cells.
-        shape_arrays: what is tested.
-        footprint: the volume that has to be free.
+        hits: hits on the vertical line through each cell's centre.
+        shape_arrays: the shapes that are tested.
+        footprint: the volume over a floor that has to be free.
         queries: all queries, of which some are in the tile.
         lists: settings of the lists of occupants, and where they begin.
-        tile_state: what is known about the tile.
+        tile_state: the queries of the tile, and which of its cells are still to be tested.
     """
 
     lattice: Lattice
@@ -151,20 +157,22 @@ class TileTask(NamedTuple):
 def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, first, end):
     """Decide the queries in rows of tiles ``range(first, end)``, and list their occupants.
 
-    A query's flags say whether it is occupied. Its list holds the geoms with any flag, in the
-    order of ids, from `lists.first` to the geom -1. Lists begin at 1; place 0 is the list of all
-    queries without occupants.
+    A query is a cell with the height of a floor. It is occupied if a geom meets the footprint over
+    that floor, a prism from the highest step to the agent's height above it; `queries.flags` says
+    so. The query's list of occupants holds the geoms that meet any of the prisms over the floor, in
+    the order of ids, from index `lists.first` to the next -1. Lists begin at index 1; at 0 is the
+    empty list of all queries without occupants.
 
     Args:
         lattice: the cells.
-        hits: the columns of the cells.
+        hits: hits on the vertical line through each cell's centre, as `ColumnHits`.
         shape_arrays: the shapes that are tested.
         tiles: the solids and triangles over each tile.
-        footprint: the volume that has to be free.
-        queries: receives the answers.
+        footprint: the volume over a floor that has to be free.
+        queries: the queries; receives the answers.
         lists: receives where the lists begin; nothing is listed if its arrays are empty.
         first: first row of tiles.
-        end: row of tiles past the last.
+        end: row of tiles after the last.
 
     Returns:
         The geom ids of all lists, int32; their flags, uint8; and how long the used part of both
@@ -239,15 +247,23 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
 
 @subkernel(**NO_REFCOUNT)
 def _find_queries(lattice, window, cells, row_queries):
-    """Find the queries in each row of a tile, and return how many there are.
+    """Find the queries in each row of a tile, and return how many there are in all.
 
-    Tiles have to be visited in order: the queries of a tile follow on those of the tile before.
+    A query is a cell with the height of a floor. Queries are in the order of cell ids. Tiles have
+    to be visited in order: in each row, the queries of a tile follow those of the tile to its left.
+
+    Args:
+        lattice: the cells.
+        window: rows and columns of the tile, see `tile_window`.
+        cells: the cell of each query, ascending.
+        row_queries: see `TileState`; has the queries of the tile to the left, receives those of
+            this tile.
     """
     num_queries = 0
     for row in range(window[0], window[1]):
         tile_row = row - window[0]
         query = row_queries[tile_row, 1]
-        if window[2] == 0:  # of the first tile in its row of tiles, by bisection
+        if window[2] == 0:  # the first tile in its row of tiles: find the first query by bisection
             query = 0
             end = cells.shape[0]
             while query < end:
@@ -269,9 +285,16 @@ def _find_queries(lattice, window, cells, row_queries):
 
 @subkernel(**NO_REFCOUNT)
 def _check_lines(task):
-    """Decide queries of a tile by their cells' lines, and mark the cells that geoms are tested for.
+    """Decide the queries of a tile that the vertical line through the cell's centre decides.
 
-    Those are the cells with a query that its line does not decide, or all if occupants are listed.
+    A query is a cell with the height of a floor. It is occupied if the line hits a surface between
+    the lower and the upper height of the footprint over the floor, or runs inside of a solid there.
+
+    Also marks in `open_cells` the cells for which geoms are tested next: those with a query that is
+    not decided yet, or all cells if occupants are listed.
+
+    Args:
+        task: a `TileTask`, whose queries, lists and tile state receive the results.
     """
     queries = task.queries
     lists = task.lists
@@ -316,10 +339,21 @@ def _check_lines(task):
 
 @subkernel(**NO_REFCOUNT)
 def _check_tile(task, tiles, tile, entries):
-    """Test the geoms over a tile; return the number of entries, or -1 if there is no room for them.
+    """Test all geoms over a tile against the prisms over the floors of the tile's queries.
+
+    A tile has TILE x TILE cells; a query is a cell with the height of a floor.
 
     Planes, solids and triangles are three lists in the order of geom ids: they are merged, so that
     the occupants of each query are found in the order of ids.
+
+    Args:
+        task: a `TileTask`, whose queries receive the answers.
+        tiles: the solids and triangles over each tile.
+        tile: number of the tile.
+        entries: a `TileEntries` that receives the geoms over each query's floor.
+
+    Returns:
+        The number of entries, -1 if there is no room for them.
     """
     solids = task.shape_arrays.solids
     facets = task.shape_arrays.facets
@@ -390,9 +424,21 @@ def _check_tile(task, tiles, tile, entries):
 
 @subkernel(inline="always")
 def _check_geom(task, kind, shapes, geom, entries, num_entries):
-    """Find the flags of a geom for the queries near it, and add them; see `_check_tile`.
+    """Test a geom against the prisms over the floors of the queries near it, and keep its flags.
 
-    `shapes` are the numbers of its shapes over the tile: one plane, one solid, or triangles.
+    A query is a cell with the height of a floor. A flag says that the geom meets the prism of that
+    name over the floor, see `volume_kernels`.
+
+    Args:
+        task: a `TileTask`, whose queries receive the flags.
+        kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
+        shapes: the numbers of the geom's shapes over the tile: one plane, one solid, or triangles.
+        geom: id of the geom.
+        entries: a `TileEntries` that receives the geom for each query where it has a flag.
+        num_entries: the number of entries so far.
+
+    Returns:
+        The number of entries, -1 if there is no room for them.
     """
     lattice = task.lattice
     window = task.window
@@ -405,7 +451,7 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
         return num_entries
     footprint = task.footprint
     facets = task.shape_arrays.facets
-    # how far from a cell's centre its square, and any of its volumes, search_distance
+    # how far from a cell's centre shapes can meet the prisms over its square, and any of its prisms
     square_distance = lattice.cell_size / 2 + SEARCH_MARGIN
     search_distance = max(square_distance, max(footprint.square, footprint.radius) + SEARCH_MARGIN)
     near_geom = window_near_box(lattice, window, tile_state.geom_box, 0, search_distance)
@@ -414,7 +460,7 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
     pending[:] = 0
     pending_heights[:, 0] = math.inf
     pending_heights[:, 1] = -math.inf
-    # which flags the line of each cell leaves open
+    # which flags the vertical line of each cell leaves open
     for row in range(near_geom[0], near_geom[1]):
         for col in range(near_geom[2], near_geom[3]):
             tile_row = row - window[0]
@@ -440,8 +486,8 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
     for shape in shapes:
         if pending[0] | pending[1] | pending[2] | pending[3] == 0:
             break
-        # cells near the shape where BLOCKING is open, whose volume may be a disc wider than the
-        # cell, and cells where another flag is, whose volumes are the cell's square
+        # cells near the shape where BLOCKING is open, whose prism may be a disc wider than the
+        # cell, and cells where another flag is open, whose prisms are over the cell's square
         disc_cells = np.int64(0)
         square_cells = np.int64(0)
         near_shape = near_geom
@@ -463,7 +509,7 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
                     lattice, near_shape, facets.bounds, shape, square_distance
                 )
                 square_cells &= window_bits(window, near_square)
-        if disc_cells | square_cells == 0:  # so it is for most triangles of a fine mesh
+        if disc_cells | square_cells == 0:  # as for most triangles of a fine mesh
             continue
         for row in range(near_shape[0], near_shape[1]):
             for col in range(near_shape[2], near_shape[3]):
@@ -487,14 +533,23 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
 
 @subkernel(inline="always")
 def _begin_geom(task, kind, geom, query, volumes):
-    """Note which flags of a geom are tested over a query, and which of them its line proves."""
+    """Set for which flags a geom is tested in a query, and which of them the vertical line proves.
+
+    Args:
+        task: a `TileTask`, whose queries receive the flags.
+        kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
+        geom: id of the geom.
+        query: number of the query.
+        volumes: the prisms of the flags over the query's floor.
+    """
     queries = task.queries
     lists = task.lists
     footprint = task.footprint
     query_flags = np.int64(queries.flags[query])
     tested_flags = 0
     geom_flags = 0
-    # where the square is a part of the footprint, each geom is tested; else until one meets it
+    # where the square is a part of the footprint, each geom is tested; else no geom is tested once
+    # another geom has met the square
     if footprint.radius > 0.0 and (footprint.square > 0.0 or not query_flags & BLOCKING_SQUARE):
         tested_flags = BLOCKING_SQUARE
     if lists.ceiling.shape[0] > 0:
@@ -513,7 +568,17 @@ def _begin_geom(task, kind, geom, query, volumes):
 
 @subkernel(**NO_REFCOUNT)
 def _check_shape(task, kind, shape, query, volumes):
-    """Test a shape of a geom against the volumes of all flags that are open, and add the flags."""
+    """Test a shape of a geom against the prisms of all flags that are still open in a query.
+
+    The flags of the prisms that it meets are added to `queries.geom_flags`.
+
+    Args:
+        task: a `TileTask`.
+        kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
+        shape: number of the plane, solid or triangle.
+        query: number of the query.
+        volumes: the prisms of the flags over the query's floor.
+    """
     queries = task.queries
     footprint = task.footprint
     geom_flags = np.int64(queries.geom_flags[query])
@@ -526,7 +591,7 @@ def _check_shape(task, kind, shape, query, volumes):
         if answer == MEETS:
             geom_flags |= flag
         elif answer == APART:
-            # what misses a volume misses BLOCKING_SQUARE's where that is a part of it
+            # a shape that misses a prism also misses that of BLOCKING_SQUARE if it is a part of it
             if flag == OCCUPYING and footprint.low >= SAME_HEIGHT + TOUCH_DEPTH:
                 open_flags &= ~BLOCKING_SQUARE
             if flag == BLOCKING and footprint.square == 0.0:
@@ -535,7 +600,7 @@ def _check_shape(task, kind, shape, query, volumes):
             geom_flags |= MAYBE_BLOCKING
         elif flag == BLOCKING_SQUARE:
             geom_flags |= MAYBE_BLOCKING_SQUARE
-        else:  # lists need no proof: what reaches in by no more than rounding is an occupant
+        else:  # lists need no proof: a geom that reaches in by a rounding error is an occupant
             geom_flags |= flag
     queries.geom_flags[query] = geom_flags
 
@@ -545,16 +610,25 @@ def _check_shape(task, kind, shape, query, volumes):
 
 @subkernel
 def _make_entries(size):
-    """Allocate room for `size` entries."""
+    """Allocate a `TileEntries` with room for `size` entries."""
     return TileEntries(np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.uint8))
 
 
 @subkernel(**NO_REFCOUNT)
 def _keep_flags(task, near, geom, entries, num_entries):
-    """Add a geom's flags to those of the queries near it, and to the entries.
+    """Add the flags of a geom to those of the queries near it, and the geom to the occupants there.
 
-    Cells that no further geom has to be tested for are closed. Returns the number of entries, or -1
-    if there is no room for them.
+    Cells for which no further geom has to be tested are removed from `open_cells`.
+
+    Args:
+        task: a `TileTask`, whose queries receive the flags.
+        near: window of the cells near the geom, see `tile_window`.
+        geom: id of the geom.
+        entries: a `TileEntries` that receives the geom for each query where it has a flag.
+        num_entries: the number of entries so far.
+
+    Returns:
+        The number of entries, -1 if there is no room for them.
     """
     tile_state = task.tile_state
     queries = task.queries
@@ -601,9 +675,21 @@ def _keep_flags(task, near, geom, entries, num_entries):
 
 @subkernel(**NO_REFCOUNT)
 def _write_lists(row_queries, entries, num_entries, first, list_geom, list_flags, list_end):
-    """Write a tile's entries as one list for each query, from `list_end` on; return the new end.
+    """Write the occupants of a tile's queries as one list for each query.
 
     A counting sort: entries are in the order of geoms, lists in the order of queries.
+
+    Args:
+        row_queries: the queries in each row of the tile, see `TileState`.
+        entries: the geoms over each query's floor, a `TileEntries`.
+        num_entries: the number of entries.
+        first: receives for each query where its list begins; 0 at first.
+        list_geom: receives geom ids, and -1 after each list.
+        list_flags: receives the geoms' flags, and 0 after each list.
+        list_end: the index at which the first list begins.
+
+    Returns:
+        The index after the last list.
     """
     for entry in range(num_entries):
         first[entries.query[entry]] += 1

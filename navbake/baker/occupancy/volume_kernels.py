@@ -1,16 +1,17 @@
-"""The volumes over a floor, and whether a geom meets one of them.
+"""The volumes over a cell's floor against which geoms are tested, and the tests.
 
 Over the floor of a cell stand four upright prisms. A geom has a flag in the cell if it meets the
-flag's prism:
+flag's prism. Heights are above the floor, and the highest step is the agent's ground clearance:
 
-    OCCUPYING        the cell's square, from just above the floor to the ceiling
+    OCCUPYING        the cell's square, from just above the floor to the level's ceiling
     BLOCKING         the agent's disc, or the cell's square if that is wider, from the highest step
                      to the agent's height
     AT_WALL_HEIGHT   the cell's square, at the heights where only walls are
     BLOCKING_SQUARE  the cell's square, from the highest step to the agent's height
 
-The geom meets a prism if the vertical line through the cell's centre runs inside of the geom there
-(`find_flags_on_line`), or if one of its shapes meets the prism (`shape_meets_prism`).
+The geom meets a prism if the vertical line through the cell's centre hits the geom in the prism, or
+runs inside of the geom there (`find_flags_on_line`), or if one of the geom's shapes meets the prism
+(`shape_meets_prism`).
 """
 
 from typing import NamedTuple
@@ -38,11 +39,11 @@ OCCUPYING = 1
 BLOCKING = 2
 AT_WALL_HEIGHT = 4
 BLOCKING_SQUARE = 8
-# Because of rounding it is open whether the geom meets the volume of BLOCKING, or BLOCKING_SQUARE
+# Because of rounding it is open whether the geom meets the prism of BLOCKING, or BLOCKING_SQUARE
 MAYBE_BLOCKING = 16
 MAYBE_BLOCKING_SQUARE = 32
 
-# Kinds of shapes; for plain ints, numba would compile functions once for each
+# Kinds of shapes; if they were plain ints, numba would compile functions once for each kind
 PLANE_KIND = np.int64(0)
 SOLID_KIND = np.int64(1)
 TRIANGLE_KIND = np.int64(2)
@@ -53,7 +54,7 @@ SEARCH_MARGIN = 2.0 * TOUCH_DEPTH
 
 
 class ShapeArrays(NamedTuple):
-    """The shapes of all geoms, each kind in the order of geom ids."""
+    """The shapes of all geoms: primitives, triangles and planes, each in the order of geom ids."""
 
     solids: Solids
     facets: Facets
@@ -61,15 +62,16 @@ class ShapeArrays(NamedTuple):
 
 
 class Queries(NamedTuple):
-    """Cells with a floor, and what is known over each; arrays of shape (n,).
+    """Cells with the height of a floor, and which prisms over it geoms meet; arrays of shape (n,).
 
     Attributes:
         cell: cell ids, ascending, int64.
         floor: height of the floor, float64 [m].
         flags: receives BLOCKING, BLOCKING_SQUARE, MAYBE_BLOCKING and MAYBE_BLOCKING_SQUARE if any
             geom has them, and BLOCKED_BY_LINE, uint8.
-        tested_flags: scratch: the flags that the current geom is tested for, uint8.
-        geom_flags: scratch: the flags that the current geom has, uint8.
+        tested_flags: the flags that the current geom is tested for, overwritten by each geom,
+            uint8.
+        geom_flags: the flags that the current geom has, overwritten by each geom, uint8.
     """
 
     cell: Int
@@ -80,7 +82,7 @@ class Queries(NamedTuple):
 
 
 class OccupantLists(NamedTuple):
-    """The settings of the lists of occupants, and arrays that receive where the lists begin.
+    """Settings of the lists of the geoms over each floor, and arrays that receive where they begin.
 
     If only occupancy is wanted, all arrays are empty.
 
@@ -88,12 +90,12 @@ class OccupantLists(NamedTuple):
         ceiling: for each query, the z up to which geoms count as occupants, at least the agent's
             height above the floor, (n,) float64 [m].
         first: receives, for each query, where its list begins, (n,) int32; see `check_tiles`.
-        floor_geom: receives the geom whose surface the floor is, -1 for none, (n,) int32.
-        gap_below: receives how far below the floor a floor of another geom lies, inf for none, (n,)
-            float64 [m].
+        floor_geom: receives the id of the geom whose surface is the floor, -1 for none, (n,) int32.
+        gap_below: receives how far below the floor the next surface of another geom lies that is
+            not too steep for a floor, inf for none, (n,) float64 [m].
         is_wall_candidate: for each geom id, whether AT_WALL_HEIGHT is tested, (ngeom,) bool.
-        wall_low: height above the floor at which the volume of AT_WALL_HEIGHT begins [m].
-        wall_high: height above the floor at which it ends [m].
+        wall_low: height above the floor at which the prism of AT_WALL_HEIGHT begins [m].
+        wall_high: height above the floor at which that prism ends [m].
         min_up: least z of the unit normal of a surface that is a floor, in [0, 1].
     """
 
@@ -108,7 +110,7 @@ class OccupantLists(NamedTuple):
 
 
 class Volumes(NamedTuple):
-    """The prisms over a floor, in the order of their flags' bits."""
+    """The four prisms over a floor against which geoms are tested, in the order of flags' bits."""
 
     occupying: Prism
     blocking: Prism
@@ -117,7 +119,7 @@ class Volumes(NamedTuple):
 
 
 class VolumeScratch(NamedTuple):
-    """Room in which shapes are tested against prisms."""
+    """Memory that the tests of shapes against prisms use."""
 
     simplex: Simplex
     polygons: Polygons
@@ -125,13 +127,13 @@ class VolumeScratch(NamedTuple):
 
 @subkernel(inline="always")
 def make_volumes(lattice, footprint, queries, lists, query, row, col):
-    """Make the four volumes over the floor of a query.
+    """Make the four prisms over the floor of a query, a cell with the height of a floor.
 
     Args:
         lattice: the cells.
         footprint: the volume over a floor that has to be free.
         queries: all queries.
-        lists: the ceilings and the heights of walls; if it is empty, the volumes of OCCUPYING and
+        lists: the ceilings and the heights of walls; if it is empty, the prisms of OCCUPYING and
             AT_WALL_HEIGHT have no meaning.
         query: number of the query.
         row: row of its cell.
@@ -156,13 +158,15 @@ def make_volumes(lattice, footprint, queries, lists, query, row, col):
 
 @subkernel(inline="always")
 def make_envelope(lattice, footprint, queries, lists, query, row, col):
-    """Make a prism that holds all tested volumes over the floor of a query, with SEARCH_MARGIN.
+    """Make a prism that contains all prisms that are tested over the floor of a query.
+
+    It is wider than these by SEARCH_MARGIN on each side, and ends at the ceiling.
 
     Args:
         lattice: the cells.
         footprint: the volume over a floor that has to be free.
         queries: all queries.
-        lists: the ceilings.
+        lists: the ceilings; if it is empty, the prism has the heights of the footprint.
         query: number of the query.
         row: row of its cell.
         col: column of its cell.
@@ -209,23 +213,23 @@ def shape_meets_prism(shape_arrays, kind, shape, prism, scratch):
 def find_flags_on_line(hits, cell, geom, volumes):
     """Return the flags of a geom that the vertical line through a cell's centre proves.
 
-    The line proves that the geom meets a volume if it hits the geom between the volume's lower and
-    upper height, or runs inside of the geom there: then the winding number above is positive. This
-    does what `is_line_blocked` does, for three volumes in one pass over the hits. It never returns
-    BLOCKING_SQUARE.
+    The line proves that the geom meets a prism over the floor if it hits the geom between the
+    prism's lower and upper height, or runs inside of the geom there: then the winding number above
+    is positive. This does what `is_line_blocked` does, for three prisms in one pass over the hits.
+    It never returns BLOCKING_SQUARE.
 
     Args:
-        hits: the columns of all cells.
+        hits: hits on the vertical line through each cell's centre, as `ColumnHits`.
         cell: cell id.
         geom: geom id.
-        volumes: over the floor of the cell.
+        volumes: the prisms over the floor of the cell, as `Volumes`.
     """
     occupying = volumes.occupying
     blocking = volumes.blocking
     at_wall_height = volumes.at_wall_height
     lowest = min(occupying.low, blocking.low, at_wall_height.low)
     flags = 0
-    # winding numbers at the upper ends of the volumes, while the hits above them are counted
+    # winding numbers at the upper ends of the prisms, while the hits above them are counted
     winding_occupying = 0
     winding_blocking = 0
     winding_at_wall = 0
@@ -257,16 +261,18 @@ def find_flags_on_line(hits, cell, geom, volumes):
 
 @subkernel(inline="always")
 def describe_floor(hits, cell, floor, min_up):
-    """Return the geom whose surface a floor is, and the gap to another geom's floor below.
-
-    The geom is -1 if the column has no such surface. The gap is the distance to the highest surface
-    of another geom at or below the floor that keeps the slope limit, inf for none [m].
+    """Find the geom whose surface is the floor of a cell, and how far below it another one lies.
 
     Args:
-        hits: the columns of all cells.
+        hits: hits on the vertical line through each cell's centre, as `ColumnHits`.
         cell: cell id.
         floor: height of the floor [m].
-        min_up: least z of the normal of a surface that is a floor.
+        min_up: least z of the unit normal of a surface that is not too steep for a floor.
+
+    Returns:
+        The geom's id, -1 if the cell's line hits no such surface at the floor's height; and the
+        distance from the floor to the highest surface of another geom, at or below the floor, that
+        is not too steep, inf for none [m].
     """
     floor_geom = np.int32(-1)
     gap_below = np.inf
