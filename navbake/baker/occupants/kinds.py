@@ -92,7 +92,8 @@ MIN_UPRIGHT_SHARE = 0.5
 THING_AREA = 4.0
 MIN_ON_FLOOR_SHARE = 0.9
 THING_HEIGHT = 1.0
-# A thing of at most this height only covers the floor, as a rug does: no step leads up to it [m]
+# A thing of at most this height only covers the floor, as a rug does: a step up from it counts as
+# one from the floor [m]
 COVERING = 0.03
 # The least width of a ceiling along both axes [m]
 CEILING_WIDTH = 1.5
