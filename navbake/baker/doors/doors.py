@@ -74,7 +74,7 @@ class ClassifiedLeaf:
         return self.blocked["closed"]
 
     def state(self, wanted: str) -> str:
-        """Return `wanted` if the door has that state, else ``modelled``."""
+        """Return `wanted` if the door has that state (all have ``removed``), else ``modelled``."""
         return wanted if wanted == "removed" or wanted in self.blocked else "modelled"
 
 
@@ -149,9 +149,10 @@ def _classify_leaf(
 
 
 def closes_same_cells(leaf_cells: LeafCells, former: ClassifiedLeaf) -> bool:
-    """Return whether a leaf, when closed, blocks the same cells in its new pose as before.
+    """Return whether a door leaf moved without any effect on rooms and on its classification.
 
-    If so, rooms and the leaf's classification stay valid.
+    It did if, when closed, it blocks the same cells as before, the lines away from it meet the same
+    cells, and it is still named as a door, or still not.
 
     Args:
         leaf_cells: the leaf in its new pose.

@@ -304,7 +304,7 @@ def find_blocked_cells(
 def _block_cells(
     leaf: Leaf, floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
 ) -> LeafCells:
-    """Find the cells that a leaf blocks, once for all states that share a window."""
+    """Find the cells that a leaf blocks in each state, once for all states with the same pose."""
     no_cells: list[Int] = [np.empty(0, dtype=np.int64)] * len(floors)
     blocked = dict[str, list[Int]]()
     squares = dict[str, list[Int]]()

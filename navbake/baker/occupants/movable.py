@@ -212,7 +212,14 @@ def update_movable_occupants(
 
 
 def _write_blocked(layer: Bool, standing: Bool, cells: Int, blocked: Int) -> None:
-    """Write some cells of a layer: True if `standing` marks them or they are in `blocked`."""
+    """Update some cells of a mask of blocked cells, after movables were searched for in them.
+
+    Args:
+        layer: the mask, (height, width); is changed.
+        standing: a mask of the cells that structure blocks, (height, width).
+        cells: ids of the cells to update.
+        blocked: ids of those that movables block.
+    """
     flat = layer.ravel()
     flat[cells] = standing.ravel()[cells]
     flat[blocked] = True
@@ -261,7 +268,7 @@ def _select_entries(entries: OccupantEntries, places: Bool | Int) -> OccupantEnt
 
 
 def join_entries(row_chunks: Sequence[OccupantEntries]) -> OccupantEntries:
-    """Concatenate the entries of several row chunks."""
+    """Concatenate the entries (geoms in cells) of several row chunks, in their order."""
     return OccupantEntries(
         cell=np.concatenate([chunk.cell for chunk in row_chunks]),
         geom=np.concatenate([chunk.geom for chunk in row_chunks]),

@@ -100,12 +100,15 @@ class StandingOccupants:
     warnings: list[str]
 
     def mark_walls(self, level: int) -> tuple[Bool, Bool]:
-        """Mark the cells of a level that a wall blocks.
+        """Mark the cells of a level that a wall blocks, and those that something lower blocks.
+
+        Args:
+            level: number of the level.
 
         Returns:
-            A mask of the cells that a wall occupies and blocks, and a mask of the cells that the
-            mesh of a whole building blocks without reaching `WALL_HEIGHTS`; both (height, width),
-            bool.
+            A mask of the cells that a wall occupies and blocks; and a mask of the cells that the
+            mesh of a whole building blocks (as a sill, for example) without reaching into
+            `WALL_HEIGHTS`; both (height, width), bool.
         """
         occupants = self.levels[level]
         cells = np.arange(len(occupants.first))
@@ -126,7 +129,7 @@ class StandingOccupants:
 
 
 def find_level_ceilings(floors: Floors) -> list[float]:
-    """Return for each level the height of the next level's ground [m]; inf for the last level."""
+    """Return the height at which each level ends: the next level's ground, inf for the last [m]."""
     return [*(level.ground for level in floors.levels[1:]), np.inf]
 
 

@@ -360,7 +360,9 @@ def _mark_by_sites(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> MarkedRooms:
-    """Give each cell the room of the first matching site in whose volume an agent would stand.
+    """Give each cell the room of the first site in whose volume an agent would stand there.
+
+    Only sites count whose names match a pattern of the settings.
 
     A site that contains less than `rooms.min_area` of floor, on all levels together, is no room.
     """

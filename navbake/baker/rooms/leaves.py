@@ -24,7 +24,7 @@ DETOUR_REACH = 1.0
 
 
 class LeafLines(NamedTuple):
-    """The ids of the cells along lines that start at a closed leaf, -1 outside the lattice.
+    """The ids of the cells along lines that start at a closed door leaf, -1 outside the lattice.
 
     Attributes:
         sight: the cells along lines away from the leaf's two sides, shape (2, lines, steps).
