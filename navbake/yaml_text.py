@@ -1,6 +1,10 @@
-"""Writes YAML, and reads hand-written YAML.
+"""Writes YAML, and reads it.
 
 Scalars are read as in YAML 1.2. A key that stands twice in a mapping is an error.
+
+All YAML is read here, whoever wrote it. Few lines of aliases can stand for values without end, so
+what aliases repeat is counted. libyaml, which is fast, splits the text; what it finds is put
+together in Python, whose limit of recursion refuses deep nesting (libyaml's own composer crashes).
 """
 
 from __future__ import annotations
@@ -11,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
+from yaml.composer import Composer
 
 from navbake.errors import ConfigError
 
@@ -19,21 +24,66 @@ if TYPE_CHECKING:  # it loads numpy
 
 # settings whose keys are names, which may contain dots
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))
+MAX_REPEATED_VALUES = 100_000  # that all aliases of a file may stand for
+MERGE_KEY = "<<"  # of YAML 1.1; YAML 1.2 has none
 MAX_PROBLEM = 200  # characters of a message of PyYAML, which repeats long tags and names
 # PyYAML raises these for a value that doesn't fit its explicit tag, such as ``!!bool maybe``
 TAG_ERRORS = (AttributeError, IndexError, KeyError, TypeError, ValueError)
 _TAG = "tag:yaml.org,2002:"
 
 
-class _Loader(yaml.SafeLoader):
-    """SafeLoader, but ``1e-3`` is a number, ``on`` and ``2026-01-01`` are text, ``010`` is 10."""
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """A safe loader: ``1e-3`` is a number, ``on`` and ``2026-01-01`` are text, ``010`` is 10."""
 
     # An empty table in place of YAML 1.1's; the loop below fills it with YAML 1.2's core schema,
     # plus numbers like 1_000_000.
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
 
+    # libyaml's parser has methods of these names in C
+    get_single_node = Composer.get_single_node
+    compose_document = Composer.compose_document
+    compose_scalar_node = Composer.compose_scalar_node
+    compose_sequence_node = Composer.compose_sequence_node
+    compose_mapping_node = Composer.compose_mapping_node
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.anchors: dict[str, yaml.Node] = {}
+        self._num_values = 0  # so far, with those that aliases repeat
+        self._num_repeated = 0
+        self._sizes = dict[str, int]()  # name of an anchor -> number of values in its node
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Compose a node; count the values in it, and refuse too many of them."""
+        event = self.peek_event()
+        anchor = event.anchor
+        if self.check_event(yaml.AliasEvent) and anchor in self.anchors:
+            self._repeat(anchor, event.start_mark)
+            return Composer.compose_node(self, parent, index)
+        num_values_before = self._num_values
+        self._num_values += 1
+        node: yaml.Node | None = Composer.compose_node(self, parent, index)
+        if anchor is not None:
+            self._sizes[anchor] = self._num_values - num_values_before
+        return node
+
+    def _repeat(self, anchor: str, mark: yaml.Mark) -> None:
+        """Count the values that an alias repeats."""
+        if anchor not in self._sizes:
+            text = f"the alias *{anchor} stands in its own value"
+            raise yaml.MarkedYAMLError(problem=text, problem_mark=mark)
+        self._num_values += self._sizes[anchor]
+        self._num_repeated += self._sizes[anchor]
+        if self._num_repeated > MAX_REPEATED_VALUES:
+            text = f"aliases repeat more than {MAX_REPEATED_VALUES:,} values"
+            raise yaml.MarkedYAMLError(problem=text, problem_mark=mark)
+
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Do nothing: merging the keys ``<<`` of YAML 1.1 can grow without bound."""
+        """Refuse the keys ``<<`` of YAML 1.1, whose merging can grow without bound."""
+        for key_node, _ in node.value:
+            if key_node.value == MERGE_KEY and key_node.style not in ("'", '"'):
+                text = f"`{MERGE_KEY}` merges keys in YAML 1.1 alone: write the keys themselves"
+                raise yaml.constructor.ConstructorError(None, None, text, key_node.start_mark)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         keys = set()
@@ -45,7 +95,8 @@ class _Loader(yaml.SafeLoader):
                 text = f"the key {key!r} stands here a second time"
                 raise yaml.constructor.ConstructorError(None, None, text, key_node.start_mark)
             keys.add(key)
-        return super().construct_mapping(node, deep)
+        mapping: dict[Hashable, Any] = super().construct_mapping(node, deep)
+        return mapping
 
     def construct_integer(self, node: yaml.ScalarNode) -> int:
         return int(str(self.construct_scalar(node)))
@@ -115,8 +166,9 @@ def parse_yaml(text: str, source: str) -> JsonValue:
         return yaml.load(text, _Loader)  # a SafeLoader
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
+        line = min(line, text.rstrip("\n").count("\n") + 1)  # libyaml ends the last line itself
         problem = str(error.problem or error.context)[:MAX_PROBLEM]
-        hint = "text that begins with * needs quotes" if "alias" in problem else None
+        hint = "text that begins with * needs quotes" if "undefined alias" in problem else None
         message = f"{problem} in line {line} of {source}"
         if hint is not None:
             message += f"; {hint}"

@@ -55,17 +55,17 @@ def episodes(
     if total is not None and per_scene is not None:
         raise BadParameter("expected one of them", param_hint="--count, --per-scene")
     options.check_output(output, *EPISODE_SUFFIXES, inputs=grids)
-    from msgspec import DecodeError, yaml  # --help does without it
+    from msgspec import ValidationError, convert  # --help does without it
 
     from navbake import episodes as sets  # loads numpy
+    from navbake.yaml_text import read_yaml  # PyYAML loads slowly
 
     task_fields: dict[str, Any] = {"objects": objects or (), "rooms": rooms or ()}
     if categories is not None:
         try:
-            patterns = yaml.decode(categories.read_bytes(), type=dict[str, list[str] | str])
-        except (OSError, DecodeError) as error:
-            why = " ".join(str(error).split())
-            raise ConfigError(f"cannot read {categories}: {why}") from error
+            patterns = convert(read_yaml(categories), dict[str, list[str] | str])
+        except ValidationError as error:
+            raise ConfigError(f"cannot read {categories}: {error}") from error
         kind = "rooms" if "room" in (task, of) else "objects"
         task_fields[kind] = {
             label: [v] if isinstance(v, str) else v for label, v in patterns.items()

@@ -76,7 +76,7 @@ def test_objects_by_a_file_of_categories_and_splits(run):
         (("--rule", "min_dist=1"), "no rule 'min_dist' of a sampler: it has name, min_distance"),
         (("--split", "train=0"), "shares"),
         (("--split-by", "floor", "--split", "a=1"), "expected scene or room to split by"),
-        (("--categories", "none.yaml", "--task", "object"), "cannot read none.yaml"),
+        (("--categories", "none.yaml", "--task", "object"), "no such file: none.yaml"),
         (("--task", "object", "--object", "unicorn"), "no object 'unicorn' in 'house'"),
         (("--height", "9"), "agents up to"),
     ],

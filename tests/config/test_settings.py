@@ -252,7 +252,7 @@ REFUSED = [
     ("cell_size: 0.1", "unknown key `cell_size`, the nearest known one is `grid.cell_size`"),
     ("grid: {zzz: 1}", "known are cell_size, bounds, margin, max_cells"),
     ("5: 1", "got 5"),
-    ("<<: {output: a}", "unknown key `<<`"),
+    ("<<: {output: a}", "`<<` merges keys in YAML 1.1 alone"),
 ]
 REFUSED_IN_SCENE = [
     ("path: 3", "expected the path of a scene file, got 3 at `scene.path`"),

@@ -14,12 +14,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.baker.geometry.shapes import Mesh
@@ -31,14 +29,16 @@ from navbake.baker.readers.parsed_scene import (
     reading,
 )
 from navbake.config.settings import SceneSettings
-from navbake.errors import SceneError
+from navbake.errors import ConfigError, SceneError
 from navbake.formats.source import import_extra
 from navbake.lazy import lazy
 from navbake.types import Float, Json
+from navbake.yaml_text import decode_yaml
 
 shapely = lazy("shapely")  # of the extra [convert]
 
 # The file has lines only; these are the sizes that simulators give them [m]
+MAX_FIDUCIALS = 500  # that a level shares with the reference level; each two make a line
 WALL_THICKNESS = 0.1
 WALL_HEIGHT = 2.5
 FLOOR_THICKNESS = 0.1
@@ -128,9 +128,9 @@ def read_building(path: Path, settings: SceneSettings) -> ParsedScene:
         MissingDependencyError: shapely is not installed.
     """
     try:
-        content = yaml.load(path.read_bytes(), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except yaml.YAMLError as error:
-        raise SceneError(f"no YAML in {path}: {' '.join(str(error).split())[:200]}") from error
+        content = decode_yaml(path.read_bytes(), str(path))
+    except ConfigError as error:
+        raise SceneError(str(error), path=str(path), place=error.place) from error
     if not isinstance(content, dict) or not isinstance(content.get("levels"), dict):
         raise SceneError(f"no building in {path}: expected `levels`, as traffic-editor writes them")
     import_extra("shapely")
@@ -265,11 +265,14 @@ class _BuildingReader:
             has_measurements = bool(self._levels[level].get("measurements"))
             scale = self._meters_per_pixel(level) if has_measurements else reference_scale
             return PlanTransform(scale + 0.0j, 0.0j)
+        if len(shared_names) > MAX_FIDUCIALS:
+            raise SceneError(
+                f"level {level!r} of {self._path} shares {len(shared_names):,} fiducials with "
+                f"{self._reference_level!r}, expected {MAX_FIDUCIALS} at most"
+            )
         reference_points = np.array([reference_fiducials[name] for name in shared_names])
         level_points = np.array([level_fiducials[name] for name in shared_names])
-        pairs = np.array(list(combinations(range(len(shared_names)), 2)))
-        first = pairs[:, 0]
-        second = pairs[:, 1]
+        first, second = np.triu_indices(len(shared_names), k=1)  # all pairs
         reference_lines = reference_points[second] - reference_points[first]
         level_lines = level_points[second] - level_points[first]
         turns = level_lines * reference_lines.conj()

@@ -173,6 +173,14 @@ def test_fiducials_lay_levels_over_each_other_in_any_pose(lab, write, baked):
             "expected the parameter `generate_crs`",
         ),
         (lambda lab: lab["levels"]["L1"]["walls"].append([0, 99, {}]), "index 99"),
+        (
+            lambda lab: [
+                lab["levels"][level]["fiducials"].append([k, 2 * k, f"f{k}"])
+                for level in ("L1", "L2")
+                for k in range(501)
+            ],
+            "fiducials with 'L1', expected 500 at most",
+        ),
         (lambda lab: lab.pop("levels"), "expected `levels`"),
         (lambda lab: lab["lifts"]["A"].update(initial_floor_name="L9"), "lift 'A' .*KeyError 'L9'"),
         (

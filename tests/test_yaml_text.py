@@ -1,0 +1,89 @@
+"""YAML of strangers: whatever reads it, few lines stand for few values."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+
+import pytest
+
+from command_line import run_command
+from navbake.baker.readers.building import read_building
+from navbake.batch.scenes import read_shared
+from navbake.config.settings import SceneSettings, load_config
+from navbake.errors import ConfigError, NavbakeError
+from navbake.formats.nav2 import read_nav2
+from navbake.formats.route_files import read_routes
+from navbake.yaml_text import MAX_REPEATED_VALUES, parse_yaml
+
+ALIASES = "a0: &a0 [1, 1]\n" + "".join(
+    f"a{number}: &a{number} [*a{number - 1}, *a{number - 1}]\n" for number in range(1, 40)
+)
+MERGES = "m0: &m0 {k: 1}\n" + "".join(
+    f"m{number}: &m{number}\n  <<: [{', '.join([f'*m{number - 1}'] * 9)}]\n  k{number}: 1\n"
+    for number in range(1, 20)
+)
+# what a file may begin with -> what its readers say
+BOMBS = {
+    "aliases": (ALIASES, "aliases repeat more than 100,000 values in line 1"),
+    "merge keys": (MERGES, "`<<` merges keys in YAML 1.1 alone: write the keys themselves"),
+    "an alias in its value": ("a: &a [*a]\n", "the alias *a stands in its own value in line 1"),
+    "half of a pair": ('a: "\\ud800"\n', "invalid Unicode character escape code in line 1"),
+    "brackets": ("a: " + "[" * 300_000, "is nested too deeply"),
+}
+READERS = {
+    "settings": load_config,
+    "shared settings": read_shared,
+    "a building": lambda path: read_building(path, SceneSettings(path=path)),
+    "a graph of routes": lambda path: read_routes(path, "rmf"),
+    "a map": read_nav2,
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_few_lines_that_stand_for_values_without_end_are_refused(tmp_path, reader, bomb):
+    text, reason = BOMBS[bomb]
+    path = tmp_path / "a.yaml"
+    path.write_text(text + "scene: {path: a.xml}\nlevels: {}\n")
+    begin = time.process_time()
+    with pytest.raises(NavbakeError) as error:
+        READERS[reader](path)
+    assert time.process_time() - begin < 2
+    assert (reason if bomb != "merge keys" else "in line") in str(error.value)
+    assert "a.yaml" in str(error.value)
+
+
+def test_categories_of_episodes_are_read_alike(tmp_path, capsys):
+    path = tmp_path / "a.yaml"
+    path.write_text(ALIASES)
+    arguments = ("episodes", path, "-o", tmp_path / "a.jsonl", "--categories", path)
+    status, _, err = run_command(capsys, *arguments)
+    assert (status, len(err.splitlines())) == (1, 1) and "aliases repeat" in err
+
+
+def test_aliases_and_quoted_signs_are_read():
+    assert parse_yaml("a: &a {b: [1]}\nc: [*a, *a]", "x") == {
+        "a": {"b": [1]},
+        "c": [{"b": [1]}, {"b": [1]}],
+    }
+    assert parse_yaml('"<<": 1', "x") == {"<<": 1}
+    assert parse_yaml('a: "\U0001f600 \\U0001f600"', "x") == {"a": "\U0001f600 \U0001f600"}
+
+
+def test_aliases_are_counted_with_what_they_repeat():
+    values = ", ".join(["1"] * 999)  # a list of them is a thousand values
+    repeats = MAX_REPEATED_VALUES // 1000
+    assert len(parse_yaml(f"a: &a [{values}]\nb: [{'*a, ' * repeats}]", "x")["b"]) == repeats
+    with pytest.raises(ConfigError, match="aliases repeat more than"):
+        parse_yaml(f"a: &a [{values}]\nb: [{'*a, ' * (repeats + 1)}]", "x")
+
+
+@pytest.mark.parametrize(
+    "piece", ["[", "{", "- ", "? ", "&a ", "!a ", ": ", "'", '"', "# \n", "{a: ", "x y ", "\n"]
+)
+def test_time_is_linear_in_the_size(piece):
+    begin = time.process_time()
+    with contextlib.suppress(ConfigError):
+        parse_yaml(f"a: {piece * 200_000}", "x")
+    assert time.process_time() - begin < 5
