@@ -28,7 +28,7 @@ Folder: TypeAlias = Path | str
 
 # a URL's scheme, of at least two letters (`C://` is a path of Windows), and the rest
 URL_PATTERN = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)
-URL_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://[^\s'\"<>]+")
+URL_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.-]{1,40}://[^\s'\"<>]+")
 LOCAL_SCHEMES = ("file", "local")  # schemes of this machine's own files
 WEB_SCHEMES = ("http", "https")  # a query (`?…`) may follow the path; folders have no listing
 # Schemes whose uploads are atomic. On other stores, a file is written under a temporary name and

@@ -27,7 +27,9 @@ spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
 MAX_SNAP = 0.5  # largest distance from a position to the free cell that counts for it [m]
 VIEW_POINT_SPACING = 0.25  # between view points, and between points of a path [m]
-COUNTER_PATTERN = re.compile(r"[\W_]*\d[\d\W_]*$")  # the number that ends names like chair_1
+# matches the reversed end of names like chair_1, where it has a number; from the front, its cost
+# would grow as the square
+REVERSED_COUNTER = re.compile(r"[\W_]*\d[\d\W_]*")
 
 
 class Task(Record, frozen=True, kw_only=True):
@@ -378,4 +380,6 @@ class GoalFinder:
 
 def category_of(name: str) -> str:
     """Return an object's category: its name in lower case, without the number at its end."""
-    return COUNTER_PATTERN.sub("", name).lower() or name.lower()
+    counter = REVERSED_COUNTER.match(name[::-1])
+    kind = name[: len(name) - (counter.end() if counter else 0)]
+    return kind.lower() or name.lower()

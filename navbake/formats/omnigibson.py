@@ -43,7 +43,8 @@ OMNIGIBSON_HEAD = "floor_"  # of the names of OmniGibson's own maps
 MAP_WORD = re.compile(r"(.*_|)trav(_.*|)")  # what stands before and after it in a map's name
 DEFAULT_CATEGORY = "room"
 NO_OBJECTS = "no_obj"  # part of the name of a map without furniture
-TRAILING_NUMBER = re.compile(r"[\s_-]*\d*$")  # at the end of a room's name
+# matches the reversed end of a room's name; from the front, its cost would grow as the square
+REVERSED_NUMBER = re.compile(r"\d*[\s_-]*")
 
 
 class RoomFiles(NamedTuple):
@@ -201,7 +202,9 @@ def _encode_room_maps(
 
 def _find_category(room_name: str) -> str:
     """Return the category of a room by its name: ``Living room 2`` is a ``living_room``."""
-    name = TRAILING_NUMBER.sub("", room_name.lower())
+    name = room_name.lower()
+    number = REVERSED_NUMBER.match(name[::-1])
+    name = name[: len(name) - (number.end() if number else 0)]
     return name.replace(" ", "_") or DEFAULT_CATEGORY
 
 

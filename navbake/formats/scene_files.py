@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import html
 import json
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -16,6 +15,7 @@ from urllib.parse import unquote
 from navbake.errors import SceneError
 from navbake.files import check_regular
 from navbake.formats.package_paths import RosPackages, parse_fuel_address
+from navbake.formats.xml_files import StartTag, find_root_tag, list_start_tags, parse_xml
 
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 SDF_SUFFIXES = frozenset({".sdf", ".world"})
@@ -30,15 +30,14 @@ MODEL_PATHS = (
     "GAZEBO_RESOURCE_PATH",
     "SDF_PATH",
 )
-URI_PATTERN = re.compile(rb"<uri>([^<>]*)</uri>")
 # schemes of a URDF's meshes that begin with the name of a ROS package
 PACKAGE_SCHEMES = ("package", "model")
 MATERIAL_SUFFIX = ".material"  # ending of a script of Ogre's, which changes the appearance alone
 # files in the folder of a model of Gazebo
 MODEL_CONFIG = "model.config"
 MODEL_SDF = "model.sdf"
-# finds in a model.config the version of SDF of each file, and the file's name
-SDF_NAME = re.compile(rb"<sdf(?:\s+version\s*=\s*[\"']([\d.]*)[\"'])?[^>]*>\s*([\w.-]+)\s*</sdf>")
+MAX_VERSION_DIGITS = 9  # of each number in a version of SDF
+MAX_PROLOG = 1 << 16  # bytes before the first element of an SDF, such as a licence
 MODEL_ELEMENTS = ("include", "model", "attach")  # the file of these is XML, whatever its name
 TEXTURE_ELEMENTS = ("texture", "skin")  # these change a scene's appearance, but no cell
 # attributes of a compiler that name folders, without and with the folders of textures
@@ -50,11 +49,10 @@ FILE_ATTRIBUTES = ("file", "filename")
 ALL_FILE_ATTRIBUTES = (
     *FILE_ATTRIBUTES, "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback",
 )  # fmt: skip
-# XML is searched by these patterns: MuJoCo's parser (TinyXML-2) accepts files that Python's refuses
-# (`--` in a comment, bytes of any encoding)
-COMMENT_PATTERN = re.compile(rb"<!--.*?-->", re.DOTALL)
-ELEMENT_PATTERN = re.compile(rb"<([A-Za-z_]\w*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
-ATTRIBUTE_PATTERN = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
+MAX_CANDIDATES = 500_000  # names of files in a model times the folders that its compilers name
+MAX_NAME_PARTS = 32  # of a URDF's mesh, of which the first ones are dropped one by one
+# attributes by which `find_inputs` finds names of files and folders
+NAMING_ATTRIBUTES = frozenset({*ALL_FOLDER_ATTRIBUTES, *ALL_FILE_ATTRIBUTES})
 
 
 def scene_suffix(path: str | os.PathLike[str]) -> str:
@@ -95,13 +93,6 @@ def check_inputs(scene: Path, folders: Sequence[Path] = ()) -> None:
     find_inputs(scene, with_textures=True, folders=folders)
 
 
-class _Element(NamedTuple):
-    """An element of an XML file."""
-
-    tag: str
-    attributes: dict[str, str]
-
-
 def find_inputs(
     scene: Path,
     files: FileAccess | None = None,
@@ -133,6 +124,7 @@ def find_inputs(
         SceneError: an input is a pipe or a device of this machine, which would block its reader.
     """
 
+    @cache
     def exists(path: Path) -> bool:
         if files is not None:
             return files.has(path)
@@ -167,15 +159,14 @@ def find_inputs(
             inputs.update(candidates)
 
     suffix = scene.suffix.lower()
-    elements = _parse_elements(read(scene)) if suffix in XML_SUFFIXES else []
-    if elements and elements[0].tag == "robot":
+    elements = _list_elements(read(scene)) if suffix in XML_SUFFIXES else []
+    if elements and elements[0].name == "robot":
         packages = RosPackages(folders)
-        for element in elements:
-            if element.tag == "mesh":
-                name = element.attributes.get("filename", "")
-                add_existing(list_mesh_paths(scene, name, packages), only_first=True)
-    else:
-        for candidates in _list_mjcf_paths(scene, elements, read, with_textures):
+        meshes = [element for element in elements if element.name == "mesh"]
+        for name in dict.fromkeys(mesh.attributes.get("filename", "") for mesh in meshes):
+            add_existing(list_mesh_paths(scene, name, packages), only_first=True)
+    elif elements:
+        for candidates in _list_mjcf_paths(scene, read, with_textures):
             add_existing(candidates)
     if suffix in SDF_SUFFIXES | USD_SUFFIXES:
         unread = [scene]
@@ -185,7 +176,7 @@ def find_inputs(
             if file in read_files:
                 continue
             read_files.add(file)
-            content = COMMENT_PATTERN.sub(b"", read(file))
+            content = read(file)
             if suffix in USD_SUFFIXES:
                 candidate_lists = _list_usd_paths(file, with_textures) if content else []
             else:
@@ -215,10 +206,16 @@ def _list_sdf_inputs(
 ) -> list[list[Path]]:
     """Return, for each file that an SDF or a model.config names, its possible paths."""
     if file.name == MODEL_CONFIG:
-        return [[file.parent / name.decode()] for _, name in SDF_NAME.findall(content)]
-    uris = [uri.decode(errors="replace").strip() for uri in URI_PATTERN.findall(content)]
+        return [[file.parent / entry.name] for entry in _list_config_entries(content)]
+    if find_root_tag(content[:MAX_PROLOG]) != "sdf":  # a mesh, an image
+        return []
+    try:
+        root = parse_xml(content)
+    except ValueError:
+        return []
+    uris = dict.fromkeys((element.text or "").strip() for element in root.iter("uri"))
     return [
-        _list_model_files(list_sdf_paths(html.unescape(uri), file, folders))
+        _list_model_files(list_sdf_paths(uri, file, folders))
         for uri in uris
         if uri and "\0" not in uri and (with_textures or not uri.endswith(MATERIAL_SUFFIX))
     ]
@@ -245,7 +242,7 @@ def list_mesh_paths(urdf: Path, name: str, packages: RosPackages) -> Iterator[Pa
     if is_in_package:
         for package in packages.list_stated(parts[0]):
             yield package.joinpath(*parts[1:])
-    for first in range(len(parts)):
+    for first in range(len(parts) if len(parts) <= MAX_NAME_PARTS else 1):
         for folder in folders:
             yield folder.joinpath(*parts[first:])
         if first == 0 and is_in_package:
@@ -303,17 +300,38 @@ def find_model_file(path: Path) -> Path:
     if not path.is_dir():
         return path
     config = path / MODEL_CONFIG
-    content = COMMENT_PATTERN.sub(b"", config.read_bytes()) if config.is_file() else b""
-    entries: list[tuple[bytes, bytes]] = SDF_NAME.findall(content)
+    entries = _list_config_entries(config.read_bytes()) if config.is_file() else []
     if not entries:
         return path / MODEL_SDF
+    return path / max(entries, key=lambda entry: entry.version).name
 
-    def parse_version(entry: tuple[bytes, bytes]) -> list[int]:
-        version, _ = entry
-        return [int(word) for word in version.split(b".") if word]
 
-    _, latest_name = max(entries, key=parse_version)
-    return path / latest_name.decode()
+class _ConfigEntry(NamedTuple):
+    """A file that a model.config lists: its version of SDF, and its name."""
+
+    version: tuple[int, ...]
+    name: str
+
+
+def _list_config_entries(content: bytes) -> list[_ConfigEntry]:
+    """Return the files that a model.config lists; none if it is broken."""
+    try:
+        root = parse_xml(content)
+    except ValueError:
+        return []
+    entries = []
+    for element in root.iter("sdf"):
+        name = (element.text or "").strip()
+        if name and "\0" not in name:
+            entries.append(_ConfigEntry(parse_sdf_version(element.get("version")) or (), name))
+    return entries
+
+
+def parse_sdf_version(text: str | None) -> tuple[int, ...] | None:
+    """Return the numbers of a version of SDF, such as ``1.9``; None for another text."""
+    words = (text or "").split(".")
+    is_version = all(word.isdecimal() and len(word) <= MAX_VERSION_DIGITS for word in words)
+    return tuple(map(int, words)) if is_version else None
 
 
 def _list_model_files(paths: Iterable[Path]) -> list[Path]:
@@ -349,53 +367,66 @@ class _MjcfFile(NamedTuple):
     """A file of a model, to be searched for names of files."""
 
     path: Path
-    elements: list[_Element]
     model_folder: Path  # the folder of the model's main file, which may include this one
 
 
 def _list_mjcf_paths(
-    scene: Path, elements: list[_Element], read: Callable[[Path], bytes], with_textures: bool
+    scene: Path, read: Callable[[Path], bytes], with_textures: bool
 ) -> list[list[Path]]:
-    """Return, for each file that MJCF names, its possible paths."""
+    """Return, for each file that MJCF names, its possible paths.
+
+    Raises:
+        SceneError: there are more than `MAX_CANDIDATES` paths, as few names and few folders make.
+    """
     folder_attributes = ALL_FOLDER_ATTRIBUTES if with_textures else FOLDER_ATTRIBUTES
     file_attributes = ALL_FILE_ATTRIBUTES if with_textures else FILE_ATTRIBUTES
-    names: list[tuple[list[Path], str]] = []  # (folders that the name may be relative to, name)
+    names: dict[tuple[tuple[Path, ...], str], None] = {}  # (folders of the name, name), ordered
     compiler_folders = {""}
-    unread = [_MjcfFile(scene, elements, scene.parent)]
+    unread = [_MjcfFile(scene, scene.parent)]
     read_files = set[tuple[str, ...]]()
+    elements_of_file = dict[str, list[StartTag]]()
     while unread:
         file = unread.pop()
-        # a file is read again where its names are relative to other folders
+        real_path = os.path.realpath(file.path)
+        # a file is searched again where its names are relative to other folders
         identity = (
-            os.path.realpath(file.path),
+            real_path,
             os.path.realpath(file.path.parent),
             os.path.realpath(file.model_folder),
         )
         if identity in read_files:
             continue
         read_files.add(identity)
-        bases = [*dict.fromkeys((scene.parent, file.model_folder, file.path.parent))]
-        for element in file.elements:
+        if real_path not in elements_of_file:
+            elements_of_file[real_path] = _list_elements(read(file.path))
+        bases = tuple(dict.fromkeys((scene.parent, file.model_folder, file.path.parent)))
+        included_files: dict[_MjcfFile, None] = {}
+        for element in elements_of_file[real_path]:
             for key in folder_attributes:
                 if key in element.attributes:
                     compiler_folders.add(_replace_backslashes(element.attributes[key]))
-            if element.tag in TEXTURE_ELEMENTS and not with_textures:
+            if element.name in TEXTURE_ELEMENTS and not with_textures:
                 continue
             for key in file_attributes:
                 name = _replace_backslashes(element.attributes.get(key, ""))
                 if not name or "\0" in name:
                     continue
-                names.append((bases, name))
+                names[bases, name] = None
                 is_xml = Path(name).suffix.lower() in XML_SUFFIXES
-                if element.tag not in MODEL_ELEMENTS and not is_xml:
+                if element.name not in MODEL_ELEMENTS and not is_xml:
                     continue
                 for path in _list_paths(bases, [""], name):
-                    content = read(path)
-                    if not content:
-                        continue
-                    model_folder = file.model_folder if element.tag == "include" else path.parent
-                    unread.append(_MjcfFile(path, _parse_elements(content), model_folder))
-    return [_list_paths(bases, sorted(compiler_folders), name) for bases, name in names]
+                    model_folder = file.model_folder if element.name == "include" else path.parent
+                    included_files[_MjcfFile(path, model_folder)] = None
+        unread += included_files
+    folders = sorted(compiler_folders)
+    if len(names) * len(folders) > MAX_CANDIDATES:
+        raise SceneError(
+            f"{scene} names {len(names):,} files, and {len(folders):,} folders in which each may "
+            "be: too many to look for all",
+            path=str(scene),
+        )
+    return [_list_paths(bases, folders, name) for bases, name in names]
 
 
 def _list_paths(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:
@@ -436,23 +467,6 @@ def _replace_backslashes(name: str) -> str:
     return name.replace("\\", "/")
 
 
-def _parse_elements(content: bytes) -> list[_Element]:
+def _list_elements(content: bytes) -> list[StartTag]:
     """Return the first element of an XML file, and all others that may name files or folders."""
-
-    def decode(value: bytes) -> str:
-        """Return a name as `os` returns names of files, also if it is not UTF-8."""
-        return html.unescape(value.decode(errors="surrogateescape"))
-
-    elements = []
-    for number, (tag, text) in enumerate(
-        ELEMENT_PATTERN.findall(COMMENT_PATTERN.sub(b"", content))
-    ):
-        # most elements name no file, and are left out before their attributes are parsed
-        if number > 0 and b"file" not in text and b"dir" not in text:
-            continue
-        attributes = {
-            decode(key): decode(double_quoted or single_quoted)
-            for key, double_quoted, single_quoted in ATTRIBUTE_PATTERN.findall(text)
-        }
-        elements.append(_Element(decode(tag), attributes))
-    return elements
+    return list_start_tags(content, NAMING_ATTRIBUTES)

@@ -17,8 +17,9 @@ from __future__ import annotations
 import codecs
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable
+from collections.abc import Set
 from contextlib import suppress
+from typing import NamedTuple, Protocol
 from xml.parsers import expat
 
 Element = ElementTree.Element
@@ -53,28 +54,65 @@ def parse_xml(content: bytes) -> Element:
     try:
         return _parse_standard(content)
     except (expat.ExpatError, ValueError, LookupError):
-        return _Parser(_decode(content)).parse()
+        builder = ElementTree.TreeBuilder()
+        _Parser(_decode(content), builder).parse()
+        return builder.close()
 
 
 def find_root_tag(content: bytes) -> str:
     """Return the name of the first element of an XML file as written; empty if there is none."""
-    root_tags = list[str]()
-    parser = _Parser(_decode(content))
-
-    def stop(tag: str, attributes: dict[str, str]) -> None:
-        root_tags.append(tag)
-        raise ValueError("the first element is all that counts")
-
-    parser.on_start = stop
+    collector = _TagCollector(frozenset(), only_first=True)
     with suppress(ValueError):
-        parser.parse()
-    return root_tags[0] if root_tags else ""
+        _Parser(_decode(content), collector).parse()
+    return collector.tags[0].name if collector.tags else ""
 
 
-def _decode(content: bytes) -> str:
-    """Decode a file as UTF-8, or as UTF-16 if it begins so; other bytes become U+FFFD."""
-    encoding = BYTE_ORDER_MARKS.get(content[:2], "utf-8-sig")
-    text = content.decode(encoding, errors="replace")
+class StartTag(NamedTuple):
+    """How an element begins.
+
+    Attributes:
+        name: the element's name as written, with its prefix.
+        attributes: name -> value of each attribute.
+    """
+
+    name: str
+    attributes: dict[str, str]
+
+
+def list_start_tags(content: bytes, attribute_names: Set[str]) -> list[StartTag]:
+    """List the first element of an XML file, and all others that have one of some attributes.
+
+    Of a broken file, these are the elements before its fault.
+
+    Args:
+        content: the file's content. Bytes that are not UTF-8 become what `os` makes of them in
+            names of files.
+        attribute_names: names of attributes.
+    """
+    collector = _TagCollector(attribute_names)
+    parser = expat.ParserCreate("utf-8")  # TinyXML-2 ignores the encoding that a file states
+    parser.StartElementHandler = collector.start
+    try:
+        parser.Parse(content, True)
+    except (expat.ExpatError, ValueError):
+        collector.tags.clear()
+        with suppress(ValueError):
+            _Parser(_decode(content, errors="surrogateescape"), collector).parse()
+    return collector.tags
+
+
+def _decode(content: bytes, errors: str = "replace") -> str:
+    """Decode a file as UTF-8, or as UTF-16 if it begins so.
+
+    Args:
+        content: the file's content.
+        errors: what other bytes become, as `bytes.decode` takes it; U+FFFD by default.
+    """
+    encoding = BYTE_ORDER_MARKS.get(content[:2])
+    if encoding is None:
+        text = content.decode("utf-8-sig", errors=errors)
+    else:
+        text = content.decode(encoding, errors="replace")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -104,24 +142,63 @@ def _parse_standard(content: bytes) -> Element:
     return builder.close()
 
 
+class _Target(Protocol):
+    """Receives what a parser finds, as `ElementTree.TreeBuilder` does."""
+
+    def start(self, tag: str, attrs: dict[str, str], /) -> object:
+        """An element begins."""
+
+    def end(self, tag: str, /) -> object:
+        """An element ends."""
+
+    def data(self, data: str, /) -> object:
+        """There is text in an element."""
+
+
+class _TagCollector:
+    """Collects the first start tag, and all others with one of some attributes.
+
+    Args:
+        attribute_names: names of attributes.
+        only_first: whether to end the parser by a ValueError after the first start tag.
+
+    Attributes:
+        tags: the start tags.
+    """
+
+    def __init__(self, attribute_names: Set[str], *, only_first: bool = False) -> None:
+        self.tags: list[StartTag] = []
+        self._attribute_names = attribute_names
+        self._only_first = only_first
+
+    def start(self, tag: str, attrs: dict[str, str], /) -> None:
+        if not self.tags or not self._attribute_names.isdisjoint(attrs):
+            self.tags.append(StartTag(tag, attrs))
+        if self._only_first:
+            raise ValueError("the first element is all that counts")
+
+    def end(self, tag: str, /) -> None:
+        pass
+
+    def data(self, data: str, /) -> None:
+        pass
+
+
 class _Parser:
     """Parses a text by the rules of TinyXML-2, up to the end of its first element.
 
     Args:
         text: the text of the file.
-
-    Attributes:
-        on_start: is called with the name and the attributes of each element that begins.
+        target: receives the elements and their text.
     """
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, target: _Target) -> None:
         self._text = text
         self._position = 0
-        self._builder = ElementTree.TreeBuilder()
+        self._target = target
         self._open_tags = list[str]()
-        self.on_start: Callable[[str, dict[str, str]], object] = self._builder.start
 
-    def parse(self) -> Element:
+    def parse(self) -> None:
         """Parse the text; raise a ValueError if it is broken."""
         is_done = False
         while not is_done:
@@ -132,10 +209,9 @@ class _Parser:
                 missing = f"</{open_tags[-1][:40]}>" if open_tags else "an element"
                 raise self._error(f"the file ends without {missing}")
             if self._open_tags and start > self._position:
-                self._builder.data(_replace_entities(self._text[self._position : start]))
+                self._target.data(_replace_entities(self._text[self._position : start]))
             self._position = start
             is_done = self._parse_markup()
-        return self._builder.close()
 
     def _parse_markup(self) -> bool:
         """Parse what begins with ``<``; return whether it ends the first element."""
@@ -144,7 +220,7 @@ class _Parser:
             first = self._position + len(CDATA_START)
             self._skip_past(CDATA_END)
             if self._open_tags:
-                self._builder.data(text[first : self._position - len(CDATA_END)])
+                self._target.data(text[first : self._position - len(CDATA_END)])
             return False
         for beginning, ending in PASSED_BY.items():
             if text.startswith(beginning, self._position):
@@ -185,10 +261,10 @@ class _Parser:
             raise self._error(f"expected an attribute or > in <{tag[:40]}>, got {got!r}")
         if len(self._open_tags) == MAX_DEPTH:
             raise self._error(f"more than {MAX_DEPTH} elements in elements")
-        self.on_start(tag, attributes)
+        self._target.start(tag, attributes)
         self._position = position + (2 if is_empty else 1)
         if is_empty:
-            self._builder.end(tag)
+            self._target.end(tag)
             return not self._open_tags
         self._open_tags.append(tag)
         return False
@@ -201,7 +277,7 @@ class _Parser:
             wanted = f"expected </{expected[:40]}>" if expected else "expected an element"
             raise self._error(f"{wanted}, got </{tag[:40]}>")
         self._skip_past(">")
-        self._builder.end(tag)
+        self._target.end(tag)
         self._open_tags.pop()
         return not self._open_tags
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from pathlib import Path
 
 import mujoco
@@ -11,7 +12,7 @@ import pytest
 import trimesh
 
 from navbake.errors import SceneError
-from navbake.formats.scene_files import find_inputs
+from navbake.formats.scene_files import find_inputs, find_model_file
 
 OBJ = "v 0 0 0\n"
 
@@ -251,3 +252,62 @@ def test_pipes_are_not_read(folder):
     for scene in ("scene.xml", "pipe.xml"):
         with pytest.raises(SceneError, match=r"pipe\.xml: expected a file, got a pipe"):
             find_inputs(folder / scene)
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".urdf", ".sdf"])
+@pytest.mark.parametrize(
+    "piece",
+    ["<!--", "<a ", "<a>", "<a b='", "<uri>", "<uri> ", " ", "<", "&", "<![CDATA[", "<a b='' "],
+)
+def test_time_is_linear_in_the_size(folder, suffix, piece):
+    tag = {".xml": "mujoco", ".urdf": "robot", ".sdf": "sdf"}[suffix]
+    path = folder / f"scene{suffix}"
+    for text in (f"<{tag}>{piece * 100_000}</{tag}>", f"<{tag}><!-- --><uri>{piece * 100_000}"):
+        path.write_text(text)
+        begin = time.process_time()
+        assert find_inputs(path) == [path]
+        assert time.process_time() - begin < 3
+
+
+def test_a_file_is_read_once_however_often_it_is_included(folder):
+    includes = "".join(f'<include file="no{k}/../scene.xml"/>' for k in range(100))
+    (folder / "scene.xml").write_text(f"<mujoco>{includes * 10}</mujoco>")
+    begin = time.process_time()
+    assert names(folder, "scene.xml") == ["scene.xml"]
+    assert time.process_time() - begin < 3
+
+
+def test_names_that_may_be_in_very_many_folders_are_refused(folder):
+    pieces = "".join(f'<compiler meshdir="{k}"/><mesh file="{k}.obj"/>' for k in range(1000))
+    (folder / "scene.xml").write_text(f"<mujoco>{pieces}</mujoco>")
+    with pytest.raises(SceneError, match="names 1,000 files, and 1,001 folders in which each may"):
+        find_inputs(folder / "scene.xml")
+
+
+def test_a_long_name_of_a_urdf_is_looked_for_as_it_is_written(folder):
+    (folder / "arm.urdf").write_text(
+        f'<robot name="arm"><mesh filename="{"a/" * 50_000}mesh/a.obj"/>'
+        f'<mesh filename="{"a/" * 20}mesh/a.obj"/></robot>'
+    )
+    assert names(folder, "arm.urdf") == ["arm.urdf", "mesh/a.obj"]
+
+
+def test_names_that_are_no_utf_8_are_found(folder):
+    name = os.fsdecode(b"caf\xe9.obj")
+    try:
+        (folder / name).write_text(OBJ)
+    except OSError:
+        pytest.skip("the file system takes UTF-8 alone")
+    (folder / "scene.xml").write_bytes(b'<mujoco><mesh file="caf\xe9.obj"/></mujoco>')
+    assert names(folder, "scene.xml") == ["scene.xml", name]
+
+
+def test_the_latest_of_a_model_counts_whatever_its_version_says(folder):
+    model = folder / "chair"
+    model.mkdir()
+    versions = {"1.9": "a.sdf", "1.10": "b.sdf", "9" * 5000: "c.sdf", "x": "d.sdf"}
+    entries = "".join(f"<sdf version='{key}'>{name}</sdf>" for key, name in versions.items())
+    (model / "model.config").write_text(f"<!-- <sdf>e.sdf</sdf> --><model>{entries}</model>")
+    assert find_model_file(model) == model / "b.sdf"
+    (model / "model.config").write_text("<sdf" * 50_000)
+    assert find_model_file(model) == model / "model.sdf"

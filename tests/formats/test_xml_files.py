@@ -80,16 +80,16 @@ def test_broken_files_are_one_line(content, reason):
     "piece", ["<!--", "<a>", "<a ", "<a b='", "&", "<![CDATA[", "<!", "a=", " ", "</a>", "<a/>"]
 )
 def test_time_is_linear_in_the_size(piece):
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(ValueError, match="line 1"):
         parse_xml(b"<r>" + piece.encode() * 300_000)
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 5
 
 
 def test_entities_that_expand_without_end_stay_as_they_are():
     entities = '<!ENTITY e0 "0123456789">' + "".join(
         f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 10)
     )
-    start = time.perf_counter()
+    start = time.process_time()
     assert parse_xml(f"<!DOCTYPE a [{entities}]><a>&e9;</a>".encode()).text == "&e9;"
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 5

@@ -265,7 +265,7 @@ def _check_ply_counts(content: bytes, meshes: list[NamedMesh], path: Path) -> No
         "face": sum(len(mesh.faces) for mesh in meshes),
     }
     for element, count in counts.items():
-        declared = re.search(rb"element %s (\d+)" % element.encode(), header)
+        declared = re.search(rb"element %s (\d{1,18})" % element.encode(), header)
         if declared and int(declared[1]) > count:
             expected = f"expected {int(declared[1])} {element} elements"
             raise SceneError(f"{path} is cut off: {expected}, got {count}")
@@ -516,8 +516,8 @@ def repair_stl(path: Path) -> bytes:
     may_be_text = content.lstrip()[:5].lower() == b"solid"
     lower_case = content.lower() if may_be_text else b""
     if b"facet" in lower_case:
-        num_starts = len(re.findall(rb"(?m)^\s*solid", lower_case))
-        num_ends = len(re.findall(rb"(?m)^\s*endsolid", lower_case))
+        num_starts = len(re.findall(rb"(?m)^[^\S\n]*solid", lower_case))
+        num_ends = len(re.findall(rb"(?m)^[^\S\n]*endsolid", lower_case))
         if num_ends < num_starts:
             raise SceneError(f"{path} is cut off: its last solid has no end")
         return _to_utf8(content)

@@ -50,7 +50,7 @@ from navbake.baker.readers.sdf_shapes import (
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.formats.package_paths import equal_model_names, parse_fuel_address
-from navbake.formats.scene_files import find_model_file, list_sdf_paths
+from navbake.formats.scene_files import find_model_file, list_sdf_paths, parse_sdf_version
 from navbake.formats.xml_files import parse_xml
 from navbake.types import Float
 
@@ -632,8 +632,7 @@ def parse_sdf(file: Path) -> Element:
 
 def _version_of(root: Element) -> tuple[int, ...]:
     """Return the version of SDF that a file states; (2,), later than all, if it states none."""
-    words = (root.get("version") or "").split(".")
-    return tuple(map(int, words)) if all(word.isdecimal() for word in words) else (2,)
+    return parse_sdf_version(root.get("version")) or (2,)
 
 
 def _model_name(uri: str) -> str:

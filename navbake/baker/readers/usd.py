@@ -54,6 +54,7 @@ ROTATION_DECIMALS = 9  # decimals that angles in radians, and rotation matrices,
 # The axis of a solid -> the rotation matrix that turns z to it
 AXIS_FRAMES = {"X": np.eye(3)[:, [1, 2, 0]], "Y": np.eye(3)[:, [2, 0, 1]], "Z": np.eye(3)}
 AXIS_ORDERS = np.array(list(permutations(range(3))))
+MAX_MESSAGE = 4000  # characters of a message of USD that are searched for its reason
 MAX_SKEW = 1e-6  # the largest cosine between two axes of a frame that counts as not skewed
 SOLID_TYPES = ("Cube", "Sphere", "Cylinder", "Capsule", "Cone", "Plane")
 JOINT_KINDS = {
@@ -171,8 +172,9 @@ def read_stage(path: Path, settings: SceneSettings) -> ParsedScene:
         stage = Usd.Stage.Open(str(path))
         return _StageReader(stage, path, settings).read()
     except Tf.ErrorException as error:
-        messages = re.findall(r" : '(.*?)'\s*(?=\n\tError|\n*$)", str(error), re.DOTALL)
-        reason = " ".join((messages or [str(error)])[0].split())[:300]
+        text = str(error)[:MAX_MESSAGE]
+        messages = re.findall(r" : '(.*?)'\s*(?=\n\tError|\n*$)", text, re.DOTALL)
+        reason = " ".join((messages or [text])[0].split())[:300]
         raise SceneError(f"cannot read the USD stage {path}: {reason}") from error
     finally:
         diagnostics.TakeUncoalescedDiagnostics()
@@ -199,8 +201,9 @@ class _StageReader:
     def read(self) -> ParsedScene:
         """Read all prims, then make the bodies and the geoms of the parsed scene."""
         for error in self._stage.GetCompositionErrors():
-            prims = re.findall(r"<([^>]*)>", str(error.rootSite))
-            text = re.sub(r",@anon:[^@]*@", "", " ".join(str(error).split()))[:300]
+            prims = re.findall(r"<([^<>]*)>", str(error.rootSite)[-MAX_MESSAGE:])
+            text = " ".join(str(error)[:MAX_MESSAGE].split())
+            text = re.sub(r",@anon:[^@]*@", "", text)[:300]
             prim = prims[-1] if prims else "/"
             self._parsed_scene.warnings.append(f"prim {prim} of {self._path}: {text}")
         self._read_prims_below(self._stage.GetPseudoRoot(), _PrimState(Gf.Matrix4d(1.0)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -742,3 +743,20 @@ def test_a_missing_texture_stops_nothing(tmp_path, name):
         if file.suffix in (".png", ".jpg", ".jpeg", ".mtl"):
             file.unlink()
     assert read_named_meshes(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.stl", "solid a\nfacet" + "\n" * 200_000),
+        ("a.stl", "solid a\nfacet" + " " * 200_000 + "\n"),
+        ("a.ply", "ply\nformat ascii 1.0\nelement vertex " + "9" * 5000 + "\nend_header\n"),
+        ("a.obj", "v 0 0 0\n" + "f" + " 0" * 100_000 + "a\n"),
+    ],
+)
+def test_broken_meshes_cost_time_in_proportion_to_their_size(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    begin = time.process_time()
+    with pytest.raises(SceneError):
+        read_named_meshes(tmp_path / name)
+    assert time.process_time() - begin < 2
