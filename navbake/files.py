@@ -145,6 +145,15 @@ def readable_stem(path: str | PathLike[str]) -> str:
     return os.fsencode(Path(path).stem).decode(errors="replace")
 
 
+def can_be_path(text: str) -> bool:
+    """Whether a text can be the path of a file: it has no NUL, and the system can encode it."""
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError:  # half of a surrogate pair, as in JSON
+        return False
+    return "\0" not in text
+
+
 def check_regular(path: str | PathLike[str]) -> None:
     """Raise an OSError if a path is a pipe or a device, which may block its reader for ever.
 

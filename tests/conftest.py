@@ -1,5 +1,8 @@
 """What all tests share: `oracles` can be imported, and Hypothesis has no deadlines.
 
+Warnings of numpy's are errors in the tests of readers: a file's numbers are checked before they are
+computed with.
+
 How long an example takes says something of the machine, not of the code. `.ci/run` chooses
 Hypothesis's own profile `ci`, which has none either.
 """
@@ -8,6 +11,7 @@ import signal
 import sys
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -18,3 +22,12 @@ settings.load_profile("navbake")
 # A shell's background jobs ignore Ctrl-C, and so would the commands that tests start and interrupt
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+READER_FOLDERS = ("formats", "baker/readers", "voxels", "episodes")
+
+
+def pytest_collection_modifyitems(items):
+    folders = [Path(__file__).parent / name for name in READER_FOLDERS]
+    for item in items:
+        if any(folder in item.path.parents for folder in folders):
+            item.add_marker(pytest.mark.filterwarnings("error::RuntimeWarning"))

@@ -211,8 +211,9 @@ def check_components(graph: RouteGraph) -> Iterator[Finding]:
     matrix = csr_array((np.ones(len(ends)), tuple(ends.T)), shape=(num_nodes, num_nodes))
     _, component = connected_components(matrix, directed=False)
     sizes = np.bincount(component)
+    _, first_nodes = np.unique(component, return_index=True)
     for number in np.argsort(-sizes, kind="stable")[1:].tolist():
-        node = graph.nodes[int(np.argmax(component == number))]
+        node = graph.nodes[int(first_nodes[number])]
         text = f"{count_of(int(sizes[number]), 'node')} from {node.name!r} on are a part apart"
         yield Finding(REMARK, node.level, node.position, text)
     _, group = connected_components(matrix, connection="strong")

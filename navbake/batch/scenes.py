@@ -22,6 +22,7 @@ from navbake.config.field_types import find_unknown_key, show_value
 from navbake.config.keywords import merge
 from navbake.config.settings import SECTIONS, BakeConfig, is_settings, parse_config
 from navbake.errors import ConfigError, shorten
+from navbake.files import can_be_path
 from navbake.formats.source import import_extra, unpack
 from navbake.types import Json
 from navbake.yaml_text import apply_overrides, decode_yaml, override_key
@@ -90,6 +91,15 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_ROW_COLUMN
     listed = [entry for source in sources for entry in _expand(store.plain_path(source), columns)]
     if not listed:
         raise ConfigError("expected at least one scene, got none")
+    for job in listed:
+        if not can_be_path(job.source):
+            raise ConfigError(
+                f"expected a path, got {shorten(repr(job.source))} at {job.place}: no file can "
+                "have that name",
+                value=job.source,
+                expected="a path",
+                place=job.place,
+            )
     jobs = []
     for name, job in zip(_choose_ids(listed), listed, strict=True):
         check_id(name, job.place)
@@ -495,7 +505,8 @@ def merge_settings(
         settings = merge(settings, layer, place)
     settings = _map_paths(settings, lambda name: str(fetch(name)))
     if outlines:  # quoted as in JSON, any path is valid YAML
-        overrides = [*overrides, f"rooms.polygons={json.dumps(str(fetch(outlines)))}"]
+        quoted_path = json.dumps(str(fetch(outlines)), ensure_ascii=False)
+        overrides = [*overrides, f"rooms.polygons={quoted_path}"]
     return parse_config(settings, place, overrides)
 
 

@@ -23,7 +23,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from navbake.errors import ConfigError, FormatError, shorten
-from navbake.files import check_regular
+from navbake.files import can_be_path, check_regular
 from navbake.known_names import find_near
 from navbake.navgrid.lattice import find_outline_fault
 from navbake.yaml_text import override_key
@@ -76,10 +76,10 @@ def section(model: type[BaseModel], text: str) -> Any:
 
 
 def to_path(value: object) -> Path:
-    """Convert text to a path; raises a ValueError for any other type."""
-    if isinstance(value, str | PathLike) and str(value) and "\0" not in str(value):
+    """Convert text to a path; raises pydantic's error for what is none."""
+    if isinstance(value, str | PathLike) and str(value) and can_be_path(str(value)):
         return Path(value)
-    raise ValueError("no path")
+    raise expected_error("a path")
 
 
 def resolve(path: Path, info: ValidationInfo) -> Path:

@@ -54,7 +54,7 @@ from navbake.config.field_types import (
 )
 from navbake.config.links import Areas, AreaSettings, Links, LinkSettings, NamedAgent
 from navbake.errors import ConfigError
-from navbake.files import readable_stem
+from navbake.files import can_be_path, readable_stem
 from navbake.formats.scene_files import BUILDING_SUFFIXES, scene_suffix
 from navbake.formats.shapes import read_room_outlines
 from navbake.types import Json
@@ -171,7 +171,9 @@ class SceneSettings(Settings):
         """Set `id` to its default: the stem of the path."""
         if isinstance(settings, Mapping) and settings.get("id") is None:
             path = settings.get("path")
-            stem = stem_of(path) if isinstance(path, str | PathLike) else ""
+            stem = ""
+            if isinstance(path, str | PathLike) and can_be_path(str(path)):
+                stem = stem_of(path)
             return {**settings, "id": stem or "scene"}
         return settings
 

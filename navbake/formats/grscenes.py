@@ -136,13 +136,14 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
 
 def _find_step(coordinates: Float, axis: str, place: JsonPath) -> float:
     """Return the step between coordinates [m], negative if they fall; 0 for a single coordinate."""
-    if not (np.abs(coordinates) <= MAX_COORDINATE).all():  # NaN isn't, either
+    with np.errstate(over="ignore"):  # long doubles may be beyond all others
+        positions = coordinates.astype(np.float64)
+    if not (np.abs(positions) <= MAX_COORDINATE).all():  # NaN isn't, either
         place.fail(
             f"expected {axis} of samples within {MAX_COORDINATE:g} m of the origin, got others"
         )
-    if len(coordinates) == 1:
+    if len(positions) == 1:
         return 0.0
-    positions = coordinates.astype(np.float64)
     step = float(positions[-1] - positions[0]) / (len(positions) - 1)
     even_positions = positions[0] + step * np.arange(len(positions))
     unevenness = np.abs(positions - even_positions).max()

@@ -31,6 +31,7 @@ import io
 import itertools
 import logging
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
@@ -53,6 +54,7 @@ from navbake.formats.format_table import ROUTE_FORMATS, find_format
 from navbake.formats.graphs import encode_networkx
 from navbake.lazy import resolve
 from navbake.navgrid.door_states import name_doors
+from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.navgrid.links import DEFAULT_SPEED
 from navbake.navgrid.metadata import read_table
 from navbake.routes.graph import (
@@ -81,6 +83,7 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 
+MAX_LIFT_NODES = 200  # of a lift; each is joined with all that are on other levels
 MAX_LEVELS = 1000  # of a graph; each has a name, whether nodes are on it or not
 
 
@@ -177,6 +180,9 @@ class _GraphReader:
         if not isinstance(position, list) or len(position) not in (2, 3):
             place.refuse("a node's x and y [m]", position)
         coordinates = [float(check_number(value, place)) for value in [*position, 0.0][:3]]
+        for coordinate in coordinates:
+            if abs(coordinate) > MAX_COORDINATE:
+                place.refuse(f"coordinates within {MAX_COORDINATE:g} m", coordinate)
         fields = {"name": str(key), **entry, "position": tuple(coordinates)}
         node = read_table(fields, Node, f"{place.path} in {place.file}")
         self.nodes[key] = _NodeEntry(entry.get("number"), key, node)
@@ -722,18 +728,19 @@ def _read_rmf_lifts(top: Json, place: JsonPath) -> list[Json]:
 def _read_rmf_doors(top: Json, place: JsonPath, level_names: list[str]) -> list[Json]:
     """Read the table of doors: for each, the fields of its `Doorway`."""
     doorways = []
+    level_numbers = {name: number for number, name in enumerate(level_names)}
     for name, door in check_optional_object(top, "doors", place).items():
         door_place = place["doors"][str(name)]
         door_entry = check_object(door, door_place)
         level_name = str(door_entry.get("map"))
-        if level_name not in level_names:
+        if level_name not in level_numbers:
             door_place["map"].refuse("the name of a level", door_entry.get("map"))
         ends = _check_list(door_entry, "endpoints", door_place)
         if len(ends) != 2:
             door_place["endpoints"].refuse("two points", ends)
         start = _check_numbers({"endpoints": ends[0]}, "endpoints", 2, door_place)
         end = _check_numbers({"endpoints": ends[1]}, "endpoints", 2, door_place)
-        level = level_names.index(level_name)
+        level = level_numbers[level_name]
         doorways.append({"door": str(name), "level": level, "start": start, "end": end})
     return doorways
 
@@ -771,12 +778,21 @@ def _read_hidden_lanes(reader: _GraphReader, graph_entry: Json) -> None:
 
 def _join_lifts(reader: _GraphReader) -> None:
     """Add lanes between the nodes of each lift on different levels; Open-RMF does the same."""
-    for start, end in itertools.permutations(list(reader.nodes.values()), 2):
-        link = start.node.link
-        if link and link == end.node.link and start.node.level != end.node.level:
-            length = math.dist(start.node.position, end.node.position)
-            entry = {"name": link, "kind": "lift", "link": link, "length": length}
-            reader.add_lane(start.key, end.key, entry, reader.top)
+    nodes_of_lift: dict[str, list[_NodeEntry]] = {}
+    for node_entry in reader.nodes.values():
+        if node_entry.node.link:
+            nodes_of_lift.setdefault(node_entry.node.link, []).append(node_entry)
+    for link, node_entries in nodes_of_lift.items():
+        if len(node_entries) > MAX_LIFT_NODES:
+            reader.top.fail(
+                f"expected {MAX_LIFT_NODES} nodes at most of lift {link[:40]!r}, "
+                f"got {len(node_entries):,}"
+            )
+        for start, end in itertools.permutations(node_entries, 2):
+            if start.node.level != end.node.level:
+                length = math.dist(start.node.position, end.node.position)
+                lane_entry = {"name": link, "kind": "lift", "link": link, "length": length}
+                reader.add_lane(start.key, end.key, lane_entry, reader.top)
 
 
 def _check_rows(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any, Json]]:
@@ -827,7 +843,9 @@ def read_graphml(path: str | PathLike[str]) -> RouteGraph:
     networkx_module = source.import_extra("networkx")
     data, name = source.read_bytes(path)
     try:
-        nx_graph = networkx_module.read_graphml(io.BytesIO(data), force_multigraph=True)
+        with warnings.catch_warnings():  # of types, which are checked below
+            warnings.simplefilter("ignore")
+            nx_graph = networkx_module.read_graphml(io.BytesIO(data), force_multigraph=True)
     except Exception as error:  # networkx and expat raise many types
         raise _unreadable("GraphML", name, error) from error
     return _from_networkx(nx_graph, name)

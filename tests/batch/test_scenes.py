@@ -312,3 +312,16 @@ def test_a_path_that_is_not_there_is_refused_unless_a_list_names_it(tmp_path):
         list_jobs([str(scene)])
     source.write_text("no.xml\n")
     assert [job.source for job in list_jobs([str(source)])] == [str(scene)]
+
+
+@pytest.mark.parametrize("path", ["a\0/b.xml", "\ud800/b.xml"])
+@pytest.mark.parametrize("suffix", [".txt", ".csv", ".jsonl"])
+def test_texts_that_no_file_can_be_named_are_refused(folder, suffix, path):
+    row = json.dumps({"scene": path})
+    text = {".txt": path, ".csv": f"scene\n{path}", ".jsonl": row}[suffix]
+    try:
+        (folder / f"list{suffix}").write_text(text)
+    except UnicodeEncodeError:  # only JSON can write half of a pair
+        return
+    with pytest.raises(ConfigError, match=r"expected a path, got '.*b\.xml' at .*list\..*, line"):
+        list_jobs([str(folder / f"list{suffix}")])

@@ -115,3 +115,17 @@ def test_steps_of_very_different_lengths_take_no_more_memory_than_a_file_may(tmp
     np.save(tmp_path / "occupancy.npy", array)
     with pytest.raises(FormatError, match=r"too many cells .*occupancy\.npy"):
         navbake.from_grscenes(tmp_path / "occupancy.npy")
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.longdouble, np.int64])
+def test_numbers_of_any_size_are_no_warning(tmp_path, dtype):
+    huge = np.finfo(dtype).max if np.issubdtype(dtype, np.floating) else np.iinfo(dtype).min
+    array = np.zeros((4, 4), dtype)
+    array[0, 1:] = array[1:, 0] = range(3)
+    np.save(tmp_path / "a.npy", array)
+    assert navbake.from_grscenes(tmp_path / "a.npy").cell_size == 1.0
+    if dtype is not np.float16:  # its largest number is 65504 m
+        array[0, 1] = huge
+        np.save(tmp_path / "a.npy", array)
+        with pytest.raises(FormatError, match="expected x of samples within"):
+            navbake.from_grscenes(tmp_path / "a.npy")

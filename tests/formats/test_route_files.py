@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from dataclasses import replace
@@ -568,3 +569,28 @@ def test_wrong_nodes_are_refused(tmp_path):
             read_routes(tmp_path / "a.geojson")
     with pytest.raises(FormatError, match=r"a format that is written \(nav2-route, .*, got dxf"):
         SMALL.save(tmp_path / "a", "dxf")
+
+
+def test_coordinates_and_stops_of_a_lift_are_bounded(tmp_path):
+    path = tmp_path / "a.yaml"
+    path.write_text("levels: {L: {vertices: [[1.0e30, 0, {}]], lanes: []}}")
+    with pytest.raises(FormatError, match=r"coordinates within 1e\+10 m, got 1e\+30 at .*vertices"):
+        read_routes(path)
+    levels = "".join(
+        f"  L{number}: {{vertices: [[0, 0, {{name: a{number}, lift: A}}]], lanes: []}}\n"
+        for number in range(250)
+    )
+    path.write_text(f"levels:\n{levels}")
+    with pytest.raises(FormatError, match="expected 200 nodes at most of lift 'A', got 250"):
+        read_routes(path)
+
+
+def test_types_of_graphml_that_are_not_told_are_no_warning(tmp_path, recwarn):
+    path = tmp_path / "a.graphml"
+    write_routes(EMPTY, path)
+    told = path.read_text()
+    for key in ("double", "long", "string"):
+        path.write_text(told.replace(f'attr.type="{key}"', ""))
+        with contextlib.suppress(FormatError):
+            read_routes(path)
+    assert not recwarn.list
