@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pickle
+import time
 
 from navbake.batch import run as module
-from navbake.batch.job import Plan
+from navbake.batch.job import Plan, inspect_scenes
 from navbake.batch.products import parse_products
 from navbake.batch.run import run_batch
 from navbake.batch.scenes import list_jobs
@@ -52,3 +53,10 @@ def stay_in_process(monkeypatch, after=lambda: None):
             after()
 
     monkeypatch.setattr(module, "do_jobs", do_jobs)
+
+
+def inspect_for_ever(plan, jobs):
+    """Take for ever at scenes named ``endless``; else do as `job.inspect_scenes`."""
+    if any(job.id == "endless" for job in jobs):
+        time.sleep(3600)
+    return inspect_scenes(plan, jobs)

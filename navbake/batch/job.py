@@ -8,7 +8,8 @@ import os
 import time
 import traceback
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path
@@ -204,10 +205,44 @@ def _digest(value: Json) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def check_record(
+class Inspection(NamedTuple):
+    """The input files and digests of a scene; they are found without a bake."""
+
+    inputs: dict[str, FileState]  #: As in `BatchScene`.
+    key: str  #: As in `BatchScene`.
+    content_digest: str  #: As in `BatchScene`.
+    settings_digest: str  #: As in `BatchScene`.
+    error: str = ""  #: Why the scene can't be read; the other values are empty then.
+
+
+def inspect_scenes(plan: Plan, jobs: Sequence[Job]) -> list[Inspection]:
+    """Find the input files and digests of scenes, several at once, as stores respond slowly.
+
+    It reads the scenes, whose files may be strangers': call it in a worker process.
+    """
+
+    def inspect(job: Job) -> Inspection:
+        try:
+            with open_scene(plan, job, copy_all=False) as scene:
+                return Inspection(
+                    scene.inputs, scene.key, scene.content_digest, scene.settings_digest
+                )
+        except (NavbakeError, OSError) as error:
+            return make_broken_inspection(str(error))
+
+    with ThreadPoolExecutor(max(1, len(jobs))) as pool:
+        return [*pool.map(inspect, jobs)]
+
+
+def make_broken_inspection(reason: str) -> Inspection:
+    """Return the inspection of a scene that can't be read."""
+    return Inspection({}, "", "", "", printable(reason))
+
+
+def find_record(
     plan: Plan, job: Job, sizes: Mapping[str, int] | None = None
-) -> tuple[SceneRow | None, str]:
-    """Check whether a scene is done: its recorded key is the same, and its files exist.
+) -> tuple[Json | None, str]:
+    """Find the record of a scene whose made files exist; the scene itself isn't read.
 
     Args:
         plan: the batch's options.
@@ -216,10 +251,8 @@ def check_record(
             the folder is on this machine.
 
     Returns:
-        The row of a scene that is done, and ``""``. For others, None and the reason to bake them:
-        ``new`` without a valid record; ``made files`` if files are missing or have another size; or
-        the parts of the key that changed: ``version``, ``products``, ``settings``, or ``files`` and
-        their names.
+        The record, and ``""``; or None, and the reason to bake the scene: ``new`` without a valid
+        record, ``made files`` if files are missing or have another size.
     """
     if sizes is not None and f"{job.id}/{RECORD_NAME}" not in sizes:
         return None, NOT_RECORDED
@@ -236,17 +269,40 @@ def check_record(
                 size = os.path.getsize(path) if path.exists() else None
             if size != state["size"]:
                 return None, "made files"
-        with open_scene(plan, job, copy_all=False) as scene:
-            if record["key"] != scene.key:
-                return None, _describe_changes(plan, record, scene)
-        row = {key: value for key, value in record.items() if key not in RECORD_ONLY_KEYS}
     except (NavbakeError, OSError, KeyError, TypeError, AttributeError, ValueError):
         return None, NOT_RECORDED
+    return record, ""
+
+
+def check_record(
+    plan: Plan, job: Job, record: Json, inspection: Inspection
+) -> tuple[SceneRow | None, str]:
+    """Check whether a scene is done: its recorded key is the same.
+
+    Args:
+        plan: the batch's options.
+        job: the scene.
+        record: what `find_record` found.
+        inspection: the scene as it is now.
+
+    Returns:
+        The row of a scene that is done, and ``""``. For others, None and the reason to bake them:
+        ``new`` if the scene can't be read, or the record is broken; or the parts of the key that
+        changed: ``version``, ``products``, ``settings``, or ``files`` and their names.
+    """
+    if inspection.error:
+        return None, NOT_RECORDED
+    try:
+        if record["key"] != inspection.key:
+            return None, _describe_changes(plan, record, inspection)
+    except (KeyError, TypeError, AttributeError, ValueError):
+        return None, NOT_RECORDED
+    row = {key: value for key, value in record.items() if key not in RECORD_ONLY_KEYS}
     # the source may have moved
     return cast(SceneRow, {**row, "source": _index_path(plan, job.source)}), ""
 
 
-def _describe_changes(plan: Plan, record: Json, scene: BatchScene) -> str:
+def _describe_changes(plan: Plan, record: Json, scene: Inspection) -> str:
     """Return the parts of a scene's key that changed since its record, as text for a reason."""
     values = {
         "version": __version__,

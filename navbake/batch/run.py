@@ -31,12 +31,15 @@ from navbake.batch.job import (
     LEFT_OUT,
     NOT_RECORDED,
     OK,
+    Inspection,
     Plan,
     bake_scene,
     begin_row,
     check_record,
     current_time,
-    open_scene,
+    find_record,
+    inspect_scenes,
+    make_broken_inspection,
     prepare_worker,
     read_record,
     record_failure,
@@ -46,12 +49,16 @@ from navbake.batch.products import RECORD_NAME, merge_sets
 from navbake.batch.scene_row import FileState, SceneRow
 from navbake.batch.scenes import Job, check_settings
 from navbake.batch.workers import DONE, RETRIED, JobEnd, JobLimits, do_jobs
-from navbake.errors import NavbakeError, printable
+from navbake.errors import NavbakeError
 from navbake.files import remove_leftovers
 from navbake.formats.source import import_extra
 from navbake.types import Json
 
-MAX_RECORD_READS = 16  # scenes whose records are read at once
+MAX_RECORD_READS = 16  # scenes whose records are read at once, or that one worker inspects at once
+# that the inspection of a scene may take: if a bake has no limit, and at least, as a scene that
+# takes longer counts as new and is baked again [s]
+INSPECTION_SECONDS = 600.0
+LEAST_INSPECTION_SECONDS = 60.0
 UNLOGGED_KEYS = ("key", "inputs", "files", "ended")  # keys of a row that the log leaves out
 SHARD_PATTERN = re.compile(r"shard-\d{6,}\.tar")
 TIME_KEYS = ("seconds", "stages", "ended")  # keys of a row that differ in each run
@@ -156,7 +163,8 @@ def run_batch(
                 for id, row in slice_rows.items()
                 if id in batch_ids and row.get("status") in (OK, FAILED)
             }
-        checks = check_records(plan, [job for job in jobs if job.id not in rows])
+        inspector = Inspector(plan, (workers or 1) if executor is None else None, limits)
+        checks = check_records(plan, [job for job in jobs if job.id not in rows], inspector)
         rows |= {row["id"]: row for row, _ in checks if row is not None}
         remaining = [] if only_merge else [job for job in jobs if job.id not in rows]
         result = BatchResult(skipped=len(rows))
@@ -176,7 +184,7 @@ def run_batch(
         try:
             if remaining:
                 on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
-            twins = find_twins(plan, jobs, rows) if remaining else {}
+            twins = find_twins(inspector, jobs, rows) if remaining else {}
             baked_jobs = [job for job in remaining if job.id not in twins]
             copied_jobs = [job._replace(twin=twins[job.id]) for job in remaining if job.id in twins]
             execute: Executor = executor or do_jobs
@@ -301,21 +309,97 @@ def _encode_member(name: str, content: bytes) -> Iterator[bytes]:
     yield bytes(-len(content) % tarfile.BLOCKSIZE)
 
 
-def check_records(plan: Plan, jobs: Sequence[Job]) -> list[tuple[SceneRow | None, str]]:
-    """Return the result of `job.check_record` for each scene, in order."""
+class Inspector:
+    """Inspects scenes in worker processes with limits, each scene once.
+
+    Scenes are strangers' files: none of them is read in this process, which has no limits.
+
+    Args:
+        plan: the batch's options.
+        workers: number of worker processes, >= 1; None for as many as this machine has CPUs.
+        limits: the limits of time and memory of a scene's bake; its inspection gets
+            `LEAST_INSPECTION_SECONDS` at least.
+    """
+
+    def __init__(self, plan: Plan, workers: int | None, limits: JobLimits) -> None:
+        self._plan = plan
+        self._workers = workers or os.cpu_count() or 1
+        seconds = max(limits.seconds or INSPECTION_SECONDS, LEAST_INSPECTION_SECONDS)
+        self._limits = JobLimits(seconds, limits.memory)
+        self._inspections: dict[str, Inspection] = {}  # by the scene's id
+
+    def inspect(self, jobs: Iterable[Job]) -> list[Inspection]:
+        """Return the inspections of scenes, in order."""
+        jobs = list(jobs)
+        new_jobs = [job for job in jobs if job.id not in self._inspections]
+        groups: list[tuple[Job, ...]] = []
+        groups += [(job,) for job in new_jobs if not store.is_url(job.source)]
+        jobs_on_stores = [job for job in new_jobs if store.is_url(job.source)]
+        for first in range(0, len(jobs_on_stores), MAX_RECORD_READS):
+            groups.append(tuple(jobs_on_stores[first : first + MAX_RECORD_READS]))
+        failed_groups = self._inspect_groups(groups)
+        # one scene of such a group is the reason; the others have no fault
+        failed_jobs = [job for group in failed_groups for job in group]
+        self._inspect_groups([(job,) for job in failed_jobs])
+        return [self._inspections[job.id] for job in jobs]
+
+    def _inspect_groups(self, groups: Sequence[tuple[Job, ...]]) -> list[tuple[Job, ...]]:
+        """Inspect each group in one go, and return the groups of several scenes that failed."""
+        failed_groups = []
+        if not groups:
+            return []
+        work = partial(inspect_scenes, self._plan)
+        with closing(do_jobs(groups, work, self._workers, limits=self._limits)) as ends:
+            for end in ends:
+                group = groups[end.number]
+                if end.how == DONE:
+                    for job, inspection in zip(group, end.value, strict=True):
+                        self._inspections[job.id] = inspection
+                elif len(group) == 1:
+                    self._inspections[group[0].id] = make_broken_inspection(end.value)
+                else:
+                    failed_groups.append(group)
+        return failed_groups
+
+
+def check_records(
+    plan: Plan, jobs: Sequence[Job], inspector: Inspector
+) -> list[tuple[SceneRow | None, str]]:
+    """Find out which scenes are done.
+
+    Args:
+        plan: the batch's options.
+        jobs: the scenes.
+        inspector: inspects the scenes that have a record.
+
+    Returns:
+        For each scene, in order: the row of a scene that is done, and ``""``; for another, None,
+        and the reason to bake it, see `job.find_record` and `job.check_record`.
+    """
     sizes = store.sizes_below(plan.folder) if isinstance(plan.folder, str) else None
     with ThreadPoolExecutor(MAX_RECORD_READS) as pool:  # stores respond slowly
-        return [*pool.map(partial(check_record, plan, sizes=sizes), jobs)]
+        records = [*pool.map(partial(find_record, plan, sizes=sizes), jobs)]
+    recorded_jobs = [
+        job for job, (record, _) in zip(jobs, records, strict=True) if record is not None
+    ]
+    inspections = iter(inspector.inspect(recorded_jobs))
+    checks: list[tuple[SceneRow | None, str]] = []
+    for job, (record, why) in zip(jobs, records, strict=True):
+        if record is None:
+            checks.append((None, why))
+        else:
+            checks.append(check_record(plan, job, record, next(inspections)))
+    return checks
 
 
-def find_twins(plan: Plan, jobs: Sequence[Job], done: Container[str]) -> dict[str, str]:
+def find_twins(inspector: Inspector, jobs: Sequence[Job], done: Container[str]) -> dict[str, str]:
     """Find the scenes that needn't be baked because another scene of the batch is equal.
 
     Scenes on stores are compared only with scenes of the same URL, because their content isn't on
     this machine.
 
     Args:
-        plan: the batch's options.
+        inspector: inspects the scenes of equal size.
         jobs: the scenes.
         done: ids of the scenes that are done; none of them is a key of the result.
 
@@ -323,12 +407,6 @@ def find_twins(plan: Plan, jobs: Sequence[Job], done: Container[str]) -> dict[st
         For each scene that can be copied, by its id: the id of its twin. The twin is an equal scene
         that is done, or else the first of the equal scenes.
     """
-
-    def find_digest(job: Job) -> str:
-        with suppress(NavbakeError, OSError), open_scene(plan, job, copy_all=False) as scene:
-            return scene.content_digest
-        return ""  # its own bake will fail, and say why
-
     # Only files of the same size can be equal. Scenes that are done come first.
     jobs_by_size = defaultdict[str | int, list[Job]](list)
     for job in sorted(jobs, key=lambda job: job.id not in done):
@@ -340,8 +418,8 @@ def find_twins(plan: Plan, jobs: Sequence[Job], done: Container[str]) -> dict[st
         group for group in jobs_by_size.values() if len(group) > 1 and group[-1].id not in done
     ]
     candidates = [job for group in groups for job in group]
-    with ThreadPoolExecutor(MAX_RECORD_READS) as pool:
-        digests = [*pool.map(find_digest, candidates)]
+    # a scene without a digest can't be read: its own bake will fail, and say why
+    digests = [inspection.content_digest for inspection in inspector.inspect(candidates)]
     id_of_digest: dict[str, str] = {}
     twins: dict[str, str] = {}
     for job, digest in zip(candidates, digests, strict=True):
@@ -375,12 +453,20 @@ def describe_event(event: str, values: Json) -> Json:
 # ---------------------------------------------------------------- before and after a run
 
 
-def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
+def preview(
+    plan: Plan,
+    jobs: Sequence[Job],
+    *,
+    workers: int | None = 1,
+    limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
+) -> list[Json]:
     """Find out what a batch would do, and write nothing.
 
     Args:
         plan: the batch's options.
         jobs: the scenes.
+        workers: number of processes that look at scenes; None for as many as there are CPUs.
+        limits: the limits of time and memory of each scene.
 
     Returns:
         An object for each scene, in order, with its `id`, its `source`, the size of its input files
@@ -393,9 +479,11 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
         ConfigError: an override or a shared setting is wrong.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
-    checks = check_records(plan, jobs)
+    inspector = Inspector(plan, workers, limits)
+    checks = check_records(plan, jobs, inspector)
     done = {row["id"]: row for row, _ in checks if row is not None}
-    twins = find_twins(plan, jobs, done)
+    inspections = dict(zip([job.id for job in jobs], inspector.inspect(jobs), strict=True))
+    twins = find_twins(inspector, jobs, done)
     failed_ids = {
         id for id, row in index.read_index(plan.folder).items() if row.get("status") == FAILED
     }
@@ -404,19 +492,17 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
         """Return the size of a scene's files [bytes], and why it can't be read, or ``""``."""
         if job.id in done:
             return _sum_sizes(done[job.id].get("inputs")), ""
-        try:
-            with open_scene(plan, job, copy_all=False) as scene:
-                if not scene.inputs:
-                    source = store.without_secrets(job.source)
-                    return 0, f"{BROKEN_BEFORE}: no scene file {source}"
-                return _sum_sizes(scene.inputs), ""
-        except (NavbakeError, OSError) as error:
-            return 0, f"{BROKEN_BEFORE}: {printable(str(error))}"
+        inspection = inspections[job.id]
+        if inspection.error:
+            return 0, f"{BROKEN_BEFORE}: {inspection.error}"
+        if not inspection.inputs:
+            source = store.without_secrets(job.source)
+            return 0, f"{BROKEN_BEFORE}: no scene file {source}"
+        return _sum_sizes(inspection.inputs), ""
 
-    with ThreadPoolExecutor(MAX_RECORD_READS) as pool:
-        measures = [*pool.map(measure_inputs, jobs)]
     previews = []
-    for job, (row, why), (num_bytes, broken) in zip(jobs, checks, measures, strict=True):
+    for job, (row, why) in zip(jobs, checks, strict=True):
+        num_bytes, broken = measure_inputs(job)
         if row is not None:
             why = DONE_BEFORE
         elif broken:

@@ -148,10 +148,14 @@ def batch(
         has_table=product_options.parquet,
         hosts=hosts,
     )
+    limits = workers.JobLimits(
+        worker_options.time_limit, worker_options.memory_limit, worker_options.retries
+    )
     if run_options.preview:
         if batch_slice is not None:
             jobs = jobs[batch_slice.number - 1 :: batch_slice.total]
-        _print_preview(plan, jobs, run_options.as_json)
+        previews = run.preview(plan, jobs, workers=worker_options.count, limits=limits)
+        _print_preview(plan, previews, run_options.as_json)
         return
     with ExitStack() as stack:
         watch = _BatchWatch(
@@ -167,9 +171,7 @@ def batch(
                 jobs,
                 watch,
                 workers=worker_options.count,
-                limits=workers.JobLimits(
-                    worker_options.time_limit, worker_options.memory_limit, worker_options.retries
-                ),
+                limits=limits,
                 max_failures=worker_options.max_failures,
                 executor=_ray_executor(worker_options, plan.folder),
                 batch_slice=batch_slice,
@@ -249,9 +251,14 @@ def _read_slice(text: str | None) -> index.Slice | None:
     return index.Slice(int(number), int(total))
 
 
-def _print_preview(plan: job.Plan, jobs: list[scenes.Job], as_json: bool) -> None:
-    """Print what a batch would bake: a line for each reason, or a line of JSON for each scene."""
-    previews = run.preview(plan, jobs)
+def _print_preview(plan: job.Plan, previews: list[Json], as_json: bool) -> None:
+    """Print what a batch would bake: a line for each reason, or a line of JSON for each scene.
+
+    Args:
+        plan: the batch's options.
+        previews: see `run.preview`.
+        as_json: whether to print JSON.
+    """
     if as_json:
         for scene in previews:
             printing.print_json_line(scene)

@@ -16,15 +16,17 @@ from unittest.mock import Mock
 import pytest
 
 import navbake
-from batch_in_process import run_sources, stay_in_process
+from batch_in_process import inspect_for_ever, run_sources, stay_in_process
 from batch_scenes import CHEST, draw_room, write_scenes, wrong_rows
 from navbake import bake, files, samples
 from navbake.baker.bake.pipeline import run_bake
 from navbake.batch import index as index_module
 from navbake.batch import job as job_module
 from navbake.batch import products, store
+from navbake.batch import run as run_module
 from navbake.batch.index import INDEX_NAME, only_batch, read_index
 from navbake.batch.products import RECORD_NAME
+from navbake.batch.run import preview
 from navbake.batch.scenes import list_jobs
 from navbake.batch.workers import JobLimits
 from navbake.config.settings import load_config
@@ -711,3 +713,27 @@ def test_workers_make_all_that_is_asked_for_before_their_first_scene(monkeypatch
     job_module.prepare_worker(("report",), True)
     assert len(folders) == 3 and len(made) == 1 and made[0] > 1
     assert not any(folder.exists() for folder in folders)
+
+
+def test_scenes_are_read_by_workers_alone(scenes, monkeypatch):
+    """The batch's own process has no limits, and reads no file of a stranger."""
+
+    def open_nothing(*arguments, **options):
+        raise AssertionError("a scene was opened in the batch's own process")
+
+    monkeypatch.setattr(job_module, "open_scene", open_nothing)
+    Path("again.xml").write_bytes((scenes / "first.xml").read_bytes())
+    plan = job_module.Plan(Path("out").absolute(), SETTINGS)
+    whys = [row["why"] for row in preview(plan, list_jobs(["scenes/first.xml", "again.xml"]))]
+    assert whys == ["new", "equal to first"]
+
+
+def test_a_scene_that_is_endless_to_read_is_told(scenes, monkeypatch):
+    """Its own bake, which has limits too, is for it to fail."""
+    monkeypatch.setattr(run_module, "inspect_scenes", inspect_for_ever)
+    monkeypatch.setattr(run_module, "LEAST_INSPECTION_SECONDS", 20.0)
+    (scenes / "endless.xml").write_text("<mujoco/>")
+    jobs = list_jobs(["scenes/endless.xml", "scenes/first.xml"])
+    plan = job_module.Plan(Path("out").absolute(), SETTINGS)
+    rows = preview(plan, jobs, limits=JobLimits(seconds=2.0))
+    assert [row["why"] for row in rows] == ["broken: it took more than 20 s", "new"]
