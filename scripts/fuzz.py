@@ -5,9 +5,12 @@
     python scripts/fuzz.py navgrid --atheris 600       # by the code that inputs reach [s]
 
 A reader may read an input, or refuse it by an error of navbake in one line. Anything else is a
-finding: another error or a warning, more than a few seconds, more memory than the limits, a process
+finding: another error or a warning, more than two seconds, more memory than the limits, a process
 that dies. The input of a finding is kept in `--folder`. Readers run in processes of their own with
-limits; hypothesis, or Atheris where it is installed (``pip install atheris``), changes the seeds.
+limits; hypothesis, or Atheris where it is installed (``pip install atheris``), changes the seeds:
+at random, and by what costs a careless reader most. That is a fragment of the format's language
+many times (comments that are opened and never closed), and words of the language in place of others
+(aliases of aliases, merge keys, huge counts, halves of surrogate pairs).
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import copy
 import gzip
 import io
 import json
+import re
 import resource
 import signal
 import subprocess
@@ -37,9 +41,12 @@ from hypothesis import strategies as st
 
 import navbake
 from navbake.arena import map_descriptor
+from navbake.auditor.audit import audit
+from navbake.auditor.routes import audit_routes
 from navbake.baker.readers.mesh import read_named_meshes
 from navbake.baker.scene.scene import load_scene
 from navbake.batch.scenes import list_jobs
+from navbake.compiled import ensure_compiled
 from navbake.config.settings import BakeConfig, SceneSettings, load_config
 from navbake.episodes import read_episodes, write_episodes
 from navbake.errors import NavbakeError
@@ -62,10 +69,10 @@ from navbake.views.describe import describe
 from navbake.views.report import read_verification
 from navbake.voxels.grid import VoxelGrid
 
-READ, REFUSED, FINDING = "read", "refused", "finding"
-SECONDS = 5  # that an input may take; kernels may have to be compiled
+READ, REFUSED, FINDING, SLOWEST = "read", "refused", "finding", "slowest s"
+SECONDS = 2  # of the processor, that an input may take
 GIB = 4  # of address space that a process may take beyond what it has when it starts
-PATIENCE = 60.0  # for each input of a process on top of its number times `SECONDS` / 20 [s]
+PATIENCE = 60.0  # for each input of a process on top of its number times `SECONDS` / 4 [s]
 LONGEST_MESSAGE = 1500
 FEW_VOXELS = 4_000_000
 
@@ -129,6 +136,13 @@ SDF = (
     b'attached_to="a"/><joint name="j" type="revolute"><parent>a</parent><child>b</child><axis>'
     b"<xyz>0 0 1</xyz><limit><lower>0</lower><upper>1</upper></limit></axis></joint></model>"
     b"</world></sdf>"
+)
+URDF = (
+    b'<robot name="r"><link name="a"><collision><origin xyz="0 0 1" rpy="0 0 0"/><geometry>'
+    b'<box size="1 2 3"/></geometry></collision></link><link name="b"><visual><geometry><cylinder '
+    b'radius="1" length="2"/></geometry></visual></link><joint name="j" type="revolute"><parent '
+    b'link="a"/><child link="b"/><axis xyz="0 0 1"/><limit lower="0" upper="1" effort="1" '
+    b'velocity="1"/></joint></robot>'
 )
 USDA = b"""#usda 1.0
 (
@@ -274,6 +288,7 @@ def use_grid(grid: NavGrid) -> None:
     if sum(level.width * level.height for level in grid.levels) > 1_000_000:
         return
     describe(grid)
+    audit(grid)
     _attempt(lambda: grid.with_doors("open"))
     written = dumps_navgrid(grid)
     assert dumps_navgrid(navbake.load(written)) == written, "another grid after it was written"
@@ -297,6 +312,11 @@ def use_mesh(path: Path) -> None:
         faces: Any = part.faces
         assert np.isfinite(part.vertices).all(), "a corner is not finite"
         assert 0 <= faces.min() <= faces.max() < len(part.vertices), "a triangle has no corner"
+
+
+def use_routes(path: Path, name: str) -> None:
+    """Read a graph of routes, and look at it on a grid."""
+    audit_routes(read_routes(path, name), _grid())
 
 
 def use_scene(path: Path) -> None:
@@ -359,15 +379,19 @@ READERS = {
     **{kind: Reader(use_mesh, lambda kind=kind: _meshes(kind), f".{kind}")  # type: ignore[misc]
        for kind in ("ply", "stl", "obj", "glb", "dae")},
     "sdf": Reader(use_scene, lambda: [SDF], ".sdf"),
+    "urdf": Reader(use_scene, lambda: [URDF], ".urdf"),
     "usda": Reader(use_scene, lambda: [USDA], ".usda"),
     "building": Reader(use_scene, lambda: [BUILDING], ".building.yaml"),
     "geojson": Reader(read_room_outlines, lambda: [OUTLINES], ".geojson"),
-    **{form.name: Reader(lambda p, form=form: read_routes(p, form.name),  # type: ignore[misc]
+    **{form.name: Reader(lambda p, form=form: use_routes(p, form.name),  # type: ignore[misc]
                          lambda form=form: [encode_routes(ROUTES, "", form.name)],
                          form.endings[0]) for form in ROUTE_FORMATS},
     "settings": Reader(load_config, lambda: [SETTINGS], ".yaml"),
     "manifest": Reader(lambda p: list_jobs([str(p)]),
                        lambda: [{"scene": "a.xml", "id": "hall", "agent.radius": 0.2}], ".jsonl"),
+    "list": Reader(lambda p: list_jobs([str(p)]), lambda: [b"a.xml\n# b\nc/d.xml\n"], ".txt"),
+    "table": Reader(lambda p: list_jobs([str(p)]),
+                    lambda: [b'scene,id,agent.radius\na.xml,hall,0.2\n"b.xml",,\n'], ".csv"),
     "verification": Reader(read_verification, lambda: [VERIFICATION], ".json"),
     "episodes": Reader(read_episodes, lambda: [EPISODES], ".jsonl"),
     "episodes-gz": Reader(read_episodes, lambda: [_packed_set("a.jsonl.gz")], ".jsonl.gz"),
@@ -381,6 +405,10 @@ READERS = {
                            ".jsonl"),
     "trajectories-npz": Reader(read_trajectories, lambda: [_trajectories()], ".npz"),
     "inputs": Reader(find_inputs, lambda: [MJCF], ".xml"),
+    "inputs-urdf": Reader(find_inputs, lambda: [URDF.replace(b"<box size", b"<mesh filename")],
+                          ".urdf"),
+    "inputs-sdf": Reader(find_inputs, lambda: [SDF.replace(b"<pose>", b"<uri>a.dae</uri><pose>")],
+                         ".sdf"),
 }  # fmt: skip
 
 # ---------------------------------------------------------------- inputs
@@ -397,6 +425,60 @@ TOKENS = st.sampled_from([
 ])  # fmt: skip
 EDITS = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 8), TOKENS), min_size=1, max_size=4)
 CHANGES = st.lists(st.tuples(st.lists(st.floats(0, 1), max_size=6), VALUES), max_size=3)
+
+
+# Fragments of a language that are repeated, and words of it that replace others
+ENDLESS_ALIAS = b"&a0 [1, 1]"
+ENDLESS_MERGE = b"&m0 {k0: 1}"
+for number in range(1, 20):
+    ENDLESS_ALIAS = b"&a%d [%s, *a%d, *a%d]" % (number, ENDLESS_ALIAS, number - 1, number - 1)
+    merged = b", ".join([ENDLESS_MERGE] + 9 * [b"*m%d" % (number - 1)])
+    ENDLESS_MERGE = b"&m%d {<<: [%s], k%d: 1}" % (number, merged, number)
+ENTITIES = b"<!DOCTYPE a [<!ENTITY e0 '0123456789'>%s]>" % b"".join(
+    b"<!ENTITY e%d '%s'>" % (number, b"&e%d;" % (number - 1) * 10) for number in range(1, 10)
+)
+FRAGMENTS = {
+    "xml": [b"<!--", b"<a>", b"<a ", b"<a b='", b"<![CDATA[", b"<?", b"&", b"<uri>", b"</a>", b"<",
+            b"<model><link>", b" file='a'", b"<include file='input.xml'/>", b"<sdf>", b"'"],
+    "yaml": [b"[", b"{", b"- ", b"&a ", b"? ", b"*a, ", b": ", b"'", b"{a: ", b"!a ", b"# \n",
+             b"a: 1\n", b"- - ", b"&a [*a, "],
+    "json": [b"[", b'{"a":', b'"', b"\\", b"[[],", b'"a":1,', b"{", b"\n"],
+    "text": [b"v 0 0 0\n", b"f 1 2 3\n", b"solid ", b"(", b"[", b"element face 9\n", b"def ",
+             b"node [ ", b'"', b"@", b"{", b"facet ", b"g a\n", b"\\\n", b"#"],
+}  # fmt: skip
+FRAGMENTS = {name: [*own, b" ", b"\n", b"1", b"_", b"\0"] for name, own in FRAGMENTS.items()}
+WORDS = {
+    "xml": [b"&#55296;", b"&#0;", b"&e9;", b"-->", b"]]>", b"a/" * 3000, ENTITIES],
+    "yaml": [ENDLESS_ALIAS, ENDLESS_MERGE, b"&r [*r]", b"{<<: 1}", b'"\\ud800"', b"*none",
+             b"!!binary x", b"!!set {a}", b'"\\0"', b".nan", b"-.inf"],
+    "json": [b'"\\ud800"', b'"\\u0000"', b"1e400", b"NaN", b"-0.0", b'{"a": 1, "a": 2}',
+             b'"%sx"' % (b"1" * 30000), b'"%sx"' % (b"_" * 30000), b'"\\ud83d\\ude00"'],
+    "text": [b"\xed\xa0\x80", b"1e400", b"-nan", b"&#55296;", b"1" * 400, b"true"],
+}  # fmt: skip
+COUNTS = [b"9" * 5000, b"99999999999999999999", b"9223372036854775807", b"4294967296",
+          b"2000000000", b"1e300", b"1e39", b"-1e30", b"70000.5", b"inf", b"-1"]  # fmt: skip
+LANGUAGES = dict.fromkeys((".sdf", ".xml", ".urdf", ".dae", ".graphml"), "xml")
+LANGUAGES |= dict.fromkeys((".yaml",), "yaml")
+LANGUAGES |= dict.fromkeys((".json", ".geojson", ".jsonl"), "json")
+WORD = re.compile(rb"[\w.+-]+")
+
+
+def repeat_fragment(data: bytes, share: float, fragment: bytes, count: int) -> bytes:
+    """Bytes with a fragment in them, so many times; the place is a share of all."""
+    start = int(share * len(data))
+    return data[:start] + fragment * count + data[start:]
+
+
+def change_words(data: bytes, changes: list[tuple[float, bytes]]) -> bytes:
+    """Text with other words in place of some; a place is a share of all words."""
+    for share, word in changes:
+        spans = [match.span() for match in WORD.finditer(data[:200_000])]
+        if spans:
+            start, end = spans[min(int(share * len(spans)), len(spans) - 1)]
+            if data[start - 1 : start] == data[end : end + 1] == b'"' and share * 7 % 1 < 0.5:
+                start, end = start - 1, end + 1  # a text with its quotes
+            data = data[:start] + word + data[end:]
+    return data
 
 
 def change_tree(tree: Any, changes: list[tuple[list[float], Any]]) -> Any:
@@ -429,14 +511,28 @@ def inputs_of(reader: Reader) -> st.SearchStrategy[bytes]:
     trees = [seed for seed in seeds if not isinstance(seed, bytes)]
     files = [seed if isinstance(seed, bytes) else json.dumps(seed).encode() for seed in seeds]
     broken = st.builds(change_bytes, st.sampled_from(files), EDITS)
+    language = LANGUAGES.get(Path(f"a{reader.suffix}").suffix, "text")
+    share = st.floats(0, 1)
+    repeated = st.builds(repeat_fragment, st.sampled_from(files), share,
+                         st.sampled_from(FRAGMENTS[language]),
+                         st.sampled_from([10_000, 3000, 300]))  # fmt: skip
+    word = st.sampled_from([*WORDS[language], *COUNTS])
+    reworded = st.builds(change_words, st.sampled_from(files),
+                         st.lists(st.tuples(share, word), min_size=1, max_size=3))  # fmt: skip
+    hostile = repeated | reworded
     if not trees:
-        return broken
+        return hostile | broken
     changed = st.builds(change_tree, st.sampled_from(trees), CHANGES)
-    return changed.map(lambda tree: json.dumps(tree).encode()) | broken
+    return hostile | changed.map(lambda tree: json.dumps(tree).encode()) | broken
 
 
 def use(reader: Reader, data: bytes, folder: Path) -> str:
     """Read one input: what came out, ``read``, ``refused``, or what is wrong."""
+    return measure(reader, data, folder)[0]
+
+
+def measure(reader: Reader, data: bytes, folder: Path) -> tuple[str, float]:
+    """Read one input: what came out, see `use`, and the time of the processor that it took [s]."""
     path = folder / (reader.suffix if reader.suffix[0] != "." else f"input{reader.suffix}")
     for name, content in reader.beside().items():
         (folder / name).write_bytes(content)
@@ -447,19 +543,23 @@ def use(reader: Reader, data: bytes, folder: Path) -> str:
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("error", module="navbake")
+            warnings.filterwarnings("error", category=RuntimeWarning)  # numpy's, also in trimesh
+            warnings.filterwarnings("error", module="networkx")
             reader.read(path)
     except NavbakeError as error:
         outcome = REFUSED
         try:
             check_message(error)
         except AssertionError as problem:
-            return f"{problem}: {str(error)[:300]!r}"
+            outcome = f"{problem}: {str(error)[:300]!r}"
     except Exception:  # whatever it is, it is a finding
-        return traceback.format_exc()
+        outcome = traceback.format_exc()
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
     took = time.process_time() - begin
-    return outcome if took <= SECONDS else f"took {took:.1f} s"
+    if took > SECONDS and outcome in (READ, REFUSED):
+        outcome = f"took {took:.1f} s"
+    return outcome, took
 
 
 def _interrupt(*_: object) -> None:
@@ -474,6 +574,7 @@ class Keeper:
 
     def __init__(self, name: str, folder: Path) -> None:
         self.counts: Counter[str] = Counter()
+        self.slowest = 0.0  # [s]
         self._name, self._reader, self._folder = name, READERS[name], folder
         self._found: set[str] = set()
         self.place = folder / f"{name}.work"
@@ -481,10 +582,12 @@ class Keeper:
 
     def use(self, data: bytes) -> None:
         """Read one input."""
-        what = use(self._reader, data, self.place)
+        what, took = measure(self._reader, data, self.place)
+        self.slowest = max(self.slowest, took)
         is_fine = what in (READ, REFUSED)
         self.counts[what if is_fine else FINDING] += 1
-        (self.place / "counts").write_text(json.dumps(self.counts), encoding="ascii")
+        told = {**self.counts, SLOWEST: self.slowest}
+        (self.place / "counts").write_text(json.dumps(told), encoding="ascii")
         lines = [line for line in what.splitlines() if line.startswith("  File")] or [what[:12]]
         if not is_fine and lines[-1] not in self._found:
             self._found.add(lines[-1])
@@ -501,6 +604,7 @@ class Keeper:
 def run_child(name: str, count: int, seed: int, folder: Path) -> None:
     """Use inputs of a reader in this process, which has a limit on its memory."""
     keeper, reader = Keeper(name, folder), READERS[name]
+    ensure_compiled()
     for data in reader.seeds():  # loads what is loaded lazily
         use(reader, data if isinstance(data, bytes) else json.dumps(data).encode(), keeper.place)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
@@ -520,7 +624,7 @@ def run(name: str, count: int, seed: int, folder: Path) -> Counter[str]:
     why = ""
     try:
         done = subprocess.run(
-            [*command, "--folder", str(folder)], timeout=PATIENCE + count * SECONDS / 20
+            [*command, "--folder", str(folder)], timeout=PATIENCE + count * SECONDS / 4
         )
         why = f"the process ended with {done.returncode}" if done.returncode else ""
     except subprocess.TimeoutExpired:
@@ -528,8 +632,8 @@ def run(name: str, count: int, seed: int, folder: Path) -> Counter[str]:
     told = place / "counts"
     counts = Counter(json.loads(told.read_text(encoding="ascii"))) if told.exists() else Counter()
     if why:
-        last = max(place.glob("*"), key=lambda path: path.stat().st_mtime_ns)
-        Keeper(name, folder).keep(last.read_bytes(), why)
+        last = max(place.glob("*"), key=lambda path: path.stat().st_mtime_ns, default=None)
+        Keeper(name, folder).keep(b"" if last is None else last.read_bytes(), why)
         counts[FINDING] += 1
     return counts
 
@@ -570,13 +674,13 @@ def main() -> None:
     if given.atheris is not None:
         search(names[0], given.atheris, folder)
         return
-    print(f"{'reader':14}{READ:>9}{REFUSED:>9}{FINDING:>9}", flush=True)
+    print(f"{'reader':16}{READ:>9}{REFUSED:>9}{FINDING:>9}{SLOWEST:>11}", flush=True)
     findings = 0
     for name in names:
         counts = run(name, given.count, given.seed, folder)
         findings += counts[FINDING]
         line = "".join(f"{counts[what]:9,}" for what in (READ, REFUSED, FINDING))
-        print(f"{name:14}{line}", flush=True)
+        print(f"{name:16}{line}{counts[SLOWEST]:11.2f}", flush=True)
     if findings:
         sys.exit(f"{findings} findings, kept in {folder}")
 
