@@ -12,6 +12,7 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from navbake.errors import FormatError
 from navbake.known_names import check_choice
@@ -19,7 +20,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import STEP_SLACK, label_islands, step_limit, values_by_area
 from navbake.navgrid.links import Agent
-from navbake.types import Bool, Float, JsonValue
+from navbake.types import Bool, Float, Int, JsonValue
 
 ndimage = lazy("scipy.ndimage")
 
@@ -29,6 +30,13 @@ DEFAULT_MAX_SLOPE = 45.0  # of a grid whose file doesn't state it [degrees]
 # one on it is the riser of a stair (the least of the International Building Code, 1011.5.2: 4 in)
 LEAST_RISE_LIMIT = 0.05  # [m]
 LEAST_RISER = 0.1  # [m]
+# A stair whose treads are deeper than a cell has level ground between its rises, a ramp has none:
+# equal rises in more cells in a row than treads allow are a ramp. Treads are at least this deep
+# (the same code, 1011.5.2, asks for 11 in, in dwellings for 10 in)
+LEAST_TREAD = 0.25  # [m]
+RISE_TOLERANCE = 0.05  # by which the equal rises of a ramp differ at most [m]
+# How many times as large as the largest floor of the rooms a floor outdoors is, to be the ground
+OUTDOORS_FACTOR = 4
 HEIGHT_BIN = 0.01  # floors that differ by less than that have the same height [m]
 MAX_NAMES = 5  # of links, areas and agents in the line that tells what is lost
 
@@ -97,11 +105,13 @@ def find_closed_cells(
 def find_stairs(grid: NavGrid, number: int) -> Bool:
     """Find the free cells of a level that only steps lead to from the level's commonest ground.
 
-    The commonest ground is the commonest height of the largest smooth floor. Cells whose floor lies
-    within a step (the grid's `traversableFloorHeight`) of it are ground, and so is all that a
-    smooth floor leads to from there, such as a ramp and what it leads to. The remaining cells are
-    stairs, landings and platforms, or lie below a ledge. A floor is smooth where it rises from cell
-    to cell by no more than the grid's largest slope allows, and by less than the riser of a stair.
+    The commonest ground is the commonest height of the largest smooth floor; a floor outdoors
+    counts for a quarter of its size, so that it is the rooms' floor for all but small buildings.
+    Cells whose floor lies within a step (the grid's `traversableFloorHeight`) of it are ground, and
+    so is all that a smooth floor leads to from there, such as a ramp and what it leads to. The
+    remaining cells are stairs, landings and platforms, or lie below a ledge. A floor is smooth
+    where it rises from cell to cell by no more than the grid's largest slope allows, and by less
+    than the riser of a stair, or as evenly as no stair does (see `_find_ramp_steps`).
 
     A part of the level that no free cell connects with the ground has a commonest ground of its
     own, unless a step of the grid's table leads there from another level.
@@ -128,9 +138,20 @@ def find_stairs(grid: NavGrid, number: int) -> Bool:
         free=has_floor.ravel(),
         floor=floor.ravel(),
         limit=_find_rise_limit(grid, level),
-        steps=np.empty((0, 2), dtype=np.int64),
+        steps=_find_ramp_steps(
+            np.where(has_floor, floor, np.nan),
+            _find_slope_rise(grid, level),
+            level.lattice.cell_size,
+        ),
     ).reshape(level.shape)
-    ground_height = find_commonest_height(floor[has_floor & (smooth_parts == 1)])
+    outdoors = [room.index for room in grid.rooms if room.level == number and room.outdoors]
+    is_outdoors = np.isin(level.room_index, outdoors)
+    sizes = np.bincount(smooth_parts[has_floor])
+    sizes_in_rooms = np.bincount(smooth_parts[has_floor & ~is_outdoors], minlength=len(sizes))
+    is_ground_part = has_floor & (smooth_parts == 1)
+    if sizes_in_rooms.max() * OUTDOORS_FACTOR >= sizes.max():
+        is_ground_part = has_floor & ~is_outdoors & (smooth_parts == sizes_in_rooms.argmax())
+    ground_height = find_commonest_height(floor[is_ground_part])
     is_ground = free & ~(np.abs(floor - ground_height) > step)
     if not (free & ~is_ground).any():
         return closed
@@ -171,13 +192,57 @@ def find_commonest_height(floor: Float) -> float:
     return float(floor[bins == heights[counts.argmax()]].mean())
 
 
-def _find_rise_limit(grid: NavGrid, level: SceneGrid2D) -> float:
-    """Return by how much a smooth floor may rise from a cell to the next one [m]."""
+def _find_slope_rise(grid: NavGrid, level: SceneGrid2D) -> float:
+    """Return by how much the grid's largest slope rises from a cell to the next one [m]."""
     max_slope: JsonValue = grid.navbake.get("maxSlope")
     if type(max_slope) not in (int, float) or not 0 <= max_slope < 90:
         max_slope = DEFAULT_MAX_SLOPE
-    rise = level.lattice.cell_size * math.tan(math.radians(max_slope)) + STEP_SLACK
+    return level.lattice.cell_size * math.tan(math.radians(max_slope)) + STEP_SLACK
+
+
+def _find_rise_limit(grid: NavGrid, level: SceneGrid2D) -> float:
+    """Return by how much any smooth floor may rise from a cell to the next one [m]."""
+    rise = _find_slope_rise(grid, level)
     return min(max(rise, LEAST_RISE_LIMIT), LEAST_RISER - STEP_SLACK)
+
+
+def _find_ramp_steps(floor: Float, slope_rise: float, cell_size: float) -> Int:
+    """Find the pairs of cells side by side in which a floor rises by a riser or more, as a ramp.
+
+    A ramp rises equally in so many cells in a row that the treads of a stair would be seen between
+    the rises. Its first and last rise may be smaller. Where a tread can be as deep as a cell,
+    ramps and stairs look alike, and there are no such pairs.
+
+    Args:
+        floor: the level's floor, NaN for none, shape (height, width) [m].
+        slope_rise: by how much the largest slope rises from a cell to the next one [m].
+        cell_size: the edge of a cell [m].
+
+    Returns:
+        The flat ids of the two cells of each pair, shape (n, 2), int64.
+    """
+    no_steps = np.empty((0, 2), dtype=np.int64)
+    if cell_size >= LEAST_TREAD or slope_rise < LEAST_RISER:
+        return no_steps
+    # of m rises of a stair in a row, all have a riser only if m - 1 treads fit into m cells
+    num_rises = math.floor(LEAST_TREAD / (LEAST_TREAD - cell_size)) + 1
+    cells = np.arange(floor.size).reshape(floor.shape)
+    steps = [no_steps]
+    for heights, ids in ((floor, cells), (floor.T, cells.T)):
+        rises = np.diff(heights, axis=1)
+        if rises.shape[1] < num_rises:
+            continue
+        windows = sliding_window_view(rises, num_rises, axis=1)
+        lowest = windows.min(axis=2)  # NaN where a cell has no floor
+        highest = windows.max(axis=2)
+        for sign, least, most in ((1.0, lowest, highest), (-1.0, -highest, -lowest)):
+            is_even = (least > 0.0) & (most <= slope_rise) & (most - least <= RISE_TOLERANCE)
+            # the largest rise of the windows that a rise is in or beside
+            window_rise = np.pad(np.where(is_even, most, 0.0), ((0, 0), (num_rises, num_rises)))
+            largest_rise = sliding_window_view(window_rise, num_rises + 2, axis=1).max(axis=2)
+            is_ramp = (sign * rises > 0.0) & (sign * rises <= largest_rise)
+            steps.append(np.stack([ids[:, :-1][is_ramp], ids[:, 1:][is_ramp]], axis=1))
+    return np.concatenate(steps)
 
 
 def close_cells(grid: NavGrid, masks: Sequence[Bool]) -> NavGrid:
@@ -236,7 +301,10 @@ def describe_losses(
             phrases.append(f"floor heights ({', '.join(ranges)})")
     stairs = _measure_area(grid, closed.stairs, numbers)
     if stairs:
-        phrases.append(f"stairs ({stairs:.2f} m² are occupied; --stairs free leaves them free)")
+        phrases.append(
+            f"stairs and floors beyond them ({stairs:.2f} m² are occupied; --stairs free leaves "
+            "them free)"
+        )
     if "areas" in kinds:
         map_agent = find_agent(grid, agent)
         barring = [area.name for area in grid.areas if area.bars(map_agent)]

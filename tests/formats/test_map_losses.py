@@ -12,6 +12,7 @@ from grid_maps import house_from, level_from
 from map_grids import sample
 from navbake.errors import FormatError, QueryError
 from navbake.formats.map_losses import find_stairs
+from navbake.navgrid.rooms import Room
 
 # the map that each format makes of one level, read again
 READERS = {
@@ -55,7 +56,8 @@ def test_stairs_are_occupied_unless_they_are_to_be_free(tmp_path, kind):
     [
         ("....2468", ".....xxx"),  # up: the first tread is within a step, as a kerb is
         ("....2222", "........"),  # a kerb
-        ("....1234", "......xx"),  # risers of 0.1 m
+        ("....112233", "........xx"),  # risers of 0.1 m
+        ("....1234", "........"),  # a ramp of 45 degrees
         ("0004.000", "...x...."),  # a platform
         ("4444444.2", ".......x."),  # most of the level is a platform: what lies below is closed
         ("....#444", "........"),  # nothing leads there: a floor of its own
@@ -68,7 +70,7 @@ def test_only_what_steps_lead_to_is_a_stair(text, stairs):
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.1, 0.5, 0.95])
-@pytest.mark.parametrize("cell_size", [0.02, 0.05, 0.1])
+@pytest.mark.parametrize("cell_size", [0.02, 0.05, 0.1, 0.125, 0.15, 0.2])
 def test_a_ramp_and_what_it_leads_to_stay_free(slope, cell_size):
     level = level_from("\n".join(["." * 60] * 3), cell_size=cell_size)
     rise = np.clip(np.arange(60) - 20, 0, 30) * cell_size * slope
@@ -87,6 +89,43 @@ def test_a_flight_is_closed_at_any_cell_size(riser, cell_size):
     level.attributes["floorHeight"] = np.broadcast_to(floor, (3, num_cells)).astype(np.float32)
     closed = find_stairs(level, 0)
     np.testing.assert_array_equal(closed[0], floor > 0.25 + 1e-6)
+
+
+def test_a_ramp_that_is_as_steep_as_a_stair_is_told_from_it_by_its_even_rise():
+    """Whatever its direction, and wherever its foot lies in a cell."""
+    rng = np.random.default_rng(3)
+    for cell_size in (0.12, 0.15, 0.18):
+        num_cells = round(8.0 / cell_size)
+        level = level_from("\n".join(["." * num_cells] * num_cells), cell_size=cell_size)
+        for yaw in (0.0, *rng.uniform(0, np.pi / 2, 4)):
+            y, x = np.mgrid[:num_cells, :num_cells] * cell_size
+            along = x * np.cos(yaw) + y * np.sin(yaw) - 4.0 + rng.uniform(0, cell_size)
+            rise = rng.uniform(0.12, 0.2)
+            tread = rng.uniform(0.26, 0.34)
+            ramp = np.clip(along, 0, 8 * tread) * rise / tread
+            level.attributes["floorHeight"] = ramp.astype(np.float32)
+            assert not find_stairs(level, 0).any()
+            flight = rise * np.clip(np.floor(along / tread) + 1, 0, 8)
+            level.attributes["floorHeight"] = flight.astype(np.float32)
+            closed = find_stairs(level, 0)
+            assert closed[flight > 7.5 * rise].all() or closed[flight < 0.5 * rise].all()
+
+
+def test_ground_is_the_floor_of_the_rooms_unless_outdoors_is_far_larger():
+    """The yard of the sample tower was free, and the whole floor above it closed."""
+    tower = sample("tower")
+    level = tower.levels[0]
+    is_outdoors = level.room_index == 1
+    closed = find_stairs(tower, 0)
+    assert not closed[~is_outdoors & (np.abs(level.floor) < 0.25)].any()
+    assert closed[is_outdoors & level.free & (level.floor < -0.26)].all()
+    for width, ground in ((20, 1.0), (60, 0.0)):
+        yard = level_from("." * width + "5" * 10)
+        yard.attributes["roomIndex"] = np.array([[1] * width + [2] * 10], dtype=np.uint16)
+        rooms = [Room(1, "0:1", None, 0, 1.0, (0.0, 0.0, 0.0), outdoors=True).to_json()]
+        hut = yard.with_layers(metadata={**yard.metadata, "navbake": {"rooms": rooms}})
+        free = ~find_stairs(hut, 0)[0]
+        assert free[:width].all() == (ground == 0.0) and free[width:].all() == (ground == 1.0)
 
 
 def test_what_steps_from_another_level_lead_to_is_closed_and_another_building_is_not():
@@ -158,8 +197,9 @@ def test_what_is_lost_is_one_line_and_nothing_lost_is_none(tmp_path, caplog):
         house.to_nav2(tmp_path / "map.yaml", level=0)
     (line,) = caplog.messages
     assert line == (
-        "nav2 has no place for floor heights (-0.05 to 2.81 m), stairs (5.16 m² are occupied; "
-        "--stairs free leaves them free), steps between levels (20), doors (8, as they stand)"
+        "nav2 has no place for floor heights (-0.05 to 2.81 m), stairs and floors beyond them "
+        "(5.16 m² are occupied; --stairs free leaves them free), steps between levels (20), "
+        "doors (8, as they stand)"
     )
     caplog.clear()
     house.to_npz(tmp_path / "a.npz")
