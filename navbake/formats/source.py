@@ -37,12 +37,14 @@ from navbake.lazy import lazy
 
 if TYPE_CHECKING:
     import numpy as np
+    import PIL
     from numpy.typing import NDArray
     from PIL import Image, PngImagePlugin
 
     from navbake.types import JsonValue
 else:  # the command line lists formats before it loads numpy
     np = lazy("numpy")
+    PIL = lazy("PIL")
     Image = lazy("PIL.Image")
     PngImagePlugin = lazy("PIL.PngImagePlugin")
 
@@ -350,6 +352,8 @@ def open_image(
         raise
     except Exception as error:  # Pillow and zlib raise many types for a broken image
         why = " ".join(str(error).split())[:200] or type(error).__name__
+        if isinstance(error, PIL.UnidentifiedImageError):  # its text has an address in memory
+            why = "its header is broken"
         message = f"{format_path(name)} is no image that can be read: {why}"
         raise FormatError(message, path=name) from error
 

@@ -6,6 +6,7 @@ voxel between the heights is, else free if one is known to be free, else unknown
 
 from __future__ import annotations
 
+import math
 from os import PathLike
 
 import numpy as np
@@ -41,8 +42,8 @@ def read_voxel_plan(
         The level, whose cells are the columns of the voxels.
 
     Raises:
-        FormatError: the file is broken or needs too much memory, no heights are given, or `unknown`
-            is another word.
+        FormatError: the file is broken or needs too much memory, no heights are given, no voxel
+            lies between them, or `unknown` is another word.
         QueryError: the range of heights is empty.
     """
     if height is None:
@@ -56,6 +57,17 @@ def read_voxel_plan(
     check_choice(unknown, UNKNOWN_VALUES, "unknown", FormatError)
     low, high = height
     voxels = read_voxels(path)
+    lowest = float(voxels.origin[2])
+    highest = lowest + voxels.shape[2] * voxels.res
+    if math.isinf(low) or low >= highest or high <= lowest:
+        expected = f"heights in those of the voxels, {lowest:.6g} to {highest:.6g} m"
+        raise FormatError(
+            f"expected {expected}, got {low:g} to {high:g} (--height LOW:HIGH)",
+            path=str(path),
+            key="height",
+            value=height,
+            expected=expected,
+        )
     is_occupied = cut_band(voxels, low, high) != 0
     known = np.ones(voxels.shape, dtype=bool) if voxels.known is None else voxels.known
     known_voxels = VoxelGrid(values=known, origin=voxels.origin, res=voxels.res)

@@ -59,6 +59,17 @@ def test_heights_are_needed_and_words_are_checked(tmp_path):
         read_as(tmp_path / "a.bt", height=(0.1, 1.2), unknown="red")
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "height", [(1e300, 1e301), (2.0, 3.0), (-1.0, 0.0), (-np.inf, 1.0), (-1e301, -1e300)]
+)
+def test_heights_without_voxels_are_refused(tmp_path, height):
+    VOXELS.save(tmp_path / "a.bt", free=True)
+    with pytest.raises(FormatError, match="expected heights in those of the voxels, 0 to 2 m, got"):
+        read_as(tmp_path / "a.bt", height=height)
+    assert shown(read_as(tmp_path / "a.bt", height=(0.1, np.inf))) == "##.."
+
+
 def test_a_coloured_tree_is_read_by_its_occupancy():
     plain = encode_octomap(VOXELS, "ot", free=True)
     head, _, nodes = plain.partition(b"data\n")

@@ -20,6 +20,9 @@ SIZE_ROUNDING = 1e-6
 FLOAT32_ROUNDING = 2.0**-22
 # Extents are never reduced by more than this fraction of a cell, however far away a mesh lies
 MAX_ROUNDED_SHARE = 0.25
+# A geom makes the scene's box large if the box is smaller than this fraction of its area without it
+MAX_REST = 0.5
+SAME_AREA = 0.01  # areas of boxes are equal if they differ by less than this fraction
 # Floors are found on the scene up to this far around `grid.bounds`, or up to the longer side of the
 # bounds, if that is more [m]
 MAX_EXTENSION = 50.0
@@ -65,7 +68,7 @@ def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
         raise ConfigError(
             f"a grid of {num_cells:.3g} cells is more than `grid.max_cells` = "
             f"{settings.max_cells}: {width:.6g} x {depth:.6g} m at `grid.cell_size` = "
-            f"{settings.cell_size:g} m; {_name_largest_geom(scene)}check the scene's unit "
+            f"{settings.cell_size:g} m; {_name_farthest_geom(scene, config)}check the scene's unit "
             f"(`scene.unit`) and the cell size, bake a part (`grid.bounds`), leave geoms out "
             f"(`scene.exclude`), or raise the limit"
         )
@@ -90,19 +93,44 @@ def box_rounding(scene: Scene, bounds: Float, cell_size: float) -> float:
     return min(rounding, MAX_ROUNDED_SHARE * cell_size)
 
 
-def _name_largest_geom(scene: Scene) -> str:
-    """Name the geom with the largest finite box, seen from above, as the beginning of a sentence.
+def _name_farthest_geom(scene: Scene, config: BakeConfig) -> str:
+    """Name the geom without which the scene's box is smallest, as the beginning of a sentence.
 
-    The text is empty if no geom has a finite box with an area.
+    Where the box is about as large without any single geom, it is the geom with the largest box,
+    seen from above. The text is empty if the settings state the box, or no geom has a finite one.
     """
-    boxes = scene.shapes.boxes
-    sides = boxes[:, 3:5] - boxes[:, :2]
-    area = np.where(np.isfinite(sides).all(axis=1), sides.prod(axis=1), 0.0)
-    if not area.any():
+    shapes = scene.shapes if scene.bounds is None else scene.structure
+    is_finite = np.isfinite(shapes.boxes).all(axis=1)
+    geoms, geom_of_box = np.unique(shapes.boxed_geoms[is_finite], return_inverse=True)
+    if config.grid.bounds is not None or not len(geoms):
         return ""
+    boxes = shapes.boxes[is_finite]
+    low = np.full((len(geoms), 2), np.inf)
+    high = np.full((len(geoms), 2), -np.inf)
+    np.minimum.at(low, geom_of_box, boxes[:, :2])
+    np.maximum.at(high, geom_of_box, boxes[:, 3:5])
+    sides = high - low
+    area = sides.prod(axis=1)
     largest = int(area.argmax())
-    name = scene.geoms[int(scene.shapes.boxed_geoms[largest])].name
-    return f"the largest geom is {name!r}, {sides[largest, 0]:.6g} x {sides[largest, 1]:.6g} m; "
+    name = scene.geoms[int(geoms[largest])].name
+    text = f"the largest geom is {name!r}, {sides[largest, 0]:.6g} x {sides[largest, 1]:.6g} m; "
+    if len(geoms) == 1:
+        return text
+    # the box without a geom ends at the second lowest or highest side where that geom has the first
+    lowest = np.sort(low, axis=0)[:2]
+    highest = np.sort(high, axis=0)[-2:]
+    rest = np.where(high == highest[1], highest[0], highest[1])
+    rest -= np.where(low == lowest[0], lowest[1], lowest[0])
+    rest_area = rest.prod(axis=1)
+    makes_box = rest_area <= MAX_REST * (highest[1] - lowest[0]).prod()
+    if not makes_box.any():
+        return text
+    # of a floor and a small thing far away, the box is small without either: the thing is the one
+    total = rest_area + area
+    is_best = makes_box & (total <= (1 + SAME_AREA) * total[makes_box].min())
+    farthest = int(np.where(is_best, area, np.inf).argmin())
+    name = scene.geoms[int(geoms[farthest])].name
+    return f"without {name!r} it is {rest[farthest, 0]:.6g} x {rest[farthest, 1]:.6g} m; "
 
 
 def extend_lattice(

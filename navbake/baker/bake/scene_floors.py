@@ -14,7 +14,7 @@ from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import check_occupancy
 from navbake.baker.readers.mesh import MESH_SUFFIXES
 from navbake.baker.scene.scene import Scene
-from navbake.config.settings import SCAN_HOLES, BakeConfig
+from navbake.config.settings import SCAN_HOLES, BakeConfig, is_memory_path
 from navbake.errors import SceneError
 from navbake.formats.scene_files import scene_suffix
 from navbake.navgrid.lattice import Lattice
@@ -129,22 +129,28 @@ def measure_holes(
 def _advise_ground(scene: Scene, config: BakeConfig) -> str:
     """Return advice for a scene without floor: to add ground, or to bake more of its ground.
 
-    The advice is empty where neither is likely to help: for mesh files without an endless plane, as
+    The advice is empty where neither is likely to help: for meshes without an endless plane, as
     their axes or units are wrong more often; with `grid.bounds`; and for scenes that are too small.
+    For a scene in memory, it is a keyword of `navbake.bake`.
     """
+    is_in_memory = is_memory_path(config.scene.path)
     endless_geoms = scene.shapes.planes.geom
     if len(endless_geoms):
         name = scene.geoms[endless_geoms[0]].name
-        return (
-            f"if agents walk on {name!r}, which is endless, `grid.margin={GROUND_MARGIN:g}` takes "
-            "in more of it"
-        )
-    is_mesh_file = scene_suffix(config.scene.path) in MESH_SUFFIXES
-    if is_mesh_file or scene.bounds is None or config.grid.bounds is not None:
+        setting = f"grid.margin={GROUND_MARGIN:g}"
+        if is_in_memory:
+            setting = f'grid={{"margin": {GROUND_MARGIN:g}}}'
+        return f"if agents walk on {name!r}, which is endless, `{setting}` takes in more of it"
+    is_mesh = scene_suffix(config.scene.path) in MESH_SUFFIXES
+    is_mesh |= is_in_memory and bool(scene.exact_meshes)
+    if is_mesh or scene.bounds is None or config.grid.bounds is not None:
         return ""
     low, high = scene.bounds
     if (high - low)[:2].min() < MIN_GROUND_SIDE:
         return ""
+    if is_in_memory:
+        setting = f'`scene={{"ground": {low[2]:.6g}}}` adds it to an MjSpec'
+        return f"if the scene comes without its ground, {setting}"
     return f"if the scene comes without its ground, `scene.ground={low[2]:.6g}` adds it"
 
 

@@ -10,7 +10,13 @@ from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.occupancy.volume_kernels import BLOCKING
 from navbake.baker.occupants.movable import MovableContext, find_movable_occupants
-from navbake.baker.scene.collect import CANT_COLLIDE, GeomSelection, collect_shapes, mark_drawn
+from navbake.baker.scene.collect import (
+    CANT_COLLIDE,
+    COLLIDES_IN_PAIRS,
+    GeomSelection,
+    collect_shapes,
+    mark_drawn,
+)
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.skies import geom_boxes
 from navbake.config.settings import AgentSettings
@@ -36,7 +42,9 @@ def warn_uncounted(
     footprint: Footprint,
     agent: AgentSettings,
 ) -> list[str]:
-    """Warn of drawn geoms that can't collide, and would block floor that is free without them.
+    """Warn of drawn geoms that don't count, and would block floor that is free without them.
+
+    Their contype and conaffinity are 0: they can't collide, or in a ``<contact><pair>`` alone.
 
     Args:
         scene: the posed scene.
@@ -88,21 +96,27 @@ def warn_uncounted(
         return []
     largest = things[np.argsort(-area[things], kind="stable")][:MAX_NAMED_THINGS].tolist()
     names = ", ".join(f"{scene.geoms[geom].name!r} ({area[geom]:.2f} m²)" for geom in largest)
+    reasons = {scene.selections[geom].reason for geom in things.tolist()}
+    reason = "they can't collide"
+    if COLLIDES_IN_PAIRS in reasons:
+        reason = "their contype and conaffinity are 0 (a <contact><pair> is of two geoms alone)"
     num_more = len(things) - len(largest)
     more = f", and {num_more} more" if num_more else ""
     return [
-        f"drawn on free floor, but not counted, as they can't collide: {names}{more}; "
+        f"drawn on free floor, but not counted, as {reason}: {names}{more}; "
         f"`scene.geoms: all` counts everything, `scene.exclude.geoms` silences this"
     ]
 
 
 def _mark_candidates(scene: Scene) -> Bool:
-    """Mark the drawn geoms that can't collide, and can't move either.
+    """Mark the drawn geoms that don't count as they can't collide, and can't move either.
 
-    Planes, and geoms thinner than `MIN_THICKNESS`, aren't marked.
+    So are those that collide in a ``<contact><pair>`` alone. Planes, and geoms thinner than
+    `MIN_THICKNESS`, aren't marked.
     """
-    cant_collide = [selection.reason == CANT_COLLIDE for selection in scene.selections]
-    is_candidate: Bool = np.array(cant_collide, dtype=np.bool_) & mark_drawn(scene.model)
+    reasons = [selection.reason for selection in scene.selections]
+    is_candidate: Bool = np.isin(reasons, (CANT_COLLIDE, COLLIDES_IN_PAIRS))
+    is_candidate &= mark_drawn(scene.model)
     is_candidate &= scene.is_structure_body[scene.mover_of]
     is_candidate &= scene.model.geom_type != PLANE
     is_candidate &= 2.0 * scene.model.geom_aabb[:, 3:].min(axis=1) >= MIN_THICKNESS

@@ -13,7 +13,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from fnmatch import fnmatchcase
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -62,6 +62,7 @@ HINGE_TYPES = ("revolute", "continuous")
 MAX_NESTING = 50  # levels of models in models, and of frames attached to frames
 # The last version of SDF whose joint axes are in the frame of the model
 LAST_VERSION_WITH_MODEL_AXES = (1, 4)
+INCLUDED_TAGS = ("model", "light", "actor")  # what an included file may have; models alone count
 # Models that come with Gazebo: they need not be found
 SUN_MODEL = "sun"
 GROUND_MODEL = "ground_plane"
@@ -148,7 +149,8 @@ class _WorldReader:
         # Full name of a link -> name of its body; empty if its model is static
         self._body_of_link: dict[str, str] = {}
         self._joints: list[JointOfScope] = []
-        self._meshes: dict[MeshKey, Mesh] = {}
+        # A mesh, and what is to be told of it where it is used
+        self._meshes: dict[MeshKey, tuple[Mesh, list[str]]] = {}
         self._parse = cache(parse_sdf)
         self._find_model = cache(self._search_model)
         self._count = 0  # models and geoms so far
@@ -263,10 +265,19 @@ class _WorldReader:
         file = self._find_model(uri, scope.file)
         if file is not None:
             try:
-                return file, self._parse(file).find("model")
+                root = self._parse(file)
             except SceneError:
                 if not is_excluded:
                     raise
+            else:
+                model = root.find("model")
+                if not is_excluded and all(root.find(tag) is None for tag in INCLUDED_TAGS):
+                    itself = ", and is the file itself" if file.samefile(scope.file) else ""
+                    self._warn(
+                        f"<include> of {uri!r} in {scope.file} is left out: {file} has no "
+                        f"<model>{itself}"
+                    )
+                return file, model
         elif _is_model(uri, SUN_MODEL) or _is_model(uri, GROUND_MODEL):
             return None, None
         elif not is_excluded and full_name not in self._missing_models:
@@ -354,22 +365,30 @@ class _WorldReader:
                 else:
                     self._add_missing(f"{uri!r} of {element.tag} {place.name!r}", places)
                 return
+        mesh_warnings = list[str]()
+        read_mesh = partial(self._read_mesh, warnings=mesh_warnings)
         try:
-            geoms = list(reader.read(file, self._read_mesh, is_visual=is_visual))
+            geoms = list(reader.read(file, read_mesh, is_visual=is_visual))
         except StrayMeshError as error:
-            self._warn(f"{where} left out: {error}")
+            if is_excluded:
+                self._parsed_scene.empty_bodies.add(place.body)
+            else:
+                self._warn(f"{where} left out: {error}")
             return
         except SceneError:
             if not is_excluded:
                 raise
             self._parsed_scene.empty_bodies.add(place.body)
             return
+        if not is_excluded:
+            for warning in mesh_warnings:
+                self._warn(warning)
         for geom in geoms:
             self._add_geom(geom._replace(collides=not is_visual, drawn=is_visual))
         if not geoms:
             self._warn(f"{where} left out: its <{shape.tag}> is no shape that navbake reads")
 
-    def _read_mesh(self, file: Path, shape: Element, where: str) -> Mesh:
+    def _read_mesh(self, file: Path, shape: Element, where: str, *, warnings: list[str]) -> Mesh:
         """Read a mesh, in metres.
 
         The unit that a DAE states is applied, but not its up axis: Gazebo doesn't read it
@@ -379,6 +398,7 @@ class _WorldReader:
             file: the mesh's file.
             shape: the ``<mesh>`` element.
             where: the ``<collision>`` or ``<visual>``, for errors.
+            warnings: the list to which warnings of the file are added, each time it is used.
         """
         submesh = text_of(shape, "submesh/name")
         is_centered = is_true(text_of(shape, "submesh/center"))
@@ -389,7 +409,8 @@ class _WorldReader:
                 suffixes = ", ".join(sorted(MESH_SUFFIXES))
                 raise SceneError(f"cannot read {file}, the mesh of {where}: expected {suffixes}")
             up = "y" if suffix in GLTF_SUFFIXES else "z"
-            meshes = read_named_meshes(file, up, warnings=self._parsed_scene.warnings)
+            file_warnings = list[str]()
+            meshes = read_named_meshes(file, up, warnings=file_warnings)
             matching = [mesh for mesh in meshes if submesh in ("", mesh.name)]
             if not matching:
                 listed = ", ".join(sorted(mesh.name for mesh in meshes)[:20])
@@ -397,8 +418,10 @@ class _WorldReader:
             vertices, faces = join_meshes(matching)
             if is_centered:
                 vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-            self._meshes[key] = Mesh(vertices, faces)
-        return self._meshes[key]
+            self._meshes[key] = (Mesh(vertices, faces), file_warnings)
+        mesh, file_warnings = self._meshes[key]
+        warnings += file_warnings
+        return mesh
 
     # ------------------------------------------------------------ joints
 

@@ -39,6 +39,7 @@ NUM_DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless 
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
 # Why a geom doesn't count
 CANT_COLLIDE = "can't collide (contype and conaffinity are 0)"
+COLLIDES_IN_PAIRS = "collides in a <contact><pair> alone (contype and conaffinity are 0)"
 # MuJoCo's default of `rgba`
 DEFAULT_COLOR = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
@@ -182,7 +183,11 @@ def _apply_geoms_setting(
     if geoms != "visual":
         colliding = CountDecision(True, "can collide")
         not_colliding = CountDecision(False, CANT_COLLIDE)
-        return [colliding if can_collide else not_colliding for can_collide in collides]
+        decisions = [colliding if can_collide else not_colliding for can_collide in collides]
+        pairs = np.concatenate([model.pair_geom1, model.pair_geom2])
+        for geom in np.unique(pairs[~collides[pairs]]).tolist():
+            decisions[geom] = CountDecision(False, COLLIDES_IN_PAIRS)
+        return decisions
     groups = model.geom_group.tolist()
     bodies = model.geom_bodyid.tolist()
     drawn = mark_drawn(model)

@@ -19,11 +19,15 @@ from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.collect import GeomSelection, MeshTriangles, collect_shapes
 from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.lazy import lazy
+from navbake.navgrid.islands import label_islands
 from navbake.navgrid.lattice import Lattice
-from navbake.types import Bool, Int
+from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
     import mujoco
+
+ndimage = lazy("scipy.ndimage")
 
 # The distance between the vertical lines on which room is searched for; larger for large meshes [m]
 LINE_SPACING = 0.1
@@ -31,6 +35,10 @@ MAX_LINES = 10_000  # about the most lines that are searched for a mesh
 # A mesh counts by its triangles if its hull hides at least this area of ground, more than a step
 # below the hull [m²]
 MIN_GROUND_AREA = 1.0
+# A surface of a thing is its top if it is narrower, and drops along this share of its outline: as
+# the floors of a scene are
+MAX_TOP_WIDTH = 3.0  # [m]
+MIN_DROP_SHARE = 0.25
 # Directions that are up in a mesh's frame are equal if they are after rounding
 UP_DECIMALS = 9
 # What a hull hides, as warnings call it
@@ -73,7 +81,8 @@ class HullRoomTest:
         `floors.shrink`).
 
         Ground is the uppermost surface of a mesh that can't move, where it is no steeper than the
-        agent's slope, and more than a step below the hull. It counts from `MIN_GROUND_AREA` on.
+        agent's slope, and more than a step below the hull. It counts from `MIN_GROUND_AREA` on, if
+        it is not the top of a thing, such as the seat of a couch (see `_mark_tops`).
 
         Args:
             geom: id of a mesh geom.
@@ -138,7 +147,10 @@ class HullRoomTest:
             return ROOM
         if not self._may_hide_ground(geom):
             return ""
-        is_ground = _mark_ground(mesh_columns, hull_columns, agent_limits(self.agent))
+        limits = agent_limits(self.agent)
+        is_gentle, top_z = _find_uppermost(mesh_columns, limits)
+        is_ground = is_gentle & ~_mark_tops(is_gentle, top_z, lattice, limits, bounds[0, 2])
+        is_ground &= _find_depth(mesh_columns, hull_columns) > limits.step + LIMIT_SLACK
         ground_area = is_ground.sum() * lattice.cell_size**2
         return GROUND if ground_area >= MIN_GROUND_AREA - LIMIT_SLACK else ""
 
@@ -196,24 +208,87 @@ def _mark_room(mesh: Columns, hull: Columns, height: float) -> Bool:
     return has_room
 
 
-def _mark_ground(mesh: Columns, hull: Columns, limits: AgentLimits) -> Bool:
-    """Mark the cells in which the uppermost surface of a mesh is ground that its hull hides.
-
-    It is no steeper than the agent's slope, and more than a step below the hull.
+def _find_uppermost(mesh: Columns, limits: AgentLimits) -> tuple[Bool, Float]:
+    """Find the uppermost surface of a mesh on the vertical line of each cell.
 
     Args:
         mesh: the hits of the mesh's surfaces.
-        hull: the hits of the hull, on the same lattice.
-        limits: the agent's limits: its slope and step.
+        limits: the agent's limits, of which the slope is used.
+
+    Returns:
+        Whether the surface is no steeper than the agent's slope, shape (cells,); and its height,
+        NaN for cells without a hit, shape (cells,) [m].
     """
-    is_ground = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
+    is_gentle = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
+    top_z = np.full(len(mesh.start) - 1, np.nan)
+    cells = np.flatnonzero(np.diff(mesh.start) > 0)
+    top_hit = mesh.start[cells + 1] - 1
+    is_gentle[cells] = mesh.normal[top_hit, 2] >= limits.min_up
+    top_z[cells] = mesh.z[top_hit]
+    return is_gentle, top_z
+
+
+def _find_depth(mesh: Columns, hull: Columns) -> Float:
+    """Return how deep below the hull the mesh's uppermost surface is, shape (cells,) [m].
+
+    It is 0 in cells whose line misses the mesh or its hull.
+    """
+    depth = np.zeros(len(mesh.start) - 1)
     cells = np.flatnonzero((np.diff(mesh.start) > 0) & (np.diff(hull.start) > 0))
-    mesh_top = mesh.start[cells + 1] - 1
-    hull_top = hull.start[cells + 1] - 1
-    is_gentle = mesh.normal[mesh_top, 2] >= limits.min_up
-    is_deep = hull.z[hull_top] - mesh.z[mesh_top] > limits.step + LIMIT_SLACK
-    is_ground[cells] = is_gentle & is_deep
-    return is_ground
+    depth[cells] = hull.z[hull.start[cells + 1] - 1] - mesh.z[mesh.start[cells + 1] - 1]
+    return depth
+
+
+def _mark_tops(
+    is_gentle: Bool, top_z: Float, lattice: Lattice, limits: AgentLimits, lowest: float
+) -> Bool:
+    """Mark the cells of surfaces that are tops of a thing, such as the seat of a couch.
+
+    A surface goes on from cell to cell by steps. It is a top where no step leads down from it to
+    the bottom of the mesh, a quarter of its outline drops by more than a step, and it is nowhere
+    wider than `MAX_TOP_WIDTH`. Beside the mesh, the floor is taken to be at the mesh's bottom.
+
+    Args:
+        is_gentle: whether the uppermost surface of each cell is within the agent's slope, (cells,).
+        top_z: the height of that surface, NaN for none, (cells,) [m].
+        lattice: the cells.
+        limits: the agent's limits, of which the step is used.
+        lowest: the height of the mesh's bottom [m].
+    """
+    surface_of_cell = label_islands(
+        start=np.array([0, len(is_gentle)]),
+        width=np.array([lattice.width]),
+        free=is_gentle,
+        floor=top_z,
+        limit=limits.step + LIMIT_SLACK,
+        steps=np.empty((0, 2), dtype=np.int64),
+    ).reshape(lattice.height, lattice.width)
+    # a rim of cells beside the mesh
+    surfaces = np.pad(surface_of_cell, 1)
+    height = np.pad(np.nan_to_num(top_z, nan=lowest).reshape(surface_of_cell.shape), 1)
+    height[[0, -1]] = lowest
+    height[:, [0, -1]] = lowest
+    num_sides = np.zeros(surfaces.max() + 1, dtype=np.int64)
+    num_drops = np.zeros(surfaces.max() + 1, dtype=np.int64)
+    for axis, shift in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        is_side = np.roll(surfaces, shift, axis) != surfaces
+        is_drop = is_side & (height - np.roll(height, shift, axis) > limits.step + LIMIT_SLACK)
+        num_sides += np.bincount(surfaces[is_side], minlength=len(num_sides))
+        num_drops += np.bincount(surfaces[is_drop], minlength=len(num_drops))
+    is_top = np.zeros(len(num_sides), dtype=np.bool_)
+    drops_enough = num_drops >= MIN_DROP_SHARE * num_sides
+    for surface, window in enumerate(ndimage.find_objects(surfaces), start=1):
+        if not drops_enough[surface]:
+            continue
+        is_surface = np.pad(surfaces[window] == surface, 1)
+        lowest_cell = height[window][is_surface[1:-1, 1:-1]].min()
+        # an edge of the surface is half a cell from the centre of its outermost cell
+        half_width = (ndimage.distance_transform_edt(is_surface).max() - 0.5) * lattice.cell_size
+        is_top[surface] = (
+            lowest_cell > lowest + limits.step + LIMIT_SLACK and 2 * half_width < MAX_TOP_WIDTH
+        )
+    marked: Bool = is_top[surface_of_cell.ravel()]
+    return marked
 
 
 def _cells_of_hits(columns: Columns) -> Int:

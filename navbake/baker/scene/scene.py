@@ -43,7 +43,8 @@ from navbake.config.settings import (
     stem_of,
 )
 from navbake.errors import SceneError
-from navbake.formats.scene_files import SDF_SUFFIXES, STAGE_SUFFIXES
+from navbake.formats.scene_files import SDF_SUFFIXES, STAGE_SUFFIXES, XML_SUFFIXES
+from navbake.formats.xml_files import find_root_tag
 from navbake.navgrid.user_data import without_garbage_collection
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
@@ -101,7 +102,8 @@ class Scene:
             there are none.
         digest: sha256 of the posed model: its geoms, their poses, and how they can move.
         warnings: the warnings about the scene, one line each.
-        hints: the warnings that say that axes or units look wrong; `warnings` has them, too.
+        hints: the warnings that say why there may be no floor: axes or units look wrong, or a sky
+            is left out; `warnings` has them, too.
         model: the compiled model. It has a tetrahedron in place of each mesh of `exact_meshes`.
         data: the model's data in the pose that is baked.
         selections: for each geom, whether it counts and how it is represented.
@@ -174,6 +176,7 @@ class CountedGeoms(NamedTuple):
         shape_kinds: geom id -> `GeomReport.shape`, for the geoms that count.
         roles: the roles of geoms and bodies.
         warnings: messages of one line.
+        sky_warnings: the one of them that names skies that are left out, if any.
     """
 
     selections: list[GeomSelection]
@@ -181,6 +184,7 @@ class CountedGeoms(NamedTuple):
     shape_kinds: dict[int, str]
     roles: SceneRoles
     warnings: list[str]
+    sky_warnings: list[str]
 
 
 @without_garbage_collection()
@@ -242,7 +246,7 @@ def load_scene(
             *counted_geoms.warnings,
             *roles.warnings,
         ],
-        hints=[*hints, *size_warnings],
+        hints=[*hints, *size_warnings, *counted_geoms.sky_warnings],
         model=model,
         data=data,
         selections=counted_geoms.selections,
@@ -321,8 +325,9 @@ def _count_geoms_without(
         ground=scene_model.ground,
         file_mesh_modes={geom: mesh.mode for geom, mesh in exact_meshes.items()},
     )
+    sky_warnings = list[str]()
     if config.scene.geoms == "auto":
-        selection_warnings += _leave_out_skies(model, data, selections, config.agent)
+        sky_warnings = _leave_out_skies(model, data, selections, config.agent)
     shapes, shape_kinds, shape_warnings = collect_shapes(
         model, data, selections, exact_meshes, meshes=hull_room.meshes
     )
@@ -339,7 +344,8 @@ def _count_geoms_without(
         shapes=shapes,
         shape_kinds=shape_kinds,
         roles=roles,
-        warnings=[*selection_warnings, *shape_warnings],
+        warnings=[*selection_warnings, *sky_warnings, *shape_warnings],
+        sky_warnings=sky_warnings,
     )
 
 
@@ -448,20 +454,32 @@ def _warn_lost_objects(model: mujoco.MjModel) -> list[str]:
 
 
 def _warn_unused_settings(settings: SceneSettings, exact_meshes: dict[int, NamedMesh]) -> list[str]:
-    """Warn of `scene.up` and `scene.unit` if they do nothing.
+    """Warn of settings that do nothing, as they are for scene files of other kinds.
 
-    They are for mesh files and USD stages; other scenes state their own axes and units.
+    `scene.up` and `scene.unit` are for mesh files and USD stages; other scenes state their own axes
+    and units. `scene.strict` and `scene.model_path` are for files that name others.
     """
     suffix = Path(settings.path).suffix.lower()
-    is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES
-    if is_mesh_file or suffix in STAGE_SUFFIXES:
-        return []
     warnings = []
-    if settings.up not in ("auto", "z"):
-        warnings.append("`scene.up` is for mesh files and does nothing here")
-    if settings.unit != 1.0:
-        warnings.append("`scene.unit` is for mesh files and does nothing here")
+    is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES
+    if not is_mesh_file and suffix not in STAGE_SUFFIXES:
+        if settings.up not in ("auto", "z"):
+            warnings.append("`scene.up` is for mesh files and does nothing here")
+        if settings.unit != 1.0:
+            warnings.append("`scene.unit` is for mesh files and does nothing here")
+    if settings.strict and suffix not in SDF_SUFFIXES:
+        warnings.append("`scene.strict` (`--strict`) is for SDF and does nothing here")
+    if settings.model_path and suffix not in SDF_SUFFIXES and not _is_urdf(Path(settings.path)):
+        warnings.append(
+            "`scene.model_path` (`--model-path`) is for SDF and URDF and does nothing here"
+        )
     return warnings
+
+
+def _is_urdf(path: Path) -> bool:
+    """Return whether a path names a URDF, by its root tag."""
+    is_xml_file = path.suffix.lower() in XML_SUFFIXES and path.is_file()
+    return is_xml_file and find_root_tag(path.read_bytes()) == "robot"
 
 
 def _warn_size(

@@ -453,3 +453,23 @@ def test_things_that_hold_a_model_are_told_apart(model):
         navbake.bake(physics)
     with pytest.raises(ConfigError, match="got Physics: give its `ptr`"):
         navbake.bake(physics.model)
+
+
+def test_ground_is_advised_as_the_caller_gives_it():
+    walls = "".join(box("", x - 0.1, -3, 0, x + 0.1, 3, 2) for x in (-3, 3))
+    spec = mujoco.MjSpec.from_string(world(walls))
+    with pytest.raises(navbake.SceneError) as caught:
+        navbake.bake(spec)
+    assert 'its ground, `scene={"ground": 0}` adds it to an MjSpec' in str(caught.value)
+    assert navbake.bake(spec, scene={"ground": 0}).free.any()
+    block = '<geom type="box" size=".4 .4 1" pos="0 0 1"/><geom type="plane" size="0 0 1"/>'
+    spec = mujoco.MjSpec.from_string(world(block))
+    with pytest.raises(navbake.SceneError) as caught:
+        navbake.bake(spec)
+    assert '`grid={"margin": 5}` takes in more of it' in str(caught.value)
+    mesh = trimesh.util.concatenate(
+        [trimesh.creation.box((0.2, 6, 2), np.eye(4) + np.eye(4, k=3) * x) for x in (-3, 3)]
+    )
+    with pytest.raises(navbake.SceneError) as caught:  # its axes or unit are wrong more often
+        navbake.bake(mesh, scene={"up": "z"})
+    assert "ground" not in str(caught.value) and "`scene.up`" in str(caught.value)

@@ -628,6 +628,54 @@ def test_what_lies_beyond_all_limits_is_left_out(tmp_path):
     assert np.abs(scene.bounds).max() < 10
 
 
+def test_stray_node_is_told_of_where_its_mesh_counts(tmp_path):
+    near = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    far = "v 8e17 0 0\nv 9e17 0 0\nv 8e17 1e17 0\n"
+    (tmp_path / "pot.obj").write_text(f"o pot\n{near}o stray\n{far}f 4 5 6\n")
+    (tmp_path / "lost.obj").write_text(f"o lost\n{far}f 1 2 3\n")
+    mesh = "<geometry><mesh><uri>{}.obj</uri></mesh></geometry>"
+    names = {"a": "pot", "b": "pot", "c": "lost"}
+    models = [
+        model(link(mesh.format(file)), name, "<static>1</static>") for name, file in names.items()
+    ]
+    path = write(tmp_path, "".join(models) + FLOOR)
+
+    def stray_warnings(*excluded):
+        warnings = load(path, exclude={"bodies": list(excluded)}).warnings
+        assert not any("matches nothing" in text for text in warnings)
+        return [name for name in ("'stray'", "'c::l::c'") if any(name in w for w in warnings)]
+
+    assert stray_warnings() == ["'stray'", "'c::l::c'"]
+    assert stray_warnings("a") == ["'stray'", "'c::l::c'"]
+    assert stray_warnings("a", "b") == ["'c::l::c'"]
+    assert stray_warnings("a", "b", "c") == []
+
+
+def test_a_file_that_includes_itself_is_told(tmp_path):
+    world_file = "<world name='w'><include><uri>{}</uri></include>" + FLOOR + "</world>"
+    path = write(tmp_path, world_file.format("w.sdf"))
+    (text,) = load(path).warnings
+    assert text.startswith("<include> of 'w.sdf'") and text.endswith(
+        "<model>, and is the file itself"
+    )
+    write(tmp_path, world_file.format("x.sdf"), "other.sdf")
+    (text,) = load(write(tmp_path, world_file.format("other.sdf"))).warnings
+    assert text.endswith("other.sdf has no <model>")
+    path = write(tmp_path, model("<include><uri>m.sdf</uri></include>" + link(BOX)), "m.sdf")
+    with pytest.raises(SceneError, match="includes itself, by model"):
+        load(path)
+    write(tmp_path, "<light type='point' name='l'/>", "lamp.sdf")
+    assert not load(write(tmp_path, world_file.format("lamp.sdf"))).warnings
+
+
+def test_image_with_a_broken_header_is_one_line_without_an_address(tmp_path):
+    (tmp_path / "map.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(40))
+    text = "<image><uri>map.png</uri><scale>0.5</scale><threshold>200</threshold><height>2</height>"
+    path = write(tmp_path, model(link(f"<geometry>{text}</image></geometry>")))
+    with pytest.raises(SceneError, match=r"map\.png is no image .*: its header is broken$"):
+        load(path)
+
+
 @pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
 @pytest.mark.parametrize(
     ("name", "settings", "free"),

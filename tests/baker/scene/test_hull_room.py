@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
+import trimesh
 
+from navbake.baker.bake.arguments import parse_arguments
 from navbake.baker.scene import hull_room
 from navbake.baker.scene.hull_room import MAX_LINES, HullRoomTest
 from navbake.baker.scene.scene import load_scene
@@ -84,3 +87,46 @@ def test_ground_below_a_hull_counts_by_its_triangles(tmp_path, depth, joint, mod
     scene = load_scene(parse_config({"scene": {"path": str(path)}}))
     assert scene.selections[1].mesh_mode == modes
     assert any("ground" in text for text in scene.warnings) == (modes == "surface")
+
+
+# boxes: lower and upper corner
+THINGS = {
+    "couch": [((0, 0, 0.1), (2.4, 0.9, 0.45)), ((0, 0.7, 0.1), (2.4, 0.9, 0.9))],
+    "couch with arms and a corner": [
+        ((0, 0, 0), (3, 1, 0.4)),
+        ((0, 0.8, 0), (3, 1, 0.8)),
+        ((0, 0, 0), (0.2, 1, 0.6)),
+        ((2, -0.9, 0), (3, 0, 0.4)),
+    ],
+    "bed": [((0, 0, 0), (1.8, 2.1, 0.5)), ((0, 2.1, 0), (1.8, 2.2, 1.1))],
+    "bed between boards": [
+        ((0, 0, 0), (1.6, 2.1, 0.5)),
+        ((0, 2.1, 0), (1.6, 2.2, 1.1)),
+        ((0, -0.1, 0), (1.6, 0, 0.9)),
+    ],
+    "car": [((0, 0, 0.3), (4.5, 1.8, 0.9)), ((1.3, 0, 0.9), (3.3, 1.8, 1.5))],
+}
+GROUNDS = {
+    "angled stair": [((0.28 * k, 0, 0), (0.28 * (k + 1), 1.2, 0.17 * (k + 1))) for k in range(8)]
+    + [((2.24, 0.28 * k, 0), (3.44, 0.28 * (k + 1), 1.36 + 0.17 * k)) for k in range(1, 8)],
+    "stage before a wall": [((0, 0, 0), (4, 4, 0.5)), ((0, 4, 0), (4, 4.2, 2.5))],
+    "low platform": [((0, 0, 0), (2, 2, 0.2)), ((0, 2, 0), (2, 2.1, 1.0))],
+}
+
+
+@pytest.mark.parametrize("name", [*THINGS, *GROUNDS])
+@pytest.mark.parametrize("yaw", [0.0, 30.0])
+def test_seats_and_mattresses_are_no_ground_that_a_hull_hides(name, yaw):
+    parts = [trimesh.creation.box(bounds=bounds) for bounds in (THINGS | GROUNDS)[name]]
+    mesh = trimesh.util.concatenate(parts)
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(5, 5, 0.1), pos=(0, 0, -0.1))
+    added = spec.add_mesh(name="m", uservert=mesh.vertices.ravel(), userface=mesh.faces.ravel())
+    added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    half_yaw = np.radians(yaw) / 2
+    geom = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="m")
+    geom.quat = (np.cos(half_yaw), 0, 0, np.sin(half_yaw))
+    config, scene_model = parse_arguments(spec, None, {})
+    scene = load_scene(config, scene_model=scene_model)
+    assert scene.selections[1].mesh_mode == ("hull" if name in THINGS else "surface")
+    assert any("hull hides" in text for text in scene.warnings) == (name in GROUNDS)

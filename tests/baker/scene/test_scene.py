@@ -113,6 +113,22 @@ def test_settings_for_meshes_do_nothing_here(load):
     ]
 
 
+def test_settings_for_sdf_and_urdf_do_nothing_here(load, tmp_path):
+    strict = "`scene.strict` (`--strict`) is for SDF and does nothing here"
+    paths = "`scene.model_path` (`--model-path`) is for SDF and URDF and does nothing here"
+    for_models = {"strict": True, "model_path": [tmp_path]}
+    assert load('<geom size="1"/>', **for_models).warnings == [strict, paths]
+    mesh = tmp_path / "a.obj"
+    mesh.write_text("v 0 0 0\nv 4 0 0\nv 0 4 0\nf 1 2 3\n")
+    warnings = load_alone(SceneSettings(path=mesh, up="z", **for_models)).warnings
+    assert strict in warnings and paths in warnings
+    shape = "<collision><geometry><box size='4 4 1'/></geometry></collision>"
+    for name in ("a.urdf", "urdf.xml"):
+        (tmp_path / name).write_text(f"<robot name='r'><link name='l'>{shape}</link></robot>")
+        settings = SceneSettings(path=tmp_path / name, **for_models)
+        assert load_alone(settings).warnings == [strict]
+
+
 def test_flex_and_skin_are_named(load):
     world = """<geom size="1"/><body name="b"><geom size=".1"/></body>
       <flexcomp name="cloth" type="grid" count="4 4 1" spacing=".1 .1 .1" dim="2" radius=".01"

@@ -76,3 +76,15 @@ def test_a_thing_with_something_hidden_in_it_is_no_sky(hidden, ground):
     grid = navbake.bake(spec, grid={"bounds": [-4, -4, 4, 4]})
     assert not [text for text in grid.warnings if "under a sky" in text]
     assert grid.levels[0].at((0.05, 0.05, 3.0)).floor == pytest.approx(3.0)  # its top
+
+
+def test_a_sky_that_leaves_no_floor_is_in_the_error():
+    """A solid room of boxes: without it, only its furniture is left."""
+    walls = "".join(
+        f'<geom type="box" size=".05 2 1" pos="{x} 0 1"/><geom type="box" size="2 .05 1" '
+        f'pos="0 {x} 1"/>' for x in (-2, 2)
+    )  # fmt: skip
+    room = '<geom name="room" type="box" size="3 3 3" pos="0 0 2"/>'
+    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{walls}{room}</worldbody></mujoco>")
+    with pytest.raises(navbake.SceneError, match=r"no floor.* as under a sky: 'room'"):
+        navbake.bake(spec)

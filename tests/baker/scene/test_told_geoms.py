@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 import navbake
+from navbake.baker.bake.stages import bake_stages
 
 FLOOR = '<geom name="floor" type="box" size="3 3 .05" pos="0 0 -.05"/>'
 
@@ -108,6 +109,43 @@ def test_too_many_cells_name_the_largest_geom():
         warnings_of('<geom name="dome" type="sphere" size="900"/>', scene={"geoms": "all"})
     for words in ("'dome'", "1800 x 1800 m", "`grid.bounds`", "`scene.exclude`"):
         assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("stray", "words"),
+    [
+        ('<geom name="stray" size=".05" pos="5000 0 1"/>', "without 'stray' it is 6 x 6 m"),
+        ('<geom name="stray" size=".05" pos="-40 90 1"/>', "without 'stray' it is 6 x 6 m"),
+        # two far ones: neither makes the box alone
+        (
+            '<geom size=".05" pos="900 900 0"/><geom size=".05" pos="900 900 1"/>'
+            '<geom size=".05" pos="-2 -2 1"/>',
+            "the largest geom is 'floor', 6 x 6 m",
+        ),
+        ("", "the largest geom is 'floor', 6 x 6 m"),
+    ],
+)
+def test_too_many_cells_name_the_geom_that_makes_the_box(stray, words):
+    with pytest.raises(navbake.ConfigError) as caught:
+        warnings_of(stray, grid={"max_cells": 1000})
+    assert words in str(caught.value)
+    with pytest.raises(navbake.ConfigError) as caught:
+        warnings_of(stray, grid={"max_cells": 3000, "bounds": [0, 0, 90, 90]})
+    assert "geom is" not in str(caught.value) and "without" not in str(caught.value)
+
+
+def test_a_thing_that_collides_in_a_pair_is_not_told_to_collide_with_nothing():
+    body = visual("thing", ".3 .3 .5", "0 0 .5") + visual("other", ".3 .3 .5", "1 0 .5")
+    ball = '<body pos="0 0 2"><freejoint/><geom name="ball" size=".1"/></body>'
+    pair = '<contact><pair geom1="thing" geom2="ball"/></contact>'
+    xml = f"<mujoco><worldbody>{FLOOR}{body}{ball}</worldbody>{pair}</mujoco>"
+    spec = mujoco.MjSpec.from_string(xml)
+    (text,) = told(navbake.bake(spec).warnings)
+    assert "can't collide" not in text and "<contact><pair>" in text
+    assert "'thing' (0.36 m²)" in text and "'other'" in text
+    reasons = {geom.name: geom.reason for geom in bake_stages(spec).scene.geoms}
+    assert reasons["thing"].startswith("collides in a <contact><pair> alone")
+    assert reasons["other"].startswith("can't collide")
 
 
 def test_slats_whose_gaps_hold_all_centres_are_a_floor():
