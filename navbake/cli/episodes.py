@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any
+import os
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, BadParameter
 
@@ -15,6 +16,9 @@ from navbake.errors import ConfigError, QueryError
 from navbake.files import encode_csv
 from navbake.known_names import suggest
 from navbake.views.tables import make_table
+
+if TYPE_CHECKING:
+    from navbake.episodes.episode import EpisodeSet
 
 # Functions import what reads grids when they run: --help stays quick.
 
@@ -86,7 +90,7 @@ def episodes(
         speed=speed,
         agent=agent,
         splits=sets.make_splits(shares, split_by),
-        files=[grid.name for grid in grids],
+        files=[_relative_path(grid, output.parent) for grid in grids],
     )
     sets.write_episodes(content, output)
     rejected_draws = content.header.rejected
@@ -96,6 +100,37 @@ def episodes(
         say_unless_quiet(f"  {number:>8} {reason}")
     if len(content) < count:
         say(f"only {len(content)} of {count}: the rules refuse the rest")
+
+
+def _relative_path(path: Path, folder: Path) -> str:
+    """Return the path of a file as seen from a folder, with forward slashes."""
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+
+
+def find_grids(content: EpisodeSet, folder: Path) -> list[Path]:
+    """Find the grids that a set names in a folder, such as that of a batch.
+
+    Args:
+        content: the set.
+        folder: the folder. Folders at the beginning of the names in the set may be missing in it.
+
+    Returns:
+        The path of each grid of the set's header.
+
+    Raises:
+        QueryError: a grid is not there.
+    """
+    paths = []
+    for entry in content.header.grids:
+        parts = PurePosixPath(entry.file or "grid.json.gz").parts
+        names = [Path(*parts[first:]) for first in range(len(parts))]
+        names.append(Path(entry.scene, parts[-1]))
+        files = [folder / name for name in names if ".." not in name.parts]
+        existing = [file for file in files if file.is_file()]
+        if not existing:
+            raise QueryError(f"no grid of {entry.scene!r} in {folder}: expected {files[-1]}")
+        paths.append(existing[0])
+    return paths
 
 
 def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, str]) -> None:
@@ -125,7 +160,9 @@ def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, 
 def score(
     content: Annotated[Path, Argument(metavar="SET", help="The episodes.")],
     trajectories: Annotated[Path, Argument(metavar="TRAJECTORIES", help=".jsonl or .npz.")],
-    grids: list[Path] | None = argument("GRID…", "Of the set.  [default: those it names]", None),
+    grids: list[Path] | None = argument(
+        "GRID…", "Of the set, or the folder that they are in.  [default: those it names]", None
+    ),
     by: str = option("GROUP", "all, distance, ratio, room, scene or split.", default="all"),
     threshold: float = option("METRES", "Of nDTW [m].", default=3.0),
     seed: int = option("N", "Seed of the intervals.", default=0, min=0),
@@ -152,6 +189,8 @@ def score(
         names = [entry.file for entry in episode_set.header.grids if entry.file]
         beside = {name: content.parent / name for name in names}
         grids = [path if path.exists() else Path(name) for name, path in beside.items()]
+    elif len(grids) == 1 and grids[0].is_dir():
+        grids = find_grids(episode_set, grids[0])
     if not grids:
         raise QueryError(f"expected the grids of {content}, which names none: give them")
     rows = scores.score_set(

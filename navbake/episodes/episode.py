@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from navbake.errors import QueryError
+from navbake.errors import QueryError, count_of
 from navbake.known_names import find_near, suggest
 from navbake.navgrid import links
 from navbake.navgrid.grid import NavGrid
@@ -180,6 +180,13 @@ class EpisodeSet(msgspec.Struct, frozen=True):
 
     def __len__(self) -> int:
         return len(self.episodes)
+
+    def __repr__(self) -> str:
+        scenes = count_of(len({episode.scene for episode in self.episodes}), "scene")
+        tasks = ", ".join(sorted({episode.task for episode in self.episodes})) or "no task"
+        agent = self.header.agent
+        radius = "unknown radius" if agent is None else f"radius {agent.radius:g} m"
+        return f"EpisodeSet({count_of(len(self), 'episode')} of {scenes}, {tasks}, {radius})"
 
     def check_grid(self, grid: NavGrid) -> None:
         """Check that the set was drawn on this grid, inflated for the set's agent.

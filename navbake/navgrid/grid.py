@@ -19,7 +19,7 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.errors import FormatError
+from navbake.errors import FormatError, count_of
 from navbake.navgrid.grid_methods import GridMethods
 from navbake.navgrid.lattice import MAX_COORDINATE, Lattice
 from navbake.navgrid.links import (
@@ -48,7 +48,7 @@ DEFAULT_HEIGHT = 1.14  # height of the agent, if the file states none [m]
 DEFAULT_STEP = 0.25  # highest step that the agent takes, if the file states none [m]
 
 
-@dataclass(eq=False, kw_only=True)
+@dataclass(eq=False, repr=False, kw_only=True)
 class GridBase(GridMethods):
     """Common base of grids of one level and of several levels.
 
@@ -104,6 +104,21 @@ class GridBase(GridMethods):
                 metadata from the grid inherit the new ones.
         """
         raise NotImplementedError
+
+    def __repr__(self) -> str:
+        levels = count_of(len(self.levels), "level")
+        free_area = sum(
+            np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in self.levels
+        )
+        num_rooms = sum(int(np.count_nonzero(np.unique(level.room_index))) for level in self.levels)
+        rooms = count_of(num_rooms, "room")
+        facts = f"{levels}, {free_area:.1f} m² free, {rooms}, {self.describe_radius()}"
+        return f"{type(self).__name__}({self.scene_id!r}, {facts})"
+
+    def describe_radius(self) -> str:
+        """Say for which radius the grid is, and whether it was inflated for it."""
+        verb = "inflated" if self.inflated_radius else "baked"
+        return f"{verb} for a radius of {self.radius:g} m"
 
     @property
     def is_blocked(self) -> bool:
@@ -305,7 +320,7 @@ DERIVED_WEIGHTS = cast("NDArray[Any]", DerivedWeights())
 """Weights that are derived from a level's occupancy: 1 where it is 0, inf elsewhere."""
 
 
-@dataclass(eq=False, kw_only=True)
+@dataclass(eq=False, repr=False, kw_only=True)
 class SceneGrid2D(GridBase):
     """The navigation grid of one level.
 
@@ -326,10 +341,10 @@ class SceneGrid2D(GridBase):
     height: int
     min_yup: Vector3
     bbox_yup: tuple[Vector3, Vector3] | None = None
-    weights: NDArray[Any] = field(default=DERIVED_WEIGHTS, repr=False)
-    attributes: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-    user_data: MutableMapping[int, Json] = field(default_factory=UserData, repr=False)
-    obstacle_state: ObstacleState | None = field(default=None, init=False, repr=False)
+    weights: NDArray[Any] = field(default=DERIVED_WEIGHTS)
+    attributes: dict[str, NDArray[Any]] = field(default_factory=dict)
+    user_data: MutableMapping[int, Json] = field(default_factory=UserData)
+    obstacle_state: ObstacleState | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         layers = {"weights": self.__dict__["weights"], **self.attributes}
@@ -568,7 +583,7 @@ class SceneGrid2D(GridBase):
         return measure_rooms(self.room_index, self.floor_or_ground, self.lattice, number)
 
 
-@dataclass(eq=False, kw_only=True)
+@dataclass(eq=False, repr=False, kw_only=True)
 class MultiLevelGrid(GridBase):
     """The navigation grids of a scene with several levels.
 
@@ -580,7 +595,7 @@ class MultiLevelGrid(GridBase):
     """
 
     grids: list[SceneGrid2D]
-    _inherited_metadata: list[Json] = field(default_factory=list, init=False, repr=False)
+    _inherited_metadata: list[Json] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         if not self.grids:

@@ -185,8 +185,8 @@ class Door:
     joint: str | None
     rooms: tuple[str | None, ...]
     state: str
-    cells: Mapping[str, Mapping[int, Runs]]
-    solid: Mapping[str, Mapping[int, Runs]] = field(default_factory=dict)
+    cells: Mapping[str, Mapping[int, Runs]] = field(repr=False)
+    solid: Mapping[str, Mapping[int, Runs]] = field(default_factory=dict, repr=False)
 
     @property
     def levels(self) -> list[int]:

@@ -104,15 +104,19 @@ def random_point(
     island: int | None,
     reachable_from: ArrayLike | None,
     anywhere: bool,
+    outdoors: bool,
 ) -> Float:
     """Draw places where an agent can stand, uniformly by area.
 
     `PathFinder.random_point` describes the arguments after `search`.
     """
     islands = search.allowed_islands(island, reachable_from)
-    cells = np.flatnonzero(search.mark_allowed(level=level, room=room, islands=islands))
+    allowed = search.mark_allowed(level=level, room=room, islands=islands, outdoors=outdoors)
+    cells = np.flatnonzero(allowed)
     island_text = ", ".join(map(str, islands or ()))
     limits: dict[str, object] = {"level": level, "room": room, "island": island_text or None}
+    if not outdoors:
+        limits["outdoors"] = False
     return _draw_places(search, cells, rng, count, anywhere, limits)
 
 

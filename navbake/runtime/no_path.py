@@ -23,7 +23,7 @@ from navbake.runtime.passage import (
     with_weights,
     without_inflation,
 )
-from navbake.runtime.paths import Goal, find_target
+from navbake.runtime.paths import Goal, Target, find_target
 from navbake.runtime.search import NO_CELLS, Route, Search
 from navbake.types import Float, Int
 
@@ -61,15 +61,7 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         return f"the start {_describe_blocked(search, start_position, start_cell)}"
     goals = target.free_cells(flat)
     if not len(goals):
-        if target.positions is not None:
-            first = _describe_blocked(search, target.positions[0], int(target.cells[0]))
-            if len(target.positions) == 1:
-                return f"the goal {first}"
-            return f"none of the {len(target.positions)} goals is free: the first {first}"
-        where = f"no cell of {target.name}"
-        if not target.name.startswith("room"):
-            where = f"no cell within 1 m of {target.name}, not counting those behind walls,"
-        return f"{where} is free for a radius of {search.grid.radius:g} m"
+        return describe_blocked_goal(search, target)
     if search.route(start_cell, goals) is not None:
         return None
     description, nearest_cells = _describe_islands(search, start_cell, goals)
@@ -82,6 +74,24 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         names = _name_obstacles(search, _cells_between(search, nearest_cells))
         reason = f"between them: {names}" if names else None
     return f"{description}; {reason}" if reason else description
+
+
+def describe_blocked_goal(search: Search, target: Target) -> str:
+    """Say in one sentence why no cell of a goal is free.
+
+    Args:
+        search: the search on the grid, up to date with added obstacles.
+        target: the goal's cells, none of them free.
+    """
+    if target.positions is not None:
+        first = _describe_blocked(search, target.positions[0], int(target.cells[0]))
+        if len(target.positions) == 1:
+            return f"the goal {first}"
+        return f"none of the {len(target.positions)} goals is free: the first {first}"
+    where = f"no cell of {target.name}"
+    if not target.name.startswith("room"):
+        where = f"no cell within 1 m of {target.name}, not counting those behind walls,"
+    return f"{where} is free for a radius of {search.grid.radius:g} m"
 
 
 def _describe_blocked(search: Search, position: Float, cell: int) -> str:
@@ -139,13 +149,13 @@ def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str,
     is_rim = flat.free & (search.graph.moves != ALL_MOVES)
     start_rim = np.flatnonzero(is_rim & np.isin(islands.number, start_island))
     goal_rim = np.flatnonzero(is_rim & np.isin(islands.number, goal_islands))
-    # One tree for all levels: as a third coordinate, each level is farther from the next than any
-    # two cells of one level can be.
+    # One tree for all levels: by a fourth coordinate, each level is farther from the next than any
+    # two cells of one level can be. Heights count, as the top of a stair is over the floor below.
     level_distance = 10.0 * float(flat.layout.start[-1])
 
     def separate_levels(cells: Int) -> Float:
-        heights = flat.level_of(cells) * level_distance
-        return np.column_stack([flat.positions(cells)[:, :2], heights])
+        offsets = flat.level_of(cells) * level_distance
+        return np.column_stack([flat.positions(cells), offsets])
 
     distance, index = spatial.cKDTree(separate_levels(goal_rim)).query(separate_levels(start_rim))
     nearest = int(np.argmin(distance))

@@ -796,6 +796,7 @@ class PathFinder:
         island: int | None = None,
         reachable_from: ArrayLike | None = None,
         anywhere: bool = False,
+        outdoors: bool = True,
     ) -> Float:
         """Draw places where an agent can stand, uniformly by area.
 
@@ -809,6 +810,7 @@ class PathFinder:
                 x, y, z [m].
             anywhere: draw points anywhere in the cells, up to half a cell nearer to obstacles;
                 else the cells' centres, where the agent's radius fits.
+            outdoors: whether places in rooms that are outdoors are drawn, too.
 
         Returns:
             World x, y and floor z [m], float64: shape (3,), or (count, 3).
@@ -830,6 +832,7 @@ class PathFinder:
             island=island,
             reachable_from=reachable_from,
             anywhere=anywhere,
+            outdoors=outdoors,
         )
 
     def random_point_near(

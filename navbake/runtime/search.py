@@ -330,6 +330,7 @@ class Search:
         level: int | None = None,
         room: str | None = None,
         islands: Sequence[int] | None = None,
+        outdoors: bool = True,
     ) -> Bool:
         """Mark the free cells that are on a level, in a room and on one of several islands.
 
@@ -337,6 +338,7 @@ class Search:
             level: number of the level; None for any.
             room: id or name of the room; None for any, and cells without a room.
             islands: numbers of the islands; None for any.
+            outdoors: whether cells of rooms that are outdoors are marked, too.
 
         Returns:
             The mask, bool, by flat id; it may be the array `flat.free` itself.
@@ -354,6 +356,9 @@ class Search:
             allowed = allowed & (self.rooms.number == self.rooms.find(room))
         if islands is not None:
             allowed = allowed & np.isin(self.islands.number, islands)
+        if not outdoors:
+            is_outdoors = np.array([False, *(room.outdoors for room in self.rooms.rooms)])
+            allowed = allowed & ~is_outdoors[self.rooms.number]
         return allowed
 
     def allowed_islands(

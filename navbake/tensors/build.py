@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,10 +14,18 @@ from navbake.errors import MissingDependencyError, QueryError
 from navbake.navgrid.islands import measure_clearance, values_by_area
 from navbake.navgrid.links import Agent
 from navbake.runtime.flat_grid import check_distance
+from navbake.runtime.no_path import describe_blocked_goal
 from navbake.runtime.paths import find_target
 from navbake.runtime.places import MAX_DROP
 from navbake.runtime.search import Search
-from navbake.tensors.grid_tensors import Array, GridTensors, Namespace, PaddedShape, register_pytree
+from navbake.tensors.grid_tensors import (
+    Array,
+    GridTensors,
+    Namespace,
+    PaddedShape,
+    device_of,
+    register_pytree,
+)
 from navbake.types import Bool, Float
 
 if TYPE_CHECKING:
@@ -64,7 +73,8 @@ def make_tensors(
         The tensors.
 
     Raises:
-        QueryError: an argument is not valid, or there are 2^31 cells or more.
+        QueryError: an argument is not valid, no cell of a goal is free, or there are 2^31 cells or
+            more.
         MissingDependencyError: the extra ``tensors`` isn't installed.
 
     Example:
@@ -78,10 +88,7 @@ def make_tensors(
     searches = [Search(grid, cut_corners=cut_corners, agent=agent) for grid in grid_list]
     grid_list = [search.grid for search in searches]
     shape = _find_padded_shape(grid_list)
-    num_goals = len(goals_of_grids[0])
-    if math.prod(shape) * max(num_goals, 1) >= 2**31:
-        actual = f"{' x '.join(map(str, shape))} for each of {num_goals} goals"
-        raise QueryError(f"expected less than 2^31 cells in all, got {actual}")
+    _check_size(shape, len(goals_of_grids[0]))
     arrays = _make_lattices(grid_list, shape, floating)
     arrays |= _make_layers(searches, shape, floating, max_drop)
     arrays |= _make_goal_fields(searches, goals_of_grids, shape, floating)
@@ -97,9 +104,40 @@ def make_tensors(
         num_rooms=num_rooms,
         rooms=rooms,
         areas=tuple(tuple(area.name for area in grid.areas) for grid in grid_list),
-        goals=tuple(str(goal) for goal in goals_of_grids[0]),
+        goals=_name_goals(goals_of_grids[0]),
+        searches=tuple(searches),
         **{name: make_array(array) for name, array in arrays.items()},
     )
+
+
+def replace_goals(
+    tensors: GridTensors, goals: Sequence[Goal] | Sequence[Sequence[Goal]]
+) -> GridTensors:
+    """Make tensors with other goals: `GridTensors.with_goals`."""
+    grids = [search.grid for search in tensors.searches]
+    _, goals_of_grids = _check_grids(grids[0] if len(grids) == 1 else grids, goals)
+    _check_size(tensors.shape, len(goals_of_grids[0]))
+    xp = tensors.xp
+    floating: Floating = np.dtype("float64" if tensors.dtype == xp.float64 else "float32")
+    fields = _make_goal_fields(list(tensors.searches), goals_of_grids, tensors.shape, floating)
+    arrays = {name: xp.asarray(array, device=device_of(tensors)) for name, array in fields.items()}
+    return replace(tensors, goals=_name_goals(goals_of_grids[0]), **arrays)
+
+
+def _name_goals(goals: Sequence[Goal]) -> tuple[str, ...]:
+    """Return the texts of goals, each in one line."""
+    return tuple(" ".join(str(goal).split()) for goal in goals)
+
+
+def _check_size(shape: PaddedShape, num_goals: int) -> None:
+    """Check that int32 can number the cells of all goals.
+
+    Raises:
+        QueryError: there are too many cells.
+    """
+    if math.prod(shape) * max(num_goals, 1) >= 2**31:
+        actual = f"{' x '.join(map(str, shape))} for each of {num_goals} goals"
+        raise QueryError(f"expected less than 2^31 cells in all, got {actual}")
 
 
 def _check_grids(
@@ -287,7 +325,11 @@ def _make_layers(
 def _make_goal_fields(
     searches: list[Search], goals: list[Sequence[Goal]], shape: PaddedShape, dtype: Floating
 ) -> Arrays:
-    """Make `cost` and `next_cell`: of the cheapest path from each cell to each goal."""
+    """Make `cost` and `next_cell`: of the cheapest path from each cell to each goal.
+
+    Raises:
+        QueryError: a goal is not valid, or no cell of it is free.
+    """
     cost = np.full((len(goals[0]), shape.scenes, *shape[1:]), np.inf, dtype=dtype)
     next_cell = np.full(cost.shape, -1, dtype=np.int32)
     padded_ids = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
@@ -299,7 +341,15 @@ def _make_goal_fields(
         # flat id -> padded id; its last entry, -1, is looked up for no next cell, which is also -1
         padded_id = np.concatenate([*ids_of_levels, np.array([-1], dtype=np.int32)])
         for number, goal in enumerate(goals[scene]):
-            goal_cells = find_target(search, goal).free_cells(search.flat)
+            target = find_target(search, goal)
+            goal_cells = target.free_cells(search.flat)
+            if not len(goal_cells):
+                reason = describe_blocked_goal(search, target)
+                raise QueryError(
+                    f"no path leads to goal {number} in {search.grid.scene_id!r}: {reason}",
+                    key="goals",
+                    value=goal,
+                )
             cost_of_cell, next_of_cell = search.find_next_cells(goal_cells)
             cost[number, scene] = _pad(search, cost_of_cell, shape, np.inf)
             next_cell[number, scene] = _pad(search, padded_id[next_of_cell], shape, -1)

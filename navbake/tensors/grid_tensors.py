@@ -4,15 +4,21 @@
 chunks that fit the processor's cache, on several threads. Other libraries run in parallel anyway.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from navbake.errors import QueryError
+
+if TYPE_CHECKING:
+    from navbake.runtime.paths import Goal
+    from navbake.runtime.search import Search
 
 Namespace: TypeAlias = Any
 """An array library: numpy, torch, ``jax.numpy`` or another module of the Python array API."""
@@ -56,6 +62,7 @@ class GridTensors:
     rooms: tuple[tuple[str, ...], ...]  # ``rooms[scene][r - 1]`` is the id of room number r
     areas: tuple[tuple[str, ...], ...]  # ``areas[scene][a - 1]`` is the name of area number a
     goals: tuple[str, ...]  # the goals as they were given, in the order of their numbers
+    searches: tuple[Search, ...]  # of each scene, for `with_goals`
     x_first: Array  # by level, x of the first column's edge and y of the first row's [m]
     y_first: Array
     cells_per_metre: Array  # by level, cells per metre
@@ -95,8 +102,41 @@ class GridTensors:
     def __repr__(self) -> str:
         return f"GridTensors(dtype={self.dtype!r}, shape={self.shape!r}, goals={self.goals!r})"
 
+    def with_goals(self, goals: Sequence[Goal] | Sequence[Sequence[Goal]]) -> GridTensors:
+        """Return the tensors with other goals; all other arrays are shared with the new ones.
 
-STATIC_FIELDS = ("xp", "dtype", "index_dtype", "shape", "num_rooms", "rooms", "areas", "goals")
+        It takes a search for each goal, where new tensors would take all layers, too. Obstacles
+        count as they were when the tensors were made.
+
+        Args:
+            goals: as for `make_tensors`.
+
+        Returns:
+            The tensors with these goals, numbered in this order.
+
+        Raises:
+            QueryError: a goal is not valid, or no cell of it is free.
+
+        Example:
+            >>> t = grid.tensors(torch, goals=[(1.0, 2.0, 0.0)])
+            >>> t = t.with_goals([(1.5, 2.0, 0.0)])
+        """
+        from navbake.tensors.build import replace_goals  # imports this module
+
+        return replace_goals(self, goals)
+
+
+STATIC_FIELDS = (
+    "xp",
+    "dtype",
+    "index_dtype",
+    "shape",
+    "num_rooms",
+    "rooms",
+    "areas",
+    "goals",
+    "searches",
+)
 
 
 def register_pytree(xp: Namespace) -> None:

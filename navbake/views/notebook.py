@@ -55,7 +55,7 @@ def show_html(grid: NavGrid) -> str:
     summary = (
         f"{count_of(count, 'level')}, cells of {grid.levels[0].lattice.cell_size:g} m, "
         f"{count_of(sum(num_rooms), 'room')}, {sum(areas):.1f} m² free, "
-        f"agent of {grid.agent_radius:g} m radius, {grid.agent_height:g} m high"
+        f"agent {grid.agent_height:g} m high, {grid.describe_radius()}"
     )
     return (
         f"<div><b>{_shorten_name(grid.scene_id or type(grid).__name__)}</b>: {summary}"

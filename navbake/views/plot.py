@@ -182,7 +182,10 @@ def render_picture(
         figure = Figure(facecolor="white", dpi=DPI)
         FigureCanvasAgg(figure)
         axes = add_axes(figure, view, panels, len(layers))
-        heading = wrap(grid.scene_id or "grid", figure.get_figwidth())
+        name = grid.scene_id or "grid"
+        if grid.inflated_radius:
+            name = f"{name}, {grid.describe_radius()}"
+        heading = wrap(name, figure.get_figwidth())
         figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
         for ax, number, panel in zip(axes, panel_levels, panels, strict=True):
             _draw_panel(ax, panel, grid.levels[number].lattice.bounds)

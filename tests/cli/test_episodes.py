@@ -141,3 +141,25 @@ def test_an_unknown_field_of_a_trajectory_is_named_with_the_known_ones(run):
     Path("runs.jsonl").write_text('{"id": "0", "positions": []}')
     status, _, err = run("score", "set.jsonl", "runs.jsonl")
     assert status == 1 and "unknown field `id`, expected episode, positions, stop, times, in" in err
+
+
+def test_grids_in_folders_are_found_from_the_set_and_in_a_folder(run, tmp_path):
+    for scene in ("house", "tower"):
+        (tmp_path / "grids" / scene).mkdir(parents=True)
+        file = tmp_path / "grids" / scene / "grid.json.gz"
+        shutil.copy(GOLDEN / f"{scene}.grid.json.gz", file)
+    (tmp_path / "sets").mkdir()
+    files = [f"grids/{scene}/grid.json.gz" for scene in ("house", "tower")]
+    status, _, err = run("episodes", *files, "-o", "sets/set.jsonl", "--count", "4")
+    assert (status, err) == (0, "")
+    content = read_episodes("sets/set.jsonl")
+    assert [entry.file for entry in content.header.grids] == [f"../{file}" for file in files]
+    lines = [{"episode": e.id, "positions": [e.start]} for e in content.episodes]
+    Path("runs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    status, out, err = run("score", "sets/set.jsonl", "runs.jsonl")
+    assert (status, err) == (0, "") and "all: 4 episodes" in out
+    (tmp_path / "grids").rename(tmp_path / "moved")
+    status, out, err = run("score", "sets/set.jsonl", "runs.jsonl", "moved")
+    assert (status, err) == (0, "") and "all: 4 episodes" in out
+    status, _, err = run("score", "sets/set.jsonl", "runs.jsonl", "sets")
+    assert status == 1 and "no grid of 'house' in sets: expected " in err

@@ -9,9 +9,12 @@ import re
 import numpy as np
 import pytest
 
+import navbake
 from differences import difference_map, first_difference
+from navbake.episodes import make_episodes
 from navbake.errors import FormatError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+from project_paths import GOLDEN
 
 INF, NAN = np.inf, np.nan
 
@@ -365,3 +368,16 @@ def test_blocks_and_caches_stay_with_their_grid():
     assert level.free[1, 1]
     assert level.without_obstacles() is level
     assert not twins[-1].free[1, 1]  # a derived grid keeps what was blocked when it was made
+
+
+def test_grids_doors_and_sets_are_shown_in_one_short_line():
+    house = navbake.load(GOLDEN / "house.grid.json.gz")
+    assert re.fullmatch(
+        r"MultiLevelGrid\('house', 2 levels, [\d.]+ m² free, \d+ rooms, "
+        r"baked for a radius of 0\.2 m\)",
+        repr(house),
+    )
+    assert repr(house.inflate(0.3)).endswith("inflated for a radius of 0.3 m)")
+    assert "cells" not in repr(house.doors[0]) and house.doors[0].id in repr(house.doors[0])
+    episodes = make_episodes(house, count=5)
+    assert repr(episodes) == "EpisodeSet(5 episodes of 1 scene, point, radius 0.2 m)"

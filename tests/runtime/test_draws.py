@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
+import navbake
 from grid_maps import house_from, level_from, random_house, room
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import MultiLevelGrid
 from navbake.runtime.path_finder import PathFinder
+from project_paths import GOLDEN
 
 
 def make_rng(seed=0):
@@ -222,3 +224,14 @@ def test_any_distance_leads_no_farther_than_paths_do():
     sampler = PathFinder(level_from("..#.\n..#."))
     points = sampler.random_point_near(make_rng(), (0.05, -0.05, 0.0), math.inf, 200)
     assert (points[:, 0] < 0.2).all()
+
+
+def test_places_outdoors_are_left_out_on_request():
+    house = navbake.load(GOLDEN / "house.grid.json.gz")
+    finder = navbake.PathFinder(house)
+    outdoors = {room.id for room in house.rooms if room.outdoors}
+    assert outdoors
+    for is_allowed in (True, False):
+        points = finder.random_point(np.random.default_rng(0), 400, outdoors=is_allowed)
+        rooms = {finder.room_at(point) for point in points}
+        assert bool(rooms & outdoors) == is_allowed

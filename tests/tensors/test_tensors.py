@@ -18,6 +18,7 @@ from navbake.errors import QueryError
 from navbake.navgrid.islands import measure_clearance
 from navbake.runtime.flat_grid import flatten
 from navbake.runtime.path_finder import PathFinder
+from project_paths import GOLDEN
 from tensors.libraries import ON_ALL, compiled, given, library, positions_over, shown
 
 pytest.importorskip("array_api_compat")
@@ -462,3 +463,24 @@ def test_several_grids_need_a_scene_and_goals_for_each():
 
 def test_the_method_of_the_grid_is_in_the_public_package():
     assert navbake.tensors is tensors
+
+
+def test_a_goal_that_no_cell_is_free_for_is_refused_with_the_reason():
+    house = navbake.load(GOLDEN / "house.grid.json.gz")
+    with pytest.raises(QueryError, match=r"goal 1 in 'house': .*lies beside the grid"):
+        house.tensors(goals=["room:0:1", (99.0, 0.0, 0.0)])
+
+
+def test_a_goal_moves_without_new_tensors():
+    house = navbake.load(GOLDEN / "house.grid.json.gz")
+    finder = navbake.PathFinder(house)
+    points = finder.random_point(np.random.default_rng(1), 40)
+    before = house.tensors(goals=[points[0]])
+    moved = before.with_goals([points[1], points[2]])
+    fresh = house.tensors(goals=[points[1], points[2]])
+    np.testing.assert_array_equal(
+        tensors.distances(moved, points), tensors.distances(fresh, points)
+    )
+    assert moved.floor is before.floor and moved.goals == fresh.goals and "\n" not in repr(moved)
+    with pytest.raises(QueryError, match="lies beside the grid"):
+        before.with_goals([(99.0, 0.0, 0.0)])
