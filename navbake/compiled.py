@@ -7,6 +7,9 @@ Compiled code is stored in `cache_folder`. There, a module has a folder for each
 and of all modules of the package that it imports. So after a change, old code isn't used any more.
 If no folder can be written, kernels are compiled in memory.
 
+numba unpickles what it finds in a cache, so whoever writes there runs code as the user. Therefore
+only folders are used that the user or root owns and nobody else may write, see `navbake.owners`.
+
 A bake, and any other code that calls many kernels, begins with `ensure_compiled`: it compiles the
 kernels without code on disk in a few processes. ``kernels.json``, which `scripts/list_kernels.py`
 writes, has the types of the kernels' arguments. An entry that doesn't fit the sources is skipped;
@@ -41,6 +44,7 @@ from typing import Any, NamedTuple, TypeVar, cast, overload
 import numba
 
 from navbake.lazy import lazy
+from navbake.owners import ROOT, find_other_writer, find_other_writer_inside
 from navbake.processes import end_with_parent
 
 filelock = lazy("filelock")  # only needed to compile
@@ -48,8 +52,16 @@ filelock = lazy("filelock")  # only needed to compile
 LOG = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]
 PACKAGE_FOLDER = Path(__file__).parent
+PACKAGE_CACHE = PACKAGE_FOLDER / "__pycache__"
+CACHE_NAME = f"{PACKAGE}-kernels"  # of the folder for compiled code
 KERNEL_LIST = PACKAGE_FOLDER / "kernels.json"
 CACHE_REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
+REFUSAL = (
+    "compiled code in {} is not used, as {}, and would run as you; it is kept {}: "
+    "set NUMBA_CACHE_DIR to a folder that only you can write, or remove the refused one"
+)
+# in a module's folder, numba makes a folder for each place of the package; files are in these
+CACHE_DEPTH = 2
 MAX_PROCESSES = 4  # the most processes that compile at the same time
 # time until the first message on progress; the time to each later one is twice as long [s]
 FIRST_PROGRESS = 5.0
@@ -66,6 +78,7 @@ SUBKERNEL_OPTIONS: dict[str, Any] = {"no_cpython_wrapper": True, **OPTIONS}
 
 Result = TypeVar("Result")
 _config_lock = threading.Lock()
+_refused_folders: set[Path] = set()  # of which a warning has told
 
 
 @overload
@@ -93,17 +106,15 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Cal
     """
     if function is None:
         return partial(kernel, **options)
-    folder = cache_folder()
-    module = function.__module__
-    module_folder = None
-    if folder is not None:
-        name = module.removeprefix(PACKAGE + ".")
-        module_folder = str(folder / f"{name}-{digest_sources(module)}")
+    folder = _module_folder(function.__module__)
     with _config_lock:  # numba reads the folder of its cache when a function is decorated
         folder_before = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = module_folder
+        numba.config.CACHE_DIR = None if folder is None else str(folder)
         try:
             dispatcher = numba.njit(cache=folder is not None, **OPTIONS, **options)(function)
+            # if numba can't write there, it takes a folder that nobody has checked
+            if folder is not None and not _is_kept_in(folder, dispatcher):
+                dispatcher = numba.njit(**OPTIONS, **options)(function)
         finally:
             numba.config.CACHE_DIR = folder_before
     KERNELS.append(dispatcher)
@@ -145,31 +156,145 @@ def cache_folder() -> Path | None:
     in the user's cache if that can't be written. If the folder exists but can only be read (for
     example in a container with compiled kernels), a temporary folder with links to its files is
     returned.
+
+    A folder that another user may write is not used, and a warning says so, see `_private_folder`.
     """
     numba_folder = os.environ.get("NUMBA_CACHE_DIR")
     user_folder = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-    parents = (
-        [Path(numba_folder)]
-        if numba_folder
-        else [PACKAGE_FOLDER / "__pycache__", Path(user_folder)]
-    )
-    folders = [parent.absolute() / f"{PACKAGE}-kernels" for parent in parents]
-    existing = next((folder for folder in folders if folder.is_dir()), None)
-    for folder in folders:
-        with suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
-                return folder
+    parents = [Path(numba_folder)] if numba_folder else [PACKAGE_CACHE, Path(user_folder)]
+    refused: dict[Path, str] = {}
+    folder = _find_folder(parents, refused)
+    if folder is None and refused:
+        folder = _private_folder()
+    for refused_folder, problem in list(refused.items())[:1]:
+        _warn_of_refusal(refused_folder, problem, folder)
+    return folder
+
+
+def _find_folder(parents: list[Path], refused: dict[Path, str]) -> Path | None:
+    """Return the first folder for compiled code that can be used; None if none can be.
+
+    Args:
+        parents: The folders that it may be in.
+        refused: Receives the folders that another user may write, and who that is.
+    """
+    readable: Path | None = None
+    for parent in parents:
+        folder = Path(os.path.realpath(parent / CACHE_NAME))
+        # nobody has asked for a new folder in the package, and looks for code there
+        is_awaited = os.path.isdir(folder) or parent != PACKAGE_CACHE
+        problem = _claim(folder)
+        if problem and is_awaited:
+            refused[folder] = problem
+        if problem:
+            continue
+        if _is_writable(folder):
+            return folder
+        if os.path.isdir(folder):
+            readable = readable or folder
+    return None if readable is None else _link_files(readable)
+
+
+def _warn_of_refusal(refused_folder: Path, problem: str, folder: Path | None) -> None:
+    """Warn once that compiled code in a folder is not used, and say where it is kept instead."""
+    if refused_folder in _refused_folders:
+        return
+    _refused_folders.add(refused_folder)
+    place = "in memory" if folder is None else f"in {folder}"
+    LOG.warning(REFUSAL.format(refused_folder, problem, place))
+
+
+def _claim(folder: Path) -> str:
+    """Make a folder for compiled code if that is possible, and no other user may write there.
+
+    Returns:
+        Which other user may write there, as `find_other_writer` says; "" if none.
+    """
+    if problem := find_other_writer(folder):
+        return problem
     with suppress(OSError):
-        if existing is not None:
-            temporary = Path(tempfile.mkdtemp(prefix=f"{PACKAGE}-kernels-"))
-            atexit.register(_remove_folder, temporary, os.getpid())
-            for path in existing.rglob("*.nb[ic]"):
-                link = temporary / existing.name / path.relative_to(existing)
+        for parent in reversed(folder.parents):
+            parent.mkdir(mode=0o755, exist_ok=True)
+        is_of_plain_user = hasattr(os, "geteuid") and os.geteuid() != ROOT
+        # root compiles for all users
+        folder.mkdir(mode=0o700 if is_of_plain_user else 0o755, exist_ok=True)
+    return find_other_writer(folder)  # another user may have made it in the meantime
+
+
+def _is_writable(folder: Path) -> bool:
+    """Whether files can be made in a folder."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def _link_files(folder: Path) -> Path | None:
+    """Return a temporary folder with links to the compiled code in a folder that can't be written.
+
+    None if no temporary folder can be made.
+    """
+    temporary = _make_temporary()
+    if temporary is not None:
+        with suppress(OSError):
+            for path in folder.rglob("*.nb[ic]"):
+                link = temporary / path.relative_to(folder)
                 link.parent.mkdir(parents=True, exist_ok=True)
                 link.symlink_to(path)
-            return temporary / existing.name
-    return None
+    return temporary
+
+
+def _make_temporary() -> Path | None:
+    """Make a folder for compiled code that is removed when this process ends; None if it can't."""
+    try:
+        temporary = Path(tempfile.mkdtemp(prefix=f"{CACHE_NAME}-"))
+    except OSError:
+        return None
+    atexit.register(_remove_folder, temporary, os.getpid())
+    folder = Path(os.path.realpath(temporary)) / CACHE_NAME
+    return None if _claim(folder) else folder
+
+
+@cache
+def _private_folder(refused_folder: Path | None = None) -> Path | None:
+    """Return a folder for compiled code where another one is refused.
+
+    It is in the user's home, or else a temporary one; None if there is no such folder.
+
+    Args:
+        refused_folder: The refused one, which may be that in the user's home.
+    """
+    with suppress(RuntimeError):  # no home is known
+        folder = Path(os.path.realpath(Path("~/.cache").expanduser() / CACHE_NAME))
+        if folder != refused_folder and not _claim(folder) and _is_writable(folder):
+            return folder
+    return _make_temporary()
+
+
+@cache
+def _module_folder(module: str) -> Path | None:
+    """Return the folder for a module's compiled code; None to compile it in memory."""
+    name = f"{module.removeprefix(PACKAGE + '.')}-{digest_sources(module)}"
+    folder = cache_folder()
+    if folder is None:
+        return None
+    problem = find_other_writer_inside(folder / name, CACHE_DEPTH)
+    if not problem:
+        return folder / name
+    private_folder = _private_folder(folder)
+    _warn_of_refusal(folder, problem, private_folder)
+    if private_folder is None or find_other_writer_inside(private_folder / name, CACHE_DEPTH):
+        return None
+    return private_folder / name
+
+
+def _is_kept_in(folder: Path, dispatcher: Any) -> bool:
+    """Whether numba keeps a kernel's compiled code in a folder, and not in one of its choice."""
+    if not hasattr(dispatcher, "stats"):  # the user has switched numba off
+        return True
+    path: str | None = dispatcher.stats.cache_path
+    return path is not None and path.startswith(f"{folder}{os.sep}")
 
 
 def _remove_folder(folder: Path, process_id: int) -> None:
@@ -413,6 +538,7 @@ def _start_helper(entries: list[Entry], folder: Path) -> subprocess.Popen[bytes]
 def compile_from_stdin() -> None:
     """Compile the entries that stdin holds as JSON; a process of `_start_helper` runs this."""
     end_with_parent()
+    os.umask(0o022)  # no other user may write what is made here, see `cache_folder`
     for entry in json.load(sys.stdin):
         Entry(*entry).compile()
 

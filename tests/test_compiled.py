@@ -5,10 +5,12 @@ from __future__ import annotations
 import ast
 import json
 import os
+import pickle
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -48,11 +50,15 @@ print(outer(), other(), *(sum(k.stats.cache_hits.values()) for k in (outer, othe
 
 @pytest.fixture
 def package(tmp_path):
-    """A package of the same name with some kernels of its own."""
-    kernels = tmp_path / "navbake" / "kernels"
+    return make_package(tmp_path)
+
+
+def make_package(folder: Path) -> Path:
+    """Make a package of the same name with some kernels of its own; return their folder."""
+    kernels = folder / "navbake" / "kernels"
     kernels.mkdir(parents=True)
     real = Path(navbake.__file__).parent
-    for name in ("compiled", "lazy"):
+    for name in ("compiled", "lazy", "owners"):
         shutil.copy(real / f"{name}.py", kernels.parent)
     (kernels.parent / "__init__.py").write_text("")
     (kernels / "__init__.py").write_text("")
@@ -161,6 +167,153 @@ def test_a_folder_that_can_only_be_read_is_used(package, tmp_path):
     (package / "inner.py").write_text(INNER.replace("return 1", "return 2"))
     assert run(package, deny + ASK, **cache)[0] == "2 1 1 1"
     assert list((tmp_path / "tmp").iterdir()) == []
+
+
+# ---------------------------------------------------------------- what others could put there
+
+OTHER_USER = 54321
+ASK_ONE = """
+from navbake.kernels.other import other
+print(other(), *other.stats.cache_hits.values())
+"""
+only_root = pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives files away"
+)
+
+
+class Poison:
+    """What writes a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+def poison(package: Path, folder: Path) -> Path:
+    """Compile into a folder whose indexes then make a file when they are read; return that file."""
+    assert run(package, ASK_ONE, NUMBA_CACHE_DIR=str(folder))[0] == "1"
+    trace = folder.with_name("ran")
+    for path in folder.rglob("*.nbi"):
+        path.write_bytes(pickle.dumps(Poison(trace)))
+    return trace
+
+
+@pytest.fixture(scope="module")
+def poisoned(tmp_path_factory):
+    """A package, a folder of its poisoned code, and the file that this makes when it runs."""
+    folder = tmp_path_factory.mktemp("poisoned")
+    package = make_package(folder)
+    return package, folder / "shared", poison(package, folder / "shared")
+
+
+def give_away(path: Path) -> None:
+    os.chown(path, OTHER_USER, OTHER_USER)
+    for inner in path.rglob("*"):
+        os.chown(inner, OTHER_USER, OTHER_USER, follow_symlinks=False)
+
+
+def move_behind_link(path: Path) -> None:
+    """Leave a link in place of a folder, which another user has from now on."""
+    give_away(path.rename(path.with_name("moved")))
+    path.symlink_to(path.with_name("moved"))
+
+
+def only_of(pattern: str, change: Callable[[Path], None]) -> Callable[[Path], None]:
+    return lambda folder: change(next(folder.glob(pattern)))
+
+
+OPEN_WAYS = {
+    "another user's": lambda folder: give_away(folder),
+    "another user's kernels": only_of("navbake-kernels", give_away),
+    "another user's module": only_of("navbake-kernels/kernels.*", give_away),
+    "another user's file": only_of("navbake-kernels/kernels.*/*/*.nbi", give_away),
+    "for all to write": lambda folder: folder.chmod(0o777),
+    "kernels for all to write": only_of("navbake-kernels", lambda path: path.chmod(0o777)),
+    "sticky kernels for all to write": only_of("navbake-kernels", lambda path: path.chmod(0o1777)),
+    "for a group to write": only_of("navbake-kernels", lambda path: path.chmod(0o775)),
+    "a file for all to write": only_of("*/kernels.*/*/*.nbi", lambda path: path.chmod(0o666)),
+    "a link": move_behind_link,
+    "a link of a module": only_of("navbake-kernels/kernels.*", move_behind_link),
+    "a link of a file": only_of("navbake-kernels/kernels.*/*/*.nbi", move_behind_link),
+}
+
+
+@only_root
+@pytest.mark.parametrize("way", OPEN_WAYS)
+def test_code_that_another_user_may_have_put_there_is_not_run(poisoned, tmp_path, way):
+    package, folder, trace = poisoned
+    shared = shutil.copytree(folder, tmp_path / "shared")
+    OPEN_WAYS[way](shared)
+    out, err = run(package, ASK_ONE, NUMBA_CACHE_DIR=str(shared), HOME=str(tmp_path / "home"))
+    assert out == "1" and not trace.exists()
+    assert re.fullmatch(
+        rf"navbake: compiled code in {tmp_path}/\S+ is not used, as .*{tmp_path}.*, and would run "
+        rf"as you; it is kept in {tmp_path}/home/.cache/navbake-kernels: set NUMBA_CACHE_DIR .*\n",
+        err,
+    )
+    assert list((tmp_path / "home").rglob("*.nbc"))
+
+
+def test_code_that_nobody_else_may_write_is_run(poisoned):
+    """Else the test above would prove nothing."""
+    package, folder, trace = poisoned
+    run(package, ASK_ONE, NUMBA_CACHE_DIR=str(folder))
+    assert trace.exists()
+    trace.unlink()
+
+
+@only_root
+@pytest.mark.parametrize("variable", ["NUMBA_CACHE_DIR", "XDG_CACHE_HOME"])
+def test_in_a_folder_of_all_users_their_own_part_is_used(package, tmp_path, variable):
+    """As in /tmp: what another user made there first is refused, what the user makes is not."""
+    (package.parent / "__pycache__").write_text("")  # so that no folder can be made there
+    everyones = tmp_path / "tmp"
+    everyones.mkdir()
+    everyones.chmod(0o1777)
+    place = {"HOME": str(tmp_path / "home"), "TMPDIR": str(everyones)}
+    assert run(package, ASK_ONE, **place, **{variable: str(everyones / "mine")}) == ("1", "")
+    assert run(package, ASK_ONE, **place, **{variable: str(everyones / "mine")}) == ("1 1", "")
+    trace = poison(package, everyones / "theirs")
+    give_away(everyones / "theirs")
+    for _ in range(2):
+        out, err = run(package, ASK_ONE, **place, **{variable: str(everyones / "theirs")})
+        assert out.startswith("1") and not trace.exists()
+        refused = f"{everyones}/theirs/navbake-kernels"
+        assert err.count("\n") == 1 and f"as {refused} belongs to user {OTHER_USER}," in err
+
+
+@only_root
+def test_the_package_folder_may_be_another_users(package, tmp_path):
+    """As in a container that runs as root on a user's files; a new folder is not worth a line."""
+    cache = package.parent / "__pycache__"
+    trace = poison(package, cache)
+    give_away(cache)
+    place = {"HOME": str(tmp_path / "home")}
+    place["XDG_CACHE_HOME"] = str(tmp_path / "home" / ".cache")
+    out, err = run(package, ASK_ONE, **place)
+    assert out == "1" and not trace.exists()
+    assert err.count("\n") == 1 and "belongs to user" in err
+    shutil.rmtree(cache / "navbake-kernels")
+    assert run(package, ASK_ONE, **place) == ("1 1", "")
+
+
+@only_root
+def test_where_every_folder_is_another_users_one_for_the_process_is_made(package, tmp_path):
+    trace = poison(package, tmp_path / "shared")
+    give_away(tmp_path / "shared")
+    for name in ("home", "tmp"):
+        (tmp_path / name).mkdir()
+    give_away(tmp_path / "home")
+    place = {"NUMBA_CACHE_DIR": str(tmp_path / "shared"), "HOME": str(tmp_path / "home")}
+    out, err = run(package, ASK_ONE, **place, TMPDIR=str(tmp_path / "tmp"))
+    assert out == "1" and f"kept in {tmp_path}/tmp/navbake-kernels-" in err
+    assert list((tmp_path / "tmp").iterdir()) == []
+    give_away(tmp_path / "tmp")
+    out, err = run(package, ASK_ONE, **place, TMPDIR=str(tmp_path / "tmp"))
+    assert out == "1" and "kept in memory" in err
+    assert not trace.exists()
 
 
 def test_many_processes_compile_at_once(package):
