@@ -7,6 +7,7 @@ import errno
 import html
 import io
 import logging
+import re
 import secrets
 import socket
 import sys
@@ -14,7 +15,7 @@ import threading
 import urllib.request
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, redirect_stdout, suppress
+from contextlib import AbstractContextManager, redirect_stdout
 from email.message import Message
 from email.parser import BytesHeaderParser
 from functools import partial
@@ -39,9 +40,16 @@ NO_CONTENT_RESPONSE = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n"
 DARK_MODE_SCRIPT = (
     b'<script>if (matchMedia("(prefers-color-scheme: dark)").matches) fetch("dark")</script>'
 )
+PAGE_REQUEST = re.compile(rb"GET /(?:\?\S*)? ")
+# no page of another site may show this one in a frame, and lead clicks to it
+FRAME_HEADER = b"Content-Security-Policy: frame-ancestors 'none'\r\n"
 PAGE_RESPONSE = (
     b"HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection: close\r\n"
+    + FRAME_HEADER
 )
+# a request's Host: an IPv6 address in brackets, or a name, then perhaps a port
+HOST_PATTERN = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\s\[\]@:/?#\\]+))(?::([1-9][0-9]{,4}))?")
+OWN_SITES = ("same-origin", "none")  # of Sec-Fetch-Site; none: the user has typed the address
 
 
 class PageServer(AbstractContextManager["PageServer"]):
@@ -81,7 +89,7 @@ class PageServer(AbstractContextManager["PageServer"]):
         elif host in LOCAL_HOSTS:
             self._host_names = {*LOCAL_HOSTS}
         else:
-            self._host_names = {host}
+            self._host_names = {host.lower()}
         self._allowed_origins = {check_origin(origin) for origin in allowed}
         self.title = "navbake"
         self.on_dark: Callable[[], None] = lambda: None
@@ -150,32 +158,50 @@ class PageServer(AbstractContextManager["PageServer"]):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def is_allowed(self, headers: Message) -> bool:
+    def is_allowed(self, headers: Message, *, is_page: bool = False) -> bool:
         """Return whether a request may be answered.
 
         Its header Host must be the page's own address, or the host of an allowed origin; if the
         page listens at all addresses, any numeric address with its port is its own. This prevents
         DNS rebinding. Its header Origin, if it has one, must be a page at that address, or one of
-        the allowed origins.
+        the allowed origins. Browsers leave out Origin when they load an image or a script: then
+        Sec-Fetch-Site, if the request has it, must say that it comes from a page at that address.
+        A link from another site may lead to the page itself.
+
+        Args:
+            headers: The headers of the request.
+            is_page: Whether it asks for the page itself.
         """
         hosts = headers.get_all("Host", [])
         origins = headers.get_all("Origin", [])
-        if len(hosts) != 1 or len(origins) > 1:
+        if len(hosts) != 1 or len(origins) > 1 or not self._is_own_host(hosts[0]):
             return False
+        if origins:
+            return origins[0] in {f"http://{hosts[0]}", *self._allowed_origins}
+        follows_link = is_page and headers.get_all("Sec-Fetch-Dest") == ["document"]
+        sites = headers.get_all("Sec-Fetch-Site", [])
+        return follows_link or all(site in OWN_SITES for site in sites)
+
+    def _is_own_host(self, host: str) -> bool:
+        """Return whether a header Host is the page's own address, or the host of an allowed origin.
+
+        Args:
+            host: The whole header.
+        """
+        if host in {urlsplit(origin).netloc for origin in self._allowed_origins}:
+            return True
+        parts = HOST_PATTERN.fullmatch(host.lower())
+        if parts is None or int(parts[3] or 80) != self.port:
+            return False
+        name = parts[1] or parts[2]
+        if name in self._host_names or not self._listens_everywhere:
+            return name in self._host_names
+        # A numeric address is this machine's, but anybody can make a name point to it.
         try:
-            address = urlsplit(f"//{hosts[0]}")
-            name = address.hostname or ""
-            port = address.port or 80
-        except ValueError:  # the port is no number
+            ip_address(name)
+        except ValueError:  # it is a name
             return False
-        is_page_address = port == self.port and name in self._host_names
-        if self._listens_everywhere and port == self.port:
-            # A numeric address is this machine's, but anybody can make a name point to it.
-            with suppress(ValueError):  # it is a name
-                is_page_address |= bool(ip_address(name))
-        is_page_address |= hosts[0] in {urlsplit(origin).netloc for origin in self._allowed_origins}
-        allowed_origins = {f"http://{hosts[0]}", *self._allowed_origins}
-        return is_page_address and (not origins or origins[0] in allowed_origins)
+        return True
 
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answer the request of a connection, or forward the connection to viser's server.
@@ -186,9 +212,10 @@ class PageServer(AbstractContextManager["PageServer"]):
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_TIMEOUT)
             request, _, lines = head.partition(b"\r\n")
             headers = BytesHeaderParser().parsebytes(lines)
-            if not self.is_allowed(headers):
+            is_page = bool(PAGE_REQUEST.match(request)) and "Upgrade" not in headers
+            if not self.is_allowed(headers, is_page=is_page):
                 writer.write(FORBIDDEN_RESPONSE)
-            elif request.startswith(b"GET / ") and "Upgrade" not in headers:
+            elif is_page:
                 title = f"<title>{html.escape(self.title)}</title>".encode()
                 page = self._viser_page.replace(VISER_TITLE, title + DARK_MODE_SCRIPT, 1)
                 writer.write(PAGE_RESPONSE + b"Content-Length: %d\r\n\r\n" % len(page) + page)
@@ -199,7 +226,15 @@ class PageServer(AbstractContextManager["PageServer"]):
             else:
                 viser_reader, viser_writer = await asyncio.open_connection(*self._viser_address)
                 viser_writer.write(head)
-                await asyncio.gather(_forward(reader, viser_writer), _forward(viser_reader, writer))
+                try:
+                    answer = await viser_reader.readuntil(b"\r\n\r\n")
+                    status_line, _, lines = answer.partition(b"\r\n")
+                    writer.write(status_line + b"\r\n" + FRAME_HEADER + lines)
+                    await asyncio.gather(
+                        _forward(reader, viser_writer), _forward(viser_reader, writer)
+                    )
+                finally:
+                    viser_writer.close()
         except (OSError, EOFError, asyncio.LimitOverrunError, asyncio.TimeoutError):
             pass  # the client has closed the connection, or doesn't speak HTTP
         finally:

@@ -46,7 +46,13 @@ def test_its_own_address_is_answered(server, host):
     assert ask(server, Host=host.format(server.port))[0] == 200
 
 
-STRANGE = ["127.0.0.1", "127.0.0.1:1", "evil.example:{}", "127.0.0.1.evil.example:{}", "", "a:b:c"]
+STRANGE = [
+    "127.0.0.1", "127.0.0.1:1", "evil.example:{}", "127.0.0.1.evil.example:{}", "", "a:b:c",
+    "evil.example@127.0.0.1:{}", "evil.example:1@localhost:{}", "127.0.0.1:{}/evil.example",
+    "127.0.0.1:{}?evil.example", "127.0.0.1:{}#evil", "127.0.0.1:{} evil.example", "127.0.0.1:{}0",
+    "127.0.0.1:0{}", "evil.localhost:{}", "localhost.:{}", "lab.example.org.evil.example",
+    "lab.example.org@evil.example", "evil-lab.example.org", "lab.example.org:8443",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("host", STRANGE)
@@ -61,6 +67,50 @@ def test_another_host_is_refused(server, host):
 )  # fmt: skip
 def test_pages_of_other_sites_are_refused(server, origin, status):
     assert ask(server, Origin=origin.format(server.port))[0] == status
+
+
+def ask_raw(server, path, *lines):
+    """Head of the answer to a request whose head has these lines."""
+    host = f"Host: 127.0.0.1:{server.port}"
+    request = "\r\n".join([f"GET {path} HTTP/1.1", host, *lines, "Connection: close", "", ""])
+    with socket.create_connection(("127.0.0.1", server.port), timeout=10) as client:
+        client.sendall(request.encode())
+        answer = b"".join(iter(lambda: client.recv(1 << 16), b""))
+    return answer.partition(b"\r\n\r\n")[0].decode()
+
+
+IMAGE = "Sec-Fetch-Mode: no-cors", "Sec-Fetch-Dest: image"
+LINK = "Sec-Fetch-Mode: navigate", "Sec-Fetch-Dest: document"
+FRAME = "Sec-Fetch-Mode: navigate", "Sec-Fetch-Dest: iframe"
+
+
+@pytest.mark.parametrize(
+    ("path", "lines", "status"),
+    [
+        ("/dark", ("Sec-Fetch-Site: same-origin", *IMAGE), 204),
+        ("/dark", ("Sec-Fetch-Site: cross-site", *IMAGE), 403),
+        ("/dark", ("Sec-Fetch-Site: same-site", *IMAGE), 403),  # another port of this machine
+        ("/dark", ("Sec-Fetch-Site: cross-site", *LINK), 403),
+        ("/dark", ("Sec-Fetch-Site: none", "Sec-Fetch-Site: cross-site"), 403),
+        ("/none.png", ("Sec-Fetch-Site: cross-site", *IMAGE), 403),
+        ("/none.png", ("Sec-Fetch-Site: same-origin", *IMAGE), 404),
+        ("/", ("Sec-Fetch-Site: none", *LINK), 200),
+        ("/", ("Sec-Fetch-Site: cross-site", *LINK), 200),  # a link in a mail
+        ("/?a=b", ("Sec-Fetch-Site: cross-site", *LINK), 200),
+        ("/", ("Sec-Fetch-Site: cross-site", *FRAME), 403),
+        ("/", ("Sec-Fetch-Site: cross-site",), 403),
+        ("/", ("Sec-Fetch-Site: cross-site", f"Origin: {LAB}"), 200),
+        ("/", (), 200),  # no browser, or an old one
+    ],
+)
+def test_requests_of_other_sites_without_an_origin_are_refused(server, path, lines, status):
+    assert ask_raw(server, path, *lines).startswith(f"HTTP/1.1 {status} ")
+
+
+@pytest.mark.parametrize("path", ["/", "/?a=b", "/index.html", "/./", "/none.png"])
+def test_no_answer_may_stand_in_a_frame(server, path):
+    head = ask_raw(server, path)
+    assert head.count("Content-Security-Policy: frame-ancestors 'none'") == 1
 
 
 def connect(url, origin=None):
