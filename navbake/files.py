@@ -1,7 +1,13 @@
-"""Writes files as a whole or not at all, makes temporary folders, and encodes CSV."""
+"""Writes files as a whole or not at all, makes temporary folders, and encodes CSV.
+
+Who makes a temporary file or folder holds a lock on it while it is needed. The system releases the
+lock when the process ends, however it ends: so a file that nobody holds is a leftover. Where there
+are no such locks (Windows, some network file systems), it is one after a day.
+"""
 
 import csv
 import errno
+import filecmp
 import io
 import logging
 import os
@@ -10,18 +16,25 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from navbake.errors import NavbakeError, printable
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 LOG = logging.getLogger("navbake")
 # names of the files of `create_temporary` and of the folders of `scratch_folder`
-TEMPORARY_NAME = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-\w{8}")
-LEFTOVER_AGE = 86400.0  # an older temporary file is a leftover: no write takes a day [s]
+TEMPORARY_NAME = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-scratch-\w{8}")
+# where there are no locks, an older temporary file is a leftover: no write takes a day [s]
+LEFTOVER_AGE = 86400.0
 _cleaned_folders: set[Path] = set()  # whose leftovers this process has removed
 
 
@@ -43,55 +56,148 @@ def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> Non
 def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
     """Write several files like `write_whole`: all of them or, as far as the system allows, none.
 
-    All files are written before the first one is renamed.
+    All files are written before the first one is renamed. If two or more existing files change,
+    these are first put aside, the last one first: a process that is killed in between leaves some
+    of the files missing, but never one that is new beside one that is old.
 
     Args:
         contents: Path -> the content of the file, or its pieces in order. Files are renamed in the
             order of the mapping; so put a file that names others after them.
 
     Raises:
-        OSError: A path cannot be written; no file has changed, unless a renaming failed.
+        OSError: A path cannot be written; no file has changed.
     """
+    devices = {path: data for path, data in contents.items() if not _is_replaceable(path)}
     with ExitStack() as stack:
-        commits = [
-            stack.enter_context(_write_temporary(data, path)) for path, data in contents.items()
+        new_files = [
+            stack.enter_context(_write_temporary(data, path))
+            for path, data in contents.items()
+            if path not in devices
         ]
-        for commit in commits:
-            commit()
+        for path, data in devices.items():
+            with open(path, "wb") as device:
+                device.writelines([data] if isinstance(data, bytes) else data)
+        try:
+            if len(new_files) > 1:
+                changing = [file for file in new_files if file.changes_target()]
+                if len(changing) > 1:
+                    for file in reversed(changing):
+                        file.put_aside()
+            for file in new_files:
+                os.replace(file.temporary, file.target)
+        except BaseException:
+            for file in new_files:
+                file.restore()
+            raise
+        for file in new_files:
+            LOG.debug("wrote %s, %d bytes", file.path, os.path.getsize(file.target))
+
+
+@dataclass
+class _NewFile:
+    """A file that is written under a temporary name, and the one that it replaces."""
+
+    path: Path  #: The path that was asked for.
+    target: Path  #: The same without links.
+    temporary: Path  #: The temporary name.
+    is_first: bool  #: Whether there was no such file before.
+    aside: Path | None = None  #: Where the file that was there is meanwhile.
+    descriptor: int | None = None  #: Of that file, to hold a lock on it.
+
+    def changes_target(self) -> bool:
+        """Whether there is a file of other content."""
+        try:
+            return not self.is_first and not filecmp.cmp(self.temporary, self.target, shallow=False)
+        except OSError:  # it can't be read
+            return True
+
+    def put_aside(self) -> None:
+        """Rename the file that was there to a temporary name."""
+        aside = _make_temporary_name(self.target.parent)
+        if fcntl is not None:
+            with suppress(OSError):  # it can't be read
+                self.descriptor = os.open(self.target, os.O_RDONLY)
+                _hold(self.descriptor, self.target)
+        os.replace(self.target, aside)
+        self.aside = aside
+
+    def restore(self) -> None:
+        """Put back what was there, as far as possible."""
+        with suppress(OSError):
+            if self.aside is not None:
+                os.replace(self.aside, self.target)
+            elif self.is_first and not self.temporary.exists():
+                self.target.unlink()
+
+    def clear(self) -> None:
+        """Remove what is left under temporary names."""
+        self.temporary.unlink(missing_ok=True)
+        if self.aside is not None:
+            self.aside.unlink(missing_ok=True)
+        if self.descriptor is not None:
+            os.close(self.descriptor)
 
 
 @contextmanager
-def _write_temporary(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], None]]:
-    """Write a file under a temporary name; yield a function that renames it.
-
-    For a device or a pipe, nothing is written yet: the function writes to it.
-    """
-    pieces = [data] if isinstance(data, bytes) else data
-    if not _is_replaceable(path):
-
-        def write_device() -> None:
-            with open(path, "wb") as device:
-                device.writelines(pieces)
-
-        yield write_device
-        return
+def _write_temporary(data: bytes | Iterable[bytes], path: Path) -> Iterator[_NewFile]:
+    """Write a file under a temporary name; it is removed at the end if it still has that name."""
     target = Path(os.path.realpath(path))
     _remove_leftovers_once(target.parent)
-    file, temporary = create_temporary(target.parent)
-    try:
+    with ExitStack() as stack:
+        file, temporary = create_temporary(target.parent)
+        new_file = _NewFile(path, target, temporary, is_first=not target.exists())
+        stack.callback(new_file.clear)
+        if fcntl is not None:  # the lock is held until the last copy of the descriptor is closed
+            stack.callback(os.close, os.dup(file.fileno()))
         with file:
-            file.writelines(pieces)
-        yield lambda: os.replace(temporary, target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    LOG.debug("wrote %s, %d bytes", path, os.path.getsize(target))
+            if not new_file.is_first:
+                _copy_mode(target, temporary)
+            file.writelines([data] if isinstance(data, bytes) else data)
+        yield new_file
+
+
+def _copy_mode(source: Path, target: Path) -> None:
+    """Give a file the mode of another one, and its owner and group if this user may."""
+    status = source.stat()
+    if hasattr(os, "chown"):  # not on Windows
+        for user_id, group_id in ((status.st_uid, -1), (-1, status.st_gid)):
+            with suppress(OSError):
+                os.chown(target, user_id, group_id)
+    with suppress(OSError):  # of a file system without modes
+        target.chmod(stat.S_IMODE(status.st_mode))
+
+
+def _make_temporary_name(folder: Path) -> Path:
+    return folder / f".navbake-{os.urandom(8).hex()}.tmp"
 
 
 def create_temporary(folder: Path) -> tuple[BinaryIO, Path]:
-    """Create a temporary file in a folder; return it, open for writing, and its path."""
-    path = folder / f".navbake-{os.urandom(8).hex()}.tmp"
-    return open(path, "xb"), path
+    """Create a temporary file in a folder; return it, open for writing and locked, and its path."""
+    while True:
+        path = _make_temporary_name(folder)
+        with ExitStack() as stack:
+            file = stack.enter_context(open(path, "x+b"))
+            if _hold(file.fileno(), path):
+                stack.pop_all()
+                return file, path
+
+
+def _hold(descriptor: int, path: str | PathLike[str]) -> bool:
+    """Lock an open file or folder, so that no other process takes it for a leftover.
+
+    The lock holds until the descriptor and its copies are closed, or the process ends.
+
+    Returns:
+        Whether the path is still there: it may have been removed just before it was locked.
+    """
+    if fcntl is None:
+        return True
+    with suppress(OSError):  # a file system without locks
+        fcntl.flock(descriptor, fcntl.LOCK_SH)
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except FileNotFoundError:
+        return False
 
 
 def write_all(descriptor: int, data: bytes) -> None:
@@ -178,25 +284,44 @@ def _remove_leftovers_once(folder: Path) -> None:
 def remove_leftovers(folder: Path, age: float = LEFTOVER_AGE) -> None:
     """Remove the temporary files and folders that this user's killed processes left in a folder.
 
-    Errors are ignored.
+    What a living process holds stays, see `_hold`. Errors are ignored.
 
     Args:
         folder: The folder.
-        age: Remove only what has not changed for this long [s]. 0 is safe only if no other process
-            writes there.
+        age: Where there are no locks, remove only what has not changed for this long [s]. 0 is safe
+            only if no other process writes there.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            status = entry.stat(follow_symlinks=False)
-            is_of_user = not hasattr(os, "getuid") or status.st_uid == os.getuid()
-            if not (TEMPORARY_NAME.fullmatch(entry.name) and is_of_user):
-                continue
-            if time.time() - status.st_mtime < age:
-                continue
-            if stat.S_ISREG(status.st_mode) and entry.name.startswith("."):
-                os.unlink(entry.path)
-            elif stat.S_ISDIR(status.st_mode) and not entry.name.startswith("."):
-                shutil.rmtree(entry.path, ignore_errors=True)
+            if TEMPORARY_NAME.fullmatch(entry.name):
+                with suppress(OSError):  # another process has removed it
+                    _remove_leftover(entry.path, entry.stat(follow_symlinks=False), age)
+
+
+def _remove_leftover(path: str, status: os.stat_result, age: float) -> None:
+    """Remove a temporary file or folder if it is a leftover, as `remove_leftovers` does."""
+    is_hidden = os.path.basename(path).startswith(".")
+    is_file = is_hidden and stat.S_ISREG(status.st_mode)
+    is_folder = not is_hidden and stat.S_ISDIR(status.st_mode)
+    is_of_user = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+    if not is_of_user or not (is_file or is_folder):
+        return
+    is_leftover = time.time() - status.st_mtime >= age
+    with ExitStack() as stack:
+        if fcntl is not None:
+            try:
+                descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+                stack.callback(os.close, descriptor)
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                is_leftover = True
+            except BlockingIOError:
+                is_leftover = False
+            except OSError:
+                pass  # a file system without locks: its age decides
+        if is_leftover and is_file:
+            os.unlink(path)
+        elif is_leftover:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def _is_replaceable(path: str | PathLike[str]) -> bool:
@@ -229,9 +354,7 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
         if parent is None:
             parent = Path(tempfile.gettempdir())
         _remove_leftovers_once(parent)
-        folder = tempfile.TemporaryDirectory(
-            prefix="navbake-", dir=parent, ignore_cleanup_errors=True
-        )
+        folder, descriptor = _make_scratch_folder(parent)
     except OSError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE):  # too many open files, in any folder
             raise
@@ -242,5 +365,25 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
             path=None if parent is None else str(parent),
             hint=hint,
         ) from error
-    with folder:
-        yield Path(folder.name)
+    with ExitStack() as stack:
+        if descriptor is not None:
+            stack.callback(os.close, descriptor)
+        yield Path(stack.enter_context(folder))
+
+
+def _make_scratch_folder(
+    parent: Path,
+) -> tuple[tempfile.TemporaryDirectory[str], int | None]:
+    """Make a temporary folder and lock it; return it, and the descriptor that holds the lock."""
+    while True:
+        folder = tempfile.TemporaryDirectory(
+            prefix="navbake-scratch-", dir=parent, ignore_cleanup_errors=True
+        )
+        if fcntl is None:
+            return folder, None
+        with suppress(FileNotFoundError):  # removed before it was locked
+            descriptor = os.open(folder.name, os.O_RDONLY)
+            if _hold(descriptor, folder.name):
+                return folder, descriptor
+            os.close(descriptor)
+        folder.cleanup()

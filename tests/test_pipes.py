@@ -74,7 +74,7 @@ def test_of_a_batch():
 @pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
 def test_a_link_among_temporary_folders_is_not_followed(folder, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(folder))
-    link = folder / "navbake-0123abcd"
+    link = folder / "navbake-scratch-0123abcd"
     link.symlink_to("/")
     os.utime(link, (0, 0), follow_symlinks=False)
     seen, real = [], os.scandir

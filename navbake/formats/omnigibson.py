@@ -130,10 +130,10 @@ def encode_omnigibson(
             free &= _sample_pixels(scene.free, lattice, half_size, right, up)
         pixels = np.where(free, np.uint8(255), np.uint8(0))
         map_path = path.with_name(f"{path.stem}_{number}{path.suffix}")
-        files[map_path] = encode_image(pixels, "PNG", navbake=text)
         if number == 0 and NO_OBJECTS not in path.stem:
             room_files = name_room_files(path.parent, path.stem)
             files |= _encode_room_maps(grid, room_files, half_size, categories)
+        files[map_path] = encode_image(pixels, "PNG", navbake=text)  # after what is read with it
     return files
 
 

@@ -29,7 +29,15 @@ from navbake.formats.allowance import Allowance, JsonPath, format_value
 from navbake.formats.format_table import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
-from navbake.formats.source import check_path, format_path, read_bytes, read_header, write_bytes
+from navbake.formats.source import (
+    Files,
+    check_path,
+    format_path,
+    read_bytes,
+    read_header,
+    write_bytes,
+    write_files,
+)
 from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.types import Float
 from navbake.voxels.grid import AIRSIM_SHIFT, VoxelGrid, check_three
@@ -85,13 +93,16 @@ def write_voxels(
         if layout == "airsim":
             grid.notes.append(_describe_airsim_position(grid, path))
         grid = map_ids(grid, mapping)
-        write_bytes(encode_binvox(grid, layout), path)
+        content = encode_binvox(grid, layout)
     else:
-        write_bytes(encode_npz(grid), path)
+        content = encode_npz(grid)
+    files: Files = {}
     if grid.is_segmented:
         ids = {str(voxel_id): grid.names[voxel_id] for voxel_id in sorted(grid.names)}
         table = json.dumps({"rule": ID_RULE, "ids": ids}, indent=2, ensure_ascii=False)
-        write_bytes(f"{table}\n".encode(), id_table_path(path))
+        files[id_table_path(path)] = f"{table}\n".encode()
+    files[Path(path)] = content  # after the table that is read with it
+    write_files(files)
 
 
 def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> VoxelGrid:
