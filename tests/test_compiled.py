@@ -58,7 +58,7 @@ def make_package(folder: Path) -> Path:
     kernels = folder / "navbake" / "kernels"
     kernels.mkdir(parents=True)
     real = Path(navbake.__file__).parent
-    for name in ("compiled", "lazy", "owners"):
+    for name in ("compiled", "errors", "lazy", "owners", "processes"):
         shutil.copy(real / f"{name}.py", kernels.parent)
     (kernels.parent / "__init__.py").write_text("")
     (kernels / "__init__.py").write_text("")
