@@ -47,12 +47,22 @@ def stay_in_process(monkeypatch, after=lambda: None):
         after: is called when the batch has taken what became of a job.
     """
 
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield JobEnd(number, DONE, work(pickle.loads(pickle.dumps(job))))
-            after()
+    class WorkersHere:
+        def __init__(self, work, count, **options):
+            self.work = work
 
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def run(self, jobs, on_event=None):
+            for number, job in enumerate(jobs):
+                yield JobEnd(number, DONE, self.work(pickle.loads(pickle.dumps(job))))
+                after()
+
+    monkeypatch.setattr(module, "Workers", WorkersHere)
 
 
 def inspect_for_ever(plan, jobs):

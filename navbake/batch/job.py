@@ -318,10 +318,11 @@ def _describe_changes(plan: Plan, record: Json, scene: Inspection) -> str:
 
 
 def read_record(folder: store.Folder) -> Json:
-    """Return the record of what a batch made in a folder; {} if there is no valid one.
+    """Return the record of the files that a batch made in a folder; {} if there is no valid record.
 
-    The record of a finished scene is a `SceneRecord`. Another record, of a scene's folder or of a
-    batch's shards, has `files` and maybe `more` only. The values aren't checked.
+    In a finished scene's folder, the record is a `SceneRecord`. While a scene's files are being
+    written, and in the folder of a batch's shards, it has only `files`, and maybe `more`: the names
+    of files that `files` lacks. Nothing is checked but that `files` is a dict.
     """
     with suppress(NavbakeError, ValueError):
         record = json.loads(store.read_file(store.join(folder, RECORD_NAME)))
@@ -366,16 +367,16 @@ def bake_scene(plan: Plan, job: Job) -> SceneRow:
         MemoryError: the process lacked memory; it can't be trusted any more. It also replaces other
             errors that `lacked_memory` recognizes. No other error is raised.
     """
-    begin = time.perf_counter()
+    begin_time = time.perf_counter()
     try:
-        return _bake_and_write(plan, job, begin)
+        return _bake_and_write(plan, job, begin_time)
     except Exception as error:
         if lacked_memory(error):
             raise MemoryError(str(error)) from error
         reason = str(error)
         if not isinstance(error, NavbakeError | OSError):
             reason = f"{traceback.format_exception_only(error)[-1].strip()} (an unexpected error)"
-        seconds = time.perf_counter() - begin
+        seconds = time.perf_counter() - begin_time
         row = record_failure(plan, job, RAISED, printable(reason), seconds)
         disk_full_error = store.find_disk_full_error(error)
         if disk_full_error is not None:
@@ -436,13 +437,14 @@ def prepare_worker(products: Iterable[str], thumbnail: bool) -> None:
     audit(grid)
 
 
-def _bake_and_write(plan: Plan, job: Job, begin: float) -> SceneRow:
+def _bake_and_write(plan: Plan, job: Job, begin_time: float) -> SceneRow:
     """Bake a scene, write all its files, and return its row of the index.
 
     Args:
         plan: the batch's options.
         job: the scene.
-        begin: the `time.perf_counter` from which the row's `seconds` count.
+        begin_time: when the scene was begun, by `time.perf_counter` [s]; the row's `seconds` count
+            from then.
     """
     folder = plan.scene_folder(job)
     with open_scene(plan, job, copy_all=True) as scene:
@@ -473,8 +475,13 @@ def _bake_and_write(plan: Plan, job: Job, begin: float) -> SceneRow:
             "stages": {name: round(seconds, SECONDS_DECIMALS) for name, seconds in timings.items()},
         }
         remove_made_files(folder)
-        row["files"] = _write_products(plan, folder, grid, scene.config, row)
-        row = {**row, **_end_times(time.perf_counter() - begin)}
+        product_fields = _write_products(plan, folder, grid, scene.config)
+        row = {
+            **row,
+            **product_fields,
+            "warnings": [*row["warnings"], *product_fields["warnings"]],
+            **_end_times(time.perf_counter() - begin_time),
+        }
         record: SceneRecord = {
             **row,
             "more": [THUMBNAIL_NAME] if plan.thumbnail else [],
@@ -512,8 +519,8 @@ def _copy_twin(plan: Plan, job: Job, scene: BatchScene) -> NavGrid | None:
 
 
 def _write_products(
-    plan: Plan, scene_folder: store.Folder, grid: NavGrid, config: BakeConfig, row: SceneRow
-) -> dict[str, FileState]:
+    plan: Plan, scene_folder: store.Folder, grid: NavGrid, config: BakeConfig
+) -> SceneRow:
     """Make all products of a grid, and write them and, last, the grid into the scene's folder.
 
     Args:
@@ -521,20 +528,22 @@ def _write_products(
         scene_folder: the folder to write into.
         grid: the scene's grid.
         config: the scene's settings.
-        row: the scene's row; the products' warnings and counts of episodes are added to it.
 
     Returns:
-        For each file except the thumbnail, by its name: its size and digest.
+        Three fields of the scene's row: `warnings`, those of the products only; `episodes`, if
+            there are any; and `files`, without the thumbnail.
     """
+    fields: SceneRow = {"warnings": []}
     with scratch_folder() as folder:
         for product in plan.products:
             product_fields = make_product(product, grid, config, folder)
-            row["warnings"] += product_fields.get("warnings", [])
+            fields["warnings"] += product_fields.get("warnings", [])
             for measure, counts in product_fields.get("episodes", {}).items():
-                sums = row.setdefault("episodes", {}).get(measure, [0] * len(counts))
-                row["episodes"][measure] = [a + b for a, b in zip(sums, counts, strict=True)]
+                sums = fields.setdefault("episodes", {}).get(measure, [0] * len(counts))
+                fields["episodes"][measure] = [a + b for a, b in zip(sums, counts, strict=True)]
         write_navgrid(grid, folder / GRID_NAME)
-        files = {name: store.describe_file(folder / name) for name in sorted(os.listdir(folder))}
+        made_names = sorted(os.listdir(folder))
+        fields["files"] = {name: store.describe_file(folder / name) for name in made_names}
         if plan.thumbnail:
             write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL_NAME)
         other_names = [name for name in os.listdir(folder) if name != GRID_NAME]
@@ -549,7 +558,7 @@ def _write_products(
             write_record(scene_folder, {"files": {}, "more": new_names})
         for name in (*other_names, GRID_NAME):
             store.write_file(scene_folder, name, (folder / name).read_bytes())
-    return files
+    return fields
 
 
 def _end_times(seconds: float) -> SceneRow:

@@ -48,7 +48,7 @@ from navbake.batch.job import (
 from navbake.batch.products import RECORD_NAME, merge_sets
 from navbake.batch.scene_row import FileState, SceneRow
 from navbake.batch.scenes import Job, check_settings
-from navbake.batch.workers import DONE, RETRIED, JobEnd, JobLimits, do_jobs
+from navbake.batch.workers import DONE, RETRIED, JobEnd, JobLimits, Workers
 from navbake.errors import NavbakeError
 from navbake.files import remove_leftovers
 from navbake.formats.source import import_extra
@@ -69,7 +69,11 @@ PERCENTILES = (50, 90, 100)  # of the cost of scenes: the median, the 90th, and 
 
 
 Executor: TypeAlias = Callable[..., Generator[JobEnd, None, None]]
-"""A function with the arguments of `workers.do_jobs` that runs jobs in worker processes."""
+"""Runs jobs elsewhere than in this machine's `Workers`, as `workers.do_on_ray` does.
+
+It is called with the jobs, the function that does a job, the largest number of jobs at once (None:
+it decides), and by keyword with `limits`, `prepare` and `on_event`; it yields the end of each job.
+"""
 
 
 OnBatchEvent: TypeAlias = Callable[[str, Json], None]
@@ -187,17 +191,25 @@ def run_batch(
             twins = find_twins(inspector, jobs, rows) if remaining else {}
             baked_jobs = [job for job in remaining if job.id not in twins]
             copied_jobs = [job._replace(twin=twins[job.id]) for job in remaining if job.id in twins]
-            execute: Executor = executor or do_jobs
+            work = partial(bake_scene, plan)
+            prepare = partial(prepare_worker, plan.products, plan.thumbnail)
             for stage_jobs in filter(None, (baked_jobs, copied_jobs)):
-                job_ends = execute(
-                    stage_jobs,
-                    partial(bake_scene, plan),
-                    workers or (None if executor else 1),
-                    limits=limits,
-                    prepare=partial(prepare_worker, plan.products, plan.thumbnail),
-                    on_event=partial(report_job_event, stage_jobs),
-                )
-                with closing(job_ends):
+                on_job_event = partial(report_job_event, stage_jobs)
+                with ExitStack() as stage_stack:
+                    if executor is None:
+                        count = min(workers or 1, len(stage_jobs))
+                        crew = Workers(work, count, limits=limits, prepare=prepare)
+                        job_ends = stage_stack.enter_context(crew).run(stage_jobs, on_job_event)
+                    else:
+                        job_ends = executor(
+                            stage_jobs,
+                            work,
+                            workers,
+                            limits=limits,
+                            prepare=prepare,
+                            on_event=on_job_event,
+                        )
+                    stage_stack.enter_context(closing(job_ends))
                     for end in job_ends:
                         job = stage_jobs[end.number]
                         row = end.value
@@ -349,7 +361,8 @@ class Inspector:
         if not groups:
             return []
         work = partial(inspect_scenes, self._plan)
-        with closing(do_jobs(groups, work, self._workers, limits=self._limits)) as ends:
+        crew = Workers(work, min(self._workers, len(groups)), limits=self._limits)
+        with crew, closing(crew.run(groups)) as ends:
             for end in ends:
                 group = groups[end.number]
                 if end.how == DONE:

@@ -14,12 +14,12 @@ class FileState(TypedDict, total=False):
 class SceneRow(TypedDict, total=False):
     """A scene's row in the index of a batch, a line of JSON; see docs/batch.md.
 
-    A row of a scene that is ``failed`` or ``left`` has only some of the keys.
+    The row of a scene that failed, or that the batch didn't reach (``left``), lacks some keys.
     """
 
     # set by `job.begin_row`, for every scene
     id: str  # unique in the batch; the scene's folder in the output folder
-    status: str  # ``ok``, ``failed``, or ``left`` if the batch ended before the scene
+    status: str  # ``ok``, ``failed``, or ``left``: the batch ended before it baked the scene
     source: str  # the scene or its settings: a URL, or a path from the output folder
 
     # set by `job.record_failure`, for a scene that failed; `error` also by `job.bake_scene` if the

@@ -84,25 +84,8 @@ OnJobEvent = Callable[[str, JobEnd], None]
 """Is called with `SCENE_BEGUN` when a job begins, and with `RETRIED` when it will be retried."""
 
 
-def do_jobs(
-    jobs: Sequence[Any],
-    work: Callable[[Any], Any],
-    count: int,
-    *,
-    on_event: OnJobEvent = lambda event, end: None,
-    **options: Any,
-) -> Generator[JobEnd, None, None]:
-    """Run jobs in at most `count` worker processes; yield the end of each job as it ends.
-
-    See `Workers` for the other arguments and for errors. The workers stop when the iterator is
-    closed or exhausted.
-    """
-    with Workers(work, min(count, len(jobs)), **options) as workers:
-        yield from workers.run(jobs, on_event)
-
-
 class Workers:
-    """Worker processes, started on demand and kept for many jobs."""
+    """Worker processes for many jobs: started by the first job, stopped by the with statement."""
 
     def __init__(
         self,
@@ -136,7 +119,9 @@ class Workers:
         self._stop_pool()
         self._closing.close()
 
-    def run(self, jobs: Sequence[Any], on_event: OnJobEvent) -> Iterator[JobEnd]:
+    def run(
+        self, jobs: Sequence[Any], on_event: OnJobEvent = lambda event, end: None
+    ) -> Generator[JobEnd, None, None]:
         """Run picklable jobs, and yield the end of each as it ends.
 
         A job that crashed its worker or took too much memory is run again after all other jobs, in
@@ -381,7 +366,7 @@ def do_on_ray(
     prepare: Callable[[], None] | None = None,
     on_event: OnJobEvent = lambda event, end: None,
 ) -> Generator[JobEnd, None, None]:
-    """Run jobs on a Ray cluster; yield the end of each job as it ends, as `do_jobs` does.
+    """Run jobs on a Ray cluster; yield the end of each job as it ends, as `Workers.run` does.
 
     All nodes must be able to import `work`. The arguments that aren't listed here are those of
     `Workers`.

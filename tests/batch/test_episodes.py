@@ -11,7 +11,6 @@ import pytest
 import navbake
 from batch_in_process import run_sources, stay_in_process
 from batch_scenes import draw_room
-from navbake.batch import run as run_module
 from navbake.batch.index import INDEX_NAME
 from navbake.batch.page import describe_batch
 from navbake.batch.workers import DONE, JobEnd
@@ -63,8 +62,7 @@ def test_the_order_in_which_scenes_end_changes_no_byte(scenes, monkeypatch):
         for number, job in reversed([*enumerate(jobs)]):
             yield JobEnd(number, DONE, work(job))
 
-    monkeypatch.setattr(run_module, "do_jobs", backwards)
-    run(*scenes, products=MAKE)
+    run(*scenes, products=MAKE, executor=backwards)
     content = Path("out", SET).read_bytes()
     stay_in_process(monkeypatch)
     run(*scenes, products=MAKE, out="other")

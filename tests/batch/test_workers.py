@@ -20,7 +20,7 @@ from navbake.batch.workers import (
     TOO_LARGE,
     TOO_LONG,
     JobLimits,
-    do_jobs,
+    Workers,
 )
 from navbake.errors import NavbakeError
 from project_paths import ROOT
@@ -30,7 +30,9 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="how Linux ends and l
 
 def run(jobs, count=1, **options):
     """How each job ended, in the jobs' order."""
-    ended = sorted(do_jobs(jobs, crew_jobs.work, count, **options))
+    on_event = options.pop("on_event", lambda event, end: None)
+    with Workers(crew_jobs.work, min(count, len(jobs)), **options) as workers:
+        ended = sorted(workers.run(jobs, on_event))
     assert [end.number for end in ended] == list(range(len(jobs)))
     return [(end.how, end.value) for end in ended]
 
@@ -127,16 +129,18 @@ def test_a_limit_may_be_longer_than_the_system_waits(seconds):
     ("prepare", "why"), [(crew_jobs.refuse, ": RuntimeError: no library"), (crew_jobs.end, "")]
 )
 def test_workers_that_do_not_start_are_one_error(prepare, why, capfd):
-    with pytest.raises(NavbakeError, match=f"^cannot start a worker process{why}$"):
-        list(do_jobs([("double", 1)], crew_jobs.work, 2, prepare=prepare))
+    with (
+        Workers(crew_jobs.work, 1, prepare=prepare) as workers,
+        pytest.raises(NavbakeError, match=f"^cannot start a worker process{why}$"),
+    ):
+        list(workers.run([("double", 1)]))
     assert capfd.readouterr() == ("", "")
 
 
 def test_workers_are_gone_when_the_jobs_are_left():
-    ended = do_jobs([("sleep", 0), ("sleep", 60)], crew_jobs.work, 1)
-    pid = next(ended).value
-    assert is_there(pid)
-    ended.close()
+    with Workers(crew_jobs.work, 1) as workers:
+        pid = next(workers.run([("sleep", 0), ("sleep", 60)])).value
+        assert is_there(pid)
     assert not is_there(pid)
 
 
@@ -148,10 +152,11 @@ def test_workers_are_gone_when_the_parent_is(number, tmp_path):
         "import sys\n"
         f"sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / 'tests')!r}]\n"
         "import crew_jobs\n"
-        "from navbake.batch.workers import do_jobs\n"
+        "from navbake.batch.workers import Workers\n"
         "if __name__ == '__main__':\n"
-        "    for end in do_jobs([('sleep', 0), ('sleep', 60)], crew_jobs.work, 1):\n"
-        "        print(end.value, flush=True)\n"
+        "    with Workers(crew_jobs.work, 1) as workers:\n"
+        "        for end in workers.run([('sleep', 0), ('sleep', 60)]):\n"
+        "            print(end.value, flush=True)\n"
     )
     with subprocess.Popen([sys.executable, script], stdout=-1, stderr=-1, text=True) as parent:
         assert parent.stdout is not None
