@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from navbake.arena.map_descriptor import ExploredMap
     from navbake.auditor.audit import audit
     from navbake.baker.bake.pipeline import bake
-    from navbake.baker.live.update import Baker
+    from navbake.baker.live.baker import Baker
     from navbake.baker.voxels.voxelize import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
     from navbake.formats.grscenes import read_grscenes as from_grscenes
@@ -88,7 +88,7 @@ _LAZY = {
     "audit": "navbake.auditor.audit:audit",
     "bake": "navbake.baker.bake.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",
-    "Baker": "navbake.baker.live.update:Baker",
+    "Baker": "navbake.baker.live.baker:Baker",
     "ExploredMap": "navbake.arena.map_descriptor:ExploredMap",
     "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
     "PathFinder": "navbake.runtime.path_finder:PathFinder",

@@ -13,7 +13,6 @@ makes the grid from these two.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -40,14 +39,15 @@ from navbake.baker.doors.doors import (
     ClassifiedLeaf,
     DoorContext,
     classify_leaves,
+    mark_obstacle_geoms,
     select_doors,
 )
 from navbake.baker.doors.posed_leaves import LeafCells, find_blocked_cells, pose_leaves
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.extents import Extents, measure_extents
 from navbake.baker.links.areas import PaintedAreas, paint_areas
-from navbake.baker.links.links import BakedLinks, find_links
-from navbake.baker.links.search import CollisionGeometry, CollisionShapes, LinkSearch
+from navbake.baker.links.links import BakedLinks, bake_links
+from navbake.baker.links.search import CollisionGeometry, CollisionShapes
 from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.occupants.kinds import mark_wall_candidates
@@ -61,9 +61,7 @@ from navbake.baker.occupants.standing import (
 )
 from navbake.baker.rooms.flags import RoomFlags, gather_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
-from navbake.baker.scene.leaves import mark_candidate_geoms
 from navbake.baker.scene.model import CompileLimits, SceneInput, SceneModel
-from navbake.baker.scene.roles import MOVABLE
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
@@ -419,9 +417,11 @@ class Stages:
         is_obstacle_geom = self.is_obstacle_geom
         occupants = self.occupants
         with self.clock.stage("links"):
-            return make_links(
+            return bake_links(
                 self.scene,
-                baked_structure,
+                baked_structure.lattice,
+                floors=baked_structure.floors,
+                geometry=baked_structure.link_geometry,
                 leaves=leaves,
                 is_obstacle_geom=is_obstacle_geom,
                 occupied=occupants.blocked,
@@ -527,70 +527,3 @@ def find_floor_lattice(lattice: Lattice, scene: Scene, config: BakeConfig) -> Fl
         rounding = box_rounding(scene, scene.bounds[:, :2].ravel(), lattice.cell_size)
     extended, window = extend_lattice(lattice, scene.bounds, config.grid.max_cells, rounding)
     return FloorLattice(extended, window)
-
-
-def mark_obstacle_geoms(scene: Scene, leaves: Sequence[ClassifiedLeaf], config: BakeConfig) -> Bool:
-    """Mark the geoms of movables, and of leaves that are no doors.
-
-    Such geoms block cells; they make no floors, rooms or doors. With `scene.exclude.movable`, a
-    leaf that can move and is no door is not marked.
-
-    Args:
-        scene: the posed scene.
-        leaves: all classified leaves, doors or not.
-        config: all settings.
-
-    Returns:
-        For each geom, whether it is marked, shape (ngeom,), bool.
-    """
-    rejected_leaves = [leaf.candidate for leaf in leaves if not leaf.is_door]
-    is_obstacle_geom = mark_candidate_geoms(len(scene.roles), rejected_leaves)
-    if config.scene.exclude.movable:
-        is_obstacle_geom &= scene.is_structure_body[scene.model.geom_bodyid]
-    is_obstacle_geom |= scene.roles == MOVABLE
-    return is_obstacle_geom
-
-
-def make_links(
-    scene: Scene,
-    baked_structure: BakedStructure,
-    leaves: Sequence[ClassifiedLeaf],
-    is_obstacle_geom: Bool,
-    occupied: Sequence[Bool],
-    config: BakeConfig,
-) -> BakedLinks:
-    """Find the named links: those that the settings list, and those that the settings' rules find.
-
-    Args:
-        scene: the posed scene.
-        baked_structure: the levels, and the geometry that agents on links may collide with.
-        leaves: all classified leaves, doors or not.
-        is_obstacle_geom: for each geom, see `mark_obstacle_geoms`, (ngeom,).
-        occupied: for each level, a mask of the cells that anything except doors occupies, shape
-            (height, width).
-        config: all settings.
-
-    Returns:
-        The links, with cell ids on the whole lattice, and their warnings.
-    """
-    if baked_structure.link_geometry is None:
-        return BakedLinks([], [])
-    floors = np.stack([level.floor for level in baked_structure.floors.levels])
-    free = ~(np.stack(occupied) | np.isnan(floors))
-    # A link ends on cells that are free whether doors are open or closed.
-    for door in select_doors(leaves):
-        for cells_of_levels in door.blocked.values():
-            for level_free, cells in zip(free, cells_of_levels, strict=True):
-                level_free.ravel()[cells] = False
-    search = LinkSearch(
-        scene=scene,
-        shapes=scene.shapes.only(scene.is_structure | is_obstacle_geom),
-        lattice=baked_structure.lattice,
-        floors=floors,
-        free=free,
-        geometry=baked_structure.link_geometry.with_shapes(
-            scene.shapes.only(is_obstacle_geom), baked_structure.lattice
-        ),
-        agent=config.agent,
-    )
-    return find_links(search, config.links)

@@ -24,8 +24,10 @@ from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.rooms.leaves import mark_visible
 from navbake.baker.rooms.rooms import RoomIds, Rooms
-from navbake.baker.scene.leaves import DoorCandidate
-from navbake.config.settings import AgentSettings
+from navbake.baker.scene.leaves import DoorCandidate, mark_candidate_geoms
+from navbake.baker.scene.roles import MOVABLE
+from navbake.baker.scene.scene import Scene
+from navbake.config.settings import AgentSettings, BakeConfig
 from navbake.navgrid.rooms import Door, Runs, to_runs
 from navbake.threads import limit_threads
 from navbake.types import Bool, Int, Int32
@@ -98,6 +100,28 @@ class DoorContext:
 def select_doors(leaves: Sequence[ClassifiedLeaf]) -> list[ClassifiedLeaf]:
     """Return the leaves that are doors."""
     return [leaf for leaf in leaves if leaf.is_door]
+
+
+def mark_obstacle_geoms(scene: Scene, leaves: Sequence[ClassifiedLeaf], config: BakeConfig) -> Bool:
+    """Mark the geoms of movables, and of leaves that are no doors.
+
+    Such geoms block cells; they make no floors, rooms or doors. With `scene.exclude.movable`, a
+    leaf that can move and is no door is not marked.
+
+    Args:
+        scene: the posed scene.
+        leaves: all classified leaves, doors or not.
+        config: all settings.
+
+    Returns:
+        For each geom, whether it is marked, shape (ngeom,), bool.
+    """
+    rejected_leaves = [leaf.candidate for leaf in leaves if not leaf.is_door]
+    is_obstacle_geom = mark_candidate_geoms(len(scene.roles), rejected_leaves)
+    if config.scene.exclude.movable:
+        is_obstacle_geom &= scene.is_structure_body[scene.model.geom_bodyid]
+    is_obstacle_geom |= scene.roles == MOVABLE
+    return is_obstacle_geom
 
 
 # ---------------------------------------------------------------- which leaves are doors

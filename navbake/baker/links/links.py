@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.doors.doors import ClassifiedLeaf, select_doors
+from navbake.baker.floors.levels import Floors
 from navbake.baker.links.lifts import find_ladders, find_lifts
 from navbake.baker.links.search import (
     CROSSING,
     DIRECTIONS,
+    CollisionGeometry,
     Landings,
     LandingTest,
     LatticeLink,
     LinkSearch,
 )
+from navbake.baker.scene.scene import Scene
 from navbake.config.links import LinkSettings
+from navbake.config.settings import BakeConfig
 from navbake.known_names import unique_name
+from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.links import Stop
-from navbake.types import Float, Int
+from navbake.types import Bool, Float, Int
 
 # The largest distance of a stop of the settings from its cell, seen from above, and in height [m]
 STOP_REACH = 0.5
@@ -41,6 +47,54 @@ class BakedLinks(NamedTuple):
 
     links: list[LatticeLink]
     warnings: list[str]
+
+
+def bake_links(
+    scene: Scene,
+    lattice: Lattice,
+    floors: Floors,
+    geometry: CollisionGeometry | None,
+    leaves: Sequence[ClassifiedLeaf],
+    is_obstacle_geom: Bool,
+    occupied: Sequence[Bool],
+    config: BakeConfig,
+) -> BakedLinks:
+    """Find the named links: those that the settings list, and those that the settings' rules find.
+
+    Args:
+        scene: the posed scene.
+        lattice: the whole lattice.
+        floors: the floors of all levels.
+        geometry: the structure that agents on links may collide with; None without settings of
+            links.
+        leaves: all classified leaves, doors or not.
+        is_obstacle_geom: for each geom, see `mark_obstacle_geoms`, (ngeom,).
+        occupied: for each level, a mask of the cells that anything except doors occupies, shape
+            (height, width).
+        config: all settings.
+
+    Returns:
+        The links, with cell ids on the whole lattice, and their warnings.
+    """
+    if geometry is None:
+        return BakedLinks([], [])
+    floor_heights = np.stack([level.floor for level in floors.levels])
+    free = ~(np.stack(occupied) | np.isnan(floor_heights))
+    # A link ends on cells that are free whether doors are open or closed.
+    for door in select_doors(leaves):
+        for cells_of_levels in door.blocked.values():
+            for level_free, cells in zip(free, cells_of_levels, strict=True):
+                level_free.ravel()[cells] = False
+    search = LinkSearch(
+        scene=scene,
+        shapes=scene.shapes.only(scene.is_structure | is_obstacle_geom),
+        lattice=lattice,
+        floors=floor_heights,
+        free=free,
+        geometry=geometry.with_shapes(scene.shapes.only(is_obstacle_geom), lattice),
+        agent=config.agent,
+    )
+    return find_links(search, config.links)
 
 
 def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.components import label_components
 from navbake.baker.core.constants import BUILDING, OBJECT, STRUCTURE, WALL
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
@@ -82,8 +81,6 @@ BUILDING_WIDTH = 2.0
 MAX_FILLED_SHARE = 0.5
 # The shapes, in the report of geoms, that such a mesh may have
 TRIANGLE_SHAPES = ("surface", "closed surface", "partly closed", "shell")
-# Heights over a floor at which walls are, but neither sills nor most furniture [m]
-WALL_HEIGHTS = HeightRange(1.5, 1.8)
 # Least share of a wall's cells in which it reaches into `WALL_HEIGHTS`
 MIN_UPRIGHT_SHARE = 0.5
 

@@ -28,15 +28,15 @@ from navbake.baker.core.windows import Window, cells_near_boxes
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.occupancy import Occupancy
-from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
-from navbake.baker.occupants.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells
-from navbake.baker.occupants.standing import (
-    StandingOccupants,
+from navbake.baker.occupancy.level_occupancy import (
     check_level_occupancy,
     entries_of_cells,
     find_level_ceilings,
 )
+from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
+from navbake.baker.occupants.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells
+from navbake.baker.occupants.standing import StandingOccupants
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData, without_garbage_collection

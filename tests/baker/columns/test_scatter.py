@@ -22,10 +22,10 @@ from navbake.baker.core.tiles import TILE, window_bits, window_near_box
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
 from navbake.baker.geometry.extents import measure_extents
 from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.level_occupancy import OPEN_ABOVE, WALL_HEIGHTS, entries_of_cells
 from navbake.baker.occupancy.occupancy import check_occupancy
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
-from navbake.baker.occupants.kinds import WALL_HEIGHTS, mark_wall_candidates
-from navbake.baker.occupants.standing import OPEN_ABOVE, entries_of_cells
+from navbake.baker.occupants.kinds import mark_wall_candidates
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 from oracles.gather import geoms_that_meet, line_meets, prisms_over

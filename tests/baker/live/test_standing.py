@@ -121,7 +121,7 @@ def test_no_stage_of_what_stands_runs_again(monkeypatch):
     baker = navbake.Baker(mujoco.MjModel.from_xml_string(ROOM.format(bodies=CHAIR)))
     with monkeypatch.context() as patch:
         # each would raise
-        patch.setattr("navbake.baker.live.update.open_stages", None)
+        patch.setattr("navbake.baker.live.baker.open_stages", None)
         for name in (
             "find_scene_floors",
             "find_standing_cells",

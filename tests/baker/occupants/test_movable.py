@@ -11,7 +11,8 @@ import pytest
 
 import navbake
 from box_worlds import FLOOR, body, box, stages_of_xml, world
-from navbake.baker.bake.stages import Stages, bake_stages, mark_obstacle_geoms
+from navbake.baker.bake.stages import Stages, bake_stages
+from navbake.baker.doors.doors import mark_obstacle_geoms
 from navbake.baker.occupancy.volume_kernels import BLOCKING
 from navbake.baker.occupants.movable import CHUNK_ROWS, find_movable_occupants
 from random_scenes import make_scene

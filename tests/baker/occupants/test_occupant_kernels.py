@@ -5,9 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.core.constants import BUILDING, OBJECT, WALL
+from navbake.baker.occupancy.level_occupancy import entries_of_cells
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.occupant_kernels import LevelOccupants, mark_walls
-from navbake.baker.occupants.standing import entries_of_cells
 from navbake.navgrid.lattice import Lattice
 
 CELLS, GEOMS = 12, 8

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from box_worlds import FLOOR, box, stages_of_xml, world
 from navbake.baker.bake.stages import Stages, bake_stages
+from navbake.baker.occupancy.level_occupancy import WALL_HEIGHTS, entries_of_cells
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
-from navbake.baker.occupants.kinds import WALL_HEIGHTS
 from navbake.baker.occupants.occupant_kernels import LevelOccupants
-from navbake.baker.occupants.standing import StandingOccupants, entries_of_cells
+from navbake.baker.occupants.standing import StandingOccupants
 from navbake.config.settings import load_config
 from navbake.threads import limit_threads
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms

@@ -1,0 +1,228 @@
+"""Bakes a scene, and keeps its grid up to date while things in it move: the class `Baker`.
+
+What an update computes again is in `navbake.baker.live.update`.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from navbake.baker.bake.arguments import References, parse_arguments
+from navbake.baker.bake.pipeline import build_grid
+from navbake.baker.bake.stages import open_stages
+from navbake.baker.core.clock import StageClock
+from navbake.baker.live.tracked_scene import TrackedScene
+from navbake.baker.live.update import BakedScene, FullBakeRequired, update_baked_scene
+from navbake.baker.scene.model import SceneInput, SceneModel
+from navbake.baker.scene.scene import load_scene_file
+from navbake.config.keywords import SettingKeywords
+from navbake.errors import BakeWarning
+from navbake.navgrid.grid import NavGrid
+from navbake.threads import baking, limit_threads
+from navbake.types import Float, Int
+
+if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
+    import mujoco
+    from typing_extensions import Unpack
+
+LOG = logging.getLogger("navbake")
+
+
+class Changes(NamedTuple):
+    """What an update changed.
+
+    Attributes:
+        grid: the new grid, `Baker.grid`.
+        cells: for each level, the ids of the cells in which any layer changed (floor, room,
+            occupancy, weight, or a layer of `attributes`), ascending, int64. A cell's id is
+            col + row * width.
+        is_new: True if the grid's levels, or the rectangle of any level, changed. Cell ids of the
+            old grid are then invalid, and `cells` lists all cells of the new one.
+        reason: why the whole scene was baked; empty if only cells near moved things were updated.
+        seconds: how long the update took [s].
+    """
+
+    grid: NavGrid
+    cells: list[Int]
+    is_new: bool
+    reason: str
+    seconds: float
+
+
+class Baker:
+    """Bakes a scene, and keeps its grid up to date while bodies move and joints turn.
+
+    `grid` equals the grid that `navbake.bake` makes of the scene in its current pose, bit for bit.
+    An update recomputes only cells near things that moved. Floors, walls and rooms follow from
+    structure, which does not move, and are kept. See ``docs/live.md``.
+
+    A grid is never written to: each update makes a new grid, which shares unchanged arrays with the
+    last one. So any thread may read `grid` while a second thread updates. A `PathFinder` keeps
+    its grid until its method `use` is called with the new grid.
+
+    Args:
+        scene, data, exclude, robot, settings: see `navbake.bake`.
+        threads: number of threads, >= 1; all cores if None.
+
+    Raises:
+        ConfigError: a setting is wrong.
+        SceneError: the scene cannot be read, or holds nothing to bake.
+
+    Example:
+        >>> baker = navbake.Baker("my_scene.xml", grid={"bounds": [0, 0, 8, 6]})
+        >>> finder = navbake.PathFinder(baker.grid)
+        >>> changes = baker.update(bodies={"chair_3": [2.0, 1.5, 0.0]})
+        >>> finder.use(changes.grid)
+    """
+
+    def __init__(
+        self,
+        scene: SceneInput,
+        data: mujoco.MjData | None = None,
+        /,
+        *,
+        exclude: Mapping[str, object] | None = None,
+        robot: References | None = None,
+        threads: int | None = None,
+        **settings: Unpack[SettingKeywords],
+    ) -> None:
+        config, scene_model = parse_arguments(scene, data, settings, exclude, robot)
+        if scene_model is None:
+            scene_model = load_scene_file(config.scene)
+        self._config = config
+        self._scene_model = scene_model
+        self._threads = threads
+        self._lock = threading.Lock()
+        with baking(), limit_threads(threads):
+            baked = self._bake(scene_model)
+            # None during an update, and after one that failed
+            self._baked: BakedScene | None = baked
+            self._tracked_scene = TrackedScene(config, scene_model, baked.pose.scene)
+            self._grid = build_grid(config, baked.structure, baked.pose)
+        for warning in self._grid.warnings:
+            warnings.warn(warning, BakeWarning, stacklevel=2)
+
+    @property
+    def grid(self) -> NavGrid:
+        """The grid of the scene in its current pose; each update makes a new one."""
+        return self._grid
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model of the scene."""
+        return self._scene_model.model
+
+    @property
+    def pose(self) -> tuple[Float, Float, Float]:
+        """Copies of qpos, mocap_pos and mocap_quat in the current pose."""
+        arrays = self._tracked_scene.pose_arrays
+        return arrays.qpos.copy(), arrays.mocap_pos.copy(), arrays.mocap_quat.copy()
+
+    def update(
+        self,
+        data: mujoco.MjData | None = None,
+        *,
+        bodies: Mapping[str, ArrayLike] | None = None,
+        joints: Mapping[str, float] | None = None,
+    ) -> Changes:
+        """Update the grid to a new pose, or to changes that were written to the model.
+
+        Each call also compares the model with its last state: a geom whose size, pose on its body,
+        colour or group was written to may have moved, appeared or vanished. So a call without
+        arguments updates the grid to such changes. Changes of the vertices of meshes or of the
+        data of height fields are not noticed.
+
+        Args:
+            data: the mujoco.MjData whose joint positions and mocap bodies are the new pose; the
+                last pose if None.
+            bodies: bodies with a free joint, and mocap bodies, by name: x, y, z [m] to keep the
+                orientation, or x, y, z and a quaternion w, x, y, z; world frame.
+            joints: positions of hinges and slides, by name [rad or m].
+
+        Returns:
+            The new grid, and which cells changed.
+
+        Raises:
+            QueryError: there is no such body or joint, or a pose is not finite.
+            ConfigError: the data belongs to a different model, for example one compiled after
+                geoms were added.
+            SceneError: the scene holds nothing to bake any more; `grid` stays as it was.
+
+        Example:
+            >>> changes = baker.update(bodies={"chair_3": [2.0, 1.5, 0.0]}, joints={"door_1": 1.2})
+            >>> changes.cells[0]  # of the lowest level
+        """
+        begin = time.perf_counter()
+        with baking(), self._lock, limit_threads(self._threads):
+            change = self._tracked_scene.move(data, bodies, joints)
+            # After an error or an interruption below, the next update bakes the whole scene.
+            old_baked = self._baked
+            self._baked = None
+            reason = ""
+            try:
+                if old_baked is None:
+                    raise FullBakeRequired("the last update failed")
+                baked = update_baked_scene(old_baked, change, self._config)
+            except FullBakeRequired as required:
+                reason = str(required)
+                LOG.debug("the whole scene is baked again: %s", reason)
+                baked = self._bake(self._scene_model._replace(data=change.scene.data))
+            # It was computed on another thread meanwhile.
+            baked = _with_digest(baked, change.wait_for_digest())
+            old_grid = self._grid
+            grid = build_grid(self._config, baked.structure, baked.pose)
+            cells, is_new = _find_changed_cells(old_grid, grid)
+            self._tracked_scene.commit(baked.pose.scene, change.snapshot)
+            self._grid = grid
+            self._baked = baked
+            return Changes(grid, cells, is_new, reason, time.perf_counter() - begin)
+
+    def _bake(self, scene_model: SceneModel) -> BakedScene:
+        stages = open_stages(self._config, StageClock(), scene_model=scene_model)
+        return BakedScene(
+            structure=stages.baked_structure,
+            pose=stages.baked_pose,
+            door_context=stages.door_context,
+            movable_context=stages.movable_context,
+        )
+
+
+def _with_digest(baked: BakedScene, digest: str) -> BakedScene:
+    scene = replace(baked.pose.scene, digest=digest)
+    return baked._replace(pose=replace(baked.pose, scene=scene))
+
+
+def _find_changed_cells(old_grid: NavGrid, new_grid: NavGrid) -> tuple[list[Int], bool]:
+    """Find the cells of each level in which any layer changed.
+
+    Returns:
+        For each level, the ids of the cells; and whether the levels or their lattices changed. If
+        they did, all cells of the new grid are returned.
+    """
+    old_lattices = [level.lattice for level in old_grid.levels]
+    new_lattices = [level.lattice for level in new_grid.levels]
+    if old_lattices != new_lattices:
+        return [np.arange(level.width * level.height) for level in new_grid.levels], True
+    changed_cells = []
+    for old_level, new_level in zip(old_grid.levels, new_grid.levels, strict=True):
+        # Weights follow from the occupancy.
+        is_changed = old_level.attributes["occupancy"] != new_level.attributes["occupancy"]
+        for name, new_layer in new_level.attributes.items():
+            old_layer = old_level.attributes[name]
+            if name == "occupancy" or np.may_share_memory(old_layer, new_layer):
+                continue
+            is_layer_changed = old_layer != new_layer
+            if new_layer.dtype.kind == "f":
+                is_layer_changed &= ~(np.isnan(old_layer) & np.isnan(new_layer))
+            is_changed |= is_layer_changed
+        changed_cells.append(np.flatnonzero(is_changed))
+    return changed_cells, False

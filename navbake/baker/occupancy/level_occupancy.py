@@ -1,0 +1,120 @@
+"""Checks which cells of a level are occupied, and lists the geoms between its floors and the next.
+
+Both the structure of a bake and what can move are checked by this, see `navbake.baker.occupants`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.columns.columns import Columns, TiledShapes
+from navbake.baker.core.arrays import HeightRange
+from navbake.baker.core.components import expand_ranges
+from navbake.baker.core.limits import agent_limits
+from navbake.baker.core.tolerances import TOUCH_DEPTH
+from navbake.baker.floors.levels import Floors, LevelFloor
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import NO_LISTS, CellOccupancy, check_occupancy
+from navbake.baker.occupancy.volume_kernels import OccupantLists
+from navbake.config.settings import AgentSettings
+from navbake.types import Bool, Int, Int32
+
+# Heights over a floor at which walls are, but neither sills nor most furniture [m]
+WALL_HEIGHTS = HeightRange(1.5, 1.8)
+# The last level ends this far above its floors [m]
+OPEN_ABOVE = 100.0
+
+
+class LevelOccupancy(NamedTuple):
+    """The occupancy of some cells of a level.
+
+    Attributes:
+        cells: ids of the checked cells that have a floor, shape (n,).
+        occupancy: the occupancy of these cells.
+        lists: where the list of each cell's occupants begins; empty if none were requested.
+    """
+
+    cells: Int
+    occupancy: CellOccupancy
+    lists: OccupantLists
+
+
+def find_level_ceilings(floors: Floors) -> list[float]:
+    """Return the height at which each level ends: the next level's ground, inf for the last [m]."""
+    return [*(level.ground for level in floors.levels[1:]), np.inf]
+
+
+def check_level_occupancy(
+    columns: Columns,
+    tiled: TiledShapes,
+    footprint: Footprint,
+    cells: Int,
+    level: LevelFloor,
+    level_ceiling: float,
+    agent: AgentSettings,
+    wall_candidates: Bool | None,
+) -> LevelOccupancy:
+    """Check which cells of a level some geoms occupy, and list the geoms in each cell.
+
+    Args:
+        columns: the geoms' hits on the vertical line through each cell's centre.
+        tiled: the geoms near the cells.
+        footprint: the volume over a floor that has to be free.
+        cells: cell ids, ascending.
+        level: the floors.
+        level_ceiling: height at which the level ends [m], see `find_level_ceilings`.
+        agent: the agent; its height and largest slope are read.
+        wall_candidates: mask by geom id of the geoms that are tested for AT_WALL_HEIGHT, bool;
+            None to list no occupants.
+
+    Returns:
+        The cells that have a floor, their occupancy, and the lists of their occupants.
+    """
+    floor = level.floor.ravel()[cells]
+    has_floor = ~np.isnan(floor)
+    floor_cells = cells[has_floor]
+    heights = floor[has_floor]
+    lists = NO_LISTS
+    if wall_candidates is not None:
+        ceiling = np.minimum(level_ceiling, heights + OPEN_ABOVE)
+        lists = OccupantLists(
+            ceiling=np.maximum(ceiling, heights + agent.height) - TOUCH_DEPTH,
+            first=np.empty(len(floor_cells), dtype=np.int32),
+            floor_geom=np.empty(len(floor_cells), dtype=np.int32),
+            gap_below=np.empty(len(floor_cells)),
+            is_wall_candidate=wall_candidates,
+            wall_low=WALL_HEIGHTS.low + TOUCH_DEPTH,
+            wall_high=WALL_HEIGHTS.high - TOUCH_DEPTH,
+            min_up=agent_limits(agent).min_up,
+        )
+    occupancy = check_occupancy(columns, tiled, footprint, floor_cells, heights, lists)
+    return LevelOccupancy(floor_cells, occupancy, lists)
+
+
+def entries_of_cells(
+    first: Int32, geom: Int32, flags: NDArray[np.uint8], cells: Int
+) -> tuple[Int, Int32, NDArray[np.uint8]]:
+    """Return the list entries of some cells, ordered by cell and then geom.
+
+    Args:
+        first: by cell id, the index into `geom` at which the cell's list begins. The list ends
+            before the next -1 in `geom`.
+        geom: geom ids of all lists, one list after the other.
+        flags: the flags of each entry of `geom`.
+        cells: cell ids, shape (n,).
+
+    Returns:
+        For each entry the index of its cell in `cells`, its geom id, and its flags.
+    """
+    begin = first[cells]
+    counts = np.zeros(len(cells), dtype=np.int64)
+    unfinished = np.flatnonzero(geom[begin] >= 0)
+    while len(unfinished):  # cells whose lists go on
+        counts[unfinished] += 1
+        next_geom = geom[begin[unfinished] + counts[unfinished]]
+        unfinished = unfinished[next_geom >= 0]
+    cell_place, entry = expand_ranges(begin, begin + counts)
+    return cell_place, geom[entry], flags[entry]
