@@ -41,7 +41,7 @@ def run_in_chunks(
     chunk writes data that no other chunk reads or writes.
 
     Args:
-        kernel: ``kernel(*args, first, last)`` does the work for the indices ``range(first, last)``.
+        kernel: ``kernel(*args, begin, end)`` does the work for the indices ``range(begin, end)``.
             It is compiled with ``nogil=True``.
         count: Number of indices, >= 0.
         *args: Arguments of all calls.
@@ -121,8 +121,8 @@ def _run_kernel(
 ) -> None:
     """Call a kernel for the next chunk, until none is left; other threads take chunks as well."""
     # `next` of a list's iterator is atomic
-    for first, last in chunks:
-        kernel(*args, first, last)
+    for begin, end in chunks:
+        kernel(*args, begin, end)
 
 
 def num_threads() -> int:

@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 README = Path(__file__).resolve().parents[1] / "README.md"
-LEFT_OUT = ("bash scripts/", "pip install")
+SKIPPED = ("bash scripts/", "pip install")
 
 
 def read_blocks(language: str) -> list[str]:
@@ -39,7 +39,7 @@ def main() -> None:
         for block in read_blocks("sh")
         for line in block.splitlines()
     ]
-    commands = [["bash", "-c", line] for line in lines if line and not line.startswith(LEFT_OUT)]
+    commands = [["bash", "-c", line] for line in lines if line and not line.startswith(SKIPPED)]
     commands += [["python", "-c", code] for code in read_blocks("python")]
     for command in commands:
         done = subprocess.run(

@@ -55,7 +55,7 @@ notebook = lazy("navbake.views.notebook")  # loads Pillow
 # statuses of a row
 OK = "ok"
 FAILED = "failed"
-LEFT_OUT = "left"
+NOT_BAKED = "left"
 NOT_RECORDED = "new"  # the reason to bake a scene that has no record
 RAISED = "error"  # a row's `how` if the bake raised an error and the process goes on
 SECONDS_DECIMALS = 4  # decimals of durations in a row
@@ -381,7 +381,7 @@ def bake_scene(plan: Plan, job: Job) -> SceneRow:
         disk_full_error = store.find_disk_full_error(error)
         if disk_full_error is not None:
             folder_name = store.without_secrets(os.fspath(plan.scene_folder(job)))
-            row = begin_row(plan, job, LEFT_OUT)
+            row = begin_row(plan, job, NOT_BAKED)
             row["error"] = str(store.write_error(f"into {folder_name}", disk_full_error))
         return row
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from navbake.batch import store
 from navbake.batch.index import read_index
-from navbake.batch.job import FAILED, LEFT_OUT, OK, current_time, read_record, write_record
+from navbake.batch.job import FAILED, NOT_BAKED, OK, current_time, read_record, write_record
 from navbake.batch.products import GRID_NAME, MEASURE_CLASSES, THUMBNAIL_NAME
 from navbake.errors import NavbakeError, count_of, printable
 from navbake.formats.navgrid import read_navgrid
@@ -37,7 +37,7 @@ PICTURE_POLICY = "'self' file: data:"  # thumbnails are beside the page
 MIN_WRITE_INTERVAL = 15.0  # shortest time between two writes of a running batch's page [s]
 MAX_WRITE_SHARE = 0.01  # largest share of the batch's time that goes into writing its page
 
-STATUSES = (OK, FAILED, LEFT_OUT)
+STATUSES = (OK, FAILED, NOT_BAKED)
 CHARTS = ("free_area", "cells", "rooms", "seconds")
 # keys of a row that the page's data has unchanged
 ROW_KEYS = ("id", "status", "source", "version", "ended", "levels", "doors", *CHARTS)

@@ -28,7 +28,7 @@ from navbake._version import __version__
 from navbake.batch import index, store
 from navbake.batch.job import (
     FAILED,
-    LEFT_OUT,
+    NOT_BAKED,
     NOT_RECORDED,
     OK,
     Inspection,
@@ -215,7 +215,7 @@ def run_batch(
                         row = end.value
                         if end.how != DONE:
                             row = record_failure(plan, job, end.how, end.value, end.seconds)
-                        if row["status"] == LEFT_OUT:  # there is no room for other scenes, either
+                        if row["status"] == NOT_BAKED:  # there is no room for other scenes, either
                             result.stopped = row["error"]
                             break
                         rows[job.id] = row
@@ -236,7 +236,7 @@ def run_batch(
                 if job.id not in rows and isinstance(plan.folder, Path):
                     with suppress(NavbakeError):
                         remove_leftovers(Path(plan.scene_folder(job)), age=0)
-            result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT_OUT) for job in jobs]
+            result.rows = [rows.get(job.id) or begin_row(plan, job, NOT_BAKED) for job in jobs]
             try:
                 index.write_index(plan.folder, result.rows, plan.has_table, batch_slice)
             except store.FullError as error:

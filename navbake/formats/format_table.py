@@ -42,7 +42,7 @@ class FileFormat(NamedTuple):
             names what a grid has of them.
         closes: which free cells are occupied in the format's files, since a robot must not go there
             and the format can't say why: ``stairs`` (see
-            `navbake.formats.map_losses.find_stairs`), and ``areas`` that bar the agent.
+            `navbake.formats.map_losses.find_stair_cells`), and ``areas`` that bar the agent.
         closes_by_itself: whether the writer closes these cells, instead of `convert.encode_as`.
     """
 

@@ -34,11 +34,11 @@ def select_levels(
         raise FormatError(f"expected {expected}, got {path}", path=str(path), expected=expected)
     if level is None:
         return list(range(len(grid.levels)))
-    check_level(grid, level)
+    check_written_level(grid, level)
     return [level]
 
 
-def check_level(grid: NavGrid, level: int) -> None:
+def check_written_level(grid: NavGrid, level: int) -> None:
     """Raise a FormatError for the number of a level that the grid doesn't have.
 
     Args:

@@ -68,8 +68,8 @@ def find_closed_cells(
 
     Args:
         grid: the grid, not inflated for the map.
-        stairs: ``occupied`` to close floors that only steps lead to, see `find_stairs`; ``free``
-            to close none. None means ``occupied``.
+        stairs: ``occupied`` to close floors that only steps lead to, see `find_stair_cells`;
+            ``free`` to close none. None means ``occupied``.
         agent: the agent that the map is for: its name in the grid, or the agent itself. None means
             any: only areas that bar all agents are closed.
         closes_areas: whether areas that bar the agent are closed.
@@ -89,7 +89,7 @@ def find_closed_cells(
     no_cells = [np.zeros(level.shape, dtype=bool) for level in grid.levels]
     stair_cells = no_cells
     if stairs != "free":
-        stair_cells = [find_stairs(grid, number) for number in range(len(grid.levels))]
+        stair_cells = [find_stair_cells(grid, number) for number in range(len(grid.levels))]
     barred_cells = no_cells
     is_barred = [area.bars(map_agent) for area in grid.areas]
     if closes_areas and any(is_barred):
@@ -102,7 +102,7 @@ def find_closed_cells(
     return ClosedCells(stair_cells, barred_cells)
 
 
-def find_stairs(grid: NavGrid, number: int) -> Bool:
+def find_stair_cells(grid: NavGrid, number: int) -> Bool:
     """Find the free cells of a level that only steps lead to from the level's commonest ground.
 
     The commonest ground is the commonest height of the largest smooth floor; a floor outdoors

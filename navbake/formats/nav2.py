@@ -121,7 +121,7 @@ def encode_nav2(
             grid's agent by default.
         scaling: nav2's ``cost_scaling_factor`` [1/m]; 10 if None.
         stairs: ``occupied``, or ``free`` to leave floors free that only steps lead to; None means
-            ``occupied``. See `navbake.formats.map_losses.find_stairs`.
+            ``occupied``. See `navbake.formats.map_losses.find_stair_cells`.
         agent: the agent whose barred areas are occupied: its name in the grid, or the agent itself.
             None closes areas that bar all agents.
 

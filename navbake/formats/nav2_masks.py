@@ -27,7 +27,7 @@ import yaml
 from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import JsonPath, check_number, check_object
-from navbake.formats.level_paths import check_level, list_level_paths
+from navbake.formats.level_paths import check_written_level, list_level_paths
 from navbake.formats.nav2 import IMAGE_SUFFIXES, YAML_SUFFIXES, encode_map, read_map
 from navbake.formats.navgrid import check_grid
 from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, OccupancyValues, level_from_values
@@ -343,7 +343,7 @@ def read_mask(
         metadata: Json = {"sceneId": readable_stem(path), "navbake": {}}
         grid = level_from_values(free_values, mask_lattice, map_yaml.ground, metadata)
         check_grid(grid, JsonPath(check_path(path)))
-    check_level(grid, level)
+    check_written_level(grid, level)
 
     # the mask's value at each cell's centre
     lattice = grid.levels[level].lattice

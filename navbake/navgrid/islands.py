@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.links import MAX_AREAS, find_arcs
-from navbake.navgrid.obstacle_state import Window
+from navbake.navgrid.obstacle_state import CellRange
 from navbake.types import Bool, Int, Int32
 
 STEP_SLACK = 1e-6  # tolerance of the highest step [m]
@@ -198,7 +198,7 @@ def _digest_sources(grid: GridBase) -> bytes:
     return digest.digest()
 
 
-def measure_clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.float32]:
+def measure_clearance(level: SceneGrid2D, cells: CellRange | None = None) -> NDArray[np.float32]:
     """Measure the distance from each free cell to the nearest cell that is not free [m].
 
     The distance is measured between centres, and half a cell is subtracted. Cells outside the grid
@@ -207,18 +207,18 @@ def measure_clearance(level: SceneGrid2D, window: Window | None = None) -> NDArr
 
     Args:
         level: The level.
-        window: Measure these cells only, as if there were no cells around them; None for all.
+        cells: Measure these cells only, as if there were no cells around them; None for all.
 
     Returns:
-        The clearance [m], of the shape of the level or of the window, float32; 0 in cells that are
+        The clearance [m], of the shape of the level or of `cells`, float32; 0 in cells that are
         not free.
     """
     from scipy.ndimage import distance_transform_edt  # scipy loads slowly
 
-    first_row, end_row, first_col, end_col = window or (0, level.height, 0, level.width)
+    first_row, end_row, first_col, end_col = cells or (0, level.height, 0, level.width)
     free = level.free[first_row:end_row, first_col:end_col]
     is_open = level.free_for_point[first_row:end_row, first_col:end_col]
-    # one blocked cell beyond each side of the window that is an edge of the grid
+    # one blocked cell beyond each side of the cells that is an edge of the grid
     pad_top = int(first_row == 0)
     pad_left = int(first_col == 0)
     pad_bottom = int(end_row == level.height)

@@ -23,13 +23,13 @@ NUM_LAYERS = 4
 Layers = list[Int]
 """Ascending cell ids for each of the four layers."""
 
-Window = tuple[int, int, int, int]
-"""First row, end row, first column, end column; the two ends are not included."""
+CellRange = tuple[int, int, int, int]
+"""A rectangle of cells: first row, end row, first column, end column; the two ends are not in it."""
 
 # Attributes that obstacles change in place
 CHANGING_ATTRIBUTES = {"occupancy", "solid", "clearance"}
 OCCUPIED_ATTRIBUTES = ("occupancy", "solid")  # attributes that are 1 where an obstacle is
-MAX_LOG = 1024  # largest number of windows in the log
+MAX_LOG = 1024  # largest number of changes in the log
 
 
 class ObstacleState:
@@ -56,7 +56,7 @@ class ObstacleState:
         self.occupied = occupied
         self.max_clearance = max_clearance
         self.revision = 0
-        self._log: list[Window] = []
+        self._log: list[CellRange] = []
 
     @property
     def is_blocked(self) -> bool:
@@ -67,14 +67,14 @@ class ObstacleState:
         """Mark the cells that any obstacle has in a layer, such as `BLOCKED`; (height, width)."""
         return np.asarray(self.count[layer] > 0)
 
-    def log_change(self, window: Window) -> None:
-        """Log that the cells of a window have changed."""
+    def log_change(self, cells: CellRange) -> None:
+        """Log that cells have changed."""
         self.revision += 1
-        self._log.append(window)
+        self._log.append(cells)
         del self._log[:-MAX_LOG]
 
-    def windows_since(self, revision: int) -> list[Window] | None:
-        """Return the windows that changed after a revision; None if the log has lost some."""
+    def changes_since(self, revision: int) -> list[CellRange] | None:
+        """Return the cells that changed after a revision; None if the log has lost some."""
         num_missed = self.revision - revision
         if num_missed > len(self._log):
             return None

@@ -27,9 +27,9 @@ from navbake.navgrid.obstacle_state import (
     NUM_LAYERS,
     OCCUPIED,
     OCCUPIED_ATTRIBUTES,
+    CellRange,
     Layers,
     ObstacleState,
-    Window,
 )
 from navbake.runtime.inflation import check_radius, compute_margins, ledges_setting
 from navbake.types import Float, Int
@@ -140,12 +140,12 @@ def _change_counts(
             level.attributes[name], layer, 1.0, counts[OCCUPIED], layers[OCCUPIED],
             is_added=is_added,
         )  # fmt: skip
-    # one window for all layers
+    # one rectangle for all layers
     rows, cols = np.divmod(np.concatenate(layers), level.width)
-    window = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
-    state.log_change(window)
+    changed = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
+    state.log_change(changed)
     if state.max_clearance is not None:
-        _update_clearance(level, window, state.max_clearance)
+        _update_clearance(level, changed, state.max_clearance)
 
 
 def _write_cells(
@@ -180,34 +180,34 @@ def _write_cells(
         values[freed] = values_without_obstacles[freed]
 
 
-def _update_clearance(level: SceneGrid2D, window: Window, largest_clearance: float) -> None:
-    """Compute a level's layer ``clearance`` again in and near a window whose cells have changed.
+def _update_clearance(level: SceneGrid2D, changed: CellRange, largest_clearance: float) -> None:
+    """Compute a level's layer ``clearance`` again in and near cells that have changed.
 
     Args:
         level: the level, whose layer is written.
-        window: the cells that have changed.
+        changed: the cells that have changed.
         largest_clearance: the largest clearance on the level without obstacles, in cells.
     """
-    # Obstacles only reduce clearances. So only cells within the largest clearance of the window,
+    # Obstacles only reduce clearances. So only cells within the largest clearance of `changed`,
     # in `inner`, can change. Their nearest blocked cells lie as far again outside, in `outer`.
     num_cells = math.ceil(largest_clearance) + 2
-    inner_window = _pad_window(window, num_cells, level)
-    outer_window = _pad_window(window, 2 * num_cells, level)
-    row0, row1, col0, col1 = inner_window
-    rows = slice(row0 - outer_window[0], row1 - outer_window[0])
-    cols = slice(col0 - outer_window[2], col1 - outer_window[2])
-    level.attributes["clearance"][row0:row1, col0:col1] = measure_clearance(level, outer_window)[
+    inner = _pad_range(changed, num_cells, level)
+    outer = _pad_range(changed, 2 * num_cells, level)
+    row0, row1, col0, col1 = inner
+    rows = slice(row0 - outer[0], row1 - outer[0])
+    cols = slice(col0 - outer[2], col1 - outer[2])
+    level.attributes["clearance"][row0:row1, col0:col1] = measure_clearance(level, outer)[
         rows, cols
     ]
 
 
-def _pad_window(window: Window, num_cells: int, level: SceneGrid2D) -> Window:
-    """Extend a window by a number of cells on each side, but not beyond the level."""
+def _pad_range(cells: CellRange, num_cells: int, level: SceneGrid2D) -> CellRange:
+    """Extend a rectangle of cells by a number of cells on each side, but not beyond the level."""
     return (
-        max(window[0] - num_cells, 0),
-        min(window[1] + num_cells, level.height),
-        max(window[2] - num_cells, 0),
-        min(window[3] + num_cells, level.width),
+        max(cells[0] - num_cells, 0),
+        min(cells[1] + num_cells, level.height),
+        max(cells[2] - num_cells, 0),
+        min(cells[3] + num_cells, level.width),
     )
 
 

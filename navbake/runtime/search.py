@@ -15,7 +15,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.cells import Cells, check_level
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
-from navbake.navgrid.obstacle_state import NO_DIAGONAL, NO_OFF_CENTER, ObstacleState, Window
+from navbake.navgrid.obstacle_state import NO_DIAGONAL, NO_OFF_CENTER, CellRange, ObstacleState
 from navbake.runtime import flat_grid
 from navbake.runtime.blocking import find_agent, fit_grid
 from navbake.runtime.flat_grid import octile_length
@@ -227,16 +227,16 @@ class Search:
             state = level.obstacle_state
             if state is None or state.revision == self._seen_revisions[number]:
                 continue
-            windows = state.windows_since(self._seen_revisions[number])
-            for window in windows or [(0, level.height, 0, level.width)]:
-                self._update_window(number, window, state)
+            changes = state.changes_since(self._seen_revisions[number])
+            for changed in changes or [(0, level.height, 0, level.width)]:
+                self._update_cells(number, changed, state)
             self._seen_revisions[number] = state.revision
             self.version += 1
 
-    def _update_window(self, level_number: int, window: Window, state: ObstacleState) -> None:
-        """Update weights, masks and moves of a level's cells in a window, by its `state`."""
+    def _update_cells(self, level_number: int, changed: CellRange, state: ObstacleState) -> None:
+        """Update weights, masks and moves of some cells of a level, by its `state`."""
         level = self.grid.levels[level_number]
-        row0, row1, col0, col1 = window
+        row0, row1, col0, col1 = changed
         inside = np.s_[row0:row1, col0:col1]
         first_cell = self.flat.cells_of(level_number).start
         rows = np.arange(row0, row1)[:, None]
@@ -254,8 +254,8 @@ class Search:
                 mask[cells] &= mask_without_obstacles[cells] & (state.count[layer][inside] == 0)
         self._update_moves(level_number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
 
-    def _update_moves(self, level_number: int, window: Window) -> None:
-        """Compute the moves of the cells in a window of a level again."""
+    def _update_moves(self, level_number: int, cells: CellRange) -> None:
+        """Compute the moves of some cells of a level again."""
         search_kernels.find_moves(
             self.flat.free,
             self.free_diagonally,
@@ -264,7 +264,7 @@ class Search:
             self.cut_corners,
             self.flat.layout,
             level_number,
-            window,
+            cells,
             self._moves,
         )
 

@@ -155,7 +155,7 @@ def register_pytree(xp: Namespace) -> None:
         )
 
 
-def locate(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Array, Array]:
+def locate_in_scenes(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Array, Array]:
     """Find the cells of positions.
 
     Args:

@@ -30,7 +30,7 @@ from navbake.tensors.grid_tensors import (
     clip,
     device_of,
     first_level,
-    locate,
+    locate_in_scenes,
     split,
 )
 
@@ -50,7 +50,7 @@ def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """
 
     def level_of(points: Array, scenes: Array) -> Array:
-        _, level, is_in_cell = locate(t, points, scenes)
+        _, level, is_in_cell = locate_in_scenes(t, points, scenes)
         return t.xp.astype(t.xp.where(is_in_cell, level, -1), t.xp.int32)
 
     return _apply(t, level_of, positions, scene_id)
@@ -126,7 +126,7 @@ def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Arra
     """
 
     def is_free(points: Array, scenes: Array) -> Array:
-        cell, _, is_in_cell = locate(t, points, scenes)
+        cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
         return is_in_cell & (points[..., 2] <= t.highest_z[cell])
 
     return _apply(t, is_free, positions, scene_id)
@@ -161,7 +161,7 @@ def clearance(
     shape = t.shape
 
     def interpolate(points: Array, scenes: Array) -> Array:
-        _, level_of_scene, is_in_cell = locate(t, points, scenes)
+        _, level_of_scene, is_in_cell = locate_in_scenes(t, points, scenes)
         level = first_level(t, scenes) + level_of_scene
         # keep positions outside the grid out of the gradient
         x = xp.where(is_in_cell, points[..., 0], t.x_first[level])
@@ -195,7 +195,7 @@ def _values_at(
     """Look up a layer in the cells of positions; the value is `value_outside` for no cell."""
 
     def value_of(points: Array, scenes: Array) -> Array:
-        cell, _, is_in_cell = locate(t, points, scenes)
+        cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
         return t.xp.where(is_in_cell, layer[cell], value_outside)
 
     return _apply(t, value_of, positions, scene_id)
@@ -340,7 +340,7 @@ def distance_to_goal(
     """
 
     def cost_of(points: Array, first: Array | int, scenes: Array) -> Array:
-        cell, _, is_in_cell = locate(t, points, scenes)
+        cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
         return t.xp.where(is_in_cell, t.cost[first + cell], t.xp.nan)
 
     return _apply_to_goal(t, cost_of, positions, goal, scene_id)
@@ -367,7 +367,7 @@ def distances(
     numbers = check_numbers(t, goals, "goal", count, (len(goals),))
 
     def costs_of(points: Array, scenes: Array) -> Array:
-        cell, _, is_in_cell = locate(t, points, scenes)
+        cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
         first = t.xp.where(numbers >= 0, numbers, 0) * num_cells
         is_known = is_in_cell[..., None] & (numbers >= 0)
         return t.xp.where(is_known, t.cost[first + cell[..., None]], t.xp.nan)
@@ -395,7 +395,7 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
     xp = t.xp
 
     def direction_of(points: Array, first: Array | int, scenes: Array) -> Array:
-        cell, _, is_in_cell = locate(t, points, scenes)
+        cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
         next_cell = xp.astype(t.next_cell[first + cell], t.index_dtype)
         has_path = is_in_cell & (next_cell >= 0)
         level, row, col = split(t, xp.where(has_path, next_cell, 0))

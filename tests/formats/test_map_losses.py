@@ -11,7 +11,7 @@ import navbake
 from grid_maps import house_from, level_from
 from map_grids import sample
 from navbake.errors import FormatError, QueryError
-from navbake.formats.map_losses import find_stairs
+from navbake.formats.map_losses import find_stair_cells
 from navbake.navgrid.rooms import Room
 
 # the map that each format makes of one level, read again
@@ -66,7 +66,7 @@ def test_stairs_are_occupied_unless_they_are_to_be_free(tmp_path, kind):
 def test_only_what_steps_lead_to_is_a_stair(text, stairs):
     level = level_from(text)
     expected = np.array([[cell == "x" for cell in stairs]])
-    np.testing.assert_array_equal(find_stairs(level, 0), expected)
+    np.testing.assert_array_equal(find_stair_cells(level, 0), expected)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.1, 0.5, 0.95])
@@ -76,7 +76,7 @@ def test_a_ramp_and_what_it_leads_to_stay_free(slope, cell_size):
     rise = np.clip(np.arange(60) - 20, 0, 30) * cell_size * slope
     noise = np.random.default_rng(1).normal(0.0, 0.001, (3, 60))
     level.attributes["floorHeight"] = (rise + noise).astype(np.float32)
-    assert not find_stairs(level, 0).any()
+    assert not find_stair_cells(level, 0).any()
 
 
 @pytest.mark.parametrize("riser", [0.1, 0.15, 0.2])
@@ -87,7 +87,7 @@ def test_a_flight_is_closed_at_any_cell_size(riser, cell_size):
     floor = riser * np.clip(np.floor((x - 3.0) / 0.28) + 1, 0, 8)
     level = level_from("\n".join(["." * num_cells] * 3), cell_size=cell_size)
     level.attributes["floorHeight"] = np.broadcast_to(floor, (3, num_cells)).astype(np.float32)
-    closed = find_stairs(level, 0)
+    closed = find_stair_cells(level, 0)
     np.testing.assert_array_equal(closed[0], floor > 0.25 + 1e-6)
 
 
@@ -104,10 +104,10 @@ def test_a_ramp_that_is_as_steep_as_a_stair_is_told_from_it_by_its_even_rise():
             tread = rng.uniform(0.26, 0.34)
             ramp = np.clip(along, 0, 8 * tread) * rise / tread
             level.attributes["floorHeight"] = ramp.astype(np.float32)
-            assert not find_stairs(level, 0).any()
+            assert not find_stair_cells(level, 0).any()
             flight = rise * np.clip(np.floor(along / tread) + 1, 0, 8)
             level.attributes["floorHeight"] = flight.astype(np.float32)
-            closed = find_stairs(level, 0)
+            closed = find_stair_cells(level, 0)
             assert closed[flight > 7.5 * rise].all() or closed[flight < 0.5 * rise].all()
 
 
@@ -116,7 +116,7 @@ def test_ground_is_the_floor_of_the_rooms_unless_outdoors_is_far_larger():
     tower = sample("tower")
     level = tower.levels[0]
     is_outdoors = level.room_index == 1
-    closed = find_stairs(tower, 0)
+    closed = find_stair_cells(tower, 0)
     assert not closed[~is_outdoors & (np.abs(level.floor) < 0.25)].any()
     assert closed[is_outdoors & level.free & (level.floor < -0.26)].all()
     for width, ground in ((20, 1.0), (60, 0.0)):
@@ -124,7 +124,7 @@ def test_ground_is_the_floor_of_the_rooms_unless_outdoors_is_far_larger():
         yard.attributes["roomIndex"] = np.array([[1] * width + [2] * 10], dtype=np.uint16)
         rooms = [Room(1, "0:1", None, 0, 1.0, (0.0, 0.0, 0.0), outdoors=True).to_json()]
         hut = yard.with_layers(metadata={**yard.metadata, "navbake": {"rooms": rooms}})
-        free = ~find_stairs(hut, 0)[0]
+        free = ~find_stair_cells(hut, 0)[0]
         assert free[:width].all() == (ground == 0.0) and free[width:].all() == (ground == 1.0)
 
 
@@ -133,15 +133,15 @@ def test_what_steps_from_another_level_lead_to_is_closed_and_another_building_is
     levels[0].attributes["floorHeight"][0, 6] = 0.7
     steps = [((0, 0, 6), (1, 0, 6))]
     expected = np.array([[cell == "x" for cell in ".....xx...."]])
-    np.testing.assert_array_equal(find_stairs(house_from(levels, steps), 0), expected)
+    np.testing.assert_array_equal(find_stair_cells(house_from(levels, steps), 0), expected)
 
 
 def test_grids_without_heights_have_no_stairs():
-    assert not find_stairs(level_from("..4.#", floors=False), 0).any()
-    assert not find_stairs(level_from("####"), 0).any()
+    assert not find_stair_cells(level_from("..4.#", floors=False), 0).any()
+    assert not find_stair_cells(level_from("####"), 0).any()
     level = level_from("..4.")
     level.attributes["floorHeight"][0, 2:] = np.nan  # free cells without a floor
-    assert not find_stairs(level, 0).any()
+    assert not find_stair_cells(level, 0).any()
 
 
 @pytest.mark.parametrize("kind", READERS)
@@ -175,11 +175,11 @@ def test_an_inflation_is_not_of_stairs_and_areas_but_they_stay_closed(tmp_path):
     house = sample("house")
     inflated = house.inflate(0.3).levels[0]
     free = export(house, tmp_path, "nav2", radius=0.3)
-    np.testing.assert_array_equal(free, inflated.free & ~find_stairs(house, 0))
+    np.testing.assert_array_equal(free, inflated.free & ~find_stair_cells(house, 0))
     values = navbake.from_nav2(
         house.to_nav2(tmp_path / "c.yaml", level=0, mode="raw", radius=0.3, inflation=0.5)[1]
     )
-    assert (values.occupancy[find_stairs(house, 0)] == 1).all()
+    assert (values.occupancy[find_stair_cells(house, 0)] == 1).all()
 
 
 def test_a_mesh_leaves_barred_areas_out(tmp_path):

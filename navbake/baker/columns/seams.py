@@ -204,15 +204,15 @@ def _mark_lines(
     holds_centers[holds_centers] = along_axis[candidates] <= face[holds_centers] + 2 * RIM_WIDTH
     if not holds_centers.any():
         return np.zeros((len(centers[1]), len(centers[0])), dtype=np.bool_)
-    first = np.searchsorted(along_face, begin[holds_centers] - 2 * RIM_WIDTH)
-    last = np.searchsorted(along_face, end[holds_centers] + 2 * RIM_WIDTH, side="right")
-    face_number, place = expand_ranges(first, last)
+    place_begin = np.searchsorted(along_face, begin[holds_centers] - 2 * RIM_WIDTH)
+    place_end = np.searchsorted(along_face, end[holds_centers] + 2 * RIM_WIDTH, side="right")
+    face_number, place = expand_ranges(place_begin, place_end)
     marked[index[holds_centers][face_number], place] = True
     return np.asarray((marked.T if axis == 0 else marked)[::-1])
 
 
 def splice_columns(
-    columns: Columns, cell: Int, first: Int, last: Int, new_hits: ColumnHits
+    columns: Columns, cell: Int, begin: Int, end: Int, new_hits: ColumnHits
 ) -> Columns:
     """Replace hits of some columns.
 
@@ -220,7 +220,7 @@ def splice_columns(
         columns: the columns.
         cell: ids of cells, ascending, (n,); a cell is repeated if several ranges of its hits
             change.
-        first, last: the hits to replace for ``cell[i]`` are ``first[i]:last[i]`` of the arrays of
+        begin, end: the hits to replace for ``cell[i]`` are ``begin[i]:end[i]`` of the arrays of
             `columns.hits` (not counted within the column), (n,).
         new_hits: their replacements; its column i belongs to ``cell[i]``.
 
@@ -228,14 +228,15 @@ def splice_columns(
         The new columns; `columns` are not changed.
     """
     old_hits = columns.hits
-    begin, end = columns.valid_rows.cell_range(columns.lattice)
-    num_added = np.zeros(end - begin + 1, dtype=np.int64)
-    np.add.at(num_added, cell + 1 - begin, np.diff(new_hits.start) - (last - first))
+    first_cell, end_cell = columns.valid_rows.cell_range(columns.lattice)
+    num_added = np.zeros(end_cell - first_cell + 1, dtype=np.int64)
+    np.add.at(num_added, cell + 1 - first_cell, np.diff(new_hits.start) - (end - begin))
     num_added_before = np.cumsum(num_added, out=num_added)
     start = np.zeros(len(old_hits.start), dtype=np.int64)  # whose pages cost nothing until written
-    np.add(old_hits.start[begin : end + 1], num_added_before, out=start[begin : end + 1])
+    changed = slice(first_cell, end_cell + 1)
+    np.add(old_hits.start[changed], num_added_before, out=start[changed])
     arrays = [
-        splice(old, first, last, new, new_hits.start)
+        splice(old, begin, end, new, new_hits.start)
         for old, new in zip(old_hits.entries, new_hits.entries, strict=True)
     ]
     return replace(columns, hits=ColumnHits(start, *arrays))

@@ -81,25 +81,25 @@ def join_arrays(chunks: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
     return [np.concatenate([chunk.pop(0) for chunk in chunks]) for _ in range(len(chunks[0]))]
 
 
-def splice(old: NDArray[Any], first: Int, last: Int, new: NDArray[Any], start: Int) -> NDArray[Any]:
-    """Replace slices of an array: ``old[first[i]:last[i]]`` by ``new[start[i]:start[i + 1]]``.
+def splice(old: NDArray[Any], begin: Int, end: Int, new: NDArray[Any], start: Int) -> NDArray[Any]:
+    """Replace slices of an array: ``old[begin[i]:end[i]]`` by ``new[start[i]:start[i + 1]]``.
 
     For few slices, copying what lies between them is faster than numpy's masks and indices.
 
     Args:
         old: the array, shape (n, ...).
-        first, last: begin and end of each slice of `old`, ascending, shape (k,).
+        begin, end: begin and end of each slice of `old`, ascending, shape (k,).
         new: what replaces the slices, shape (m, ...).
         start: begin of each slice of `new`, and the end of the last one, shape (k + 1,).
 
     Returns:
         The new array; `old` is not changed.
     """
-    gap_begins = [0, *last.tolist()]
-    gap_ends = [*first.tolist(), len(old)]
-    pieces = [new[:0]] * (2 * len(first) + 1)
-    pieces[::2] = [old[begin:end] for begin, end in zip(gap_begins, gap_ends, strict=True)]
-    pieces[1::2] = [new[begin:end] for begin, end in pairwise(start.tolist())]
+    unchanged_begin = [0, *end.tolist()]
+    unchanged_end = [*begin.tolist(), len(old)]
+    pieces = [new[:0]] * (2 * len(begin) + 1)
+    pieces[::2] = [old[i:j] for i, j in zip(unchanged_begin, unchanged_end, strict=True)]
+    pieces[1::2] = [new[i:j] for i, j in pairwise(start.tolist())]
     return np.concatenate(pieces)
 
 
