@@ -555,8 +555,8 @@ def score_set(
         times = trajectory.times
         if times is not None and len(times) != len(trajectory.positions):
             raise QueryError(f"expected a time for each position of episode {episode.id!r}")
-        measures = Measures(finders[episode.scene], episode, threshold=threshold)
-        measures.steps(np.array(trajectory.positions, dtype=np.float64), times)
+        measured_episode = Measures(finders[episode.scene], episode, threshold=threshold)
+        measured_episode.steps(np.array(trajectory.positions, dtype=np.float64), times)
         rows.append(
             {
                 "episode": episode.id,
@@ -564,7 +564,7 @@ def score_set(
                 "room": episode.room,
                 "split": episode.split,
                 "ratio": episode.ratio,
-                **measures.scores(stopped=trajectory.stop),
+                **measured_episode.scores(stopped=trajectory.stop),
             }
         )
     return rows

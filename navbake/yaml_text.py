@@ -113,7 +113,7 @@ for _name, _pattern in {
     _Loader.add_implicit_resolver(_TAG + _name, re.compile(rf"^(?:{_pattern})$"), None)
 
 
-def read_settings_yaml(path: Path) -> JsonValue:
+def read_yaml(path: Path) -> JsonValue:
     """Read a YAML file, see `parse_yaml`; raise a ConfigError if the file can't be read."""
     try:
         return decode_yaml(path.read_bytes(), str(path))

@@ -418,7 +418,7 @@ class ExploredMap:
         square: float = SQUARE,
         corner: Sequence[float] = (0.0, 0.0),
     ) -> ExploredMap:
-        """Make a map from a map descriptor, see `navbake.arena.map_descriptor.decode`.
+        """Make the map that a map descriptor describes: which squares are explored, and obstacles.
 
         Args:
             part1: Part 1 of the map descriptor.

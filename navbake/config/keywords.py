@@ -21,7 +21,7 @@ from navbake.config.settings import (
     parse_config,
 )
 from navbake.errors import ConfigError, shorten
-from navbake.yaml_text import read_settings_yaml
+from navbake.yaml_text import read_yaml
 
 
 class SettingKeywords(TypedDict, total=False):
@@ -115,7 +115,7 @@ def config_with(config: object, keywords: Mapping[str, Any]) -> BakeConfig:
         source = f"{path} with the keywords"
         settings = defaults_of(path)
         if is_settings(path):
-            settings = read_settings_yaml(path)
+            settings = read_yaml(path)
             folder = path.parent
             if not isinstance(settings, Mapping):
                 return as_config(path)  # raises the error

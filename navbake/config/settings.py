@@ -58,7 +58,7 @@ from navbake.files import can_be_path, readable_stem
 from navbake.formats.scene_files import BUILDING_SUFFIXES, scene_suffix
 from navbake.formats.shapes import read_room_outlines
 from navbake.types import Json
-from navbake.yaml_text import apply_overrides, read_settings_yaml
+from navbake.yaml_text import apply_overrides, read_yaml
 
 MeshMode = Literal["auto", "hull", "surface", "shell"]
 
@@ -499,7 +499,7 @@ def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Bak
     path = find_source(path)
     if not is_settings(path):
         return parse_config(defaults_of(path), f"the settings of {path}", overrides)
-    return parse_config(read_settings_yaml(path), str(path), overrides, folder=path.parent)
+    return parse_config(read_yaml(path), str(path), overrides, folder=path.parent)
 
 
 def parse_config(

@@ -42,7 +42,9 @@ MAX_NAMES = 5  # of links, areas and agents in the line that tells what is lost
 
 
 class ClosedCells(NamedTuple):
-    """The free cells that a map has as occupied, because it has no word for what they are.
+    """The free cells that a file has as occupied, as its format has no stairs and no areas.
+
+    A planner that reads the file can't know that it must not drive there.
 
     Attributes:
         stairs: for each level, the floors that only steps lead to, shape (height, width), bool.

@@ -41,7 +41,7 @@ from navbake.formats.source import (
     check_path,
     encode_image,
     read_pixels,
-    read_yaml,
+    read_yaml_source,
 )
 from navbake.known_names import check_choice
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
@@ -301,7 +301,7 @@ def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
         FormatError: the file can't be read, or nav2's keys are missing or broken.
     """
     place = JsonPath(check_path(path))
-    entries, _ = read_yaml(path, expected="the YAML of a map")
+    entries, _ = read_yaml_source(path, expected="the YAML of a map")
     if not isinstance(entries, dict):
         place.fail("expected a map's keys (image, resolution, origin, …), got none")
     image = entries.get("image", ABSENT)

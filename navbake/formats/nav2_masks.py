@@ -32,7 +32,7 @@ from navbake.formats.nav2 import IMAGE_SUFFIXES, YAML_SUFFIXES, encode_map, read
 from navbake.formats.navgrid import check_grid
 from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, OccupancyValues, level_from_values
 from navbake.formats.shapes import read_room_outlines
-from navbake.formats.source import Files, check_path, read_yaml
+from navbake.formats.source import Files, check_path, read_yaml_source
 from navbake.known_names import check_choice, suggest
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
@@ -447,7 +447,7 @@ def _read_parameters(path: Path) -> FilterScale:
     parameters_path = _find_parameters_path(path)
     if not parameters_path.exists():
         return FilterScale(SPEED_PERCENT)
-    content, name = read_yaml(parameters_path, expected="the parameters of a filter")
+    content, name = read_yaml_source(parameters_path, expected="the parameters of a filter")
     place = JsonPath(name)
     for node, entry in check_object(content, place).items():
         node_place = place[str(node)]

@@ -196,7 +196,9 @@ def _pack_arrays(arrays: Mapping[str, Any]) -> bytes:
 
 
 def encode_npz(grid: VoxelGrid) -> bytes:
-    """Encode voxels as ``.npz``, without their notes; the module's docstring lists the arrays.
+    """Encode voxels as ``.npz``: the arrays that the module's docstring lists.
+
+    `VoxelGrid.notes` are not written.
 
     Raises:
         FormatError: the name of an ID ends in a null character, which the format drops.

@@ -656,7 +656,7 @@ def _list_rmf_doors(
 
 def read_rmf(path: str | PathLike[str]) -> RouteGraph:
     """Read a graph from a navigation graph of Open-RMF."""
-    content, name = source.read_yaml(path, expected="a navigation graph")
+    content, name = source.read_yaml_source(path, expected="a navigation graph")
     reader = _GraphReader(name)
     top = check_object(content, reader.top)
     levels = check_object(top.get("levels"), reader.top["levels"])

@@ -274,7 +274,7 @@ def read_json(path: str | os.PathLike[str], *, expected: str) -> tuple[JsonValue
         ) from error
 
 
-def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[JsonValue, str]:
+def read_yaml_source(path: str | os.PathLike[str], *, expected: str) -> tuple[JsonValue, str]:
     """Read a YAML file.
 
     Args:

@@ -24,7 +24,7 @@ Layers = list[Int]
 """Ascending cell ids for each of the four layers."""
 
 CellRange = tuple[int, int, int, int]
-"""A rectangle of cells: first row, end row, first column, end column; the two ends are not in it."""
+"""A rectangle of cells: first row, end row, first column, end column; the ends are not in it."""
 
 # Attributes that obstacles change in place
 CHANGING_ATTRIBUTES = {"occupancy", "solid", "clearance"}

@@ -313,10 +313,12 @@ class Follower:
         point_distances = self._point_distances
         legs = np.diff(self._points, axis=0)
         lengths = np.diff(point_distances)
-        along_legs = ((position[:2] - starts) * legs).sum(axis=1) / np.maximum(
+        distance_on_leg = ((position[:2] - starts) * legs).sum(axis=1) / np.maximum(
             lengths, LEAST_LENGTH
         )
-        distances = np.clip(point_distances[:-1] + np.clip(along_legs, 0.0, lengths), low, high)
+        distances = np.clip(
+            point_distances[:-1] + np.clip(distance_on_leg, 0.0, lengths), low, high
+        )
         shares = (distances - point_distances[:-1]) / np.maximum(lengths, LEAST_LENGTH)
         distances_off_path = np.hypot(*(starts + shares[:, None] * legs - position[:2]).T)
         distances_off_path[(point_distances[1:] < low) | (point_distances[:-1] > high)] = np.inf

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 Floating = np.dtype[np.floating]
 Arrays = dict[str, NDArray[Any]]
 """Name of a field of `GridTensors` -> its array of numpy."""
-MIN_NUMBERS_PER_CELL = 8  # least count of the dtype's numbers in the width of a cell
+# Floats of the dtype that must lie within a cell's edge, so that a position is in the right cell
+MIN_FLOATS_PER_CELL = 8
 
 
 def make_tensors(
@@ -250,7 +251,7 @@ def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) ->
             x_min, y_max, size, width, height = level.lattice
             sides = [x_min, x_min + width * size, y_max, y_max - height * size]
             farthest = np.abs(sides).max()
-            if np.spacing(farthest.astype(dtype)) > size / MIN_NUMBERS_PER_CELL:
+            if np.spacing(farthest.astype(dtype)) > size / MIN_FLOATS_PER_CELL:
                 place = f"at x, y up to {farthest:g} m in {grid.scene_id!r}"
                 raise QueryError(
                     f"{dtype} can't tell cells of {size:g} m apart {place}: use float64"

@@ -62,9 +62,9 @@ def test_the_order_in_which_scenes_end_changes_no_byte(scenes, monkeypatch):
         for number, job in reversed([*enumerate(jobs)]):
             yield JobEnd(number, DONE, work(job))
 
+    stay_in_process(monkeypatch)
     run(*scenes, products=MAKE, executor=backwards)
     content = Path("out", SET).read_bytes()
-    stay_in_process(monkeypatch)
     run(*scenes, products=MAKE, out="other")
     assert Path("other", SET).read_bytes() == content
     Path("other", SET).unlink()

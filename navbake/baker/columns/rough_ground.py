@@ -44,7 +44,7 @@ LINES_PER_PASS = 1 << 20
 
 
 def foot_radius(lattice: Lattice) -> float:
-    """Return the radius around a line in which ground is sampled [m]."""
+    """Return how far from a cell's centre the ground is sampled, as a foot would touch it [m]."""
     return max(FOOT_RADIUS, lattice.cell_size)
 
 

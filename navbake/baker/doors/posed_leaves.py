@@ -70,8 +70,8 @@ class Leaf:
         candidate: the door candidate of the scene.
         windows: by state, the window of the lattice near the leaf, None if no cell is near. States
             with the same joint position share a window.
-        lines: the cells along lines away from the closed leaf, on both sides; None if the leaf has
-            no finite geometry.
+        lines: the cells along straight lines that start at the closed leaf: on both sides of it,
+            and beyond its two ends. None if the leaf has no finite geometry.
         tops: the leaf's geometry by state; only of states in which the leaf, seen from above, is
             large enough to walk on.
         travel: how far the leaf's joint opens it, as text with the unit; empty without a joint.

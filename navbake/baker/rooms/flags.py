@@ -67,7 +67,9 @@ NUM_LISTED_SITES = 5
 
 
 class MarkedRooms(NamedTuple):
-    """The rooms that one source (geoms, sites, polygons or the automatic search) marks.
+    """The rooms of one source, which is an entry of `rooms.sources`.
+
+    Geoms, sites or polygons mark rooms, or the automatic search finds them.
 
     Attributes:
         names: the rooms' names, None for a room without a name. Room number k + 1 has ``names[k]``.
@@ -126,7 +128,8 @@ class RoomFlags(NamedTuple):
         has_ground: whether an endless ground continues beyond the lattice.
         links: pairs of cells that a step to another level, or a slope, joins, see `Floors.links`,
             shape (n, 4).
-        marks: source -> the rooms that it marks.
+        marks: the rooms that the scene or the settings state, by what states them: ``geoms``,
+            ``sites`` or ``polygons``, as in `rooms.sources`.
     """
 
     lattice: Lattice

@@ -67,7 +67,7 @@ from navbake.types import Bool, Int, Int32
 class CloseCall(NamedTuple):
     """A gap, such as a doorway, that nearly joined the spaces beside it, or nearly parted them.
 
-    Its width, divided by that of the narrower space, is close to the limit.
+    The gap's width, divided by that of the narrower space, is close to the limit.
 
     Attributes:
         cell: row and column of the gap's middle, with fractions.
@@ -493,7 +493,12 @@ class SpaceMerger:
         return share
 
     def list_close_calls(self) -> list[CloseCall]:
-        """List the gaps between two large spaces that nearly joined, or nearly separated, them."""
+        """List the gaps between large spaces for which joining the spaces was a close decision.
+
+        At such a gap, the gap's width divided by that of the narrower space beside it is within
+        `CLOSE_SHARE` of the limit `JOIN_SHARE_OF_NARROWER`, from which on the spaces are joined. A
+        warning names these gaps.
+        """
         is_close = np.abs(self._deciding_share - JOIN_SHARE_OF_NARROWER) <= CLOSE_SHARE
         is_close &= self._width * self._cell_size >= MIN_CLOSE_WIDTH
         calls = []

@@ -27,7 +27,8 @@ class LeafLines(NamedTuple):
     """The ids of the cells along lines that start at a closed door leaf, -1 outside the lattice.
 
     Attributes:
-        sight: the cells along lines away from the leaf's two sides, shape (2, lines, steps).
+        sight: the cells along lines at a right angle to the leaf, from each of its two sides, shape
+            (2, lines, steps).
         ends: the cells along the lines that continue the leaf at its two ends, shape (2, steps).
     """
 

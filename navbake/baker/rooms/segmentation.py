@@ -770,9 +770,9 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
             reach = int(MAX_EAVES_DEPTH / cell_size) + 1
             squared = squared_distances(at_end, reach)[in_candidate]
             is_open |= np.sqrt(squared) * cell_size <= MAX_EAVES_DEPTH
-    candidates = segment[in_candidate]
-    num_open = np.bincount(candidates[is_open], minlength=count)
-    num_cells = np.bincount(candidates, minlength=count)
+    cell_segments = segment[in_candidate]
+    num_open = np.bincount(cell_segments[is_open], minlength=count)
+    num_cells = np.bincount(cell_segments, minlength=count)
     is_outdoors = is_candidate & (num_open >= MIN_OPEN_SHARE * num_cells)
     united = _unite_touching(segment, is_outdoors, level_flags.is_bank)
     if is_outdoors.any() and flags.has_ground:

@@ -148,7 +148,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
         ConfigError: `scene.ground` can't be added.
     """
     path = Path(settings.path)
-    ground = settings.ground
+    ground_height = settings.ground
     exact_meshes: dict[int, NamedMesh] = {}
     named_leaves = frozenset[str]()
     suffix = scene_suffix(path)
@@ -161,16 +161,16 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
         if suffix in MESH_SUFFIXES:
             read = partial(read_named_meshes, path, unit=settings.unit, warnings=warnings)
             meshes = orient_meshes(read, settings, warnings)
-            model, exact_meshes = model_of_meshes(meshes, path, ground, warnings)
+            model, exact_meshes = model_of_meshes(meshes, path, ground_height, warnings)
         elif suffix == MJB_SUFFIX:
-            model = _load_binary(path, ground, warnings)
+            model = _load_binary(path, ground_height, warnings)
         elif suffix in XML_SUFFIXES:
             check_inputs(path, settings.model_path)
             model = _load_xml(settings, warnings)
         elif suffix in READERS:
             with reading(str(path)):
                 parsed_scene = resolve(READERS[suffix])(path, settings)
-                model, exact_meshes = build_model(parsed_scene, path, ground, warnings)
+                model, exact_meshes = build_model(parsed_scene, path, ground_height, warnings)
             named_leaves = frozenset(parsed_scene.named_leaves)
         elif suffix in CONVERSIONS:
             raise SceneError(f"cannot read {path}: {CONVERSIONS[suffix]}")
@@ -549,22 +549,22 @@ def load_from_memory(
         SceneError: the scene can't be compiled.
     """
     path = settings.path
-    ground = settings.ground
+    ground_height = settings.ground
     exact_meshes: dict[int, NamedMesh] = {}
     with catch_warnings() as warnings:
         if isinstance(scene, mujoco.MjModel):
-            if ground is not None:
+            if ground_height is not None:
                 hint = "which is compiled: give its MjSpec or its file"
                 raise ConfigError(f"`scene.ground` can't be added to {path}, {hint}")
             model = scene
         elif isinstance(scene, mujoco.MjSpec):
             model = compile_model(
-                path, warnings, lambda: compile_spec(scene.copy(), ground, warnings)
+                path, warnings, lambda: compile_spec(scene.copy(), ground_height, warnings)
             )
         else:
             read = partial(convert_trimesh, scene, path, unit=settings.unit)
             meshes = orient_meshes(read, settings, warnings)
-            model, exact_meshes = model_of_meshes(meshes, path, ground, warnings)
+            model, exact_meshes = model_of_meshes(meshes, path, ground_height, warnings)
     scene_model = SceneModel(model, exact_meshes, find_ground(model, settings), warnings)
     if data is None:
         return scene_model

@@ -237,7 +237,7 @@ class NameLabel(NamedTuple):
 
 
 class ColoredArc(NamedTuple):
-    """An arc from one stop of a link or stair to the next one."""
+    """A curved line that shows a link, from one stop to the next one, or a stair."""
 
     points: Float  # world frame, shape (n, 3) [m]
     color: str
