@@ -3,14 +3,10 @@
 python examples/bake_and_look.py
 """
 
-from pathlib import Path
-
 import navbake
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
-
 # Settings are a YAML file, a scene file, or a mapping with the same keys.
-grid = navbake.bake(CONFIGS / "house.yaml")
+grid = navbake.bake(navbake.samples.path("house"))
 grid.save("house.grid.json")
 
 # Loading needs neither MuJoCo nor the scene.

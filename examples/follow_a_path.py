@@ -3,14 +3,12 @@
 python examples/follow_a_path.py
 """
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 
 import navbake
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+SETTINGS = navbake.samples.path("apartment")
 ROBOT = """<mujoco><worldbody><body name="robot"><freejoint/>
 <geom type="cylinder" size=".18 .08" pos="0 0 .14" mass="8"/>
 <geom type="sphere" size=".03" pos=".13 0 .03" priority="1" condim="1"/>
@@ -20,12 +18,12 @@ ROBOT = """<mujoco><worldbody><body name="robot"><freejoint/>
 <body pos="0 -.15 .06"><joint name="right" axis="0 1 0"/>
 <geom type="cylinder" size=".06 .015" zaxis="0 1 0" mass=".5"/></body></body></worldbody>
 <actuator><velocity joint="left" kv="2"/><velocity joint="right" kv="2"/></actuator></mujoco>"""
-grid = navbake.bake(CONFIGS / "apartment.yaml").inflate(0.22)  # it keeps to its path within 4 cm
+grid = navbake.bake(SETTINGS).inflate(0.22)  # it keeps to its path within 4 cm
 finder = navbake.PathFinder(grid)
 follower = finder.follow(finder.find_path((-4.0, -2.0, 0.0), (3.5, 0.5, 0.0)))
 walk = finder.find_path((1.5, -2.5, 0.0), (0.1, 2.2, 0.0))  # the person's
 
-spec = mujoco.MjSpec.from_file(str(CONFIGS / "scenes" / "apartment.xml"))
+spec = mujoco.MjSpec.from_file(str(SETTINGS.parent / "scenes" / "apartment.xml"))
 _ = [spec.delete(key) for key in list(spec.keys)]  # keyframes know of no robot
 frame = spec.worldbody.add_frame(pos=follower.path.positions[0])
 spec.attach(mujoco.MjSpec.from_string(ROBOT), prefix="my_", frame=frame)

@@ -3,13 +3,9 @@
 python examples/larger_robot.py
 """
 
-from pathlib import Path
-
 import navbake
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
-
-grid = navbake.bake(CONFIGS / "apartment.yaml")
+grid = navbake.bake(navbake.samples.path("apartment"))
 hall, goal = (0.5, 0.4, 0.0), "room:bedroom"
 
 for radius in (0.05, 0.2, 0.3, 0.4):

@@ -3,15 +3,11 @@
 python examples/spawn_and_plan.py
 """
 
-from pathlib import Path
-
 import numpy as np
 
 import navbake
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
-
-grid = navbake.bake(CONFIGS / "house.yaml")
+grid = navbake.bake(navbake.samples.path("house"))
 finder = navbake.PathFinder(grid)
 rng = np.random.default_rng(3)
 

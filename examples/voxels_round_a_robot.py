@@ -4,16 +4,13 @@ python examples/voxels_round_a_robot.py
 """
 
 import time
-from pathlib import Path
 
 import numpy as np
 
 import navbake
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
-
 # The scene is loaded once. `ignore` leaves bodies out, such as the robot itself.
-voxelizer = navbake.Voxelizer(CONFIGS / "apartment.yaml", ignore=["ball"])
+voxelizer = navbake.Voxelizer(navbake.samples.path("apartment"), ignore=["ball"])
 voxelizer.create((0.0, 0.0, 0.75), (2, 2, 2), res=0.05, segments="top")  # compiles, the first time
 
 for x, y in ((-2.0, -2.6), (0.5, 0.5), (3.0, 1.8)):

@@ -173,6 +173,28 @@ def test_the_page_of_episodes_scores_what_its_lines_make(tmp_path, monkeypatch, 
     assert read_trajectories("runs.jsonl")[0].stop is False
 
 
+def test_the_tutorial_leads_from_its_scene_to_a_path(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    page = ROOT / "docs" / "tutorial.md"
+    (scene,) = blocks_of(page, "xml")
+    (tmp_path / "office.xml").write_text(scene)
+    statuses = {shlex.join(words): run_command(capsys, *words) for words in commands_of(page)}
+    failed = {words: out for words, (status, out, _) in statuses.items() if status}
+    ((words, out),) = failed.items()
+    assert words.startswith("path ") and "--doors open" not in words
+    assert "door 'door' (as modelled) is in the way; `--doors open` opens all doors" in out
+    (code,) = blocks_of(page, "py")
+    run_block(page, 0, code, {"__name__": "docs"})
+    assert "through ['door']" in capsys.readouterr().out
+
+
+def test_the_install_line_of_the_readme_works_in_a_checkout():
+    """Before the release there is no package of that name to be installed."""
+    (line, *_) = [words for words in shell_lines(ROOT / "README.md") if words[0] == "pip"]
+    assert line == ["pip", "install", ".[plot]"]
+
+
 def test_the_readme_verifies_with_the_settings_of_its_bake(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for words in commands_of(ROOT / "README.md"):

@@ -214,7 +214,8 @@ def check_components(graph: RouteGraph) -> Iterator[Finding]:
     _, first_nodes = np.unique(component, return_index=True)
     for number in np.argsort(-sizes, kind="stable")[1:].tolist():
         node = graph.nodes[int(first_nodes[number])]
-        text = f"{count_of(int(sizes[number]), 'node')} from {node.name!r} on are a part apart"
+        nodes = count_of(int(sizes[number]), "node")
+        text = f"no lane joins {nodes}, {node.name!r} first, with most others"
         yield Finding(REMARK, node.level, node.position, text)
     _, group = connected_components(matrix, connection="strong")
     for lane in graph.lanes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from typer import BadParameter, Exit, Option
 
@@ -118,6 +118,9 @@ def path(
         "--goal",
         default=...,
     ),
+    doors: Literal["modelled", "open", "closed", "removed"] | None = option(
+        "modelled|open|closed|removed", "State of all doors.  [default: as in the grid]"
+    ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     as_json: AsJson = False,
@@ -140,6 +143,9 @@ def path(
     if opened or closed:
         states = dict.fromkeys(opened or (), "open") | dict.fromkeys(closed or (), "closed")
         content = content.with_links(states)
+    as_in_file = content
+    if doors is not None:
+        content = content.with_doors(doors)
     if radius is not None:
         content = content.inflate(radius)
     finder = navbake.PathFinder(content, agent=agent)
@@ -154,6 +160,12 @@ def path(
     goal: Any = goals[0] if is_named else places
     path_found = finder.find_path(origin, goal, by=by, smooth=smooth)
     reason = None if path_found else finder.why_not(origin, goal)
+    if reason and doors is None and as_in_file.doors and not as_in_file.inflated_radius:
+        with_open_doors = as_in_file.with_doors("open")
+        if radius is not None:
+            with_open_doors = with_open_doors.inflate(radius)
+        if navbake.PathFinder(with_open_doors, agent=agent).find_path(origin, goal, by=by):
+            reason += "; `--doors open` opens all doors"
     with options.keep_stdout_for(output):
         if as_json:
             facts = {key: getattr(path_found, key) for key in PATH_FIELDS} if path_found else None
@@ -167,7 +179,8 @@ def path(
             if content.links:
                 say(f"links   {', '.join(path_found.links) or '-'}")
             print("      x       y       z  level")
-            for (x, y, z), level in zip(path_found.positions, path_found.levels, strict=True):
+            positions = path_found.positions.round(3) + 0.0  # no -0.000
+            for (x, y, z), level in zip(positions, path_found.levels, strict=True):
                 print(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")
         else:
             say(f"no path: {reason}")

@@ -34,6 +34,7 @@ DOOR_WEIGHT = 10_000.0
 # added to the cost of links that the agent may not use [m], and the factor by which areas that bar
 # it multiply weights
 FORBIDDEN_PENALTY = 10_000.0
+ROUNDING_ERROR = 1e-6  # what floats lose of a length, in millimetres
 MAX_NAMES = 4  # how many names of obstacles a sentence lists
 RISE_MARGIN = 3  # cells of a route before and after its blocked part that count for its rise
 ALL_MOVES = 255  # the moves of a cell from which moves lead in all directions
@@ -305,7 +306,8 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
     if lost_names:
         is_singular = len(lost_names) == 1 and not lost_names[0].startswith("the stairs")
         names = f"{' and '.join(lost_names)} {'is' if is_singular else 'are'}"
-        return f"{names} closed for a radius of {agent_radius:g} m, and {radius:g} m passes"
+        closed = f"{names} closed for a radius of {agent_radius:g} m"
+        return f"{closed}, and {_round_down(radius):g} m passes"
     if math.isinf(radius):
         return None
     cell = find_bottleneck(point_grid, search, start_cell, goals, widest, cut_corners=False)
@@ -519,4 +521,10 @@ def _name_level(grid: NavGrid, number: int) -> str:
 
 def _format_point(position: ArrayLike) -> str:
     """Format a position for a sentence, to the centimetre and in parentheses."""
-    return f"({', '.join(f'{v:.2f}' for v in np.asarray(position))})"
+    rounded = np.round(np.asarray(position), 2) + 0.0  # -0.0 + 0.0 is 0.0
+    return f"({', '.join(f'{v:.2f}' for v in rounded)})"
+
+
+def _round_down(length: float) -> float:
+    """Round a length down to a millimetre; 0.35 stays 0.35, although a float lies below it."""
+    return math.floor(1000.0 * length + ROUNDING_ERROR) / 1000.0

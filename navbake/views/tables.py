@@ -224,7 +224,7 @@ def agent_table(agents: Mapping[str, Json]) -> Table:
 
 
 def _position_text(position: Iterable[float]) -> str:
-    return " ".join(f"{value:.2f}" for value in position)
+    return " ".join(f"{round(value, 2) + 0.0:.2f}" for value in position)  # no -0.00
 
 
 def _number_text(value: float | None) -> str:

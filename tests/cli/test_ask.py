@@ -225,6 +225,21 @@ def test_doors_are_listed_with_their_states(folder, run):
         assert " ".join(other.split()) == expected_other
 
 
+def test_a_path_may_be_planned_with_all_doors_open(folder, run, plan):
+    (folder / "rooms.xml").write_text(world(ROOMS, LEAF))
+    run("bake", "rooms.xml", "-q")
+    through_the_door = ("rooms.grid.json", "--from", "1,1.5", "--to", "5,1.5", "--json")
+    status, out, _ = plan(*through_the_door)
+    assert status == 1
+    assert json.loads(out)["reason"].endswith("is in the way; `--doors open` opens all doors")
+    status, out, _ = plan(*through_the_door, "--doors", "open", "--radius", "0.1")
+    assert (status, json.loads(out)["path"]["doors"]) == (0, ["leaf"])
+    reason = json.loads(plan(*through_the_door, "--doors", "closed")[1])["reason"]
+    assert "(closed)" in reason and "--doors" not in reason
+    too_wide = json.loads(plan(*through_the_door, "--radius", "0.6")[1])["reason"]
+    assert "--doors" not in too_wide
+
+
 def test_a_door_between_closed_and_open_is_half_open(run):
     out = run("rooms", GOLDEN / "apartment.grid.json.gz")[1]
     states = {row.split()[0]: row for row in out.splitlines() if row.startswith("door_")}

@@ -7,6 +7,7 @@ import pytest
 
 import navbake
 from navbake.errors import FormatError, QueryError
+from navbake.runtime import no_path
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import cells_next_to_object
 from oracles.ways import make_level, random_grid, stack
@@ -401,3 +402,9 @@ def test_a_cost_counts_steps_between_centres_and_a_length_the_way_itself():
     inner, outer = (finder.find_path(start, goal) for start in (centre + aside, centre - aside))
     assert inner.cost == outer.cost == pytest.approx(inner.length + 0.02)
     assert outer.cost == pytest.approx(outer.length - 0.02)
+
+
+def test_reasons_write_lengths_as_people_read_them():
+    assert no_path._format_point((-0.001, 2.004, -0.0)) == "(0.00, 2.00, 0.00)"
+    assert no_path._round_down(0.158114) == 0.158  # 0.16 would not pass
+    assert no_path._round_down(0.29) == 0.29
