@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,7 +16,9 @@ import navbake
 from navbake.cli import options, printing
 from navbake.cli.options import (
     OUTPUT_FLAGS,
+    AgentRadius,
     AsJson,
+    CellSize,
     ModelPath,
     Overrides,
     SceneOrConfig,
@@ -55,6 +58,26 @@ def init(
         return
     path = write_template(scene, output, force=force)
     say_unless_quiet(f"{path}: the default settings; `navbake bake {path}` bakes with them")
+
+
+def schema(
+    output: Path = option(
+        "JSON", "File.  [default: stdout]", *OUTPUT_FLAGS, default=options.STDOUT
+    ),
+) -> None:
+    """Write the JSON Schema of the settings, so that editors complete and check a YAML file.
+
+    The first line of what `navbake init` writes names navbake.schema.json, beside the YAML.
+
+    Example: navbake schema -o navbake.schema.json
+    """
+    from navbake.config.template import make_schema
+
+    options.check_output(output, ".json")
+    content = json.dumps(make_schema(), indent=2, ensure_ascii=False)
+    options.write_output(f"{content}\n".encode(), output)
+    if output != options.STDOUT:
+        say_unless_quiet(output)
 
 
 def samples(
@@ -235,8 +258,8 @@ def bake(
         "NAME", "Of files in the folder: {id} of the scene, {stem}, {parent}.  [default: {id}]"
     ),
     overrides: Overrides = None,
-    radius: float | None = option("METRES", "The same as --set agent.radius=METRES [m]."),
-    cell_size: float | None = option("METRES", "The same as --set grid.cell_size=METRES [m]."),
+    radius: AgentRadius = None,
+    cell_size: CellSize = None,
     model_path: ModelPath = None,
     strict: bool = flag(
         "--strict", "Refuse an SDF that names models or meshes that aren't there (scene.strict)."
@@ -286,8 +309,7 @@ def bake(
         if memory is not None:
             limits["memory"] = memory
     overrides = list(overrides or [])
-    overrides += [f"agent.radius={radius}"] * (radius is not None)
-    overrides += [f"grid.cell_size={cell_size}"] * (cell_size is not None)
+    overrides += options.override_sizes(radius, cell_size)
     overrides += options.override_model_path(model_path)
     overrides += ["scene.strict=true"] * strict
     jobs: list[tuple[Path, BakeConfig]] = []

@@ -15,7 +15,16 @@ from typing import TYPE_CHECKING, Literal
 from typer import BadParameter, Exit
 
 from navbake.cli import options, printing
-from navbake.cli.options import OUTPUT_FLAGS, STDOUT, Overrides, argument, flag, option
+from navbake.cli.options import (
+    OUTPUT_FLAGS,
+    STDOUT,
+    AgentRadius,
+    CellSize,
+    Overrides,
+    argument,
+    flag,
+    option,
+)
 from navbake.cli.printing import VERBOSITY, print_error, print_warnings, say, say_unless_quiet
 from navbake.errors import NavbakeError, count_of
 from navbake.lazy import lazy
@@ -59,6 +68,8 @@ class SceneOptions:
         "HOST", "Another host of the web to which lists and settings may lead. May be repeated."
     )
     overrides: Overrides = None
+    radius: AgentRadius = None
+    cell_size: CellSize = None
     slice_text: str | None = option(
         "K/N", "Every N-th scene from the K-th; then --merge.", "--slice"
     )
@@ -139,10 +150,11 @@ def batch(
     if run_options.log is not None:
         _check_log(run_options.log, jobs, scene_options, product_options.output)
     config = scene_options.config
+    sizes = options.override_sizes(scene_options.radius, scene_options.cell_size)
     plan = job.Plan(
         folder=store.as_folder(product_options.output),
         settings={} if config is None else scenes.read_shared(config),
-        overrides=tuple(scene_options.overrides or []),
+        overrides=(*(scene_options.overrides or ()), *sizes),
         products=products.parse_products(product_options.make or []),
         thumbnail=product_options.has_page,
         has_table=product_options.parquet,

@@ -17,7 +17,7 @@ from typer.core import TyperGroup
 
 from navbake._version import __version__
 from navbake.cli.ask import info, path, rooms, why
-from navbake.cli.bake import bake, geoms, init, samples, voxelize
+from navbake.cli.bake import bake, geoms, init, samples, schema, voxelize
 from navbake.cli.batch import batch, warm_up
 from navbake.cli.check import audit, doctor, verify
 from navbake.cli.episodes import episodes, score
@@ -34,7 +34,7 @@ DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, 
 """Numbers of operating system errors when an output can't be written any further."""
 
 COMMANDS = {
-    "Bake": (samples, init, geoms, bake, voxelize),
+    "Bake": (samples, init, schema, geoms, bake, voxelize),
     "Ask": (info, rooms, why, path),
     "Look": (plot, report, view),
     "Exchange": (convert, inflate, routes, map_descriptor),

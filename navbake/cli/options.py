@@ -71,6 +71,12 @@ def override_model_path(folders: list[Path] | None) -> list[str]:
     return [f"scene.model_path={json.dumps(listed)}"] if listed else []
 
 
+def override_sizes(radius: float | None, cell_size: float | None) -> list[str]:
+    """Return the overrides of settings that `--radius` and `--cell-size` stand for."""
+    sizes = {"agent.radius": radius, "grid.cell_size": cell_size}
+    return [f"{key}={size}" for key, size in sizes.items() if size is not None]
+
+
 def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str, str]:
     """Read a mapping from texts of the form ``KEY=VALUE``.
 
@@ -107,6 +113,14 @@ Overrides = Annotated[
         callback=check_overrides,
         help="Override a setting, e.g. grid.cell_size=0.05. May be repeated.",
     ),
+]
+AgentRadius = Annotated[
+    float | None,
+    Option("--radius", metavar="METRES", help="The same as --set agent.radius=METRES [m]."),
+]
+CellSize = Annotated[
+    float | None,
+    Option("--cell-size", metavar="METRES", help="The same as --set grid.cell_size=METRES [m]."),
 ]
 ModelPath = Annotated[
     list[Path] | None,

@@ -16,11 +16,12 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetJsonSchemaHandler,
     ValidationError,
     ValidationInfo,
     WrapValidator,
 )
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 
 from navbake.errors import ConfigError, FormatError, shorten
 from navbake.files import can_be_path, check_regular
@@ -50,6 +51,26 @@ def expects(text: str) -> WrapValidator:
             raise expected_error(text) from None
 
     return WrapValidator(check)
+
+
+class AlsoAccepts:
+    """Adds short forms of a setting to its JSON Schema: those that a validator expands.
+
+    Args:
+        *types: The types of the short forms, as JSON Schema names them, such as ``null``.
+        words: The words that are short forms.
+    """
+
+    def __init__(self, *types: str, words: Sequence[str] = ()) -> None:
+        self.schemas: list[dict[str, Any]] = [{"type": name} for name in types]
+        if words:
+            self.schemas.append({"enum": list(words)})
+
+    def __get_pydantic_json_schema__(
+        self, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Return the setting's schema, for pydantic: the full form, or one of the short ones."""
+        return {"anyOf": [handler(core_schema), *self.schemas]}
 
 
 def setting(default: Any, text: str, default_text: str | None = None) -> Any:
@@ -162,7 +183,7 @@ Name = Annotated[str, Field(min_length=1), expects("text that is not empty")]
 OptionalName = Annotated[Name | None, expects("text that is not empty, or null")]
 # a single name is a list of one: `bodies: robot*`
 OneOrMore = BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
-Patterns = Annotated[list[Name], OneOrMore]
+Patterns = Annotated[list[Name], OneOrMore, AlsoAccepts("string")]
 Index = Annotated[int, Field(ge=0)]
 LevelKey = Annotated[Index | Name, expects("a level's number from 0, or its name")]
 Point2 = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -177,7 +198,9 @@ Outline = Annotated[
 FilePath = Annotated[Path, BeforeValidator(to_path), expects("a path")]
 Model = TypeVar("Model", bound=BaseModel)
 # an empty `grid:` is null in YAML, and means the section's defaults
-Section = Annotated[Model, BeforeValidator(lambda value: {} if value is None else value)]
+Section = Annotated[
+    Model, BeforeValidator(lambda value: {} if value is None else value), AlsoAccepts("null")
+]
 
 
 class Settings(BaseModel):

@@ -18,6 +18,7 @@ from pydantic import (
 )
 
 from navbake.config.field_types import (
+    AlsoAccepts,
     LevelKey,
     Name,
     OneOrMore,
@@ -46,7 +47,12 @@ LINK_FIELDS = ("name", "kind", "one_way", "width")  # only single links have the
 
 OptionalPositive = Annotated[Annotated[float, Field(gt=0)] | None, expects("a number > 0, or null")]
 OptionalLength = Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")]
-Agents = Annotated[list[Name] | None, OneOrMore, expects("a list of names of `agents`, or null")]
+Agents = Annotated[
+    list[Name] | None,
+    OneOrMore,
+    AlsoAccepts("string"),
+    expects("a list of names of `agents`, or null"),
+]
 
 
 class NamedAgent(Settings):
@@ -174,9 +180,11 @@ Areas = Annotated[
     Field(max_length=MAX_AREAS),
     AfterValidator(_check_names),
     BeforeValidator(read_if_file("areas", lambda path: read_links_or_areas(path, "areas"))),
+    AlsoAccepts("string", "null"),
 ]
 Links = Annotated[
     list[LinkSettings],
     AfterValidator(_check_names),
     BeforeValidator(read_if_file("links", lambda path: read_links_or_areas(path, "links"))),
+    AlsoAccepts("string", "null"),
 ]

@@ -29,6 +29,7 @@ from pydantic import (
 
 from navbake import samples
 from navbake.config.field_types import (
+    AlsoAccepts,
     FilePath,
     Index,
     LevelKey,
@@ -214,7 +215,9 @@ class RoomSettings(Settings):
     geoms: Patterns = setting(list(DEFAULT_GEOMS), "floor geoms, by name patterns")
     sites: Patterns = setting(list(DEFAULT_SITES), "sites as volumes, by name patterns")
     polygons: Annotated[
-        list[RoomPolygon], BeforeValidator(read_if_file("rooms.polygons", read_room_outlines))
+        list[RoomPolygon],
+        BeforeValidator(read_if_file("rooms.polygons", read_room_outlines)),
+        AlsoAccepts("string", "null"),
     ] = setting(
         [],
         "outlines in metres: a GeoJSON file, relative to this file, or a list of "
@@ -406,13 +409,22 @@ class BakeConfig(Settings):
     names: Annotated[
         Section[NameSettings],  # `names: false` is short for `names: {enabled: false}`
         BeforeValidator(lambda value: {"enabled": value} if isinstance(value, bool) else value),
+        AlsoAccepts("boolean"),
     ] = section(NameSettings, "names of what stands in the cells, or false")
-    rooms: Annotated[RoomSettings, BeforeValidator(expand_rooms)] = section(
+    rooms: Annotated[
+        RoomSettings,
+        BeforeValidator(expand_rooms),
+        AlsoAccepts("null", words=("auto", "none")),
+    ] = section(
         RoomSettings,
         "how rooms are told apart; `rooms: auto` divides at doors only, none: no rooms",
     )
     doors: Section[DoorSettings] = section(DoorSettings, "which bodies are doors, and their state")
-    agents: Annotated[dict[Name, NamedAgent], BeforeValidator(lambda value: value or {})] = setting(
+    agents: Annotated[
+        dict[Name, NamedAgent],
+        BeforeValidator(lambda value: value or {}),
+        AlsoAccepts("null"),
+    ] = setting(
         {}, "agents by name, for links and areas: {robot: {radius: 0.3, height: 1.2, speed: 0.8}}"
     )
     areas: Areas = setting(

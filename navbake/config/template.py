@@ -7,6 +7,7 @@ import re
 import textwrap
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from pydantic import BaseModel
 
@@ -22,6 +23,7 @@ from navbake.errors import ConfigError, SceneError
 from navbake.files import write_whole
 from navbake.yaml_text import parse_yaml
 
+SCHEMA_NAME = "navbake.schema.json"  # where settings look for their JSON Schema, beside them
 LINE_LENGTH = 110  # longest line of a template
 COMMENT_COLUMN = 34  # where comments beside settings begin
 
@@ -29,10 +31,26 @@ COMMENT_COLUMN = 34  # where comments beside settings begin
 def render_template(config: BakeConfig) -> str:
     """Write settings as a YAML document with comments, which reads back as the same settings."""
     lines = [
+        f"# yaml-language-server: $schema={SCHEMA_NAME}",
+        f"# `navbake schema -o {SCHEMA_NAME}` writes that schema: then editors complete this file.",
         "# Settings of a navbake bake: metres, world frame with z up.",
         "# Every key but scene.path may be left out.",
     ]
     return "\n".join([*lines, *_section_lines(config)]) + "\n"
+
+
+def make_schema() -> dict[str, Any]:
+    """Make the JSON Schema of the settings, by which editors complete and check a YAML file.
+
+    It refuses nothing that `navbake.bake` accepts. Rules on several settings are not in it.
+    """
+    schema = BakeConfig.model_json_schema()
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": "Settings of a navbake bake",
+        "description": "Metres, world frame with z up.",
+    }
 
 
 def write_template(
