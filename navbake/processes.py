@@ -1,4 +1,4 @@
-"""Limits the memory of worker processes, and describes how they ended."""
+"""The memory of this process and of the machine, and how worker processes ended."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 
 from navbake.errors import NavbakeError
 
@@ -41,6 +43,21 @@ def give_back_memory() -> None:
     library = ctypes.CDLL(None)
     if hasattr(library, "malloc_trim"):
         library.malloc_trim(0)
+
+
+def free_memory() -> int:
+    """Return how much memory is available without swapping [bytes]; 2**62 if that is unknown."""
+    free = 2**62
+    # ValueError: a container's limit may be "max"; IndexError: a line may have no number
+    with suppress(OSError, ValueError):
+        free = int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii"))
+    with suppress(OSError, ValueError, IndexError):
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return min(free, int(line.split()[1]) * 1024)
+    with suppress(AttributeError, ValueError, OSError):  # there is no sysconf on Windows
+        free = min(free, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return free
 
 
 def limit_memory(gib: float | None) -> Callable[[], None]:

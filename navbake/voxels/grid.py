@@ -9,9 +9,7 @@ import math
 import os
 import reprlib
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -20,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.lazy import resolve
 from navbake.navgrid.lattice import CELL_SLACK, LEAST_EDGE, MAX_COORDINATE, num_cells
+from navbake.processes import free_memory
 from navbake.types import Bool, Float, Int, Vector3
 
 DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers are IDs
@@ -382,7 +381,7 @@ def check_memory(shape: Sequence[int], itemsize: int) -> None:
         itemsize: Memory for a voxel [bytes].
     """
     needed = min(math.prod(shape) * itemsize, HUGE_COUNT)
-    free = _free_memory()
+    free = free_memory()
     if needed > free:
         counts = (
             str(count) if count < 10**15 else f"{min(count, HUGE_COUNT):.3g}" for count in shape
@@ -427,18 +426,3 @@ def check_three(value: ArrayLike | None, expected: str) -> Float:
     if numbers is None:
         raise ConfigError(f"expected {expected}, got {value!r}", value=value, expected=expected)
     return numbers
-
-
-def _free_memory() -> int:
-    """Return how much memory is available without swapping [bytes]; 2**62 if that is unknown."""
-    free = 2**62
-    # ValueError: a container's limit may be "max"; IndexError: a line may have no number
-    with suppress(OSError, ValueError):
-        free = int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii"))
-    with suppress(OSError, ValueError, IndexError):
-        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return min(free, int(line.split()[1]) * 1024)
-    with suppress(AttributeError, ValueError, OSError):  # there is no sysconf on Windows
-        free = min(free, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    return free

@@ -24,6 +24,7 @@ from navbake.baker.bake.baked import BakedPose, BakedStructure, FloorLattice
 from navbake.baker.bake.boxes import find_level_boxes
 from navbake.baker.bake.lattice import box_rounding, extend_lattice, fit_lattice
 from navbake.baker.bake.level_crops import crop_layers, crop_steps, make_grid_door, rooms_to_json
+from navbake.baker.bake.memory import warn_of_memory
 from navbake.baker.bake.scene_floors import find_scene_floors, measure_holes
 from navbake.baker.bake.uncounted import warn_uncounted
 from navbake.baker.bake.warnings import warn_of_structure
@@ -134,7 +135,9 @@ def open_stages(
     with clock.stage("scene"):
         scene = load_scene(config, limits=limits, scene_model=scene_model)
         lattice = fit_lattice(scene, config)
-    return Stages(config, scene, lattice, clock)
+    stages = Stages(config, scene, lattice, clock)
+    warn_of_memory(scene.structure, stages.extended_lattice.lattice, stages.shape_margin)
+    return stages
 
 
 @dataclass(eq=False)
@@ -506,9 +509,13 @@ class Stages:
             links=self.links,
         )
 
+    @property
+    def shape_margin(self) -> float:
+        """How far from a tile of cells a shape may be to be listed for the tile [m]."""
+        return max(self.footprint.half_width, self.config.floors.crack)
+
     def _index_structure(self, lattice: Lattice) -> ShapeSource:
-        reach = max(self.footprint.half_width, self.config.floors.crack)
-        return make_shape_source(self.scene.structure, lattice, reach)
+        return make_shape_source(self.scene.structure, lattice, self.shape_margin)
 
 
 def find_floor_lattice(lattice: Lattice, scene: Scene, config: BakeConfig) -> FloorLattice:

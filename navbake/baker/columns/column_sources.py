@@ -46,6 +46,10 @@ MAX_CELLS_KEPT = 1 << 22
 CHUNKS_ALIVE = 2
 # Up to this many triangles are expanded once and stay in memory: about 130 bytes each
 MAX_TRIANGLES_EXPANDED_AT_ONCE = 1 << 20
+# More triangles than this are expanded chunk by chunk also where columns stay in memory
+MAX_TRIANGLES_BESIDE_COLUMNS = 1 << 23
+# About so many triangles of a chunk are expanded at a time
+TRIANGLES_PER_CHUNK = 1 << 19
 # More triangles are expanded chunk by chunk, again and again. If that would expand each triangle
 # more than this many times on average, all are expanded once and stay in memory nevertheless
 MAX_REPEATED_EXPANSION = 2.0
@@ -57,6 +61,8 @@ class ChunkedShapes:
     Attributes:
         lattice: the cells.
     """
+
+    is_chunked = True
 
     def __init__(self, shapes: Shapes, lattice: Lattice, margin: float) -> None:
         """List the solids by tile; triangles are listed later, on request.
@@ -71,6 +77,14 @@ class ChunkedShapes:
         self._margin = margin
         no_meshes = shapes.meshes.only(np.zeros(len(shapes.meshes.geom), dtype=np.bool_))
         self._solids = tile_shapes(shapes, lattice, margin, no_meshes.expand())
+
+    def row_chunks(self, num_alive: int = 1) -> list[RowChunk]:
+        """Split the lattice into chunks with few enough cells and triangles.
+
+        Args:
+            num_alive: how many chunks will be in memory at a time.
+        """
+        return split_by_triangles(int(self._shapes.meshes.counts.sum()), self.lattice, num_alive)
 
     def near_rows(self, rows: RowChunk) -> TiledShapes:
         """Return all shapes near some rows of cells, and maybe others; implements `ShapeSource`."""
@@ -108,8 +122,22 @@ class ChunkedShapes:
 def make_shape_source(shapes: Shapes, lattice: Lattice, margin: float) -> ShapeSource:
     """Make a source of the shapes on a lattice.
 
-    It lists all shapes at once if the lattice's columns stay in memory, if there are few triangles,
-    or if most triangles are near several chunks of rows. Otherwise it lists triangles on request.
+    Args:
+        shapes: the shapes.
+        lattice: the cells.
+        margin: shapes within this distance of a tile count as over it [m].
+    """
+    if expands_on_request(shapes, lattice, margin):
+        return ChunkedShapes(shapes, lattice, margin)
+    return tile_shapes(shapes, lattice, margin)
+
+
+def expands_on_request(shapes: Shapes, lattice: Lattice, margin: float) -> bool:
+    """Return whether triangles are expanded chunk by chunk, and not all at once.
+
+    They are expanded at once if there are few of them, or if most of them are near several chunks
+    of rows. There may be more of them where the lattice is small, so that its columns stay in
+    memory.
 
     Args:
         shapes: the shapes.
@@ -118,18 +146,29 @@ def make_shape_source(shapes: Shapes, lattice: Lattice, margin: float) -> ShapeS
     """
     counts = shapes.meshes.counts
     boxes = shapes.meshes.boxes
-    chunk_length = split_into_row_chunks(lattice, CHUNKS_ALIVE)[0].end * lattice.cell_size
+    keeps_columns = lattice.width * lattice.height <= MAX_CELLS_KEPT
+    max_triangles = (
+        MAX_TRIANGLES_BESIDE_COLUMNS if keeps_columns else MAX_TRIANGLES_EXPANDED_AT_ONCE
+    )
+    if counts.sum() <= max_triangles:
+        return False
+    rows = split_by_triangles(int(counts.sum()), lattice, CHUNKS_ALIVE)
+    chunk_length = rows[0].end * lattice.cell_size
     lengths = boxes[:, 4] - boxes[:, 1] + 2 * margin
     num_expanded = counts * (1.0 + lengths / chunk_length)  # for all chunks together
-    keeps_no_columns = lattice.width * lattice.height > MAX_CELLS_KEPT
-    has_many_triangles = counts.sum() > MAX_TRIANGLES_EXPANDED_AT_ONCE
-    if (
-        keeps_no_columns
-        and has_many_triangles
-        and num_expanded.sum() <= MAX_REPEATED_EXPANSION * counts.sum()
-    ):
-        return ChunkedShapes(shapes, lattice, margin)
-    return tile_shapes(shapes, lattice, margin)
+    return bool(num_expanded.sum() <= MAX_REPEATED_EXPANSION * counts.sum())
+
+
+def split_by_triangles(num_triangles: int, lattice: Lattice, num_alive: int) -> list[RowChunk]:
+    """Split a lattice into chunks of rows with few enough cells and triangles.
+
+    Args:
+        num_triangles: how many triangles are over the lattice; about evenly, as is assumed.
+        lattice: the cells.
+        num_alive: how many chunks will be in memory at a time.
+    """
+    max_rows = TRIANGLES_PER_CHUNK * lattice.height / max(num_triangles, 1)
+    return split_into_row_chunks(lattice, num_alive, max_rows)
 
 
 class ColumnCaster:
@@ -172,9 +211,12 @@ class ColumnCaster:
         clock counts only the time that the caller waits.
         """
         if self._all_columns is not None:
-            yield self._all_columns
+            if self._shapes.is_chunked:
+                yield from map(self._all_columns.select_rows, self._shapes.row_chunks())
+            else:
+                yield self._all_columns
             return
-        chunks = split_into_row_chunks(self.lattice, CHUNKS_ALIVE)
+        chunks = self._shapes.row_chunks(CHUNKS_ALIVE)
         next_columns = run_beside(self._cast_rows, chunks[0])
         for rows in [*chunks[1:], None]:
             columns = [self._wait(next_columns)]
@@ -214,7 +256,7 @@ class ColumnCaster:
 
     def _cast_all(self) -> Columns:
         """Cast the columns of all cells, chunk by chunk to limit the memory that it takes."""
-        chunks = split_into_row_chunks(self.lattice)
+        chunks = self._shapes.row_chunks()
         if len(chunks) == 1:
             tiled = self._shapes.near_rows(chunks[0])
             return self._correct_columns(cast_columns(tiled), tiled)

@@ -5,6 +5,7 @@ Then lines are cast: through the centres of cells (`cast_columns`), or through g
 (`cast_points`).
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -51,7 +52,9 @@ class RowChunk(NamedTuple):
         return self.first * lattice.width, self.end * lattice.width
 
 
-def split_into_row_chunks(lattice: Lattice, num_alive: int = 1) -> list[RowChunk]:
+def split_into_row_chunks(
+    lattice: Lattice, num_alive: int = 1, max_rows: float = math.inf
+) -> list[RowChunk]:
     """Split a lattice into chunks of rows, of about `CELLS_PER_CHUNK` cells each.
 
     A chunk consists of entire rows of tiles.
@@ -60,8 +63,10 @@ def split_into_row_chunks(lattice: Lattice, num_alive: int = 1) -> list[RowChunk
         lattice: the cells.
         num_alive: how many chunks will be in memory at a time; these together have about
             `CELLS_PER_CHUNK` cells.
+        max_rows: about how many rows of cells these together have at most.
     """
-    num_rows = max(CELLS_PER_CHUNK // (num_alive * lattice.width * TILE), 1) * TILE
+    rows_alive = min(CELLS_PER_CHUNK / lattice.width, max_rows)
+    num_rows = max(int(rows_alive / (num_alive * TILE)), 1) * TILE
     first_rows = range(0, lattice.height, num_rows)
     return [RowChunk(first, min(first + num_rows, lattice.height)) for first in first_rows]
 
@@ -92,6 +97,11 @@ class TiledShapes:
     lattice: Lattice
     facets: Facets
     tile_index: ShapeIndex
+    is_chunked = False
+
+    def row_chunks(self, num_alive: int = 1) -> list[RowChunk]:
+        """Split the lattice as `split_into_row_chunks` does; implements `ShapeSource`."""
+        return split_into_row_chunks(self.lattice, num_alive)
 
     def near_rows(self, rows: RowChunk) -> "TiledShapes":
         """Return all shapes, whatever the rows; implements `ShapeSource`."""
@@ -225,6 +235,17 @@ class ShapeSource(Protocol):
     @property
     def lattice(self) -> Lattice:
         """Return the lattice."""
+
+    @property
+    def is_chunked(self) -> bool:
+        """Return whether shapes are listed anew on each request, for some rows or cells."""
+
+    def row_chunks(self, num_alive: int = 1) -> list[RowChunk]:
+        """Split the lattice into chunks of rows whose shapes are listed at a time.
+
+        Args:
+            num_alive: how many chunks will be in memory at a time.
+        """
 
     def near_rows(self, rows: RowChunk) -> TiledShapes:
         """Return all shapes near some rows of cells, and maybe others.

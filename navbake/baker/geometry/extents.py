@@ -82,9 +82,7 @@ def measure_extents(shapes: Shapes, num_geoms: int) -> Extents:
         top=np.full(num_geoms, np.nan),
     )
     _measure_solids(shapes.solids, extents)
-    for facets in shapes.facets_in_batches():
-        if len(facets.geom):
-            _measure_triangles(facets.geom, facets.corners, extents)
+    _measure_triangles(shapes, extents)
     return extents
 
 
@@ -127,24 +125,23 @@ def _horizontal_half_widths(solids: Solids, axes: Float, direction: Float) -> Fl
     return support_distances(solids.kind, local_direction, solids.size)
 
 
-def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
-    """Compute the upright boxes of geoms made of triangles, and write them to `out`.
-
-    Args:
-        geom: the id of each triangle's geom, ascending, shape (m,).
-        corners: corners of the triangles, shape (m, 3, 3) [m].
-        out: receives the boxes, at the geom ids.
-    """
-    first = np.flatnonzero(np.diff(geom, prepend=np.int32(-1)))
-    geom_ids = geom[first]
-    num_triangles = np.diff(first, append=len(geom))
-    group = np.repeat(np.arange(len(first), dtype=np.int32), num_triangles)
-    angle = facing_angles(corners, group, len(first))
+def _measure_triangles(shapes: Shapes, out: Extents) -> None:
+    """Compute the upright boxes of geoms made of triangles, and write them to `out`."""
+    geom_ids = np.unique(shapes.meshes.geom)
+    if not len(geom_ids):
+        return
+    group_of_geom = np.zeros(int(geom_ids[-1]) + 1, dtype=np.int32)
+    group_of_geom[geom_ids] = np.arange(len(geom_ids))
+    facing = FacingAreas(len(geom_ids))
+    for facets in shapes.facets_in_batches():
+        facing.add(facets.corners, group_of_geom[facets.geom])
+    angle = facing.find_angles()
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    low = np.full((len(first), 3), np.inf)
-    high = np.full((len(first), 3), -np.inf)
-    measure_spans(corners, group, direction, low, high)
+    low = np.full((len(geom_ids), 3), np.inf)
+    high = np.full((len(geom_ids), 3), -np.inf)
+    for facets in shapes.facets_in_batches():
+        measure_spans(facets.corners, group_of_geom[facets.geom], direction, low, high)
     along, across, _ = (high - low).T
     middle = (low + high) / 2
     is_short = (along <= across)[:, None]
@@ -156,47 +153,62 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
     out.top[geom_ids] = high[:, 2]
 
 
-def facing_angles(corners: Float, group: Int32, num_groups: int) -> Float:
-    """Find the horizontal direction that most vertical faces of each group of triangles face.
+class FacingAreas:
+    """How large the vertical faces of groups of triangles are, by the direction that they face.
 
     A face counts by its area as seen from the side. Directions a quarter turn apart count as equal.
-
-    Args:
-        corners: corners of triangles, shape (m, 3, 3) [m].
-        group: the group of each triangle, from 0, shape (m,).
-        num_groups: number of groups.
-
-    Returns:
-        For each group, the angle of that direction from x, from 0 to a quarter turn, shape
-        (num_groups,) [rad].
     """
-    # for each group and direction: the area of its faces as seen from the side, and the sum of
-    # these areas times the angle from the direction
-    area = np.zeros(num_groups * NUM_DIRECTIONS)
-    area_times_angle = np.zeros(num_groups * NUM_DIRECTIONS)
-    direction = np.empty(TRIANGLES_PER_CALL, np.int32)
-    weight = np.empty(TRIANGLES_PER_CALL)
-    weighted_angle = np.empty(TRIANGLES_PER_CALL)
-    for first in range(0, len(group), TRIANGLES_PER_CALL):
-        batch = corners[first : first + TRIANGLES_PER_CALL]
-        run_in_chunks(
-            find_facing_directions,
-            len(batch),
-            batch,
-            NUM_DIRECTIONS,
-            direction,
-            weight,
-            weighted_angle,
-            least=4096,
-        )
-        first_entry = group[first : first + TRIANGLES_PER_CALL] * np.int64(NUM_DIRECTIONS)
-        entry = first_entry + direction[: len(batch)]
-        np.add.at(area, entry, weight[: len(batch)])
-        np.add.at(area_times_angle, entry, weighted_angle[: len(batch)])
-    best = area.reshape(num_groups, NUM_DIRECTIONS).argmax(axis=1)
-    best_entry = np.arange(num_groups) * NUM_DIRECTIONS + best
-    best_area = area[best_entry]
-    best_sum = area_times_angle[best_entry]
-    offset = best_sum / np.where(best_area > 0.0, best_area, 1.0)
-    angle: Float = best * (QUARTER_TURN / NUM_DIRECTIONS) + offset
-    return angle
+
+    def __init__(self, num_groups: int) -> None:
+        """Start without triangles.
+
+        Args:
+            num_groups: number of groups.
+        """
+        # for each group and direction: the area of its faces as seen from the side, and the sum of
+        # these areas times the angle from the direction
+        self._area = np.zeros(num_groups * NUM_DIRECTIONS)
+        self._area_times_angle = np.zeros(num_groups * NUM_DIRECTIONS)
+        self._num_groups = num_groups
+
+    def add(self, corners: Float, group: Int32) -> None:
+        """Add triangles.
+
+        Args:
+            corners: corners of the triangles, shape (m, 3, 3) [m].
+            group: the group of each triangle, from 0, shape (m,).
+        """
+        direction = np.empty(TRIANGLES_PER_CALL, np.int32)
+        weight = np.empty(TRIANGLES_PER_CALL)
+        weighted_angle = np.empty(TRIANGLES_PER_CALL)
+        for first in range(0, len(group), TRIANGLES_PER_CALL):
+            batch = corners[first : first + TRIANGLES_PER_CALL]
+            run_in_chunks(
+                find_facing_directions,
+                len(batch),
+                batch,
+                NUM_DIRECTIONS,
+                direction,
+                weight,
+                weighted_angle,
+                least=4096,
+            )
+            first_entry = group[first : first + TRIANGLES_PER_CALL] * np.int64(NUM_DIRECTIONS)
+            entry = first_entry + direction[: len(batch)]
+            np.add.at(self._area, entry, weight[: len(batch)])
+            np.add.at(self._area_times_angle, entry, weighted_angle[: len(batch)])
+
+    def find_angles(self) -> Float:
+        """Find the direction that most vertical faces of each group face.
+
+        Returns:
+            For each group, the angle of that direction from x, from 0 to a quarter turn, shape
+            (groups,) [rad].
+        """
+        best = self._area.reshape(self._num_groups, NUM_DIRECTIONS).argmax(axis=1)
+        best_entry = np.arange(self._num_groups) * NUM_DIRECTIONS + best
+        best_area = self._area[best_entry]
+        best_sum = self._area_times_angle[best_entry]
+        offset = best_sum / np.where(best_area > 0.0, best_area, 1.0)
+        angle: Float = best * (QUARTER_TURN / NUM_DIRECTIONS) + offset
+        return angle

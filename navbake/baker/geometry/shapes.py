@@ -6,7 +6,7 @@ Primitives are solids, infinite planes are half-spaces, and all other geoms are 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
@@ -35,10 +35,13 @@ MAX_SHARES = 8
 NUM_SIDES = 32  # of round solids that are made of triangles
 # Triangles of about this many are expanded at a time
 TRIANGLES_PER_BATCH = 1 << 20
+# Height fields are cut into pieces of about this many triangles, so that only those near some rows
+# of cells need to be expanded
+TRIANGLES_PER_PIECE = 1 << 16
 
 
 class GeomTriangles(NamedTuple):
-    """The triangles of one geom: of a mesh, a hull, a height field or a finite plane.
+    """The triangles of a mesh, a hull or a finite plane, or of a piece of a height field.
 
     Attributes:
         vertices: (n, 3) float64 [m].
@@ -73,12 +76,13 @@ class Mesh(NamedTuple):
 class Meshes:
     """The geoms that are made of triangles.
 
+    Each entry is a geom, or a piece of a height field; all pieces of a geom follow each other.
     Geoms of one mesh share all arrays but the vertices.
 
     Attributes:
-        geom: MuJoCo's geom ids, ascending, (n,) int32.
-        triangles: the triangles of each geom, in the world frame.
-        boxes: exact boxes around the geoms, (n, 6) float64: lower corner, upper corner [m].
+        geom: MuJoCo's geom id of each entry, ascending, (n,) int32.
+        triangles: the triangles of each entry, in the world frame.
+        boxes: exact boxes around the entries, (n, 6) float64: lower corner, upper corner [m].
     """
 
     geom: Int32
@@ -87,7 +91,7 @@ class Meshes:
 
     @property
     def counts(self) -> Int:
-        """Return the number of triangles of each geom, shape (n,)."""
+        """Return the number of triangles of each entry, shape (n,)."""
         return np.array([len(mesh.faces) for mesh in self.triangles], dtype=np.int64)
 
     @cached_property
@@ -96,7 +100,7 @@ class Meshes:
         return self.expand()
 
     def only(self, mask: Bool) -> Meshes:
-        """Return the meshes of the geoms that a mask of shape (n,) marks."""
+        """Return the entries that a mask of shape (n,) marks."""
         if mask.all():
             return self
         triangles = [self.triangles[n] for n in np.flatnonzero(mask).tolist()]
@@ -104,7 +108,7 @@ class Meshes:
 
     def expand(self) -> Facets:
         """Return all triangles of all geoms, ordered by geom, with their corners and boxes."""
-        start = np.cumsum([0, *self.counts])  # of each geom
+        start = np.cumsum([0, *self.counts])  # of each entry
         num_triangles = int(start[-1])
         corners = np.empty((num_triangles, 3, 3))
         bounds = np.empty((num_triangles, 6))
@@ -167,7 +171,10 @@ class Shapes:
 
     @cached_property
     def boxes(self) -> Float:
-        """Boxes around the geoms, infinite for planes: lower, upper corner, shape (n, 6) [m]."""
+        """Boxes around the geoms, shape (n, 6), infinite for planes: lower, upper corner [m].
+
+        A large height field has several boxes, one around each of its pieces.
+        """
         planes = np.tile(np.repeat([-np.inf, np.inf], 3), (len(self.planes.geom), 1))
         return np.concatenate([self.solids.bounds, self.meshes.boxes, planes])
 
@@ -180,7 +187,7 @@ class Shapes:
     def height_fields(self) -> Int32:
         """Return the ids of the geoms that are height fields, shape (n,)."""
         is_field = [bool((mesh.closed[:1] == SOLID).any()) for mesh in self.meshes.triangles]
-        return self.meshes.geom[np.array(is_field, dtype=np.bool_)]
+        return np.unique(self.meshes.geom[np.array(is_field, dtype=np.bool_)])
 
     @property
     def triangles(self) -> Facets:
@@ -192,16 +199,17 @@ class Shapes:
         self.meshes.__dict__.pop("expanded", None)
 
     def facets_in_batches(self) -> Iterator[Facets]:
-        """Yield all triangles in batches of entire geoms, with about `TRIANGLES_PER_BATCH` each.
+        """Yield all triangles in batches of about `TRIANGLES_PER_BATCH`, never dividing a mesh.
 
-        If they are expanded already, they are yielded as one batch.
+        Triangles that are no more than that, or that are expanded already, are yielded at once, and
+        are kept.
         """
-        if "expanded" in self.meshes.__dict__:
+        if "expanded" in self.meshes.__dict__ or self.meshes.counts.sum() <= TRIANGLES_PER_BATCH:
             yield self.triangles
             return
-        batch_of_geom = np.cumsum(self.meshes.counts) // TRIANGLES_PER_BATCH
-        for batch in np.unique(batch_of_geom).tolist():
-            yield self.meshes.only(batch_of_geom == batch).expand()
+        batch_of_entry = np.cumsum(self.meshes.counts) // TRIANGLES_PER_BATCH
+        for batch in np.unique(batch_of_entry).tolist():
+            yield self.meshes.only(batch_of_entry == batch).expand()
 
     def only(self, geoms: Bool) -> Shapes:
         """Return the geometry of the geoms that are marked.
@@ -266,21 +274,23 @@ class Shapes:
         return Shapes(rotated, no_planes, no_meshes, self.endless)
 
 
-def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
+def gather_meshes(triangles: Iterable[tuple[int, GeomTriangles]]) -> Meshes:
     """Gather the geoms that have triangles, and compute their boxes.
 
     Args:
-        triangles: geom id -> its triangles, maybe none; ids ascend.
+        triangles: geom ids, ascending, each with the triangles of the geom, or of a piece of it.
     """
-    non_empty = {geom: mesh for geom, mesh in triangles.items() if len(mesh.faces)}
-    boxes = np.empty((len(non_empty), 6))
+    non_empty = [(geom, mesh) for geom, mesh in triangles if len(mesh.faces)]
+    geoms = [geom for geom, _ in non_empty]
+    meshes = [mesh for _, mesh in non_empty]
+    boxes = np.empty((len(meshes), 6))
     is_used_by_id = dict[int, Bool]()  # by the id of the faces, which geoms of one mesh share
-    for box, mesh in zip(boxes, non_empty.values(), strict=True):
+    for box, mesh in zip(boxes, meshes, strict=True):
         if id(mesh.faces) not in is_used_by_id:
             is_used_by_id[id(mesh.faces)] = mark_used_vertices(len(mesh.vertices), mesh.faces)
         is_used = is_used_by_id[id(mesh.faces)]
         box[:] = bounding_box(mesh.vertices if is_used.all() else mesh.vertices[is_used])
-    return Meshes(np.array(list(non_empty), dtype=np.int32), list(non_empty.values()), boxes)
+    return Meshes(np.array(geoms, dtype=np.int32), meshes, boxes)
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
@@ -328,38 +338,101 @@ def support_distances(kind: Int32, direction: Float, size: Float) -> Float:
     return distances
 
 
-def height_field_triangles(heights: Float, size: Float) -> Float:
-    """Make a closed mesh of a height field: top, four sides and bottom.
+def height_field_pieces(heights: Float, size: Float) -> Iterator[Mesh]:
+    """Make a closed mesh of a height field, in pieces: its top, some rows at a time; then the rest.
 
-    Its cells are split from their lower corner to their upper one, as MuJoCo's rays and collisions
-    split them.
+    The rest is its four sides and its bottom. Its cells are split from their lower corner to their
+    upper one, as MuJoCo's rays and collisions split them.
 
     Args:
         heights: 0 to 1, shape (rows, cols), row 0 at the smallest y.
         size: MuJoCo's size of the height field, shape (4,) [m].
 
-    Returns:
-        Corners of triangles in the geom's frame, shape (m, 3, 3) [m].
+    Yields:
+        The pieces, in the geom's frame. Pieces of equally many rows share their faces.
     """
     rows, cols = heights.shape
-    x, y = np.meshgrid(np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows))
-    top = np.stack([x, y, heights * size[2]], axis=-1)
-    base = np.stack([x, y, np.full_like(x, -size[3])], axis=-1)
-    a = top[:-1, :-1]
-    b = top[:-1, 1:]
-    c = top[1:, 1:]
-    d = top[1:, :-1]
-    parts = [np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)]
-    upper = np.concatenate([top[0, :-1], top[:-1, -1], top[-1, :0:-1], top[:0:-1, 0]])
-    lower = np.concatenate([base[0, :-1], base[:-1, -1], base[-1, :0:-1], base[:0:-1, 0]])
-    next_upper = np.roll(upper, -1, axis=0)
-    next_lower = np.roll(lower, -1, axis=0)
-    # the bottom is a fan over the same border points, so that two triangles meet at every edge
-    middle = np.broadcast_to((base[0, 0] + base[-1, -1]) / 2, lower.shape)
-    parts.append(np.stack([lower, next_lower, next_upper], axis=-2))
-    parts.append(np.stack([lower, next_upper, upper], axis=-2))
-    parts.append(np.stack([middle, next_lower, lower], axis=-2))
-    return np.concatenate([part.reshape(-1, 3, 3) for part in parts])
+    x = np.linspace(-size[0], size[0], cols)
+    y = np.linspace(-size[1], size[1], rows)
+    rows_per_piece = max(1, TRIANGLES_PER_PIECE // (2 * (cols - 1)))
+    faces = grid_faces(min(rows_per_piece, rows - 1), cols)
+    for first in range(0, rows - 1, rows_per_piece):
+        end = min(first + rows_per_piece, rows - 1)
+        num_faces = 2 * (end - first) * (cols - 1)
+        yield Mesh(
+            vertices=_surface_points(x, y[first : end + 1], heights[first : end + 1] * size[2]),
+            faces=faces if num_faces == len(faces) else faces[:num_faces],
+        )
+    yield _height_field_skirt(x, y, heights, size)
+
+
+def grid_faces(num_rows: int, num_columns: int) -> Int32:
+    """Divide each quad of a grid of vertices into two triangles, counter-clockwise from above.
+
+    Args:
+        num_rows: number of rows of quads.
+        num_columns: number of vertices in a row.
+
+    Returns:
+        Vertices of each triangle, shape (2 rows (columns - 1), 3), row by row.
+    """
+    corner = np.arange(num_rows)[:, None] * num_columns + np.arange(num_columns - 1)
+    right = corner + 1
+    above = corner + num_columns
+    above_right = above + 1
+    lower = np.stack([corner, right, above_right], axis=-1)
+    upper = np.stack([corner, above_right, above], axis=-1)
+    return np.stack([lower, upper], axis=2).reshape(-1, 3).astype(np.int32)
+
+
+def _surface_points(x: Float, y: Float, z: Float) -> Float:
+    """Return the points (x[j], y[i], z[i, j]), row by row, shape (rows * columns, 3)."""
+    points = np.empty((*z.shape, 3))
+    points[..., 0] = x
+    points[..., 1] = y[:, None]
+    points[..., 2] = z
+    return points.reshape(-1, 3)
+
+
+def _height_field_skirt(x: Float, y: Float, heights: Float, size: Float) -> Mesh:
+    """Make the four sides and the bottom of a height field.
+
+    The bottom is a fan over the border's points, so that two triangles meet at every edge.
+
+    Args:
+        x: of the columns, shape (cols,) [m].
+        y: of the rows, shape (rows,) [m].
+        heights: 0 to 1, shape (rows, cols).
+        size: MuJoCo's size of the height field, shape (4,) [m].
+    """
+    rows = np.arange(len(y))
+    columns = np.arange(len(x))
+    # the border's points, counter-clockwise from the corner of the smallest x and y
+    border = [
+        (np.zeros_like(columns[:-1]), columns[:-1]),
+        (rows[:-1], np.full_like(rows[:-1], columns[-1])),
+        (np.full_like(columns[:-1], rows[-1]), columns[:0:-1]),
+        (rows[:0:-1], np.zeros_like(rows[:-1])),
+    ]
+    row = np.concatenate([side_rows for side_rows, _ in border])
+    column = np.concatenate([side_columns for _, side_columns in border])
+    upper = np.stack([x[column], y[row], heights[row, column] * size[2]], axis=1)
+    lower = upper.copy()
+    lower[:, 2] = -size[3]
+    middle = np.array([(x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2, -size[3]])
+    num_points = len(upper)
+    top_id = np.arange(num_points)
+    next_top_id = np.roll(top_id, -1)
+    bottom_id = top_id + num_points
+    next_bottom_id = next_top_id + num_points
+    middle_id = np.full(num_points, 2 * num_points)
+    faces = [
+        np.stack([bottom_id, next_bottom_id, next_top_id], axis=1),
+        np.stack([bottom_id, next_top_id, top_id], axis=1),
+        np.stack([middle_id, next_bottom_id, bottom_id], axis=1),
+    ]
+    vertices = np.concatenate([upper, lower, middle[None]])
+    return Mesh(vertices, np.concatenate(faces).astype(np.int32))
 
 
 def hull_faces(vertices: Float) -> Int32 | None:

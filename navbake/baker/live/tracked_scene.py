@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.baker.core.constants import FREE, HINGE, MESH, SLIDE
-from navbake.baker.geometry.shapes import Primitives, Shapes
+from navbake.baker.geometry.shapes import GeomTriangles, Primitives, Shapes
 from navbake.baker.rooms.flags import find_markers
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.hull_room import HullRoomTest
@@ -454,16 +454,28 @@ def find_changed_geoms(old: Shapes, new: Shapes) -> Bool:
     is_changed = np.array(old.endless != new.endless)
     _mark_changed_primitives(old.solids, new.solids, is_changed)
     _mark_changed_primitives(old.planes, new.planes, is_changed)
-    old_meshes = dict(zip(old.meshes.geom.tolist(), old.meshes.triangles, strict=True))
-    new_meshes = dict(zip(new.meshes.geom.tolist(), new.meshes.triangles, strict=True))
+    old_meshes = _triangles_by_geom(old)
+    new_meshes = _triangles_by_geom(new)
     for geom in old_meshes.keys() | new_meshes.keys():
-        if geom not in old_meshes or geom not in new_meshes:
-            is_changed[geom] = True
-            continue
-        # vertices, faces, and the parts with their codes
-        arrays = zip(old_meshes[geom][:4], new_meshes[geom][:4], strict=True)
-        is_changed[geom] |= not all(np.array_equal(before, after) for before, after in arrays)
+        old_pieces = old_meshes.get(geom, [])
+        new_pieces = new_meshes.get(geom, [])
+        is_changed[geom] |= len(old_pieces) != len(new_pieces)
+        for old_piece, new_piece in zip(old_pieces, new_pieces, strict=False):
+            is_changed[geom] |= not (
+                np.array_equal(old_piece.vertices, new_piece.vertices)
+                and np.array_equal(old_piece.faces, new_piece.faces)
+                and np.array_equal(old_piece.part, new_piece.part)
+                and np.array_equal(old_piece.closed, new_piece.closed)
+            )
     return is_changed
+
+
+def _triangles_by_geom(shapes: Shapes) -> dict[int, list[GeomTriangles]]:
+    """Return the triangles of each geom: one entry, or the pieces of a height field."""
+    triangles = dict[int, list[GeomTriangles]]()
+    for geom, piece in zip(shapes.meshes.geom.tolist(), shapes.meshes.triangles, strict=True):
+        triangles.setdefault(geom, []).append(piece)
+    return triangles
 
 
 def _mark_changed_primitives(old: Primitives, new: Primitives, is_changed: Bool) -> None:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import TiledShapes, cast_points, tile_shapes
 from navbake.baker.core.arrays import Facets
+from navbake.baker.core.blocks import join_arrays
 from navbake.baker.core.components import find_row_runs
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.rooms import gap_kernels as kernels
@@ -505,8 +506,11 @@ class WallRays:
         self._lattice = lattice
         has_floor = ~np.isnan(floor)
         self._heights = floor + RAY_HEIGHT
-        triangle_ids = _choose_triangles(walls.triangles.bounds, self._heights[has_floor])
-        triangles = Facets._make(array.take(triangle_ids, axis=0) for array in walls.triangles)
+        triangles_by_batch = [
+            _choose_triangles(facets, self._heights[has_floor])
+            for facets in walls.facets_in_batches()
+        ]
+        triangles = Facets._make(join_arrays(triangles_by_batch))
         self._heights[~has_floor] = NO_FLOOR_HEIGHT
         # rays from cells at the lattice's edge reach beyond it
         self._reach = max(MIN_RAY_LENGTH, MAX_JAMB_DISTANCE / lattice.cell_size)  # [cells]
@@ -657,16 +661,17 @@ class WallRays:
         return self._rotated[key]
 
 
-def _choose_triangles(bounds: Float, heights: Float) -> Int:
+def _choose_triangles(triangles: Facets, heights: Float) -> list[NDArray[Any]]:
     """Choose the triangles that a ray may meet, by height; heights are rounded to a `HEIGHT_BIN`.
 
     Args:
-        bounds: the box of each triangle, lower corner and upper corner, shape (n, 6) [m].
+        triangles: n triangles.
         heights: the heights of the rays, at least one [m].
 
     Returns:
-        The indices of the triangles, ascending.
+        The arrays of `Facets`, with the chosen triangles in the order of `triangles`.
     """
+    bounds = triangles.bounds
     low = heights.min()
     high = heights.max()
     has_ray = np.zeros(int((high - low) / HEIGHT_BIN) + 1, dtype=np.int64)
@@ -687,7 +692,8 @@ def _choose_triangles(bounds: Float, heights: Float) -> Int:
 
     run_in_chunks(choose_in_chunks, -(-len(bounds) // TRIANGLE_CHUNK))
     ids = [ids_of_chunk[chunk] for chunk in sorted(ids_of_chunk)]
-    return np.concatenate([np.empty(0, np.int64), *ids])
+    chosen = np.concatenate([np.empty(0, np.int64), *ids])
+    return [array.take(chosen, axis=0) for array in triangles]
 
 
 # ---------------------------------------------------------------- sills

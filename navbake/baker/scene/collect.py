@@ -5,7 +5,7 @@ Does not import mujoco.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -19,7 +19,7 @@ from navbake.baker.geometry.shapes import (
     GeomTriangles,
     Shapes,
     gather_meshes,
-    height_field_triangles,
+    height_field_pieces,
     hull_faces,
     solid_bounds,
     tessellate,
@@ -377,7 +377,7 @@ def collect_shapes(
     warnings = dict[str, str]()  # mesh name -> warning
     solids = list[int]()
     planes = list[int]()
-    triangles = dict[int, GeomTriangles]()
+    triangles = list[tuple[int, GeomTriangles]]()
     endless = np.zeros(model.ngeom, dtype=np.bool_)
     geoms = range(len(selections)) if geom_ids is None else geom_ids
     ids = np.array([geom for geom in geoms if selections[geom].counted], dtype=np.int64)
@@ -411,7 +411,10 @@ def collect_shapes(
         elif geom_type not in (constants.HFIELD, constants.MESH, constants.SDF) or data_id < 0:
             raise SceneError(f"geom {name!r} is broken: it has no shape (type {geom_type})")
         elif geom_type == constants.HFIELD:
-            geom_triangles = _height_field_triangles(model, data_id)
+            kinds[geom] = "solid"
+            pieces = _height_field_pieces(model, data_id)
+            triangles += [(geom, _to_world(piece, data, geom)) for piece in pieces]
+            continue
         else:
             mode = selections[geom].mesh_mode
             if geom in exact_meshes:
@@ -425,10 +428,8 @@ def collect_shapes(
                 warnings.setdefault(mesh_name, f"{reason}: it counts by its triangles")
         kinds[geom] = geom_triangles.kind
         if geom not in exact_meshes:
-            vertices = geom_triangles.vertices @ data.geom_xmat[geom].reshape(3, 3).T
-            vertices += data.geom_xpos[geom]
-            geom_triangles = geom_triangles._replace(vertices=vertices)
-        triangles[geom] = geom_triangles
+            geom_triangles = _to_world(geom_triangles, data, geom)
+        triangles.append((geom, geom_triangles))
     plane_ids = np.array(planes, dtype=np.int32)
     shapes = Shapes(
         solids=_collect_solids(model, data, np.array(solids, dtype=np.int32)),
@@ -456,8 +457,15 @@ def _plane_triangles(half_sides: Float, *, is_strip: bool) -> GeomTriangles:
     return _single_part(mesh.vertices, mesh.faces, constants.OPEN_SURFACE, kind)
 
 
-def _height_field_triangles(model: mujoco.MjModel, hfield: int) -> GeomTriangles:
-    """Make the triangles of a height field as a solid, in its geom's frame."""
+def _to_world(triangles: GeomTriangles, data: mujoco.MjData, geom: int) -> GeomTriangles:
+    """Transform triangles from a geom's frame into the world frame."""
+    vertices = triangles.vertices @ data.geom_xmat[geom].reshape(3, 3).T
+    vertices += data.geom_xpos[geom]
+    return triangles._replace(vertices=vertices)
+
+
+def _height_field_pieces(model: mujoco.MjModel, hfield: int) -> Iterator[GeomTriangles]:
+    """Make the triangles of a height field as a solid, in its geom's frame, piece by piece."""
     num_rows = int(model.hfield_nrow[hfield])
     num_cols = int(model.hfield_ncol[hfield])
     first = int(model.hfield_adr[hfield])
@@ -467,10 +475,11 @@ def _height_field_triangles(model: mujoco.MjModel, hfield: int) -> GeomTriangles
         name = name_at(model, model.name_hfieldadr[hfield])
         problem = f"heights or a size that are no numbers, or beyond {MAX_LENGTH:g} m"
         raise SceneError(f"hfield {name!r} has {problem}")
-    corners = height_field_triangles(heights.astype(np.float64), size)
-    vertices = corners.reshape(-1, 3)
-    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
-    return _single_part(vertices, faces, constants.SOLID, "solid")
+    codes_of_faces = dict[int, GeomTriangles]()  # by the id of the faces, which pieces share
+    for vertices, faces in height_field_pieces(heights, size):
+        if id(faces) not in codes_of_faces:
+            codes_of_faces[id(faces)] = _single_part(vertices, faces, constants.SOLID, "solid")
+        yield codes_of_faces[id(faces)]._replace(vertices=vertices)
 
 
 def _mesh_arrays(model: mujoco.MjModel, mesh: int) -> tuple[Float, Int32, Int32 | None]:

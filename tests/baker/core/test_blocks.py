@@ -10,6 +10,7 @@ from navbake.baker.columns import columns as columns_module
 from navbake.baker.columns.column_sources import ChunkedShapes, ColumnCaster, join_columns
 from navbake.baker.columns.columns import Columns, ShapeSource, split_into_row_chunks
 from navbake.baker.core.clock import StageClock
+from navbake.baker.geometry import shapes as shapes_module
 from navbake.config.settings import load_config, parse_config
 from navbake.formats.navgrid import dumps_navgrid
 from project_paths import CONFIGS
@@ -147,3 +148,42 @@ def test_hall_in_blocks(tmp_path, monkeypatch, settings):
     monkeypatch.undo()
     for one, other in zip(joined.hits, bake_stages(config).columns.hits, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def write_hills(path, rows=60, cols=80) -> None:
+    """A hilly height field, finer than the cells, with a house's walls and a slab on it."""
+    y, x = np.mgrid[0:rows, 0:cols]
+    rng = np.random.default_rng(1)
+    heights = 0.5 + 0.4 * np.sin(x / 9) * np.cos(y / 7) + 0.02 * rng.random((rows, cols))
+    elevation = " ".join(f"{height:.4f}" for height in heights.ravel())
+    path.write_text(
+        f"""<mujoco><asset><hfield name="h" nrow="{rows}" ncol="{cols}" size="4 3 .8 .1"
+        elevation="{elevation}"/></asset><worldbody>
+        <geom name="hills" type="hfield" hfield="h" euler="0 0 17"/>
+        <geom name="wall" type="box" size=".1 1.5 1.5" pos=".5 0 1"/>
+        <geom name="slab" type="box" size="1 1 .1" pos="-1.5 .5 1.2"/>
+        <geom name="deck" type="box" size="1 1 .1" pos="-1.5 .5 3.6"/></worldbody></mujoco>"""
+    )
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.2])
+def test_height_field_in_pieces_and_chunks(tmp_path, monkeypatch, cell_size):
+    path = tmp_path / "hills.xml"
+    write_hills(path)
+    config = parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}})
+    monkeypatch.setattr(shapes_module, "TRIANGLES_PER_PIECE", 1 << 20)
+    monkeypatch.setattr(shapes_module, "TRIANGLES_PER_BATCH", 1 << 20)
+    expected = bake_bytes(config)
+    monkeypatch.setattr(shapes_module, "TRIANGLES_PER_PIECE", 500)
+    monkeypatch.setattr(shapes_module, "TRIANGLES_PER_BATCH", 1000)
+    assert bake_bytes(config) == expected
+    # columns stay in memory, triangles don't
+    monkeypatch.setattr(column_sources, "MAX_TRIANGLES_BESIDE_COLUMNS", 0)
+    monkeypatch.setattr(column_sources, "TRIANGLES_PER_CHUNK", 3000)
+    monkeypatch.setattr(column_sources, "MAX_REPEATED_EXPANSION", np.inf)
+    stages = open_stages(config, StageClock())
+    assert isinstance(stages.tile_index, ChunkedShapes)
+    assert len(stages.tile_index.row_chunks()) > 2
+    assert bake_bytes(config) == expected
+    in_blocks(monkeypatch, 1000)
+    assert bake_bytes(config) == expected

@@ -72,12 +72,13 @@ def test_bounds_leave_out_endless_planes():
         none = np.zeros(0, np.int32)
         solids = shapes.Solids(none, none, *(np.zeros((0, n)) for n in (3, 9, 3, 6)))
         planes = shapes.Planes(none, np.zeros((0, 3)), np.zeros((0, 9)))
-        own = {}
+        own = []
         for number in sorted(set(geom)):
             vertices = np.array(corners, float)[np.array(geom) == number].reshape(-1, 3)
             faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
             part, closed = np.zeros(len(faces), np.int32), np.zeros(len(faces), np.uint8)
-            own[number] = shapes.GeomTriangles(vertices, faces, part, closed, "surface")
+            triangles = shapes.GeomTriangles(vertices, faces, part, closed, "surface")
+            own.append((number, triangles))
         meshes = shapes.gather_meshes(own)
         return shapes.Shapes(solids, planes, meshes, np.array(endless)).bounds
 
@@ -91,8 +92,16 @@ def test_bounds_leave_out_endless_planes():
 # ---------------------------------------------------------------- height fields and planes
 
 
+def height_field_triangles(heights, size):
+    """The corners of all triangles of a height field."""
+    pieces = list(shapes.height_field_pieces(heights, size))
+    return np.concatenate([piece.vertices[piece.faces] for piece in pieces])
+
+
+@pytest.mark.parametrize("triangles_per_piece", [1, 20, 1 << 16])
 @pytest.mark.parametrize("seed", RNG_SEEDS)
-def test_height_field_is_what_mujoco_s_rays_see(seed):
+def test_height_field_is_what_mujoco_s_rays_see(seed, triangles_per_piece, monkeypatch):
+    monkeypatch.setattr(shapes, "TRIANGLES_PER_PIECE", triangles_per_piece)
     rng = np.random.default_rng(seed)
     rows, cols = rng.integers(2, 7, size=2)
     size = rng.uniform(0.3, 2.0, size=4)
@@ -105,7 +114,7 @@ def test_height_field_is_what_mujoco_s_rays_see(seed):
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     heights = model.hfield_data.reshape(rows, cols).astype(float)
-    triangles = shapes.height_field_triangles(heights, model.hfield_size[0].astype(float))
+    triangles = height_field_triangles(heights, model.hfield_size[0].astype(float))
     num_hits = 0
     for _ in range(1000):
         start = rng.uniform(-1, 1, size=3) * size[:3] * 1.2
@@ -120,7 +129,7 @@ def test_height_field_is_what_mujoco_s_rays_see(seed):
 
 
 def test_height_field_fills_its_box():
-    triangles = shapes.height_field_triangles(np.ones((3, 4)), np.array([2.0, 1.0, 0.7, 0.3]))
+    triangles = height_field_triangles(np.ones((3, 4)), np.array([2.0, 1.0, 0.7, 0.3]))
     assert volume(triangles) == pytest.approx(4 * 2 * 1.0)
     flat = triangles.reshape(-1, 3)
     np.testing.assert_allclose([flat.min(axis=0), flat.max(axis=0)], [[-2, -1, -0.3], [2, 1, 0.7]])

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from navbake.baker.geometry.extents import NUM_DIRECTIONS, facing_angles
+from navbake.baker.geometry.extents import NUM_DIRECTIONS, FacingAreas
 from navbake.baker.geometry.shapes import bounding_box, drop_unused_vertices, triangle_areas
 from navbake.baker.geometry.triangle_kernels import (
     describe_triangles,
@@ -86,7 +86,10 @@ def test_facing_and_spans(mesh):
     corners = mesh[0][mesh[1]]
     group = np.repeat(np.arange(4, dtype=np.int32), 25)
     step = np.pi / 2 / NUM_DIRECTIONS
-    angles = facing_angles(corners, group, 4)
+    facing = FacingAreas(4)
+    for batch in (slice(0, 37), slice(37, 100)):  # in any batches
+        facing.add(corners[batch], group[batch])
+    angles = facing.find_angles()
     low, high = np.full((4, 3), np.inf), np.full((4, 3), -np.inf)
     way = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     measure_spans(corners, group, way, low, high)

@@ -1,0 +1,56 @@
+"""Says, before a bake begins, that it needs more memory than the machine has free."""
+
+from __future__ import annotations
+
+import logging
+
+from navbake.baker.columns.column_sources import expands_on_request
+from navbake.baker.geometry.shapes import Shapes
+from navbake.navgrid.lattice import Lattice
+from navbake.processes import free_memory
+
+LOG = logging.getLogger(__name__)
+# Measured on bakes of 16 million cells, of 8 million triangles, and of 32 million triangles that
+# are expanded chunk by chunk; a bake of many levels takes more [bytes]
+BYTES_PER_CELL = 130
+BYTES_PER_TRIANGLE = 200
+BYTES_PER_TRIANGLE_ON_REQUEST = 45
+GB = 1e9  # [bytes]
+
+
+def estimate_memory(structure: Shapes, lattice: Lattice, margin: float) -> int:
+    """Estimate how much memory a bake needs, beside what is in memory already [bytes].
+
+    Args:
+        structure: the geometry that floors are found on.
+        lattice: the cells of the whole scene.
+        margin: see `make_shape_source` [m].
+    """
+    num_triangles = int(structure.meshes.counts.sum())
+    bytes_per_triangle = BYTES_PER_TRIANGLE
+    if expands_on_request(structure, lattice, margin):
+        bytes_per_triangle = BYTES_PER_TRIANGLE_ON_REQUEST
+    return BYTES_PER_CELL * lattice.width * lattice.height + bytes_per_triangle * num_triangles
+
+
+def warn_of_memory(structure: Shapes, lattice: Lattice, margin: float) -> None:
+    """Log a warning if a bake needs more memory than the machine has free.
+
+    The warning isn't stored in the grid: on another machine, the same bake has enough memory.
+
+    Args:
+        structure: see `estimate_memory`.
+        lattice: see `estimate_memory`.
+        margin: see `estimate_memory` [m].
+    """
+    needed = estimate_memory(structure, lattice, margin)
+    free = free_memory()
+    if needed <= free:
+        return
+    num_cells = lattice.width * lattice.height
+    num_triangles = int(structure.meshes.counts.sum())
+    LOG.warning(
+        f"this bake needs about {needed / GB:.1f} GB of memory, and {free / GB:.1f} GB are free: "
+        f"{num_cells} cells and {num_triangles} triangles: raise `grid.cell_size`, bake a part "
+        f"(`grid.bounds`), or leave geoms out (`scene.exclude`)"
+    )
