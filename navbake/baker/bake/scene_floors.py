@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from navbake.baker.bake.baked import FloorLattice
+from navbake.baker.columns.column_sources import split_cells
 from navbake.baker.columns.columns import ColumnSource, ShapeSource
 from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.components import label_components_2d
@@ -93,9 +94,17 @@ def make_occupancy_test(
 
     def is_occupied(cells: Int, floors: Float, heights: HeightRange | None = None, /) -> Bool:
         volume = footprint if heights is None else footprint.between(heights)
-        return check_occupancy(
-            columns.covering(cells), tile_index.near_cells(cells), volume, cells, floors
-        ).occupied
+        occupied = np.zeros(len(cells), dtype=np.bool_)
+        for chunk in split_cells(tile_index, cells):
+            chunk_cells = cells[chunk]
+            occupied[chunk] = check_occupancy(
+                columns.covering(chunk_cells),
+                tile_index.near_cells(chunk_cells),
+                volume,
+                chunk_cells,
+                floors[chunk],
+            ).occupied
+        return occupied
 
     return is_occupied
 

@@ -171,6 +171,26 @@ def split_by_triangles(num_triangles: int, lattice: Lattice, num_alive: int) -> 
     return split_into_row_chunks(lattice, num_alive, max_rows)
 
 
+def split_cells(shapes: ShapeSource, cells: Int) -> Iterator[Int | slice]:
+    """Split cells into groups, so that the shapes near a group's cells fit into memory.
+
+    Args:
+        shapes: the shapes on the lattice.
+        cells: ids of the cells, in any order, (n,).
+
+    Yields:
+        Indices into `cells`, group by group; one group with all cells if the shapes are in memory.
+    """
+    if not shapes.is_chunked:
+        yield slice(None)
+        return
+    for rows in shapes.row_chunks():
+        first_cell, end_cell = rows.cell_range(shapes.lattice)
+        in_rows = np.flatnonzero((first_cell <= cells) & (cells < end_cell))
+        if len(in_rows):
+            yield in_rows
+
+
 class ColumnCaster:
     """A `ColumnSource` that casts the columns of a lattice from shapes.
 
