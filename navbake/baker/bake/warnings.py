@@ -28,6 +28,8 @@ from navbake.types import Bool, Float, Int
 SAMPLED_ROWS = 64  # every 64th row is read first, to see how low a level's floor is
 ROW_CHUNK = 64  # rows of a level that are searched together for a free cell
 # A configured ground may have been set too high by a slab's thickness: a floor up to this far below
+# Unreached floors are told of on so many levels one by one, those with the largest; then summed up
+MAX_UNREACHED_TOLD = 5
 # it may be the one that was meant [m]
 MAX_GROUND_ERROR = 0.5
 MIN_HOLE_AREA = 0.05  # smaller holes in a mesh aren't counted in a warning [m²]
@@ -349,10 +351,18 @@ def _warn_unreached(floors: Floors, baked_pose: BakedPose) -> Iterator[str]:
     A whole level that no step leads to is not warned of if a link stops on it.
     """
     linked_levels = {stop.level for link in baked_pose.links.links for stop in link.stops}
-    for unreached in floors.unreached:
-        is_level = unreached.is_whole_level
-        if is_level and unreached.level in linked_levels:
+    told = [
+        unreached
+        for unreached in floors.unreached
+        if not (unreached.is_whole_level and unreached.level in linked_levels)
+    ]
+    by_area = sorted(told, key=lambda unreached: -unreached.patch.area)
+    smaller = by_area[MAX_UNREACHED_TOLD:]
+    summed_levels = {unreached.level for unreached in smaller}
+    for unreached in told:
+        if unreached.level in summed_levels:
             continue
+        is_level = unreached.is_whole_level
         name = floors.levels[unreached.level].name
         patch = unreached.patch
         geom = baked_pose.scene.geoms[patch.geom].name
@@ -365,6 +375,12 @@ def _warn_unreached(floors: Floors, baked_pose: BakedPose) -> Iterator[str]:
             f"no step leads to {what}: `floors.reach: steps` leaves such "
             f"{'levels' if is_level else 'floors'} out, `floors.from` names places that count as "
             "reached"
+        )
+    if smaller:
+        summed_area = sum(unreached.patch.area for unreached in smaller)
+        yield (
+            f"no step leads to floors of {len(smaller)} more levels, either, {summed_area:.1f} m² "
+            "in all: `floors.reach: steps` leaves them out"
         )
 
 

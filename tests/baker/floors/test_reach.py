@@ -54,6 +54,18 @@ def test_each_level_that_no_step_leads_to_is_told(bake):
     assert "`floors.reach: steps`" in warning and "`floors.from`" in warning
 
 
+def test_many_levels_that_no_step_leads_to_are_summed_up(bake):
+    slabs = [box(f"slab {k}", -2, 2, -2, 2 + k / 10, 3 * k - 0.1, 3 * k) for k in range(12)]
+    result = bake(slabs)
+    warnings = [text for text in result.warnings if "no step leads to" in text]
+    assert len(result.grid.levels) == 12 and len(warnings) == 6
+    # the largest five one by one, in the order of levels
+    for k, text in zip(range(7, 12), warnings[:5], strict=True):
+        assert f"'level {k}'" in text
+    smaller = sum(4 * (4 + k / 10) for k in range(1, 7))
+    assert f"floors of 6 more levels, either, {smaller:.1f} m² in all" in warnings[-1]
+
+
 def test_steps_leaves_them_out(bake):
     result = bake(TOWER, floors={"reach": "steps"})
     assert grounds(result) == [0, 3]
