@@ -23,6 +23,7 @@ from navbake.tensors.grid_tensors import (
     GridTensors,
     Namespace,
     PaddedShape,
+    SceneSearches,
     device_of,
     register_pytree,
 )
@@ -106,7 +107,7 @@ def make_tensors(
         rooms=rooms,
         areas=tuple(tuple(area.name for area in grid.areas) for grid in grid_list),
         goals=_name_goals(goals_of_grids[0]),
-        searches=tuple(searches),
+        searches=SceneSearches(searches),
         **{name: make_array(array) for name, array in arrays.items()},
     )
 

@@ -44,6 +44,25 @@ class PaddedShape(NamedTuple):
     cols: int
 
 
+class SceneSearches(tuple["Search", ...]):
+    """The search on each scene's grid.
+
+    Any two are equal: no compiled function reads them, so JAX does not compile a function anew for
+    tensors that differ in them alone.
+    """
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SceneSearches)
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    def __hash__(self) -> int:
+        return hash(SceneSearches)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class GridTensors:
     """One or several grids as arrays of one library, on one device; made by `make_tensors`.
@@ -62,7 +81,7 @@ class GridTensors:
     rooms: tuple[tuple[str, ...], ...]  # ``rooms[scene][r - 1]`` is the id of room number r
     areas: tuple[tuple[str, ...], ...]  # ``areas[scene][a - 1]`` is the name of area number a
     goals: tuple[str, ...]  # the goals as they were given, in the order of their numbers
-    searches: tuple[Search, ...]  # of each scene, for `with_goals`
+    searches: SceneSearches  # for `with_goals`
     x_first: Array  # by level, x of the first column's edge and y of the first row's [m]
     y_first: Array
     cells_per_metre: Array  # by level, cells per metre

@@ -5,6 +5,7 @@ import pytest
 
 import navbake
 from navbake.navgrid.cells import Cells
+from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.rooms import to_runs
 from navbake.runtime.path_finder import PathFinder
 from oracles.ways import make_level, stack
@@ -213,3 +214,17 @@ def test_only_doors_that_have_to_be_opened_are_named(radius):
     assert_says(reason(a="open"), "; door 'b' (closed) is in the way")
     assert reason(c="open") is None
     assert reason(a="open", b="open") is None
+
+
+def test_the_distance_between_islands_counts_heights():
+    floor = np.array([[0.0, 0.0, np.nan, 2.6, 2.6]], dtype=np.float32)
+    grid = SceneGrid2D(
+        width=5,
+        height=1,
+        cell_size=0.1,
+        min_yup=(0.0, 0.0, 0.0),
+        weights=np.where(np.isnan(floor), np.inf, 1.0),
+        attributes={"floorHeight": floor},
+    )
+    reason = PathFinder(grid).why_not((0.05, -0.05, 0.0), (0.45, -0.05, 2.6))
+    assert "nearest cells are 2.61 m apart" in reason
