@@ -11,7 +11,7 @@ import pytest
 
 import navbake
 from differences import first_difference, fresh
-from navbake.baker.live import update as module
+from navbake.baker.live import baker as module
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
 
