@@ -35,7 +35,7 @@ LOG = logging.getLogger("navbake")
 TEMPORARY_NAME = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-scratch-\w{8}")
 # where there are no locks, an older temporary file is a leftover: no write takes a day [s]
 LEFTOVER_AGE = 86400.0
-_cleaned_folders: set[Path] = set()  # whose leftovers this process has removed
+cleaned_folders: set[Path] = set()  # whose leftovers this process has removed
 
 
 def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> None:
@@ -117,7 +117,7 @@ class _NewFile:
         if fcntl is not None:
             with suppress(OSError):  # it can't be read
                 self.descriptor = os.open(self.target, os.O_RDONLY)
-                _hold(self.descriptor, self.target)
+                hold_lock(self.descriptor, self.target)
         os.replace(self.target, aside)
         self.aside = aside
 
@@ -177,12 +177,12 @@ def create_temporary(folder: Path) -> tuple[BinaryIO, Path]:
         path = _make_temporary_name(folder)
         with ExitStack() as stack:
             file = stack.enter_context(open(path, "x+b"))
-            if _hold(file.fileno(), path):
+            if hold_lock(file.fileno(), path):
                 stack.pop_all()
                 return file, path
 
 
-def _hold(descriptor: int, path: str | PathLike[str]) -> bool:
+def hold_lock(descriptor: int, path: str | PathLike[str]) -> bool:
     """Lock an open file or folder, so that no other process takes it for a leftover.
 
     The lock holds until the descriptor and its copies are closed, or the process ends.
@@ -276,15 +276,15 @@ def check_regular(path: str | PathLike[str]) -> None:
 
 def _remove_leftovers_once(folder: Path) -> None:
     """Remove leftovers from a folder once in a process, because listing a large folder is slow."""
-    if folder not in _cleaned_folders:
-        _cleaned_folders.add(folder)
+    if folder not in cleaned_folders:
+        cleaned_folders.add(folder)
         remove_leftovers(folder)
 
 
 def remove_leftovers(folder: Path, age: float = LEFTOVER_AGE) -> None:
     """Remove the temporary files and folders that this user's killed processes left in a folder.
 
-    What a living process holds stays, see `_hold`. Errors are ignored.
+    What a living process holds stays, see `hold_lock`. Errors are ignored.
 
     Args:
         folder: The folder.
@@ -383,7 +383,7 @@ def _make_scratch_folder(
             return folder, None
         with suppress(FileNotFoundError):  # removed before it was locked
             descriptor = os.open(folder.name, os.O_RDONLY)
-            if _hold(descriptor, folder.name):
+            if hold_lock(descriptor, folder.name):
                 return folder, descriptor
             os.close(descriptor)
         folder.cleanup()

@@ -36,7 +36,7 @@ UsageError = typer.BadParameter.__base__  # click may be a part of typer, or not
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 SPAN = re.compile(r"`([^`\n]+)`")
-NAME = re.compile(r"(?<![\w./])navbake(?:\.\w+)+")
+NAME = re.compile(r"(?<![\w./])navbake(?:\.\w+)+(?!\.json)(?<!\.json)\b")
 PROJECT_PATH = re.compile(r"(?:navbake|configs|docs|examples|scripts|tests)/[\w./-]*")
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 

@@ -179,7 +179,7 @@ def test_what_a_living_writer_has_stays_and_what_a_killed_one_left_goes(tmp_path
         if ends == "killed":
             child.kill()
         child.stdin.close()
-    files._cleaned_folders.clear()  # as in another process
+    files.cleaned_folders.clear()  # as in another process
     write_whole(b"now", tmp_path / "b")
     assert temporary_files(tmp_path) == []
     if ends != "killed" and code == WRITE_SLOWLY:
@@ -189,7 +189,7 @@ def test_what_a_living_writer_has_stays_and_what_a_killed_one_left_goes(tmp_path
 def test_a_file_that_is_taken_for_a_leftover_before_it_is_locked_is_made_again(
     tmp_path, monkeypatch
 ):
-    real, removed = files._hold, []
+    real, removed = files.hold_lock, []
 
     def hold(descriptor, path):
         if not removed:
@@ -197,7 +197,7 @@ def test_a_file_that_is_taken_for_a_leftover_before_it_is_locked_is_made_again(
             os.unlink(path)
         return real(descriptor, path)
 
-    monkeypatch.setattr(files, "_hold", hold)
+    monkeypatch.setattr(files, "hold_lock", hold)
     write_whole(b"now", tmp_path / "a")
     assert len(removed) == 1 and os.listdir(tmp_path) == ["a"]
 
@@ -320,7 +320,7 @@ def test_wherever_a_writer_is_killed_no_new_file_is_beside_an_old_one(tmp_path, 
     states, status, point = [], -signal.SIGKILL, 0
     while status == -signal.SIGKILL:
         point += 1
-        files._cleaned_folders.clear()  # as in another process
+        files.cleaned_folders.clear()  # as in another process
         write_together({tmp_path / name: b"old" for name in names})
         assert sorted(os.listdir(tmp_path)) == sorted(names)  # no leftovers
         with run_child(KILLED, tmp_path, point, *names) as child:

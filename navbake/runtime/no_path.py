@@ -123,7 +123,7 @@ def _describe_blocked(search: Search, position: Float, cell: int) -> str:
             reason = f"is where something stands{f' ({names})' if names else ''}"
         else:
             reason = f"is too near to what stands beside it for a radius of {grid.radius:g} m"
-    description = f"{_format_point(position)} {reason}"
+    description = f"{format_point(position)} {reason}"
     free_cells = np.flatnonzero(flat.free)
     if not len(free_cells):
         return f"{description}, and no cell is free at all"
@@ -132,7 +132,7 @@ def _describe_blocked(search: Search, position: Float, cell: int) -> str:
     places = flat.positions(free_cells)
     distance = np.linalg.norm(places - [position[0], position[1], z], axis=1)
     nearest = int(np.argmin(distance))
-    where = f"at {_format_point(places[nearest])}, {distance[nearest]:.2f} m away"
+    where = f"at {format_point(places[nearest])}, {distance[nearest]:.2f} m away"
     return f"{description}; the nearest free cell is {where}"
 
 
@@ -168,7 +168,7 @@ def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str,
     if distance[nearest] >= level_distance:
         return f"{description}, which have no level in common", None
     start_point, goal_point = flat.positions(cells)
-    where = f"at {_format_point(start_point)} and {_format_point(goal_point)}"
+    where = f"at {format_point(start_point)} and {format_point(goal_point)}"
     gap = f"their nearest cells are {distance[nearest]:.2f} m apart, {where}"
     return f"{description}; {gap}", cells
 
@@ -215,7 +215,7 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
     if is_stairs and len(levels) > 1:
         first_level = _name_level(grid, levels[0])
         between = f" between {first_level} and {_name_level(grid, levels[-1])}"
-    where = f"{_format_point(flat.positions(route[blocked_places[0]]))}{between}"
+    where = f"{format_point(flat.positions(route[blocked_places[0]]))}{between}"
     steps_text = "".join(f" {steps}," for steps in _describe_blocked_steps(search))
     comma = "," if steps_text else ""
     if is_stairs:
@@ -307,12 +307,12 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
         is_singular = len(lost_names) == 1 and not lost_names[0].startswith("the stairs")
         names = f"{' and '.join(lost_names)} {'is' if is_singular else 'are'}"
         closed = f"{names} closed for a radius of {agent_radius:g} m"
-        return f"{closed}, and {_round_down(radius):g} m passes"
+        return f"{closed}, and {round_down(radius):g} m passes"
     if math.isinf(radius):
         return None
     cell = find_bottleneck(point_grid, search, start_cell, goals, widest, cut_corners=False)
     width = _measure_gap(point_search, cell, radius)
-    where = _format_point(flat.positions(cell))
+    where = format_point(flat.positions(cell))
     agent_width = f"the agent {2 * agent_radius:.2f} m"
     return f"the gap between, at {where}, is {width:.2f} m wide, {agent_width}"
 
@@ -519,12 +519,12 @@ def _name_level(grid: NavGrid, number: int) -> str:
     return name if name == f"level {number}" else f"level {number} ({name})"
 
 
-def _format_point(position: ArrayLike) -> str:
+def format_point(position: ArrayLike) -> str:
     """Format a position for a sentence, to the centimetre and in parentheses."""
     rounded = np.round(np.asarray(position), 2) + 0.0  # -0.0 + 0.0 is 0.0
     return f"({', '.join(f'{v:.2f}' for v in rounded)})"
 
 
-def _round_down(length: float) -> float:
+def round_down(length: float) -> float:
     """Round a length down to a millimetre; 0.35 stays 0.35, although a float lies below it."""
     return math.floor(1000.0 * length + ROUNDING_ERROR) / 1000.0

@@ -6,7 +6,7 @@ inside ``jax.jit``, ``jax.vmap``, ``torch.vmap`` and ``torch.compile``. navbake 
 here: it uses the caller's by the Python array API (https://data-apis.org/array-api/).
 """
 
-from navbake.tensors.build import make_tensors
+from navbake.tensors.build import make_tensors, with_goals
 from navbake.tensors.grid_tensors import GridTensors
 from navbake.tensors.questions import (
     area,
@@ -27,4 +27,5 @@ from navbake.tensors.questions import (
 __all__ = [
     "GridTensors", "area", "clearance", "distance_to_goal", "distances", "floor", "heights",
     "is_navigable", "island", "level_at", "make_tensors", "patch", "path_step", "room", "sample",
+    "with_goals",
 ]  # fmt: skip

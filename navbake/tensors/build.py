@@ -112,10 +112,28 @@ def make_tensors(
     )
 
 
-def replace_goals(
+def with_goals(
     tensors: GridTensors, goals: Sequence[Goal] | Sequence[Sequence[Goal]]
 ) -> GridTensors:
-    """Make tensors with other goals: `GridTensors.with_goals`."""
+    """Return tensors with other goals; all other arrays are shared with the new ones.
+
+    It takes a search for each goal, where new tensors would take all layers, too. Obstacles count
+    as they were when the tensors were made.
+
+    Args:
+        tensors: the tensors.
+        goals: as for `make_tensors`.
+
+    Returns:
+        The tensors with these goals, numbered in this order.
+
+    Raises:
+        QueryError: a goal is not valid, or no cell of it is free.
+
+    Example:
+        >>> t = grid.tensors(torch, goals=[(1.0, 2.0, 0.0)])
+        >>> t = with_goals(t, [(1.5, 2.0, 0.0)])
+    """
     grids = [search.grid for search in tensors.searches]
     _, goals_of_grids = _check_grids(grids[0] if len(grids) == 1 else grids, goals)
     _check_size(tensors.shape, len(goals_of_grids[0]))

@@ -17,7 +17,6 @@ import numpy as np
 from navbake.errors import QueryError
 
 if TYPE_CHECKING:
-    from navbake.runtime.paths import Goal
     from navbake.runtime.search import Search
 
 Namespace: TypeAlias = Any
@@ -120,29 +119,6 @@ class GridTensors:
 
     def __repr__(self) -> str:
         return f"GridTensors(dtype={self.dtype!r}, shape={self.shape!r}, goals={self.goals!r})"
-
-    def with_goals(self, goals: Sequence[Goal] | Sequence[Sequence[Goal]]) -> GridTensors:
-        """Return the tensors with other goals; all other arrays are shared with the new ones.
-
-        It takes a search for each goal, where new tensors would take all layers, too. Obstacles
-        count as they were when the tensors were made.
-
-        Args:
-            goals: as for `make_tensors`.
-
-        Returns:
-            The tensors with these goals, numbered in this order.
-
-        Raises:
-            QueryError: a goal is not valid, or no cell of it is free.
-
-        Example:
-            >>> t = grid.tensors(torch, goals=[(1.0, 2.0, 0.0)])
-            >>> t = t.with_goals([(1.5, 2.0, 0.0)])
-        """
-        from navbake.tensors.build import replace_goals  # imports this module
-
-        return replace_goals(self, goals)
 
 
 STATIC_FIELDS = (

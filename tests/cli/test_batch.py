@@ -142,7 +142,7 @@ def test_a_page_is_written_as_the_batch_ends_and_from_its_folder(folder, run, he
 def test_sizes_have_options_of_their_own(folder, run, monkeypatch):
     stay_in_process(monkeypatch)
     run("batch", "room.xml", "-o", "out", "--cell-size", "0.2", "--radius", "0.3")
-    (path,) = (folder / "out").rglob("*.grid.json*")
+    (path,) = (folder / "out").rglob("grid.json*")
     grid = navbake.load(path)
     assert (grid.levels[0].cell_size, grid.agent_radius) == (0.2, 0.3)
 

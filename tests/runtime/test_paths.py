@@ -405,6 +405,6 @@ def test_a_cost_counts_steps_between_centres_and_a_length_the_way_itself():
 
 
 def test_reasons_write_lengths_as_people_read_them():
-    assert no_path._format_point((-0.001, 2.004, -0.0)) == "(0.00, 2.00, 0.00)"
-    assert no_path._round_down(0.158114) == 0.158  # 0.16 would not pass
-    assert no_path._round_down(0.29) == 0.29
+    assert no_path.format_point((-0.001, 2.004, -0.0)) == "(0.00, 2.00, 0.00)"
+    assert no_path.round_down(0.158114) == 0.158  # 0.16 would not pass
+    assert no_path.round_down(0.29) == 0.29

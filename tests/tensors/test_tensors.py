@@ -476,11 +476,11 @@ def test_a_goal_moves_without_new_tensors():
     finder = navbake.PathFinder(house)
     points = finder.random_point(np.random.default_rng(1), 40)
     before = house.tensors(goals=[points[0]])
-    moved = before.with_goals([points[1], points[2]])
+    moved = navbake.tensors.with_goals(before, [points[1], points[2]])
     fresh = house.tensors(goals=[points[1], points[2]])
     np.testing.assert_array_equal(
         tensors.distances(moved, points), tensors.distances(fresh, points)
     )
     assert moved.floor is before.floor and moved.goals == fresh.goals and "\n" not in repr(moved)
     with pytest.raises(QueryError, match="lies beside the grid"):
-        before.with_goals([(99.0, 0.0, 0.0)])
+        navbake.tensors.with_goals(before, [(99.0, 0.0, 0.0)])

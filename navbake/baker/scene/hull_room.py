@@ -275,18 +275,16 @@ def _mark_tops(
         is_drop = is_side & (height - np.roll(height, shift, axis) > limits.step + LIMIT_SLACK)
         num_sides += np.bincount(surfaces[is_side], minlength=len(num_sides))
         num_drops += np.bincount(surfaces[is_drop], minlength=len(num_drops))
-    is_top = np.zeros(len(num_sides), dtype=np.bool_)
-    drops_enough = num_drops >= MIN_DROP_SHARE * num_sides
-    for surface, window in enumerate(ndimage.find_objects(surfaces), start=1):
-        if not drops_enough[surface]:
-            continue
-        is_surface = np.pad(surfaces[window] == surface, 1)
-        lowest_cell = height[window][is_surface[1:-1, 1:-1]].min()
+    lowest_of_surface = np.full(len(num_sides), np.inf)
+    np.minimum.at(lowest_of_surface, surfaces.ravel(), height.ravel())
+    is_top = num_drops >= MIN_DROP_SHARE * num_sides
+    is_top &= lowest_of_surface > lowest + limits.step + LIMIT_SLACK
+    is_top[0] = False  # cells of no surface
+    for surface in np.flatnonzero(is_top).tolist():
         # an edge of the surface is half a cell from the centre of its outermost cell
-        half_width = (ndimage.distance_transform_edt(is_surface).max() - 0.5) * lattice.cell_size
-        is_top[surface] = (
-            lowest_cell > lowest + limits.step + LIMIT_SLACK and 2 * half_width < MAX_TOP_WIDTH
-        )
+        distances = ndimage.distance_transform_edt(surfaces == surface)
+        half_width = (distances.max() - 0.5) * lattice.cell_size
+        is_top[surface] = 2 * half_width < MAX_TOP_WIDTH
     marked: Bool = is_top[surface_of_cell.ravel()]
     return marked
 
