@@ -363,7 +363,7 @@ READERS = {
     "procthor": Reader(lambda p: use_grid(navbake.from_procthor(p)),
                        lambda: [_bytes_of(encode_procthor(_grid(), Path("a.png")))], ".png"),
     "omnigibson": Reader(lambda p: use_grid(navbake.from_omnigibson(p)),
-                         lambda: [_bytes_of(encode_omnigibson(_grid(), Path("a.png")), "a.png")],
+                         lambda: [_bytes_of(encode_omnigibson(_grid(), Path("a.png")), "a_0.png")],
                          ".png"),
     "grscenes": Reader(lambda p: use_grid(navbake.from_grscenes(p)),
                        lambda: [_bytes_of(encode_grscenes(_grid(), Path("a.npy")))], ".npy"),
