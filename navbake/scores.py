@@ -245,7 +245,7 @@ class Measures:
         in_order = episode.task == "sequence"
         # successive episodes often have the same goals: the search keeps the stops of the last ones
         find = functools.partial(find_stops, finder, goals, in_order=in_order)
-        stops = finder.search.cached("stops", (goals, in_order), find)
+        stops = finder.search.cached_result("stops", (goals, in_order), find)
         if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
         self._stops = stops

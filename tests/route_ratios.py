@@ -33,7 +33,9 @@ def ratios(grid, graph, pairs, seed=0, least=9.0):
         near = []
         for end in (start, goal):
             cell = np.atleast_1d(search.flat.cells_at(end))
-            away, cost = (search.field(cell, by=by)[cells] for by in ("length", "cost"))
+            away, cost = (
+                search.compute_cost_field(cell, by=by)[cells] for by in ("length", "cost")
+            )
             near.append(np.where(away <= ENDS, cost, np.inf))
         cost = cost_of(path, search)
         found.append(float((near[0][:, None] + ways + near[1]).min() / cost))

@@ -108,7 +108,7 @@ def find_stops(
     stops = cells_of_goals if in_order else [np.unique(np.concatenate(cells_of_goals))]
     if not all(map(len, stops)):
         return None
-    fields = [search.field(cells, by="length") for cells in stops]
+    fields = [search.compute_cost_field(cells, by="length") for cells in stops]
     legs = [field[cells].min() for field, cells in zip(fields[1:], stops, strict=False)]
     rest = [*np.cumsum(legs[::-1])[::-1].tolist(), 0.0]
     places = [search.flat.positions(cells) for cells in stops]
@@ -341,7 +341,7 @@ class GoalFinder:
         is_object = np.zeros(flat.num_cells, dtype=np.int32)
         is_object[object_cells] = 1
         positions: list[Vector3] = []
-        level_of_cell, object_row, object_col = flat.split(object_cells)
+        level_of_cell, object_row, object_col = flat.to_cells(object_cells)
         for level in np.unique(level_of_cell).tolist():
             on_level = level_of_cell == level
             cell_size = float(flat.layout.cell_size[level])

@@ -205,7 +205,7 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     index_dtype = np.int32 if fits_int32 else np.int64
     node: NDArray[Any] = np.full(flat.num_cells, -1, dtype=index_dtype)  # of each cell
     node[cells] = np.arange(len(cells))
-    level, row, col = flat.split(cells)
+    level, row, col = flat.to_cells(cells)
     width = flat.layout.width[level]
     size = flat.layout.cell_size[level]
     # of each cell and neighbour, shape (n, 8)
@@ -503,7 +503,7 @@ def _find_openings(search: Search, room_of_cell: Int32) -> Iterator[_Opening]:
         )
 
     link_ends = np.stack(flat.step_ends())
-    level_of_end, row, col = flat.split(link_ends)
+    level_of_end, row, col = flat.to_cells(link_ends)
     is_neighbor = level_of_end[0] == level_of_end[1]
     is_neighbor &= np.abs(row[0] - row[1]) + np.abs(col[0] - col[1]) == 1
     source_room, target_room = room_of_cell[link_ends]

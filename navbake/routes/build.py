@@ -252,7 +252,7 @@ class _Builder:
             distance = np.full(len(cells), math.inf)
             if self.cells:
                 nodes = np.array(self.cells, dtype=np.int64)
-                distance = self.search.field(nodes, by="length")[cells]
+                distance = self.search.compute_cost_field(nodes, by="length")[cells]
             far_places = np.flatnonzero(distance > MAX_NODE_DISTANCE)
             if not len(far_places):
                 return
@@ -283,7 +283,7 @@ class _Builder:
         end_xy = np.round(end[:2], DECIMALS)
         if self.search.can_pass(start_xy, end_xy, level):
             return True
-        _, (row, target_row), (col, target_col) = self.flat.split(np.array([cell, target]))
+        _, (row, target_row), (col, target_col) = self.flat.to_cells(np.array([cell, target]))
         row_offset = int(target_row - row)
         col_offset = int(target_col - col)
         num_steps = max(abs(row_offset), abs(col_offset))

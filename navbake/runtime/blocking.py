@@ -142,10 +142,10 @@ def _change_counts(
         )  # fmt: skip
     # one rectangle for all layers
     rows, cols = np.divmod(np.concatenate(layers), level.width)
-    changed = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
-    state.log_change(changed)
+    changed_range = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
+    state.log_change(changed_range)
     if state.max_clearance is not None:
-        _update_clearance(level, changed, state.max_clearance)
+        _update_clearance(level, changed_range, state.max_clearance)
 
 
 def _write_cells(
@@ -172,31 +172,34 @@ def _write_cells(
     values_without_obstacles = array_without_obstacles.reshape(-1)
     if is_added:
         # the first obstacle on a cell stores its present value: users may have written the array
-        newly_blocked = ids[counts[ids] == 1]
-        values_without_obstacles[newly_blocked] = values[newly_blocked]
-        values[newly_blocked] = blocked_value
+        newly_blocked_ids = ids[counts[ids] == 1]
+        values_without_obstacles[newly_blocked_ids] = values[newly_blocked_ids]
+        values[newly_blocked_ids] = blocked_value
     else:
-        freed = ids[counts[ids] == 0]
-        values[freed] = values_without_obstacles[freed]
+        freed_ids = ids[counts[ids] == 0]
+        values[freed_ids] = values_without_obstacles[freed_ids]
 
 
-def _update_clearance(level: SceneGrid2D, changed: CellRange, largest_clearance: float) -> None:
-    """Compute a level's layer ``clearance`` again in and near cells that have changed.
+def _update_clearance(
+    level: SceneGrid2D, changed_range: CellRange, largest_clearance: float
+) -> None:
+    """Compute a level's layer ``clearance`` again after obstacles on some cells have changed.
 
     Args:
         level: the level, whose layer is written.
-        changed: the cells that have changed.
+        changed_range: the cells that an obstacle was added to or removed from.
         largest_clearance: the largest clearance on the level without obstacles, in cells.
     """
-    # Obstacles only reduce clearances. So only cells within the largest clearance of `changed`,
-    # in `inner`, can change. Their nearest blocked cells lie as far again outside, in `outer`.
+    # Obstacles only reduce clearances. So only cells within the largest clearance of the changed
+    # ones, in `inner_range`, can change. Their nearest blocked cells lie as far again outside, in
+    # `outer_range`.
     num_cells = math.ceil(largest_clearance) + 2
-    inner = _pad_range(changed, num_cells, level)
-    outer = _pad_range(changed, 2 * num_cells, level)
-    row0, row1, col0, col1 = inner
-    rows = slice(row0 - outer[0], row1 - outer[0])
-    cols = slice(col0 - outer[2], col1 - outer[2])
-    level.attributes["clearance"][row0:row1, col0:col1] = measure_clearance(level, outer)[
+    inner_range = _pad_range(changed_range, num_cells, level)
+    outer_range = _pad_range(changed_range, 2 * num_cells, level)
+    row0, row1, col0, col1 = inner_range
+    rows = slice(row0 - outer_range[0], row1 - outer_range[0])
+    cols = slice(col0 - outer_range[2], col1 - outer_range[2])
+    level.attributes["clearance"][row0:row1, col0:col1] = measure_clearance(level, outer_range)[
         rows, cols
     ]
 
@@ -216,14 +219,16 @@ def _largest_clearance(level: SceneGrid2D) -> float | None:
 
     Returns None if the level has no layer ``clearance``, or one that holds something else.
     """
-    stored = level.attributes.get("clearance")
-    if stored is None:
+    stored_clearance = level.attributes.get("clearance")
+    if stored_clearance is None:
         return None
-    measured = measure_clearance(level)
+    measured_clearance = measure_clearance(level)
     # in files of other programs, a layer of this name may mean anything
-    if stored.dtype != measured.dtype or not np.allclose(stored, measured, atol=1e-5):
+    if stored_clearance.dtype != measured_clearance.dtype or not np.allclose(
+        stored_clearance, measured_clearance, atol=1e-5
+    ):
         return None
-    return float(measured.max(initial=0)) / level.lattice.cell_size
+    return float(measured_clearance.max(initial=0)) / level.lattice.cell_size
 
 
 # ---------------------------------------------------------------- shapes of obstacles
@@ -312,10 +317,12 @@ def _find_layers(grid: NavGrid, arguments: BlockArguments) -> list[Layers]:
         raise QueryError(f"expected {expected} to block", expected=expected)
     check_level(level, len(grid.levels))
     if cells is not None:
-        cell_level, row, col = check_cells(grid, cells)
+        cell_level, rows_of_cells, cols_of_cells = check_cells(grid, cells)
         layers = []
         for number, level_grid in enumerate(grid.levels):
-            blocked_ids = np.unique((row * level_grid.width + col)[cell_level == number])
+            blocked_ids = np.unique(
+                (rows_of_cells * level_grid.width + cols_of_cells)[cell_level == number]
+            )
             layers.append([blocked_ids] * NUM_LAYERS)
         return layers
     if disc is not None:
@@ -364,20 +371,22 @@ def _check_disc(
         center, radius = disc
     except (TypeError, ValueError):
         raise QueryError(f"expected a disc's centre and radius, got {disc!r}") from None
-    point = check_positions(center, len(grid.levels), level)
-    if point.ndim != 1:
-        raise QueryError(f"expected one centre of a disc, got an array of shape {point.shape}")
+    center_point = check_positions(center, len(grid.levels), level)
+    if center_point.ndim != 1:
+        raise QueryError(
+            f"expected one centre of a disc, got an array of shape {center_point.shape}"
+        )
     check_radius(radius, "radius of a disc")
     if height is not None:
         check_radius(height, "height of a disc")
     disc_height = grid.agent_height if height is None else height
-    has_z = len(point) == 3
+    has_z = len(center_point) == 3
     return _UprightShape(
-        low=point[:2],
-        high=point[:2],
+        low=center_point[:2],
+        high=center_point[:2],
         radius=radius,
-        bottom=point[2] if has_z else -math.inf,
-        top=point[2] + disc_height if has_z else math.inf,
+        bottom=center_point[2] if has_z else -math.inf,
+        top=center_point[2] + disc_height if has_z else math.inf,
     )
 
 
@@ -462,10 +471,10 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
                 hint=hint,
             )
     grid_without_obstacles: NavGrid = grid.without_obstacles()
-    fitted = grid_without_obstacles
+    fitted_grid = grid_without_obstacles
     radius = agent.radius
     if agent.step is not None and agent.step < grid.max_step - SIZE_TOLERANCE:
-        fitted = _limit_steps(grid_without_obstacles, agent.step)
+        fitted_grid = _limit_steps(grid_without_obstacles, agent.step)
     if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SIZE_TOLERANCE):
         check_radius(radius)
         if radius < grid.inflated_radius:
@@ -477,14 +486,14 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
                 value=radius,
                 hint=hint,
             )
-        fitted = fitted.inflate(radius, ledges=ledges_setting(grid))
-    if fitted is grid_without_obstacles:
+        fitted_grid = fitted_grid.inflate(radius, ledges=ledges_setting(grid))
+    if fitted_grid is grid_without_obstacles:
         return grid
     grid.fitted_grids = grid.fitted_grids or WeakSet()
-    grid.fitted_grids.add(fitted)
+    grid.fitted_grids.add(fitted_grid)
     for obstacle in grid.obstacles:
-        obstacle.copies.append(block(fitted, **obstacle.arguments))
-    return fitted
+        obstacle.copies.append(block(fitted_grid, **obstacle.arguments))
+    return fitted_grid
 
 
 def _limit_steps(grid: NavGrid, max_step: float) -> NavGrid:
@@ -496,9 +505,9 @@ def _limit_steps(grid: NavGrid, max_step: float) -> NavGrid:
             left out.
     """
     floor = np.concatenate([level.floor.ravel() for level in grid.levels])
-    start = np.cumsum([0] + [level.width * level.height for level in grid.levels])
-    ends = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
-    is_low_enough = np.abs(np.diff(floor[ends])[:, 0]) <= max_step + FLOOR_ROUNDING
+    first_cells = np.cumsum([0] + [level.width * level.height for level in grid.levels])
+    step_cells = first_cells[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
+    is_low_enough = np.abs(np.diff(floor[step_cells])[:, 0]) <= max_step + FLOOR_ROUNDING
     metadata = {**grid.metadata, "traversableFloorHeight": max_step / grid.unit}
     if not is_low_enough.all():
         links = [*grid.step_array[is_low_enough].tolist(), *(link.to_json() for link in grid.links)]

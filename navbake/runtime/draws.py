@@ -186,21 +186,23 @@ def random_pose(
         return Pose(place, float(rng.uniform(-math.pi, math.pi)))
     cells = _find_cells_near(search, target, min_distance, max_distance, True, level)
     flat = search.flat
-    number = search.rooms.number
+    room_numbers = search.rooms.number
     target_position, target_cell = flat.locate(target, level)
     if same_room:
-        target_room = number[target_cell]
-        cells = cells[(number[cells] == target_room) & (target_room > 0)]
+        target_room = room_numbers[target_cell]
+        cells = cells[(room_numbers[cells] == target_room) & (target_room > 0)]
     if in_sight:
         # the first in a random order that sees the target: uniform among all that do
         cells = rng.permutation(cells)
         points = np.ascontiguousarray(flat.positions(cells)[:, :2])
-        first = search.first_in_sight(target_cell, target_position, cells, points, number)
-        cells = cells[first : first + 1] if first >= 0 else cells[:0]
+        first_index = search.first_in_sight(
+            target_cell, target_position, cells, points, room_numbers
+        )
+        cells = cells[first_index : first_index + 1] if first_index >= 0 else cells[:0]
     limits = {**_describe_distances(min_distance, max_distance), "in sight": in_sight}
     place = _draw_places(search, cells, rng, None, False, limits)
-    offset = target_position[:2] - place[:2]
-    return Pose(place, math.atan2(offset[1], offset[0]))
+    to_target = target_position[:2] - place[:2]
+    return Pose(place, math.atan2(to_target[1], to_target[0]))
 
 
 def reachable_positions(
@@ -228,35 +230,35 @@ def reachable_positions(
     places = first_place[None]
     lattice_points = np.zeros((1, 2), dtype=np.int64)
     seen_points = {(int(flat.level_of(start_cell)), 0, 0)}
-    reached = [places]
+    reached_places = [places]
     while len(places):
         lattice_points = (lattice_points[:, None] + LATTICE_STEPS).reshape(-1, 2)
-        ends = first_place[:2] + lattice_points * spacing
-        starts = np.repeat(places, len(LATTICE_STEPS), axis=0)
-        places = try_step(search, starts, ends, slide=False, level=None)
-        has_arrived = np.abs(places[:, :2] - ends) <= ARRIVAL_TOLERANCE * largest_cell
+        step_ends = first_place[:2] + lattice_points * spacing
+        step_starts = np.repeat(places, len(LATTICE_STEPS), axis=0)
+        places = try_step(search, step_starts, step_ends, slide=False, level=None)
+        has_arrived = np.abs(places[:, :2] - step_ends) <= ARRIVAL_TOLERANCE * largest_cell
         has_arrived = has_arrived.all(axis=1)
         lattice_points = lattice_points[has_arrived]
         places = places[has_arrived]
         cells = flat.cells_at(places)
         is_new = []
-        columns = lattice_points.T.tolist()
-        for point in zip(flat.level_of(cells).tolist(), *columns, strict=True):
-            is_new.append(point not in seen_points)
-            seen_points.add(point)
+        coordinates = lattice_points.T.tolist()
+        for lattice_point in zip(flat.level_of(cells).tolist(), *coordinates, strict=True):
+            is_new.append(lattice_point not in seen_points)
+            seen_points.add(lattice_point)
         lattice_points = lattice_points[is_new]
         places = places[is_new]
         cells = cells[is_new]
         # free cells' centres are free of obstacles; elsewhere, measure the clearance
-        off_center = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
-        sizes = flat.layout.cell_size[flat.level_of(cells)]
-        is_center = off_center <= ARRIVAL_TOLERANCE * sizes
-        distance = clearance(search, places, None, 2.0 * radius + 1.0)
-        can_stand = is_center | (distance >= radius * (1.0 - RADIUS_SLACK))
+        center_offsets = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
+        cell_sizes = flat.layout.cell_size[flat.level_of(cells)]
+        is_center = center_offsets <= ARRIVAL_TOLERANCE * cell_sizes
+        clearances = clearance(search, places, None, 2.0 * radius + 1.0)
+        can_stand = is_center | (clearances >= radius * (1.0 - RADIUS_SLACK))
         lattice_points = lattice_points[can_stand]
         places = places[can_stand]
-        reached.append(places)
-    return np.concatenate(reached)
+        reached_places.append(places)
+    return np.concatenate(reached_places)
 
 
 def _draw_places(
@@ -287,18 +289,20 @@ def _draw_places(
             f"expected {expected}, got {count!r}", key="count", value=count, expected=expected
         )
     if not len(cells):
-        texts = [f"{name} {v}" for name, v in limits.items() if v not in (None, False)]
-        limits_text = f" with {', '.join(texts)}" if texts else ""
+        limit_texts = [
+            f"{name} {value}" for name, value in limits.items() if value not in (None, False)
+        ]
+        limits_text = f" with {', '.join(limit_texts)}" if limit_texts else ""
         raise QueryError(f"no free cell in {search.grid.scene_id!r}{limits_text}")
     flat = search.flat
     num_places = 1 if count is None else int(count)
     drawn_cells = cells[draw_cell_indices(flat, cells, rng, num_places)]
     positions = flat.positions(drawn_cells)
     if anywhere:
-        size = flat.layout.cell_size[flat.level_of(drawn_cells)]
+        cell_size = flat.layout.cell_size[flat.level_of(drawn_cells)]
         max_offset = 0.5 - EDGE_SHARE
         positions[:, :2] += (
-            rng.uniform(-max_offset, max_offset, size=(num_places, 2)) * size[:, None]
+            rng.uniform(-max_offset, max_offset, size=(num_places, 2)) * cell_size[:, None]
         )
     return positions.reshape(3) if count is None else positions
 
@@ -389,10 +393,10 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
     if agent_clearance is not None:
         check_radius(agent_clearance, "clearance")
         agent_clearance = float(agent_clearance)
-    names = [rules.rooms] if isinstance(rules.rooms, str | int) else list(rules.rooms or ())
-    if rules.rooms is not None and not names:
+    room_names = [rules.rooms] if isinstance(rules.rooms, str | int) else list(rules.rooms or ())
+    if rules.rooms is not None and not room_names:
         raise QueryError("expected at least one room, got none")
-    room_numbers = tuple(sorted({search.rooms.find(name) for name in names}))
+    room_numbers = tuple(sorted({search.rooms.find(name) for name in room_names}))
     islands = search.allowed_islands(rules.island, rules.reachable_from)
     if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < 1:
         expected = "a number of agents n >= 1"
@@ -422,22 +426,22 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
         return sort_along_hilbert_curve(search.flat, np.flatnonzero(allowed))
 
     key = (room_numbers, level, islands, agent_clearance)
-    cells = search.cached("spawns", key, find_cells)
+    cells = search.cached_result("spawns", key, find_cells)
     if not len(cells):
         clearance_text = "" if agent_clearance is None else f" with {agent_clearance:g} m round"
         raise QueryError(f"no free cell{clearance_text} {place_text}")
-    parts = _split_cells(search, cells, stratify, int(n), rng)
+    cell_parts = _split_cells(search, cells, stratify, int(n), rng)
     # centres up to this distance apart clash, with slack for rounding
-    distance = max(2.0 * radius, min_distance - 2.0 * DISTANCE_SLACK, 0.0)
+    min_spacing = max(2.0 * radius, min_distance - 2.0 * DISTANCE_SLACK, 0.0)
     if min_distance > 2.0 * radius:
         size_text = f"{min_distance:g} m apart"
     else:
         size_text = f"of radius {radius:g} m"
     agent_cells = place_crowd(
         search.flat,
-        parts,
+        cell_parts,
         int(n),
-        Spacing(distance, grid.agent_height),
+        Spacing(min_spacing, grid.agent_height),
         rng,
         agents_text=f"{'1 agent' if n == 1 else f'{n} agents'} {size_text}",
         place_text=place_text,
@@ -447,16 +451,16 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
 
 
 def _split_cells(
-    search: Search, cells: Int, stratify: str | None, n: int, rng: Generator
+    search: Search, cells: Int, stratify: str | None, num_agents: int, rng: Generator
 ) -> list[Int]:
     """Split cells into parts, among which the agents are divided evenly.
 
     Args:
         search: the search on the grid.
         cells: flat ids, in the order of Hilbert's curve.
-        stratify: ``area`` for n parts of equal area, ``room`` or ``island`` for a part for each of
-            them; None for one part.
-        n: number of agents.
+        stratify: ``area`` for a part of equal area for each agent; ``room`` or ``island`` for a
+            part for each room or island; None for one part.
+        num_agents: number of agents.
         rng: the generator.
 
     Returns:
@@ -465,16 +469,16 @@ def _split_cells(
     if stratify is None:
         return [cells]
     if stratify == "area":
-        return split_by_area(search.flat, cells, n, rng.random())
-    numbers = search.rooms.number if stratify == "room" else search.islands.number
-    number = numbers[cells]
-    if not number.any():
-        name = search.grid.scene_id
-        raise QueryError(f"no {stratify} of {name!r} has a free cell to spawn on")
-    num_outside = np.count_nonzero(number == 0)
-    order = np.argsort(number, kind="stable")[num_outside:]
-    _, first_indices = np.unique(number[order], return_index=True)
-    return np.split(cells[order], first_indices[1:])
+        return split_by_area(search.flat, cells, num_agents, rng.random())
+    numbers_of_cells = search.rooms.number if stratify == "room" else search.islands.number
+    part_numbers = numbers_of_cells[cells]
+    if not part_numbers.any():
+        scene_name = search.grid.scene_id
+        raise QueryError(f"no {stratify} of {scene_name!r} has a free cell to spawn on")
+    num_outside = np.count_nonzero(part_numbers == 0)
+    sort_indices = np.argsort(part_numbers, kind="stable")[num_outside:]
+    _, first_indices = np.unique(part_numbers[sort_indices], return_index=True)
+    return np.split(cells[sort_indices], first_indices[1:])
 
 
 def _draw_headings(
@@ -485,13 +489,13 @@ def _draw_headings(
     They face `facing` if it is a position, are equal to it if it is a number, and random if it is
     None.
     """
-    n = len(positions)
+    num_agents = len(positions)
     if facing is None:
-        return rng.uniform(-math.pi, math.pi, size=n)
+        return rng.uniform(-math.pi, math.pi, size=num_agents)
     if isinstance(facing, RealNumber):
         if not math.isfinite(facing):
             raise QueryError(f"expected a finite heading [rad] as facing, got {facing!r}")
-        return np.full(n, math.remainder(facing, 2.0 * math.pi))
+        return np.full(num_agents, math.remainder(facing, 2.0 * math.pi))
     target = search.flat.check_position(facing, 0, "position or heading as facing")
     directions = target[:2] - positions[:, :2]
     return np.arctan2(directions[:, 1], directions[:, 0])
@@ -499,28 +503,28 @@ def _draw_headings(
 
 def place_crowd(
     flat: FlatGrid,
-    parts: list[Int],
-    n: int,
+    cell_parts: list[Int],
+    num_agents: int,
     spacing: Spacing,
     rng: Generator,
     *,
     agents_text: str,
     place_text: str,
 ) -> Int:
-    """Draw a cell for each of n agents, so that no two agents clash.
+    """Draw a cell for each agent of a crowd, so that no two agents clash.
 
     Args:
         flat: the grid.
-        parts: flat ids of the cells of each part. Each part gets n / len(parts) agents, rounded.
-            Agents that don't fit into a part go to other parts.
-        n: how many agents.
+        cell_parts: flat ids of the cells of each part. Agents are divided evenly among the parts;
+            agents that don't fit into a part go to other parts.
+        num_agents: how many agents.
         spacing: how far apart agents must be.
         rng: the generator.
         agents_text: the words for the agents in errors.
         place_text: the words for the cells in errors, such as ``in 'kitchen'``.
 
     Returns:
-        Flat ids in random order, shape (n,).
+        Flat ids in random order, shape (num_agents,).
 
     Raises:
         QueryError: the agents don't fit.
@@ -529,27 +533,27 @@ def place_crowd(
     upper_bound = 0
     for attempt in range(MAX_CROWDS):
         # the part of each agent
-        even_share = np.tile(np.arange(len(parts)), n // len(parts))
-        remainder = rng.permutation(len(parts))[: n % len(parts)]
-        part_of_agent = rng.permutation(np.concatenate([even_share, remainder]))
-        agent_cells = _draw_crowd(flat, parts, spacing, part_of_agent, rng)
+        evenly_assigned = np.tile(np.arange(len(cell_parts)), num_agents // len(cell_parts))
+        leftover_parts = rng.permutation(len(cell_parts))[: num_agents % len(cell_parts)]
+        part_of_agent = rng.permutation(np.concatenate([evenly_assigned, leftover_parts]))
+        agent_cells = _draw_crowd(flat, cell_parts, spacing, part_of_agent, rng)
         num_placed = max(num_placed, len(agent_cells))
-        if num_placed == n:
+        if num_placed == num_agents:
             return agent_cells
         if attempt == 0:
-            upper_bound = bound_num_agents(flat, np.concatenate(parts), spacing)
-            if upper_bound < n:
+            upper_bound = bound_num_agents(flat, np.concatenate(cell_parts), spacing)
+            if upper_bound < num_agents:
                 raise QueryError(
                     f"{agents_text}: at most {upper_bound} fit {place_text}; {FIT_HINT}"
                 )
-    agent_cells = _pack_crowd(flat, np.concatenate(parts), spacing, n, rng)
-    if len(agent_cells) == n:
+    agent_cells = _pack_crowd(flat, np.concatenate(cell_parts), spacing, num_agents, rng)
+    if len(agent_cells) == num_agents:
         return rng.permutation(agent_cells)
     num_placed = max(num_placed, len(agent_cells))
-    limits = (
+    limits_text = (
         f"places for {num_placed} were found {place_text}, and more than {upper_bound} never fit"
     )
-    raise QueryError(f"{agents_text}: {limits}; {FIT_HINT}")
+    raise QueryError(f"{agents_text}: {limits_text}; {FIT_HINT}")
 
 
 def bound_num_agents(flat: FlatGrid, cells: Int, spacing: Spacing) -> int:
@@ -572,60 +576,60 @@ def bound_num_agents(flat: FlatGrid, cells: Int, spacing: Spacing) -> int:
     positions = flat.positions(cells)
     positions -= positions.min(axis=0)
     height = spacing.height
-    layer = np.floor(positions[:, 2] / height) if height > 0 else np.zeros(len(cells))
-    bound = len(cells)
+    layers = np.floor(positions[:, 2] / height) if height > 0 else np.zeros(len(cells))
+    smallest_bound = len(cells)
     axes = (positions[:, 0], positions[:, 1])
     for x, y in (axes, axes[::-1]):
         for shift in np.ndindex(NUM_SHIFTS, NUM_SHIFTS):
-            offset = np.array(shift) * width / NUM_SHIFTS
-            num_hexagons = _count_hexagons(x + offset[0], y + offset[1], layer, width)
-            bound = min(bound, num_hexagons)
-    return bound
+            shift_offset = np.array(shift) * width / NUM_SHIFTS
+            num_hexagons = _count_hexagons(x + shift_offset[0], y + shift_offset[1], layers, width)
+            smallest_bound = min(smallest_bound, num_hexagons)
+    return smallest_bound
 
 
-def _count_hexagons(x: Float, y: Float, layer: Float, width: float) -> int:
+def _count_hexagons(x: Float, y: Float, layers: Float, width: float) -> int:
     """Count the hexagons of a honeycomb that contain points; each layer has its own honeycomb.
 
     Args:
         x: x of the points [m], shape (n,).
         y: y of the points [m], shape (n,).
-        layer: number of the layer that each point is in, shape (n,).
+        layers: number of the layer that each point is in, shape (n,).
         width: distance between opposite corners of a hexagon [m].
     """
     # Axial coordinates q, r and s = -q - r of the hexagons, rounded. So that they add up to 0
     # again, the one with the largest rounding error is corrected.
     u = x / (width / 2)
     v = y / (width / 2)
-    exact = np.stack([math.sqrt(3.0) / 3.0 * u - v / 3.0, 2.0 / 3.0 * v])
-    exact = np.vstack([exact, -exact.sum(axis=0)])
-    rounded = np.round(exact)
-    largest_error = np.argmax(np.abs(rounded - exact), axis=0)
-    rounded[largest_error, np.arange(len(x))] -= rounded.sum(axis=0)
-    q, r = rounded[:2] - rounded[:2].min(axis=1, keepdims=True)
-    numbers = q + (q.max() + 1) * (r + (r.max() + 1) * layer)
-    return len(np.unique(numbers))
+    exact_coordinates = np.stack([math.sqrt(3.0) / 3.0 * u - v / 3.0, 2.0 / 3.0 * v])
+    exact_coordinates = np.vstack([exact_coordinates, -exact_coordinates.sum(axis=0)])
+    rounded_coordinates = np.round(exact_coordinates)
+    largest_error = np.argmax(np.abs(rounded_coordinates - exact_coordinates), axis=0)
+    rounded_coordinates[largest_error, np.arange(len(x))] -= rounded_coordinates.sum(axis=0)
+    q, r = rounded_coordinates[:2] - rounded_coordinates[:2].min(axis=1, keepdims=True)
+    hexagon_numbers = q + (q.max() + 1) * (r + (r.max() + 1) * layers)
+    return len(np.unique(hexagon_numbers))
 
 
 def _mark_taken(flat: FlatGrid, spacing: Spacing, is_taken: Bool, cell: int) -> None:
     """Mark the cells that are too near to an agent's cell for another agent, in `is_taken`."""
     center = flat.positions(cell)
     for level in range(flat.num_levels):
-        near = cells_in_annulus(flat, level, center, 0.0, spacing.distance, flat.free)
+        near_cells = cells_in_annulus(flat, level, center, 0.0, spacing.distance, flat.free)
         if flat.num_levels > 1 or spacing.distance > spacing.height:
-            rise = np.abs(flat.positions(near)[:, 2] - center[2])
-            near = near[rise < spacing.height]
-        is_taken[near] = True
+            rise = np.abs(flat.positions(near_cells)[:, 2] - center[2])
+            near_cells = near_cells[rise < spacing.height]
+        is_taken[near_cells] = True
     is_taken[cell] = True
 
 
 def _draw_crowd(
-    flat: FlatGrid, parts: list[Int], spacing: Spacing, part_of_agent: Int, rng: Generator
+    flat: FlatGrid, cell_parts: list[Int], spacing: Spacing, part_of_agent: Int, rng: Generator
 ) -> Int:
     """Draw a cell for each agent from its part, or from another part if its own is full.
 
     Args:
         flat: the grid.
-        parts: flat ids of the cells of each part.
+        cell_parts: flat ids of the cells of each part.
         spacing: how far apart agents must be.
         part_of_agent: index of each agent's part, shape (n,).
         rng: the generator.
@@ -633,7 +637,7 @@ def _draw_crowd(
     Returns:
         The agents' flat ids; fewer than n if no part has room for another agent.
     """
-    remaining = list(parts)
+    remaining_cells = list(cell_parts)
     agent_cells = np.empty(len(part_of_agent), dtype=np.int64)
     is_taken = np.zeros(flat.num_cells, dtype=np.bool_)
 
@@ -642,12 +646,14 @@ def _draw_crowd(
         darts = cells[draw_cell_indices(flat, cells, rng, NUM_DARTS)] if len(cells) else cells
         return darts[~is_taken[darts]]
 
-    for agent, assigned_part in enumerate(part_of_agent.tolist()):
-        for part in (assigned_part, *rng.permutation(len(parts)).tolist()):
-            free_darts = throw_darts(remaining[part])
-            while not len(free_darts) and len(remaining[part]):
-                remaining[part] = remaining[part][~is_taken[remaining[part]]]
-                free_darts = throw_darts(remaining[part])
+    for agent, assigned_index in enumerate(part_of_agent.tolist()):
+        for part_index in (assigned_index, *rng.permutation(len(cell_parts)).tolist()):
+            free_darts = throw_darts(remaining_cells[part_index])
+            while not len(free_darts) and len(remaining_cells[part_index]):
+                remaining_cells[part_index] = remaining_cells[part_index][
+                    ~is_taken[remaining_cells[part_index]]
+                ]
+                free_darts = throw_darts(remaining_cells[part_index])
             if len(free_darts):
                 break
         else:
@@ -657,9 +663,12 @@ def _draw_crowd(
     return agent_cells
 
 
-def _pack_crowd(flat: FlatGrid, cells: Int, spacing: Spacing, n: int, rng: Generator) -> Int:
-    """Place up to n agents row by row, each in the first cell that no other agent is too near to.
+def _pack_crowd(
+    flat: FlatGrid, cells: Int, spacing: Spacing, num_agents: int, rng: Generator
+) -> Int:
+    """Place agents row by row, each in the first cell that no other agent is too near to.
 
+    At most `num_agents` agents are placed.
     Rows run along x or y, from a random side. Returns the agents' flat ids.
     """
     axis = rng.integers(2)
@@ -668,7 +677,7 @@ def _pack_crowd(flat: FlatGrid, cells: Int, spacing: Spacing, n: int, rng: Gener
     is_taken = np.zeros(flat.num_cells, dtype=np.bool_)
     agent_cells: list[int] = []
     for cell in cells[np.lexsort((flipped_xy[:, axis], flipped_xy[:, 1 - axis]))].tolist():
-        if len(agent_cells) < n and not is_taken[cell]:
+        if len(agent_cells) < num_agents and not is_taken[cell]:
             agent_cells.append(cell)
             _mark_taken(flat, spacing, is_taken, cell)
     return np.array(agent_cells, dtype=np.int64)
@@ -696,27 +705,31 @@ def draw_cell_indices(flat: FlatGrid, cells: Int, rng: Generator, count: int) ->
     return np.minimum(indices, len(cells) - 1)
 
 
-def split_by_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]:
-    """Split cells into n parts of about equal area; a part may be empty.
+def split_by_area(flat: FlatGrid, cells: Int, num_parts: int, first_fraction: float) -> list[Int]:
+    """Split cells into parts of about equal area; a part may be empty.
 
     Source: He and Owen, "Extensible grids: uniform sampling on a space filling curve" (2016).
 
     Args:
         flat: the grid.
         cells: flat ids, sorted by `sort_along_hilbert_curve`.
-        n: number of parts.
-        start: where the first part begins, as a fraction of the cells' total area, 0 to 1, summed
-            in their order. The cells before it belong to the last parts.
+        num_parts: number of parts.
+        first_fraction: where the first part begins, as a fraction of the cells' total area, 0 to 1,
+            summed in their order. The cells before it belong to the last parts.
 
     Returns:
-        The flat ids of each part, n arrays in order.
+        The flat ids of each part, `num_parts` arrays in order.
     """
-    ends = np.cumsum(flat.layout.cell_size[flat.level_of(cells)] ** 2)
+    area_ends = np.cumsum(flat.layout.cell_size[flat.level_of(cells)] ** 2)
     # a cell belongs to the part that contains its middle
-    middle_shares = (ends - np.diff(ends, prepend=0.0) / 2) / ends[-1]
-    part = np.floor(((middle_shares - start) % 1.0) * n).astype(np.int64)
-    order = np.argsort(part, kind="stable")
-    return np.split(cells[order], np.searchsorted(part[order], np.arange(1, n)))
+    middle_fractions = (area_ends - np.diff(area_ends, prepend=0.0) / 2) / area_ends[-1]
+    part_of_cell = np.floor(((middle_fractions - first_fraction) % 1.0) * num_parts).astype(
+        np.int64
+    )
+    sort_indices = np.argsort(part_of_cell, kind="stable")
+    return np.split(
+        cells[sort_indices], np.searchsorted(part_of_cell[sort_indices], np.arange(1, num_parts))
+    )
 
 
 def sort_along_hilbert_curve(flat: FlatGrid, cells: Int) -> Int:
@@ -729,16 +742,16 @@ def sort_along_hilbert_curve(flat: FlatGrid, cells: Int) -> Int:
     Returns:
         The flat ids in the order of the curve.
     """
-    level, row, col = flat.split(cells)
-    x = col
-    y = row
-    index = np.zeros_like(row)  # of each cell along the curve
-    longest = int(max(row.max(initial=0), col.max(initial=0)))
-    quarter_edge = 1 << max(longest.bit_length() - 1, 0)
+    levels, rows, cols = flat.to_cells(cells)
+    x = cols
+    y = rows
+    curve_indices = np.zeros_like(rows)  # of each cell along the curve
+    largest_coordinate = int(max(rows.max(initial=0), cols.max(initial=0)))
+    quarter_edge = 1 << max(largest_coordinate.bit_length() - 1, 0)
     while quarter_edge:
         is_right = (x & quarter_edge > 0).astype(np.int64)
         is_lower = (y & quarter_edge > 0).astype(np.int64)
-        index += quarter_edge * quarter_edge * ((3 * is_right) ^ is_lower)
+        curve_indices += quarter_edge * quarter_edge * ((3 * is_right) ^ is_lower)
         # each quarter holds the curve of half the size, turned or mirrored to fit
         is_mirrored = (is_lower == 0) & (is_right == 1)
         x = np.where(is_mirrored, quarter_edge - 1 - x, x)
@@ -748,4 +761,4 @@ def sort_along_hilbert_curve(flat: FlatGrid, cells: Int) -> Int:
         x = turned_x & (quarter_edge - 1)
         y = turned_y & (quarter_edge - 1)
         quarter_edge >>= 1
-    return cells[np.lexsort((index, level))]
+    return cells[np.lexsort((curve_indices, levels))]

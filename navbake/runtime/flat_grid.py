@@ -46,7 +46,8 @@ class FlatGrid:
     Attributes:
         layout: where the cells of each level lie.
         steps: links between cells that are not neighbours on one level, in both directions.
-        arcs: passages over named links, for agents of any size.
+        arcs: the arcs over named links, for agents of any size; an arc leads over a link from one
+            stop to another.
         floors: heights of the cells' floors [m], and `max_step`.
         free: where the agent can stand, by flat id, shape (n,).
         weight: the cost of each cell, by flat id, inf where it isn't free.
@@ -87,7 +88,7 @@ class FlatGrid:
         """Return the number of each cell's level, in the shape of `cells`, which are flat ids."""
         return np.searchsorted(self.layout.start, cells, side="right") - 1
 
-    def split(self, cells: Int | int) -> Cells:
+    def to_cells(self, cells: Int | int) -> Cells:
         """Convert flat ids to level, row and column, each of the same shape; -1 stays -1."""
         cells = np.asarray(cells, dtype=np.int64)
         level = self.level_of(cells)
@@ -98,9 +99,9 @@ class FlatGrid:
             col=np.where(level < 0, -1, col),
         )
 
-    def cell(self, cell: int) -> Cell:
+    def to_cell(self, cell: int) -> Cell:
         """Convert one flat id to level, row and column."""
-        level, row, col = self.split(cell)
+        level, row, col = self.to_cells(cell)
         return Cell(int(level), int(row), int(col))
 
     def cells_at(self, positions: ArrayLike, level: int | None = None) -> Int:
@@ -204,12 +205,12 @@ class FlatGrid:
             World x, y and floor z [m], shape (..., 3); z is the level's ground where a cell has no
             floor.
         """
-        level, row, col = self.split(cells)
-        size = self.layout.cell_size[level]
-        x = self.layout.x_min[level] + (col + 0.5) * size
-        y = self.layout.y_max[level] - (row + 0.5) * size
-        floor = self.floors.z[cells]
-        z = np.where(np.isnan(floor), self.floors.ground[level], floor)
+        level, row, col = self.to_cells(cells)
+        cell_size = self.layout.cell_size[level]
+        x = self.layout.x_min[level] + (col + 0.5) * cell_size
+        y = self.layout.y_max[level] - (row + 0.5) * cell_size
+        floor_z = self.floors.z[cells]
+        z = np.where(np.isnan(floor_z), self.floors.ground[level], floor_z)
         return np.stack([x, y, z], axis=-1)
 
     def step_ends(self) -> tuple[Int, Int]:
@@ -231,9 +232,9 @@ class FlatGrid:
         Returns:
             The weights times the areas' factors; inf where a cell isn't free for the agent.
         """
-        factor = self.area_factor[cells] if len(self.area_factor) > 1 else self.area_factor
-        free = np.isfinite(weight) & np.isfinite(factor)
-        return np.where(free, weight * np.where(free, factor, 1.0), np.inf)
+        area_factor = self.area_factor[cells] if len(self.area_factor) > 1 else self.area_factor
+        is_free = np.isfinite(weight) & np.isfinite(area_factor)
+        return np.where(is_free, weight * np.where(is_free, area_factor, 1.0), np.inf)
 
     def costs_between_stops(
         self, radius: float, least_weight: float, *, by_time: bool
@@ -246,44 +247,46 @@ class FlatGrid:
         Args:
             radius: the agent's radius [m].
             least_weight: the smallest weight of a free cell, >= 0.
-            by_time: whether the cost of passages is in seconds; if False, in metres.
+            by_time: whether links cost seconds; if False, metres.
 
         Returns:
             x, y of the k stops [m], shape (k, 2); and the bound from stop i to stop j, shape
             (k, k). k is 0 if no link costs less than the bound over the floor.
         """
         is_passable = self.arcs.fits_radius(radius)
-        cells, ends = np.unique(self.arcs.ends[is_passable], return_inverse=True)
-        stops = self.positions(cells)[:, :2]
-        ends = ends.reshape(-1, 2)
+        stop_cells, stop_pairs = np.unique(self.arcs.ends[is_passable], return_inverse=True)
+        stops = self.positions(stop_cells)[:, :2]
+        stop_pairs = stop_pairs.reshape(-1, 2)
         floor_costs = least_weight * octile_length(stops[:, None] - stops)
         costs = floor_costs.copy()
-        passage_costs = self.arcs.seconds if by_time else self.arcs.cost
-        np.minimum.at(costs, tuple(ends.T), passage_costs[is_passable])
-        for k in range(len(cells)):  # all shortest paths: Floyd (1962)
-            costs = np.minimum(costs, costs[:, k, None] + costs[k])
+        arc_costs = self.arcs.seconds if by_time else self.arcs.cost
+        np.minimum.at(costs, tuple(stop_pairs.T), arc_costs[is_passable])
+        for middle_stop in range(len(stop_cells)):  # all shortest paths: Floyd (1962)
+            costs = np.minimum(costs, costs[:, middle_stop, None] + costs[middle_stop])
         if (costs < floor_costs).any():
             return stops, costs
         return stops[:0], costs
 
     def links(self, radius: float, *, by_time: bool = False, are_reversed: bool = False) -> Links:
-        """List the steps, and the passages that an agent of a radius fits through.
+        """List the steps, and the arcs over links that are wide enough for an agent.
 
         Args:
             radius: the agent's radius [m].
-            by_time: whether the cost of passages is in seconds; if False, in metres.
-            are_reversed: whether each link leads from its end to its start.
+            by_time: whether arcs cost seconds; if False, metres.
+            are_reversed: whether each arc leads from its end to its start.
         """
         is_passable = self.arcs.fits_radius(radius)
         if not is_passable.any():
             return self.steps
-        step_ends = np.stack(self.step_ends(), axis=1)
-        ends = np.concatenate([step_ends, self.arcs.ends[is_passable]])
-        passage_costs = (self.arcs.seconds if by_time else self.arcs.cost)[is_passable]
+        step_pairs = np.stack(self.step_ends(), axis=1)
+        cell_pairs = np.concatenate([step_pairs, self.arcs.ends[is_passable]])
+        arc_costs = (self.arcs.seconds if by_time else self.arcs.cost)[is_passable]
         step_lengths = self.steps.length
-        length = np.append(step_lengths, np.zeros(len(passage_costs)))
-        cost = np.append(np.zeros(len(step_lengths)), passage_costs)
-        return make_links(ends[:, ::-1] if are_reversed else ends, length, cost, self.num_cells)
+        lengths = np.append(step_lengths, np.zeros(len(arc_costs)))
+        costs = np.append(np.zeros(len(step_lengths)), arc_costs)
+        return sort_links(
+            cell_pairs[:, ::-1] if are_reversed else cell_pairs, lengths, costs, self.num_cells
+        )
 
 
 def octile_length(vectors: Float) -> Float:
@@ -300,30 +303,27 @@ def octile_length(vectors: Float) -> Float:
     return np.asarray(np.maximum(x, y) + (math.sqrt(2.0) - 1.0) * np.minimum(x, y))
 
 
-def make_links(ends: Int, length: Float, cost: Float, num_cells: int) -> Links:
-    """Sort links by the cell that each leads from.
+def sort_links(cell_pairs: Int, lengths: Float, costs: Float, num_cells: int) -> Links:
+    """Sort steps and arcs by the cell that each leads from, and put them into `Links` for kernels.
 
     Args:
-        ends: the flat ids that each link leads from and to, shape (n, 2), steps before passages.
-        length: the length of each step [m], 0 for a passage, shape (n,).
-        cost: the cost of each passage, 0 for a step, shape (n,).
+        cell_pairs: the flat ids that each step or arc leads from and to, shape (n, 2), steps first.
+        lengths: the length of each step [m], 0 for an arc, shape (n,).
+        costs: the cost of each arc, 0 for a step, shape (n,).
         num_cells: number of cells of the grid.
-
-    Returns:
-        The links, as kernels take them.
     """
-    order = np.lexsort((ends[:, 1], ends[:, 0]))  # stable: steps before passages
-    source, target = ends[order].T
-    cell = np.unique(ends)
-    start = np.append(np.searchsorted(source, cell), len(source))
-    is_end = np.zeros(num_cells if len(cell) else 0, dtype=np.bool_)
-    is_end[cell] = True
+    sort_indices = np.lexsort((cell_pairs[:, 1], cell_pairs[:, 0]))  # stable: steps before arcs
+    sources, targets = cell_pairs[sort_indices].T
+    end_cells = np.unique(cell_pairs)
+    first_links = np.append(np.searchsorted(sources, end_cells), len(sources))
+    is_end = np.zeros(num_cells if len(end_cells) else 0, dtype=np.bool_)
+    is_end[end_cells] = True
     links: Links = arrays.Links(
-        cell=cell,
-        start=start,
-        target=np.ascontiguousarray(target),
-        length=length[order],
-        cost=cost[order],
+        cell=end_cells,
+        start=first_links,
+        target=np.ascontiguousarray(targets),
+        length=lengths[sort_indices],
+        cost=costs[sort_indices],
         is_end=is_end,
     )
     return links
@@ -348,7 +348,7 @@ def check_distance(distance: float, name: str = "max_distance") -> None:
 
 def format_position(position: Float) -> str:
     """Format a position for a message: its numbers with commas in between."""
-    return ", ".join(f"{v:g}" for v in position)
+    return ", ".join(f"{coordinate:g}" for coordinate in position)
 
 
 def to_kernel_positions(positions: Float, level: int | None) -> tuple[int, Float]:
@@ -389,9 +389,9 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     x_min, y_max, cell_size, width, height = np.array([level.lattice for level in levels]).T.copy()
     width = width.astype(np.int64)
     height = height.astype(np.int64)
-    start = np.append(0, np.cumsum(width * height))
+    first_cells = np.append(0, np.cumsum(width * height))
     layout: Layout = arrays.Layout(
-        start=start, width=width, height=height, x_min=x_min, y_max=y_max, cell_size=cell_size
+        start=first_cells, width=width, height=height, x_min=x_min, y_max=y_max, cell_size=cell_size
     )
     floors_by_level = [
         level.floor if level.uses_cell_floors else np.full(level.shape, level.ground)
@@ -406,10 +406,12 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
 
     # each step in both directions, once
     step_array = grid.step_array
-    ends = start[step_array[:, ::2]] + step_array[:, 1::2]
-    pairs = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
-    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    steps = make_links(pairs, np.empty(len(pairs)), np.zeros(len(pairs)), int(start[-1]))
+    step_cells = first_cells[step_array[:, ::2]] + step_array[:, 1::2]
+    step_pairs = np.unique(np.concatenate([step_cells, step_cells[:, ::-1]]), axis=0)
+    step_pairs = step_pairs[step_pairs[:, 0] != step_pairs[:, 1]]
+    steps = sort_links(
+        step_pairs, np.empty(len(step_pairs)), np.zeros(len(step_pairs)), int(first_cells[-1])
+    )
 
     speed = DEFAULT_SPEED if agent is None else agent.speed
     area_factors = []
@@ -422,13 +424,13 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     flat = FlatGrid(
         layout=layout,
         steps=steps,
-        arcs=find_arcs(grid.links, start, agent, penalty),
+        arcs=find_arcs(grid.links, first_cells, agent, penalty),
         floors=floors,
         free=np.isfinite(weight),
         weight=weight,
         area_factor=area_factor[:1] if (area_factor == area_factor[0]).all() else area_factor,
         pace=pace[:1] if (pace == pace[0]).all() else pace,
-        slopes=_mark_slopes(step_array, ends, layout),
+        slopes=_mark_slopes(step_array, step_cells, layout),
     )
     weight[:] = flat.weights_for_agent(weight)
     flat.free[:] = np.isfinite(weight)
@@ -441,28 +443,31 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     return flat
 
 
-def _mark_slopes(step_array: Int, ends: Int, layout: Layout) -> NDArray[np.uint8]:
-    """Make `FlatGrid.slopes`.
+def _mark_slopes(step_array: Int, step_cells: Int, layout: Layout) -> NDArray[np.uint8]:
+    """Mark the cells that a step of the table joins to the next cell in their row or column.
+
+    The result is `FlatGrid.slopes`.
+
 
     Args:
         step_array: level, cell, level, cell of each step, shape (n, 4).
-        ends: the flat ids of these cells, shape (n, 2).
+        step_cells: the flat ids of these cells, shape (n, 2).
         layout: where the cells lie.
     """
     if not (step_array[:, 0] == step_array[:, 2]).any():
         return np.zeros(0, dtype=np.uint8)
     slopes = np.zeros(layout.start[-1], dtype=np.uint8)
-    level = step_array[:, 0]
-    width = layout.width[level]
-    lower_end = ends.min(axis=1)
-    difference = np.ptp(ends, axis=1)
-    is_on_level = level == step_array[:, 2]
-    rows = (ends - layout.start[level, None]) // width[:, None]
+    levels = step_array[:, 0]
+    widths = layout.width[levels]
+    lower_ids = step_cells.min(axis=1)
+    id_differences = np.ptp(step_cells, axis=1)
+    is_on_level = levels == step_array[:, 2]
+    rows = (step_cells - layout.start[levels, None]) // widths[:, None]
     is_same_row = np.diff(rows)[:, 0] == 0
-    leads_east = is_on_level & (difference == 1) & is_same_row
-    leads_south = is_on_level & (difference == width)
-    slopes[lower_end[leads_east]] |= np.uint8(arrays.EAST)
-    slopes[lower_end[leads_south]] |= np.uint8(arrays.SOUTH)
+    leads_east = is_on_level & (id_differences == 1) & is_same_row
+    leads_south = is_on_level & (id_differences == widths)
+    slopes[lower_ids[leads_east]] |= np.uint8(arrays.EAST)
+    slopes[lower_ids[leads_south]] |= np.uint8(arrays.SOUTH)
     return slopes
 
 
@@ -492,14 +497,14 @@ class RoomMap:
         by_id = {room.id: number for number, room in enumerate(self.rooms, start=1)}
         if isinstance(name, str) and name in by_id:
             return by_id[name]
-        ids = [room.id for room in self.rooms if room.name and room.name == name]
-        if len(ids) == 1:
-            return by_id[ids[0]]
-        if ids:
-            rooms = f"{len(ids)} rooms in {self.scene_id!r} have the name {name!r}"
-            expected = f"one of the ids {', '.join(ids)}"
+        matching_ids = [room.id for room in self.rooms if room.name and room.name == name]
+        if len(matching_ids) == 1:
+            return by_id[matching_ids[0]]
+        if matching_ids:
+            rooms_text = f"{len(matching_ids)} rooms in {self.scene_id!r} have the name {name!r}"
+            expected = f"one of the ids {', '.join(matching_ids)}"
             raise QueryError(
-                f"{rooms}: expected {expected}", key="room", value=name, expected=expected
+                f"{rooms_text}: expected {expected}", key="room", value=name, expected=expected
             )
         names = [*by_id, *(room.name for room in self.rooms if room.name)]
         hint = suggest(name, names)
@@ -521,18 +526,20 @@ def map_rooms(grid: NavGrid) -> RoomMap:
     rooms = list(grid.rooms)
     numbers_by_level = []
     for level_number, level in enumerate(grid.levels):
-        index = level.room_index
-        numbers = np.zeros(int(index.max(initial=0)) + 1, dtype=np.int32)  # by index on the level
+        room_index = level.room_index
+        number_by_index = np.zeros(
+            int(room_index.max(initial=0)) + 1, dtype=np.int32
+        )  # by room index
         for number, room in enumerate(rooms, start=1):
-            if room.level == level_number and room.index < len(numbers):
-                numbers[room.index] = number
+            if room.level == level_number and room.index < len(number_by_index):
+                number_by_index[room.index] = number
         # measuring rooms is slow: only where cells name a room that the table lacks
-        if ((numbers[index] == 0) & (index > 0)).any():
+        if ((number_by_index[room_index] == 0) & (room_index > 0)).any():
             for room in level.measure_rooms(level_number):
-                if not numbers[room.index]:
+                if not number_by_index[room.index]:
                     rooms.append(room)
-                    numbers[room.index] = len(rooms)
-        numbers_by_level.append(numbers[index].ravel())
+                    number_by_index[room.index] = len(rooms)
+        numbers_by_level.append(number_by_index[room_index].ravel())
     return RoomMap(grid.scene_id, rooms, np.concatenate(numbers_by_level))
 
 
@@ -550,21 +557,21 @@ def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
     another program without a table of doors, the user data of cells name their doors.
     """
     doors_by_cell: DoorMap = {}
-    start = flat.layout.start.tolist()
+    first_cells = flat.layout.start.tolist()
     for door in grid.doors:
         door_cells = []
         for state in ("closed", door.state):
-            for level, ids in enumerate(door.cells_in(state, flat.num_levels)):
-                door_cells.append(start[level] + ids)
+            for level, cell_ids in enumerate(door.cells_in(state, flat.num_levels)):
+                door_cells.append(first_cells[level] + cell_ids)
         for cell in np.unique(np.concatenate(door_cells)).tolist():
             doors_by_cell.setdefault(cell, []).append(door.id)
     if not grid.doors and not grid.navbake:
         for level_number, level_grid in enumerate(grid.levels):
-            for cell, entry in level_grid.user_data.items():
-                names = entry.get("doors")
-                if isinstance(names, list):
-                    door_ids = [name for name in names if isinstance(name, str)]
-                    doors_by_cell[start[level_number] + cell] = door_ids
+            for cell, cell_data in level_grid.user_data.items():
+                door_names = cell_data.get("doors")
+                if isinstance(door_names, list):
+                    door_ids = [name for name in door_names if isinstance(name, str)]
+                    doors_by_cell[first_cells[level_number] + cell] = door_ids
     return doors_by_cell
 
 
@@ -579,10 +586,15 @@ def find_leaf_cells(door: Door, flat: FlatGrid) -> Int:
         Flat ids. If the file doesn't tell which cells the leaf itself covers, all cells that the
         closed door blocks.
     """
-    cells_in = door.solid_in if door.solid else door.cells_in
-    cells_by_level = cells_in("closed", flat.num_levels)
-    starts = flat.layout.start[:-1]
-    return np.concatenate([start + ids for start, ids in zip(starts, cells_by_level, strict=True)])
+    list_cells_in = door.solid_in if door.solid else door.cells_in
+    cells_by_level = list_cells_in("closed", flat.num_levels)
+    first_cells = flat.layout.start[:-1]
+    return np.concatenate(
+        [
+            first_cell + cell_ids
+            for first_cell, cell_ids in zip(first_cells, cells_by_level, strict=True)
+        ]
+    )
 
 
 def list_doors_along(doors: DoorMap, cells: Int) -> list[str]:
@@ -595,11 +607,11 @@ def list_doors_along(doors: DoorMap, cells: Int) -> list[str]:
         cells: the route's flat ids.
     """
     door_ids: list[str] = []
-    current: Iterable[str] = ()
+    previous_doors: Iterable[str] = ()
     for cell in cells.tolist():
         cell_doors = doors.get(cell, ())
-        door_ids += [name for name in cell_doors if name not in current]
-        current = cell_doors
+        door_ids += [name for name in cell_doors if name not in previous_doors]
+        previous_doors = cell_doors
     return door_ids
 
 
@@ -628,15 +640,15 @@ def find_stairs(grid: NavGrid, flat: FlatGrid) -> list[LevelStairs]:
         flat: the same grid, or one of the same cells.
     """
     steps = grid.step_array
-    is_upwards = (steps[:, 0] <= steps[:, 2])[:, None]
-    steps = np.where(is_upwards, steps, steps[:, [2, 3, 0, 1]])
+    leads_upwards = (steps[:, 0] <= steps[:, 2])[:, None]
+    steps = np.where(leads_upwards, steps, steps[:, [2, 3, 0, 1]])
     stairs = []
-    for group in group_steps(grid, steps[steps[:, 0] < steps[:, 2]]):
-        ends = flat.layout.start[group[:, ::2]] + group[:, 1::2]
-        rise = np.abs(np.diff(flat.positions(ends)[..., 2], axis=1)).max()
-        lower_level, upper_level = group[0, ::2].tolist()
+    for stair_steps in group_steps(grid, steps[steps[:, 0] < steps[:, 2]]):
+        step_cells = flat.layout.start[stair_steps[:, ::2]] + stair_steps[:, 1::2]
+        rise = np.abs(np.diff(flat.positions(step_cells)[..., 2], axis=1)).max()
+        lower_level, upper_level = stair_steps[0, ::2].tolist()
         kind = "stairs" if rise > STAIRS_RISE else "ramp"
-        stairs.append(LevelStairs(lower_level, upper_level, kind, ends))
+        stairs.append(LevelStairs(lower_level, upper_level, kind, step_cells))
     return stairs
 
 
@@ -675,14 +687,14 @@ class IslandMap:
 
     def reached_from(self, island: int) -> tuple[int, ...]:
         """List the islands reachable from one: itself first, then the others, ascending."""
-        reached = np.array([island])
+        reached_islands = np.array([island])
         while True:
-            is_from_reached = np.isin(self.one_way_links[:, 0], reached)
+            is_from_reached = np.isin(self.one_way_links[:, 0], reached_islands)
             next_islands = np.unique(self.one_way_links[is_from_reached, 1])
-            next_islands = next_islands[~np.isin(next_islands, reached)]
+            next_islands = next_islands[~np.isin(next_islands, reached_islands)]
             if not len(next_islands):
-                return island, *np.sort(reached[1:]).tolist()
-            reached = np.append(reached, next_islands)
+                return island, *np.sort(reached_islands[1:]).tolist()
+            reached_islands = np.append(reached_islands, next_islands)
 
 
 def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None = None) -> IslandMap:
@@ -691,33 +703,34 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
     Args:
         flat: the grid.
         radius: the agent's radius [m]; links that are too narrow for it don't count.
-        moves: by flat id, see `navbake.runtime.grid_arrays.Graph`; if given, cells that a diagonal
-            move joins are connected, too.
+        moves: by flat id, a bit for each direction that an agent can move in from the cell, see
+            `navbake.runtime.grid_arrays.Graph`; if given, cells that a diagonal move joins are
+            connected, too.
     """
     layout = flat.layout
     floors = flat.floors
-    steps = [np.stack(flat.step_ends(), axis=1)]
-    passages = flat.arcs.ends[flat.arcs.fits_radius(radius)]
+    step_lists = [np.stack(flat.step_ends(), axis=1)]
+    arc_ends = flat.arcs.ends[flat.arcs.fits_radius(radius)]
     if moves is not None:
         for bit, col_step in ((arrays.SOUTH_WEST, -1), (arrays.SOUTH_EAST, 1)):
             cells = np.flatnonzero(moves & bit)
             diagonal_cells = cells + layout.width[flat.level_of(cells)] + col_step
-            steps.append(np.stack([cells, diagonal_cells], axis=1))
+            step_lists.append(np.stack([cells, diagonal_cells], axis=1))
     number = label_islands(
         start=layout.start,
         width=layout.width,
         free=flat.free,
         floor=floors.z,
         limit=floors.max_step,
-        steps=np.concatenate(steps),
-        arcs=passages,
+        steps=np.concatenate(step_lists),
+        arcs=arc_ends,
     )
     # in a few files, levels have cells of different sizes
     areas = np.zeros(int(number.max(initial=0)) + 1)
-    for level, size in enumerate(layout.cell_size):
+    for level, cell_size in enumerate(layout.cell_size):
         cells_by_island = np.bincount(number[flat.cells_of(level)], minlength=len(areas))
-        areas[1:] += cells_by_island[1:] * size**2
-    links = number[passages]
-    is_between = (links > 0).all(axis=1) & (links[:, 0] != links[:, 1])
-    one_way_links = np.unique(links[is_between], axis=0)
+        areas[1:] += cells_by_island[1:] * cell_size**2
+    island_pairs = number[arc_ends]
+    is_between = (island_pairs > 0).all(axis=1) & (island_pairs[:, 0] != island_pairs[:, 1])
+    one_way_links = np.unique(island_pairs[is_between], axis=0)
     return IslandMap(number, areas, one_way_links.astype(np.int64))

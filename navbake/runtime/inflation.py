@@ -105,9 +105,10 @@ def inflate(
         clearance: distance beyond the radius in which cells cost more [m]. None means 0 with
             costs=``step``; with ``nav2``, the distance at which the cost has fallen to 1.
         mode: ``exact``, or ``minos`` for the weights of the original client's ``refine``.
-        costs: ``step`` or ``nav2``.
-        scaling: of ``nav2`` [1/m], > 0.
-        ledges: of ``exact``: ``avoid`` or ``ignore``.
+        costs: ``step`` for a fixed weight within the clearance, or ``nav2`` for costs by nav2's
+            formula.
+        scaling: how fast costs by nav2's formula fall with the distance [1/m], > 0.
+        ledges: whether an agent keeps away from drops, in mode ``exact``: ``avoid`` or ``ignore``.
 
     Returns:
         A new grid; the metadata of the grid list the inflation under ``inflation``.
@@ -122,10 +123,12 @@ def inflate(
     weights = []
     for number, level in enumerate(grid.levels):
         if mode == "minos":
-            cell = level.lattice.cell_size
-            weights.append(_refine_weights(level, radius / cell, (radius + clearance) / cell))
+            cell_size = level.lattice.cell_size
+            weights.append(
+                _refine_weights(level, radius / cell_size, (radius + clearance) / cell_size)
+            )
             continue
-        blocked = find_blocked(grid, number, radius, ledges)
+        is_blocked = find_blocked(grid, number, radius, ledges)
         free_weights = level.weights
         if "solid" in level.attributes:
             is_freed = level.free_for_point & ~level.free
@@ -134,17 +137,19 @@ def inflate(
             level_costs = nav2_costs(grid, radius, radius + clearance, scaling, level=number)
             free_weights = np.maximum(free_weights, np.clip(level_costs, 1.0, MAX_FREE_COST))
         elif clearance > 0:
-            in_clearance = find_blocked(grid, number, radius + clearance, ledges)
-            free_weights = np.where(in_clearance, np.maximum(free_weights, STEP_COST), free_weights)
-        weights.append(np.where(blocked, np.inf, free_weights))
+            is_in_clearance = find_blocked(grid, number, radius + clearance, ledges)
+            free_weights = np.where(
+                is_in_clearance, np.maximum(free_weights, STEP_COST), free_weights
+            )
+        weights.append(np.where(is_blocked, np.inf, free_weights))
 
-    entry: Json = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
+    inflation_entry: Json = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
     if mode == "exact":
-        entry["ledges"] = ledges
+        inflation_entry["ledges"] = ledges
     if clearance > 0:
-        entry["costs"] = costs
+        inflation_entry["costs"] = costs
         if costs == "nav2":
-            entry["scaling"] = float(scaling)
+            inflation_entry["scaling"] = float(scaling)
     levels = []
     for level, level_weights in zip(grid.levels, weights, strict=True):
         # Attributes that a file without them would derive from the weights are stored first, so
@@ -160,11 +165,11 @@ def inflate(
         }
         if not level.uses_cell_floors:  # the file's values are not the floor
             attributes["floorHeight"] = baked_layers["floorHeight"].copy()
-        metadata = _add_inflation_entry(level.metadata, entry)
+        metadata = _add_inflation_entry(level.metadata, inflation_entry)
         levels.append(
             level.with_layers(weights=level_weights, attributes=attributes, metadata=metadata)
         )
-    inflated = grid.with_levels(levels, _add_inflation_entry(grid.metadata, entry))
+    inflated = grid.with_levels(levels, _add_inflation_entry(grid.metadata, inflation_entry))
     if grid.navbake:  # in files of other programs these names may mean anything
         names = {name for level in levels for name in level.attributes}
         add_layers(inflated, names & {"island", "clearance"})
@@ -174,8 +179,8 @@ def inflate(
 def _add_inflation_entry(metadata: Json, entry: Json) -> Json:
     """Return a copy of metadata, with one more entry in the list of inflations."""
     inflations = metadata.get("inflation")
-    earlier = inflations if isinstance(inflations, list) else []
-    return {**metadata, "inflation": [*earlier, entry]}
+    earlier_inflations = inflations if isinstance(inflations, list) else []
+    return {**metadata, "inflation": [*earlier_inflations, entry]}
 
 
 def _refine_weights(level: SceneGrid2D, radius: float, outer_radius: float) -> Float:
@@ -189,20 +194,22 @@ def _refine_weights(level: SceneGrid2D, radius: float, outer_radius: float) -> F
     Returns:
         Weights, inf in blocked cells, shape (height, width).
     """
-    occupied = level.occupancy != 0
+    is_occupied = level.occupancy != 0
     window_radius = min(math.ceil(outer_radius - 0.5), max(level.shape) + 1)
     if window_radius <= 0:
-        return np.where(occupied, np.inf, 1.0)
-    steps = np.arange(-window_radius, window_radius)  # without the last one, as in the client
-    squared_distances = steps[:, None] ** 2 + steps**2
-    inner = _find_runs(np.argwhere(squared_distances < radius * radius) - window_radius)
-    outer = _find_runs(np.argwhere(squared_distances < outer_radius * outer_radius) - window_radius)
-    num_occupied = count_runs(occupied, inner)
-    num_cells = count_runs(np.ones_like(occupied), inner)
-    num_with_floor = count_runs(~np.isnan(level.floor_height), inner)
+        return np.where(is_occupied, np.inf, 1.0)
+    offsets = np.arange(-window_radius, window_radius)  # without the last one, as in the client
+    squared_distances = offsets[:, None] ** 2 + offsets**2
+    inner_runs = _find_runs(np.argwhere(squared_distances < radius * radius) - window_radius)
+    outer_runs = _find_runs(
+        np.argwhere(squared_distances < outer_radius * outer_radius) - window_radius
+    )
+    num_occupied = count_runs(is_occupied, inner_runs)
+    num_cells = count_runs(np.ones_like(is_occupied), inner_runs)
+    num_with_floor = count_runs(~np.isnan(level.floor_height), inner_runs)
     floor_share = num_with_floor / np.maximum(num_cells, 1)
     lacks_floor = (num_cells > 0) & (floor_share < surroundings.LEAST_FLOOR)
-    free_weights = np.where(count_runs(occupied, outer) > 0, STEP_COST, 1.0)
+    free_weights = np.where(count_runs(is_occupied, outer_runs) > 0, STEP_COST, 1.0)
     return np.where((num_occupied > 0) | lacks_floor, np.inf, free_weights)
 
 
@@ -231,21 +238,23 @@ def nav2_costs(
         uint8, shape (height, width): 254 on occupied cells, 253 up to the inscribed radius, then
         ``floor(252 exp(-scaling (d - radius)))``, d from the nearest occupied cell's centre [m].
     """
-    cell = grid.levels[level].lattice.cell_size
+    cell_size = grid.levels[level].lattice.cell_size
     # at this distance, costs have fallen to 1
-    reach = min(inflation_radius, radius + math.log(MAX_FREE_COST) / scaling)
+    max_distance = min(inflation_radius, radius + math.log(MAX_FREE_COST) / scaling)
     # squared distances in cells are whole numbers: tabulate their costs
-    squared_distances = measure_to_occupied(grid, level, reach)
-    max_square = math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1
-    last_square = max(min(int(squared_distances.max()), max_square), 0)
-    distance = np.sqrt(np.arange(last_square + 1)) * cell
-    slack = DISTANCE_SLACK * cell
-    decay = np.exp(-scaling * np.maximum(distance - radius, 0))
-    cost = np.floor(MAX_FREE_COST * decay + COST_SLACK)
-    cost = np.where(distance <= radius + slack, INSCRIBED_COST, cost)
-    cost[distance > inflation_radius + slack] = 0
-    cost[0] = OCCUPIED_COST
-    costs: NDArray[np.uint8] = cost.astype(np.uint8).take(squared_distances, mode="clip")
+    squared_distances = measure_to_occupied(grid, level, max_distance)
+    max_square = math.ceil((inflation_radius / cell_size) ** 2 * 1.001) + 1
+    largest_square = max(min(int(squared_distances.max()), max_square), 0)
+    distance_by_square = np.sqrt(np.arange(largest_square + 1)) * cell_size
+    distance_slack = DISTANCE_SLACK * cell_size
+    decay = np.exp(-scaling * np.maximum(distance_by_square - radius, 0))
+    cost_by_square = np.floor(MAX_FREE_COST * decay + COST_SLACK)
+    cost_by_square = np.where(
+        distance_by_square <= radius + distance_slack, INSCRIBED_COST, cost_by_square
+    )
+    cost_by_square[distance_by_square > inflation_radius + distance_slack] = 0
+    cost_by_square[0] = OCCUPIED_COST
+    costs: NDArray[np.uint8] = cost_by_square.astype(np.uint8).take(squared_distances, mode="clip")
     costs[squared_distances < 0] = 0
     return costs
 
@@ -362,22 +371,24 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
     sweepable = []
     for number, level in enumerate(grid.levels):
         # False beside a neighbour whose floor is too much higher or lower for a slope
-        floor = level.floor_height.astype(np.float64)
+        floor_z = level.floor_height.astype(np.float64)
         has_no_step = np.ones(level.shape, dtype=np.bool_)
-        columns = (np.s_[:, :-1], np.s_[:, 1:])
-        rows = (np.s_[:-1], np.s_[1:])
-        for first, second in (columns, rows):
-            rise = np.abs(floor[first] - floor[second])
+        column_neighbors = (np.s_[:, :-1], np.s_[:, 1:])
+        row_neighbors = (np.s_[:-1], np.s_[1:])
+        for first, second in (column_neighbors, row_neighbors):
+            rise = np.abs(floor_z[first] - floor_z[second])
             is_step = rise > STEEP_RISE * level.cell_size  # False for NaN
             has_no_step[first] &= ~is_step
             has_no_step[second] &= ~is_step
-        cell = level.lattice.cell_size
-        anywhere_radius = _anywhere_radius(radius, cell)
+        cell_size = level.lattice.cell_size
+        anywhere_radius = _anywhere_radius(radius, cell_size)
         is_blocked = find_blocked(grid, number, anywhere_radius, ledges)
         is_blocked_by_floors = find_blocked(
             grid, number, anywhere_radius, ledges, counts_own_occupied=False
         )
-        is_blocked_diagonally = find_blocked(grid, number, _diagonal_radius(radius, cell), ledges)
+        is_blocked_diagonally = find_blocked(
+            grid, number, _diagonal_radius(radius, cell_size), ledges
+        )
         diagonal.append((has_no_step & ~is_blocked_diagonally).ravel())
         anywhere.append((has_no_step & ~is_blocked).ravel())
         sweepable.append((has_no_step & ~(is_blocked & is_blocked_by_floors)).ravel())
@@ -415,7 +426,7 @@ def inflate_footprint(
             y to the left, its centre at the origin. No two sides cross.
         num_headings: number of headings; heading k is ``2 π k / num_headings`` [rad],
             counter-clockwise from the world's x.
-        ledges: see `inflate`.
+        ledges: ``avoid`` to keep the footprint off drops, or ``ignore`` to let it reach over them.
 
     Returns:
         For each level, shape (num_headings, height, width), bool: whether the cell is free
@@ -431,35 +442,35 @@ def inflate_footprint(
     radius = float(np.hypot(*outline.T).max())
     masks = []
     for number, level in enumerate(grid.levels):
-        cell = level.lattice.cell_size
-        window_radius = math.ceil(radius / cell) + 1
+        cell_size = level.lattice.cell_size
+        window_radius = math.ceil(radius / cell_size) + 1
         if window_radius > MAX_FOOTPRINT_REACH:
-            limit = f"within {MAX_FOOTPRINT_REACH} cells"
-            raise QueryError(f"expected a polygon {limit}, got one of {window_radius}")
+            limit_text = f"within {MAX_FOOTPRINT_REACH} cells"
+            raise QueryError(f"expected a polygon {limit_text}, got one of {window_radius}")
         stack, level_window = surroundings.stack_levels(grid, number, window_radius)
-        free = np.empty((num_headings, *level.shape), dtype=np.bool_)
+        is_free = np.empty((num_headings, *level.shape), dtype=np.bool_)
         # the cells round the agent's cell, in units of a cell: `touch_cells` finds the polygon's
-        window = Lattice(
+        window_lattice = Lattice(
             -window_radius - 0.5,
             window_radius + 0.5,
             1.0,
             2 * window_radius + 1,
             2 * window_radius + 1,
         )
-        x, y = outline.T / cell
-        for k in range(num_headings):
-            angle = 2 * math.pi * k / num_headings
+        x, y = outline.T / cell_size
+        for heading_index in range(num_headings):
+            angle = 2 * math.pi * heading_index / num_headings
             cos = math.cos(angle)
             sin = math.sin(angle)
-            rotated = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
+            rotated_outline = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
             offsets = np.ascontiguousarray(
-                np.argwhere(touch_cells([rotated], window)) - window_radius
+                np.argwhere(touch_cells([rotated_outline], window_lattice)) - window_radius
             )
             num_occupied = count_runs(stack.occupied[stack.level] != 0, _find_runs(offsets))
-            blocked = num_occupied > 0
-            surroundings.block_by_floors(grid, number, stack, radius, offsets, ledges, blocked)
-            free[k] = level.free_for_point & ~blocked[level_window]
-        masks.append(free)
+            is_blocked = num_occupied > 0
+            surroundings.block_by_floors(grid, number, stack, radius, offsets, ledges, is_blocked)
+            is_free[heading_index] = level.free_for_point & ~is_blocked[level_window]
+        masks.append(is_free)
     return masks
 
 
@@ -492,13 +503,18 @@ def count_runs(mask: Bool, runs: Int) -> Int32:
         The count for each cell as the shape's origin, int32, shape (rows, cols).
     """
     rows, cols = mask.shape
-    pad = int(np.abs(runs).max(initial=0)) + 1
-    running_sums = np.cumsum(np.pad(mask, pad), axis=1, dtype=np.int32)  # a run is one difference
-    count = np.zeros(mask.shape, dtype=np.int32)
-    for row, first, last in (runs + pad).tolist():
+    padding = int(np.abs(runs).max(initial=0)) + 1
+    running_sums = np.cumsum(
+        np.pad(mask, padding), axis=1, dtype=np.int32
+    )  # a run is one difference
+    counts = np.zeros(mask.shape, dtype=np.int32)
+    for row, first_col, last_col in (runs + padding).tolist():
         row_sums = running_sums[row : row + rows]
-        count += row_sums[:, last : last + cols] - row_sums[:, first - 1 : first - 1 + cols]
-    return count
+        counts += (
+            row_sums[:, last_col : last_col + cols]
+            - row_sums[:, first_col - 1 : first_col - 1 + cols]
+        )
+    return counts
 
 
 def _find_runs(offsets: Int) -> Int:
@@ -510,8 +526,8 @@ def _find_runs(offsets: Int) -> Int:
     Returns:
         Row, first column and last column of each run, shape (n, 3).
     """
-    row, col = offsets.T
-    is_first = np.ones(len(row), dtype=np.bool_)
-    is_first[1:] = (row[1:] != row[:-1]) | (col[1:] != col[:-1] + 1)
+    rows, cols = offsets.T
+    is_first = np.ones(len(rows), dtype=np.bool_)
+    is_first[1:] = (rows[1:] != rows[:-1]) | (cols[1:] != cols[:-1] + 1)
     is_last = np.roll(is_first, -1)
-    return np.stack([row[is_first], col[is_first], col[is_last]], axis=1)
+    return np.stack([rows[is_first], cols[is_first], cols[is_last]], axis=1)

@@ -63,7 +63,7 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
     goals = target.free_cells(flat)
     if not len(goals):
         return describe_blocked_goal(search, target)
-    if search.route(start_cell, goals) is not None:
+    if search.find_route(start_cell, goals) is not None:
         return None
     description, nearest_cells = _describe_islands(search, start_cell, goals)
     reason = None
@@ -85,14 +85,14 @@ def describe_blocked_goal(search: Search, target: Target) -> str:
         target: the goal's cells, none of them free.
     """
     if target.positions is not None:
-        first = _describe_blocked(search, target.positions[0], int(target.cells[0]))
+        first_reason = _describe_blocked(search, target.positions[0], int(target.cells[0]))
         if len(target.positions) == 1:
-            return f"the goal {first}"
-        return f"none of the {len(target.positions)} goals is free: the first {first}"
-    where = f"no cell of {target.name}"
+            return f"the goal {first_reason}"
+        return f"none of the {len(target.positions)} goals is free: the first {first_reason}"
+    cells_text = f"no cell of {target.name}"
     if not target.name.startswith("room"):
-        where = f"no cell within 1 m of {target.name}, not counting those behind walls,"
-    return f"{where} is free for a radius of {search.grid.radius:g} m"
+        cells_text = f"no cell within 1 m of {target.name}, not counting those behind walls,"
+    return f"{cells_text} is free for a radius of {search.grid.radius:g} m"
 
 
 def _describe_blocked(search: Search, position: Float, cell: int) -> str:
@@ -104,21 +104,21 @@ def _describe_blocked(search: Search, position: Float, cell: int) -> str:
     flat = search.flat
     area = None if cell < 0 else _find_barring_area(search, cell)
     if cell < 0:
-        boxes = np.array([level.lattice.bounds for level in grid.levels])
-        x0, y0 = boxes[:, :2].min(axis=0)
-        x1, y1 = boxes[:, 2:].max(axis=0)
-        reason = f"lies beside the grid, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
-        if x0 <= position[0] <= x1 and y0 <= position[1] <= y1:
+        level_bounds = np.array([level.lattice.bounds for level in grid.levels])
+        x_min, y_min = level_bounds[:, :2].min(axis=0)
+        x_max, y_max = level_bounds[:, 2:].max(axis=0)
+        reason = f"lies beside the grid, x {x_min:g} to {x_max:g}, y {y_min:g} to {y_max:g}"
+        if x_min <= position[0] <= x_max and y_min <= position[1] <= y_max:
             reason = "has no floor below it"
     elif area is not None:
         reason = f"lies in the {area.name}, which {area.verdict}"
     else:
-        place = place_in(grid, flat.cell(cell))
-        if place.is_blocked:
+        cell_content = place_in(grid, flat.to_cell(cell))
+        if cell_content.is_blocked:
             reason = "is blocked for now"
-        elif place.floor is None:
+        elif cell_content.floor is None:
             reason = "is on no floor"
-        elif place.occupied:
+        elif cell_content.occupied:
             names = _name_obstacles(search, np.array([cell]))
             reason = f"is where something stands{f' ({names})' if names else ''}"
         else:
@@ -129,11 +129,13 @@ def _describe_blocked(search: Search, position: Float, cell: int) -> str:
         return f"{description}, and no cell is free at all"
     level = 0 if cell < 0 else int(flat.level_of(cell))
     z = position[2] if len(position) == 3 else flat.floors.ground[level]
-    places = flat.positions(free_cells)
-    distance = np.linalg.norm(places - [position[0], position[1], z], axis=1)
-    nearest = int(np.argmin(distance))
-    where = f"at {format_point(places[nearest])}, {distance[nearest]:.2f} m away"
-    return f"{description}; the nearest free cell is {where}"
+    free_positions = flat.positions(free_cells)
+    distances = np.linalg.norm(free_positions - [position[0], position[1], z], axis=1)
+    nearest_index = int(np.argmin(distances))
+    place_text = (
+        f"at {format_point(free_positions[nearest_index])}, {distances[nearest_index]:.2f} m away"
+    )
+    return f"{description}; the nearest free cell is {place_text}"
 
 
 def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str, Int | None]:
@@ -147,41 +149,45 @@ def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str,
     islands = search.islands
     start_island = islands.number[start_cell]
     goal_islands = np.unique(islands.number[goals])
-    is_rim = flat.free & (search.graph.moves != ALL_MOVES)
-    start_rim = np.flatnonzero(is_rim & np.isin(islands.number, start_island))
-    goal_rim = np.flatnonzero(is_rim & np.isin(islands.number, goal_islands))
+    is_at_edge = flat.free & (search.graph.moves != ALL_MOVES)
+    start_edge_cells = np.flatnonzero(is_at_edge & np.isin(islands.number, start_island))
+    goal_edge_cells = np.flatnonzero(is_at_edge & np.isin(islands.number, goal_islands))
     # One tree for all levels: by a fourth coordinate, each level is farther from the next than any
     # two cells of one level can be. Heights count, as the top of a stair is over the floor below.
     level_distance = 10.0 * float(flat.layout.start[-1])
 
     def separate_levels(cells: Int) -> Float:
-        offsets = flat.level_of(cells) * level_distance
-        return np.column_stack([flat.positions(cells), offsets])
+        level_offsets = flat.level_of(cells) * level_distance
+        return np.column_stack([flat.positions(cells), level_offsets])
 
-    distance, index = spatial.cKDTree(separate_levels(goal_rim)).query(separate_levels(start_rim))
-    nearest = int(np.argmin(distance))
-    cells = np.array([start_rim[nearest], goal_rim[index[nearest]]])
+    distances, goal_indices = spatial.cKDTree(separate_levels(goal_edge_cells)).query(
+        separate_levels(start_edge_cells)
+    )
+    nearest_index = int(np.argmin(distances))
+    cells = np.array(
+        [start_edge_cells[nearest_index], goal_edge_cells[goal_indices[nearest_index]]]
+    )
     goal_island = int(islands.number[cells[1]])
     goal_text = f"{goal_island} ({islands.areas[goal_island]:.2f} m²)"
     start_text = f"{start_island} ({islands.areas[start_island]:.2f} m²)"
     description = f"the goal is in island {goal_text}, the start in island {start_text}"
-    if distance[nearest] >= level_distance:
+    if distances[nearest_index] >= level_distance:
         return f"{description}, which have no level in common", None
     start_point, goal_point = flat.positions(cells)
-    where = f"at {format_point(start_point)} and {format_point(goal_point)}"
-    gap = f"their nearest cells are {distance[nearest]:.2f} m apart, {where}"
-    return f"{description}; {gap}", cells
+    points_text = f"at {format_point(start_point)} and {format_point(goal_point)}"
+    gap_text = f"their nearest cells are {distances[nearest_index]:.2f} m apart, {points_text}"
+    return f"{description}; {gap_text}", cells
 
 
 def _cells_between(search: Search, ends: Int) -> Int:
     """List the cells on the straight line between two cells of a level, by flat id."""
     flat = search.flat
-    level, row, col = flat.split(ends)
-    count = int(np.abs(np.diff([row, col])).max()) + 1
-    line = np.linspace((row[0], col[0]), (row[1], col[1]), count)
-    line_cells = np.rint(line).astype(np.int64)
+    level, row, col = flat.to_cells(ends)
+    num_cells = int(np.abs(np.diff([row, col])).max()) + 1
+    line_points = np.linspace((row[0], col[0]), (row[1], col[1]), num_cells)
+    rows_and_cols = np.rint(line_points).astype(np.int64)
     width = flat.layout.width[level[0]]
-    cells: Int = flat.layout.start[level[0]] + line_cells @ [width, 1]
+    cells: Int = flat.layout.start[level[0]] + rows_and_cols @ [width, 1]
     return cells
 
 
@@ -205,22 +211,22 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
     route = find_route_cells(grid_without_obstacles, search, start_cell, goals)
     if route is None:
         return None
-    blocked_places = np.flatnonzero(~flat.free[route])
-    first = max(blocked_places[0] - RISE_MARGIN, 0)
-    last = blocked_places[-1] + RISE_MARGIN
-    blocked_part = route[first : last + 1]
+    blocked_indices = np.flatnonzero(~flat.free[route])
+    first_index = max(blocked_indices[0] - RISE_MARGIN, 0)
+    last_index = blocked_indices[-1] + RISE_MARGIN
+    blocked_part = route[first_index : last_index + 1]
     is_stairs = np.ptp(flat.positions(blocked_part)[:, 2]) > STAIRS_RISE
     levels = np.unique(flat.level_of(route)).tolist()
-    between = ""
+    between_text = ""
     if is_stairs and len(levels) > 1:
         first_level = _name_level(grid, levels[0])
-        between = f" between {first_level} and {_name_level(grid, levels[-1])}"
-    where = f"{format_point(flat.positions(route[blocked_places[0]]))}{between}"
+        between_text = f" between {first_level} and {_name_level(grid, levels[-1])}"
+    place_text = f"{format_point(flat.positions(route[blocked_indices[0]]))}{between_text}"
     steps_text = "".join(f" {steps}," for steps in _describe_blocked_steps(search))
     comma = "," if steps_text else ""
     if is_stairs:
-        return f"the stairs at {where}{comma}{steps_text} are blocked for now"
-    return f"the way at {where}{comma}{steps_text} is blocked for now"
+        return f"the stairs at {place_text}{comma}{steps_text} are blocked for now"
+    return f"the way at {place_text}{comma}{steps_text} is blocked for now"
 
 
 def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
@@ -241,30 +247,36 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
     flat = search.flat
     if not grid.doors:
         return None
-    doorless = without_inflation(grid.without_obstacles()).with_doors("removed")
-    free = np.concatenate([level.free.ravel() for level in doorless.levels])
-    weights = np.where(free, np.where(flat.free, 1.0, DOOR_WEIGHT), np.inf)
-    doorless = with_weights(doorless, weights)
+    doorless_grid = without_inflation(grid.without_obstacles()).with_doors("removed")
+    is_free = np.concatenate([level.free.ravel() for level in doorless_grid.levels])
+    weights = np.where(is_free, np.where(flat.free, 1.0, DOOR_WEIGHT), np.inf)
+    doorless_grid = with_weights(doorless_grid, weights)
     if grid.inflated_radius:
         ledges = ledges_setting(grid)
-        doorless = doorless.inflate(grid.inflated_radius, ledges=ledges)
-    route = find_route_cells(doorless, search, start_cell, goals)
-    blocked = NO_CELLS if route is None else route[~flat.free[route]]
+        doorless_grid = doorless_grid.inflate(grid.inflated_radius, ledges=ledges)
+    route = find_route_cells(doorless_grid, search, start_cell, goals)
+    blocked_cells = NO_CELLS if route is None else route[~flat.free[route]]
     # a door blocks all cells from which the agent's disc reaches it
     leaf_cells = np.array([cell for cell in search.doors if search.occupied[cell]], dtype=np.int64)
     max_distance = grid.radius + 1.5 * float(flat.layout.cell_size.max())
     tree = spatial.cKDTree(flat.positions(leaf_cells))
-    _, nearest = tree.query(flat.positions(blocked), distance_upper_bound=max_distance)
-    passed_leaf_cells = leaf_cells[nearest[nearest < len(leaf_cells)]]
-    names = list(dict.fromkeys(list_doors_along(search.doors, passed_leaf_cells)))
-    if not names:
+    _, nearest_indices = tree.query(
+        flat.positions(blocked_cells), distance_upper_bound=max_distance
+    )
+    passed_leaf_cells = leaf_cells[nearest_indices[nearest_indices < len(leaf_cells)]]
+    door_ids = list(dict.fromkeys(list_doors_along(search.doors, passed_leaf_cells)))
+    if not door_ids:
         return None
     states = {door.id: door.state for door in grid.doors}
     state_words = {
         name: "as modelled" if state == "modelled" else state for name, state in states.items()
     }
-    doors = " and ".join(f"{name!r} ({state_words[name]})" for name in names)
-    return f"doors {doors} are in the way" if len(names) > 1 else f"door {doors} is in the way"
+    doors_text = " and ".join(f"{name!r} ({state_words[name]})" for name in door_ids)
+    return (
+        f"doors {doors_text} are in the way"
+        if len(door_ids) > 1
+        else f"door {doors_text} is in the way"
+    )
 
 
 def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
@@ -305,16 +317,18 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
     ]
     if lost_names:
         is_singular = len(lost_names) == 1 and not lost_names[0].startswith("the stairs")
-        names = f"{' and '.join(lost_names)} {'is' if is_singular else 'are'}"
-        closed = f"{names} closed for a radius of {agent_radius:g} m"
-        return f"{closed}, and {round_down(radius):g} m passes"
+        names_text = f"{' and '.join(lost_names)} {'is' if is_singular else 'are'}"
+        closed_text = f"{names_text} closed for a radius of {agent_radius:g} m"
+        return f"{closed_text}, and {round_down(radius):g} m passes"
     if math.isinf(radius):
         return None
-    cell = find_bottleneck(point_grid, search, start_cell, goals, widest, cut_corners=False)
-    width = _measure_gap(point_search, cell, radius)
-    where = format_point(flat.positions(cell))
+    bottleneck_cell = find_bottleneck(
+        point_grid, search, start_cell, goals, widest, cut_corners=False
+    )
+    width = _measure_gap(point_search, bottleneck_cell, radius)
+    place_text = format_point(flat.positions(bottleneck_cell))
     agent_width = f"the agent {2 * agent_radius:.2f} m"
-    return f"the gap between, at {where}, is {width:.2f} m wide, {agent_width}"
+    return f"the gap between, at {place_text}, is {width:.2f} m wide, {agent_width}"
 
 
 def _measure_gap(search: Search, cell: int, radius: float) -> float:
@@ -328,31 +342,32 @@ def _measure_gap(search: Search, cell: int, radius: float) -> float:
     Returns:
         The width [m]; twice the radius if no squares are on opposite sides of the cell.
     """
-    level_number, row, col = search.flat.cell(cell)
+    level_number, row, col = search.flat.to_cell(cell)
     level = search.grid.levels[level_number]
-    size = search.flat.layout.cell_size[level_number]
-    window_radius = int(4 * radius / size) + 2
+    cell_size = search.flat.layout.cell_size[level_number]
+    window_radius = int(4 * radius / cell_size) + 2
     first_row = max(row - window_radius, 0)
     first_col = max(col - window_radius, 0)
     window = level.solid[first_row : row + window_radius + 1, first_col : col + window_radius + 1]
     rows, cols = np.nonzero(window)
     centers = level.lattice.positions(rows + first_row, cols + first_col)
-    point = level.lattice.positions(row, col)
-    low = centers - size / 2
-    high = centers + size / 2
-    offsets_to_squares = np.clip(point, low, high) - point
-    distance = np.linalg.norm(offsets_to_squares, axis=1)
-    if not len(distance):
+    bottleneck = level.lattice.positions(row, col)
+    square_min = centers - cell_size / 2
+    square_max = centers + cell_size / 2
+    offsets_to_squares = np.clip(bottleneck, square_min, square_max) - bottleneck
+    distances = np.linalg.norm(offsets_to_squares, axis=1)
+    if not len(distances):
         return 2 * radius
     # from the nearest square to those on the other side, within 60 degrees of opposite to it
-    nearest = int(np.argmin(distance))
+    nearest_index = int(np.argmin(distances))
     is_opposite = (
-        offsets_to_squares @ -offsets_to_squares[nearest] > 0.5 * distance * distance[nearest]
+        offsets_to_squares @ -offsets_to_squares[nearest_index]
+        > 0.5 * distances * distances[nearest_index]
     )
     if not is_opposite.any():
         return 2 * radius
-    near_side = point + offsets_to_squares[nearest]
-    widths = np.linalg.norm(np.clip(near_side, low, high) - near_side, axis=1)
+    near_point = bottleneck + offsets_to_squares[nearest_index]
+    widths = np.linalg.norm(np.clip(near_point, square_min, square_max) - near_point, axis=1)
     return float(widths[is_opposite].min())
 
 
@@ -376,20 +391,20 @@ def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> s
     if not (grid.links or grid.areas):
         return None
     open_search = similar_search(grid, search, radius=0.0, penalty=FORBIDDEN_PENALTY)
-    route = open_search.route(start_cell, goals)
+    route = open_search.find_route(start_cell, goals)
     if route is None:
         return None
-    taken_links = dict(open_search.measure_route(route, flat.split(route.cells), "cost").links)
-    for index, cell in enumerate(route.cells.tolist()):
-        if index in taken_links:
-            sentence = _explain_link(search, route, index, taken_links[index])
+    taken_links = dict(open_search.measure_route(route, flat.to_cells(route.cells), "cost").links)
+    for route_index, cell in enumerate(route.cells.tolist()):
+        if route_index in taken_links:
+            sentence = _explain_link(search, route, route_index, taken_links[route_index])
             if sentence:
                 return sentence
         # a diagonal step also needs the two cells beside it
-        has_step = index > 0 and not route.by_link[index]
-        before = int(route.cells[index - 1]) if has_step else cell
-        col_step = flat.cell(cell).col - flat.cell(before).col
-        for needed_cell in (before + col_step, cell - col_step, cell):
+        is_step = route_index > 0 and not route.by_link[route_index]
+        previous_cell = int(route.cells[route_index - 1]) if is_step else cell
+        col_step = flat.to_cell(cell).col - flat.to_cell(previous_cell).col
+        for needed_cell in (previous_cell + col_step, cell - col_step, cell):
             area = _find_barring_area(search, needed_cell)
             if area is not None:
                 return f"the {area.name} {area.verdict}"
@@ -434,10 +449,10 @@ def _find_barring_area(search: Search, cell: int) -> BarringArea | None:
     agent = search.agent
     if len(area_factor) == 1 or math.isfinite(area_factor[cell]):
         return None
-    level, row, col = search.flat.cell(cell)
+    level, row, col = search.flat.to_cell(cell)
     area = search.grid.areas[search.grid.levels[level].area_index[row, col] - 1]
-    barred = repr(agent.name) if agent and math.isfinite(area.cost) else "all agents"
-    return BarringArea(f"area {area.name!r}", f"bars {barred}")
+    barred_agents = repr(agent.name) if agent and math.isfinite(area.cost) else "all agents"
+    return BarringArea(f"area {area.name!r}", f"bars {barred_agents}")
 
 
 def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
@@ -476,14 +491,14 @@ def _describe_blocked_steps(search: Search) -> list[str]:
     is_open = flat.free[sources] & flat.free[targets]
     is_upwards = source_levels < target_levels
     level_pairs = np.stack([source_levels, target_levels], axis=1)[is_upwards]
-    for lower, upper in np.unique(level_pairs, axis=0).tolist():
-        is_between = (source_levels == lower) & (target_levels == upper)
+    for lower_level, upper_level in np.unique(level_pairs, axis=0).tolist():
+        is_between = (source_levels == lower_level) & (target_levels == upper_level)
         if not is_open[is_between].any():
             num_steps = is_between.sum()
-            steps = "the step" if num_steps == 1 else f"all {num_steps} steps"
-            lower_name = _name_level(search.grid, lower)
-            upper_name = _name_level(search.grid, upper)
-            descriptions.append(f"{steps} from {lower_name} to {upper_name}")
+            steps_text = "the step" if num_steps == 1 else f"all {num_steps} steps"
+            lower_name = _name_level(search.grid, lower_level)
+            upper_name = _name_level(search.grid, upper_level)
+            descriptions.append(f"{steps_text} from {lower_name} to {upper_name}")
     return descriptions
 
 
@@ -504,9 +519,9 @@ def _name_obstacles(search: Search, cells: Int) -> str:
     """List the names of what blocks some cells, in one text; empty if the file has no names."""
     grid = search.grid
     flat = search.flat
-    blocked = cells[~flat.free[cells]]
-    levels = flat.level_of(blocked)
-    positions = flat.positions(blocked)
+    blocked_cells = cells[~flat.free[cells]]
+    levels = flat.level_of(blocked_cells)
+    positions = flat.positions(blocked_cells)
     names: list[str] = []
     for (x, y, _), level in zip(positions.tolist(), levels.tolist(), strict=True):
         names += grid.blockers(x, y, level)
@@ -521,8 +536,8 @@ def _name_level(grid: NavGrid, number: int) -> str:
 
 def format_point(position: ArrayLike) -> str:
     """Format a position for a sentence, to the centimetre and in parentheses."""
-    rounded = np.round(np.asarray(position), 2) + 0.0  # -0.0 + 0.0 is 0.0
-    return f"({', '.join(f'{v:.2f}' for v in rounded)})"
+    rounded_position = np.round(np.asarray(position), 2) + 0.0  # -0.0 + 0.0 is 0.0
+    return f"({', '.join(f'{coordinate:.2f}' for coordinate in rounded_position)})"
 
 
 def round_down(length: float) -> float:

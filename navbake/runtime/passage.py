@@ -149,65 +149,69 @@ def find_widest(
     is_barred = ~np.isfinite(flat.area_factor)
 
     def passes(radius: float) -> bool:
-        free = find_free(grid, radius, ledges) & ~is_barred
-        free_goals = goals[free[goals]]
-        if not free[start_cell] or not len(free_goals):
+        is_free = find_free(grid, radius, ledges) & ~is_barred
+        free_goals = goals[is_free[goals]]
+        if not is_free[start_cell] or not len(free_goals):
             return False
         moves = None
         if cut_corners:  # diagonal moves join islands, too
-            weights = np.where(free, 1.0, np.inf)
+            weights = np.where(is_free, 1.0, np.inf)
             moves = Search(with_weights(grid, weights), cut_corners=True).graph.moves
-        islands = map_islands(replace(flat, free=free), radius, moves)
-        reached = islands.reached_from(int(islands.number[start_cell]))
-        return bool(np.isin(islands.number[free_goals], reached).any())
+        islands = map_islands(replace(flat, free=is_free), radius, moves)
+        reached_islands = islands.reached_from(int(islands.number[start_cell]))
+        return bool(np.isin(islands.number[free_goals], reached_islands).any())
 
     if not passes(0.0):
         return None
-    # the largest radius is in [low, high)
+    # the largest radius is in [passing_radius, failing_radius)
     smallest_cell = float(flat.layout.cell_size.min())
-    low = 0.0
-    high = smallest_cell
-    while passes(high):
-        if high == MAX_RADIUS:
-            free = find_free(grid, high, ledges)
+    passing_radius = 0.0
+    failing_radius = smallest_cell
+    while passes(failing_radius):
+        if failing_radius == MAX_RADIUS:
+            free = find_free(grid, failing_radius, ledges)
             return WidestRadius(math.inf, free, free)
-        low = high
-        high = min(2.0 * high, MAX_RADIUS)
-    while high - low > smallest_cell:  # so that few radii remain
-        middle = (low + high) / 2
-        if passes(middle):
-            low = middle
+        passing_radius = failing_radius
+        failing_radius = min(2.0 * failing_radius, MAX_RADIUS)
+    while failing_radius - passing_radius > smallest_cell:  # so that few radii remain
+        middle_radius = (passing_radius + failing_radius) / 2
+        if passes(middle_radius):
+            passing_radius = middle_radius
         else:
-            high = middle
-    radii = _radii_that_change_cells(grid, search, low, high)
-    passing = 0
-    failing = len(radii) - 1
-    while failing - passing > 1:
-        middle_index = (passing + failing) // 2
+            failing_radius = middle_radius
+    radii = _radii_that_change_cells(grid, search, passing_radius, failing_radius)
+    passing_index = 0
+    failing_index = len(radii) - 1
+    while failing_index - passing_index > 1:
+        middle_index = (passing_index + failing_index) // 2
         if passes(radii[middle_index]):
-            passing = middle_index
+            passing_index = middle_index
         else:
-            failing = middle_index
+            failing_index = middle_index
     return WidestRadius(
-        radius=radii[passing],
-        free=find_free(grid, radii[passing], ledges),
-        free_for_next=find_free(grid, radii[passing + 1], ledges),
+        radius=radii[passing_index],
+        free=find_free(grid, radii[passing_index], ledges),
+        free_for_next=find_free(grid, radii[passing_index + 1], ledges),
     )
 
 
-def _radii_that_change_cells(grid: NavGrid, search: Search, low: float, high: float) -> list[float]:
-    """List the radii in [low, high) at which cells or links may become too narrow, and `high`.
+def _radii_that_change_cells(
+    grid: NavGrid, search: Search, min_radius: float, max_radius: float
+) -> list[float]:
+    """List the radii at which cells or links may become too narrow, between two radii.
 
-    The radii are ascending [m].
+    Returns the radii from `min_radius` on and below `max_radius`, ascending, and then `max_radius`
+    itself [m].
+
     """
     flat = search.flat
-    candidates = [np.array([grid.agent_radius]), flat.arcs.width / 2.0]
-    for cell in set(flat.layout.cell_size.tolist()):
-        first = math.floor((2 * low / cell) ** 2)
-        last = math.ceil((2 * high / cell) ** 2)
-        candidates.append(np.sqrt(np.arange(first, last + 1)) * (cell / 2))
-    radii = np.unique(np.concatenate(candidates))
-    return [*radii[(radii >= low) & (radii < high)].tolist(), high]
+    candidate_radii = [np.array([grid.agent_radius]), flat.arcs.width / 2.0]
+    for cell_size in set(flat.layout.cell_size.tolist()):
+        first_square = math.floor((2 * min_radius / cell_size) ** 2)
+        last_square = math.ceil((2 * max_radius / cell_size) ** 2)
+        candidate_radii.append(np.sqrt(np.arange(first_square, last_square + 1)) * (cell_size / 2))
+    radii = np.unique(np.concatenate(candidate_radii))
+    return [*radii[(radii >= min_radius) & (radii < max_radius)].tolist(), max_radius]
 
 
 def find_bottleneck(
@@ -243,25 +247,25 @@ def find_bottleneck(
     weighted_search = similar_search(
         with_weights(grid, weights), search, cut_corners=cut_corners, radius=widest.radius
     )
-    route = weighted_search.route(start_cell, goals)
+    route = weighted_search.find_route(start_cell, goals)
     assert route is not None  # the islands say that there is one
     critical_indices = np.flatnonzero(is_critical[route.cells])
     if len(critical_indices):
         run_ends = np.flatnonzero(np.diff(critical_indices) > 1) + 1
         first_run = np.split(critical_indices, run_ends)[0]
         return int(route.cells[first_run[(len(first_run) - 1) // 2]])
-    for index in np.flatnonzero(route.by_link).tolist():
-        ends = route.cells[index - 1 : index + 1]
-        is_taken = (flat.arcs.ends == ends).all(axis=1)
+    for route_index in np.flatnonzero(route.by_link).tolist():
+        link_ends = route.cells[route_index - 1 : route_index + 1]
+        is_taken = (flat.arcs.ends == link_ends).all(axis=1)
         if is_taken.any():
             width = flat.arcs.width[is_taken].max()
             if math.isclose(width, 2.0 * widest.radius):
-                return int(route.cells[index - 1])
+                return int(route.cells[route_index - 1])
     # the route passes diagonally between two cells
-    level, row, col = flat.split(route.cells)
-    steps = np.abs(np.diff([level, row, col])).T
-    diagonal_steps = np.flatnonzero((steps == (0, 1, 1)).all(axis=1))
-    col_step = col[diagonal_steps + 1] - col[diagonal_steps]
+    levels, rows, cols = flat.to_cells(route.cells)
+    step_sizes = np.abs(np.diff([levels, rows, cols])).T
+    diagonal_steps = np.flatnonzero((step_sizes == (0, 1, 1)).all(axis=1))
+    col_step = cols[diagonal_steps + 1] - cols[diagonal_steps]
     cells_beside = np.concatenate([
         route.cells[diagonal_steps] + col_step,
         route.cells[diagonal_steps + 1] - col_step,
@@ -319,9 +323,12 @@ def similar_search(
     Args:
         grid: the grid of the new search; may be the grid of the other one.
         search: the search whose settings are used.
-        cut_corners: see `Search`; the setting of `search` if None.
-        radius: see `Search`; the radius of `search` if None.
-        penalty: see `Search`.
+        cut_corners: whether diagonal steps past blocked corners are allowed; if None, as in
+            `search`.
+        radius: links that are narrower than twice this are left out [m]; the radius of `search` if
+            None.
+        penalty: if given, the agent may use links and areas that bar it, at a cost higher by this,
+            see `navbake.runtime.flat_grid.flatten`.
     """
     return Search(
         grid,
@@ -344,7 +351,7 @@ def find_route_cells(grid: NavGrid, search: Search, start_cell: int, goals: Int)
     Returns:
         The flat ids of the route's cells; None if there is no route.
     """
-    route = similar_search(grid, search).route(start_cell, goals)
+    route = similar_search(grid, search).find_route(start_cell, goals)
     return None if route is None else route.cells
 
 
@@ -361,28 +368,28 @@ def find_lost_connections(before: Search, after: Search) -> list[LostConnection]
         after: a search on the second grid, of the same cells.
     """
     flat = before.flat
-    lost: list[LostConnection] = []
+    lost_connections: list[LostConnection] = []
     for stairs in find_stairs(before.grid, flat):
         levels = [stairs.lower_level, stairs.upper_level]
         if _has_open_step(before, levels, stairs.steps) and not _has_open_step(
             after, levels, stairs.steps
         ):
             x, y, _ = flat.positions(stairs.steps).mean(axis=(0, 1))
-            between = f"between level {stairs.lower_level} and {stairs.upper_level}"
-            name = f"the {stairs.kind} {between} near ({x:.2f}, {y:.2f})"
-            lost.append(LostConnection(name, stairs.steps.ravel()))
+            between_text = f"between level {stairs.lower_level} and {stairs.upper_level}"
+            name = f"the {stairs.kind} {between_text} near ({x:.2f}, {y:.2f})"
+            lost_connections.append(LostConnection(name, stairs.steps.ravel()))
     for link in before.grid.links:
         cells = np.array([flat.layout.start[stop.level] + stop.cell for stop in link.stops])
         was_open = before.flat.free[cells].sum() > 1 and link.fits(before.radius)
         is_open = after.flat.free[cells].sum() > 1 and link.fits(after.radius)
         if was_open and not is_open:
-            lost.append(LostConnection(f"the link {link.name!r} ({link.kind})", cells))
+            lost_connections.append(LostConnection(f"the link {link.name!r} ({link.kind})", cells))
     for door in before.grid.doors:
         cells = find_leaf_cells(door, flat)
         cells = cells[flat.free[cells]]
         if len(cells) and not after.flat.free[cells].any():
-            lost.append(LostConnection(f"door {door.id!r}", cells))
-    return lost
+            lost_connections.append(LostConnection(f"door {door.id!r}", cells))
+    return lost_connections
 
 
 def _has_open_step(search: Search, levels: list[int], steps: Int) -> bool:
@@ -394,11 +401,11 @@ def _has_open_step(search: Search, levels: list[int], steps: Int) -> bool:
         steps: flat ids of each step's cells on the first and the second level, shape (n, 2).
     """
     flat = search.flat
-    number = search.islands.number
+    island_numbers = search.islands.number
     # for each cell, how many cells of its island are on its level
     num_cells = np.zeros(steps.shape, dtype=np.int64)
     for end_index, level in enumerate(levels):
-        cells_by_island = np.bincount(number[flat.cells_of(level)])
-        num_cells[:, end_index] = cells_by_island[number[steps[:, end_index]]]
+        cells_by_island = np.bincount(island_numbers[flat.cells_of(level)])
+        num_cells[:, end_index] = cells_by_island[island_numbers[steps[:, end_index]]]
     areas = num_cells * flat.layout.cell_size[levels] ** 2
     return bool((flat.free[steps] & (areas >= LEAST_AREA)).all(axis=1).any())

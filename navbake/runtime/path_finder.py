@@ -240,7 +240,8 @@ class PathFinder:
 
         Args:
             start: world x, y, z [m], shape (3,).
-            goal: see `find_path`.
+            goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
+
             level: the level of positions, for which x, y are then enough; None finds it by z.
 
         Returns:
@@ -261,7 +262,8 @@ class PathFinder:
         """Compute the cost of the cheapest path from every cell to a goal.
 
         Args:
-            goal: see `find_path`.
+            goal: a position, several of them (the cheapest to reach counts), ``room:NAME`` or
+                ``object:NAME``.
             level: the level of positions, for which x, y are then enough; None finds it by z.
             weighted: whether to return the costs of `find_path`. If False, returns the lengths of
                 the shortest paths [m], to which links add their costs.
@@ -301,11 +303,13 @@ class PathFinder:
 
         Args:
             starts: world x, y, z [m], shape (..., 3).
-            goal: see `find_path`. If it is several positions, the cheapest to reach counts.
+            goal: a position, several of them (the cheapest to reach counts), ``room:NAME`` or
+                ``object:NAME``.
             goals: m goals, each like `goal`.
             level: the level of positions, for which x, y are then enough; None finds it by z.
-            weighted: see `distance_field`.
-            by: see `distance_field`.
+            weighted: whether to return the costs of `find_path`. If False, returns the lengths of
+                the shortest paths [m], to which links add their costs.
+            by: ``cost``; or ``time`` for the seconds of the quickest path.
 
         Returns:
             float64, inf for no path: shape (...) for a `goal`; (..., m) for `goals`.
@@ -347,7 +351,8 @@ class PathFinder:
             start: world x, y, z [m], shape (3,).
             goal: a position, several of them, or ``room:NAME``.
             level: the level of positions, for which x, y are then enough; None finds it by z.
-            ledges: ``avoid`` or ``ignore``, see `grid.inflate`.
+            ledges: ``avoid`` to keep agents away from drops, or ``ignore`` to let them stand at
+                drops; see `grid.inflate`.
 
         Returns:
             The radius and the bottleneck; None if not even a point gets there.
@@ -572,7 +577,7 @@ class PathFinder:
         """
         flat = self.search.flat
         _, cell = flat.locate(position, level)
-        return flat.cell(cell) if cell >= 0 else None
+        return flat.to_cell(cell) if cell >= 0 else None
 
     @overload
     def snap(
@@ -862,7 +867,8 @@ class PathFinder:
             straight: whether distances are straight lines.
             room: draw places in this room only.
             level: the position's level, for which x, y are then enough; None finds it by z.
-            anywhere: draw points anywhere in the cells, see `random_point`.
+            anywhere: draw points anywhere in the cells, up to half a cell nearer to obstacles; else
+                the cells' centres.
 
         Returns:
             World x, y and floor z [m], float64: shape (3,), or (count, 3).

@@ -146,16 +146,18 @@ class Follower:
         if self.state != DRIVING:
             return Command(0.0, 0.0, target)
         limits = self._limits
-        offset = target[:2] - base_position[:2]
-        bearing = math.remainder(math.atan2(offset[1], offset[0]) - heading, 2.0 * math.pi)
+        to_target = target[:2] - base_position[:2]
+        bearing = math.remainder(math.atan2(to_target[1], to_target[0]) - heading, 2.0 * math.pi)
         if abs(bearing) > SPOT_TURN_BEARING:
-            rate = min(TURN_GAIN * abs(bearing), limits.turn_rate)
-            return Command(0.0, math.copysign(rate, bearing), target)
-        curvature = 2.0 * math.sin(bearing) / max(float(np.hypot(*offset)), STANDSTILL_DISTANCE)
+            turn_rate = min(TURN_GAIN * abs(bearing), limits.turn_rate)
+            return Command(0.0, math.copysign(turn_rate, bearing), target)
+        curvature = 2.0 * math.sin(bearing) / max(float(np.hypot(*to_target)), STANDSTILL_DISTANCE)
         free_ahead = max(self._free_distance - self._base_distance, 0.0)
-        stop = self._next_stop
-        if stop is not None:
-            free_ahead = min(free_ahead, float(np.hypot(*(self._points[stop] - base_position[:2]))))
+        stop_index = self._next_stop
+        if stop_index is not None:
+            free_ahead = min(
+                free_ahead, float(np.hypot(*(self._points[stop_index] - base_position[:2])))
+            )
         braking_speed = math.sqrt(2.0 * limits.acceleration * free_ahead)
         forward = min(limits.speed, braking_speed)
         if forward * abs(curvature) > limits.turn_rate:
@@ -247,8 +249,8 @@ class Follower:
         """Find the state of the base, which doesn't ride on a link."""
         stop = self._next_stop
         end_point = self._goal[:2] if stop is None else self._points[stop]
-        end = self._length if stop is None else self._point_distances[stop]
-        is_near_end = end - self._base_distance <= 2 * self._limits.lookahead
+        end_distance = self._length if stop is None else self._point_distances[stop]
+        is_near_end = end_distance - self._base_distance <= 2 * self._limits.lookahead
         if np.hypot(*base_position[:2] - end_point) <= self._limits.tolerance and is_near_end:
             return ARRIVED if stop is None else RIDING
         is_blocked = self._free_distance < self._length
@@ -305,52 +307,62 @@ class Follower:
         """
         if self._length == 0.0:
             return 0.0
-        stop = self._next_stop
-        end = self._length if stop is None else float(self._point_distances[stop])
-        low = self._base_distance
-        high = min(self._base_distance + 2.0 * self._limits.lookahead, end)
-        starts = self._points[:-1]
+        stop_index = self._next_stop
+        end_distance = (
+            self._length if stop_index is None else float(self._point_distances[stop_index])
+        )
+        least_distance = self._base_distance
+        greatest_distance = min(self._base_distance + 2.0 * self._limits.lookahead, end_distance)
+        leg_starts = self._points[:-1]
         point_distances = self._point_distances
-        legs = np.diff(self._points, axis=0)
-        lengths = np.diff(point_distances)
-        distance_on_leg = ((position[:2] - starts) * legs).sum(axis=1) / np.maximum(
-            lengths, LEAST_LENGTH
+        leg_vectors = np.diff(self._points, axis=0)
+        leg_lengths = np.diff(point_distances)
+        distance_on_leg = ((position[:2] - leg_starts) * leg_vectors).sum(axis=1) / np.maximum(
+            leg_lengths, LEAST_LENGTH
         )
         distances = np.clip(
-            point_distances[:-1] + np.clip(distance_on_leg, 0.0, lengths), low, high
+            point_distances[:-1] + np.clip(distance_on_leg, 0.0, leg_lengths),
+            least_distance,
+            greatest_distance,
         )
-        shares = (distances - point_distances[:-1]) / np.maximum(lengths, LEAST_LENGTH)
-        distances_off_path = np.hypot(*(starts + shares[:, None] * legs - position[:2]).T)
-        distances_off_path[(point_distances[1:] < low) | (point_distances[:-1] > high)] = np.inf
+        leg_fractions = (distances - point_distances[:-1]) / np.maximum(leg_lengths, LEAST_LENGTH)
+        distances_off_path = np.hypot(
+            *(leg_starts + leg_fractions[:, None] * leg_vectors - position[:2]).T
+        )
+        distances_off_path[
+            (point_distances[1:] < least_distance) | (point_distances[:-1] > greatest_distance)
+        ] = np.inf
         return float(distances[int(np.argmin(distances_off_path))])
 
-    def _find_free_distance(self, begin: float) -> float:
-        """Find the distance along the path up to which it is free [m], beginning at `begin`."""
+    def _find_free_distance(self, first_distance: float) -> float:
+        """Find the distance along the path up to which it is free [m], from a distance on."""
         point_distances = self._point_distances
-        first_leg = max(int(np.searchsorted(point_distances, begin, side="right")) - 1, 0)
+        first_leg = max(int(np.searchsorted(point_distances, first_distance, side="right")) - 1, 0)
         for leg in range(first_leg, len(self._leg_levels)):
             length = float(point_distances[leg + 1] - point_distances[leg])
-            begin_share = max(begin - float(point_distances[leg]), 0.0) / max(length, LEAST_LENGTH)
-            if self._is_leg_free(leg, begin_share, 1.0):
+            first_fraction = max(first_distance - float(point_distances[leg]), 0.0) / max(
+                length, LEAST_LENGTH
+            )
+            if self._is_leg_free(leg, first_fraction, 1.0):
                 continue
-            low = begin_share
-            high = 1.0
+            free_fraction = first_fraction
+            blocked_fraction = 1.0
             for _ in range(NUM_HALVINGS):
-                middle = (low + high) / 2
-                if self._is_leg_free(leg, begin_share, middle):
-                    low = middle
+                middle_fraction = (free_fraction + blocked_fraction) / 2
+                if self._is_leg_free(leg, first_fraction, middle_fraction):
+                    free_fraction = middle_fraction
                 else:
-                    high = middle
-            return float(point_distances[leg]) + length * low
+                    blocked_fraction = middle_fraction
+            return float(point_distances[leg]) + length * free_fraction
         return self._length
 
-    def _is_leg_free(self, leg: int, begin: float, end: float) -> bool:
+    def _is_leg_free(self, leg: int, first_fraction: float, last_fraction: float) -> bool:
         """Whether a part of a leg is free.
 
         Args:
             leg: the leg's index.
-            begin: where the part begins, as a fraction of the leg's length.
-            end: where it ends.
+            first_fraction: where the part begins, as a fraction of the leg's length.
+            last_fraction: where it ends.
         """
         search = self._search
         flat = search.flat
@@ -360,17 +372,22 @@ class Follower:
         if level < 0:
             return True  # the legs before and after end in the link's cells, and are checked
         if self._leg_is_swept[leg]:
-            return search.can_pass(start + begin * direction, start + end * direction, level)
+            return search.can_pass(
+                start + first_fraction * direction, start + last_fraction * direction, level
+            )
         # else the leg leads from centre to centre, along a row, a column or a diagonal
-        cell = float(flat.layout.cell_size[level])
-        count = max(round(float(np.abs(direction).max()) / cell), 1)
-        shares = np.clip(np.arange(count + 1) / count, EDGE_SHARE, 1.0 - EDGE_SHARE)
+        cell_size = float(flat.layout.cell_size[level])
+        num_cells = max(round(float(np.abs(direction).max()) / cell_size), 1)
+        fractions = np.clip(np.arange(num_cells + 1) / num_cells, EDGE_SHARE, 1.0 - EDGE_SHARE)
         # check the cells in the part, and the last one before it
-        shares = shares[(shares > begin - 1.0 / count) & (shares <= end + LEAST_LENGTH)]
-        cells = flat.cells_at(start + shares[:, None] * direction, level)
-        is_diagonal = bool((np.abs(direction) > cell / 4).all())
-        free: Bool = search.free_diagonally if is_diagonal else flat.free
-        return bool(free[cells[cells >= 0]].all())
+        fractions = fractions[
+            (fractions > first_fraction - 1.0 / num_cells)
+            & (fractions <= last_fraction + LEAST_LENGTH)
+        ]
+        cells = flat.cells_at(start + fractions[:, None] * direction, level)
+        is_diagonal = bool((np.abs(direction) > cell_size / 4).all())
+        is_free: Bool = search.free_diagonally if is_diagonal else flat.free
+        return bool(is_free[cells[cells >= 0]].all())
 
     @property
     def _next_stop(self) -> int | None:
@@ -380,11 +397,11 @@ class Follower:
 
     def _find_level_at(self, distance: float) -> int:
         """Find the level at a distance along the path; at a link, the level of its stop."""
-        stop = self._next_stop
-        if stop is not None and distance >= self._point_distances[stop]:
-            return int(self.path.levels[stop])
-        after = int(np.searchsorted(self._point_distances, distance, "right"))
-        return int(self.path.levels[min(after, len(self._point_distances) - 1)])
+        stop_index = self._next_stop
+        if stop_index is not None and distance >= self._point_distances[stop_index]:
+            return int(self.path.levels[stop_index])
+        next_index = int(np.searchsorted(self._point_distances, distance, "right"))
+        return int(self.path.levels[min(next_index, len(self._point_distances) - 1)])
 
     def _find_point_ahead(self, base_position: Float) -> Float:
         """Find the point that the base heads for, world x, y, z [m], shape (3,).
@@ -392,18 +409,18 @@ class Follower:
         It is the farthest lookahead point that a free straight line leads to; the nearest of them
         if no line is free; and while riding, the link's next stop.
         """
-        stop = self._next_stop
+        stop_index = self._next_stop
         if self.state == RIDING:
             stop_after_link = self.path.stops[self._num_links_taken, 1]
             return np.asarray(self.path.positions[stop_after_link])
         level = self._find_level_at(self._base_distance)
         target = base_position
-        for share in LOOKAHEAD_SHARES:
-            distance = self._base_distance + share * self._limits.lookahead
+        for lookahead_share in LOOKAHEAD_SHARES:
+            distance = self._base_distance + lookahead_share * self._limits.lookahead
             target = self.path.at(distance)
             is_same_level = self._find_level_at(distance) == level
-            if stop is not None and distance >= self._point_distances[stop]:
-                target = self.path.positions[stop]
+            if stop_index is not None and distance >= self._point_distances[stop_index]:
+                target = self.path.positions[stop_index]
             if is_same_level and self._search.can_pass(base_position[:2], target[:2], level):
                 break
         return target

@@ -64,8 +64,8 @@ class Path:
 
     def __repr__(self) -> str:
         text = f"Path({self.length:.2f} m, cost {self.cost:.2f}, {len(self.positions)} points"
-        for kind, names in (("rooms", self.rooms), ("doors", self.doors), ("links", self.links)):
-            text += f", {kind} {' '.join(names)}" if names else ""
+        for noun, names in (("rooms", self.rooms), ("doors", self.doors), ("links", self.links)):
+            text += f", {noun} {' '.join(names)}" if names else ""
         return f"{text})"
 
     @property
@@ -142,10 +142,10 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
     """
     flat = search.flat
     if isinstance(goal, str):
-        kind, _, name = goal.partition(":")
-        if kind == "room":
+        goal_kind, _, name = goal.partition(":")
+        if goal_kind == "room":
             return Target(f"room {name!r}", search.rooms.cells(name))
-        if kind == "object":
+        if goal_kind == "object":
             return Target(f"object {name!r}", cells_next_to_object(search, name))
         expected = "a position, room:NAME or object:NAME"
         raise QueryError(
@@ -186,24 +186,26 @@ def cells_next_to_object(search: Search, name: str) -> Int:
     flat = search.flat
     object_cells = cells_with_name(search.grid, flat, name)
     goal_cells = []
-    for number, level in enumerate(search.grid.levels):
-        level_cells = flat.cells_of(number)
+    for level_number, level in enumerate(search.grid.levels):
+        level_cells = flat.cells_of(level_number)
         is_on_level = (object_cells >= level_cells.start) & (object_cells < level_cells.stop)
-        ids = object_cells[is_on_level] - level_cells.start
-        if not len(ids):
+        object_ids = object_cells[is_on_level] - level_cells.start
+        if not len(object_ids):
             continue
-        island = search.islands.number[level_cells]
-        goal_cells.append(level_cells.start + _find_cells_next_to(level, ids, island))
+        island_numbers = search.islands.number[level_cells]
+        goal_cells.append(
+            level_cells.start + _find_cells_next_to(level, object_ids, island_numbers)
+        )
     return np.concatenate(goal_cells)
 
 
-def _find_cells_next_to(level: SceneGrid2D, object_ids: Int, island: Int32) -> Int:
+def _find_cells_next_to(level: SceneGrid2D, object_ids: Int, island_numbers: Int32) -> Int:
     """List the free cells of a level next to an object's cells; see `cells_next_to_object`.
 
     Args:
         level: the level.
         object_ids: ids of the object's cells on the level, at least one.
-        island: the number of each cell's island, by id on the level, 0 where it isn't free.
+        island_numbers: by id on the level, the number of each cell's island, 0 where it isn't free.
 
     Returns:
         Ids on the level, ascending.
@@ -212,24 +214,26 @@ def _find_cells_next_to(level: SceneGrid2D, object_ids: Int, island: Int32) -> I
     num_rings = math.ceil(MAX_OBJECT_DISTANCE / level.lattice.cell_size)
     object_rows, object_cols = np.divmod(object_ids, level.width)
     first_row = max(object_rows.min() - num_rings, 0)
-    end_row = min(object_rows.max() + num_rings + 1, level.height)
+    stop_row = min(object_rows.max() + num_rings + 1, level.height)
     first_col = max(object_cols.min() - num_rings, 0)
-    end_col = min(object_cols.max() + num_rings + 1, level.width)
-    rows = np.arange(first_row, end_row)
-    cols = np.arange(first_col, end_col)
+    stop_col = min(object_cols.max() + num_rings + 1, level.width)
+    rows = np.arange(first_row, stop_row)
+    cols = np.arange(first_col, stop_col)
     ids = rows[:, None] * level.width + cols
-    island = island[ids]
+    island_numbers = island_numbers[ids]
     is_object = np.isin(ids, object_ids)
-    is_passable = is_object | (island > 0) | (level.solid.take(ids) == 0)
-    is_goal = _find_nearest_rings(is_object, is_passable, island, num_rings)
+    is_passable = is_object | (island_numbers > 0) | (level.solid.take(ids) == 0)
+    is_goal = _find_nearest_rings(is_object, is_passable, island_numbers, num_rings)
     if not is_goal.any():
         is_passable |= _mark_blocked_by_objects(level, ids)
-        is_goal = _find_nearest_rings(is_object, is_passable, island, num_rings)
-    next_cells: Int = ids[is_goal]
-    return next_cells
+        is_goal = _find_nearest_rings(is_object, is_passable, island_numbers, num_rings)
+    goal_ids: Int = ids[is_goal]
+    return goal_ids
 
 
-def _find_nearest_rings(is_object: Bool, is_passable: Bool, island: Int32, num_rings: int) -> Bool:
+def _find_nearest_rings(
+    is_object: Bool, is_passable: Bool, island_numbers: Int32, num_rings: int
+) -> Bool:
     """Mark each island's cells in its ring nearest to an object, and in the next ring.
 
     Ring k holds the cells that k steps over passable cells lead to from the object.
@@ -237,21 +241,25 @@ def _find_nearest_rings(is_object: Bool, is_passable: Bool, island: Int32, num_r
     Args:
         is_object: mask of the object's cells, shape (rows, cols).
         is_passable: mask of the cells that rings grow over, of the same shape.
-        island: the number of each cell's island, 0 where it isn't free, of the same shape.
+        island_numbers: the number of each cell's island, 0 where it isn't free, of the same shape.
         num_rings: number of rings.
 
     Returns:
         The mask, of the same shape.
     """
-    ring = np.where(is_object, 0, -1)
-    for step in range(1, num_rings + 1):
-        is_next = ndimage.binary_dilation(ring >= 0) & is_passable & (ring < 0)
-        ring[is_next] = step
-    is_goal = np.zeros(ring.shape, dtype=np.bool_)
-    is_near = (ring >= 0) & (ring < num_rings)
-    for number in np.unique(island[is_near & (island > 0)]):
-        nearest_ring = ring[is_near & (island == number)].min()
-        is_goal |= (island == number) & (ring >= 0) & (ring <= nearest_ring + 1)
+    ring_numbers = np.where(is_object, 0, -1)
+    for ring_number in range(1, num_rings + 1):
+        is_next = ndimage.binary_dilation(ring_numbers >= 0) & is_passable & (ring_numbers < 0)
+        ring_numbers[is_next] = ring_number
+    is_goal = np.zeros(ring_numbers.shape, dtype=np.bool_)
+    is_near = (ring_numbers >= 0) & (ring_numbers < num_rings)
+    for island_number in np.unique(island_numbers[is_near & (island_numbers > 0)]):
+        nearest_ring = ring_numbers[is_near & (island_numbers == island_number)].min()
+        is_goal |= (
+            (island_numbers == island_number)
+            & (ring_numbers >= 0)
+            & (ring_numbers <= nearest_ring + 1)
+        )
     return is_goal
 
 
@@ -291,15 +299,15 @@ def cells_with_name(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
         )
     named_cells: list[Int] = []
     known_names: set[str] = set()
-    starts = flat.layout.start[:-1].tolist()
-    for start, level in zip(starts, grid.levels, strict=True):
-        cells, entry_number, entries = UserData.of(level.user_data).shared()
+    first_cells = flat.layout.start[:-1].tolist()
+    for first_cell, level in zip(first_cells, grid.levels, strict=True):
+        cells, entry_indices, entries = UserData.of(level.user_data).shared()
         names_by_entry = [
             {entry_name for key in NAME_KEYS for entry_name in names_in(entry, key)}
             for entry in entries
         ]
         has_name = np.array([name in names for names in names_by_entry], dtype=np.bool_)
-        named_cells.append(start + cells[has_name[entry_number]])
+        named_cells.append(first_cell + cells[has_name[entry_indices]])
         known_names.update(*names_by_entry)
     if name not in known_names:
         hint = suggest(name, sorted(known_names))
@@ -338,39 +346,42 @@ def find_path(
     goals = target.free_cells(flat)
     if start_cell < 0 or not flat.free[start_cell] or not len(goals):
         return None
-    route = search.route(start_cell, goals, by)
+    route = search.find_route(start_cell, goals, by)
     if route is None:
         return None
-    cells_of_route = flat.split(route.cells)
+    cells_of_route = flat.to_cells(route.cells)
     costs = search.measure_route(route, cells_of_route, by)
-    end = NO_POINT
+    end_point = NO_POINT
     if target.positions is not None:  # the first that is in the cell
-        end = target.positions[int(np.argmax(target.cells == route.cells[-1])), :2]
-    positions, levels, link_to = line_kernels.lay_route(
+        end_point = target.positions[int(np.argmax(target.cells == route.cells[-1])), :2]
+    positions, levels, link_end_indices = line_kernels.lay_route(
         route.cells,
         route.by_link,
         start_position[:2],
-        end,
+        end_point,
         smooth,
         search.graph_with_costs(by),
         flat.floors,
         search.off_center,
     )
-    # The indices of the points before and after each link. `link_to` has the index of the cell that
-    # the link leads to: at the point before it and, if the floor rises there, at the points on it.
+    # The indices of the points before and after each link. `link_end_indices` has the index of the
+    # cell that the link leads to: at the point before the link and, if the floor rises there, at
+    # the points on it.
     stops = []
     for link in costs.links:
-        on_link = np.flatnonzero(link_to == link.cell_index)
-        stops.append([on_link[0], on_link[-1] + 1])
-    numbers = search.rooms.number[route.cells]
-    is_entered = np.append(True, numbers[1:] != numbers[:-1])
+        points_on_link = np.flatnonzero(link_end_indices == link.cell_index)
+        stops.append([points_on_link[0], points_on_link[-1] + 1])
+    room_numbers = search.rooms.number[route.cells]
+    is_entered = np.append(True, room_numbers[1:] != room_numbers[:-1])
     return Path(
         positions=positions,
         levels=levels,
         cells=np.stack(cells_of_route, axis=1),
         length=float(np.hypot(*np.diff(positions[:, :2], axis=0).T).sum()),
         cost=costs.cost,
-        rooms=[str(search.rooms.id_of(int(n))) for n in numbers[is_entered] if n],
+        rooms=[
+            str(search.rooms.id_of(int(number))) for number in room_numbers[is_entered] if number
+        ],
         doors=list_doors_along(search.doors, route.cells),
         links=[link.name for link in costs.links],
         seconds=costs.seconds,
@@ -405,8 +416,8 @@ def find_field(
     goals = find_target(search, goal, level).free_cells(search.flat)
 
     def compute_field() -> Float:
-        field = search.field(goals, by=criterion)
+        field = search.compute_cost_field(goals, by=criterion)
         field.flags.writeable = False
         return field
 
-    return search.cached("fields", (criterion, goals.tobytes()), compute_field)
+    return search.cached_result("fields", (criterion, goals.tobytes()), compute_field)

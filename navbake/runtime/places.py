@@ -141,8 +141,8 @@ def is_navigable(
     """
     check_distance(max_drop, "max_drop")
     flat = search.flat
-    checked_position = check_positions(position, flat.num_levels, level)
-    kernel_level, points = to_kernel_positions(checked_position, level)
+    checked_positions = check_positions(position, flat.num_levels, level)
+    kernel_level, points = to_kernel_positions(checked_positions, level)
     if kernel_level >= 0:
         cells = place_kernels.locate(flat.layout, flat.floors, kernel_level, points)
         is_free = (cells >= 0) & flat.free[cells]
@@ -152,8 +152,8 @@ def is_navigable(
         )
     return (
         bool(is_free[0])
-        if checked_position.ndim == 1
-        else is_free.reshape(checked_position.shape[:-1])
+        if checked_positions.ndim == 1
+        else is_free.reshape(checked_positions.shape[:-1])
     )
 
 
@@ -180,17 +180,17 @@ def snap(
     else:
         checked_position = check_positions(position, flat.num_levels, level)
     if same_room:
-        own_room = room_at(search, checked_position, level)
-        if own_room is None:
+        position_room = room_at(search, checked_position, level)
+        if position_room is None:
             return None
-        if search.rooms.find(room or own_room) != search.rooms.find(own_room):
+        if search.rooms.find(room or position_room) != search.rooms.find(position_room):
             return None
-        room = own_room
-    allowed = search.mark_allowed(room=room, islands=search.allowed_islands(island, None))
+        room = position_room
+    is_allowed = search.mark_allowed(room=room, islands=search.allowed_islands(island, None))
     if in_sight:
-        return _snap_in_sight(search, allowed, checked_position, level, same_level, max_distance)
+        return _snap_in_sight(search, is_allowed, checked_position, level, same_level, max_distance)
     places, cells = snap_to_cells(
-        flat, allowed, checked_position, level, same_level=same_level, max_distance=max_distance
+        flat, is_allowed, checked_position, level, same_level=same_level, max_distance=max_distance
     )
     return None if checked_position.ndim == 1 and cells < 0 else places
 
@@ -257,8 +257,10 @@ def _snap_in_sight(
         return None
     if cell == position_cell:
         return place
-    num_axes = 2 if same_level or len(position) == 2 else 3
-    levels = [int(flat.level_of(position_cell))] if num_axes == 2 else list(range(flat.num_levels))
+    num_dimensions = 2 if same_level or len(position) == 2 else 3
+    levels = (
+        [int(flat.level_of(position_cell))] if num_dimensions == 2 else list(range(flat.num_levels))
+    )
     num_allowed = sum(np.count_nonzero(allowed[flat.cells_of(k)]) for k in levels)
     radius = min(FIRST_SIGHT_RADIUS, float(max_distance))
     while True:
@@ -266,16 +268,16 @@ def _snap_in_sight(
             [cells_in_annulus(flat, k, position, 0.0, radius, allowed) for k in levels]
         )
         centers = flat.positions(cells)
-        distance = np.linalg.norm(centers[:, :num_axes] - position[:num_axes], axis=1)
+        distances = np.linalg.norm(centers[:, :num_dimensions] - position[:num_dimensions], axis=1)
         # stable, so that of equally near cells the lowest id comes first
-        order = np.argsort(distance, kind="stable")
-        near = order[: np.count_nonzero(distance <= radius)]
-        first = search.first_in_sight(
-            position_cell, position, cells[near], centers[near], search.rooms.number
+        sort_indices = np.argsort(distances, kind="stable")
+        near_indices = sort_indices[: np.count_nonzero(distances <= radius)]
+        first_index = search.first_in_sight(
+            position_cell, position, cells[near_indices], centers[near_indices], search.rooms.number
         )
-        if first >= 0:
-            return np.asarray(centers[near[first]])
-        if len(near) == num_allowed or radius >= max_distance:
+        if first_index >= 0:
+            return np.asarray(centers[near_indices[first_index]])
+        if len(near_indices) == num_allowed or radius >= max_distance:
             return None
         radius = min(2.0 * radius, float(max_distance))
 
@@ -302,18 +304,18 @@ def cells_in_annulus(
         Flat ids, ascending.
     """
     layout = flat.layout
-    size = layout.cell_size[level]
+    cell_size = layout.cell_size[level]
     num_rows = layout.height[level]
     num_cols = layout.width[level]
     # from the point to the middles of the rows and columns, along the axes [m]
-    row_offsets = (np.arange(num_rows) + 0.5) * size - (layout.y_max[level] - point[1])
-    col_offsets = (np.arange(num_cols) + 0.5) * size - (point[0] - layout.x_min[level])
+    row_offsets = (np.arange(num_rows) + 0.5) * cell_size - (layout.y_max[level] - point[1])
+    col_offsets = (np.arange(num_cols) + 0.5) * cell_size - (point[0] - layout.x_min[level])
     outer = max_distance + DISTANCE_SLACK
     inner = max(min_distance - DISTANCE_SLACK, 0.0)
     rows = np.flatnonzero(np.abs(row_offsets) <= outer)
     cols = np.flatnonzero(np.abs(col_offsets) <= outer)
-    squared = (row_offsets[rows, None] ** 2) + col_offsets[cols] ** 2
-    is_within = (squared >= inner**2) & (squared <= outer**2)
+    squared_distances = (row_offsets[rows, None] ** 2) + col_offsets[cols] ** 2
+    is_within = (squared_distances >= inner**2) & (squared_distances <= outer**2)
     cells: Int = (layout.start[level] + rows[:, None] * num_cols + cols)[is_within]
     return cells[allowed[cells]]
 
@@ -400,9 +402,9 @@ def nearest_obstacle(
         return None
     half_edge = flat.layout.cell_size[flat.level_of(own_cell)] / 2
     center = flat.positions(obstacle_cell)[:2]
-    point = np.clip(checked_position[:2], center - half_edge, center + half_edge)
+    nearest_point = np.clip(checked_position[:2], center - half_edge, center + half_edge)
     floor = flat.positions(own_cell)[2]
-    return NearestObstacle(float(distances[0]), np.append(point, floor))
+    return NearestObstacle(float(distances[0]), np.append(nearest_point, floor))
 
 
 def clearance(
@@ -453,8 +455,8 @@ def _find_obstacles(
         points,
     )
     if (own_cells < 0).any():
-        first = points[int(np.argmax(own_cells < 0))]
-        raise QueryError(f"{format_position(first)} lies beside the grid: no obstacles")
+        first_outside = points[int(np.argmax(own_cells < 0))]
+        raise QueryError(f"{format_position(first_outside)} lies beside the grid: no obstacles")
     return own_cells, obstacle_cells, distances
 
 
@@ -481,16 +483,16 @@ def draw_top_down(
     cells = flat.cells_of(level)
     shape = search.grid.levels[level].shape
     has_floor = ~np.isnan(flat.floors.z[cells])
-    kind = np.where(flat.free[cells], 0, np.where(has_floor, 1, 2)).reshape(shape)
+    colour_index = np.where(flat.free[cells], 0, np.where(has_floor, 1, 2)).reshape(shape)
     if metres_per_pixel is not None:
         if not (isinstance(metres_per_pixel, RealNumber) and 0 < metres_per_pixel < math.inf):
             raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel!r}")
         cells_per_pixel = metres_per_pixel / float(flat.layout.cell_size[level])
         rows = _cells_at_pixels(shape[0], cells_per_pixel)
         cols = _cells_at_pixels(shape[1], cells_per_pixel)
-        kind = kind[np.ix_(rows, cols)]
+        colour_index = colour_index[np.ix_(rows, cols)]
     palette = np.array([rgb_of(FREE), rgb_of(OCCUPIED), rgb_of(NO_FLOOR)], dtype=np.uint8)
-    return palette[kind]
+    return palette[colour_index]
 
 
 def _cells_at_pixels(num_cells: int, cells_per_pixel: float) -> Int:

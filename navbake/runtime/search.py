@@ -73,17 +73,18 @@ class RouteCosts(NamedTuple):
 
 
 class Search:
-    """Searches over the cells of all levels of a grid, and cached results.
+    """Finds routes over the cells of all levels of a grid, and caches results.
 
     Not thread-safe.
 
     Args:
         grid: the grid as it was loaded or baked.
-        cut_corners: see `PathFinder`.
+        cut_corners: whether diagonal steps past blocked corners are allowed.
         agent: the agent that plans: an `Agent`, the name of one that the grid lists, or None.
         radius: the search leaves out links that are narrower than twice this [m]; None for the
             grid's radius.
-        penalty: see `navbake.runtime.flat_grid.flatten`.
+        penalty: if given, the agent may use links and areas that bar it, at a cost higher by this,
+            see `navbake.runtime.flat_grid.flatten`.
 
     Attributes:
         agent: the agent that plans.
@@ -181,7 +182,7 @@ class Search:
         if by == "cost" and not (reverse_links and len(self.flat.arcs.ends)):
             return self.graph
         make_graph = partial(self._make_graph, by, reverse_links)
-        return self.cached("graphs", (by, reverse_links), make_graph)
+        return self.cached_result("graphs", (by, reverse_links), make_graph)
 
     def _make_graph(self, by: str, reverse_links: bool) -> Graph:
         """Make the graph that `graph_with_costs` returns."""
@@ -228,31 +229,35 @@ class Search:
             if state is None or state.revision == self._seen_revisions[number]:
                 continue
             changes = state.changes_since(self._seen_revisions[number])
-            for changed in changes or [(0, level.height, 0, level.width)]:
-                self._update_cells(number, changed, state)
+            for changed_range in changes or [(0, level.height, 0, level.width)]:
+                self._update_cells(number, changed_range, state)
             self._seen_revisions[number] = state.revision
             self.version += 1
 
-    def _update_cells(self, level_number: int, changed: CellRange, state: ObstacleState) -> None:
+    def _update_cells(
+        self, level_number: int, changed_range: CellRange, state: ObstacleState
+    ) -> None:
         """Update weights, masks and moves of some cells of a level, by its `state`."""
         level = self.grid.levels[level_number]
-        row0, row1, col0, col1 = changed
-        inside = np.s_[row0:row1, col0:col1]
+        first_row, stop_row, first_col, stop_col = changed_range
+        in_range = np.s_[first_row:stop_row, first_col:stop_col]
         first_cell = self.flat.cells_of(level_number).start
-        rows = np.arange(row0, row1)[:, None]
-        cols = np.arange(col0, col1)
+        rows = np.arange(first_row, stop_row)[:, None]
+        cols = np.arange(first_col, stop_col)
         cells = first_cell + rows * level.width + cols
-        weight = level.weights[inside].astype(np.float64)
+        weight = level.weights[in_range].astype(np.float64)
         self.flat.weight[cells] = self.flat.weights_for_agent(weight, cells)
-        free = np.isfinite(self.flat.weight[cells])
-        self.flat.free[cells] = free
+        is_free = np.isfinite(self.flat.weight[cells])
+        self.flat.free[cells] = is_free
         for index, layer in enumerate((NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)):
-            mask = self._masks[index]
-            mask[cells] = free
+            cell_mask = self._masks[index]
+            cell_mask[cells] = is_free
             if self._masks_without_obstacles is not None:
                 mask_without_obstacles = self._masks_without_obstacles[index]
-                mask[cells] &= mask_without_obstacles[cells] & (state.count[layer][inside] == 0)
-        self._update_moves(level_number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
+                cell_mask[cells] &= mask_without_obstacles[cells] & (
+                    state.count[layer][in_range] == 0
+                )
+        self._update_moves(level_number, (first_row - 1, stop_row + 1, first_col - 1, stop_col + 1))
 
     def _update_moves(self, level_number: int, cells: CellRange) -> None:
         """Compute the moves of some cells of a level again."""
@@ -270,7 +275,7 @@ class Search:
 
     # ---------------------------------------------------------------- cached results
 
-    def cached(
+    def cached_result(
         self,
         kind: str,
         key: Hashable,
@@ -311,7 +316,7 @@ class Search:
         """The islands: the connected parts of the currently free cells."""
         moves = self.graph.moves if self.cut_corners else None
         find_islands = partial(flat_grid.map_islands, self.flat, self.radius, moves)
-        return self.cached("islands", None, find_islands, 1)
+        return self.cached_result("islands", None, find_islands, 1)
 
     @property
     def occupied(self) -> Bool:
@@ -320,7 +325,7 @@ class Search:
         def find_occupied() -> Bool:
             return np.concatenate([level.solid.ravel() != 0 for level in self.grid.levels])
 
-        return self.cached("occupied", None, find_occupied, 1)
+        return self.cached_result("occupied", None, find_occupied, 1)
 
     # ---------------------------------------------------------------- selections of cells
 
@@ -346,20 +351,20 @@ class Search:
         Raises:
             QueryError: there is no such level or room.
         """
-        allowed = self.flat.free
+        is_allowed = self.flat.free
         if level is not None:
             check_level(level, self.flat.num_levels)
-            inside = self.flat.cells_of(level)
-            allowed = np.zeros_like(allowed)
-            allowed[inside] = self.flat.free[inside]
+            level_cells = self.flat.cells_of(level)
+            is_allowed = np.zeros_like(is_allowed)
+            is_allowed[level_cells] = self.flat.free[level_cells]
         if room is not None:
-            allowed = allowed & (self.rooms.number == self.rooms.find(room))
+            is_allowed = is_allowed & (self.rooms.number == self.rooms.find(room))
         if islands is not None:
-            allowed = allowed & np.isin(self.islands.number, islands)
+            is_allowed = is_allowed & np.isin(self.islands.number, islands)
         if not outdoors:
             is_outdoors = np.array([False, *(room.outdoors for room in self.rooms.rooms)])
-            allowed = allowed & ~is_outdoors[self.rooms.number]
-        return allowed
+            is_allowed = is_allowed & ~is_outdoors[self.rooms.number]
+        return is_allowed
 
     def allowed_islands(
         self, island: int | None, reachable_from: ArrayLike | None
@@ -422,9 +427,9 @@ class Search:
         Returns:
             The point's index in `points`, -1 for none.
         """
-        is_clear = self.cached("clear", None, lambda: ~self.occupied, 1)
+        is_clear = self.cached_result("clear", None, lambda: ~self.occupied, 1)
         floors = self.flat.floors._replace(max_step=math.inf)
-        first = walk_kernels.first_in_sight(
+        first_index = walk_kernels.first_in_sight(
             self.flat.layout,
             self.flat.steps,
             floors,
@@ -435,11 +440,11 @@ class Search:
             cells,
             points,
         )
-        return int(first)
+        return int(first_index)
 
     # ---------------------------------------------------------------- routes
 
-    def route(self, origin: int, goals: Int, by: str = "cost") -> Route | None:
+    def find_route(self, origin: int, goals: Int, by: str = "cost") -> Route | None:
         """Find the cheapest route from a cell to any of several cells.
 
         Args:
@@ -454,8 +459,8 @@ class Search:
             return Route(np.array([origin]), np.zeros(1, dtype=np.bool_), 0.0)
         graph = self.graph_with_costs(by)
         if len(self.flat.arcs.ends):
-            saving = self._largest_link_saving(goals, by, graph.least_weight)
-            graph = graph._replace(link_saving=saving)
+            link_saving = self._largest_link_saving(goals, by, graph.least_weight)
+            graph = graph._replace(link_saving=link_saving)
         cells = self._run_search(graph, np.array([origin]), goals)
         if not len(cells):
             return None
@@ -472,24 +477,26 @@ class Search:
         The estimate is the octile distance to the box round the goals, times `least_weight`.
         """
         flat = self.flat
-        compute = partial(flat.costs_between_stops, self.radius, least_weight, by_time=by == "time")
-        stops, costs = self.cached("costs between stops", by, compute)
+        compute_costs = partial(
+            flat.costs_between_stops, self.radius, least_weight, by_time=by == "time"
+        )
+        stops, costs = self.cached_result("costs between stops", by, compute_costs)
         if not len(stops):
             return 0.0
-        places = flat.positions(goals)[:, :2]
-        low = places.min(axis=0)
-        high = places.max(axis=0)
-        to_box = np.maximum(np.maximum(low - stops, stops - high), 0.0)
-        estimates = least_weight * octile_length(to_box)
-        over_links = (costs + estimates).min(axis=1)
-        return float((estimates - over_links).max())
+        goal_points = flat.positions(goals)[:, :2]
+        box_min = goal_points.min(axis=0)
+        box_max = goal_points.max(axis=0)
+        box_distances = np.maximum(np.maximum(box_min - stops, stops - box_max), 0.0)
+        estimates = least_weight * octile_length(box_distances)
+        costs_over_links = (costs + estimates).min(axis=1)
+        return float((estimates - costs_over_links).max())
 
-    def measure_route(self, route: Route, places: Cells, by: str) -> RouteCosts:
+    def measure_route(self, route: Route, route_cells: Cells, by: str) -> RouteCosts:
         """Compute the cost of a route, how long it takes, and which named links it takes.
 
         Args:
             route: a route that this search found.
-            places: level, row and column of the route's cells.
+            route_cells: level, row and column of the route's cells.
             by: what the route was planned by, ``cost`` or ``time``.
 
         Returns:
@@ -502,44 +509,44 @@ class Search:
         if by == "cost" and is_plain:
             seconds = route.cost / graph.uniform_weight * float(flat.pace[0])
             return RouteCosts(route.cost, seconds, [])
-        length = flat.layout.cell_size[places.level]
-        is_diagonal = (np.diff(places.row) != 0) & (np.diff(places.col) != 0)
-        length[1:][is_diagonal] *= math.sqrt(2.0)
-        length[0] = 0.0
+        step_lengths = flat.layout.cell_size[route_cells.level]
+        is_diagonal = (np.diff(route_cells.row) != 0) & (np.diff(route_cells.col) != 0)
+        step_lengths[1:][is_diagonal] *= math.sqrt(2.0)
+        step_lengths[0] = 0.0
         pace = flat.pace[route.cells] if len(flat.pace) > 1 else flat.pace
         if by == "cost" and not has_links:
-            return RouteCosts(route.cost, float((length * pace).sum()), [])
+            return RouteCosts(route.cost, float((step_lengths * pace).sum()), [])
 
-        passage_cost = np.zeros_like(length)
-        passage_seconds = np.zeros_like(length)
+        passage_cost = np.zeros_like(step_lengths)
+        passage_seconds = np.zeros_like(step_lengths)
         links: list[TakenLink] = []
         step_sources, step_targets = flat.step_ends()
         planned_graph = self.graph_with_costs(by)
         planned_costs = flat.arcs.seconds if by == "time" else flat.arcs.cost
-        for k in np.flatnonzero(route.by_link).tolist():
-            ends = route.cells[k - 1 : k + 1]
+        for index in np.flatnonzero(route.by_link).tolist():
+            ends = route.cells[index - 1 : index + 1]
             steps = np.flatnonzero((step_sources == ends[0]) & (step_targets == ends[1]))
-            length[k] = flat.steps.length[steps[0]] if len(steps) else 0.0
+            step_lengths[index] = flat.steps.length[steps[0]] if len(steps) else 0.0
             is_candidate = (flat.arcs.ends == ends).all(axis=1)
             is_candidate &= flat.arcs.fits_radius(self.radius)
             if not is_candidate.any():
                 continue
             arc = int(np.argmin(np.where(is_candidate, planned_costs, np.inf)))
             weight = planned_graph.uniform_weight or planned_graph.weight[ends[1]]
-            if not len(steps) or planned_costs[arc] < length[k] * weight:
-                links.append(TakenLink(k, self.grid.links[flat.arcs.link[arc]].name))
-                length[k] = 0.0
-                passage_cost[k] = flat.arcs.cost[arc]
-                passage_seconds[k] = flat.arcs.seconds[arc]
-        cost = passage_cost + length * flat.weight[route.cells]
-        seconds_of_moves = passage_seconds + length * pace
+            if not len(steps) or planned_costs[arc] < step_lengths[index] * weight:
+                links.append(TakenLink(index, self.grid.links[flat.arcs.link[arc]].name))
+                step_lengths[index] = 0.0
+                passage_cost[index] = flat.arcs.cost[arc]
+                passage_seconds[index] = flat.arcs.seconds[arc]
+        cost = passage_cost + step_lengths * flat.weight[route.cells]
+        seconds_of_moves = passage_seconds + step_lengths * pace
         return RouteCosts(
             cost=route.cost if by == "cost" else float(cost.sum()),
             seconds=float(seconds_of_moves.sum()),
             links=links,
         )
 
-    def field(self, goals: Int, *, by: str = "cost") -> Float:
+    def compute_cost_field(self, goals: Int, *, by: str = "cost") -> Float:
         """Compute the cost of the cheapest route from each cell to any of several goals.
 
         Args:
@@ -549,7 +556,7 @@ class Search:
         Returns:
             float64, by flat id; inf for no route.
         """
-        cost, _ = self._flood(goals, by, reverse_links=True)
+        cost, _ = self._search_all_cells(goals, by, reverse_links=True)
         return cost
 
     def lengths_from(self, sources: Int) -> Float:
@@ -565,7 +572,7 @@ class Search:
         """
         # A flood from cells weights each step by the cell that it leads away from. So it gives the
         # costs of routes from these cells only where all weights are equal, as for lengths.
-        length, _ = self._flood(sources, "length", reverse_links=False)
+        length, _ = self._search_all_cells(sources, "length", reverse_links=False)
         return length
 
     def find_next_cells(self, goals: Int) -> tuple[Float, Int]:
@@ -580,7 +587,7 @@ class Search:
         """
         flat = self.flat
         links = self.graph.links
-        cost, move = self._flood(goals, "cost", reverse_links=True)
+        cost, move = self._search_all_cells(goals, "cost", reverse_links=True)
         cells = np.arange(flat.num_cells)
         # the search ran from the goals, so the move that reached a cell leads from its next cell
         row_steps = np.zeros(search_kernels.MOVE_BITS + 1, dtype=np.int64)
@@ -591,11 +598,13 @@ class Search:
         col_offsets = col_steps[move]
         width = flat.layout.width[flat.level_of(cells)]
         next_cells = np.where(np.isfinite(cost), cells - row_offsets * width - col_offsets, -1)
-        by_link = (move[links.cell] == search_kernels.BY_LINK) & (next_cells[links.cell] >= 0)
-        next_cells[links.cell[by_link]] = self._visits.link_from[by_link]
+        is_by_link = (move[links.cell] == search_kernels.BY_LINK) & (next_cells[links.cell] >= 0)
+        next_cells[links.cell[is_by_link]] = self._visits.link_from[is_by_link]
         return cost, next_cells
 
-    def _flood(self, sources: Int, by: str, *, reverse_links: bool) -> tuple[Float, Int32]:
+    def _search_all_cells(
+        self, sources: Int, by: str, *, reverse_links: bool
+    ) -> tuple[Float, Int32]:
         """Reach all cells from several cells, without a goal.
 
         Args:

@@ -105,24 +105,29 @@ def find_blocked(
     occupied = stack.occupied[stack.level]
     disc = find_disc_offsets(radius_in_cells, occupied.shape)
     if counts_own_occupied:
-        blocked: Bool = kernels.dilate(occupied, disc.half_widths)
+        is_blocked: Bool = kernels.dilate(occupied, disc.half_widths)
     else:
-        blocked = np.zeros(occupied.shape, dtype=np.bool_)
+        is_blocked = np.zeros(occupied.shape, dtype=np.bool_)
         stack = stack._replace(occupied=np.ones_like(stack.occupied))
         stack.occupied[stack.level] = 0
     if radius_in_cells > 0:
-        block_by_floors(grid, level_number, stack, radius, disc.offsets, ledges, blocked)
+        block_by_floors(grid, level_number, stack, radius, disc.offsets, ledges, is_blocked)
         # holes that are not occupied and leave too little floor in a disc
         has_floor = ~np.isnan(stack.floor[stack.level])
         is_hole = ~has_floor & (occupied == 0)
         if is_hole.any():
             disc = find_disc_offsets(radius_in_cells, is_hole.shape, to_squares=False)
-            near_hole = kernels.dilate(is_hole.view(np.uint8), disc.half_widths)
-            near_hole = near_hole & has_floor & ~blocked
+            is_near_hole = kernels.dilate(is_hole.view(np.uint8), disc.half_widths)
+            is_near_hole = is_near_hole & has_floor & ~is_blocked
             kernels.block_near_holes(
-                has_floor, near_hole, disc.offsets, disc.squared_distances, LEAST_FLOOR, blocked
+                has_floor,
+                is_near_hole,
+                disc.offsets,
+                disc.squared_distances,
+                LEAST_FLOOR,
+                is_blocked,
             )
-    return blocked[level_window]
+    return is_blocked[level_window]
 
 
 def find_free(grid: NavGrid, radius: float, ledges: str) -> Bool:
@@ -140,7 +145,7 @@ def find_free(grid: NavGrid, radius: float, ledges: str) -> Bool:
         level.free_for_point & ~find_blocked(grid, number, radius, ledges)
         for number, level in enumerate(grid.levels)
     ]
-    return np.concatenate([free.ravel() for free in free_by_level])
+    return np.concatenate([is_free.ravel() for is_free in free_by_level])
 
 
 def block_by_floors(
@@ -178,7 +183,7 @@ def block_by_floors(
     )
 
 
-def measure_to_occupied(grid: NavGrid, level_number: int, reach: float) -> Int32:
+def measure_to_occupied(grid: NavGrid, level_number: int, max_distance: float) -> Int32:
     """Measure from each cell's centre to the centre of the nearest cell that counts as occupied.
 
     The cells that count are those of `find_blocked`: `SceneGrid2D.solid`, which has cells without a
@@ -188,22 +193,22 @@ def measure_to_occupied(grid: NavGrid, level_number: int, reach: float) -> Int32
     Args:
         grid: the grid; its weights don't count.
         level_number: number of the level.
-        reach: up to which distance to measure [m].
+        max_distance: the largest distance that is measured [m].
 
     Returns:
         Squared distances in cells, int32, shape (height, width) of the level; -1 where no cell is
-        occupied, or, near other levels, none within the reach.
+        occupied, or, near other levels, none within the largest distance.
     """
-    reach_in_cells = reach / grid.levels[level_number].lattice.cell_size
-    stack, level_window = stack_levels(grid, level_number, math.ceil(reach_in_cells) + 1)
-    occupied = stack.occupied[stack.level] != 0
-    squared_distances = np.full(occupied.shape, -1, dtype=np.int32)
-    if occupied.any():
-        distances = ndimage.distance_transform_edt(~occupied)
+    max_distance_in_cells = max_distance / grid.levels[level_number].lattice.cell_size
+    stack, level_window = stack_levels(grid, level_number, math.ceil(max_distance_in_cells) + 1)
+    is_occupied = stack.occupied[stack.level] != 0
+    squared_distances = np.full(is_occupied.shape, -1, dtype=np.int32)
+    if is_occupied.any():
+        distances = ndimage.distance_transform_edt(~is_occupied)
         squared_distances = np.rint(distances**2).astype(np.int32)
     if len(stack.floor) > 1:
         compiled.ensure_compiled("runtime.inflation_kernels.")
-        disc = find_disc_offsets(reach_in_cells + 1.0, occupied.shape, to_squares=False)
+        disc = find_disc_offsets(max_distance_in_cells + 1.0, is_occupied.shape, to_squares=False)
         lowest, highest = _find_floor_extremes(stack, disc.offsets)
         kernels.measure_near_levels(
             stack,
@@ -288,12 +293,12 @@ def find_disc_offsets(
     )  # touching is not reaching
     row, col = np.nonzero(is_reached)
     reached_squares = squared_distances[row, col]
-    order = np.argsort(reached_squares, kind="stable")
+    sort_indices = np.argsort(reached_squares, kind="stable")
     rows_down = is_reached[len(rows) // 2 :]
     half_widths = np.count_nonzero(rows_down, axis=1) // 2
     half_widths = np.append(half_widths[rows_down.any(axis=1)], -1).astype(np.int32)
     offsets = np.stack([rows[row], cols[col]], axis=1)
-    return DiscOffsets(offsets[order], reached_squares[order], half_widths)
+    return DiscOffsets(offsets[sort_indices], reached_squares[sort_indices], half_widths)
 
 
 def _distances_in_half_cells(steps: Int, to_squares: bool) -> Int:
@@ -334,12 +339,12 @@ def stack_levels(
             for k, (row, col) in corners.items()
         ])  # fmt: skip
         first_corner = rectangles[:, :2].min(axis=0)
-        last_corner = rectangles[:, 2:].max(axis=0)
+        stop_corner = rectangles[:, 2:].max(axis=0)
         first_row = max(-margin, int(first_corner[0])) - 1
         first_col = max(-margin, int(first_corner[1])) - 1
-        end_row = min(level.height + margin, int(last_corner[0])) + 1
-        end_col = min(level.width + margin, int(last_corner[1])) + 1
-        shape = (len(corners), end_row - first_row, end_col - first_col)
+        stop_row = min(level.height + margin, int(stop_corner[0])) + 1
+        stop_col = min(level.width + margin, int(stop_corner[1])) + 1
+        shape = (len(corners), stop_row - first_row, stop_col - first_col)
         floor = np.full(shape, np.nan, dtype=np.float32)
         occupied = np.ones(shape, dtype=np.uint8)
         for index, (k, (row, col)) in enumerate(corners.items()):
@@ -371,14 +376,14 @@ def _find_aligned_levels(grid: NavGrid, level_number: int) -> dict[int, tuple[in
         For each of them, by number: row and column of its cell (0, 0) in the level's lattice.
     """
     level = grid.levels[level_number]
-    x_min, y_max, size, *_ = level.lattice
+    x_min, y_max, cell_size, *_ = level.lattice
     corners = dict[int, tuple[int, int]]()
     for number, neighbor in enumerate(grid.levels):
         lattice = neighbor.lattice
-        row = (y_max - lattice.y_max) / size
-        col = (lattice.x_min - x_min) / size
+        row = (y_max - lattice.y_max) / cell_size
+        col = (lattice.x_min - x_min) / cell_size
         # by how many cells the levels drift apart where the sizes of their cells differ
-        drift = abs(lattice.cell_size / size - 1) * max(*level.shape, *neighbor.shape)
+        drift = abs(lattice.cell_size / cell_size - 1) * max(*level.shape, *neighbor.shape)
         if max(abs(row - round(row)), abs(col - round(col)), drift) < ALIGNMENT_TOLERANCE:
             corners[number] = (round(row), round(col))
     return corners
@@ -387,7 +392,8 @@ def _find_aligned_levels(grid: NavGrid, level_number: int) -> dict[int, tuple[in
 def _mark_slopes(
     grid: NavGrid, places: dict[int, StackPlace], floor: NDArray[np.float32], step: float
 ) -> NDArray[np.uint8]:
-    """Make `LevelStack.slopes`.
+    """Mark the directions in which links lead up or down a slope: `LevelStack.slopes`.
+
 
     Args:
         grid: the grid, whose steps are used.
@@ -395,19 +401,21 @@ def _mark_slopes(
         floor: `LevelStack.floor`.
         step: largest difference of neighbours' floors that an agent can step over [m].
     """
-    links = grid.step_array
+    slope_links = grid.step_array
     no_slopes = np.zeros((0, 0, 0), dtype=np.uint8)
-    links = links[np.isin(links[:, ::2], list(places)).all(axis=1)]
-    if not len(links):
+    slope_links = slope_links[np.isin(slope_links[:, ::2], list(places)).all(axis=1)]
+    if not len(slope_links):
         return no_slopes
-    starts = _stack_indices(grid, places, level=links[:, 0], cell=links[:, 1])
-    ends = _stack_indices(grid, places, level=links[:, 2], cell=links[:, 3])
+    start_indices = _stack_indices(grid, places, level=slope_links[:, 0], cell=slope_links[:, 1])
+    end_indices = _stack_indices(grid, places, level=slope_links[:, 2], cell=slope_links[:, 3])
     size = np.array(floor.shape)[:, None]
-    is_inside = ((starts >= 0) & (starts < size) & (ends >= 0) & (ends < size)).all(axis=0)
-    starts = starts[:, is_inside]
-    ends = ends[:, is_inside]
-    is_slope = np.abs(floor[tuple(starts)] - floor[tuple(ends)]) > step
-    is_slope &= np.abs(ends - starts)[1:].sum(axis=0) == 1
+    is_inside = (
+        (start_indices >= 0) & (start_indices < size) & (end_indices >= 0) & (end_indices < size)
+    ).all(axis=0)
+    start_indices = start_indices[:, is_inside]
+    end_indices = end_indices[:, is_inside]
+    is_slope = np.abs(floor[tuple(start_indices)] - floor[tuple(end_indices)]) > step
+    is_slope &= np.abs(end_indices - start_indices)[1:].sum(axis=0) == 1
     if not is_slope.any():
         return no_slopes
     slopes = np.zeros(floor.shape, dtype=np.uint8)
@@ -417,9 +425,9 @@ def _mark_slopes(
     direction_bits[0, 1] = arrays.NORTH
     direction_bits[1, 0] = arrays.WEST
     direction_bits[2, 1] = arrays.SOUTH
-    starts = starts[:, is_slope]
-    ends = ends[:, is_slope]
-    for cells, neighbors in ((starts, ends), (ends, starts)):
+    start_indices = start_indices[:, is_slope]
+    end_indices = end_indices[:, is_slope]
+    for cells, neighbors in ((start_indices, end_indices), (end_indices, start_indices)):
         bits = direction_bits[tuple((neighbors - cells)[1:] + 1)]
         np.bitwise_or.at(slopes, tuple(cells), bits)
     return slopes

@@ -165,10 +165,10 @@ def field_row(house: House) -> Row:
     row, col = (int(v) for v in level.lattice.rows_cols(goal))
     source = row * level.width + col
     graph = step_graph(finder)
-    own = finder.search.field(np.array([source]))
+    own = finder.search.compute_cost_field(np.array([source]))
     if not np.allclose(own[cells], csgraph.dijkstra(graph, indices=source)[cells]):
         raise SystemExit("distance_field and scipy differ")
-    job = here("distance field", lambda: finder.search.field(np.array([source])))
+    job = here("distance field", lambda: finder.search.compute_cost_field(np.array([source])))
     other = here("scipy csgraph, its graph given", lambda: csgraph.dijkstra(graph, indices=source))
     costs = np.where(level.free, 1.0, np.inf).astype(np.float32)
 

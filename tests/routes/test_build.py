@@ -45,7 +45,7 @@ def test_every_large_island_is_reached_and_joined(made):
     joined = np.isfinite(graph.distances())
     np.testing.assert_array_equal(joined, islands[:, None] == islands)
     # and each of their cells is near a node
-    field = search.field(np.array(cells).ravel(), by="length")
+    field = search.compute_cost_field(np.array(cells).ravel(), by="length")
     large = (search.islands.areas >= 4)[search.islands.number] & search.flat.free
     assert field[large].max() <= 1.8
 

@@ -25,7 +25,10 @@ def assert_same_as_fresh(finder, grid):
     np.testing.assert_array_equal(search.graph.moves, fresh.graph.moves)
     for goal in np.flatnonzero(fresh.flat.free)[:3]:
         np.testing.assert_allclose(
-            search.field(np.array([goal])), fresh.field(np.array([goal])), rtol=1e-8, atol=1e-12
+            search.compute_cost_field(np.array([goal])),
+            fresh.compute_cost_field(np.array([goal])),
+            rtol=1e-8,
+            atol=1e-12,
         )
 
 

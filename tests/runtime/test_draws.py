@@ -99,7 +99,7 @@ def test_near_by_the_length_of_the_path(seed):
     sampler = random_sampler(seed, num_levels=2, share=0.8)
     flat, rng = sampler.search.flat, make_rng(seed)
     start = sampler.random_point(rng, island=1)
-    distance = sampler.search.field(flat.cells_at(start[None]), by="length")
+    distance = sampler.search.compute_cost_field(flat.cells_at(start[None]), by="length")
     points = sampler.random_point_near(rng, start, 0.8, 4000, min_distance=0.35)
     cells = flat.cells_at(points)
     near = flat.free & (distance > 0.35 - 1e-9) & (distance < 0.8 + 1e-9)

@@ -56,7 +56,7 @@ def test_the_level_is_that_of_the_nearest_floor_below(position, expected):
     assert cell_at(house, position) == expected
     flat = flatten(house)
     cell = flat.cells_at(position)
-    assert (flat.cell(int(cell)) if cell >= 0 else None) == expected
+    assert (flat.to_cell(int(cell)) if cell >= 0 else None) == expected
 
 
 def test_boxes_do_not_decide():
@@ -96,7 +96,7 @@ def test_files_without_floor_heights_stand_on_their_ground_in_walls_too():
         del level.attributes["floorHeight"]
     assert cell_at(house, (0.6, 0.9, 2.6)) == (1, 0, 3)  # blocked on the upper level
     flat = flatten(house)
-    assert flat.cell(flat.cells_at((0.6, 0.9, 2.6))) == (1, 0, 3)
+    assert flat.to_cell(flat.cells_at((0.6, 0.9, 2.6))) == (1, 0, 3)
     np.testing.assert_allclose(position_of(house, Cell(1, 0, 3)), (0.75, 0.75, 2.5))
 
 
@@ -104,7 +104,7 @@ def test_positions_and_cells_are_each_others_inverse():
     house = make_house()
     flat = flatten(house)
     ids = np.flatnonzero(flat.free)
-    cells = flat.split(ids)
+    cells = flat.to_cells(ids)
     positions = house.position_of(cells)
     np.testing.assert_array_equal(positions, flat.positions(ids))
     for found, expected in zip(house.cells_at(positions), cells, strict=True):
@@ -129,7 +129,7 @@ def test_many_equal_one_by_one_on_random_grids_that_are_not_square(seed):
     positions = rng.uniform((-3, -5, -1), (5, 3, 9), size=(2000, 3))
     many = cells_at(grid, positions)
     flat = flatten(grid)
-    for fast, slow in zip(flat.split(flat.cells_at(positions)), many, strict=True):
+    for fast, slow in zip(flat.to_cells(flat.cells_at(positions)), many, strict=True):
         np.testing.assert_array_equal(fast, slow)
     for i in range(0, 2000, 10):
         one = cell_at(grid, positions[i])

@@ -244,5 +244,5 @@ def test_islands_are_what_paths_join_where_corners_are_cut(seed):
     finder = PathFinder(random_house(rng, share=0.5), cut_corners=True)
     search = finder.search
     start = int(rng.choice(np.flatnonzero(search.flat.free)))
-    joined = np.isfinite(search.field(np.array([start])))
+    joined = np.isfinite(search.compute_cost_field(np.array([start])))
     np.testing.assert_array_equal(finder.islands.number == finder.islands.number[start], joined)

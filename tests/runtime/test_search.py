@@ -34,14 +34,14 @@ def test_routes_and_fields_equal_scipy(seed, cut_corners):
     exact = dijkstra(graph, indices=free)
     for origin in rng.choice(free, 4):
         expected = exact[np.searchsorted(free, origin), goals].min()
-        found = search.route(origin, goals)
+        found = search.find_route(origin, goals)
         if np.isinf(expected):
             assert found is None
         else:
             assert_is_route(found, origin, goals, graph)
             assert found.cost == pytest.approx(expected, rel=1e-8, abs=1e-12)
     field, onward = search.find_next_cells(goals)
-    np.testing.assert_array_equal(field, search.field(goals))
+    np.testing.assert_array_equal(field, search.compute_cost_field(goals))
     assert np.isinf(field[~search.flat.free]).all()
     np.testing.assert_allclose(field[free], exact[:, goals].min(axis=1), rtol=1e-8, atol=1e-12)
     assert (onward[goals] == goals).all() and (onward[np.isinf(field)] == -1).all()
@@ -60,7 +60,9 @@ def test_fields_of_lengths_leave_weights_out(seed):
         level.weights[level.free] = 1.0
     goals = rng.choice(free, 1)
     exact = dijkstra(step_graph(grid), indices=free)[:, goals[0]]
-    np.testing.assert_allclose(search.field(goals, by="length")[free], exact, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(
+        search.compute_cost_field(goals, by="length")[free], exact, rtol=1e-8, atol=1e-12
+    )
 
 
 def test_weights_far_apart_stay_exact():
@@ -69,9 +71,9 @@ def test_weights_far_apart_stay_exact():
     grid = make_level(np.ones((12, 12)), np.zeros((12, 12)), weights)
     search = Search(grid)
     exact = dijkstra(step_graph(grid), indices=np.arange(144))
-    np.testing.assert_allclose(search.field(np.array([77])), exact[:, 77], rtol=1e-8)
+    np.testing.assert_allclose(search.compute_cost_field(np.array([77])), exact[:, 77], rtol=1e-8)
     for origin in range(0, 144, 13):
-        cost = search.route(origin, np.array([77])).cost
+        cost = search.find_route(origin, np.array([77])).cost
         assert cost == pytest.approx(exact[origin, 77], rel=1e-8)
 
 
@@ -81,7 +83,7 @@ def test_a_field_of_more_goals_than_there_is_room_for_at_first():
     search = Search(make_level(free, np.zeros(free.shape)))
     goals = np.flatnonzero(free)
     assert len(goals) > FIRST_QUEUE_SIZE
-    field = search.field(goals)
+    field = search.compute_cost_field(goals)
     assert not field[goals].any()
     assert np.isinf(field[np.flatnonzero(~free)]).all()
 
@@ -93,7 +95,9 @@ def test_a_route_that_opens_more_cells_than_there_is_room_for_at_first():
     weights = 10.0 ** rng.uniform(0, 4, shape)
     search = Search(make_level(np.ones(shape), np.zeros(shape), weights))
     goal = np.array([weights.size - 1])
-    assert search.route(0, goal).cost == pytest.approx(search.field(goal)[0], rel=1e-8)
+    assert search.find_route(0, goal).cost == pytest.approx(
+        search.compute_cost_field(goal)[0], rel=1e-8
+    )
 
 
 def test_searches_may_be_counted_from_one_again(monkeypatch):
@@ -101,15 +105,15 @@ def test_searches_may_be_counted_from_one_again(monkeypatch):
     search = Search(grid)
     monkeypatch.setattr("navbake.runtime.search.LAST_SEARCH", 2)
     for _ in range(6):
-        assert search.route(0, np.array([2]))[0].tolist() == [0, 1, 2]
-        assert search.route(2, np.array([0]))[0].tolist() == [2, 1, 0]
+        assert search.find_route(0, np.array([2]))[0].tolist() == [0, 1, 2]
+        assert search.find_route(2, np.array([0]))[0].tolist() == [2, 1, 0]
 
 
 def test_a_link_may_be_the_only_way():
     lower, upper = make_level([[1, 1, 0, 1]], np.zeros((1, 4))), make_level([[1]], [[0.0]], col0=2)
     grid = stack([lower, upper], [[0, 1, 1, 0], [0, 3, 1, 0]])
     search = Search(grid)
-    route, _, cost = search.route(0, np.array([3]))
+    route, _, cost = search.find_route(0, np.array([3]))
     assert route.tolist() == [0, 1, 4, 3]
     assert cost == pytest.approx(0.3)
 
