@@ -81,12 +81,12 @@ class JsonPath:
 
     def __getitem__(self, key: str | int) -> JsonPath:
         if isinstance(key, int):
-            step = f"[{key}]"
+            key_text = f"[{key}]"
         elif key.isidentifier():
-            step = f".{key}" if self.path else key
+            key_text = f".{key}" if self.path else key
         else:
-            step = f"[{format_value(key)}]"
-        return JsonPath(self.file, self.path + step)
+            key_text = f"[{format_value(key)}]"
+        return JsonPath(self.file, self.path + key_text)
 
     def fail(
         self, fault: str, remedy: str = "", *, expected: str | None = None, value: object = None
@@ -164,12 +164,12 @@ def check_number(value: object, place: JsonPath, *, positive: bool = False) -> f
     """
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     try:
-        finite = float(value) if is_number else math.nan  # type: ignore[arg-type]
+        number = float(value) if is_number else math.nan  # type: ignore[arg-type]
     except OverflowError:  # YAML has whole numbers beyond all floats
-        finite = math.nan
-    if not math.isfinite(finite) or (positive and finite <= 0):
+        number = math.nan
+    if not math.isfinite(number) or (positive and number <= 0):
         place.refuse("a number > 0" if positive else "a finite number", value)
-    return int(finite) if finite.is_integer() and abs(finite) < 2**53 else finite
+    return int(number) if number.is_integer() and abs(number) < 2**53 else number
 
 
 def check_vector(value: object, place: JsonPath) -> Vector3:
@@ -237,11 +237,11 @@ def check_json(value: JsonValue, place: JsonPath) -> JsonValue:
     Raises:
         FormatError: the value holds something that JSON lacks, or more than 64 levels.
     """
-    layer = [value]
+    values_at_depth = [value]
     for _ in range(MAX_DEPTH):
-        if set(map(type, layer)) <= LEAF_TYPES:
+        if set(map(type, values_at_depth)) <= LEAF_TYPES:
             return value
-        for entry in layer:
+        for entry in values_at_depth:
             if type(entry) in FAST_TYPES:
                 continue
             if isinstance(entry, float):
@@ -250,11 +250,11 @@ def check_json(value: JsonValue, place: JsonPath) -> JsonValue:
                 is_valid = isinstance(entry, JSON_CLASSES)
             if not is_valid:
                 _refuse_first_invalid(value, place)
-        objects = [entry for entry in layer if isinstance(entry, dict)]
+        objects = [entry for entry in values_at_depth if isinstance(entry, dict)]
         if not set(map(type, chain.from_iterable(objects))) <= {str}:
             place.fail("expected strings as keys of objects, got others")
-        lists = [entry for entry in layer if isinstance(entry, list | tuple)]
-        layer = list(chain.from_iterable([*map(dict.values, objects), *lists]))
+        lists = [entry for entry in values_at_depth if isinstance(entry, list | tuple)]
+        values_at_depth = list(chain.from_iterable([*map(dict.values, objects), *lists]))
     place.fail(f"nested deeper than {MAX_DEPTH} levels")
 
 
@@ -322,8 +322,8 @@ class Allowance:
         if math.prod(shape) > self._cells:
             unit = self._keyword.removeprefix("max_") or "pixels"
             counts = " × ".join(format_value(int(count)) for count in shape)
-            what = f"too many {unit} ({counts}, expected {self._cells:,} at most)"
-            place.fail(what, self._remedy, expected=f"{self._cells:,} at most", value=tuple(shape))
+            fault = f"too many {unit} ({counts}, expected {self._cells:,} at most)"
+            place.fail(fault, self._remedy, expected=f"{self._cells:,} at most", value=tuple(shape))
         self._cells -= math.prod(shape)
 
     def take_array(self, shape: Sequence[int], itemsize: int, place: JsonPath) -> None:
@@ -360,5 +360,5 @@ class Allowance:
         """
         self._text -= num_bytes
         if self._text < 0:
-            what = f"more text than a file of {self._num_bytes:,} bytes may unpack to"
-            place.fail(what, "unpack it first if that is meant")
+            fault = f"more text than a file of {self._num_bytes:,} bytes may unpack to"
+            place.fail(fault, "unpack it first if that is meant")

@@ -120,8 +120,12 @@ def _cast_values(
         with np.errstate(over="ignore"):
             is_invalid = np.isinf(values.astype(dtype))
     else:
-        info = np.iinfo(dtype)
-        is_invalid = (values < info.min) | (values > info.max) | (values != np.floor(values))
+        integer_range = np.iinfo(dtype)
+        is_invalid = (
+            (values < integer_range.min)
+            | (values > integer_range.max)
+            | (values != np.floor(values))
+        )
     if is_invalid.any():
         index = step * int(np.argmax(is_invalid))
         place[index].refuse(f"a value of {dtype}", data[index])
@@ -164,20 +168,20 @@ def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
     if array.dtype.name not in DATATYPES:
         place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
     cells = array.reshape(-1)
-    starts = [np.zeros(1, np.int64)]  # of runs
+    run_start_chunks = [np.zeros(1, np.int64)]  # of runs
     for first in range(1, len(cells), CHUNK_LENGTH):
         chunk = _normalize_values(cells[first - 1 : first + CHUNK_LENGTH])
         differs = chunk[1:] != chunk[:-1]
         if chunk.dtype.kind == "f":
             differs &= ~(np.isnan(chunk[1:]) & np.isnan(chunk[:-1]))
-        starts.append(np.flatnonzero(differs) + first)
-    run_start = np.concatenate(starts)
-    run_length = np.diff(run_start, append=len(cells))
+        run_start_chunks.append(np.flatnonzero(differs) + first)
+    run_starts = np.concatenate(run_start_chunks)
+    run_lengths = np.diff(run_starts, append=len(cells))
 
     texts = []
-    for first in range(0, len(run_start), CHUNK_LENGTH):
-        values = _normalize_values(cells[run_start[first : first + CHUNK_LENGTH]])
-        counts = run_length[first : first + CHUNK_LENGTH]
+    for first in range(0, len(run_starts), CHUNK_LENGTH):
+        values = _normalize_values(cells[run_starts[first : first + CHUNK_LENGTH]])
+        counts = run_lengths[first : first + CHUNK_LENGTH]
         if values.dtype.kind == "f":
             words = [b""] * (2 * len(counts))
             words[0::2] = _dump_numbers(values).split(b",")

@@ -134,25 +134,27 @@ def encode_with(file_format: FileFormat, grid: NavGrid, path: Path, **options: o
     stairs: str | None = "free"
     if "stairs" in file_format.closes:
         stairs = cast("str | None", options.get("stairs"))
-    closed = map_losses.find_closed_cells(
+    closed_cells = map_losses.find_closed_cells(
         grid,
         stairs=stairs,
         agent=agent,
         closes_areas="areas" in file_format.closes,
     )
-    to_encode = grid
+    map_grid = grid
     if file_format.inflates:
         radius = options.pop("radius", None)
         if radius is not None:
-            to_encode = grid.inflate(cast("float", radius))  # checks the radius itself
+            map_grid = grid.inflate(cast("float", radius))  # checks the radius itself
     if file_format.closes and not file_format.closes_by_itself:
         options.pop("stairs", None)
         options.pop("agent", None)
-        masks = closed.masks()
-        if any(mask.any() for mask in masks):
-            to_encode = map_losses.close_cells(to_encode, masks)
-    files: Files = resolve(f"navbake.formats.{file_format.encode}")(to_encode, path, **options)
-    losses = map_losses.describe_losses(grid, file_format.loses, closed, level=level, agent=agent)
+        closed_masks = closed_cells.masks()
+        if any(mask.any() for mask in closed_masks):
+            map_grid = map_losses.close_cells(map_grid, closed_masks)
+    files: Files = resolve(f"navbake.formats.{file_format.encode}")(map_grid, path, **options)
+    losses = map_losses.describe_losses(
+        grid, file_format.loses, closed_cells, level=level, agent=agent
+    )
     if losses:
         LOG.warning("%s has no place for %s", file_format.name, ", ".join(losses))
     return files
@@ -173,6 +175,7 @@ def write_as(
         The paths of the written files.
 
     Raises:
-        FormatError: see `encode_as`; or a file can't be written.
+        FormatError: the format is unknown, takes no such option, or can't hold the grid; or a file
+            can't be written.
     """
     return write_files(encode_as(grid, check_path(path), to, **options))

@@ -90,7 +90,7 @@ def encode_mjcf(
         FormatError: there is no such level or no free cell, the walls are too low, levels don't
             lie over each other, or more than 200,000 boxes are needed.
     """
-    levels = [grid.levels[k] for k in select_levels(grid, path, level, (".xml",))]
+    levels = [grid.levels[index] for index in select_levels(grid, path, level, (".xml",))]
     agent_height = grid.agent_height
     if height is None:
         height = max(WALL_HEIGHT, agent_height + 1.0)
@@ -99,9 +99,10 @@ def encode_mjcf(
         raise FormatError(
             f"expected {expected}, got {height:g} m", key="height", value=height, expected=expected
         )
-    floors = [_find_floor(scene, bool(flat)) for scene in levels]
+    floors = [_find_floor(grid_level, bool(flat)) for grid_level in levels]
     has_free_cell = any(
-        (scene.free & ~np.isnan(floor)).any() for scene, floor in zip(levels, floors, strict=True)
+        (grid_level.free & ~np.isnan(floor)).any()
+        for grid_level, floor in zip(levels, floors, strict=True)
     )
     if not has_free_cell:
         raise FormatError("the grid has no free cell to make a scene of")
@@ -109,22 +110,22 @@ def encode_mjcf(
     lattice, windows = _join_lattices(levels)
     # floors of all levels on the common lattice, shape (level, row, col)
     stacked_floors = np.full((len(levels), *lattice.shape), np.nan)
-    for k, window in enumerate(windows):
-        stacked_floors[(k, *window)] = floors[k]
-    top = float(np.nanmax(stacked_floors)) + height
+    for index, window in enumerate(windows):
+        stacked_floors[(index, *window)] = floors[index]
+    wall_top = float(np.nanmax(stacked_floors)) + height
     box_groups: list[_Boxes] = []
-    for k, (scene, window, floor) in enumerate(zip(levels, windows, floors, strict=True)):
+    for index, (grid_level, window, floor) in enumerate(zip(levels, windows, floors, strict=True)):
         # walls end under the next floor above, else at the top
         with np.errstate(invalid="ignore"):
             window_floors = stacked_floors[(slice(None), *window)]
             next_floor = np.where(window_floors > floor, window_floors, np.inf).min(axis=0)
-        ceiling = np.where(np.isinf(next_floor), top, next_floor - SLAB_THICKNESS)
+        ceiling = np.where(np.isinf(next_floor), wall_top, next_floor - SLAB_THICKNESS)
         has_floor = ~np.isnan(floor)
-        slabs = _make_boxes(scene.lattice, has_floor, floor - SLAB_THICKNESS, floor)
-        box_groups.append(_Boxes("floor", k, slabs))
-        has_wall = has_floor & ~scene.free & (ceiling > np.nan_to_num(floor, nan=np.inf))
-        walls = _make_boxes(scene.lattice, has_wall, floor, ceiling)
-        box_groups.append(_Boxes("wall", k, walls))
+        slabs = _make_boxes(grid_level.lattice, has_floor, floor - SLAB_THICKNESS, floor)
+        box_groups.append(_Boxes("floor", index, slabs))
+        has_wall = has_floor & ~grid_level.free & (ceiling > np.nan_to_num(floor, nan=np.inf))
+        walls = _make_boxes(grid_level.lattice, has_wall, floor, ceiling)
+        box_groups.append(_Boxes("wall", index, walls))
     num_boxes = sum(len(boxes.corners) for boxes in box_groups)
     if num_boxes > MAX_BOXES:
         remedy = "extrude one level at a time, or with flat floors"
@@ -157,37 +158,37 @@ def _join_lattices(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice
     """Return a lattice that covers all levels, and each level's slices of its rows and columns."""
     cell_size = levels[0].lattice.cell_size
     bounds = np.array([level.lattice.bounds for level in levels])
-    x0, y0 = bounds[:, :2].min(axis=0)
-    x1, y1 = bounds[:, 2:].max(axis=0)
-    width = round((x1 - x0) / cell_size)
-    height = round((y1 - y0) / cell_size)
-    common = Lattice(float(x0), float(y1), cell_size, width, height)
+    x_min, y_min = bounds[:, :2].min(axis=0)
+    x_max, y_max = bounds[:, 2:].max(axis=0)
+    width = round((x_max - x_min) / cell_size)
+    height = round((y_max - y_min) / cell_size)
+    common_lattice = Lattice(float(x_min), float(y_max), cell_size, width, height)
     windows = []
     for level in levels:
         lattice = level.lattice
-        offset = (np.array(lattice.bounds) - common.bounds) / cell_size
+        offset = (np.array(lattice.bounds) - common_lattice.bounds) / cell_size
         has_same_size = abs(lattice.cell_size - cell_size) <= CELL_SIZE_TOLERANCE
         if not has_same_size or np.abs(offset - np.rint(offset)).max() > LATTICE_TOLERANCE:
             raise FormatError("expected levels on one lattice: extrude one (level) at a time")
-        row = round((common.y_max - lattice.y_max) / cell_size)
-        col = round((lattice.x_min - common.x_min) / cell_size)
+        row = round((common_lattice.y_max - lattice.y_max) / cell_size)
+        col = round((lattice.x_min - common_lattice.x_min) / cell_size)
         windows.append((slice(row, row + lattice.height), slice(col, col + lattice.width)))
-    return common, windows
+    return common_lattice, windows
 
 
-def _make_boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
+def _make_boxes(lattice: Lattice, mask: Bool, low_z: Float, high_z: Float) -> Float:
     """Cover the cells of a mask by few boxes.
 
     Args:
         lattice: the lattice of the cells.
         mask: the cells to cover, shape (height, width).
-        low: world z where the box of each cell begins [m], shape (height, width).
-        high: world z where the box of each cell ends [m], shape (height, width).
+        low_z: world z where the box of each cell begins [m], shape (height, width).
+        high_z: world z where the box of each cell ends [m], shape (height, width).
 
     Returns:
         The lower and upper corner of each box, world x, y, z [m], shape (n, 2, 3).
     """
-    height_pairs = np.stack([low[mask], high[mask]], axis=1)
+    height_pairs = np.stack([low_z[mask], high_z[mask]], axis=1)
     unique_pairs, pair_numbers = np.unique(height_pairs, axis=0, return_inverse=True)
     labels = np.zeros(mask.shape, dtype=np.int32)
     labels[mask] = pair_numbers.ravel() + 1
@@ -204,14 +205,14 @@ def _make_settings(
     grid: NavGrid, path: Path, lattice: Lattice, levels: list[SceneGrid2D], stacked_floors: Float
 ) -> Json:
     """Return the settings that bake the scene to the cells of the grid."""
-    lowest = float(np.nanmin(stacked_floors))
-    highest = float(np.nanmax(stacked_floors))
+    lowest_floor = float(np.nanmin(stacked_floors))
+    highest_floor = float(np.nanmax(stacked_floors))
     grounds = [round(level.ground, DECIMALS) + 0.0 for level in levels]
-    grounds[0] = min(grounds[0], round(lowest, DECIMALS) + 0.0)
+    grounds[0] = min(grounds[0], round(lowest_floor, DECIMALS) + 0.0)
     if not all(low < high for low, high in itertools.pairwise(grounds)):
         raise FormatError("expected levels with ascending grounds: extrude one (level) at a time")
     level_entries: list[Json] = [{"ground": ground} for ground in grounds]
-    level_entries[-1]["top"] = round(max(highest, grounds[-1]) + TOP_MARGIN, DECIMALS)
+    level_entries[-1]["top"] = round(max(highest_floor, grounds[-1]) + TOP_MARGIN, DECIMALS)
     step = min(grid.max_step, 0.99 * grid.agent_height)
     return {
         "scene": {"path": path.name},
@@ -230,16 +231,16 @@ def _write_scene(
     name: str, box_groups: list[_Boxes], settings: Json, settings_name: str
 ) -> Iterator[str]:
     """Yield the lines of the scene's MJCF."""
-    cells = settings["grid"]
-    cells_text = f"cells of {cells['cell_size']!r} m, bounds {cells['bounds']}"
+    grid_settings = settings["grid"]
+    cells_text = f"cells of {grid_settings['cell_size']!r} m, bounds {grid_settings['bounds']}"
     settings_text = f"with the settings in {_format_comment(settings_name)}: {cells_text}"
     yield f"<mujoco model={quoteattr(''.join(filter(str.isprintable, name)))}>\n"
     yield f"  <!-- It bakes to the cells that it was made of {settings_text} -->\n{SCENE_HEAD}"
     for boxes in box_groups:
-        low = boxes.corners[:, 0]
-        high = boxes.corners[:, 1]
-        centers = ((low + high) / 2).tolist()
-        half_extents = ((high - low) / 2).tolist()
+        lower_corners = boxes.corners[:, 0]
+        upper_corners = boxes.corners[:, 1]
+        centers = ((lower_corners + upper_corners) / 2).tolist()
+        half_extents = ((upper_corners - lower_corners) / 2).tolist()
         for number, (center, half_extent) in enumerate(zip(centers, half_extents, strict=True)):
             geom_name = f"{boxes.kind}_{boxes.level}_{number}"
             pos = " ".join(map(repr, center))

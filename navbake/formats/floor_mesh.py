@@ -141,9 +141,11 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
             expected="a tolerance of 0 m or more",
         )
     # (level, index) of a room -> its name, or its id if other rooms have that name
-    count = Counter(room.name for room in grid.rooms)
-    names = {
-        (room.level, room.index): room.name if room.name and count[room.name] == 1 else room.id
+    name_counts = Counter(room.name for room in grid.rooms)
+    room_names = {
+        (room.level, room.index): room.name
+        if room.name and name_counts[room.name] == 1
+        else room.id
         for room in grid.rooms
     }
     max_slope: JsonValue = grid.navbake.get("maxSlope")
@@ -154,18 +156,18 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
     levels = []
     for number, level in enumerate(grid.levels):
         lattice = level.lattice
-        size = lattice.cell_size
+        cell_size = lattice.cell_size
         room_index = level.room_index.astype(np.int32)
         labels = np.where(level.free, room_index + 1, 0)
         quads = cover_with_quads(
-            labels, level.floor_or_ground, float(tolerance), max_gradient * size
+            labels, level.floor_or_ground, float(tolerance), max_gradient * cell_size
         )
-        quad_index = room_index[quads.first_cell[:, 0], quads.first_cell[:, 1]]
-        order = np.argsort(quad_index, kind="stable")
-        x = lattice.x_min + quads.cols * size
-        y = lattice.y_max - quads.rows * size
-        vertices = np.stack([x, y, quads.heights], axis=-1)[order].reshape(-1, 3)
-        level_indices, room = np.unique(quad_index[order], return_inverse=True)
+        room_of_quad = room_index[quads.first_cell[:, 0], quads.first_cell[:, 1]]
+        sort_indices = np.argsort(room_of_quad, kind="stable")
+        x = lattice.x_min + quads.cols * cell_size
+        y = lattice.y_max - quads.rows * cell_size
+        vertices = np.stack([x, y, quads.heights], axis=-1)[sort_indices].reshape(-1, 3)
+        level_indices, room = np.unique(room_of_quad[sort_indices], return_inverse=True)
         indices = [index for index in level_indices.tolist() if index]
         mesh = LevelMesh(
             name=grid.level_names[number],
@@ -175,7 +177,7 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
             room=room.astype(np.int64) + (len(indices) == len(level_indices)),
             rooms=[
                 NO_ROOM,
-                *(names.get((number, index), f"{number}:{index}") for index in indices),
+                *(room_names.get((number, index), f"{number}:{index}") for index in indices),
             ],
             indices=[0, *indices],
         )
@@ -219,12 +221,18 @@ def cover_with_quads(
 
     ensure_compiled("formats.plane_kernels.")
     bounds, planes = cover_planes(labels, heights, tolerance, max_rise)
-    row0, col0, row1, col1 = bounds.T
-    rows = np.stack([row1, row1, row0, row0], axis=1) + np.array([1, 1, -1, -1]) * margin
-    cols = np.stack([col0, col1, col1, col0], axis=1) + np.array([-1, 1, 1, -1]) * margin
+    first_row, first_col, stop_row, stop_col = bounds.T
+    rows = (
+        np.stack([stop_row, stop_row, first_row, first_row], axis=1)
+        + np.array([1, 1, -1, -1]) * margin
+    )
+    cols = (
+        np.stack([first_col, stop_col, stop_col, first_col], axis=1)
+        + np.array([-1, 1, 1, -1]) * margin
+    )
     # planes are given at the first cell's centre
-    down = rows - row0[:, None] - 0.5
-    right = cols - col0[:, None] - 0.5
+    down = rows - first_row[:, None] - 0.5
+    right = cols - first_col[:, None] - 0.5
     corner_heights = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:]
     return Quads(bounds[:, :2], rows, cols, corner_heights)
 
@@ -294,17 +302,17 @@ class GlbBuffer:
 
         Return the number of their accessor.
         """
-        low = vertices.min(axis=0).tolist()
-        high = vertices.max(axis=0).tolist()
-        return self.add_vectors(vertices, min=low, max=high)
+        lower_corner = vertices.min(axis=0).tolist()
+        upper_corner = vertices.max(axis=0).tolist()
+        return self.add_vectors(vertices, min=lower_corner, max=upper_corner)
 
-    def _add(self, values: NDArray[Any], kind: str, target: int, **fields: JsonValue) -> int:
-        """Append values and their accessor; return its number. A kind is, for example, ``VEC3``."""
+    def _add(self, values: NDArray[Any], vector_type: str, target: int, **fields: JsonValue) -> int:
+        """Append values and their accessor; return its number. Types are such as ``VEC3``."""
         values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
         view = self.add_bytes(values.tobytes(), target)
         component_type = COMPONENT_TYPES[values.dtype]
         entry = {"bufferView": view, "componentType": component_type, "count": len(values)}
-        self._accessors.append({**entry, "type": kind, **fields})
+        self._accessors.append({**entry, "type": vector_type, **fields})
         return len(self._accessors) - 1
 
     def pack(self, document: Json) -> bytes:
@@ -370,22 +378,26 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = HEIGHT_TOLERANCE
         vertices = np.stack([east, up, 0.0 - north], axis=1).astype(np.float32)
         for room in np.unique(level.room).tolist():
             # quads are sorted by room
-            first, end = np.searchsorted(level.room, [room, room + 1]).tolist()
-            name = level.rooms[room]
+            first_quad, stop_quad = np.searchsorted(level.room, [room, room + 1]).tolist()
+            room_name = level.rooms[room]
             materials = document["materials"]
-            positions = buffer.add_positions(vertices[4 * first : 4 * end])
-            faces = buffer.add_indices(level.faces[: 2 * (end - first)].astype(np.uint32))
+            positions = buffer.add_positions(vertices[4 * first_quad : 4 * stop_quad])
+            faces = buffer.add_indices(
+                level.faces[: 2 * (stop_quad - first_quad)].astype(np.uint32)
+            )
             primitives.append(
                 {
                     "attributes": {"POSITION": positions},
                     "indices": faces,
                     "material": len(materials),
-                    "extras": {"room": name},
+                    "extras": {"room": room_name},
                 }
             )
             color = [*np.round(to_linear(colors[room] / 255), 6).tolist(), 1.0]
-            surface = {"baseColorFactor": color, "metallicFactor": 0.0}
-            materials.append({"name": name, "pbrMetallicRoughness": surface, "doubleSided": True})
+            material = {"baseColorFactor": color, "metallicFactor": 0.0}
+            materials.append(
+                {"name": room_name, "pbrMetallicRoughness": material, "doubleSided": True}
+            )
     return {path: buffer.pack(document)}
 
 
@@ -438,11 +450,11 @@ def encode_obj(
 
 def _unique_name(name: str, used_names: set[str]) -> str:
     """Return an unused name of characters that OBJ allows, and add it to the used ones."""
-    base = re.sub(r"[^\w.\-]", "_", name) or "_"
-    unique = base
+    base_name = re.sub(r"[^\w.\-]", "_", name) or "_"
+    unique_name = base_name
     for number in itertools.count(2):
-        if unique not in used_names:
+        if unique_name not in used_names:
             break
-        unique = f"{base}_{number}"
-    used_names.add(unique)
-    return unique
+        unique_name = f"{base_name}_{number}"
+    used_names.add(unique_name)
+    return unique_name

@@ -312,24 +312,24 @@ def find_format(
     Raises:
         FormatError: no such format can be written (or read), or no format has such an ending.
     """
-    usable = [
+    usable_formats = [
         file_format
         for file_format in formats
         if (file_format.encode if writing else file_format.read) is not None
     ]
-    done = "written" if writing else "read"
+    verb_text = "written" if writing else "read"
     if name is not None:
-        for file_format in usable:
+        for file_format in usable_formats:
             if file_format.name == name:
                 return file_format
-        names = ", ".join(file_format.name for file_format in usable)
-        expected = f"a format that is {done} ({names})"
+        names = ", ".join(file_format.name for file_format in usable_formats)
+        expected = f"a format that is {verb_text} ({names})"
         raise FormatError(f"expected {expected}, got {name}", value=name, expected=expected)
 
     file_name = os.path.basename(os.fsdecode(path)).lower()
     matches = [
         (ending, file_format)
-        for file_format in usable
+        for file_format in usable_formats
         for ending in file_format.endings
         if file_name.endswith(ending)
     ]
@@ -338,18 +338,18 @@ def find_format(
         _, longest_match = max(matches, key=lambda match: len(match[0]))
         return longest_match
 
-    listed = ", ".join(
-        f"{'/'.join(file_format.endings)} ({file_format.name})" for file_format in usable
+    formats_text = ", ".join(
+        f"{'/'.join(file_format.endings)} ({file_format.name})" for file_format in usable_formats
     )
     is_map_image = formats is GRID_FORMATS and file_name.endswith(".pgm")
     hint = "give the .yaml of the map, which names the image" if is_map_image else None
     message = (
-        f"expected a name that ends as a format that is {done} does, {listed}; got "
+        f"expected a name that ends as a format that is {verb_text} does, {formats_text}; got "
         f"{os.fsdecode(path)}"
     )
     raise FormatError(
         f"{message}: {hint}" if hint else message,
         path=os.fsdecode(path),
-        expected=f"a name that ends as a format that is {done} does",
+        expected=f"a name that ends as a format that is {verb_text} does",
         hint=hint,
     )

@@ -125,10 +125,10 @@ class CellGraph:
         cell = self.grid.cell_at(position, level)
         if cell is None:
             return None
-        first, last = np.searchsorted(self.level, [cell.level, cell.level + 1])
+        first_node, stop_node = np.searchsorted(self.level, [cell.level, cell.level + 1])
         cell_id = cell.col + cell.row * self.grid.levels[cell.level].width
-        node = int(first + np.searchsorted(self.cell[first:last], cell_id))
-        return node if node < last and self.cell[node] == cell_id else None
+        node = int(first_node + np.searchsorted(self.cell[first_node:stop_node], cell_id))
+        return node if node < stop_node and self.cell[node] == cell_id else None
 
     def to_networkx(self) -> networkx.DiGraph[Any]:
         """Convert the graph to networkx; only for small grids, as each node is a Python object.
@@ -203,26 +203,26 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     # the dtype that scipy would choose, so that it copies nothing
     fits_int32 = len(cells) * len(NEIGHBORS) <= np.iinfo(np.int32).max
     index_dtype = np.int32 if fits_int32 else np.int64
-    node: NDArray[Any] = np.full(flat.num_cells, -1, dtype=index_dtype)  # of each cell
-    node[cells] = np.arange(len(cells))
+    node_of_cell: NDArray[Any] = np.full(flat.num_cells, -1, dtype=index_dtype)  # of each cell
+    node_of_cell[cells] = np.arange(len(cells))
     level, row, col = flat.to_cells(cells)
     width = flat.layout.width[level]
-    size = flat.layout.cell_size[level]
+    cell_sizes = flat.layout.cell_size[level]
     # of each cell and neighbour, shape (n, 8)
     is_step: Bool = np.stack(
         [moves[cells] >> neighbor.move_bit & 1 for neighbor in NEIGHBORS], axis=1
     ).astype(bool)
-    offset = np.stack([neighbor.down * width + neighbor.right for neighbor in NEIGHBORS], axis=1)
-    factor = np.array(
+    offsets = np.stack([neighbor.down * width + neighbor.right for neighbor in NEIGHBORS], axis=1)
+    length_factors = np.array(
         [np.sqrt(2.0) if neighbor.down and neighbor.right else 1.0 for neighbor in NEIGHBORS]
     )
-    target_cell = (cells[:, None] + offset)[is_step]
-    cost = (size[:, None] * factor)[is_step] * flat.weight[target_cell]
-    start = np.zeros(len(cells) + 1, dtype=index_dtype)
-    np.cumsum(np.count_nonzero(is_step, axis=1), out=start[1:])
+    target_cell = (cells[:, None] + offsets)[is_step]
+    costs = (cell_sizes[:, None] * length_factors)[is_step] * flat.weight[target_cell]
+    row_starts = np.zeros(len(cells) + 1, dtype=index_dtype)
+    np.cumsum(np.count_nonzero(is_step, axis=1), out=row_starts[1:])
     # neighbours are in the matrix's order already
     shape = (len(cells), len(cells))
-    matrix = sparse.csr_array((cost, node[target_cell], start), shape=shape)
+    matrix = sparse.csr_array((costs, node_of_cell[target_cell], row_starts), shape=shape)
 
     link_source = np.repeat(links.cell, np.diff(links.start))
     link_target = links.target
@@ -231,15 +231,15 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
         link_weight = flat.weight[link_target[is_open]]
         link_cost = links.length[is_open] * link_weight + links.cost[is_open]
         steps = matrix.tocoo()
-        cost = np.append(steps.data, link_cost)
-        source = np.append(steps.row, node[link_source[is_open]])
-        target = np.append(steps.col, node[link_target[is_open]])
-        order = np.lexsort((cost, target, source))
-        cost = cost[order]
-        source = source[order]
-        target = target[order]
-        is_first = np.append(True, (np.diff(source) != 0) | (np.diff(target) != 0))
-        entries = (cost[is_first], (source[is_first], target[is_first]))
+        costs = np.append(steps.data, link_cost)
+        sources = np.append(steps.row, node_of_cell[link_source[is_open]])
+        targets = np.append(steps.col, node_of_cell[link_target[is_open]])
+        sort_indices = np.lexsort((costs, targets, sources))
+        costs = costs[sort_indices]
+        sources = sources[sort_indices]
+        targets = targets[sort_indices]
+        is_first = np.append(True, (np.diff(sources) != 0) | (np.diff(targets) != 0))
+        entries = (costs[is_first], (sources[is_first], targets[is_first]))
         matrix = sparse.csr_array(entries, shape=shape, dtype=np.float64)
     return CellGraph(
         matrix=matrix,
@@ -534,9 +534,9 @@ def _find_openings(search: Search, room_of_cell: Int32) -> Iterator[_Opening]:
             else:
                 opening_width = max(num_rows, num_cols) * cell_size
             group_ends = steps.ends[:, group]
-            low, high = room_pairs[:, group[0]].tolist()
+            lower_room, higher_room = room_pairs[:, group[0]].tolist()
             yield _Opening(
-                rooms=(low, high),
+                rooms=(lower_room, higher_room),
                 kind=steps.kind,
                 cells=np.unique(group_ends),
                 width=opening_width,
@@ -551,7 +551,7 @@ def _group_connected(room_pairs: Int, corners: Int) -> Iterator[Int]:
 
     Args:
         room_pairs: the numbers of the two rooms of each step, shape (2, n).
-        corners: see `_RoomSteps`, shape (k, 2, n).
+        corners: row and column of k corners of each step, shape (k, 2, n), see `_RoomSteps`.
 
     Yields:
         The indices of the steps of each group, ascending.
@@ -570,16 +570,16 @@ def _group_connected(room_pairs: Int, corners: Int) -> Iterator[Int]:
     graph = sparse.coo_array((is_edge, (step_node, corner_node)), shape=(num_nodes, num_nodes))
     _, labels = csgraph.connected_components(graph, directed=False)
     component = labels[:num_steps]
-    order = np.argsort(component, kind="stable")
-    yield from np.split(order, np.flatnonzero(np.diff(component[order])) + 1)
+    sort_indices = np.argsort(component, kind="stable")
+    yield from np.split(sort_indices, np.flatnonzero(np.diff(component[sort_indices])) + 1)
 
 
 def _find_distance(line: Float, points: Float) -> float:
     """Return the distance from the nearest of some points to a line segment [m]."""
     start = line[0]
     extent = line[1] - line[0]
-    share = np.clip((points - start) @ extent / max(float(extent @ extent), 1e-300), 0.0, 1.0)
-    return float(np.linalg.norm(points - start - share[:, None] * extent, axis=1).min())
+    fractions = np.clip((points - start) @ extent / max(float(extent @ extent), 1e-300), 0.0, 1.0)
+    return float(np.linalg.norm(points - start - fractions[:, None] * extent, axis=1).min())
 
 
 def encode_graphml(grid: NavGrid, path: Path) -> Files:

@@ -55,13 +55,13 @@ def encode_grscenes(grid: NavGrid, path: Path, *, level: int | None = None) -> F
     """
     files: Files = {}
     for number, level_path in list_level_paths(grid, path, level, (".npy",)).items():
-        scene = grid.levels[number]
-        values = np.zeros((scene.height + 1, scene.width + 1))
-        values[0, 1:] = scene.lattice.center_x()
-        values[1:, 0] = scene.lattice.center_y()
-        values[1:, 1:][~scene.free] = OBSTACLE_VALUE
-        if "floorHeight" in scene.attributes:
-            values[1:, 1:][~scene.free & np.isnan(scene.floor_height)] = UNKNOWN
+        grid_level = grid.levels[number]
+        values = np.zeros((grid_level.height + 1, grid_level.width + 1))
+        values[0, 1:] = grid_level.lattice.center_x()
+        values[1:, 0] = grid_level.lattice.center_y()
+        values[1:, 1:][~grid_level.free] = OBSTACLE_VALUE
+        if "floorHeight" in grid_level.attributes:
+            values[1:, 1:][~grid_level.free & np.isnan(grid_level.floor_height)] = UNKNOWN
         file = io.BytesIO()
         np.save(file, values)
         files[level_path] = file.getvalue()
@@ -101,37 +101,39 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     step_x = _find_step(array[0, 1:], "x", place)
     step_y = _find_step(array[1:, 0], "y", place)
     # a single column is as wide as a row is high, and the reverse
-    dx = step_x or step_y
-    dy = step_y or step_x
-    if dx < 0:
+    step_along_x = step_x or step_y
+    step_along_y = step_y or step_x
+    if step_along_x < 0:
         values = values[:, ::-1]
-    if dy > 0:
+    if step_along_y > 0:
         values = values[::-1]
-    dx = abs(dx)
-    dy = abs(dy)
-    x_min = float(array[0, 1:].min()) - dx / 2
-    y_max = float(array[1:, 0].max()) + dy / 2
+    step_along_x = abs(step_along_x)
+    step_along_y = abs(step_along_y)
+    x_min = float(array[0, 1:].min()) - step_along_x / 2
+    y_max = float(array[1:, 0].max()) + step_along_y / 2
 
     num_rows, num_cols = values.shape
-    cell_size = dx
+    cell_size = step_along_x
     shape = (num_rows, num_cols)
-    if abs(dx - dy) * max(shape) > MAX_DRIFT * min(dx, dy):
-        cell_size = min(dx, dy)
-        height = max(1, round(num_rows * dy / cell_size))
-        width = max(1, round(num_cols * dx / cell_size))
+    if abs(step_along_x - step_along_y) * max(shape) > MAX_DRIFT * min(step_along_x, step_along_y):
+        cell_size = min(step_along_x, step_along_y)
+        height = max(1, round(num_rows * step_along_y / cell_size))
+        width = max(1, round(num_cols * step_along_x / cell_size))
         shape = (height, width)
     allowance = Allowance(array.nbytes, "max_cells")
     allowance.take_cells(shape, place)
     allowance.take_array(shape, BYTES_PER_CELL, place)
     # row and column of the sample that is nearest to each cell's centre
-    rows = (np.arange(shape[0]) + 0.5) * cell_size / dy
+    rows = (np.arange(shape[0]) + 0.5) * cell_size / step_along_y
     rows = np.minimum(rows, num_rows - 0.5).astype(np.int64)
-    cols = (np.arange(shape[1]) + 0.5) * cell_size / dx
+    cols = (np.arange(shape[1]) + 0.5) * cell_size / step_along_x
     cols = np.minimum(cols, num_cols - 0.5).astype(np.int64)
     samples = values[rows[:, None], cols].astype(np.int64)
-    table = np.array([FREE, OCCUPIED, UNKNOWN], dtype=np.int8)  # for 0, 1 and -1
+    value_of_sample = np.array([FREE, OCCUPIED, UNKNOWN], dtype=np.int8)  # for 0, 1 and -1
     lattice = Lattice(x_min, y_max, cell_size, shape[1], shape[0])
-    return level_from_values(table[samples], lattice, 0.0, {"sceneId": readable_stem(path)})
+    return level_from_values(
+        value_of_sample[samples], lattice, 0.0, {"sceneId": readable_stem(path)}
+    )
 
 
 def _find_step(coordinates: Float, axis: str, place: JsonPath) -> float:

@@ -47,16 +47,20 @@ class ClosedCells(NamedTuple):
     A planner that reads the file can't know that it must not drive there.
 
     Attributes:
-        stairs: for each level, the floors that only steps lead to, shape (height, width), bool.
-        barred: for each level, the cells of areas that bar the agent, of the same shape, bool.
+        stair_masks: for each level, the floors that only steps lead to, shape (height, width),
+            bool.
+        barred_masks: for each level, the cells of areas that bar the agent, of the same shape.
     """
 
-    stairs: list[Bool]
-    barred: list[Bool]
+    stair_masks: list[Bool]
+    barred_masks: list[Bool]
 
     def masks(self) -> list[Bool]:
         """Return the closed cells of each level, shape (height, width), bool."""
-        return [stairs | barred for stairs, barred in zip(self.stairs, self.barred, strict=True)]
+        return [
+            stairs | barred
+            for stairs, barred in zip(self.stair_masks, self.barred_masks, strict=True)
+        ]
 
 
 def find_closed_cells(
@@ -95,16 +99,18 @@ def find_closed_cells(
     barred_cells = no_cells
     is_barred = [area.bars(map_agent) for area in grid.areas]
     if closes_areas and any(is_barred):
-        by_cell = values_by_area(grid, is_barred, False)
-        ends = np.cumsum([level.width * level.height for level in grid.levels])
+        is_barred_cell = values_by_area(grid, is_barred, False)
+        level_ends = np.cumsum([level.width * level.height for level in grid.levels])
         barred_cells = [
             cells.reshape(level.shape) & level.free
-            for cells, level in zip(np.split(by_cell, ends[:-1]), grid.levels, strict=True)
+            for cells, level in zip(
+                np.split(is_barred_cell, level_ends[:-1]), grid.levels, strict=True
+            )
         ]
     return ClosedCells(stair_cells, barred_cells)
 
 
-def find_stair_cells(grid: NavGrid, number: int) -> Bool:
+def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
     """Find the free cells of a level that only steps lead to from the level's commonest ground.
 
     The commonest ground is the commonest height of the largest smooth floor; a floor outdoors
@@ -120,19 +126,19 @@ def find_stair_cells(grid: NavGrid, number: int) -> Bool:
 
     Args:
         grid: the grid.
-        number: the level's number.
+        level_number: the level's number.
 
     Returns:
         Shape (height, width), bool; all False if the grid has no floor heights.
     """
-    level = grid.levels[number]
-    free = level.free
-    closed = np.zeros(level.shape, dtype=bool)
+    level = grid.levels[level_number]
+    is_free = level.free
+    is_closed = np.zeros(level.shape, dtype=bool)
     floor = level.floor
-    has_floor = free & ~np.isnan(floor)
+    has_floor = is_free & ~np.isnan(floor)
     if not level.uses_cell_floors or not has_floor.any():
-        return closed
-    step = step_limit(grid) * grid.unit
+        return is_closed
+    max_step = step_limit(grid) * grid.unit
     num_cells = level.width * level.height
     smooth_parts = label_islands(  # the largest is number 1
         start=np.array([0, num_cells]),
@@ -146,38 +152,40 @@ def find_stair_cells(grid: NavGrid, number: int) -> Bool:
             level.lattice.cell_size,
         ),
     ).reshape(level.shape)
-    outdoors = [room.index for room in grid.rooms if room.level == number and room.outdoors]
-    is_outdoors = np.isin(level.room_index, outdoors)
-    sizes = np.bincount(smooth_parts[has_floor])
-    sizes_in_rooms = np.bincount(smooth_parts[has_floor & ~is_outdoors], minlength=len(sizes))
+    outdoor_rooms = [
+        room.index for room in grid.rooms if room.level == level_number and room.outdoors
+    ]
+    is_outdoors = np.isin(level.room_index, outdoor_rooms)
+    part_sizes = np.bincount(smooth_parts[has_floor])
+    sizes_in_rooms = np.bincount(smooth_parts[has_floor & ~is_outdoors], minlength=len(part_sizes))
     is_ground_part = has_floor & (smooth_parts == 1)
-    if sizes_in_rooms.max() * OUTDOORS_FACTOR >= sizes.max():
+    if sizes_in_rooms.max() * OUTDOORS_FACTOR >= part_sizes.max():
         is_ground_part = has_floor & ~is_outdoors & (smooth_parts == sizes_in_rooms.argmax())
     ground_height = find_commonest_height(floor[is_ground_part])
-    is_ground = free & ~(np.abs(floor - ground_height) > step)
-    if not (free & ~is_ground).any():
-        return closed
+    is_ground = is_free & ~(np.abs(floor - ground_height) > max_step)
+    if not (is_free & ~is_ground).any():
+        return is_closed
 
-    regions, num_regions = ndimage.label(free, structure=np.ones((3, 3)))
+    regions, num_regions = ndimage.label(is_free, structure=np.ones((3, 3)))
     has_step_from_elsewhere = np.zeros(num_regions + 1, dtype=bool)
     regions_by_cell = regions.ravel()
     for first_level, first_cell, second_level, second_cell in grid.step_array:
         if first_level != second_level:
-            if first_level == number:
+            if first_level == level_number:
                 has_step_from_elsewhere[regions_by_cell[first_cell]] = True
-            if second_level == number:
+            if second_level == level_number:
                 has_step_from_elsewhere[regions_by_cell[second_cell]] = True
     has_ground = np.zeros(num_regions + 1, dtype=bool)
     has_ground[regions[is_ground]] = True
     for region in np.flatnonzero(~has_ground & ~has_step_from_elsewhere)[1:].tolist():
-        cells = regions == region
-        largest_part = smooth_parts[cells].min()
-        height = find_commonest_height(floor[cells & (smooth_parts == largest_part)])
-        is_ground |= cells & ~(np.abs(floor - height) > step)
+        is_in_region = regions == region
+        largest_part = smooth_parts[is_in_region].min()
+        height = find_commonest_height(floor[is_in_region & (smooth_parts == largest_part)])
+        is_ground |= is_in_region & ~(np.abs(floor - height) > max_step)
     is_reached = np.zeros(int(smooth_parts.max()) + 1, dtype=bool)
     is_reached[smooth_parts[is_ground]] = True
-    closed[free] = ~is_reached[smooth_parts[free]]
-    return closed
+    is_closed[is_free] = ~is_reached[smooth_parts[is_free]]
+    return is_closed
 
 
 def find_commonest_height(floor: Float) -> float:
@@ -229,22 +237,31 @@ def _find_ramp_steps(floor: Float, slope_rise: float, cell_size: float) -> Int:
     # of m rises of a stair in a row, all have a riser only if m - 1 treads fit into m cells
     num_rises = math.floor(LEAST_TREAD / (LEAST_TREAD - cell_size)) + 1
     cells = np.arange(floor.size).reshape(floor.shape)
-    steps = [no_steps]
+    step_lists = [no_steps]
     for heights, ids in ((floor, cells), (floor.T, cells.T)):
         rises = np.diff(heights, axis=1)
         if rises.shape[1] < num_rises:
             continue
         windows = sliding_window_view(rises, num_rises, axis=1)
-        lowest = windows.min(axis=2)  # NaN where a cell has no floor
-        highest = windows.max(axis=2)
-        for sign, least, most in ((1.0, lowest, highest), (-1.0, -highest, -lowest)):
-            is_even = (least > 0.0) & (most <= slope_rise) & (most - least <= RISE_TOLERANCE)
+        lowest_rise = windows.min(axis=2)  # NaN where a cell has no floor
+        highest_rise = windows.max(axis=2)
+        for sign, least_rise, most_rise in (
+            (1.0, lowest_rise, highest_rise),
+            (-1.0, -highest_rise, -lowest_rise),
+        ):
+            is_even = (
+                (least_rise > 0.0)
+                & (most_rise <= slope_rise)
+                & (most_rise - least_rise <= RISE_TOLERANCE)
+            )
             # the largest rise of the windows that a rise is in or beside
-            window_rise = np.pad(np.where(is_even, most, 0.0), ((0, 0), (num_rises, num_rises)))
+            window_rise = np.pad(
+                np.where(is_even, most_rise, 0.0), ((0, 0), (num_rises, num_rises))
+            )
             largest_rise = sliding_window_view(window_rise, num_rises + 2, axis=1).max(axis=2)
             is_ramp = (sign * rises > 0.0) & (sign * rises <= largest_rise)
-            steps.append(np.stack([ids[:, :-1][is_ramp], ids[:, 1:][is_ramp]], axis=1))
-    return np.concatenate(steps)
+            step_lists.append(np.stack([ids[:, :-1][is_ramp], ids[:, 1:][is_ramp]], axis=1))
+    return np.concatenate(step_lists)
 
 
 def close_cells(grid: NavGrid, masks: Sequence[Bool]) -> NavGrid:
@@ -271,7 +288,7 @@ def close_cells(grid: NavGrid, masks: Sequence[Bool]) -> NavGrid:
 def describe_losses(
     grid: NavGrid,
     kinds: Collection[str],
-    closed: ClosedCells,
+    closed_cells: ClosedCells,
     *,
     level: int | None = None,
     agent: str | Agent | None = None,
@@ -281,7 +298,7 @@ def describe_losses(
     Args:
         grid: the grid.
         kinds: the kinds of content that the format has no place for, see `FileFormat.loses`.
-        closed: the cells that the file has as occupied for that.
+        closed_cells: the cells that the file has as occupied for that.
         level: the number of the only level that is written, None for all.
         agent: the agent that the file is for, None for any.
 
@@ -290,40 +307,42 @@ def describe_losses(
     """
     from navbake.runtime.blocking import find_agent  # loads the run time
 
-    numbers = list(range(len(grid.levels))) if level is None else [level]
+    level_numbers = list(range(len(grid.levels))) if level is None else [level]
     phrases = []
     if "heights" in kinds:
-        floors = [grid.levels[k].floor[grid.levels[k].free] for k in numbers]
-        ranges = [
+        floors = [grid.levels[k].floor[grid.levels[k].free] for k in level_numbers]
+        height_ranges = [
             f"{np.nanmin(floor):.2f} to {np.nanmax(floor):.2f} m"
             for floor in floors
             if not np.isnan(floor).all() and np.nanmax(floor) - np.nanmin(floor) > HEIGHT_BIN
         ]
-        if ranges:
-            phrases.append(f"floor heights ({', '.join(ranges)})")
-    stairs = _measure_area(grid, closed.stairs, numbers)
-    if stairs:
+        if height_ranges:
+            phrases.append(f"floor heights ({', '.join(height_ranges)})")
+    stairs_area = _measure_area(grid, closed_cells.stair_masks, level_numbers)
+    if stairs_area:
         phrases.append(
-            f"stairs and floors beyond them ({stairs:.2f} m² are occupied; --stairs free leaves "
-            "them free)"
+            f"stairs and floors beyond them ({stairs_area:.2f} m² are occupied; "
+            "--stairs free leaves them free)"
         )
     if "areas" in kinds:
         map_agent = find_agent(grid, agent)
-        barring = [area.name for area in grid.areas if area.bars(map_agent)]
-        barred = _measure_area(grid, closed.barred, numbers)
-        if barred:
-            phrases.append(f"barred areas ({_list_names(barring)}: {barred:.2f} m² are occupied)")
-        others = [
+        barring_areas = [area.name for area in grid.areas if area.bars(map_agent)]
+        barred_area = _measure_area(grid, closed_cells.barred_masks, level_numbers)
+        if barred_area:
+            phrases.append(
+                f"barred areas ({_list_names(barring_areas)}: {barred_area:.2f} m² are occupied)"
+            )
+        other_areas = [
             area.name
             for area in grid.areas
-            if (area.name not in barring or not barred)
+            if (area.name not in barring_areas or not barred_area)
             and (area.cost != 1.0 or area.speed is not None or area.agents is not None)
         ]
-        if others:
-            phrases.append(f"costs, speeds and agents of areas ({_list_names(others)})")
+        if other_areas:
+            phrases.append(f"costs, speeds and agents of areas ({_list_names(other_areas)})")
     if "steps" in kinds:
         is_between_levels = grid.step_array[:, 0] != grid.step_array[:, 2]
-        is_written = np.isin(grid.step_array[:, ::2], numbers).any(axis=1)
+        is_written = np.isin(grid.step_array[:, ::2], level_numbers).any(axis=1)
         num_steps = int(np.count_nonzero(is_between_levels & is_written))
         if num_steps:
             phrases.append(f"steps between levels ({num_steps})")
@@ -336,15 +355,16 @@ def describe_losses(
     return phrases
 
 
-def _measure_area(grid: NavGrid, masks: Sequence[Bool], numbers: Collection[int]) -> float:
+def _measure_area(grid: NavGrid, masks: Sequence[Bool], level_numbers: Collection[int]) -> float:
     """Return the area of the masked cells of some levels [m²]."""
     return sum(
-        int(np.count_nonzero(masks[k])) * grid.levels[k].lattice.cell_size ** 2 for k in numbers
+        int(np.count_nonzero(masks[k])) * grid.levels[k].lattice.cell_size ** 2
+        for k in level_numbers
     )
 
 
 def _list_names(names: Sequence[str]) -> str:
     """List some names, and how many more there are."""
-    listed = ", ".join(names[:MAX_NAMES])
+    first_names = ", ".join(names[:MAX_NAMES])
     num_more = len(names) - MAX_NAMES
-    return f"{listed} and {num_more} more" if num_more > 0 else listed
+    return f"{first_names} and {num_more} more" if num_more > 0 else first_names

@@ -90,36 +90,36 @@ def encode_mcap(
     """
     mcap_writer = import_extra("mcap_ros2.writer", "mcap", "MCAP")
     numbers = select_levels(grid, path, level, (".mcap",))
-    if any(planned is None for planned in route):
+    if any(planned_path is None for planned_path in route):
         raise FormatError("expected paths as `route`, got None: there is no path")
     file = io.BytesIO()
     schemas = dict[str, Any]()
     with mcap_writer.Writer(file) as writer:
 
-        def write(topic: str, kind: str, message: Json) -> None:
-            if kind not in schemas:
-                name = kind.replace("/", "/msg/")
-                schemas[kind] = writer.register_msgdef(name, define_message(kind))
-            writer.write_message(topic, schemas[kind], message, log_time=0, publish_time=0)
+        def write(topic: str, message_type: str, message: Json) -> None:
+            if message_type not in schemas:
+                name = message_type.replace("/", "/msg/")
+                schemas[message_type] = writer.register_msgdef(name, define_message(message_type))
+            writer.write_message(topic, schemas[message_type], message, log_time=0, publish_time=0)
 
         for number in numbers:
-            scene = grid.levels[number]
-            x_min, y_min, _, _ = scene.lattice.bounds
-            info = {
-                "resolution": scene.lattice.cell_size,
-                "origin": _make_pose([x_min, y_min, scene.ground]),
-                "width": scene.width,
-                "height": scene.height,
+            grid_level = grid.levels[number]
+            x_min, y_min, _, _ = grid_level.lattice.bounds
+            map_info = {
+                "resolution": grid_level.lattice.cell_size,
+                "origin": _make_pose([x_min, y_min, grid_level.ground]),
+                "width": grid_level.width,
+                "height": grid_level.height,
             }
             values = compute_occupancy_values(grid, number)[::-1]  # a message begins at the bottom
-            message = {"header": MAP_FRAME, "info": info, "data": values.ravel().tolist()}
+            message = {"header": MAP_FRAME, "info": map_info, "data": values.ravel().tolist()}
             topic = "/map" if len(numbers) == 1 else f"/map_{number}"
             write(topic, "nav_msgs/OccupancyGrid", message)
-        for number, planned in enumerate(route):
+        for number, planned_path in enumerate(route):
             poses = [
                 {"header": MAP_FRAME, "pose": _make_pose(position, heading)}
                 for position, heading in zip(
-                    planned.positions, find_headings(planned.positions), strict=True
+                    planned_path.positions, find_headings(planned_path.positions), strict=True
                 )
             ]
             write(f"/path_{number}", "nav_msgs/Path", {"header": MAP_FRAME, "poses": poses})
@@ -137,16 +137,18 @@ def _make_markers(grid: NavGrid) -> Iterator[Json]:
     """
     # both ends of each step
     level, cell = grid.step_array.reshape(-1, 2).T
-    width = np.array([scene.width for scene in grid.levels])[level]
+    width = np.array([grid_level.width for grid_level in grid.levels])[level]
     row, col = np.divmod(cell, width)
     step_ends = grid.position_of((level, row, col))
-    lines: list[tuple[str, list[Sequence[float]]]] = []  # (namespace, both ends of each line)
+    namespaced_lines: list[
+        tuple[str, list[Sequence[float]]]
+    ] = []  # (namespace, both ends of each line)
     if len(step_ends):
-        lines.append(("links", list(step_ends)))
+        namespaced_lines.append(("links", list(step_ends)))
     for link in grid.links:
         stops = [stop.position for stop in link.stops]
-        lines.append((link.name, list(chain.from_iterable(pairwise(stops)))))
-    for number, (namespace, points) in enumerate(lines):
+        namespaced_lines.append((link.name, list(chain.from_iterable(pairwise(stops)))))
+    for number, (namespace, points) in enumerate(namespaced_lines):
         yield {
             "header": MAP_FRAME,
             "ns": namespace,
@@ -183,18 +185,18 @@ def find_headings(positions: Float) -> list[float]:
         n angles about z, from x [rad].
     """
     headings: list[float] = []
-    num_without = 0  # points so far that have the heading of the next step that leads elsewhere
+    num_pending = 0  # points so far that have the heading of the next step that leads elsewhere
     for start, end in pairwise(positions[:, :2].tolist()):
-        num_without += 1
+        num_pending += 1
         if start != end:
             heading = math.atan2(end[1] - start[1], end[0] - start[0])
-            headings += num_without * [heading]
-            num_without = 0
+            headings += num_pending * [heading]
+            num_pending = 0
     last_heading = headings[-1] if headings else 0.0
     return headings + (len(positions) - len(headings)) * [last_heading]
 
 
-def define_message(kind: str) -> str:
+def define_message(message_type: str) -> str:
     """Return the definition of a ROS 2 message, followed by those of its fields' types."""
     definitions: dict[str, str] = {}
 
@@ -205,9 +207,9 @@ def define_message(kind: str) -> str:
             if field_type in MESSAGES and field_type not in definitions:
                 add_type(field_type)
 
-    add_type(kind)
+    add_type(message_type)
     separator = "=" * 80
-    text = definitions.pop(kind)
+    text = definitions.pop(message_type)
     for name, definition in definitions.items():
         text += f"{separator}\nMSG: {name}\n{definition}"
     return text

@@ -149,14 +149,16 @@ def encode_nav2(
     if radius is not None and inflation is None:
         grid = grid.inflate(radius)
     files: Files = {}
-    for k, yaml_path in list_level_paths(grid, path, level, YAML_SUFFIXES).items():
+    for level_number, yaml_path in list_level_paths(grid, path, level, YAML_SUFFIXES).items():
         if inflation is None:
-            values = occupancy.compute_occupancy_values(grid, k)
+            values = occupancy.compute_occupancy_values(grid, level_number)
         else:
             robot_radius = grid.agent_radius if radius is None else radius
-            values = occupancy.compute_costmap_values(grid, k, robot_radius, inflation, scaling)
-        values[closed_cells[k]] = occupancy.OCCUPIED
-        files |= encode_map(grid.levels[k], values, yaml_path, mode, image)
+            values = occupancy.compute_costmap_values(
+                grid, level_number, robot_radius, inflation, scaling
+            )
+        values[closed_cells[level_number]] = occupancy.OCCUPIED
+        files |= encode_map(grid.levels[level_number], values, yaml_path, mode, image)
     return files
 
 
@@ -197,7 +199,7 @@ def encode_map(
     if mode == "scale":
         occupied_threshold = 1.0
         free_threshold = 0.0
-    entries: Json = {
+    map_yaml: Json = {
         "image": image_path.name,
         "mode": mode,
         "resolution": float(level.lattice.cell_size),
@@ -207,8 +209,11 @@ def encode_map(
         "free_thresh": free_threshold,
         "navbake": {"ground": rounded(level.ground, DECIMALS)},  # ignored by nav2
     }
-    kind = {"pgm": "PPM", "png": "PNG"}[image]
-    return {image_path: encode_image(pixels.astype(np.uint8), kind), path: encode_yaml(entries)}
+    image_format = {"pgm": "PPM", "png": "PNG"}[image]
+    return {
+        image_path: encode_image(pixels.astype(np.uint8), image_format),
+        path: encode_yaml(map_yaml),
+    }
 
 
 def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2D:
@@ -265,7 +270,8 @@ def read_map(
         The values of the cells, their lattice, and the content of the YAML.
 
     Raises:
-        FormatError: see `read_nav2`.
+        FormatError: the YAML or its image is missing, broken or too large, or there are no such
+            rules.
     """
     check_choice(rules, PIXEL_RULES, "rules", FormatError)
     map_yaml = read_map_yaml(path)
@@ -289,7 +295,7 @@ def list_images(path: str | PathLike[str]) -> list[Path]:
     """List the image files that `read_nav2` reads for a YAML.
 
     Raises:
-        FormatError: see `read_map_yaml`.
+        FormatError: the YAML can't be read, or nav2's keys are missing or broken.
     """
     return [read_map_yaml(path).image]
 
@@ -360,38 +366,40 @@ def read_pixel_values(
     Returns:
         The values, shape (height, width), int8, row 0 at the top.
     """
-    light = pixels.light
-    max_light = 3 * pixels.white
+    light = pixels.channel_sum
+    max_light = 3 * pixels.max_channel
     opacity = pixels.opacity
     is_main = rules == "main"
     # nav2 computes in float or in double
-    real: type[np.floating[Any]] = np.float32 if is_main else np.float64
+    float_type: type[np.floating[Any]] = np.float32 if is_main else np.float64
     if is_main:
         light = pixels.luma
         max_light = 255
     elif map_yaml.mode == "trinary" and opacity is not None:
         light = light + opacity
-        max_light = 4 * pixels.white
+        max_light = 4 * pixels.max_channel
 
     # make a table first: there are few different greys, or sums of channels
-    shade = np.arange(max_light + 1, dtype=real) / real(max_light)
+    shade = np.arange(max_light + 1, dtype=float_type) / float_type(max_light)
     darkness = shade if map_yaml.negate else 1 - shade
-    occupied_threshold = real(map_yaml.occupied)
-    free_threshold = real(map_yaml.free)
+    occupied_threshold = float_type(map_yaml.occupied)
+    free_threshold = float_type(map_yaml.free)
     if map_yaml.mode == "raw":
         raw_values = np.rint(shade * 255)
-        table = np.where(raw_values <= occupancy.OCCUPIED, raw_values, occupancy.UNKNOWN)
+        value_of_light = np.where(raw_values <= occupancy.OCCUPIED, raw_values, occupancy.UNKNOWN)
     else:
         other_values: NDArray[Any] = np.full(max_light + 1, float(occupancy.UNKNOWN))
         if map_yaml.mode == "scale":
-            percent = (darkness - free_threshold) / real(map_yaml.occupied - map_yaml.free) * 100
-            other_values = np.floor(percent + real(0.5)) if is_main else np.rint(percent)
+            percent = (
+                (darkness - free_threshold) / float_type(map_yaml.occupied - map_yaml.free) * 100
+            )
+            other_values = np.floor(percent + float_type(0.5)) if is_main else np.rint(percent)
         is_free = darkness <= free_threshold if is_main else darkness < free_threshold
         is_occupied = occupied_threshold <= darkness if is_main else occupied_threshold < darkness
-        table = np.where(
+        value_of_light = np.where(
             is_free, occupancy.FREE, np.where(is_occupied, occupancy.OCCUPIED, other_values)
         )
-    values: occupancy.OccupancyValues = table.astype(np.int8)[light]
+    values: occupancy.OccupancyValues = value_of_light.astype(np.int8)[light]
 
     hides_transparent = map_yaml.mode == "scale" or (is_main and map_yaml.mode == "trinary")
     if opacity is not None and hides_transparent:

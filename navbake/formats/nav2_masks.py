@@ -131,13 +131,13 @@ def encode_mask(
         masks = _mark_zones(grid, zone, zones, is_speed_mask)
         scale = FilterScale(SPEED_PERCENT if is_speed_mask else KEEPOUT)
     files: Files = {}
-    for k, yaml_path in list_level_paths(grid, path, level, YAML_SUFFIXES).items():
-        files |= encode_map(grid.levels[k], masks[k], yaml_path, "raw", image)
-        kind = "speed" if is_speed_mask else "keepout"
-        mask_topic = f"{kind}_filter_mask"
+    for level_number, yaml_path in list_level_paths(grid, path, level, YAML_SUFFIXES).items():
+        files |= encode_map(grid.levels[level_number], masks[level_number], yaml_path, "raw", image)
+        filter_name = "speed" if is_speed_mask else "keepout"
+        mask_topic = f"{filter_name}_filter_mask"
         filter_info = {
             "type": scale.type,
-            "filter_info_topic": f"{kind}_filter_info",
+            "filter_info_topic": f"{filter_name}_filter_info",
             "mask_topic": mask_topic,
             "base": scale.base,
             "multiplier": scale.multiplier,
@@ -148,8 +148,8 @@ def encode_mask(
             "frame_id": "map",
         }
         content = {
-            f"{kind}_costmap_filter_info_server": {"ros__parameters": filter_info},
-            f"{kind}_filter_mask_server": {"ros__parameters": map_server},
+            f"{filter_name}_costmap_filter_info_server": {"ros__parameters": filter_info},
+            f"{filter_name}_filter_mask_server": {"ros__parameters": map_server},
         }
         text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
         files[_find_parameters_path(yaml_path)] = text.encode()
@@ -164,38 +164,40 @@ def _mark_areas(
     grid: NavGrid, agent: Agent | None, is_speed_mask: bool, absolute: bool
 ) -> tuple[list[OccupancyValues], FilterScale]:
     """Make the mask of each level from the grid's areas; return the masks and their scale."""
-    values = np.zeros(len(grid.areas) + 1, dtype=np.int8)  # of each area; areas count from 1
+    area_values = np.zeros(len(grid.areas) + 1, dtype=np.int8)  # of each area; areas count from 1
     scale = FilterScale()
     if is_speed_mask:
         agent_speed = DEFAULT_SPEED if agent is None else agent.speed
         scale = FilterScale(SPEED_PERCENT)
-        unit = agent_speed / 100.0  # the limit that the value 1 stands for [m/s]
+        limit_per_value = agent_speed / 100.0  # the limit that the value 1 stands for [m/s]
         if absolute:
-            unit = _find_multiplier([area.speed for area in grid.areas if area.speed is not None])
-            scale = FilterScale(SPEED_ABSOLUTE, 0.0, unit)
-    for number, area in enumerate(grid.areas, 1):
+            limit_per_value = _find_multiplier(
+                [area.speed for area in grid.areas if area.speed is not None]
+            )
+            scale = FilterScale(SPEED_ABSOLUTE, 0.0, limit_per_value)
+    for area_number, area in enumerate(grid.areas, 1):
         if not is_speed_mask:
-            values[number] = OCCUPIED if area.bars(agent) else FREE
+            area_values[area_number] = OCCUPIED if area.bars(agent) else FREE
         elif area.speed is not None:
-            value = math.floor(area.speed / unit * (1.0 + LIMIT_SLACK))
-            values[number] = min(value, MAX_VALUE)
-            if not values[number]:
+            scaled_limit = math.floor(area.speed / limit_per_value * (1.0 + LIMIT_SLACK))
+            area_values[area_number] = min(scaled_limit, MAX_VALUE)
+            if not area_values[area_number]:
                 raise FormatError(
-                    f"expected a speed of {unit:g} m/s or more, which a value of 1 stands for, got "
-                    f"{area.speed:g} m/s in area {area.name!r}",
+                    f"expected a speed of {limit_per_value:g} m/s or more, which a value of 1 "
+                    f"stands for, got {area.speed:g} m/s in area {area.name!r}",
                     key="speed",
                     value=area.speed,
-                    expected=f"a speed of {unit:g} m/s or more",
+                    expected=f"a speed of {limit_per_value:g} m/s or more",
                 )
-    if not values.any():
-        what = "bars this agent" if agent else "bars all agents"
+    if not area_values.any():
+        reason = "bars this agent" if agent else "bars all agents"
         if is_speed_mask:
-            what = "has a speed"
-        raise FormatError(f"a mask needs zones or areas: no area of the grid {what}")
+            reason = "has a speed"
+        raise FormatError(f"a mask needs zones or areas: no area of the grid {reason}")
     costly_areas = [area.name for area in grid.areas if area.cost != 1.0 and not area.bars(agent)]
     if costly_areas and not is_speed_mask:
         LOG.warning("a keepout mask has no costs of areas: left out of %s", ", ".join(costly_areas))
-    return [values[level.area_index] for level in grid.levels], scale
+    return [area_values[level.area_index] for level in grid.levels], scale
 
 
 def _find_multiplier(speeds: Sequence[float]) -> float:
@@ -221,82 +223,95 @@ def _mark_zones(
     is_speed_mask: bool,
 ) -> list[OccupancyValues]:
     """Make the mask of each level from zones, see `encode_mask` for the arguments."""
-    available = _find_zones(grid, zones_path, is_speed_mask)
-    marks: list[tuple[Zone, int]] = []  # (zone, value of its cells)
+    available_zones = _find_zones(grid, zones_path, is_speed_mask)
+    marked_zones: list[tuple[Zone, int]] = []  # (zone, value of its cells)
     if zone is None and not is_speed_mask:
-        marks = [(polygon, OCCUPIED) for polygon in available if polygon.mask is not None]
-    for entry in zone or []:
-        name = entry
-        value = OCCUPIED
+        marked_zones = [
+            (polygon, OCCUPIED) for polygon in available_zones if polygon.mask is not None
+        ]
+    for zone_text in zone or []:
+        name = zone_text
+        mask_value = OCCUPIED
         if is_speed_mask:
-            name, _, text = entry.rpartition("=")
-            if not name or not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 100:
+            name, _, percent_text = zone_text.rpartition("=")
+            if (
+                not name
+                or not percent_text.isdecimal()
+                or len(percent_text) > 3
+                or not 1 <= int(percent_text) <= 100
+            ):
                 expected = "NAME=PERCENT, 1 to 100, as zone"
                 raise FormatError(
-                    f"expected {expected}, got {entry!r}",
+                    f"expected {expected}, got {zone_text!r}",
                     key="zone",
-                    value=entry,
+                    value=zone_text,
                     expected=expected,
                 )
-            value = int(text)
-        matches = [candidate for candidate in available if name in candidate.names]
+            mask_value = int(percent_text)
+        matches = [candidate for candidate in available_zones if name in candidate.names]
         if not matches:
             owner = "the grid" if zones_path is None else f"the grid or {zones_path}"
-            zone_names = (candidate.names[-1] for candidate in available)
+            zone_names = (candidate.names[-1] for candidate in available_zones)
             hint = suggest(name, zone_names, MAX_LISTED, owner)
             raise FormatError(
                 f"no room or polygon is called {name!r}: {hint}", key="zone", value=name, hint=hint
             )
-        marks += [(match, value) for match in matches]  # on all levels with that name
-    if not marks:
+        marked_zones += [(match, mask_value) for match in matches]  # on all levels with that name
+    if not marked_zones:
         raise FormatError("a mask needs zones: rooms by name, id or number, or polygons (GeoJSON)")
     masks: list[OccupancyValues] = [
         np.full(level.shape, FREE, dtype=np.int8) for level in grid.levels
     ]
     # the least value is written last, so it counts where zones overlap
-    for marked_zone, value in sorted(marks, key=lambda mark: -mark[1]):
+    for marked_zone, mask_value in sorted(marked_zones, key=lambda mark: -mark[1]):
         cells = marked_zone.mask
         if cells is None:
             cells = grid.levels[marked_zone.level].room_index == marked_zone.room_index
-        masks[marked_zone.level][cells] = value
+        masks[marked_zone.level][cells] = mask_value
     return masks
 
 
-def _find_zones(grid: NavGrid, path: str | PathLike[str] | None, is_speed_mask: bool) -> list[Zone]:
+def _find_zones(
+    grid: NavGrid, zones_path: str | PathLike[str] | None, is_speed_mask: bool
+) -> list[Zone]:
     """Return the rooms of a grid and the polygons of a file as zones.
 
     In a speed mask, a polygon has the cells whose centre is in it; else all cells that it touches.
     """
     zones = []
     for room in grid.rooms:
-        names = [str(room.index), room.id]
+        room_names = [str(room.index), room.id]
         if room.name:
-            names.append(room.name)
-        zones.append(Zone(tuple(names), room.level, room.index, None))
+            room_names.append(room.name)
+        zones.append(Zone(tuple(room_names), room.level, room.index, None))
     level_names = grid.level_names
-    for k, outline in enumerate([] if path is None else read_room_outlines(path)):
-        name = outline["name"] or f"feature {k}"
-        level = outline["level"]
-        number = level_names.index(level) if level in level_names else level
-        if not isinstance(number, int) or number >= len(level_names):
-            polygon = f"{name!r} in {path}"
-            listed = ", ".join(level_names)
+    for feature_index, outline in enumerate(
+        [] if zones_path is None else read_room_outlines(zones_path)
+    ):
+        name = outline["name"] or f"feature {feature_index}"
+        stated_level = outline["level"]
+        level_number = (
+            level_names.index(stated_level) if stated_level in level_names else stated_level
+        )
+        if not isinstance(level_number, int) or level_number >= len(level_names):
+            polygon_text = f"{name!r} in {zones_path}"
+            names_text = ", ".join(level_names)
             raise FormatError(
-                f"no level {level!r}, which {polygon} is on: the grid has {listed}",
-                path=str(path),
+                f"no level {stated_level!r}, which {polygon_text} is on: the grid has {names_text}",
+                path=str(zones_path),
                 key="level",
-                value=level,
+                value=stated_level,
             )
         rings = [outline["points"], *outline["rings"]]
-        lattice = grid.levels[number].lattice
+        lattice = grid.levels[level_number].lattice
         touched = touch_cells(rings, lattice)
         mask = cover_cells(rings, lattice) if is_speed_mask else touched
         if not mask.any():
-            fault = f"lies outside of level {number}: it holds no cell"
+            fault = f"lies outside of level {level_number}: it holds no cell"
             if touched.any():
-                fault = f"is thinner than a cell of level {number}: it holds no cell's centre"
-            raise FormatError(f"{name!r} in {path} {fault}", path=str(path), value=name)
-        zones.append(Zone((name,), number, None, mask))
+                fault = f"is thinner than a cell of level {level_number}: it holds no cell's centre"
+            raise FormatError(f"{name!r} in {zones_path} {fault}", path=str(zones_path), value=name)
+        zones.append(Zone((name,), level_number, None, mask))
     return zones
 
 
@@ -359,27 +374,27 @@ def read_mask(
     areas = list(grid.areas)
     area_index = grid.levels[level].area_index.copy()
     used_names = {area.name for area in areas}
-    for value in np.unique(values[values > FREE]).tolist():
-        area = _make_area(value, scale, is_speed_mask, agent_speed)
+    for mask_value in np.unique(values[values > FREE]).tolist():
+        area = _make_area(mask_value, scale, is_speed_mask, agent_speed)
         name = area.name
-        number = 2
+        suffix = 2
         while name in used_names:
-            name = f"{area.name} ({number})"
-            number = number + 1
+            name = f"{area.name} ({suffix})"
+            suffix = suffix + 1
         used_names.add(name)
         areas.append(Area(name, area.cost, area.speed))
         if len(areas) > MAX_AREAS:
             message = f"expected at most {MAX_AREAS} areas, got more by {path}"
             raise FormatError(message, path=str(path), expected=f"at most {MAX_AREAS} areas")
-        area_index[values == value] = len(areas)
+        area_index[values == mask_value] = len(areas)
 
-    entries = {"areas": [area.to_json() for area in areas]}
+    tables = {"areas": [area.to_json() for area in areas]}
     levels = []
-    for k, scene in enumerate(grid.levels):
-        metadata = {**scene.metadata, "navbake": {**scene.navbake, **entries}}
-        attributes = {"area": area_index} if k == level else {}
-        levels.append(scene.with_layers(attributes=attributes, metadata=metadata))
-    metadata = {**grid.metadata, "navbake": {**grid.navbake, **entries}}
+    for level_number, grid_level in enumerate(grid.levels):
+        metadata = {**grid_level.metadata, "navbake": {**grid_level.navbake, **tables}}
+        attributes = {"area": area_index} if level_number == level else {}
+        levels.append(grid_level.with_layers(attributes=attributes, metadata=metadata))
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, **tables}}
     marked_grid: NavGrid = grid.with_levels(levels, metadata)
     renew_islands(marked_grid)
     return marked_grid
@@ -399,7 +414,7 @@ def read_keepout(
         A new grid with the areas.
 
     Raises:
-        FormatError: see `read_mask`.
+        FormatError: a file is broken, there is no such level, or there are too many areas.
     """
     return read_mask(path, is_speed_mask=False, grid=grid, level=level)
 
@@ -423,19 +438,21 @@ def read_speed(
         A new grid with the areas.
 
     Raises:
-        FormatError: see `read_mask`.
+        FormatError: a file is broken, there is no such level, or there are too many areas.
         QueryError: the grid has no such agent.
     """
     return read_mask(path, is_speed_mask=True, grid=grid, level=level, agent=agent)
 
 
-def _make_area(value: int, scale: FilterScale, is_speed_mask: bool, agent_speed: float) -> Area:
+def _make_area(
+    mask_value: int, scale: FilterScale, is_speed_mask: bool, agent_speed: float
+) -> Area:
     """Make the area for the cells of a mask with some value."""
     if not is_speed_mask:
-        if value >= INSCRIBED:
-            return Area("keepout" if value == OCCUPIED else f"keepout {value}", math.inf)
-        return Area(f"cost {value}", float(1 + math.ceil(251 * (value - 1) / 97)))
-    limit = round(scale.base + scale.multiplier * value, 9)
+        if mask_value >= INSCRIBED:
+            return Area("keepout" if mask_value == OCCUPIED else f"keepout {mask_value}", math.inf)
+        return Area(f"cost {mask_value}", float(1 + math.ceil(251 * (mask_value - 1) / 97)))
+    limit = round(scale.base + scale.multiplier * mask_value, 9)
     speed = limit if scale.type == SPEED_ABSOLUTE else round(limit / 100.0 * agent_speed, 9)
     name = f"speed {limit:g} m/s" if scale.type == SPEED_ABSOLUTE else f"speed {limit:g} %"
     # nav2 takes a limit of 0 and less as no limit

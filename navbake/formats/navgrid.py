@@ -110,11 +110,11 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     text, num_bytes, top = read_navgrid_text(source)
     content = _parse_file(text, top)
     allowance = Allowance(num_bytes, "max_cells", max_cells)
-    kind = content.get("type", ABSENT)
-    if kind == "MultiLevelGrid":
+    grid_type = content.get("type", ABSENT)
+    if grid_type == "MultiLevelGrid":
         return warn_of_newer(read_multi_level_grid(content, top, allowance), top)
-    if kind != "SceneGrid2D":
-        top["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", kind)
+    if grid_type != "SceneGrid2D":
+        top["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", grid_type)
     return warn_of_newer(check_grid(read_level(content, top, allowance), top), top)
 
 
@@ -162,9 +162,9 @@ def read_multi_level_grid(
     Raises:
         FormatError: the file does not follow the format, or is too large.
     """
-    grids = content.get("grids", ABSENT)
-    if not isinstance(grids, list) or not grids:
-        top[key].refuse("a list of at least one level", grids)
+    level_contents = content.get("grids", ABSENT)
+    if not isinstance(level_contents, list) or not level_contents:
+        top[key].refuse("a list of at least one level", level_contents)
     defaults: Json = {}  # fields that count for levels without them
     for name in ("cellSize", "unit"):
         if content.get(name) is not None:
@@ -173,11 +173,11 @@ def read_multi_level_grid(
     metadata = read_metadata(content, top)
     defaults["metadata"] = metadata
     levels = []
-    for i, value in enumerate(grids):
-        level = check_object(value, top[key][i])
-        if level.get("type", "SceneGrid2D") != "SceneGrid2D":
-            top[key][i]["type"].refuse("'SceneGrid2D'", level["type"])
-        levels.append(read_level(level, top[key][i], allowance, defaults))
+    for level_number, level_content in enumerate(level_contents):
+        level_fields = check_object(level_content, top[key][level_number])
+        if level_fields.get("type", "SceneGrid2D") != "SceneGrid2D":
+            top[key][level_number]["type"].refuse("'SceneGrid2D'", level_fields["type"])
+        levels.append(read_level(level_fields, top[key][level_number], allowance, defaults))
     grid = MultiLevelGrid(
         grids=levels,
         cell_size=float(defaults.get("cellSize", levels[0].cell_size)),
@@ -210,9 +210,11 @@ def read_level(
     """
     defaults = defaults or {}
     metadata = read_metadata(content, place) or defaults.get("metadata", {})
-    own_fields = {key: value for key, value in content.items() if value is not None}
-    fields = {"unit": 1, **defaults, **own_fields}
-    size = float(check_number(fields.get("cellSize", ABSENT), place["cellSize"], positive=True))
+    stated_fields = {key: value for key, value in content.items() if value is not None}
+    fields = {"unit": 1, **defaults, **stated_fields}
+    cell_size = float(
+        check_number(fields.get("cellSize", ABSENT), place["cellSize"], positive=True)
+    )
     unit = float(check_number(fields.get("unit", ABSENT), place["unit"], positive=True))
     width = check_whole_number(content.get("width", ABSENT), place["width"], 1)
     height = check_whole_number(content.get("height", ABSENT), place["height"], 1)
@@ -253,13 +255,13 @@ def read_level(
     if content.get("bbox") is not None:
         bbox_place = place["bbox"]
         corners = check_object(content["bbox"], bbox_place)
-        low = check_vector(corners.get("min", ABSENT), bbox_place["min"])
-        high = check_vector(corners.get("max", ABSENT), bbox_place["max"])
-        bbox = (low, high)
+        lower_corner = check_vector(corners.get("min", ABSENT), bbox_place["min"])
+        upper_corner = check_vector(corners.get("max", ABSENT), bbox_place["max"])
+        bbox = (lower_corner, upper_corner)
     return SceneGrid2D(
         width=width,
         height=height,
-        cell_size=size,
+        cell_size=cell_size,
         min_yup=check_vector(content.get("min", ABSENT), place["min"]),
         bbox_yup=bbox,
         unit=unit,
@@ -433,7 +435,8 @@ def encode_files(grid: NavGrid, path: Path) -> Files:
         The file's content by its path.
 
     Raises:
-        FormatError: see `dumps_navgrid`.
+        FormatError: the format can't hold the grid: a number outside of arrays is NaN or infinite,
+            or an array's dtype or a value is none of JSON's.
     """
     content = dumps_navgrid(grid)
     if path.name.lower().endswith(".gz"):
@@ -463,9 +466,9 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         levels = []
         for number, level in enumerate(grid.grids):
             # metadata that equal the grid's, with all dtypes, are left out
-            inherits = grid.inherits_metadata(number, level)
-            inherits &= all(entry in grid_attributes for entry in level.cell_attributes)
-            metadata = None if inherits else level.metadata
+            inherits_metadata = grid.inherits_metadata(number, level)
+            inherits_metadata &= all(entry in grid_attributes for entry in level.cell_attributes)
+            metadata = None if inherits_metadata else level.metadata
             levels.append(_level_fields(level, top["grids"][number], metadata))
         fields = {
             "type": "MultiLevelGrid",
@@ -478,8 +481,8 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         }
 
     try:  # OPT_SERIALIZE_NUMPY only because of np.float64
-        option = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE
-        return orjson.dumps(fields, option=option)
+        options = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE
+        return orjson.dumps(fields, option=options)
     except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate
         raise FormatError(f"cannot write the grid as JSON: {error}") from error
 
@@ -517,10 +520,14 @@ def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> 
         "unit": check_number(grid.unit, place["unit"], positive=True),
     }
     if grid.bbox_yup is not None:
-        low, high = grid.bbox_yup
+        lower_corner, upper_corner = grid.bbox_yup
         fields["bbox"] = {
-            "min": [check_number(value, place["bbox"]["min"][i]) for i, value in enumerate(low)],
-            "max": [check_number(value, place["bbox"]["max"][i]) for i, value in enumerate(high)],
+            "min": [
+                check_number(value, place["bbox"]["min"][i]) for i, value in enumerate(lower_corner)
+            ],
+            "max": [
+                check_number(value, place["bbox"]["max"][i]) for i, value in enumerate(upper_corner)
+            ],
         }
     fields["timings"] = check_json(grid.timings, place["timings"])
     return fields | _extra_fields(grid, place)
@@ -594,10 +601,10 @@ def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> bytes:
         place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {wrong_id}", value=wrong_id)
     texts = [orjson.dumps(entry) for entry in entries]
     chunks = []
-    for first in range(0, len(cell_ids), CELLS_AT_ONCE):
-        chunk = slice(first, first + CELLS_AT_ONCE)
+    for first_index in range(0, len(cell_ids), CELLS_AT_ONCE):
+        chunk_slice = slice(first_index, first_index + CELLS_AT_ONCE)
         # map instead of a generator: there may be millions of cells
-        chunk_texts = map(texts.__getitem__, entry_numbers[chunk])
-        pairs = zip(cell_ids[chunk], chunk_texts, strict=True)
+        chunk_texts = map(texts.__getitem__, entry_numbers[chunk_slice])
+        pairs = zip(cell_ids[chunk_slice], chunk_texts, strict=True)
         chunks.append(b",".join(map(b'"%d":%b'.__mod__, pairs)))
     return b"{%b}" % b",".join(chunks)

@@ -156,7 +156,7 @@ def read_npy(source: Content) -> NDArray[Any]:
         FormatError: the file is no such array.
     """
     expected = "an array (.npy)"
-    data, name = read_bytes(source, begins=NPY_MAGIC, expected=expected)
+    data, name = read_bytes(source, beginnings=NPY_MAGIC, expected=expected)
     with _convert_errors(expected, name):
         array: NDArray[Any] = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
     return array
@@ -180,7 +180,7 @@ def open_archive(
     Raises:
         FormatError: the file can't be read or is broken, also while the archive is open.
     """
-    data, name = read_bytes(source, begins=ZIP_MAGIC, expected=expected)
+    data, name = read_bytes(source, beginnings=ZIP_MAGIC, expected=expected)
     with _convert_errors(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
         yield Archive(packed, Allowance(len(data), keyword, limit), JsonPath(name))
 
@@ -224,7 +224,8 @@ def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
 
     Args:
         source: a path, or the file's content.
-        max_voxels: see `navbake.load_voxels`.
+        max_voxels: the largest number of voxels; None for 2**31, as far as memory allows, see
+            `navbake.load_voxels`.
 
     Returns:
         The voxels.
@@ -291,8 +292,8 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
         place = top["levels"][number]
         # attribute -> name of its array: the same one if a zip file may contain it
         array_names = {
-            name: name if PLAIN_NAME.fullmatch(name) else f"attribute {i}"
-            for i, name in enumerate(level.attributes)
+            name: name if PLAIN_NAME.fullmatch(name) else f"attribute {index}"
+            for index, name in enumerate(level.attributes)
         }
         document["levels"].append(
             {
@@ -336,7 +337,8 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
 
     Args:
         source: a path, or the file's content.
-        max_cells: see `navbake.load`.
+        max_cells: the largest number of cells of all levels together; None for 100 million, as far
+            as memory allows, see `navbake.load`.
 
     Returns:
         The grid, equal to the one that was written.
@@ -356,16 +358,16 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
         document = check_object(parse_json(archive.read_text(GRID_MARKER, top), top), top)
         version = check_whole_number(document.get("version", ABSENT), top["version"], 1)
         entries = document.get("levels", ABSENT)
-        kind = document.get("type", ABSENT)
+        grid_type = document.get("type", ABSENT)
         if not isinstance(entries, list) or not entries:
             top["levels"].refuse("a list of levels", entries)
         levels = [_decode_level(archive, number, entry) for number, entry in enumerate(entries)]
-        if kind == "MultiLevelGrid":
+        if grid_type == "MultiLevelGrid":
             content = {**_merge_extra(document, MultiLevelGrid, top), "grids": levels}
             grid = navgrid.read_multi_level_grid(content, top, allowance, "levels")
             return navgrid.warn_of_newer(grid, top, version > VERSION)
-        if kind != "SceneGrid2D" or len(entries) != 1:
-            top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", kind)
+        if grid_type != "SceneGrid2D" or len(entries) != 1:
+            top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", grid_type)
         _check_extra_fields(document, SceneGrid2D, top)
         defaults = {"metadata": navgrid.read_metadata(document, top)}
         level = navgrid.read_level(levels[0], top["levels"][0], allowance, defaults)

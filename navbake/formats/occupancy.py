@@ -98,8 +98,8 @@ def compute_costmap_values(
             value=inflation,
             expected=expected,
         )
-    inflated = grid.inflate(radius, inflation - radius, costs="nav2", scaling=scaling)
-    values = compute_occupancy_values(inflated, number)
+    inflated_grid = grid.inflate(radius, inflation - radius, costs="nav2", scaling=scaling)
+    values = compute_occupancy_values(inflated_grid, number)
     costs = nav2_costs(grid, radius, inflation, scaling, level=number)
     is_free = (values >= FREE) & (values < INSCRIBED)
     values[is_free] = np.maximum(values, _publish_costs(costs))[is_free]
@@ -111,10 +111,10 @@ def _publish_costs(costs: NDArray[np.uint8]) -> OccupancyValues:
 
     Costs of 253 and more, which are those of blocked cells, all become 99.
     """
-    table = 1 + 97 * (np.arange(256) - 1) // 251
-    table[0] = FREE
-    table[MIN_BLOCKED_COST:] = INSCRIBED
-    return table.astype(np.int8)[costs]
+    value_of_cost = 1 + 97 * (np.arange(256) - 1) // 251
+    value_of_cost[0] = FREE
+    value_of_cost[MIN_BLOCKED_COST:] = INSCRIBED
+    return value_of_cost.astype(np.int8)[costs]
 
 
 def level_from_values(
@@ -132,15 +132,15 @@ def level_from_values(
         ground: world z of the floor [m].
         metadata: the level's metadata.
     """
-    costs: Float = 1 + np.ceil(251 * (np.arange(OCCUPIED + 1) - 1) / 97)
-    costs[0] = 1
-    blocked = (values < FREE) | (values >= INSCRIBED)
+    cost_of_value: Float = 1 + np.ceil(251 * (np.arange(OCCUPIED + 1) - 1) / 97)
+    cost_of_value[0] = 1
+    is_blocked = (values < FREE) | (values >= INSCRIBED)
     return SceneGrid2D(
         width=lattice.width,
         height=lattice.height,
         cell_size=lattice.cell_size,
         min_yup=(lattice.x_min, ground, 0.0 - lattice.y_max),
-        weights=np.where(blocked, np.inf, costs[np.clip(values, 0, OCCUPIED)]),
+        weights=np.where(is_blocked, np.inf, cost_of_value[np.clip(values, 0, OCCUPIED)]),
         attributes={
             "floorHeight": np.where(values == UNKNOWN, np.float32(np.nan), np.float32(ground)),
             "occupancy": ((values == OCCUPIED) | (values == UNKNOWN)).astype(np.uint8),
@@ -150,9 +150,9 @@ def level_from_values(
 
 
 def level_from_rooms(
-    free: Bool,
-    rooms: NDArray[np.uint16],
-    names: Mapping[int, str],
+    is_free: Bool,
+    room_numbers: NDArray[np.uint16],
+    room_names: Mapping[int, str],
     lattice: Lattice,
     ground: float,
     scene_id: str,
@@ -160,9 +160,9 @@ def level_from_rooms(
     """Make a flat level of a map that states which cells are free, and their rooms.
 
     Args:
-        free: where an agent can stand, shape (height, width), bool.
-        rooms: the number of each cell's room from 1, 0 for none, of the same shape, uint16.
-        names: number of a room -> its name; rooms without a name are missing.
+        is_free: where an agent can stand, shape (height, width), bool.
+        room_numbers: the number of each cell's room from 1, 0 for none, of the same shape, uint16.
+        room_names: number of a room -> its name; rooms without a name are missing.
         lattice: the lattice of the cells.
         ground: world z of the floor [m].
         scene_id: the name of the scene.
@@ -170,11 +170,13 @@ def level_from_rooms(
     Returns:
         The level, with a table of its rooms.
     """
-    values = np.where(free, np.int8(FREE), np.int8(OCCUPIED))
+    values = np.where(is_free, np.int8(FREE), np.int8(OCCUPIED))
     level = level_from_values(values, lattice, ground, {"sceneId": scene_id})
-    level.attributes["roomIndex"] = rooms
-    table = [{**room.to_json(), "name": names.get(room.index)} for room in level.measure_rooms()]
-    level.metadata["navbake"] = {"rooms": table}
+    level.attributes["roomIndex"] = room_numbers
+    room_table = [
+        {**room.to_json(), "name": room_names.get(room.index)} for room in level.measure_rooms()
+    ]
+    level.metadata["navbake"] = {"rooms": room_table}
     return level
 
 
@@ -202,14 +204,16 @@ def align_with_axes(
     """
     x, y, yaw = origin
     height, width = values.shape
-    quarters = round(yaw / QUARTER_TURN)
-    if abs(yaw - quarters * QUARTER_TURN) * math.hypot(width, height) <= QUARTER_TOLERANCE:
+    num_quarter_turns = round(yaw / QUARTER_TURN)
+    if abs(yaw - num_quarter_turns * QUARTER_TURN) * math.hypot(width, height) <= QUARTER_TOLERANCE:
         # how far the turned map reaches left of its origin and below it [cells]
-        extent_left, extent_below = ((0, 0), (height, 0), (width, height), (0, width))[quarters % 4]
-        turned = np.ascontiguousarray(np.rot90(values, quarters % 4))
+        extent_left, extent_below = ((0, 0), (height, 0), (width, height), (0, width))[
+            num_quarter_turns % 4
+        ]
+        turned_values = np.ascontiguousarray(np.rot90(values, num_quarter_turns % 4))
         x = x - extent_left * resolution
         y = y - extent_below * resolution
-        return turned, lattice_from_corner(turned, x, y, resolution)
+        return turned_values, lattice_from_corner(turned_values, x, y, resolution)
 
     # from here on in cells, from the map's corner
     cos = math.cos(yaw)
@@ -228,7 +232,7 @@ def align_with_axes(
     matrix = [[cos, sin], [-sin, cos]]
     first_row = height - 0.5 + sin * first_x - cos * first_y
     first_col = cos * first_x + sin * first_y - 0.5
-    turned = ndimage.affine_transform(
+    turned_values = ndimage.affine_transform(
         values,
         matrix,
         (first_row, first_col),
@@ -238,18 +242,20 @@ def align_with_axes(
         cval=UNKNOWN,
     )
 
-    covered = np.zeros(lattice.shape)  # share of each new cell, unless that is occupied already
+    covered_shares = np.zeros(
+        lattice.shape
+    )  # share of each new cell, unless that is occupied already
     occupied_rows, occupied_cols = np.nonzero(values == OCCUPIED)
     for begin in range(0, len(occupied_rows), CELLS_AT_ONCE):
         chunk = slice(begin, begin + CELLS_AT_ONCE)
         right = occupied_cols[chunk] + 0.5
         up = height - occupied_rows[chunk] - 0.5
         centers = np.stack([cos * right - sin * up, sin * right + cos * up], axis=-1)
-        _add_covered_shares(covered, turned, lattice, centers, cos, sin)
-    turned[covered >= MIN_COVER] = OCCUPIED
+        _add_covered_shares(covered_shares, turned_values, lattice, centers, cos, sin)
+    turned_values[covered_shares >= MIN_COVER] = OCCUPIED
     x = x + lattice.x_min * resolution
     y = y + lattice.bounds[1] * resolution
-    return turned, lattice_from_corner(turned, x, y, resolution)
+    return turned_values, lattice_from_corner(turned_values, x, y, resolution)
 
 
 def lattice_from_corner(values: OccupancyValues, x: float, y: float, cell_size: float) -> Lattice:
@@ -266,14 +272,14 @@ def lattice_from_corner(values: OccupancyValues, x: float, y: float, cell_size: 
 
 
 def _add_covered_shares(
-    covered: Float,
-    turned: OccupancyValues,
+    covered_shares: Float,
+    turned_values: OccupancyValues,
     lattice: Lattice,
     centers: Float,
     cos: float,
     sin: float,
 ) -> None:
-    """Add to `covered` the share of each new cell that occupied cells of the map cover.
+    """Add to `covered_shares` the share of each new cell that occupied cells of the map cover.
 
     An occupied cell is a turned unit square. It overlaps a new cell if along each of the four
     directions of their sides, their centres are nearer than half of both extents together
@@ -281,8 +287,8 @@ def _add_covered_shares(
     the other square; its area follows from the ends of these parts (Green's theorem).
 
     Args:
-        covered: the share of each new cell that is covered so far, shape (height, width).
-        turned: the values of the new cells, of the same shape; occupied ones are left out.
+        covered_shares: the share of each new cell that is covered so far, shape (height, width).
+        turned_values: the values of the new cells, of the same shape; occupied ones are left out.
         lattice: the lattice of the new cells, with cells of edge 1.
         centers: the centres of some occupied cells in the lattice's frame, shape (n, 2) [cells].
         cos: the cosine of the map's yaw.
@@ -296,18 +302,18 @@ def _add_covered_shares(
         cols = col + right - 1
         dx = lattice.x_min + cols + 0.5 - centers[:, 0]
         dy = lattice.y_max - rows - 0.5 - centers[:, 1]
-        u = cos * dx + sin * dy
-        v = cos * dy - sin * dx
-        overlaps = np.max(np.abs([dx, dy, u, v]), axis=0) < max_distance
+        turned_dx = cos * dx + sin * dy
+        turned_dy = cos * dy - sin * dx
+        overlaps = np.max(np.abs([dx, dy, turned_dx, turned_dy]), axis=0) < max_distance
         overlaps &= (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
-        overlaps[overlaps] = turned[rows[overlaps], cols[overlaps]] != OCCUPIED
+        overlaps[overlaps] = turned_values[rows[overlaps], cols[overlaps]] != OCCUPIED
         # from the square's centre to the cell's, along the cell's sides and along the square's
         offset = np.stack([dx, dy], axis=-1)[overlaps]
-        turned_offset = np.stack([u, v], axis=-1)[overlaps]
+        turned_offset = np.stack([turned_dx, turned_dy], axis=-1)[overlaps]
         # the cell's sides in the square, and the square's in the cell, about the square's centre
         area = _integrate_sides(turned_offset, cos, -sin, True)
         area = area + _integrate_sides(-offset, cos, sin, False)
-        np.add.at(covered, (rows[overlaps], cols[overlaps]), area)
+        np.add.at(covered_shares, (rows[overlaps], cols[overlaps]), area)
 
 
 def _integrate_sides(centers: Float, cos: float, sin: float, about_origin: bool) -> Float:
@@ -325,19 +331,19 @@ def _integrate_sides(centers: Float, cos: float, sin: float, about_origin: bool)
     Returns:
         For each square, half the sum of the cross products of the ends of these parts, shape (n,).
     """
-    total = np.zeros(len(centers))
+    integrals = np.zeros(len(centers))
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     corners = corners @ [[cos, sin], [-sin, cos]]
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         side_start = centers + start
         side = end - start
-        shares = np.sort([(-0.5 - side_start) / side, (0.5 - side_start) / side], axis=0)
-        enter = np.maximum(shares[0].max(axis=1), 0.0)[:, None]
-        leave = np.minimum(shares[1].min(axis=1), 1.0)[:, None]
-        first_end = side_start + enter * side
-        second_end = side_start + np.maximum(leave, enter) * side
+        side_fractions = np.sort([(-0.5 - side_start) / side, (0.5 - side_start) / side], axis=0)
+        enter_fraction = np.maximum(side_fractions[0].max(axis=1), 0.0)[:, None]
+        leave_fraction = np.minimum(side_fractions[1].min(axis=1), 1.0)[:, None]
+        first_end = side_start + enter_fraction * side
+        second_end = side_start + np.maximum(leave_fraction, enter_fraction) * side
         if not about_origin:
             first_end = first_end - centers
             second_end = second_end - centers
-        total += (first_end[:, 0] * second_end[:, 1] - first_end[:, 1] * second_end[:, 0]) / 2
-    return total
+        integrals += (first_end[:, 0] * second_end[:, 1] - first_end[:, 1] * second_end[:, 0]) / 2
+    return integrals

@@ -70,7 +70,7 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     if kind not in FIRST_LINES:
         expected = "an octree as bt or ot"
         raise FormatError(f"expected {expected}, got {kind!r}", value=kind, expected=expected)
-    first = _find_first_key(grid)
+    first_keys = _find_first_key(grid)
     has_odds = kind == "ot"
     bits_per_child = 1 if has_odds else 2
     states = np.where(grid.occupied, np.uint8(OCCUPIED), np.uint8(UNKNOWN))
@@ -78,48 +78,48 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         is_known = True if grid.known is None else grid.known
         states[~grid.occupied & is_known] = FREE
     # for all nodes that have an entry in the file: sort key, entry, state
-    orders: list[Int] = []
+    sort_keys: list[Int] = []
     entries: list[Int] = []
     node_states: list[Int] = []
     num_nodes = 0
     for depth in range(DEPTH, 0, -1):
         level = DEPTH - depth
-        begin = first >> level
+        level_keys = first_keys >> level
         # children come in pairs along each axis, so the grid is padded to even keys
         padding = [
             (int(key) & 1, int(key) + count & 1)
-            for key, count in zip(begin, states.shape, strict=True)
+            for key, count in zip(level_keys, states.shape, strict=True)
         ]
         child_states = np.pad(states, padding, constant_values=UNKNOWN)
         states = child_states[0::2] | child_states[1::2]
         states = states[:, 0::2] | states[:, 1::2]
         states = NODE_STATES[states[:, :, 0::2] | states[:, :, 1::2]]
-        places = np.argwhere(states >= MIXED_FREE)  # of nodes with children
-        i, j, k = places.T
+        parent_places = np.argwhere(states >= MIXED_FREE)  # of nodes with children
+        i, j, k = parent_places.T
         half_x, half_y, half_z = states.shape
         octets = child_states.reshape(half_x, 2, half_y, 2, half_z, 2)
         # a child has the number x + 2 y + 4 z
         children = octets[i, :, j, :, k].swapaxes(1, 3).reshape(-1, 8)
-        corners = (places + (begin >> 1)) << (level + 1)
+        corners = (parent_places + (level_keys >> 1)) << (level + 1)
         bits = CHILD_BITS[kind][children] << (np.arange(8) * bits_per_child)
         # the file's order: Morton codes of corners, then parents before children
-        order = _morton_codes(corners) << 5
-        orders.append(order | depth - 1)
+        parent_keys = _morton_codes(corners) << 5
+        sort_keys.append(parent_keys | depth - 1)
         entries.append(bits.sum(axis=1))
         node_states.append(states[i, j, k].astype(np.int64))
         num_nodes += int(np.count_nonzero(children != UNKNOWN))
         if depth == 1:
-            num_nodes += len(places)  # the root
+            num_nodes += len(parent_places)  # the root
         if has_odds:  # leaves have entries as well, of no children
             node, child = np.nonzero((children != UNKNOWN) & (children < MIXED_FREE))
-            leaf_order = order[node] | (child << 3 * level + 5) | depth
-            orders.append(leaf_order)
-            entries.append(np.zeros_like(leaf_order))
+            leaf_keys = parent_keys[node] | (child << 3 * level + 5) | depth
+            sort_keys.append(leaf_keys)
+            entries.append(np.zeros_like(leaf_keys))
             node_states.append(children[node, child].astype(np.int64))
-    ranks = np.argsort(np.concatenate(orders))
-    nodes = np.concatenate(entries)[ranks].astype("<u2")
+    sort_indices = np.argsort(np.concatenate(sort_keys))
+    nodes = np.concatenate(entries)[sort_indices].astype("<u2")
     if has_odds:  # a node has the greatest log-odds of its children
-        is_occupied = (np.concatenate(node_states)[ranks] & (OCCUPIED | MIXED)) != 0
+        is_occupied = (np.concatenate(node_states)[sort_indices] & (OCCUPIED | MIXED)) != 0
         odds = CERTAIN_ODDS[is_occupied.astype(np.int64)]
         nodes = np.append(odds, nodes[:, None].astype(np.uint8), axis=1)
     res = f"{grid.res:g}"  # six digits, as OctoMap writes it, if they are exact
@@ -142,28 +142,28 @@ def _morton_codes(places: Int) -> Int:
     masks = (0xFF0000FF, 0xF00F00F00F, 0xC30C30C30C3, 0x249249249249)
     for shift, mask in zip((16, 8, 4, 2), masks, strict=True):
         codes = (codes | codes << shift) & mask
-    spread: Int = codes[:, 0] | codes[:, 1] << 1 | codes[:, 2] << 2
-    return spread
+    morton_codes: Int = codes[:, 0] | codes[:, 1] << 1 | codes[:, 2] << 2
+    return morton_codes
 
 
 def _find_first_key(grid: VoxelGrid) -> Int:
     """Return the keys of the grid's first voxel along each axis, shape (3,)."""
-    place = np.array(grid.origin) / grid.res
-    nearest = np.round(place)
-    offset = np.abs(place - nearest).max()
-    if offset > LATTICE_TOLERANCE:
+    corner_in_voxels = np.array(grid.origin) / grid.res
+    nearest_corner = np.round(corner_in_voxels)
+    max_offset = np.abs(corner_in_voxels - nearest_corner).max()
+    if max_offset > LATTICE_TOLERANCE:
         raise FormatError(
             f"an octree's voxels lie on whole multiples of their edge {grid.res:g} m, and this "
             f"grid's lower corner ({', '.join(f'{c:g}' for c in grid.origin)}) is "
-            f"{offset * grid.res:.3g} m off: make the grid with align=True (--align)"
+            f"{max_offset * grid.res:.3g} m off: make the grid with align=True (--align)"
         )
-    if np.abs([nearest, nearest + grid.shape]).max() > CENTER_KEY:
+    if np.abs([nearest_corner, nearest_corner + grid.shape]).max() > CENTER_KEY:
         max_extent = CENTER_KEY * grid.res
         raise FormatError(
             f"an octree reaches {max_extent:g} m from the origin with voxels of {grid.res:g}"
             " m, and this grid goes beyond: expected larger voxels or a grid nearer to the origin"
         )
-    return np.asarray(nearest.astype(np.int64) + CENTER_KEY)
+    return np.asarray(nearest_corner.astype(np.int64) + CENTER_KEY)
 
 
 def read_octomap(
@@ -180,7 +180,8 @@ def read_octomap(
         source: a path, or the file's content.
         bounds: lower and upper corner of the box to read, shape (2, 3), world frame [m]; None for
             all known space, occupied or free.
-        max_voxels: see `navbake.load_voxels`.
+        max_voxels: the largest number of voxels; None for 2**31, as far as memory allows, see
+            `navbake.load_voxels`.
 
     Returns:
         The voxels; `VoxelGrid.known` marks those that the tree knows.
@@ -192,19 +193,19 @@ def read_octomap(
     from navbake.formats.octree_kernels import TOO_DEEP, fill_leaves, read_leaves  # as above
 
     ensure_compiled("formats.octree_kernels.")
-    data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
-    kind, size, res, end, has_colors = _read_header(data, name)
+    data, name = read_bytes(source, beginnings=MAGIC, expected="an OctoMap file (bt or ot)")
+    kind, num_stated_nodes, res, data_offset, has_colors = _read_header(data, name)
     place = JsonPath(name)
     allowance = Allowance(len(data), "max_voxels", max_voxels)
-    nodes = np.frombuffer(data, dtype=np.uint8, offset=end)
+    nodes = np.frombuffer(data, dtype=np.uint8, offset=data_offset)
     if has_colors and kind == "ot":
         num_whole = len(nodes) // COLOR_NODE_BYTES
         records = nodes[: num_whole * COLOR_NODE_BYTES].reshape(-1, COLOR_NODE_BYTES)
-        rest = nodes[num_whole * COLOR_NODE_BYTES :]
-        nodes = np.append(np.delete(records, COLOR_BYTES, axis=1).ravel(), rest)
+        last_bytes = nodes[num_whole * COLOR_NODE_BYTES :]
+        nodes = np.append(np.delete(records, COLOR_BYTES, axis=1).ravel(), last_bytes)
     notes = list[str]()
     leaves = np.empty((0, 5), np.int32)
-    if size == 0 and not len(nodes):
+    if num_stated_nodes == 0 and not len(nodes):
         notes.append(f"{name} is an empty tree: nothing is known")
     else:
         entries = nodes[: len(nodes) // 5 * 5].reshape(-1, 5)
@@ -213,7 +214,7 @@ def read_octomap(
         num_leaves, num_bytes, num_nodes = read_leaves(nodes, odds, kind == "ot", leaves)
         if num_leaves < 0:
             got = "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"
-            raise FormatError(f"expected {size} nodes in {name}, got {got}", path=name)
+            raise FormatError(f"expected {num_stated_nodes} nodes in {name}, got {got}", path=name)
         if num_bytes != len(nodes):
             got = f"got {len(nodes)}: data run over"
             message = f"expected {num_bytes} bytes of nodes in {name}, {got}"
@@ -221,23 +222,23 @@ def read_octomap(
         allowance.take_array((num_leaves,), LEAF_BYTES, place)
         leaves = np.empty((num_leaves, 5), np.int32)
         read_leaves(nodes, odds, kind == "ot", leaves)
-        if num_nodes != size:
-            notes.append(f"{name} has {num_nodes} nodes, and says {size}")
+        if num_nodes != num_stated_nodes:
+            notes.append(f"{name} has {num_nodes} nodes, and says {num_stated_nodes}")
     if bounds is not None:
-        first, shape = _find_box_keys(bounds, res)
+        first_keys, shape = _find_box_keys(bounds, res)
     elif len(leaves):
-        low = leaves[:, :3].astype(np.int64)
-        first = low.min(axis=0)
-        shape = tuple(((low + (1 << leaves[:, 3:4])).max(axis=0) - first).tolist())
+        lowest_keys = leaves[:, :3].astype(np.int64)
+        first_keys = lowest_keys.min(axis=0)
+        shape = tuple(((lowest_keys + (1 << leaves[:, 3:4])).max(axis=0) - first_keys).tolist())
     else:
-        first = np.full(3, CENTER_KEY)
+        first_keys = np.full(3, CENTER_KEY)
         shape = (1, 1, 1)
     allowance.take_cells(shape, place)
     allowance.take_array(shape, 2, place)
     values = np.zeros(shape, dtype=np.bool_)
     is_known = np.zeros(shape, dtype=np.bool_)
-    fill_leaves(leaves, first, values, is_known)
-    origin = tuple(((first - CENTER_KEY) * res).tolist())
+    fill_leaves(leaves, first_keys, values, is_known)
+    origin = tuple(((first_keys - CENTER_KEY) * res).tolist())
     return VoxelGrid(
         values=values,
         origin=origin,
@@ -258,11 +259,15 @@ def _find_box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, ...]]
         raise FormatError(
             f"expected {expected}, got {bounds!r}", key="bounds", value=bounds, expected=expected
         )
-    place = np.clip(box / res + CENTER_KEY, -1.0, 2.0 * CENTER_KEY + 1.0)  # to fit integers
-    first = np.clip(np.floor(place[0] + LATTICE_TOLERANCE), 0, None).astype(np.int64)
-    end = np.clip(np.ceil(place[1] - LATTICE_TOLERANCE), None, 2 * CENTER_KEY).astype(np.int64)
-    end = np.where(end == first, first + 1, end)  # a box within the tolerance of a face
-    if (end <= first).any() or (end > 2 * CENTER_KEY).any():
+    box_keys = np.clip(box / res + CENTER_KEY, -1.0, 2.0 * CENTER_KEY + 1.0)  # to fit integers
+    first_keys = np.clip(np.floor(box_keys[0] + LATTICE_TOLERANCE), 0, None).astype(np.int64)
+    stop_keys = np.clip(np.ceil(box_keys[1] - LATTICE_TOLERANCE), None, 2 * CENTER_KEY).astype(
+        np.int64
+    )
+    stop_keys = np.where(
+        stop_keys == first_keys, first_keys + 1, stop_keys
+    )  # a box within the tolerance of a face
+    if (stop_keys <= first_keys).any() or (stop_keys > 2 * CENTER_KEY).any():
         expected = f"bounds within {CENTER_KEY * res:g} m of the origin, where the tree reaches"
         raise FormatError(
             f"expected {expected}, got {box.tolist()}",
@@ -270,7 +275,7 @@ def _find_box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, ...]]
             value=bounds,
             expected=expected,
         )
-    return first, tuple((end - first).tolist())
+    return first_keys, tuple((stop_keys - first_keys).tolist())
 
 
 def _read_header(data: bytes, source: str) -> tuple[str, int, float, int, bool]:
@@ -284,8 +289,8 @@ def _read_header(data: bytes, source: str) -> tuple[str, int, float, int, bool]:
         expected = "an OctoMap file (bt or ot)"
         raise FormatError(f"expected {expected}, got {source}", path=source, expected=expected)
     numbers_per_line = {"size": (1, float), "res": (1, float)}
-    lines, numbers, end = read_header(data, source, numbers_per_line)
-    size = numbers[0][0]
+    lines, numbers, data_offset = read_header(data, source, numbers_per_line)
+    num_nodes = numbers[0][0]
     res = numbers[1][0]
     if lines.get("id") not in (["OcTree"], ["ColorOcTree"]):
         got = " ".join(lines.get("id", ["none"]))
@@ -295,8 +300,8 @@ def _read_header(data: bytes, source: str) -> tuple[str, int, float, int, bool]:
             key="id",
             value=got,
         )
-    if size < 0 or not res > 0:
+    if num_nodes < 0 or not res > 0:
         where = f"`size` and `res` in the header of {source}"
-        message = f"expected numbers > 0 as {where}, got {size:g} and {res:g}"
+        message = f"expected numbers > 0 as {where}, got {num_nodes:g} and {res:g}"
         raise FormatError(message, path=source, expected="numbers > 0")
-    return kind, int(size), res, end, lines["id"] == ["ColorOcTree"]
+    return kind, int(num_nodes), res, data_offset, lines["id"] == ["ColorOcTree"]

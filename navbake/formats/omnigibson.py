@@ -66,11 +66,11 @@ def name_room_files(folder: Path, stem: str) -> RoomFiles:
         stem: the map's name without the number of the level and the ending.
     """
     match = MAP_WORD.fullmatch(stem)
-    head = match[1] if match else f"{stem}_"
-    names_head = "" if head == OMNIGIBSON_HEAD else head
+    name_head = match[1] if match else f"{stem}_"
+    names_head = "" if name_head == OMNIGIBSON_HEAD else name_head
     return RoomFiles(
-        folder / f"{head}insseg_0.png",
-        folder / f"{head}semseg_0.png",
+        folder / f"{name_head}insseg_0.png",
+        folder / f"{name_head}semseg_0.png",
         folder / f"{names_head}room_categories.txt",
     )
 
@@ -102,8 +102,8 @@ def encode_omnigibson(
     """
     files: Files = {}
     for number in select_levels(grid, path, level, (".png",)):
-        scene = grid.levels[number]
-        lattice = scene.lattice
+        grid_level = grid.levels[number]
+        lattice = grid_level.lattice
         if lattice.cell_size < PIXEL_SIZE - PIXEL_MARGIN:
             expected = f"cells of {PIXEL_SIZE} m at least"
             got = f"{lattice.cell_size:g} m"
@@ -115,20 +115,20 @@ def encode_omnigibson(
         if (2 * half_size) ** 2 > MAX_PIXELS:
             extent = half_size * PIXEL_SIZE
             max_extent = math.isqrt(MAX_PIXELS) // 2 * PIXEL_SIZE
-            what = f"OmniGibson's maps are centred on the origin, and level {number} ends"
+            fault = f"OmniGibson's maps are centred on the origin, and level {number} ends"
             expected = f"{max_extent:.1f} m at most"
             raise FormatError(
-                f"{what} {extent:.1f} m from it, expected {expected}",
+                f"{fault} {extent:.1f} m from it, expected {expected}",
                 value=extent,
                 expected=expected,
             )
-        text = orjson.dumps({**lattice._asdict(), "ground": scene.ground}).decode()
-        free = np.ones((2 * half_size, 2 * half_size), dtype=bool)
+        text = orjson.dumps({**lattice._asdict(), "ground": grid_level.ground}).decode()
+        is_free = np.ones((2 * half_size, 2 * half_size), dtype=bool)
         # a pixel overlaps two cells at most along each axis: those at its corners
         half_pixel = PIXEL_SIZE / 2 - PIXEL_MARGIN
         for right, up in itertools.product((-half_pixel, half_pixel), repeat=2):
-            free &= _sample_pixels(scene.free, lattice, half_size, right, up)
-        pixels = np.where(free, np.uint8(255), np.uint8(0))
+            is_free &= _sample_pixels(grid_level.free, lattice, half_size, right, up)
+        pixels = np.where(is_free, np.uint8(255), np.uint8(0))
         map_path = path.with_name(f"{path.stem}_{number}{path.suffix}")
         if number == 0 and NO_OBJECTS not in path.stem:
             room_files = name_room_files(path.parent, path.stem)
@@ -169,8 +169,8 @@ def _encode_room_maps(
     }
     num_rooms = int(level.room_index.max())
     if num_rooms > MAX_ROOMS:
-        limit = f"a map of OmniGibson numbers rooms up to {MAX_ROOMS}"
-        raise FormatError(f"{limit}, level 0 has {num_rooms}", value=num_rooms)
+        limit_text = f"a map of OmniGibson numbers rooms up to {MAX_ROOMS}"
+        raise FormatError(f"{limit_text}, level 0 has {num_rooms}", value=num_rooms)
     files: Files = {}
     if categories is None:
         category_names = sorted({*category_of_room.values(), DEFAULT_CATEGORY})
@@ -179,10 +179,12 @@ def _encode_room_maps(
         category_names = _read_lines(categories)
         for index, category in category_of_room.items():
             if category not in category_names:
-                what = f"room {index} of level 0 is a {category!r}, which {categories} doesn't have"
+                fault = (
+                    f"room {index} of level 0 is a {category!r}, which {categories} doesn't have"
+                )
                 remedy = "name rooms as its lines do, see `rooms` in the settings"
                 raise FormatError(
-                    f"{what}: {remedy}", path=str(categories), value=category, hint=remedy
+                    f"{fault}: {remedy}", path=str(categories), value=category, hint=remedy
                 )
     # index of a room -> number of its category: its line in the list, from 1
     category_numbers = np.zeros(num_rooms + 1, dtype=np.int64)
@@ -191,8 +193,10 @@ def _encode_room_maps(
     for index, category in category_of_room.items():
         category_numbers[index] = category_names.index(category) + 1
     if category_numbers.max() > MAX_ROOMS:
-        limit = f"a map of OmniGibson numbers categories up to {MAX_ROOMS}"
-        raise FormatError(f"{limit}, the last of level 0 has the number {category_numbers.max()}")
+        limit_text = f"a map of OmniGibson numbers categories up to {MAX_ROOMS}"
+        raise FormatError(
+            f"{limit_text}, the last of level 0 has the number {category_numbers.max()}"
+        )
     room_pixels = _sample_pixels(level.room_index, level.lattice, half_size)
     files[room_files.rooms] = encode_image(room_pixels.astype(np.uint8), "PNG")
     category_pixels = category_numbers[room_pixels].astype(np.uint8)
@@ -231,7 +235,7 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
     """
     image = open_image(path, ("PNG",))
     cells_text = image.info.get("navbake")
-    size = image.width
+    num_pixels = image.width
     if image.width != image.height:
         got = f"{image.width} × {image.height} pixels"
         message = f"expected a square map in {path}, got {got}"
@@ -241,26 +245,26 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
         raise FormatError(
             message, path=str(path), value=image.mode, expected="a map of one channel"
         )
-    half_extent = size * PIXEL_SIZE / 2
-    lattice = Lattice(-half_extent, half_extent, PIXEL_SIZE, size, size)
+    half_extent = num_pixels * PIXEL_SIZE / 2
+    lattice = Lattice(-half_extent, half_extent, PIXEL_SIZE, num_pixels, num_pixels)
     ground = 0.0
     if isinstance(cells_text, str):
         lattice, ground = _parse_cells(cells_text, path)
     # the pixel at each cell's centre
-    rows = np.floor(lattice.center_y() / PIXEL_SIZE + size / 2).astype(np.int64)
-    cols = np.floor(lattice.center_x() / PIXEL_SIZE + size / 2).astype(np.int64)
-    if min(rows[-1], cols[0]) < 0 or max(rows[0], cols[-1]) >= size:
-        message = f"the cells that the text of {path} states reach beyond its {size} pixels"
+    rows = np.floor(lattice.center_y() / PIXEL_SIZE + num_pixels / 2).astype(np.int64)
+    cols = np.floor(lattice.center_x() / PIXEL_SIZE + num_pixels / 2).astype(np.int64)
+    if min(rows[-1], cols[0]) < 0 or max(rows[0], cols[-1]) >= num_pixels:
+        message = f"the cells that the text of {path} states reach beyond its {num_pixels} pixels"
         raise FormatError(message, path=str(path))
     pixel_of_cell = (rows[:, None], cols)
-    free = np.asarray(image.convert("L"))[pixel_of_cell] == 255
-    rooms = np.zeros(free.shape, dtype=np.uint16)
-    names = dict[int, str]()
+    is_free = np.asarray(image.convert("L"))[pixel_of_cell] == 255
+    room_numbers = np.zeros(is_free.shape, dtype=np.uint16)
+    room_names = dict[int, str]()
     room_files = _find_room_files(Path(path))
     if room_files is not None:
-        room_pixels, names = _read_room_maps(room_files, size)
-        rooms = room_pixels[pixel_of_cell].astype(np.uint16)
-    return level_from_rooms(free, rooms, names, lattice, ground, readable_stem(path))
+        room_pixels, room_names = _read_room_maps(room_files, num_pixels)
+        room_numbers = room_pixels[pixel_of_cell].astype(np.uint16)
+    return level_from_rooms(is_free, room_numbers, room_names, lattice, ground, readable_stem(path))
 
 
 def list_room_maps(path: Path) -> list[Path]:
@@ -326,20 +330,20 @@ def _read_room_maps(room_files: RoomFiles, size: int) -> tuple[NDArray[np.uint8]
     Returns:
         The image of room numbers, and number of a room -> its name.
     """
-    rooms = _read_room_map(room_files.rooms, size)
-    categories = _read_room_map(room_files.categories, size)
+    room_numbers = _read_room_map(room_files.rooms, size)
+    category_numbers = _read_room_map(room_files.categories, size)
     names_path = room_files.category_names
     category_names = _read_lines(names_path) if names_path.exists() else []
-    names = dict[int, str]()
-    counts = Counter[str]()
-    numbers, first_pixel = np.unique(rooms, return_index=True)
-    first_category = categories.ravel()[first_pixel]
-    for number, category in zip(numbers.tolist(), first_category.tolist(), strict=True):
+    room_names = dict[int, str]()
+    num_named = Counter[str]()
+    unique_numbers, first_pixel = np.unique(room_numbers, return_index=True)
+    first_category = category_numbers.ravel()[first_pixel]
+    for number, category in zip(unique_numbers.tolist(), first_category.tolist(), strict=True):
         if number and 1 <= category <= len(category_names) and category_names[category - 1]:
             name = category_names[category - 1]
-            names[number] = f"{name}_{counts[name]}"
-            counts[name] += 1
-    return rooms, names
+            room_names[number] = f"{name}_{num_named[name]}"
+            num_named[name] += 1
+    return room_numbers, room_names
 
 
 def _read_room_map(path: Path, size: int) -> NDArray[np.uint8]:

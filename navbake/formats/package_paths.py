@@ -193,4 +193,4 @@ def _list_equal_names(folder: Path, name: str) -> list[Path]:
         names = sorted(entry for entry in os.listdir(folder) if equal_model_names(entry, name))
     except OSError:
         names = []
-    return [folder / each_name for each_name in dict.fromkeys((name, *names))]
+    return [folder / equal_name for equal_name in dict.fromkeys((name, *names))]

@@ -50,16 +50,16 @@ def encode_procthor(grid: NavGrid, path: Path, *, level: int | None = None) -> F
     """
     files: Files = {}
     for number, level_path in list_level_paths(grid, path, level, (".png",)).items():
-        scene = grid.levels[number]
-        num_rooms = scene.room_index.max(initial=0)
+        grid_level = grid.levels[number]
+        num_rooms = grid_level.room_index.max(initial=0)
         if num_rooms > MAX_ROOMS:
             got = f"level {number} has {num_rooms}"
             raise FormatError(f"a ProcTHORMap numbers rooms up to {MAX_ROOMS}, {got}")
-        free = np.where(scene.free, np.uint8(255), np.uint8(0))
-        pixels = np.stack([free, free, scene.room_index.astype(np.uint8)], axis=-1)
-        cell_size = scene.lattice.cell_size
-        x_min = scene.lattice.x_min
-        y_max = scene.lattice.y_max
+        free_bytes = np.where(grid_level.free, np.uint8(255), np.uint8(0))
+        pixels = np.stack([free_bytes, free_bytes, grid_level.room_index.astype(np.uint8)], axis=-1)
+        cell_size = grid_level.lattice.cell_size
+        x_min = grid_level.lattice.x_min
+        y_max = grid_level.lattice.y_max
         density = 1.0 / cell_size  # pixels per metre
         is_whole = abs(density - round(density)) < INTEGER_TOLERANCE
         rooms = [room for room in grid.rooms if room.level == number]
@@ -71,7 +71,7 @@ def encode_procthor(grid: NavGrid, path: Path, *, level: int | None = None) -> F
             "map_to_world": [
                 [0.0, cell_size, x_min + cell_size / 2],
                 [-cell_size, 0.0, y_max - cell_size / 2],
-                [0.0, 0.0, scene.ground],
+                [0.0, 0.0, grid_level.ground],
             ],
             "px_per_m": round(density) if is_whole else density,
             "room_ids_to_name": {str(room.index): room.name or room.id for room in rooms},
@@ -111,27 +111,29 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
     red, _, blue = np.moveaxis(np.asarray(image.convert("RGB")), -1, 0)
     rooms = blue if image.mode == "RGB" else np.zeros_like(blue)
     layers, lattice = _straighten(np.stack([red, rooms]), world_to_map, path)
-    free = layers[0] > 0
+    is_free = layers[0] > 0
     room_index = layers[1].astype(np.uint16)
     ground = float(map_to_world[2, 2])
     if not abs(ground) <= MAX_COORDINATE:
         raise _make_range_error(path)
-    names = _parse_text(image.info.get("room_ids_to_name", "null"), "room_ids_to_name", path)
-    if not isinstance(names, dict | None):
+    names_by_number = _parse_text(
+        image.info.get("room_ids_to_name", "null"), "room_ids_to_name", path
+    )
+    if not isinstance(names_by_number, dict | None):
         expected = "names by number"
         raise FormatError(
             f"expected {expected} as `room_ids_to_name` in {path}",
             path=str(path),
             key="room_ids_to_name",
-            value=names,
+            value=names_by_number,
             expected=expected,
         )
     room_names = {
         int(key): name
-        for key, name in (names or {}).items()
+        for key, name in (names_by_number or {}).items()
         if key.isdecimal() and len(key) < 10 and isinstance(name, str)
     }
-    return level_from_rooms(free, room_index, room_names, lattice, ground, readable_stem(path))
+    return level_from_rooms(is_free, room_index, room_names, lattice, ground, readable_stem(path))
 
 
 def _straighten(
@@ -151,30 +153,32 @@ def _straighten(
         FormatError: the map's axes are not parallel to the world's, its cells are no squares, or it
             is out of range.
     """
-    scale = float(np.abs(world_to_map[:, :2]).max())
-    linear = np.where(np.abs(world_to_map[:, :3]) <= ZERO_SHARE * scale, 0.0, world_to_map[:, :3])
-    if linear[0, 0] != 0:  # rows run along x
+    largest_entry = float(np.abs(world_to_map[:, :2]).max())
+    direction_entries = np.where(
+        np.abs(world_to_map[:, :3]) <= ZERO_SHARE * largest_entry, 0.0, world_to_map[:, :3]
+    )
+    if direction_entries[0, 0] != 0:  # rows run along x
         layers = layers.transpose(0, 2, 1)
-        linear = linear[::-1]
+        direction_entries = direction_entries[::-1]
         world_to_map = world_to_map[::-1]
-    (row_x, row_y, row_z), (col_x, col_y, col_z) = linear
+    (row_x, row_y, row_z), (col_x, col_y, col_z) = direction_entries
     is_straight = row_x == col_y == row_z == col_z == 0 and row_y != 0 and col_x != 0
-    if not is_straight or abs(abs(row_y) - abs(col_x)) > ZERO_SHARE * scale:
+    if not is_straight or abs(abs(row_y) - abs(col_x)) > ZERO_SHARE * largest_entry:
         message = f"`world_to_map` of {path} turns by no quarter, or stretches"
         raise FormatError(message, path=str(path), key="world_to_map")
 
     _, height, width = layers.shape
     # the world's origin in the map
-    row, col = world_to_map[:, 3].tolist()
+    origin_row, origin_col = world_to_map[:, 3].tolist()
     if row_y > 0:
         layers = layers[:, ::-1]
-        row = height - 1 - row
+        origin_row = height - 1 - origin_row
     if col_x < 0:
         layers = layers[:, :, ::-1]
-        col = width - 1 - col
+        origin_col = width - 1 - origin_col
     cell_size = 1.0 / float(abs(col_x))
-    x_min = -(col + 0.5) * cell_size
-    y_max = (row + 0.5) * cell_size
+    x_min = -(origin_col + 0.5) * cell_size
+    y_max = (origin_row + 0.5) * cell_size
     lattice = Lattice(x_min, y_max, cell_size, width, height)
     if not cell_size >= LEAST_EDGE or not all(
         abs(edge) <= MAX_COORDINATE for edge in lattice.bounds

@@ -133,14 +133,14 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
     import_extra("shapely")
     level_names = list(grid.level_names)
     if len({*level_names}) < len(level_names):
-        level_names = [f"level {number}" for number in range(len(level_names))]
+        level_names = [f"level {level_number}" for level_number in range(len(level_names))]
     lifts = [link for link in grid.links if link.kind == "lift"]
     building_levels = []
-    for number, level in enumerate(grid.levels):
+    for level_number, level in enumerate(grid.levels):
         building_level = _BuildingLevel(_find_elevation(level))
         _add_floors(building_level, level)
-        _add_walls(building_level, grid, number, lifts)
-        _add_doors(building_level, grid, number)
+        _add_walls(building_level, grid, level_number, lifts)
+        _add_doors(building_level, grid, level_number)
         building_levels.append(building_level)
     _add_lanes(building_levels, grid)
     lift_entries = {
@@ -203,11 +203,11 @@ def _make_polygon(building_level: _BuildingLevel, corners: Float) -> Json:
 
 
 def _add_walls(
-    building_level: _BuildingLevel, grid: NavGrid, number: int, lifts: Iterable[Link]
+    building_level: _BuildingLevel, grid: NavGrid, level_number: int, lifts: Iterable[Link]
 ) -> None:
     """Add a level's walls: they run along the outlines of the wall cells, inside of these."""
-    level = grid.levels[number]
-    is_wall = _find_wall_cells(grid, number, lifts)
+    level = grid.levels[level_number]
+    is_wall = _find_wall_cells(grid, level_number, lifts)
     cell_size = level.lattice.cell_size
     for outline, *holes in trace_polygons(is_wall.astype(np.uint8), level.lattice).get(1, []):
         area = shapely.Polygon(outline, holes).simplify(cell_size / 2)
@@ -218,7 +218,7 @@ def _add_walls(
                     building_level.walls.append([start, end, {}])
 
 
-def _find_wall_cells(grid: NavGrid, number: int, lifts: Iterable[Link]) -> Bool:
+def _find_wall_cells(grid: NavGrid, level_number: int, lifts: Iterable[Link]) -> Bool:
     """Mark the cells of a level that are part of a wall.
 
     These are the solid cells whose user data name a wall. If no cell's do, all solid cells with a
@@ -226,19 +226,19 @@ def _find_wall_cells(grid: NavGrid, number: int, lifts: Iterable[Link]) -> Bool:
 
     Args:
         grid: the grid.
-        number: the level's number.
+        level_number: the level's number.
         lifts: the grid's lifts.
 
     Returns:
         The mask, shape (height, width).
     """
-    level = grid.levels[number]
+    level = grid.levels[level_number]
     names_wall = np.zeros(level.shape, dtype=np.bool_)
-    for cell_id, entry in level.user_data.items():
-        names_wall.flat[cell_id] = bool(entry.get("walls"))
+    for cell_id, cell_data in level.user_data.items():
+        names_wall.flat[cell_id] = bool(cell_data.get("walls"))
     is_wall: Bool = level.solid != 0
     is_wall &= names_wall if names_wall.any() else ~np.isnan(level.floor)
-    is_wall &= ~mark_door_cells(grid, number, in_current_state=False)
+    is_wall &= ~mark_door_cells(grid, level_number, in_current_state=False)
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
     for lift in lifts:
         if not lift.car:
@@ -260,19 +260,21 @@ def _inset_rings(area: BaseGeometry, cell_size: float) -> Iterator[LinearRing]:
     """
     remaining_parts = [area]
     full_inset = (WALL_THICKNESS + cell_size) / 2
-    for share in (1.0, 0.95, 0.75, 0.5, 0.25, 0.0):
-        inset = share * full_inset
+    for inset_fraction in (1.0, 0.95, 0.75, 0.5, 0.25, 0.0):
+        inset = inset_fraction * full_inset
         parts = remaining_parts
         remaining_parts = []
         for part in parts:
-            inner = part.buffer(-inset, join_style="mitre")
-            for polygon in shapely.get_parts(inner):
+            inset_area = part.buffer(-inset, join_style="mitre")
+            for polygon in shapely.get_parts(inset_area):
                 yield polygon.exterior
                 yield from polygon.interiors
             # what these walls don't cover gets walls with a smaller inset
-            uncovered = part.difference(inner.buffer(1.05 * inset, join_style="mitre"))
+            uncovered = part.difference(inset_area.buffer(1.05 * inset, join_style="mitre"))
             remaining_parts += [
-                piece for piece in shapely.get_parts(uncovered) if piece.area > cell_size**2
+                uncovered_part
+                for uncovered_part in shapely.get_parts(uncovered)
+                if uncovered_part.area > cell_size**2
             ]
 
 
@@ -288,15 +290,15 @@ class _DoorMotion(NamedTuple):
     axis: str  # the end of the line at which the hinge is, ``start`` or ``end``
 
 
-def _add_doors(building_level: _BuildingLevel, grid: NavGrid, number: int) -> None:
+def _add_doors(building_level: _BuildingLevel, grid: NavGrid, level_number: int) -> None:
     """Add a level's doors; the two leaves of a double door become one door."""
-    level = grid.levels[number]
+    level = grid.levels[level_number]
     doors = {door.id: door for door in grid.doors}
-    for name, leaves in _join_leaves(find_door_lines(grid, number)).items():
+    for name, leaves in _join_leaves(find_door_lines(grid, level_number)).items():
         start, end = _find_line_ends(leaves)
-        open_positions = _find_open_positions(doors[leaves[0].id], level, number)
+        open_positions = _find_open_positions(doors[leaves[0].id], level, level_number)
         motion = _find_motion(doors[leaves[0].id], start, end, open_positions, len(leaves))
-        values = {
+        door_fields = {
             "name": [TEXT_TYPE, name],
             "type": [TEXT_TYPE, f"double_{motion.kind}" if len(leaves) > 1 else motion.kind],
             "motion_axis": [TEXT_TYPE, motion.axis],
@@ -310,7 +312,7 @@ def _add_doors(building_level: _BuildingLevel, grid: NavGrid, number: int) -> No
         }
         start_vertex = building_level.add_vertex(*start)
         end_vertex = building_level.add_vertex(*end)
-        building_level.doors.append([start_vertex, end_vertex, values])
+        building_level.doors.append([start_vertex, end_vertex, door_fields])
 
 
 def _join_leaves(lines: Iterable[DoorLine]) -> dict[str, list[DoorLine]]:
@@ -325,13 +327,13 @@ def _join_leaves(lines: Iterable[DoorLine]) -> dict[str, list[DoorLine]]:
 
 def _find_line_ends(leaves: list[DoorLine]) -> tuple[Float, Float]:
     """Return the two ends of the line over all leaves of a door, world x, y [m]."""
-    ends = np.array([end for leaf in leaves for end in (leaf.start, leaf.end)])
+    ends = np.array([end_index for leaf in leaves for end_index in (leaf.start, leaf.end)])
     distances = np.linalg.norm(ends[:, None] - ends[None], axis=2)
-    start, end = np.unravel_index(int(distances.argmax()), distances.shape)
-    return ends[start], ends[end]
+    start_index, end_index = np.unravel_index(int(distances.argmax()), distances.shape)
+    return ends[start_index], ends[end_index]
 
 
-def _find_open_positions(door: Door, level: SceneGrid2D, number: int) -> Float:
+def _find_open_positions(door: Door, level: SceneGrid2D, level_number: int) -> Float:
     """Return the centres of the cells that a door's leaf covers when it is open.
 
     If its bare leaf covers none, the cells count that it blocks for the agent.
@@ -339,14 +341,14 @@ def _find_open_positions(door: Door, level: SceneGrid2D, number: int) -> Float:
     Args:
         door: the door.
         level: a level of the grid.
-        number: the level's number.
+        level_number: the level's number.
 
     Returns:
         World x, y [m], shape (n, 2).
     """
-    open_cells = door.solid_in("open", number + 1)[number]
+    open_cells = door.solid_in("open", level_number + 1)[level_number]
     if not len(open_cells):
-        open_cells = door.cells_in("open", number + 1)[number]
+        open_cells = door.cells_in("open", level_number + 1)[level_number]
     positions: Float = level.lattice.positions(*np.divmod(open_cells, level.width))
     return positions
 
@@ -394,29 +396,32 @@ def _add_lanes(building_levels: list[_BuildingLevel], grid: NavGrid) -> None:
     shaft are moved out of it.
     """
     graph = routes.make_routes(grid)
-    plans = [plan for plan in plan_cars(graph).values() if not plan.is_guess]
-    nodes_in_shafts = find_nodes_in_cars(graph, plans, SHAFT_MARGIN)
-    places = _place_landings(graph, plans)
+    car_plans = [plan for plan in plan_cars(graph).values() if not plan.is_guess]
+    nodes_in_shafts = find_nodes_in_cars(graph, car_plans, SHAFT_MARGIN)
+    landing_positions = _place_landings(graph, car_plans)
 
     def add_node(number: int) -> int:
         node = graph.nodes[number]
-        x, y = places.get(number, node.position[:2])
+        x, y = landing_positions.get(number, node.position[:2])
         vertex: int = building_levels[node.level].add_vertex(x, y, node.name)
         return vertex
 
     def add_lane(level: int, start: int, end: int, lane: Lane | None = None) -> None:
         two_way = lane.two_way if lane is not None else False
-        values: Json = {"bidirectional": [BOOLEAN_TYPE, two_way], "graph_idx": [INTEGER_TYPE, 0]}
+        lane_fields: Json = {
+            "bidirectional": [BOOLEAN_TYPE, two_way],
+            "graph_idx": [INTEGER_TYPE, 0],
+        }
         if lane is not None and lane.speed is not None:
-            values["speed_limit"] = [REAL_TYPE, lane.speed]
-        building_levels[level].lanes.append([start, end, values])
+            lane_fields["speed_limit"] = [REAL_TYPE, lane.speed]
+        building_levels[level].lanes.append([start, end, lane_fields])
 
     for lane in graph.lanes:
         level = graph.nodes[lane.start].level
         is_in_shaft = lane.start in nodes_in_shafts or lane.end in nodes_in_shafts
         if level == graph.nodes[lane.end].level and lane.link is None and not is_in_shaft:
             add_lane(level, add_node(lane.start), add_node(lane.end), lane)
-    for stop in make_car_stops(graph, plans):
+    for stop in make_car_stops(graph, car_plans):
         car_vertex = building_levels[stop.level].add_vertex(stop.x, stop.y, stop.name)
         for number in stop.entries:
             add_lane(stop.level, add_node(number), car_vertex)
@@ -424,19 +429,21 @@ def _add_lanes(building_levels: list[_BuildingLevel], grid: NavGrid) -> None:
             add_lane(stop.level, car_vertex, add_node(number))
 
 
-def _place_landings(graph: RouteGraph, plans: Iterable[CarPlan]) -> dict[int, tuple[float, float]]:
+def _place_landings(
+    graph: RouteGraph, car_plans: Iterable[CarPlan]
+) -> dict[int, tuple[float, float]]:
     """Move landings that lie in the shaft of their lift straight out of it.
 
     Args:
         graph: the graph of routes.
-        plans: the lifts' cars.
+        car_plans: the lifts' cars.
 
     Returns:
         Index of a moved node -> world x, y [m].
     """
     landings = list_landings(graph)
-    places = {}
-    for plan in plans:
+    landing_positions = {}
+    for plan in car_plans:
         car = plan.car
         for number in landings[car.name]:
             x, y = graph.nodes[number].position[:2]
@@ -450,8 +457,11 @@ def _place_landings(graph: RouteGraph, plans: Iterable[CarPlan]) -> dict[int, tu
                 car_y = door.y + math.copysign(SHAFT_GAP, door.y)
             cos = math.cos(car.yaw)
             sin = math.sin(car.yaw)
-            places[number] = (car.x + car_x * cos - car_y * sin, car.y + car_x * sin + car_y * cos)
-    return places
+            landing_positions[number] = (
+                car.x + car_x * cos - car_y * sin,
+                car.y + car_x * sin + car_y * cos,
+            )
+    return landing_positions
 
 
 class _CarDoor(NamedTuple):

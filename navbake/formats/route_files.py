@@ -236,9 +236,9 @@ class _GraphReader:
                     f"got {format_value(entry.node.level)}"
                 )
         num_levels = max((node.level for node in nodes), default=0) + 1
-        names = [*level_names]
-        names += [f"level {number}" for number in range(len(level_names), num_levels)]
-        fields: Json = {"level_names": names}
+        all_level_names = [*level_names]
+        all_level_names += [f"level {number}" for number in range(len(level_names), num_levels)]
+        fields: Json = {"level_names": all_level_names}
         if isinstance(graph_entry, dict):
             fields |= graph_entry
         fields |= {"nodes": nodes, "lanes": undirected(lanes)}
@@ -262,8 +262,8 @@ def _sort_by_number(entries: list[Entry]) -> list[Entry]:
     numbers = [entry.number for entry in entries if isinstance(entry.number, int)]
     if len(numbers) < len(entries):
         return entries
-    order = sorted(range(len(entries)), key=numbers.__getitem__)
-    return [entries[index] for index in order]
+    sort_indices = sorted(range(len(entries)), key=numbers.__getitem__)
+    return [entries[index] for index in sort_indices]
 
 
 def _add_height(x: object, y: object, navbake_entry: Json) -> list[object]:
@@ -294,11 +294,11 @@ def _nav2_may_score(lane: Lane) -> bool:
 
 def encode_nav2_route(graph: RouteGraph) -> bytes:
     """Encode a graph for nav2's Route Server; log a warning if its nodes are on several levels."""
-    count = len({node.level for node in graph.nodes})
-    if count > 1:
+    num_levels = len({node.level for node in graph.nodes})
+    if num_levels > 1:
         LOG.warning(
             "nav2 knows no levels: the nodes of all %d are in one graph; choose one level by "
-            "--level, or graph.on_level()", count,
+            "--level, or graph.on_level()", num_levels,
         )  # fmt: skip
     features = []
     for number, node in enumerate(graph.nodes):
@@ -488,9 +488,9 @@ def _list_layouts(top: Json, place: JsonPath) -> list[tuple[Json, JsonPath]]:
     if "layouts" not in top and "origins" not in top:
         information = check_optional_object(top, "metaInformation", place)
         version = information.get("lifVersion")
-        stated = "no lifVersion" if version is None else f"lifVersion {version!r}"
+        stated_version = "no lifVersion" if version is None else f"lifVersion {version!r}"
         expected = "`layouts` (LIF 1) or `origins` (LIF 2)"
-        place.fail(f"expected {expected}, got neither, with {stated}")
+        place.fail(f"expected {expected}, got neither, with {stated_version}")
     layouts = [
         (layout, place["layouts"][number])
         for number, layout in enumerate(_check_objects(top, "layouts", place))
@@ -537,16 +537,16 @@ def encode_rmf(graph: RouteGraph) -> bytes:
     """
     level_names = _unique_level_names(graph)
     levels: list[Json] = [{"vertices": [], "lanes": []} for _ in level_names]
-    plans = plan_cars(graph)
-    guessed = [lift for lift, plan in plans.items() if plan.is_guess]
-    if guessed:
+    car_plans = plan_cars(graph)
+    guessed_lifts = [lift for lift, plan in car_plans.items() if plan.is_guess]
+    if guessed_lifts:
         LOG.warning(
             "the cars of %s are not known: they are taken to be between the landings; check their "
-            "places in `lifts`, and the vertices in them", ", ".join(map(repr, guessed)),
+            "places in `lifts`, and the vertices in them", ", ".join(map(repr, guessed_lifts)),
         )  # fmt: skip
-    car_stops = make_car_stops(graph, plans.values())
+    car_stops = make_car_stops(graph, car_plans.values())
     lift_of_node = {stop.node: stop.lift for stop in car_stops if stop.node is not None}
-    nodes_in_cars = find_nodes_in_cars(graph, plans.values())
+    nodes_in_cars = find_nodes_in_cars(graph, car_plans.values())
     hidden_nodes = []
     vertex_of_node = {}  # node -> index of its vertex on its level
     for number, node in enumerate(graph.nodes):
@@ -591,8 +591,8 @@ def encode_rmf(graph: RouteGraph) -> bytes:
     }
     if hidden_nodes:
         graph_entry["nodes"] = hidden_nodes
-    cars = [plan.car for plan in plans.values()]
-    cars += [car for car in graph.cars if car.name not in plans]
+    cars = [plan.car for plan in car_plans.values()]
+    cars += [car for car in graph.cars if car.name not in car_plans]
     content = {
         "building_name": graph.scene_id or "building",
         "doors": _list_rmf_doors(graph.doorways, door_names, level_names),
@@ -797,12 +797,12 @@ def _join_lifts(reader: _GraphReader) -> None:
 
 def _check_rows(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any, Json]]:
     """Return the rows in a field of a JSON object: two values, and an object ({} for none)."""
-    triples = []
+    rows = []
     for number, row in enumerate(_check_list(content, key, place)):
         if not isinstance(row, list) or len(row) < 2:
             place[key][number].refuse("a list of two numbers and an object", row)
-        triples.append((row[0], row[1], row[-1] if isinstance(row[-1], dict) else {}))
-    return triples
+        rows.append((row[0], row[1], row[-1] if isinstance(row[-1], dict) else {}))
+    return rows
 
 
 # ---------------------------------------------------------------- GraphML and GML
@@ -841,11 +841,11 @@ def _to_networkx(graph: RouteGraph) -> networkx.MultiDiGraph[str]:
 def read_graphml(path: str | PathLike[str]) -> RouteGraph:
     """Read a graph from GraphML; its nodes must have ``x`` and ``y`` [m]."""
     networkx_module = source.import_extra("networkx")
-    data, name = source.read_bytes(path)
+    content, name = source.read_bytes(path)
     try:
         with warnings.catch_warnings():  # of types, which are checked below
             warnings.simplefilter("ignore")
-            nx_graph = networkx_module.read_graphml(io.BytesIO(data), force_multigraph=True)
+            nx_graph = networkx_module.read_graphml(io.BytesIO(content), force_multigraph=True)
     except Exception as error:  # networkx and expat raise many types
         raise _unreadable("GraphML", name, error) from error
     return _from_networkx(nx_graph, name)
@@ -858,15 +858,15 @@ def read_gml(path: str | PathLike[str]) -> RouteGraph:
     them. Nodes are named by their labels, or by their ids if a label is missing or stands twice.
     """
     networkx_module = source.import_extra("networkx")
-    data, name = source.read_bytes(path)
+    content, name = source.read_bytes(path)
     nx_graph: networkx.Graph[object]
     try:
         try:
-            nx_graph = networkx_module.read_gml(io.BytesIO(data), label="label")
+            nx_graph = networkx_module.read_gml(io.BytesIO(content), label="label")
         except networkx_module.NetworkXError as error:
             if "label" not in str(error):
                 raise
-            nx_graph = networkx_module.read_gml(io.BytesIO(data), label="id")
+            nx_graph = networkx_module.read_gml(io.BytesIO(content), label="id")
     except Exception as error:  # networkx raises many types
         raise _unreadable("GML", name, error) from error
     for _, entry in nx_graph.nodes(data=True):
@@ -876,10 +876,12 @@ def read_gml(path: str | PathLike[str]) -> RouteGraph:
     return _from_networkx(nx_graph, name)
 
 
-def _unreadable(what: str, name: str, error: Exception) -> FormatError:
+def _unreadable(format_name: str, name: str, error: Exception) -> FormatError:
     """Make the error for a file that networkx can't read."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
-    return FormatError(f"expected {what}, {source.format_path(name)} can't be read: {reason}")
+    return FormatError(
+        f"expected {format_name}, {source.format_path(name)} can't be read: {reason}"
+    )
 
 
 def _from_networkx(nx_graph: networkx.Graph[Any], name: str) -> RouteGraph:

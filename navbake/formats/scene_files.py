@@ -135,7 +135,7 @@ def find_inputs(
             raise SceneError(message, path=str(path)) from error
         return os.path.isfile(path)
 
-    def read(path: Path) -> bytes:
+    def read_file(path: Path) -> bytes:
         """Return the content of a file; empty if it can't be read."""
         if exists(path):
             with suppress(OSError):
@@ -159,34 +159,34 @@ def find_inputs(
             inputs.update(candidates)
 
     suffix = scene.suffix.lower()
-    elements = _list_elements(read(scene)) if suffix in XML_SUFFIXES else []
+    elements = _list_elements(read_file(scene)) if suffix in XML_SUFFIXES else []
     if elements and elements[0].name == "robot":
         packages = RosPackages(folders)
         meshes = [element for element in elements if element.name == "mesh"]
         for name in dict.fromkeys(mesh.attributes.get("filename", "") for mesh in meshes):
             add_existing(list_mesh_paths(scene, name, packages), only_first=True)
     elif elements:
-        for candidates in _list_mjcf_paths(scene, read, with_textures):
+        for candidates in _list_mjcf_paths(scene, read_file, with_textures):
             add_existing(candidates)
     if suffix in SDF_SUFFIXES | USD_SUFFIXES:
-        unread = [scene]
+        unread_files = [scene]
         read_files = set[Path]()
-        while unread:
-            file = unread.pop()
+        while unread_files:
+            file = unread_files.pop()
             if file in read_files:
                 continue
             read_files.add(file)
-            content = read(file)
+            content = read_file(file)
             if suffix in USD_SUFFIXES:
                 candidate_lists = _list_usd_paths(file, with_textures) if content else []
             else:
                 candidate_lists = _list_sdf_inputs(file, content, folders, with_textures)
             for candidates in candidate_lists:
                 add_existing(candidates)
-                unread += [path for path in candidates if exists(path)]
+                unread_files += [path for path in candidates if exists(path)]
     for mesh in [scene, *inputs]:
         if mesh.suffix.lower() == ".gltf":
-            for uri in _list_buffer_names(read(mesh)):
+            for uri in _list_buffer_names(read_file(mesh)):
                 names = {uri, uri.strip(), unquote(uri)}
                 add_existing(mesh.parent / name for name in names)
     return [scene, *sorted(inputs - {scene})]
@@ -371,7 +371,7 @@ class _MjcfFile(NamedTuple):
 
 
 def _list_mjcf_paths(
-    scene: Path, read: Callable[[Path], bytes], with_textures: bool
+    scene: Path, read_file: Callable[[Path], bytes], with_textures: bool
 ) -> list[list[Path]]:
     """Return, for each file that MJCF names, its possible paths.
 
@@ -382,11 +382,11 @@ def _list_mjcf_paths(
     file_attributes = ALL_FILE_ATTRIBUTES if with_textures else FILE_ATTRIBUTES
     names: dict[tuple[tuple[Path, ...], str], None] = {}  # (folders of the name, name), ordered
     compiler_folders = {""}
-    unread = [_MjcfFile(scene, scene.parent)]
+    unread_files = [_MjcfFile(scene, scene.parent)]
     read_files = set[tuple[str, ...]]()
     elements_of_file = dict[str, list[StartTag]]()
-    while unread:
-        file = unread.pop()
+    while unread_files:
+        file = unread_files.pop()
         real_path = os.path.realpath(file.path)
         # a file is searched again where its names are relative to other folders
         identity = (
@@ -398,8 +398,8 @@ def _list_mjcf_paths(
             continue
         read_files.add(identity)
         if real_path not in elements_of_file:
-            elements_of_file[real_path] = _list_elements(read(file.path))
-        bases = tuple(dict.fromkeys((scene.parent, file.model_folder, file.path.parent)))
+            elements_of_file[real_path] = _list_elements(read_file(file.path))
+        base_folders = tuple(dict.fromkeys((scene.parent, file.model_folder, file.path.parent)))
         included_files: dict[_MjcfFile, None] = {}
         for element in elements_of_file[real_path]:
             for key in folder_attributes:
@@ -411,14 +411,14 @@ def _list_mjcf_paths(
                 name = _replace_backslashes(element.attributes.get(key, ""))
                 if not name or "\0" in name:
                     continue
-                names[bases, name] = None
+                names[base_folders, name] = None
                 is_xml = Path(name).suffix.lower() in XML_SUFFIXES
                 if element.name not in MODEL_ELEMENTS and not is_xml:
                     continue
-                for path in _list_paths(bases, [""], name):
+                for path in _list_paths(base_folders, [""], name):
                     model_folder = file.model_folder if element.name == "include" else path.parent
                     included_files[_MjcfFile(path, model_folder)] = None
-        unread += included_files
+        unread_files += included_files
     folders = sorted(compiler_folders)
     if len(names) * len(folders) > MAX_CANDIDATES:
         raise SceneError(
@@ -426,10 +426,10 @@ def _list_mjcf_paths(
             "be: too many to look for all",
             path=str(scene),
         )
-    return [_list_paths(bases, folders, name) for bases, name in names]
+    return [_list_paths(base_folders, folders, name) for base_folders, name in names]
 
 
-def _list_paths(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:
+def _list_paths(base_folders: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:
     """Return the possible paths of a file that MJCF names.
 
     The file may also be looked for without the folders in its name (`strippath` of the compiler).
@@ -437,15 +437,15 @@ def _list_paths(bases: Iterable[Path], folders: Iterable[str], name: str) -> lis
     while the system follows the link; so both paths are returned.
 
     Args:
-        bases: the folders that the name may be relative to.
+        base_folders: the folders that the name may be relative to.
         folders: the compiler's folders of files, relative to these; "" for none.
         name: the name.
     """
     paths: dict[Path, None] = {}  # an ordered set
     for folder in folders:
         for file_name in dict.fromkeys((name, os.path.basename(name))):
-            for base in bases:
-                path = base / folder / file_name
+            for base_folder in base_folders:
+                path = base_folder / folder / file_name
                 paths[path] = None
                 if os.pardir in path.parts:
                     paths[Path(os.path.normpath(path))] = None

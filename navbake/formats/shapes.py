@@ -246,45 +246,45 @@ def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
         anticlockwise and holes clockwise. The outer ring of a part comes before its holes.
     """
     padded = np.pad(parts, 1)
-    part = padded.ravel()  # of each cell, by flat index
+    part_of_cell = padded.ravel()  # of each cell, by flat index
     width = padded.shape[1]
     # directions 0 to 3 lead east, north, west, south, along a cell's south, east, north, west
     # side; a left turn adds 1
     ahead_offset = np.array([1, -width, -1, width])
     right_offset = np.array([width, 1, -width, -1])
-    cell, direction = np.divmod(np.arange(4 * part.size), 4)
-    right_part = part[(cell + right_offset[direction]) % part.size]
-    steps = np.flatnonzero((part[cell] > 0) & (part[cell] != right_part))
-    cell = cell[steps]
-    direction = direction[steps]
+    cells, directions = np.divmod(np.arange(4 * part_of_cell.size), 4)
+    right_part = part_of_cell[(cells + right_offset[directions]) % part_of_cell.size]
+    steps = np.flatnonzero((part_of_cell[cells] > 0) & (part_of_cell[cells] != right_part))
+    cells = cells[steps]
+    directions = directions[steps]
 
-    cell_ahead = cell + ahead_offset[direction]
-    cell_ahead_right = cell_ahead + right_offset[direction]
-    turns_right = part[cell_ahead_right] == part[cell]
-    goes_on = part[cell_ahead] == part[cell]
-    next_cell = np.where(turns_right, cell_ahead_right, np.where(goes_on, cell_ahead, cell))
+    cell_ahead = cells + ahead_offset[directions]
+    cell_ahead_right = cell_ahead + right_offset[directions]
+    turns_right = part_of_cell[cell_ahead_right] == part_of_cell[cells]
+    goes_on = part_of_cell[cell_ahead] == part_of_cell[cells]
+    next_cell = np.where(turns_right, cell_ahead_right, np.where(goes_on, cell_ahead, cells))
     turn = np.where(turns_right, 3, np.where(goes_on, 0, 1))
-    next_direction = (direction + turn) % 4
+    next_direction = (directions + turn) % 4
     next_step = np.searchsorted(steps, 4 * next_cell + next_direction).tolist()
-    is_corner = (next_direction != direction).tolist()
+    is_corner = (next_direction != directions).tolist()
 
     # the corner where a step ends; the border doesn't count
-    row, col = np.divmod(cell, width)
-    end_row = row + np.array([0, -1, -1, 0])[direction]
-    end_col = col + np.array([0, 0, -1, -1])[direction]
+    row, col = np.divmod(cells, width)
+    end_row = row + np.array([0, -1, -1, 0])[directions]
+    end_col = col + np.array([0, 0, -1, -1])[directions]
     ends = np.stack([end_row, end_col], axis=1)
     is_done = np.zeros(len(steps), dtype=np.bool_)
-    for first in np.flatnonzero(direction == 2).tolist():  # each ring has a side to the north
-        if is_done[first]:
+    for first_step in np.flatnonzero(directions == 2).tolist():  # each ring has a side to the north
+        if is_done[first_step]:
             continue
         ring = []
-        step = first
+        step = first_step
         while not is_done[step]:
             is_done[step] = True
             if is_corner[step]:
                 ring.append(step)
             step = next_step[step]
-        yield int(part[cell[first]]), ends[ring]
+        yield int(part_of_cell[cells[first_step]]), ends[ring]
 
 
 # ---------------------------------------------------------------- files
@@ -318,12 +318,12 @@ def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
         else:
             geometry = {"type": "MultiPolygon", "coordinates": polygons}
         features.append({"type": "Feature", "geometry": geometry, "properties": shape.properties})
-    about = {
+    file_info = {
         "sceneId": grid.scene_id,
         "frame": "world x, y in metres",
         "cellSize": grid.levels[0].lattice.cell_size,
     }
-    return {"type": "FeatureCollection", "navbake": about, "features": features}
+    return {"type": "FeatureCollection", "navbake": file_info, "features": features}
 
 
 def _close_ring(ring: Float) -> list[list[float]]:
@@ -410,10 +410,10 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
             level = int(level)
         is_level = level != "" if isinstance(level, str) else type(level) is int and level >= 0
         place.check(is_level, "a level's number from 0, or its name, at `properties.level`", level)
-        is_flag = isinstance(outdoors, bool | None)
-        place.check(is_flag, "true or false at `properties.outdoors`", outdoors)
-        kind = geometry.get("type") if isinstance(geometry, dict) else None
-        points, *rings = _read_rings(geometry, kind, place)
+        is_flag_or_missing = isinstance(outdoors, bool | None)
+        place.check(is_flag_or_missing, "true or false at `properties.outdoors`", outdoors)
+        geometry_type = geometry.get("type") if isinstance(geometry, dict) else None
+        points, *rings = _read_rings(geometry, geometry_type, place)
         outlines.append(
             {
                 "name": name,
@@ -451,17 +451,17 @@ def read_links_or_areas(path: str | os.PathLike[str], section: str) -> list[Json
             continue
         place = _FeaturePlace(str(path), f"feature {number}")
         geometry = feature.get("geometry")
-        kind = geometry.get("type") if isinstance(geometry, dict) else None
+        geometry_type = geometry.get("type") if isinstance(geometry, dict) else None
         properties = feature.get("properties")
         is_object = isinstance(properties, dict | None)
         place.check(is_object, "an object at `properties`", properties)
         entry = dict(properties or {})
         if section == "links" and geometry is not None:
-            is_line = kind in ("LineString", "MultiPoint")
-            place.check(is_line, "a LineString or MultiPoint", kind)
+            is_line = geometry_type in ("LineString", "MultiPoint")
+            place.check(is_line, "a LineString or MultiPoint", geometry_type)
             entry["stops"] = geometry.get("coordinates")
         elif geometry is not None:
-            polygon, *rings = _read_rings(geometry, kind, place)
+            polygon, *rings = _read_rings(geometry, geometry_type, place)
             entry["polygon"] = polygon
             entry["rings"] = rings
         entries.append(entry)
@@ -509,23 +509,23 @@ def _read_features(path: str | os.PathLike[str], *, accepts_lists: bool = False)
     content, _ = read_json(path, expected="a GeoJSON FeatureCollection")
     if accepts_lists and isinstance(content, list):
         return content
-    kind = content.get("type") if isinstance(content, dict) else None
-    features = [content] if kind == "Feature" else None
-    if kind == "FeatureCollection":
+    content_type = content.get("type") if isinstance(content, dict) else None
+    features = [content] if content_type == "Feature" else None
+    if content_type == "FeatureCollection":
         features = content.get("features")
     file_place = _FeaturePlace(str(path), "")
-    file_place.check(isinstance(features, list), "a GeoJSON FeatureCollection", kind)
+    file_place.check(isinstance(features, list), "a GeoJSON FeatureCollection", content_type)
     return features or []
 
 
 def _read_rings(
-    geometry: JsonValue, kind: JsonValue, place: _FeaturePlace
+    geometry: JsonValue, geometry_type: JsonValue, place: _FeaturePlace
 ) -> list[list[list[float]]]:
     """Return all rings of a Polygon or MultiPolygon, the first outline first."""
-    is_polygon = kind in ("Polygon", "MultiPolygon")
-    place.check(is_polygon, "a Polygon or MultiPolygon", kind)
+    is_polygon = geometry_type in ("Polygon", "MultiPolygon")
+    place.check(is_polygon, "a Polygon or MultiPolygon", geometry_type)
     polygons = geometry.get("coordinates")
-    if kind == "Polygon":
+    if geometry_type == "Polygon":
         polygons = [polygons]
     are_lists = isinstance(polygons, list) and all(isinstance(part, list) for part in polygons)
     place.check(are_lists, "lists of rings at `coordinates`", polygons)

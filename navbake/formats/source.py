@@ -100,7 +100,7 @@ def _format_system_error(error: Exception) -> str:
 def read_bytes(
     source: Source,
     *,
-    begins: bytes | tuple[bytes, ...] = b"",
+    beginnings: bytes | tuple[bytes, ...] = b"",
     expected: str = "",
     remedy: str = "",
 ) -> tuple[bytes, str]:
@@ -108,9 +108,9 @@ def read_bytes(
 
     Args:
         source: a path, the file's content, or the file opened in binary mode.
-        begins: the first bytes that the file must have, or a tuple of possible ones; b"" for any.
-            At most 1 MiB is read of a file that begins differently: it may be a device that never
-            ends.
+        beginnings: the first bytes that the file must have, or a tuple of possible ones; b"" for
+            any. At most 1 MiB is read of a file that begins differently: it may be a device that
+            never ends.
         expected: a description of the expected file, for errors.
         remedy: what to do about a wrong file, for errors.
 
@@ -140,21 +140,21 @@ def read_bytes(
                 f"expected a file, got the folder {format_path(name)}", path=name, expected="a file"
             )
         with nullcontext(cast("BinaryIO", stream)) if path is None else open(path, "rb") as file:
-            data = file.read(FIRST_BYTES)
-            if not isinstance(data, bytes):
-                got = "text" if isinstance(data, str) else describe_type(data)
+            content = file.read(FIRST_BYTES)
+            if not isinstance(content, bytes):
+                got = "text" if isinstance(content, str) else describe_type(content)
                 JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
-            if not data.startswith(begins):
-                got = _format_beginning(data)
+            if not content.startswith(beginnings):
+                got = _format_beginning(content)
                 JsonPath(name).fail(f"expected {expected}, got {got}", remedy, expected=expected)
-            pieces = [data]
-            size = len(data)
-            while piece := file.read(16 * FIRST_BYTES):
-                pieces.append(piece)
-                size += len(piece)
+            chunks = [content]
+            size = len(content)
+            while chunk := file.read(16 * FIRST_BYTES):
+                chunks.append(chunk)
+                size += len(chunk)
                 if size > MAX_BYTES:
                     JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
-            return b"".join(pieces), name
+            return b"".join(chunks), name
     except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
         message = f"cannot read {format_path(name)}: {_format_system_error(error)}"
         raise FormatError(message, path=name) from error
@@ -162,8 +162,8 @@ def read_bytes(
 
 def _format_beginning(text: bytes) -> str:
     """Format the beginning of a text for messages."""
-    begin = text[:FIRST_BYTES].removeprefix(BOM).lstrip(b" \t\r\n")[:8]
-    return f"{format_value(begin)[1:]}…" if begin else "nothing"
+    beginning = text[:FIRST_BYTES].removeprefix(BOM).lstrip(b" \t\r\n")[:8]
+    return f"{format_value(beginning)[1:]}…" if beginning else "nothing"
 
 
 def unpack(data: bytes, name: str) -> bytes:
@@ -176,20 +176,20 @@ def unpack(data: bytes, name: str) -> bytes:
     Raises:
         FormatError: the packed data are broken, or unpack to more than an `Allowance` of text.
     """
-    kind, open_packed = OPENERS.get(data[:2], ("", None))
+    packing, open_packed = OPENERS.get(data[:2], ("", None))
     if open_packed is None:
         return data
     allowance = Allowance(len(data), "max_cells")
-    pieces = []
+    chunks = []
     try:
         with open_packed(io.BytesIO(data)) as unpacked:
-            while piece := unpacked.read(16 * FIRST_BYTES):
-                allowance.take_text(len(piece), JsonPath(name))
-                pieces.append(piece)
+            while chunk := unpacked.read(16 * FIRST_BYTES):
+                allowance.take_text(len(chunk), JsonPath(name))
+                chunks.append(chunk)
     except (EOFError, OSError, zlib.error) as error:
-        message = f"broken {kind} data in {name}: {_format_system_error(error)}"
+        message = f"broken {packing} data in {name}: {_format_system_error(error)}"
         raise FormatError(message, path=name) from error
-    return b"".join(pieces)
+    return b"".join(chunks)
 
 
 def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
@@ -205,7 +205,7 @@ def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
     Raises:
         FormatError: the file can't be read, or is no JSON object.
     """
-    begins = (b"{", GZIP_MAGIC, BOM, b" ", b"\t", b"\r", b"\n")
+    beginnings = (b"{", GZIP_MAGIC, BOM, b" ", b"\t", b"\r", b"\n")
     remedy = NAVGRID_REMEDY
     path = str(source) if isinstance(source, str | os.PathLike) else ""
     if path.lower().endswith((".yaml", ".yml")):
@@ -215,7 +215,7 @@ def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
             f"of settings, `navbake bake {shown_path}` makes one, of a map of nav2, "
             f"`navbake convert {shown_path} {grid_path}`"
         )
-    text, name = read_bytes(source, begins=begins, expected=NAVGRID_TEXT, remedy=remedy)
+    text, name = read_bytes(source, beginnings=beginnings, expected=NAVGRID_TEXT, remedy=remedy)
     num_bytes = len(text)
     top = JsonPath(name)
     text = unpack(text, name).removeprefix(BOM)
@@ -240,14 +240,14 @@ def parse_json(content: bytes | memoryview, place: JsonPath) -> JsonValue:
     try:
         return orjson.loads(content)
     except orjson.JSONDecodeError as error:
-        near = error.doc[error.pos : error.pos + 9].lstrip("-")
-        is_constant = near[:3] in ("NaN", "Inf")
+        text_at_fault = error.doc[error.pos : error.pos + 9].lstrip("-")
+        is_constant = text_at_fault[:3] in ("NaN", "Inf")
         hint = "NaN and Infinity are no JSON, write null" if is_constant else None
         file = f"`{place.path}` of {place.file}" if place.path else place.file
-        line = f"line {error.lineno}, column {error.colno}"
-        message = f"broken JSON in {file}, {line}: {error.msg}"
+        place_text = f"line {error.lineno}, column {error.colno}"
+        message = f"broken JSON in {file}, {place_text}: {error.msg}"
         raise FormatError(
-            f"{message}; {hint}" if hint else message, path=place.file, place=line, hint=hint
+            f"{message}; {hint}" if hint else message, path=place.file, place=place_text, hint=hint
         ) from error
 
 
@@ -306,16 +306,16 @@ class Pixels(NamedTuple):
     """The pixels of an image, row 0 at the top.
 
     Attributes:
-        light: the sum of red, green and blue, shape (height, width), uint16 or uint32.
-        white: the largest value of each channel, 255 or 65535.
+        channel_sum: the sum of red, green and blue, shape (height, width), uint16 or uint32.
+        max_channel: the largest value of each channel, 255 or 65535.
         opacity: the opacity of each pixel, 0 to 255, shape (height, width), uint8; None if the
             image has none.
         luma: luma by Rec. 601, 0 to 255, shape (height, width), uint8. It equals what
             GraphicsMagick computes with quanta of 16 bits.
     """
 
-    light: NDArray[Any]
-    white: int
+    channel_sum: NDArray[Any]
+    max_channel: int
     opacity: NDArray[np.uint8] | None
     luma: NDArray[np.uint8]
 
@@ -335,15 +335,15 @@ def open_image(
     Raises:
         FormatError: the file can't be read, is of another kind, broken or too large.
     """
-    begins = tuple(beginning for kind in kinds for beginning in IMAGE_BEGINNINGS[kind])
-    names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
-    data, name = read_bytes(source, begins=begins, expected=f"a {names} image")
-    allowance = Allowance(len(data))
+    beginnings = tuple(beginning for kind in kinds for beginning in IMAGE_BEGINNINGS[kind])
+    kind_names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
+    content, name = read_bytes(source, beginnings=beginnings, expected=f"a {kind_names} image")
+    allowance = Allowance(len(content))
     place = JsonPath(name)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the pixels are counted here
-            image = Image.open(io.BytesIO(data), formats=kinds)
+            image = Image.open(io.BytesIO(content), formats=kinds)
             allowance.take_cells(image.size, place)
             allowance.take_array(image.size, BYTES_PER_PIXEL, place)
             image.load()
@@ -351,10 +351,10 @@ def open_image(
     except FormatError:
         raise
     except Exception as error:  # Pillow and zlib raise many types for a broken image
-        why = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
         if isinstance(error, PIL.UnidentifiedImageError):  # its text has an address in memory
-            why = "its header is broken"
-        message = f"{format_path(name)} is no image that can be read: {why}"
+            reason = "its header is broken"
+        message = f"{format_path(name)} is no image that can be read: {reason}"
         raise FormatError(message, path=name) from error
 
 
@@ -362,7 +362,7 @@ def read_pixels(source: str | os.PathLike[str]) -> Pixels:
     """Read the pixels of a PGM, PNG or BMP of any depth.
 
     Raises:
-        FormatError: see `open_image`.
+        FormatError: the file can't be read, is no PGM, PNG or BMP, broken or too large.
     """
     image = open_image(source)
     if image.mode in ("I", "I;16", "I;16B", "I;16L"):
@@ -390,11 +390,11 @@ def encode_image(pixels: NDArray[np.uint8], kind: str, **texts: str) -> bytes:
     Returns:
         The content of the file.
     """
-    notes = PngImagePlugin.PngInfo()
+    text_chunks = PngImagePlugin.PngInfo()
     for keyword, text in texts.items():
-        notes.add_text(keyword, text)
+        text_chunks.add_text(keyword, text)
     file = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(file, kind, pnginfo=notes)
+    Image.fromarray(np.ascontiguousarray(pixels)).save(file, kind, pnginfo=text_chunks)
     return file.getvalue()
 
 
@@ -420,14 +420,16 @@ def read_header(
         FormatError: a line is missing, or its numbers are not those that are expected.
     """
     lines = dict(defaults or {})
-    start = 0
+    line_start = 0
     while "data" not in lines:
-        end = data.find(b"\n", start, MAX_HEADER)
-        if end < 0:
+        line_stop = data.find(b"\n", line_start, MAX_HEADER)
+        if line_stop < 0:
             raise FormatError(f"no line `data` ends the header of {source}", path=source)
-        first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
-        lines[first] = words
-        start = end + 1
+        first_word, *words = data[line_start:line_stop].decode(
+            "ascii", errors="replace"
+        ).split() or [""]
+        lines[first_word] = words
+        line_start = line_stop + 1
     line_numbers = []
     for name, (count, number_type) in numbers.items():
         if name not in lines:
@@ -451,7 +453,7 @@ def read_header(
                 expected=expected,
             )
         line_numbers.append(values)
-    return lines, line_numbers, start
+    return lines, line_numbers, line_start
 
 
 # ---------------------------------------------------------------- writing
@@ -499,23 +501,27 @@ def write_files(files: Files) -> list[Path]:
     try:
         write_together(files)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-        why = _format_system_error(error)
+        reason = _format_system_error(error)
         if isinstance(error, FileNotFoundError):
             folders = {os.path.dirname(os.path.realpath(path)) for path in files}
-            missing = sorted(folder for folder in folders if not os.path.isdir(folder))
-            why = f"there is no folder {format_path(missing[0])}" if missing else why
-        message = f"cannot write {' and '.join(map(format_path, files))}: {why}"
+            missing_folders = sorted(folder for folder in folders if not os.path.isdir(folder))
+            reason = (
+                f"there is no folder {format_path(missing_folders[0])}"
+                if missing_folders
+                else reason
+            )
+        message = f"cannot write {' and '.join(map(format_path, files))}: {reason}"
         raise FormatError(message, path=str(next(iter(files), ""))) from error
     return list(files)
 
 
-def import_extra(name: str, extra: str = "convert", what: str = "this") -> ModuleType:
+def import_extra(name: str, extra: str = "convert", feature: str = "this") -> ModuleType:
     """Import a module of an optional library.
 
     Args:
         name: the module's dotted name.
         extra: the extra of navbake that installs it.
-        what: what needs the library; the beginning of the error.
+        feature: what needs the library, such as ``MCAP``; the beginning of the error.
 
     Returns:
         The module.
@@ -526,5 +532,5 @@ def import_extra(name: str, extra: str = "convert", what: str = "this") -> Modul
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        message = f'{what} needs {name.partition(".")[0]}: pip install "navbake[{extra}]"'
+        message = f'{feature} needs {name.partition(".")[0]}: pip install "navbake[{extra}]"'
         raise MissingDependencyError(message) from error

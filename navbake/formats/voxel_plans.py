@@ -55,24 +55,24 @@ def read_voxel_plan(
             expected=expected,
         )
     check_choice(unknown, UNKNOWN_VALUES, "unknown", FormatError)
-    low, high = height
+    low_z, high_z = height
     voxels = read_voxels(path)
-    lowest = float(voxels.origin[2])
-    highest = lowest + voxels.shape[2] * voxels.res
-    if math.isinf(low) or low >= highest or high <= lowest:
-        expected = f"heights in those of the voxels, {lowest:.6g} to {highest:.6g} m"
+    bottom_z = float(voxels.origin[2])
+    top_z = bottom_z + voxels.shape[2] * voxels.res
+    if math.isinf(low_z) or low_z >= top_z or high_z <= bottom_z:
+        expected = f"heights in those of the voxels, {bottom_z:.6g} to {top_z:.6g} m"
         raise FormatError(
-            f"expected {expected}, got {low:g} to {high:g} (--height LOW:HIGH)",
+            f"expected {expected}, got {low_z:g} to {high_z:g} (--height LOW:HIGH)",
             path=str(path),
             key="height",
             value=height,
             expected=expected,
         )
-    is_occupied = cut_band(voxels, low, high) != 0
-    known = np.ones(voxels.shape, dtype=bool) if voxels.known is None else voxels.known
-    known_voxels = VoxelGrid(values=known, origin=voxels.origin, res=voxels.res)
-    is_known = cut_band(known_voxels, low, high) != 0
+    is_occupied = cut_band(voxels, low_z, high_z) != 0
+    known_values = np.ones(voxels.shape, dtype=bool) if voxels.known is None else voxels.known
+    known_voxels = VoxelGrid(values=known_values, origin=voxels.origin, res=voxels.res)
+    is_known = cut_band(known_voxels, low_z, high_z) != 0
     values = np.where(is_known, FREE, UNKNOWN_VALUES[unknown])
     values = np.where(is_occupied, OCCUPIED, values).astype(np.int8)
     metadata = {"sceneId": readable_stem(path)}
-    return level_from_values(values, lattice_of(voxels), low, metadata)
+    return level_from_values(values, lattice_of(voxels), low_z, metadata)

@@ -183,10 +183,10 @@ def map_ids(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
         return grid
     present_ids = grid.ids()
     if mapping == "compact":
-        new_ids = {old: new for new, old in enumerate(present_ids, 1)}
+        new_ids = {old_id: new_id for new_id, old_id in enumerate(present_ids, 1)}
     elif isinstance(mapping, Mapping):
-        new_ids = {int(old): int(new) for old, new in mapping.items()}
-        missing_ids = [old for old in present_ids if old not in new_ids]
+        new_ids = {int(old_id): int(new_id) for old_id, new_id in mapping.items()}
+        missing_ids = [old_id for old_id in present_ids if old_id not in new_ids]
         if missing_ids:
             message = f"the mapping lacks ID {missing_ids[0]}, which the voxels have"
             raise FormatError(message, key="mapping", value=missing_ids[0])
@@ -195,7 +195,7 @@ def map_ids(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
         raise FormatError(
             f"expected {expected}, got {mapping!r}", key="mapping", value=mapping, expected=expected
         )
-    invalid_ids = [new for new in new_ids.values() if not 0 <= new <= MAX_BYTE]
+    invalid_ids = [new_id for new_id in new_ids.values() if not 0 <= new_id <= MAX_BYTE]
     if invalid_ids:
         message = f"binvox holds values up to {MAX_BYTE}, and the mapping has {invalid_ids[0]}"
         if mapping == "compact":
@@ -333,7 +333,9 @@ def read_binvox(
             value=layout,
             expected=expected,
         )
-    data, name = read_bytes(source, begins=MAGIC, expected="a binvox file that begins with #binvox")
+    data, name = read_bytes(
+        source, beginnings=MAGIC, expected="a binvox file that begins with #binvox"
+    )
     header = _read_binvox_header(data, name)
     dim = header.dim
     nx, nz, ny = dim

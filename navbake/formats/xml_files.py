@@ -121,22 +121,22 @@ def _parse_standard(content: bytes) -> Element:
     builder = ElementTree.TreeBuilder()
     depth = 0
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
+    def start_element(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
         if depth > MAX_DEPTH:
             raise ValueError(f"more than {MAX_DEPTH} elements in elements")
         builder.start(tag, attributes)
 
-    def end(tag: str) -> None:
+    def end_element(tag: str) -> None:
         nonlocal depth
         depth -= 1
         builder.end(tag)
 
     parser = expat.ParserCreate()  # without a separator, it leaves namespaces alone
     parser.buffer_text = True
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
+    parser.StartElementHandler = start_element
+    parser.EndElementHandler = end_element
     parser.CharacterDataHandler = builder.data
     parser.Parse(content, True)
     return builder.close()
@@ -217,10 +217,10 @@ class _Parser:
         """Parse what begins with ``<``; return whether it ends the first element."""
         text = self._text
         if text.startswith(CDATA_START, self._position):
-            first = self._position + len(CDATA_START)
+            text_start = self._position + len(CDATA_START)
             self._skip_past(CDATA_END)
             if self._open_tags:
-                self._target.data(text[first : self._position - len(CDATA_END)])
+                self._target.data(text[text_start : self._position - len(CDATA_END)])
             return False
         for beginning, ending in PASSED_BY.items():
             if text.startswith(beginning, self._position):
@@ -274,8 +274,8 @@ class _Parser:
         tag = "" if name is None else name[0]
         expected = self._open_tags[-1] if self._open_tags else ""
         if not expected or tag != expected:
-            wanted = f"expected </{expected[:40]}>" if expected else "expected an element"
-            raise self._error(f"{wanted}, got </{tag[:40]}>")
+            wanted_text = f"expected </{expected[:40]}>" if expected else "expected an element"
+            raise self._error(f"{wanted_text}, got </{tag[:40]}>")
         self._skip_past(">")
         self._target.end(tag)
         self._open_tags.pop()

@@ -179,7 +179,7 @@ class _BuildingReader:
                 f"{self._path} is in wgs84 without a projection: expected the parameter "
                 "`generate_crs`, such as generate_crs: [1, 'EPSG:32632'], got nothing"
             )
-        pyproj = import_extra("pyproj", what="a building in wgs84")
+        pyproj = import_extra("pyproj", feature="a building in wgs84")
         try:
             crs = pyproj.CRS.from_user_input(str(crs_name))
             units = {axis.unit_name for axis in crs.axis_info}

@@ -88,9 +88,9 @@ def _read_brightness(file: Path, white: float | None = None) -> Float:
         pixels = read_pixels(file)
     except FormatError as error:
         raise SceneError(str(error)) from error
-    brightness: Float = pixels.light.astype(np.float64)
+    brightness: Float = pixels.channel_sum.astype(np.float64)
     if white is not None:
-        brightness *= white / (3.0 * pixels.white)
+        brightness *= white / (3.0 * pixels.max_channel)
     return brightness
 
 
