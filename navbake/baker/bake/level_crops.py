@@ -90,8 +90,8 @@ def make_grid_door(
         leaf,
         cells,
         windows=baked_structure.boxes.windows,
-        width=baked_structure.lattice.width,
-        wanted=config.doors.state,
+        num_cols=baked_structure.lattice.width,
+        wanted_state=config.doors.state,
     )
     return GridDoor(door, door_to_json(door), is_stuck(cells))
 

@@ -90,7 +90,7 @@ def make_occupancy_test(
         cells are occupied.
     """
     point_agent = config.agent.model_copy(update={"radius": 0.0})
-    footprint = Footprint.of(point_agent, columns.lattice.cell_size)
+    footprint = Footprint.for_agent(point_agent, columns.lattice.cell_size)
 
     def is_occupied(cells: Int, floors: Float, heights: HeightRange | None = None, /) -> Bool:
         volume = footprint if heights is None else footprint.between(heights)

@@ -38,7 +38,7 @@ from navbake.baker.columns.columns import Columns, ColumnSource, ShapeSource
 from navbake.baker.core.clock import Progress, StageClock
 from navbake.baker.doors.doors import (
     ClassifiedLeaf,
-    DoorContext,
+    DoorInputs,
     classify_leaves,
     mark_obstacle_geoms,
     select_doors,
@@ -53,7 +53,11 @@ from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.occupants.kinds import mark_wall_candidates
 from navbake.baker.occupants.lost_floors import find_lost_floors
-from navbake.baker.occupants.movable import MovableContext, MovableOccupants, find_movable_occupants
+from navbake.baker.occupants.movable import (
+    MovableOccupants,
+    MovableSearchInputs,
+    find_movable_occupants,
+)
 from navbake.baker.occupants.standing import (
     StandingCells,
     StandingOccupants,
@@ -164,7 +168,7 @@ class Stages:
     @cached_property
     def footprint(self) -> Footprint:
         """The volume over a cell's floor that has to be free for an agent."""
-        return Footprint.of(self.config.agent, self.lattice.cell_size)
+        return Footprint.for_agent(self.config.agent, self.lattice.cell_size)
 
     @cached_property
     def extended_lattice(self) -> FloorLattice:
@@ -347,9 +351,9 @@ class Stages:
             )
 
     @property
-    def door_context(self) -> DoorContext:
+    def door_inputs(self) -> DoorInputs:
         """The columns, floors and rooms on which the classification of leaves depends."""
-        return DoorContext(
+        return DoorInputs(
             columns=self.column_blocks,
             floors=self.floors.levels,
             rooms=self.rooms,
@@ -363,10 +367,10 @@ class Stages:
         Each has the mark `is_door`, the rooms that it connects, and the cells that it blocks in
         each state.
         """
-        context = self.door_context
+        inputs = self.door_inputs
         leaf_cells = self.leaf_cells
         with self.clock.stage("doors"):
-            return classify_leaves(leaf_cells, context)
+            return classify_leaves(leaf_cells, inputs)
 
     # ------------------------------------------------------------ occupants that can move
 
@@ -383,14 +387,14 @@ class Stages:
         depending on each door's state.
         """
         is_obstacle_geom = self.is_obstacle_geom
-        movable_context = self.movable_context
+        movable_inputs = self.movable_inputs
         with self.clock.stage("occupants"):
-            return find_movable_occupants(movable_context, self.scene.shapes, is_obstacle_geom)
+            return find_movable_occupants(movable_inputs, self.scene.shapes, is_obstacle_geom)
 
     @property
-    def movable_context(self) -> MovableContext:
+    def movable_inputs(self) -> MovableSearchInputs:
         """The floors and the occupancy of structure, over which movables are searched for."""
-        return MovableContext(
+        return MovableSearchInputs(
             lattice=self.lattice,
             floors=self.floors,
             standing=self.occupancy,

@@ -9,7 +9,7 @@ from navbake.baker.floors.levels import Floors
 from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.occupancy.volume_kernels import BLOCKING
-from navbake.baker.occupants.movable import MovableContext, find_movable_occupants
+from navbake.baker.occupants.movable import MovableSearchInputs, find_movable_occupants
 from navbake.baker.scene.collect import (
     CANT_COLLIDE,
     COLLIDES_IN_PAIRS,
@@ -78,8 +78,8 @@ def warn_uncounted(
         geom_ids=selections,
         meshes=scene.meshes,
     )
-    context = MovableContext(lattice, floors, occupancy, footprint, agent, scene.mover_of)
-    occupants = find_movable_occupants(context, shapes, is_candidate)
+    inputs = MovableSearchInputs(lattice, floors, occupancy, footprint, agent, scene.mover_of)
+    occupants = find_movable_occupants(inputs, shapes, is_candidate)
     num_blocked = np.zeros(len(is_candidate), dtype=np.int64)
     num_free = np.zeros(len(is_candidate), dtype=np.int64)
     for level_free, chunks in zip(free, occupants.entries, strict=True):

@@ -75,14 +75,21 @@ class ClassifiedLeaf:
         """For each level, the ids of the cells that the closed leaf blocks."""
         return self.blocked["closed"]
 
-    def state(self, wanted: str) -> str:
-        """Return `wanted` if the door has that state (all have ``removed``), else ``modelled``."""
-        return wanted if wanted == "removed" or wanted in self.blocked else "modelled"
+    def state(self, wanted_state: str) -> str:
+        """Return the wanted state if the door has it, else ``modelled``.
+
+        All doors have the state ``removed``.
+        """
+        return (
+            wanted_state
+            if wanted_state == "removed" or wanted_state in self.blocked
+            else "modelled"
+        )
 
 
 @dataclass(frozen=True)
-class DoorContext:
-    """The values on which the classification of leaves depends.
+class DoorInputs:
+    """The inputs on which it depends whether a leaf is a door.
 
     Attributes:
         columns: hits of structure on the vertical line through each cell's centre.
@@ -127,40 +134,42 @@ def mark_obstacle_geoms(scene: Scene, leaves: Sequence[ClassifiedLeaf], config: 
 # ---------------------------------------------------------------- which leaves are doors
 
 
-def classify_leaves(leaves: Sequence[LeafCells], context: DoorContext) -> list[ClassifiedLeaf]:
-    """Classify leaves (bodies that may be doors) as doors or not.
+def classify_leaves(leaves: Sequence[LeafCells], inputs: DoorInputs) -> list[ClassifiedLeaf]:
+    """Decide which leaves (bodies that may be doors) are doors.
 
     A leaf that a pattern of the settings or the scene file names as a door is always a door. All
     other leaves are doors if they stand between two rooms, or between a room and the outside.
 
     Args:
         leaves: all leaves, with the cells that they block.
-        context: floors and rooms.
+        inputs: floors and rooms.
 
     Returns:
         A classified leaf for each leaf, in the same order.
     """
     # For each level and cell, how many closed leaves block it
-    leaf_counts = [np.zeros(level.floor.size, dtype=np.int32) for level in context.floors]
+    leaf_counts = [np.zeros(level.floor.size, dtype=np.int32) for level in inputs.floors]
     for leaf in leaves:
-        for count, closed in zip(leaf_counts, leaf.blocked["closed"], strict=True):
-            count[closed] += 1
+        for level_leaf_counts, closed_cells in zip(
+            leaf_counts, leaf.blocked["closed"], strict=True
+        ):
+            level_leaf_counts[closed_cells] += 1
     with limit_threads(1):  # a door is too small to be worth more
-        return [_classify_leaf(leaf, leaf_counts, context) for leaf in leaves]
+        return [_classify_leaf(leaf, leaf_counts, inputs) for leaf in leaves]
 
 
 def _classify_leaf(
-    leaf_cells: LeafCells, leaf_counts: Sequence[Int32], context: DoorContext
+    leaf_cells: LeafCells, leaf_counts: Sequence[Int32], inputs: DoorInputs
 ) -> ClassifiedLeaf:
     """Decide whether a leaf is a door.
 
     Args:
         leaf_cells: the leaf, with the cells that it blocks.
         leaf_counts: for each level and cell, how many closed leaves block it.
-        context: floors and rooms.
+        inputs: floors and rooms.
     """
     leaf = leaf_cells.leaf
-    rooms = _rooms_beside(leaf, leaf_cells.blocked["closed"], leaf_counts, context)
+    rooms = _find_rooms_beside(leaf, leaf_cells.blocked["closed"], leaf_counts, inputs)
     is_door = rooms is not None or leaf.candidate.is_named
     return ClassifiedLeaf(
         leaf=leaf,
@@ -168,48 +177,48 @@ def _classify_leaf(
         rooms=rooms or (None, None),
         blocked=leaf_cells.blocked,
         blocked_squares=leaf_cells.blocked_squares,
-        carried_floor=_warn_carried_floor(leaf, context) if is_door else "",
+        carried_floor=_warn_carried_floor(leaf, inputs) if is_door else "",
     )
 
 
-def closes_same_cells(leaf_cells: LeafCells, former: ClassifiedLeaf) -> bool:
+def closes_same_cells(leaf_cells: LeafCells, former_leaf: ClassifiedLeaf) -> bool:
     """Return whether a door leaf moved without any effect on rooms and on its classification.
 
-    It did if, when closed, it blocks the same cells as before, the lines away from it meet the same
-    cells, and it is still named as a door, or still not.
+    That is so if all of these are the same as before: the cells that the closed leaf blocks, the
+    cells on the lines away from it, and whether it is named as a door.
 
     Args:
         leaf_cells: the leaf in its new pose.
-        former: the classified leaf in its previous pose.
+        former_leaf: the classified leaf in its previous pose.
     """
     lines = leaf_cells.leaf.lines
-    former_lines = former.leaf.lines
+    former_lines = former_leaf.leaf.lines
     if lines is None or former_lines is None:
         has_same_lines = lines is former_lines
     else:
         has_same_lines = all(map(np.array_equal, lines, former_lines))
     return (
         has_same_lines
-        and leaf_cells.leaf.candidate.is_named == former.candidate.is_named
-        and all(map(np.array_equal, leaf_cells.blocked["closed"], former.closed_cells))
+        and leaf_cells.leaf.candidate.is_named == former_leaf.candidate.is_named
+        and all(map(np.array_equal, leaf_cells.blocked["closed"], former_leaf.closed_cells))
     )
 
 
 def move_leaf(
-    leaf_cells: LeafCells, former: ClassifiedLeaf, context: DoorContext
+    leaf_cells: LeafCells, former_leaf: ClassifiedLeaf, inputs: DoorInputs
 ) -> ClassifiedLeaf:
-    """Return the classified leaf in its new pose, with the classification and rooms of the old one.
+    """Return a classified leaf in a new pose, with the classification and rooms of the old pose.
 
-    `closes_same_cells` has to be True for the leaf.
+    The new pose must close the same cells as the old one, see `closes_same_cells`.
 
     Args:
         leaf_cells: the leaf in its new pose.
-        former: the classified leaf in its previous pose.
-        context: floors and rooms.
+        former_leaf: the classified leaf in its previous pose.
+        inputs: floors and rooms.
     """
-    carried_floor = _warn_carried_floor(leaf_cells.leaf, context) if former.is_door else ""
+    carried_floor = _warn_carried_floor(leaf_cells.leaf, inputs) if former_leaf.is_door else ""
     return replace(
-        former,
+        former_leaf,
         leaf=leaf_cells.leaf,
         blocked=leaf_cells.blocked,
         blocked_squares=leaf_cells.blocked_squares,
@@ -217,8 +226,8 @@ def move_leaf(
     )
 
 
-def _rooms_beside(
-    leaf: Leaf, closed: Sequence[Int], leaf_counts: Sequence[Int32], context: DoorContext
+def _find_rooms_beside(
+    leaf: Leaf, closed_cells: Sequence[Int], leaf_counts: Sequence[Int32], inputs: DoorInputs
 ) -> RoomIds | None:
     """Find the rooms on both sides of a closed leaf, along lines away from it.
 
@@ -230,49 +239,62 @@ def _rooms_beside(
 
     Args:
         leaf: the leaf.
-        closed: for each level, ids of the cells that the closed leaf blocks.
+        closed_cells: for each level, ids of the cells that the closed leaf blocks.
         leaf_counts: for each level and cell, how many closed leaves block it.
-        context: floors and rooms.
+        inputs: floors and rooms.
 
     Returns:
         The ids of the two rooms, None for the outside. None instead of a pair if a side meets only
         a wall, if both sides have the same room, or if the leaf blocks no cell.
     """
-    num_closed = [len(cells) for cells in closed]
+    num_closed = [len(cells) for cells in closed_cells]
     if not any(num_closed) or leaf.lines is None:
         return None
-    level = int(np.argmax(num_closed))
-    sight = leaf.lines.sight  # (sides, lines, steps)
-    is_on_lattice = sight >= 0
-    cell = np.maximum(sight, 0)
-    is_visible = mark_visible(sight, context.rooms.open_cells[level], context.floors[level].floor)
+    level_number = int(np.argmax(num_closed))
+    sight_cells = leaf.lines.sight_cells  # (sides, lines, steps)
+    is_on_lattice = sight_cells >= 0
+    clipped_cells = np.maximum(sight_cells, 0)
+    is_visible = mark_visible(
+        sight_cells, inputs.rooms.open_cells[level_number], inputs.floors[level_number].floor
+    )
     if not is_visible.any(axis=(1, 2)).all():
         return None
-    num_other_leaves = leaf_counts[level][cell] - np.isin(cell, closed[level])
-    is_leaf = is_on_lattice & (num_other_leaves > 0)
-    is_before_leaves = is_visible & ~np.logical_or.accumulate(is_leaf, axis=-1)
-    room = np.where(is_on_lattice, context.rooms.index[level].ravel()[cell], 0)
-    has_room = room > 0
-    for seen in (is_before_leaves & has_room, is_visible & has_room, is_visible):
-        sides = [_room_in_sight(room[k], seen[k], level, context.rooms) for k in (0, 1)]
-        if sides[0] != sides[1]:
-            return sides[0], sides[1]
+    num_other_leaves = leaf_counts[level_number][clipped_cells] - np.isin(
+        clipped_cells, closed_cells[level_number]
+    )
+    is_other_leaf = is_on_lattice & (num_other_leaves > 0)
+    is_before_leaves = is_visible & ~np.logical_or.accumulate(is_other_leaf, axis=-1)
+    room_in_sight = np.where(
+        is_on_lattice, inputs.rooms.index[level_number].ravel()[clipped_cells], 0
+    )
+    has_room = room_in_sight > 0
+    for is_counted in (is_before_leaves & has_room, is_visible & has_room, is_visible):
+        side_rooms = [
+            _find_room_in_sight(room_in_sight[side], is_counted[side], level_number, inputs.rooms)
+            for side in (0, 1)
+        ]
+        if side_rooms[0] != side_rooms[1]:
+            return side_rooms[0], side_rooms[1]
     return None
 
 
-def _room_in_sight(room: Int, seen: Bool, level: int, rooms: Rooms) -> str | None:
+def _find_room_in_sight(
+    room_at_step: Int, is_counted: Bool, level_number: int, rooms: Rooms
+) -> str | None:
     """Return the id of the room in which most lines of a side end; None if most end in no room.
 
     Args:
-        room: index of the room at each step along each line, 0 for none, shape (lines, steps).
-        seen: a mask of the steps that count, shape (lines, steps); a line ends at its last one.
-        level: number of the level.
+        room_at_step: index of the room at each step along each line, 0 for none, shape (lines,
+            steps).
+        is_counted: a mask of the steps that count, shape (lines, steps); a line ends at its last
+            one.
+        level_number: number of the level.
         rooms: the rooms.
     """
-    last_step = seen.shape[-1] - 1 - seen[:, ::-1].argmax(axis=-1)
-    last_room = room[np.arange(len(last_step)), last_step]
-    line_rooms = np.where(seen.any(axis=-1), last_room, 0)
-    votes = Counter(rooms.id_of(level, index) for index in line_rooms.tolist())
+    last_step = is_counted.shape[-1] - 1 - is_counted[:, ::-1].argmax(axis=-1)
+    last_room = room_at_step[np.arange(len(last_step)), last_step]
+    line_rooms = np.where(is_counted.any(axis=-1), last_room, 0)
+    votes = Counter(rooms.id_of(level_number, index) for index in line_rooms.tolist())
     return max(votes, key=lambda room_id: (votes[room_id], room_id is not None, room_id or ""))
 
 
@@ -306,13 +328,15 @@ def find_door_cells(
         blocked_squares: the same for the cell's square alone, without the agent's disc: the cells
             whose square overlaps something other than a door. None if it would equal `blocked`.
     """
-    squares: CellsByState = {}
+    door_squares: CellsByState = {}
     if blocked_squares is not None:
-        squares = _drop_blocked(door.blocked_squares, blocked_squares)
-    return DoorCells(_drop_blocked(door.blocked, blocked), squares)
+        door_squares = _remove_blocked_cells(door.blocked_squares, blocked_squares)
+    return DoorCells(_remove_blocked_cells(door.blocked, blocked), door_squares)
 
 
-def _drop_blocked(cells_by_state: CellsByState, blocked: Sequence[Bool]) -> dict[str, list[Int]]:
+def _remove_blocked_cells(
+    cells_by_state: CellsByState, blocked: Sequence[Bool]
+) -> dict[str, list[Int]]:
     """Remove the cells that are blocked on their level.
 
     Args:
@@ -328,48 +352,54 @@ def _drop_blocked(cells_by_state: CellsByState, blocked: Sequence[Bool]) -> dict
     return free_cells
 
 
-def is_stuck(cells: DoorCells) -> bool:
+def is_stuck(door_cells: DoorCells) -> bool:
     """Return whether the open door still blocks most of the cells that the closed door blocks."""
-    closed = cells.blocked["closed"]
-    num_closed = sum(len(closed_cells) for closed_cells in closed)
+    cells_when_closed = door_cells.blocked["closed"]
+    num_closed = sum(len(closed_cells) for closed_cells in cells_when_closed)
     num_in_both = sum(
         len(np.intersect1d(closed_cells, open_cells))
-        for closed_cells, open_cells in zip(closed, cells.blocked["open"], strict=True)
+        for closed_cells, open_cells in zip(
+            cells_when_closed, door_cells.blocked["open"], strict=True
+        )
     )
     return num_in_both > 0 and num_in_both >= STUCK_SHARE * num_closed
 
 
 def make_door(
-    leaf: ClassifiedLeaf, cells: DoorCells, windows: Sequence[Window], width: int, wanted: str
+    leaf: ClassifiedLeaf,
+    door_cells: DoorCells,
+    windows: Sequence[Window],
+    num_cols: int,
+    wanted_state: str,
 ) -> Door:
     """Make a door of the grid.
 
     Args:
         leaf: a leaf that is a door.
-        cells: the cells that only the door blocks, ids on the whole lattice.
+        door_cells: the cells that only the door blocks, ids on the whole lattice.
         windows: for each level, the rows and columns of the whole lattice that the grid holds.
-        width: number of columns of the whole lattice.
-        wanted: the door's state; ``modelled`` is used if the door doesn't have that state.
+        num_cols: number of columns of the whole lattice.
+        wanted_state: the door's state; ``modelled`` is used if the door doesn't have that state.
     """
     return Door(
         id=leaf.candidate.id,
         joint=leaf.candidate.joint,
         rooms=leaf.rooms,
-        state=leaf.state(wanted),
-        cells=_to_windows(cells.blocked, windows, width),
-        solid=_to_windows(cells.blocked_squares, windows, width),
+        state=leaf.state(wanted_state),
+        cells=_to_cell_runs(door_cells.blocked, windows, num_cols),
+        solid=_to_cell_runs(door_cells.blocked_squares, windows, num_cols),
     )
 
 
-def _to_windows(
-    cells_by_state: CellsByState, windows: Sequence[Window], width: int
+def _to_cell_runs(
+    cells_by_state: CellsByState, windows: Sequence[Window], num_cols: int
 ) -> dict[str, dict[int, Runs]]:
     """Convert ids of cells on the whole lattice to ids in the grid, as runs of consecutive ids.
 
     Args:
         cells_by_state: state -> for each level, ids of cells on the whole lattice.
         windows: for each level, the rows and columns of the whole lattice that the grid holds.
-        width: number of columns of the whole lattice.
+        num_cols: number of columns of the whole lattice.
 
     Returns:
         State -> number of a level -> runs of cell ids in the level's grid; a level without such
@@ -377,12 +407,12 @@ def _to_windows(
     """
     runs_by_state: dict[str, dict[int, Runs]] = {}
     for state, cells_by_level in cells_by_state.items():
-        runs: dict[int, Runs] = {}
-        for number, (cells, window) in enumerate(zip(cells_by_level, windows, strict=True)):
-            window_cells, _ = crop_cells(cells, window, width)
+        runs_by_level: dict[int, Runs] = {}
+        for level_number, (cells, window) in enumerate(zip(cells_by_level, windows, strict=True)):
+            window_cells, _ = crop_cells(cells, window, num_cols)
             if len(window_cells):
-                runs[number] = to_runs(window_cells)
-        runs_by_state[state] = runs
+                runs_by_level[level_number] = to_runs(window_cells)
+        runs_by_state[state] = runs_by_level
     return runs_by_state
 
 
@@ -390,7 +420,7 @@ def _to_windows(
 
 
 def warn_doors(
-    doors: Sequence[ClassifiedLeaf], stuck_ids: Collection[str], wanted: str
+    doors: Sequence[ClassifiedLeaf], stuck_ids: Collection[str], wanted_state: str
 ) -> list[str]:
     """Return the warnings about doors.
 
@@ -400,39 +430,39 @@ def warn_doors(
     Args:
         doors: the doors.
         stuck_ids: ids of the doors that still block most of their cells when open, see `is_stuck`.
-        wanted: the state that the settings ask for.
+        wanted_state: the state that the settings ask for.
     """
-    stuck = [
+    stuck_warnings = [
         f"the open state of door {door.candidate.id!r} still closes its doorway, as its joint "
         f"opens it by {door.leaf.travel} only: check its range, whether the file means degrees or "
         "radians (`<compiler angle>`), and `grid.cell_size`"
         for door in doors
         if door.candidate.id in stuck_ids
     ]
-    without_joint = []
-    if wanted == "open":
-        without_joint = [
+    no_joint_warnings = []
+    if wanted_state == "open":
+        no_joint_warnings = [
             f"door {door.candidate.id!r} has no hinge or slide of its own: open, it is taken out "
             "of its opening"
             for door in doors
             if not door.candidate.positions
         ]
-    carrying_floor = [door.carried_floor for door in doors if door.carried_floor]
-    return stuck + without_joint + carrying_floor
+    carried_floor_warnings = [door.carried_floor for door in doors if door.carried_floor]
+    return stuck_warnings + no_joint_warnings + carried_floor_warnings
 
 
-def _warn_carried_floor(leaf: Leaf, context: DoorContext) -> str:
+def _warn_carried_floor(leaf: Leaf, inputs: DoorInputs) -> str:
     """Return the warning that an agent could walk on a door's top, in the first such state.
 
     Args:
         leaf: the door's geometry in each state.
-        context: floors and rooms.
+        inputs: floors and rooms.
 
     Returns:
         The warning, empty if `MIN_CARRIED_AREA` of the top or more is walkable in no state.
     """
     for state, shapes in leaf.tops.items():
-        area = _walkable_area(shapes, context)
+        area = _measure_walkable_area(shapes, inputs)
         if area >= MIN_CARRIED_AREA - LIMIT_SLACK:
             return (
                 f"door {leaf.candidate.id!r} carries {area:.1f} m² of floor {STATE_TEXTS[state]}, "
@@ -442,44 +472,47 @@ def _warn_carried_floor(leaf: Leaf, context: DoorContext) -> str:
     return ""
 
 
-def _walkable_area(shapes: Shapes, context: DoorContext) -> float:
+def _measure_walkable_area(shapes: Shapes, inputs: DoorInputs) -> float:
     """Return the area of a door's top that agents can walk on [m²]; 0 if no step leads there.
 
     Where the top is at most a step above the floor, like a mat's, it does not count.
 
     Args:
         shapes: the door's geometry in one state.
-        context: floors, rooms and the agent.
+        inputs: floors, rooms and the agent.
     """
-    lattice = context.rooms.lattice
-    agent = context.agent
+    lattice = inputs.rooms.lattice
+    agent = inputs.agent
     bounds = shapes.bounds
     window = None if bounds is None else lattice.window(bounds)
     if window is None:
         return 0.0
     rows, cols = window
-    top = find_standable_tops(shapes, lattice.cut(rows, cols), agent)
+    top_height = find_standable_tops(shapes, lattice.cut(rows, cols), agent)
     max_step = agent.traversable_floor_height + LIMIT_SLACK
-    floors = [level.floor[window] for level in context.floors]
+    floors = [level.floor[window] for level in inputs.floors]
     for floor in floors:
-        top[np.abs(top - floor) <= max_step] = np.nan  # a mat
-    row, col = np.nonzero(~np.isnan(top))
-    cells = (row + rows.start) * lattice.width + col + cols.start
-    heights = top[row, col]
+        top_height[np.abs(top_height - floor) <= max_step] = np.nan  # a mat
+    rows_of_top, cols_of_top = np.nonzero(~np.isnan(top_height))
+    cells = (rows_of_top + rows.start) * lattice.width + cols_of_top + cols.start
+    heights = top_height[rows_of_top, cols_of_top]
     is_covered = np.zeros(len(cells), dtype=np.bool_)  # by structure too low for an agent below it
     find_blocked_lines(
         cells,
         heights + LIMIT_SLACK,
         heights + agent.height - LIMIT_SLACK,
-        context.columns.covering(cells).hits,
+        inputs.columns.covering(cells).hits,
         is_covered,
         0,
         len(cells),
     )
-    top[row[is_covered], col[is_covered]] = np.nan
+    top_height[rows_of_top[is_covered], cols_of_top[is_covered]] = np.nan
     for floor in floors:
-        for first_side, second_side in NEIGHBOR_SLICES:
-            rises = [top[first_side] - floor[second_side], top[second_side] - floor[first_side]]
-            if (np.abs(np.stack(rises)) <= max_step).any():
-                return float(np.count_nonzero(~np.isnan(top))) * lattice.cell_size**2
+        for first_cells, second_cells in NEIGHBOR_SLICES:
+            height_differences = [
+                top_height[first_cells] - floor[second_cells],
+                top_height[second_cells] - floor[first_cells],
+            ]
+            if (np.abs(np.stack(height_differences)) <= max_step).any():
+                return float(np.count_nonzero(~np.isnan(top_height))) * lattice.cell_size**2
     return 0.0

@@ -1,8 +1,8 @@
 """Poses the leaves of doors in each of their states, and finds the cells that they block.
 
-A leaf is a body that may be a door, see `DoorCandidate`; those that turn out to be none are posed,
-too. The cells that a leaf blocks are found above the floors of structure, regardless of other
-geometry.
+A leaf is a body that may be a door, see `DoorCandidate`. All leaves are posed, also those that turn
+out to be no doors. The cells that a leaf blocks are found above the floors of structure, regardless
+of other geometry.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ class LeafWindow(NamedTuple):
 
     Attributes:
         window: the window's rows and columns of the whole lattice.
-        tiled: the leaf's geometry, by tiles of the window.
+        tiled_shapes: the leaf's geometry, by tiles of the window.
         columns: the leaf's hits on the vertical line through the centre of each cell of the window.
     """
 
     window: Window
-    tiled: TiledShapes
+    tiled_shapes: TiledShapes
     columns: Columns
 
 
@@ -197,11 +197,11 @@ def _pose_leaf(
     leaf_shapes = {state: candidate.only(shapes) for state, shapes in shapes_by_state.items()}
     windows = dict[str, LeafWindow | None]()
     # states at one position of the joint share what the first of them finds
-    state_at_position = dict[float | None, str]()
+    first_state_at_position = dict[float | None, str]()
     for state, shapes in leaf_shapes.items():
-        first_state = state_at_position.setdefault(candidate.position(state), state)
+        first_state = first_state_at_position.setdefault(candidate.position(state), state)
         if first_state == state:
-            windows[state] = _cast_near(shapes, lattice, reach)
+            windows[state] = _cast_near_shapes(shapes, lattice, reach)
         else:
             windows[state] = windows[first_state]
     # seen from above, most doors are too small to walk on, which is quickly found
@@ -212,19 +212,19 @@ def _pose_leaf(
             tops[state] = leaf_shapes[state]
     travel = ""
     if candidate.positions:
-        opened_by = abs(candidate.positions["open"] - candidate.positions["closed"])
+        opening_distance = abs(candidate.positions["open"] - candidate.positions["closed"])
         is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
-        travel = f"{np.degrees(opened_by):.3g}°" if is_hinge else f"{opened_by:.3g} m"
+        travel = f"{np.degrees(opening_distance):.3g}°" if is_hinge else f"{opening_distance:.3g} m"
     return Leaf(
         candidate=candidate,
         windows=windows,
-        lines=_draw_lines(extents_by_state["closed"], candidate.geoms, lattice, reach),
+        lines=_find_line_cells(extents_by_state["closed"], candidate.geoms, lattice, reach),
         tops=tops,
         travel=travel,
     )
 
 
-def _cast_near(shapes: Shapes, lattice: Lattice, reach: float) -> LeafWindow | None:
+def _cast_near_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> LeafWindow | None:
     """Find where the vertical lines of cells within `reach` [m] of shapes meet these shapes.
 
     Returns:
@@ -234,11 +234,13 @@ def _cast_near(shapes: Shapes, lattice: Lattice, reach: float) -> LeafWindow | N
     window = None if bounds is None else lattice.window(bounds, reach)
     if window is None:
         return None
-    tiled = tile_shapes(shapes, lattice.cut(*window), reach)
-    return LeafWindow(window, tiled, cast_columns(tiled))
+    tiled_shapes = tile_shapes(shapes, lattice.cut(*window), reach)
+    return LeafWindow(window, tiled_shapes, cast_columns(tiled_shapes))
 
 
-def _draw_lines(extents: Extents, geoms: Int, lattice: Lattice, reach: float) -> LeafLines | None:
+def _find_line_cells(
+    extents: Extents, geoms: Int, lattice: Lattice, reach: float
+) -> LeafLines | None:
     """Find the cells along lines away from the sides of a closed leaf, and on from its ends.
 
     Args:
@@ -254,30 +256,32 @@ def _draw_lines(extents: Extents, geoms: Int, lattice: Lattice, reach: float) ->
     center = extents.center[panel]
     if not np.isfinite(center).all():
         return None
-    across = extents.short_axis[panel]
-    along = np.array([-across[1], across[0]])
+    across_direction = extents.short_axis[panel]
+    along_direction = np.array([-across_direction[1], across_direction[0]])
     step = lattice.cell_size / 2
     both_sides = np.array([-1.0, 1.0])
 
     # lines of sight away from both sides: points of shape (sides, lines, steps, 2) [m]
-    length = max(SIGHT_LENGTH, reach + SIGHT_CELLS * lattice.cell_size)
-    distance = extents.short_side[panel] / 2 + np.arange(0.0, length, step)
-    start = center + along * np.array(SIGHT_OFFSETS)[:, None] * extents.long_side[panel]
-    direction = across * both_sides[:, None, None, None]
-    sight = start[:, None] + direction * distance[:, None]
+    sight_length = max(SIGHT_LENGTH, reach + SIGHT_CELLS * lattice.cell_size)
+    distances = extents.short_side[panel] / 2 + np.arange(0.0, sight_length, step)
+    start_points = (
+        center + along_direction * np.array(SIGHT_OFFSETS)[:, None] * extents.long_side[panel]
+    )
+    directions = across_direction * both_sides[:, None, None, None]
+    sight_points = start_points[:, None] + directions * distances[:, None]
 
     # lines on from both ends: points of shape (ends, steps, 2) [m]
-    distance = extents.long_side[panel] / 2 + np.arange(0.0, FRAME_LENGTH + step, step)
-    direction = along * both_sides[:, None, None]
-    ends = center + direction * distance[:, None]
-    return LeafLines(_cells_at(sight, lattice), _cells_at(ends, lattice))
+    distances = extents.long_side[panel] / 2 + np.arange(0.0, FRAME_LENGTH + step, step)
+    directions = along_direction * both_sides[:, None, None]
+    end_points = center + directions * distances[:, None]
+    return LeafLines(_cells_at(sight_points, lattice), _cells_at(end_points, lattice))
 
 
 def _cells_at(points: Float, lattice: Lattice) -> Int:
     """Return the id of the cell that each point, (…, 2) [m], is in, -1 outside the lattice."""
     rows, cols = lattice.rows_cols(points)
-    inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
-    return np.where(inside, rows * lattice.width + cols, -1)
+    is_inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
+    return np.where(is_inside, rows * lattice.width + cols, -1)
 
 
 # ---------------------------------------------------------------- blocked cells
@@ -298,40 +302,44 @@ def find_blocked_cells(
         The blocked cells of each leaf, in the order of `leaves`.
     """
     with limit_threads(1):  # a door is too small to be worth more
-        return [_block_cells(leaf, floors, footprint, lattice) for leaf in leaves]
+        return [_find_cells_by_state(leaf, floors, footprint, lattice) for leaf in leaves]
 
 
-def _block_cells(
+def _find_cells_by_state(
     leaf: Leaf, floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
 ) -> LeafCells:
     """Find the cells that a leaf blocks in each state, once for all states with the same pose."""
     no_cells: list[Int] = [np.empty(0, dtype=np.int64)] * len(floors)
     blocked = dict[str, list[Int]]()
-    squares = dict[str, list[Int]]()
-    for state, near in leaf.windows.items():
-        former_states = [former for former in blocked if leaf.windows[former] is near]
-        if near is None:
+    blocked_squares = dict[str, list[Int]]()
+    for state, leaf_window in leaf.windows.items():
+        states_in_same_pose = [
+            earlier_state for earlier_state in blocked if leaf.windows[earlier_state] is leaf_window
+        ]
+        if leaf_window is None:
             blocked[state] = no_cells
-            squares[state] = no_cells
-        elif former_states:
-            blocked[state] = blocked[former_states[0]]
-            squares[state] = squares[former_states[0]]
+            blocked_squares[state] = no_cells
+        elif states_in_same_pose:
+            blocked[state] = blocked[states_in_same_pose[0]]
+            blocked_squares[state] = blocked_squares[states_in_same_pose[0]]
         else:
-            blocked[state], squares[state] = _find_blocked(near, floors, footprint, lattice)
+            blocked[state], blocked_squares[state] = _find_blocked(
+                leaf_window, floors, footprint, lattice
+            )
     # a leaf that can't move is closed as it is modelled; when it is open, it blocks nothing
     if not leaf.candidate.positions:
         blocked["open"] = no_cells
-        squares["open"] = no_cells
-    return LeafCells(leaf, blocked, squares if footprint.radius > 0.0 else {})
+        blocked_squares["open"] = no_cells
+    return LeafCells(leaf, blocked, blocked_squares if footprint.radius > 0.0 else {})
 
 
 def _find_blocked(
-    near: LeafWindow, floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
+    leaf_window: LeafWindow, floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
 ) -> tuple[list[Int], list[Int]]:
     """Find the cells that a leaf in one state blocks over the floors of each level.
 
     Args:
-        near: the leaf's geometry, and the window of the lattice near it.
+        leaf_window: the leaf's geometry, and the window of the lattice near it.
         floors: the floors of each level, on the whole lattice.
         footprint: the volume over a floor that has to be free.
         lattice: the whole lattice.
@@ -340,17 +348,21 @@ def _find_blocked(
         For each level, the ids of the cells where the leaf overlaps the footprint; and the same for
         the cell's own square, without the agent's disc.
     """
-    rows, cols = near.window
+    rows, cols = leaf_window.window
     blocked = list[Int]()
-    squares = list[Int]()
+    blocked_squares = list[Int]()
     for level in floors:
         floor = level.floor[rows, cols].ravel()
         window_cells: Int = np.flatnonzero(~np.isnan(floor))
         occupancy = check_occupancy(
-            near.columns, near.tiled, footprint, window_cells, floor[window_cells]
+            leaf_window.columns,
+            leaf_window.tiled_shapes,
+            footprint,
+            window_cells,
+            floor[window_cells],
         )
         row, col = np.divmod(window_cells, cols.stop - cols.start)
         cells = (row + rows.start) * lattice.width + col + cols.start
         blocked.append(cells[occupancy.occupied])
-        squares.append(cells[occupancy.square_occupied])
-    return blocked, squares
+        blocked_squares.append(cells[occupancy.square_occupied])
+    return blocked, blocked_squares

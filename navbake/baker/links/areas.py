@@ -86,38 +86,38 @@ def paint_areas(
     layers = [np.zeros(lattice.shape, dtype=np.uint8) for _ in levels]
     table = list[Json]()
     warnings = list[str]()
-    for number, area in enumerate(config.areas, 1):
+    for area_number, area in enumerate(config.areas, 1):
         if area.room is not None:
-            marked = _mark_room(area, rooms)
+            marked_area = _mark_room(area, rooms)
         elif area.geoms:
-            marked = _mark_geoms(area, scene, lattice, levels, config.agent.height)
+            marked_area = _mark_geoms(area, scene, lattice, levels, config.agent.height)
         elif area.box is not None:
-            marked = _mark_box(area, area.box, lattice, levels)
+            marked_area = _mark_box(area, area.box, lattice, levels)
         else:
-            marked = _mark_polygon(area, lattice, levels)
+            marked_area = _mark_polygon(area, lattice, levels)
         num_cells = 0
-        for layer, level, mask in zip(layers, levels, marked.masks, strict=True):
-            mask &= ~np.isnan(level.floor)
-            layer[mask] = number
-            num_cells += int(np.count_nonzero(mask))
-        warnings += marked.warnings
-        if not num_cells and not marked.warnings:
+        for layer, level, in_area in zip(layers, levels, marked_area.masks, strict=True):
+            in_area &= ~np.isnan(level.floor)
+            layer[in_area] = area_number
+            num_cells += int(np.count_nonzero(in_area))
+        warnings += marked_area.warnings
+        if not num_cells and not marked_area.warnings:
             warnings.append(f"area {area.name!r} covers no cell with a floor")
-        elif num_cells and marked.width < lattice.cell_size * (1 - LIMIT_SLACK):
-            warnings.append(_warn_narrow(area, marked.width, lattice.cell_size))
+        elif num_cells and marked_area.width < lattice.cell_size * (1 - LIMIT_SLACK):
+            warnings.append(_warn_narrow(area, marked_area.width, lattice.cell_size))
         agents = None if area.agents is None else tuple(area.agents)
         table.append(Area(area.name, float(area.cost), area.speed, agents).to_json())
     return PaintedAreas(layers, table, warnings)
 
 
 def _warn_narrow(area: AreaSettings, width: float, cell_size: float) -> str:
-    """Return the warning that an area of some width [m] is narrower than a cell."""
-    effect = "it takes cells by their centres, so it has gaps"
+    """Return the warning that an area, `width` metres wide, is narrower than a cell."""
+    consequence = "it takes cells by their centres, so it has gaps"
     if area.keeps_out:
-        effect = "it takes each cell that it touches, so it is wider in the grid"
+        consequence = "it takes each cell that it touches, so it is wider in the grid"
     return (
         f"area {area.name!r} is only {width:.3g} m wide, thinner than a cell of {cell_size:g} m: "
-        f"{effect}"
+        f"{consequence}"
     )
 
 
@@ -151,7 +151,7 @@ def _mark_box(
     """
     (x_min, y_min, z_min), (x_max, y_max, z_max) = box
     outline = [[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]]
-    is_covered = _cover(area, [outline], lattice)
+    is_covered = _mark_outlines(area, [outline], lattice)
     masks = []
     for level in levels:
         is_in_height = z_min - LIMIT_SLACK <= level.floor
@@ -166,38 +166,48 @@ def _mark_polygon(area: AreaSettings, lattice: Lattice, levels: Sequence[LevelFl
     Raises:
         ConfigError: the level doesn't exist.
     """
-    numbers = [k for k, level in enumerate(levels) if area.level in (k, level.name)]
-    if not numbers:
-        level_names = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
+    level_numbers = [
+        level_number
+        for level_number, level in enumerate(levels)
+        if area.level in (level_number, level.name)
+    ]
+    if not level_numbers:
+        level_names = ", ".join(
+            f"{level_number} ({level.name})" for level_number, level in enumerate(levels)
+        )
         raise ConfigError(
             f"no level {area.level!r} for area {area.name!r}: there are {level_names}"
         )
     masks = [np.zeros(lattice.shape, np.bool_) for _ in levels]
     outline = area.polygon or []
-    masks[numbers[0]] = _cover(area, [outline, *area.rings], lattice)
+    masks[level_numbers[0]] = _mark_outlines(area, [outline, *area.rings], lattice)
     # the polygon is as wide as its extent in the direction that is normal to one of its sides
     corners = np.array(outline)
-    sides = np.roll(corners, -1, axis=0) - corners
-    length = np.hypot(*sides.T)
-    normals = np.stack([-sides[:, 1], sides[:, 0]])[:, length > 0] / length[length > 0]
+    side_vectors = np.roll(corners, -1, axis=0) - corners
+    side_lengths = np.hypot(*side_vectors.T)
+    normals = (
+        np.stack([-side_vectors[:, 1], side_vectors[:, 0]])[:, side_lengths > 0]
+        / side_lengths[side_lengths > 0]
+    )
     width = float(np.ptp(corners @ normals, axis=0).min())
     return MarkedArea(masks, width, [])
 
 
-def _cover(
-    area: AreaSettings, rings: Sequence[Sequence[Sequence[float]]], lattice: Lattice
+def _mark_outlines(
+    area: AreaSettings, outlines: Sequence[Sequence[Sequence[float]]], lattice: Lattice
 ) -> Bool:
-    """Mark the cells that an area takes with its polygon.
+    """Mark the cells that belong to an area that is drawn as a polygon.
 
-    A keep-out area takes all cells that the polygon overlaps, other areas those with centres in it.
+    All cells that the polygon overlaps belong to a keep-out area; only cells whose centres lie in
+    the polygon belong to other areas.
 
     Args:
         area: the area's settings.
-        rings: the polygon's outline, then its holes and further parts, as corners [x, y] [m].
+        outlines: the polygon's outline, then its holes and further parts, as corners [x, y] [m].
         lattice: the whole lattice.
     """
-    cover = touch_cells if area.keeps_out else cover_cells
-    return cover(rings, lattice)
+    mark_polygon_cells = touch_cells if area.keeps_out else cover_cells
+    return mark_polygon_cells(outlines, lattice)
 
 
 def _mark_geoms(
@@ -216,11 +226,11 @@ def _mark_geoms(
     warnings = list[str]()
     is_area_geom = np.zeros(len(names), dtype=np.bool_)
     for pattern in area.geoms:
-        matches = [fnmatchcase(name, pattern) for name in names]
-        is_area_geom |= matches
-        if not any(matches):
-            text = warn_unmatched("geoms", pattern, names)
-            warnings.append(f"of area {area.name!r}, {text}")
+        is_match = [fnmatchcase(name, pattern) for name in names]
+        is_area_geom |= is_match
+        if not any(is_match):
+            pattern_warning = warn_unmatched("geoms", pattern, names)
+            warnings.append(f"of area {area.name!r}, {pattern_warning}")
     if not is_area_geom.any():
         return MarkedArea(masks, np.nan, warnings)
     geoms = np.flatnonzero(is_area_geom).tolist()
@@ -231,37 +241,39 @@ def _mark_geoms(
         window = None if shapes.bounds is None else lattice.window(shapes.bounds)
     if window is None:
         return MarkedArea(masks, np.nan, warnings)
-    tiled = tile_shapes(shapes, lattice.cut(*window), lattice.cell_size)
-    columns = cast_columns(tiled)
+    tiled_shapes = tile_shapes(shapes, lattice.cut(*window), lattice.cell_size)
+    columns = cast_columns(tiled_shapes)
     # surfaces that enclose nothing are tested against squares that are wider by 2 * TOUCH_DEPTH
-    touching = Footprint(
+    area_footprint = Footprint(
         square=lattice.cell_size / 2 - 3 * TOUCH_DEPTH,
         radius=0.0,
         low=-MAX_BELOW,
         high=agent_height - TOUCH_DEPTH,
     )
     for mask, level in zip(masks, levels, strict=True):
-        floor = level.floor[window].ravel()
-        cells = np.flatnonzero(~np.isnan(floor))
-        floors = floor[cells]
-        is_inside = np.zeros(len(cells), dtype=np.bool_)
+        window_floor = level.floor[window].ravel()
+        cells = np.flatnonzero(~np.isnan(window_floor))
+        floor_heights = window_floor[cells]
+        is_in_area = np.zeros(len(cells), dtype=np.bool_)
         if area.keeps_out:
-            is_inside = check_occupancy(columns, tiled, touching, cells, floors).occupied
+            is_in_area = check_occupancy(
+                columns, tiled_shapes, area_footprint, cells, floor_heights
+            ).occupied
         else:
             find_blocked_lines(
                 cells,
-                floors - MAX_BELOW,
-                floors + agent_height,
+                floor_heights - MAX_BELOW,
+                floor_heights + agent_height,
                 columns.hits,
-                is_inside,
+                is_in_area,
                 0,
                 len(cells),
             )
-        window_mask = np.zeros(len(floor), dtype=np.bool_)
-        window_mask[cells[is_inside]] = True
+        window_mask = np.zeros(len(window_floor), dtype=np.bool_)
+        window_mask[cells[is_in_area]] = True
         mask[window] = window_mask.reshape(mask[window].shape)
-    thin = measure_extents(shapes, len(names)).short_side[geoms]
-    return MarkedArea(masks, float(np.nanmin(thin, initial=np.inf)), warnings)
+    geom_widths = measure_extents(shapes, len(names)).short_side[geoms]
+    return MarkedArea(masks, float(np.nanmin(geom_widths, initial=np.inf)), warnings)
 
 
 def _collect_geoms(scene: Scene, geoms: Sequence[int]) -> Shapes:
@@ -269,7 +281,7 @@ def _collect_geoms(scene: Scene, geoms: Sequence[int]) -> Shapes:
     selections = {}
     for geom in geoms:
         selection = scene.selections[geom]
-        mesh = selection.mesh_mode if selection.counted else "surface"
-        selections[geom] = GeomSelection(counted=True, reason="marks an area", mesh_mode=mesh)
+        mesh_mode = selection.mesh_mode if selection.counted else "surface"
+        selections[geom] = GeomSelection(counted=True, reason="marks an area", mesh_mode=mesh_mode)
     shapes, *_ = collect_shapes(scene.model, scene.data, selections, scene.exact_meshes, geoms)
     return shapes

@@ -56,18 +56,18 @@ def find_ladders(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     """
     max_gap = LADDER_GAP if rule.gap is None else rule.gap
     links = []
-    for name, is_ladder_geom in _name_ladders(search, rule.patterns or LADDER_PATTERNS):
+    for name, is_ladder_geom in _find_ladder_geoms(search, rule.patterns or LADDER_PATTERNS):
         box = search.shapes.only(is_ladder_geom).bounds
         if box is None:
             continue
-        stops = list(_stops_beside(box, max_gap, search))
+        stops = list(_find_stops_beside(box, max_gap, search))
         if len(stops) > 1:
             width = round(float(np.diff(box[:, :2], axis=0).max()), 6)
             links.append(LatticeLink(stops, {"name": name, "width": width}))
     return links
 
 
-def _name_ladders(search: LinkSearch, patterns: Sequence[str]) -> list[tuple[str, Bool]]:
+def _find_ladder_geoms(search: LinkSearch, patterns: Sequence[str]) -> list[tuple[str, Bool]]:
     """Find the bodies, and then the single geoms, whose names match a pattern of ladders.
 
     A body counts with the geoms of all bodies below it. A body or geom that is part of an earlier
@@ -91,16 +91,16 @@ def _name_ladders(search: LinkSearch, patterns: Sequence[str]) -> list[tuple[str
     ladders: list[tuple[str, Bool]] = []
     ladder_geoms = set[int]()
     for name, is_candidate_geom in candidates:
-        geoms = set(np.flatnonzero(is_candidate_geom).tolist())
-        if not geoms or geoms & ladder_geoms:
+        geom_ids = set(np.flatnonzero(is_candidate_geom).tolist())
+        if not geom_ids or geom_ids & ladder_geoms:
             continue
         if any(fnmatchcase(name, pattern) for pattern in patterns):
             ladders.append((name, is_candidate_geom))
-            ladder_geoms |= geoms
+            ladder_geoms |= geom_ids
     return ladders
 
 
-def _stops_beside(box: Float, max_gap: float, search: LinkSearch) -> Iterator[Stop]:
+def _find_stops_beside(box: Float, max_gap: float, search: LinkSearch) -> Iterator[Stop]:
     """Yield for each level that a ladder reaches a stop on the free cell nearest to the ladder.
 
     Args:
@@ -108,17 +108,19 @@ def _stops_beside(box: Float, max_gap: float, search: LinkSearch) -> Iterator[St
         max_gap: the largest distance of the cell's centre from the box, seen from above [m].
         search: floors and free cells.
     """
-    (x_min, y_min, low), (x_max, y_max, high) = box.tolist()
+    (x_min, y_min, z_min), (x_max, y_max, z_max) = box.tolist()
     x = search.lattice.center_x()
     y = search.lattice.center_y()[:, None]
     distance = np.hypot(np.clip(x, x_min, x_max) - x, np.clip(y, y_min, y_max) - y)
-    for level, (floor, free) in enumerate(zip(search.floors, search.free, strict=True)):
+    for level_number, (floor, free) in enumerate(
+        zip(search.floor_heights, search.is_free, strict=True)
+    ):
         is_beside = free & (distance <= max_gap + LIMIT_SLACK)
-        is_beside &= (floor >= low - search.max_step) & (floor <= high + search.max_step)
+        is_beside &= (floor >= z_min - search.max_step) & (floor <= z_max + search.max_step)
         if is_beside.any():
             # rounded, so that the first of equally near cells is taken
             nearest_cell = np.argmin(np.where(is_beside, np.round(distance, 9), np.inf))
-            yield search.make_stop(level, int(nearest_cell))
+            yield search.make_stop(level_number, int(nearest_cell))
 
 
 # ---------------------------------------------------------------- lifts
@@ -129,12 +131,12 @@ class Car(NamedTuple):
 
     Attributes:
         name: name of the car's body.
-        joint: id of the car's slide joint.
-        geoms: mask by geom id of the car's geoms, shape (ngeom,), bool.
+        joint_id: id of the car's slide joint.
+        is_car_geom: mask by geom id of the car's geoms, shape (ngeom,), bool.
         window: window of the lattice that contains the car and the cells where agents get off.
-        floor: mask of the lattice's cells that the car's floor covers, (height, width), bool.
-        outline: mask of the cells that any part of the car covers, (height, width), bool.
-        height: height of the car's floor in the scene's pose [m].
+        floor_mask: mask of the lattice's cells that the car's floor covers, (height, width), bool.
+        outline_mask: mask of the cells that any part of the car covers, (height, width), bool.
+        floor_height: height of the car's floor in the scene's pose [m].
         min_height: lowest height that the floor can reach [m].
         max_height: highest height that the floor can reach [m].
         width: width of the floor [m].
@@ -143,12 +145,12 @@ class Car(NamedTuple):
     """
 
     name: str
-    joint: int
-    geoms: Bool
+    joint_id: int
+    is_car_geom: Bool
     window: Window
-    floor: Bool
-    outline: Bool
-    height: float
+    floor_mask: Bool
+    outline_mask: Bool
+    floor_height: float
     min_height: float
     max_height: float
     width: float
@@ -176,32 +178,34 @@ def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     for car in _find_cars(search, rule.patterns or ("*",), max_gap):
         stops = list[Stop]()
         width = car.width
-        for level in range(len(search.floors)):
+        for level in range(len(search.floor_heights)):
             crossings = search.find_crossings(
                 level,
-                starts=car.floor,
+                is_start=car.floor_mask,
                 directions=range(len(DIRECTIONS)),
                 max_gap=max_gap,
-                check_landing=_landing_test(car, level, search),
+                check_landing=_make_landing_test(car, level, search),
             )
             crossings["from_height"] = np.clip(
                 crossings["to_height"], car.min_height, car.max_height
             )
-            for side in search.group_crossings(crossings):
-                landing = side.crossings
+            for landing_side in search.group_crossings(crossings):
+                landing_crossings = landing_side.crossings
                 # the car stops at one height
-                landing["from_height"] = np.median(landing["from_height"])
-                geometry = _geometry_at(car, landing["from_height"][0], search)
-                clear = landing[search.mark_clear(landing, geometry)]
-                if not len(clear):
+                landing_crossings["from_height"] = np.median(landing_crossings["from_height"])
+                geometry = _pose_car_geometry(car, landing_crossings["from_height"][0], search)
+                clear_crossings = landing_crossings[search.mark_clear(landing_crossings, geometry)]
+                if not len(clear_crossings):
                     continue
-                widest = max(search.group_crossings(clear), key=lambda group: len(group.crossings))
-                width = min(width, widest.width)
+                widest_group = max(
+                    search.group_crossings(clear_crossings), key=lambda group: len(group.crossings)
+                )
+                width = min(width, widest_group.width)
                 stop = search.make_stop_off_edge(
                     level,
-                    int(widest.middle["to_cell"]),
-                    direction=int(widest.middle["direction"]),
-                    width=min(car.width, widest.width),
+                    int(widest_group.middle["to_cell"]),
+                    direction=int(widest_group.middle["direction"]),
+                    width=min(car.width, widest_group.width),
                 )
                 stops.append(stop)
         if len({stop.level for stop in stops}) > 1:
@@ -211,22 +215,22 @@ def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     return links
 
 
-def _landing_test(car: Car, level: int, search: LinkSearch) -> LandingTest:
-    """Return a function that tests whether ways out of a car end on a level, beside the car.
+def _make_landing_test(car: Car, level: int, search: LinkSearch) -> LandingTest:
+    """Make the function that tests whether ways out of a car end on a level, beside the car.
 
     A way ends on a free cell whose floor is within a step of a height that the car's floor can
     reach. Ways start at the outer cells of the car's floor, and don't lead over this floor.
     """
 
     def check_landing(rows: Int, cols: Int, _from_height: Float, _num_between: int) -> Landings:
-        floor = search.floors[level, rows, cols]
+        floor = search.floor_heights[level, rows, cols]
         car_height = np.clip(floor, car.min_height, car.max_height)
-        lands = np.abs(floor - car_height) <= search.max_step
-        lands &= search.free[level, rows, cols] & ~car.outline[rows, cols]
+        can_land = np.abs(floor - car_height) <= search.max_step
+        can_land &= search.is_free[level, rows, cols] & ~car.outline_mask[rows, cols]
         return Landings(
             level=np.full(len(rows), level),
-            lands=lands,
-            goes_on=~car.floor[rows, cols],
+            has_landed=can_land,
+            continues=~car.floor_mask[rows, cols],
         )
 
     return check_landing
@@ -247,8 +251,8 @@ def _find_cars(search: LinkSearch, patterns: Sequence[str], max_gap: float) -> I
     subtree_ends = find_subtree_ends(model)
     for joint in find_lift_joints(model, scene.data, patterns):
         body = int(model.jnt_bodyid[joint])
-        geoms = mark_geoms_of_bodies(model, body, int(subtree_ends[body]))
-        shapes = search.shapes.only(geoms)
+        is_car_geom = mark_geoms_of_bodies(model, body, int(subtree_ends[body]))
+        shapes = search.shapes.only(is_car_geom)
         bounds = shapes.bounds
         window = None if bounds is None else lattice.window(bounds, max_gap + lattice.cell_size)
         if body not in scene.cars or bounds is None or window is None:
@@ -260,21 +264,21 @@ def _find_cars(search: LinkSearch, patterns: Sequence[str], max_gap: float) -> I
         joint_axis = float(scene.data.xaxis[joint, 2])
         joint_position = float(scene.data.qpos[model.jnt_qposadr[joint]])
         end_heights = [
-            car_floor.height + joint_axis * (end - joint_position)
-            for end in model.jnt_range[joint].tolist()
+            car_floor.height + joint_axis * (joint_end - joint_position)
+            for joint_end in model.jnt_range[joint].tolist()
         ]
         yield Car(
             name=body_names[body],
-            joint=joint,
-            geoms=geoms,
+            joint_id=joint,
+            is_car_geom=is_car_geom,
             window=window,
-            floor=_mark_cells(car_floor.cells, window, window_lattice, lattice),
-            outline=_mark_cells(car_floor.outline, window, window_lattice, lattice),
-            height=car_floor.height,
+            floor_mask=_mark_cells(car_floor.cells, window, window_lattice, lattice),
+            outline_mask=_mark_cells(car_floor.outline, window, window_lattice, lattice),
+            floor_height=car_floor.height,
             min_height=min(end_heights),
             max_height=max(end_heights),
             width=float(measure_extents(shapes, model.ngeom).short_side[car_floor.geom]),
-            pose=_car_pose(search, car_floor, bounds),
+            pose=_measure_car_pose(search, car_floor, bounds),
         )
 
 
@@ -287,12 +291,12 @@ def _mark_cells(cells: Int, window: Window, window_lattice: Lattice, lattice: La
         window_lattice: the window's lattice.
         lattice: the whole lattice.
     """
-    marked = np.zeros(lattice.shape, dtype=np.bool_)
-    marked[window][np.divmod(cells, window_lattice.width)] = True
-    return marked
+    is_marked = np.zeros(lattice.shape, dtype=np.bool_)
+    is_marked[window][np.divmod(cells, window_lattice.width)] = True
+    return is_marked
 
 
-def _car_pose(search: LinkSearch, car_floor: CarFloor, bounds: Float) -> tuple[float, ...]:
+def _measure_car_pose(search: LinkSearch, car_floor: CarFloor, bounds: Float) -> tuple[float, ...]:
     """Return where a car is, and its size: x and y of its middle, its yaw, its width and its depth.
 
     The yaw is in radians, all else in metres; the width is measured in the direction of the yaw.
@@ -310,19 +314,19 @@ def _car_pose(search: LinkSearch, car_floor: CarFloor, bounds: Float) -> tuple[f
         middle = data.geom_xpos[geom]
         size = 2.0 * model.geom_size[geom]
         yaw = float(np.arctan2(rotation[3], rotation[0]))
-    numbers = (middle[0], middle[1], yaw, size[0], size[1])
+    pose_numbers = (middle[0], middle[1], yaw, size[0], size[1])
     # adding 0 turns -0.0 into 0.0
-    return tuple(round(float(number), 6) + 0.0 for number in numbers)
+    return tuple(round(float(pose_number), 6) + 0.0 for pose_number in pose_numbers)
 
 
-def _geometry_at(car: Car, height: float, search: LinkSearch) -> CollisionGeometry:
-    """Return the geometry that an agent may collide with while a car's floor is at a height [m]."""
+def _pose_car_geometry(car: Car, height: float, search: LinkSearch) -> CollisionGeometry:
+    """Return the geometry that agents may collide with while a car's floor is at a height [m]."""
     scene = search.scene
     model = scene.model
-    joint_axis = float(scene.data.xaxis[car.joint, 2])
-    joint_position = float(scene.data.qpos[model.jnt_qposadr[car.joint]])
-    position = joint_position + joint_axis * (height - car.height)
-    data = data_with_joints(model, scene.data, {car.joint: position})
+    joint_axis = float(scene.data.xaxis[car.joint_id, 2])
+    joint_position = float(scene.data.qpos[model.jnt_qposadr[car.joint_id]])
+    new_joint_position = joint_position + joint_axis * (height - car.floor_height)
+    data = data_with_joints(model, scene.data, {car.joint_id: new_joint_position})
     shapes = search.shapes
     counted_geoms = np.unique(
         np.concatenate([shapes.solids.geom, shapes.planes.geom, shapes.meshes.geom])
@@ -332,17 +336,17 @@ def _geometry_at(car: Car, height: float, search: LinkSearch) -> CollisionGeomet
         data,
         selections=scene.selections,
         exact_meshes=scene.exact_meshes,
-        geom_ids=counted_geoms[car.geoms[counted_geoms]].tolist(),
+        geom_ids=counted_geoms[car.is_car_geom[counted_geoms]].tolist(),
         meshes=scene.meshes,
     )
     footprint = search.geometry.footprint
-    tiled = tile_shapes(
-        shapes.with_replaced(car_shapes, car.geoms),
+    tiled_shapes = tile_shapes(
+        shapes.with_replaced(car_shapes, car.is_car_geom),
         search.lattice.cut(*car.window),
         footprint.half_width,
     )
     return CollisionGeometry(
-        sources=[CollisionShapes(cast_columns(tiled), tiled)],
+        sources=[CollisionShapes(cast_columns(tiled_shapes), tiled_shapes)],
         footprint=footprint,
         window=car.window,
     )

@@ -1,4 +1,4 @@
-"""Makes links: those that the settings list, and those that rules find, like drops and jumps."""
+"""Makes the links of a bake: listed in the settings, or found by rules, such as drops and jumps."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from navbake.types import Bool, Float, Int
 
 # The largest distance of a stop of the settings from its cell, seen from above, and in height [m]
 STOP_REACH = 0.5
-# The greatest height of drops, and the widest gap, where the settings state none [m]
+# The greatest height of drops, and the widest gap, unless the settings state others [m]
 DROP_HEIGHT = 1.0
 EDGE_GAP = 0.5
 
@@ -79,18 +79,18 @@ def bake_links(
     if geometry is None:
         return BakedLinks([], [])
     floor_heights = np.stack([level.floor for level in floors.levels])
-    free = ~(np.stack(occupied) | np.isnan(floor_heights))
+    is_free = ~(np.stack(occupied) | np.isnan(floor_heights))
     # A link ends on cells that are free whether doors are open or closed.
     for door in select_doors(leaves):
         for cells_of_levels in door.blocked.values():
-            for level_free, cells in zip(free, cells_of_levels, strict=True):
-                level_free.ravel()[cells] = False
+            for is_level_free, cells in zip(is_free, cells_of_levels, strict=True):
+                is_level_free.ravel()[cells] = False
     search = LinkSearch(
         scene=scene,
         shapes=scene.shapes.only(scene.is_structure | is_obstacle_geom),
         lattice=lattice,
-        floors=floor_heights,
-        free=free,
+        floor_heights=floor_heights,
+        is_free=is_free,
         geometry=geometry.with_shapes(scene.shapes.only(is_obstacle_geom), lattice),
         agent=config.agent,
     )
@@ -123,14 +123,14 @@ def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
     for rule in settings:
         if rule.auto is None:
             continue
-        finder = finders.get(rule.auto, find_edges)
-        rule_links = finder(search, rule)
+        find_links_of_rule = finders.get(rule.auto, find_edges)
+        rule_links = find_links_of_rule(search, rule)
         rule_links.sort(key=lambda link: [(stop.level, stop.cell) for stop in link.stops])
-        for number, link in enumerate(rule_links, 1):
-            name = unique_name(link.fields.get("name") or f"{rule.auto} {number}", used_names)
+        for link_number, link in enumerate(rule_links, 1):
+            name = unique_name(link.fields.get("name") or f"{rule.auto} {link_number}", used_names)
             fields = {
                 **link.fields,
-                **_set_fields(rule),
+                **_list_stated_fields(rule),
                 "name": name,
                 "kind": rule.auto,
                 "auto": True,
@@ -141,8 +141,8 @@ def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
     return BakedLinks(links, warnings)
 
 
-def _set_fields(settings: LinkSettings) -> dict[str, object]:
-    """Return by name those of width, cost, seconds, agents and state that the settings state."""
+def _list_stated_fields(settings: LinkSettings) -> dict[str, object]:
+    """Return name -> value of the link's width, cost, seconds, agents and state, if set."""
     fields = settings.model_dump(include={"width", "cost", "seconds", "agents", "state"})
     return {key: value for key, value in fields.items() if value is not None}
 
@@ -155,9 +155,9 @@ def _place_link(settings: LinkSettings, search: LinkSearch) -> tuple[LatticeLink
         there are any.
     """
     stops = list[Stop]()
-    errors = list[str]()
+    stop_errors = list[str]()
     used_cells = set[tuple[int, int]]()
-    for number, (x, y, z) in enumerate(settings.stops, 1):
+    for stop_number, (x, y, z) in enumerate(settings.stops, 1):
         stop = _find_stop(x, y, z, search)
         if isinstance(stop, Stop) and (stop.level, stop.cell) in used_cells:
             stop = "is on the cell of another stop"
@@ -165,17 +165,17 @@ def _place_link(settings: LinkSettings, search: LinkSearch) -> tuple[LatticeLink
             used_cells.add((stop.level, stop.cell))
             stops.append(stop)
         else:
-            errors.append(f"stop {number}, ({x:.2f}, {y:.2f}, {z:.2f}), {stop}")
+            stop_errors.append(f"stop {stop_number}, ({x:.2f}, {y:.2f}, {z:.2f}), {stop}")
     fields = {
         "name": settings.name,
         "kind": settings.kind,
         "one_way": settings.one_way,
-        **_set_fields(settings),
+        **_list_stated_fields(settings),
     }
     warnings = []
-    if errors:
-        outcome = f"it has {len(stops)} stops left" if len(stops) > 1 else "it is left out"
-        warnings = [f"link {settings.name!r}: {'; '.join(errors)}; {outcome}"]
+    if stop_errors:
+        consequence = f"it has {len(stops)} stops left" if len(stops) > 1 else "it is left out"
+        warnings = [f"link {settings.name!r}: {'; '.join(stop_errors)}; {consequence}"]
     return LatticeLink(stops, fields), warnings
 
 
@@ -187,8 +187,8 @@ def _find_stop(x: float, y: float, z: float, search: LinkSearch) -> Stop | str:
         search: floors and free cells.
 
     Returns:
-        The stop, on the level whose floor is nearest to z; or, if there is none within
-        `STOP_REACH`, what is wrong with the position, the end of a sentence.
+        The stop, on the level whose floor is nearest to z; or, if there is no free cell within
+        `STOP_REACH`, what is wrong with the position, as the end of a sentence.
     """
     lattice = search.lattice
     window = lattice.window(np.array([[x, y], [x, y]]), STOP_REACH)
@@ -196,22 +196,24 @@ def _find_stop(x: float, y: float, z: float, search: LinkSearch) -> Stop | str:
         return "lies outside of the grid"
     rows, cols = window
     distance = np.hypot(lattice.center_x()[None, cols] - x, lattice.center_y()[rows, None] - y)
-    height_gap = np.abs(search.floors[:, rows, cols] - z)
-    is_near = (distance <= STOP_REACH + LIMIT_SLACK) & ~np.isnan(height_gap)
-    height_gap = np.where(is_near, height_gap, np.inf)
-    least_gap = height_gap.min(axis=(1, 2))
-    level = int(np.argmin(least_gap))
-    if not np.isfinite(least_gap[level]):
+    height_difference = np.abs(search.floor_heights[:, rows, cols] - z)
+    is_near = (distance <= STOP_REACH + LIMIT_SLACK) & ~np.isnan(height_difference)
+    height_difference = np.where(is_near, height_difference, np.inf)
+    least_difference = height_difference.min(axis=(1, 2))
+    level_number = int(np.argmin(least_difference))
+    if not np.isfinite(least_difference[level_number]):
         return f"has no floor within {STOP_REACH:g} m"
-    if least_gap[level] > STOP_REACH + LIMIT_SLACK:
-        return f"is {least_gap[level]:.2f} m off the nearest floor"
-    is_free = search.free[level, rows, cols] & (height_gap[level] <= STOP_REACH + LIMIT_SLACK)
+    if least_difference[level_number] > STOP_REACH + LIMIT_SLACK:
+        return f"is {least_difference[level_number]:.2f} m off the nearest floor"
+    is_free = search.is_free[level_number, rows, cols] & (
+        height_difference[level_number] <= STOP_REACH + LIMIT_SLACK
+    )
     if not is_free.any():
         return f"is blocked: nothing is free within {STOP_REACH:g} m"
     distance = np.where(is_free, np.round(distance, 9), np.inf)
     row, col = np.unravel_index(int(np.argmin(distance)), distance.shape)
     cell = (int(row) + rows.start) * lattice.width + int(col) + cols.start
-    return Stop(level, cell, (x, y, z))
+    return Stop(level_number, cell, (x, y, z))
 
 
 def find_edges(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
@@ -236,46 +238,50 @@ def find_edges(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     max_gap = EDGE_GAP if rule.gap is None else rule.gap
     # jumps lead both ways: two of the four directions find them all
     directions = range(len(DIRECTIONS) if is_drop else 2)
-    check_landing = _drop_test(search, rule) if is_drop else _jump_test(search, rule)
-    crossings = [
-        search.find_crossings(level, free, directions, max_gap, check_landing)
-        for level, free in enumerate(search.free)
+    check_landing = _make_drop_test(search, rule) if is_drop else _make_jump_test(search, rule)
+    level_crossings = [
+        search.find_crossings(level_number, free, directions, max_gap, check_landing)
+        for level_number, free in enumerate(search.is_free)
     ]
-    candidates = np.concatenate([np.empty(0, dtype=CROSSING), *crossings])
-    is_clear = search.mark_clear(candidates, search.geometry)
+    crossings = np.concatenate([np.empty(0, dtype=CROSSING), *level_crossings])
+    is_clear = search.mark_clear(crossings, search.geometry)
     links = []
-    for group in search.group_crossings(candidates[is_clear]):
+    for group in search.group_crossings(crossings[is_clear]):
         middle = group.middle
         direction = int(middle["direction"])
-        start = search.make_stop_off_edge(
+        start_stop = search.make_stop_off_edge(
             int(middle["from_level"]),
             int(middle["from_cell"]),
             direction=(direction + 2) % len(DIRECTIONS),
             width=group.width,
         )
-        end = search.make_stop_off_edge(
+        end_stop = search.make_stop_off_edge(
             int(middle["to_level"]), int(middle["to_cell"]), direction, group.width
         )
-        links.append(LatticeLink([start, end], {"one_way": is_drop, "width": group.width}))
+        links.append(
+            LatticeLink([start_stop, end_stop], {"one_way": is_drop, "width": group.width})
+        )
     return links
 
 
-def _rises(search: LinkSearch, rows: Int, cols: Int, from_height: Float) -> Float:
+def _heights_above_start(search: LinkSearch, rows: Int, cols: Int, from_height: Float) -> Float:
     """Return how far the floor of each level lies above the start of each line, (levels, n) [m].
 
     It is -inf where a level has no floor.
 
     Args:
         search: the floors.
-        rows, cols: the cells that the lines have come to, (n,).
+        rows, cols: rows and columns of the cells that the lines have come to, (n,).
         from_height: heights of the floors where the lines start, (n,) [m].
     """
-    rise: Float = np.nan_to_num(search.floors[:, rows, cols] - from_height, nan=-np.inf)
-    return rise
+    height_above_start: Float = np.nan_to_num(
+        search.floor_heights[:, rows, cols] - from_height, nan=-np.inf
+    )
+    return height_above_start
 
 
-def _drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
-    """Return a function that tests where lines over an edge land as drops.
+def _make_drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
+    """Make the function that tests where lines over an edge land as drops.
 
     A line lands on a free floor that is more than a step lower than its start, and lower by at most
     the rule's height; of several such floors, on the highest. It goes on as long as no floor lies
@@ -284,19 +290,21 @@ def _drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
     max_drop = LIMIT_SLACK + (rule.height or DROP_HEIGHT)
 
     def check_landing(rows: Int, cols: Int, from_height: Float, _num_between: int) -> Landings:
-        rise = _rises(search, rows, cols, from_height)
-        is_over_edge = ~(np.abs(rise) <= search.max_step).any(axis=0)
-        rise_of_lower = np.where(rise < -search.max_step, rise, -np.inf)
-        level = rise_of_lower.argmax(axis=0)
-        lands = is_over_edge & (rise_of_lower.max(axis=0) >= -max_drop)
-        lands &= search.free[level, rows, cols]
-        return Landings(level, lands, goes_on=np.asarray(is_over_edge))
+        height_above_start = _heights_above_start(search, rows, cols, from_height)
+        is_over_edge = ~(np.abs(height_above_start) <= search.max_step).any(axis=0)
+        height_of_lower_floors = np.where(
+            height_above_start < -search.max_step, height_above_start, -np.inf
+        )
+        level = height_of_lower_floors.argmax(axis=0)
+        can_land = is_over_edge & (height_of_lower_floors.max(axis=0) >= -max_drop)
+        can_land &= search.is_free[level, rows, cols]
+        return Landings(level, can_land, continues=np.asarray(is_over_edge))
 
     return check_landing
 
 
-def _jump_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
-    """Return a function that tests where lines over a gap land as jumps.
+def _make_jump_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
+    """Make the function that tests where lines over a gap land as jumps.
 
     A line lands beyond at least one cell, on the floor nearest in height to its start, if that is
     free and differs by at most a step, or the rule's height if it has one. The line goes on as long
@@ -305,11 +313,11 @@ def _jump_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
     max_rise = LIMIT_SLACK + (rule.height or search.max_step)
 
     def check_landing(rows: Int, cols: Int, from_height: Float, num_between: int) -> Landings:
-        rise = _rises(search, rows, cols, from_height)
-        is_over_edge = ~(np.abs(rise) <= search.max_step).any(axis=0)
-        level = np.abs(rise).argmin(axis=0)
-        lands = (np.abs(rise).min(axis=0) <= max_rise) & (num_between > 0)
-        lands &= search.free[level, rows, cols]
-        return Landings(level, lands, goes_on=np.asarray(is_over_edge))
+        height_above_start = _heights_above_start(search, rows, cols, from_height)
+        is_over_edge = ~(np.abs(height_above_start) <= search.max_step).any(axis=0)
+        level = np.abs(height_above_start).argmin(axis=0)
+        can_land = (np.abs(height_above_start).min(axis=0) <= max_rise) & (num_between > 0)
+        can_land &= search.is_free[level, rows, cols]
+        return Landings(level, can_land, continues=np.asarray(is_over_edge))
 
     return check_landing

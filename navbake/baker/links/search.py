@@ -1,7 +1,7 @@
-"""What the searches for drops, jumps, ladders and lifts share.
+"""The steps that the searches for drops, jumps, ladders and lifts have in common.
 
-Straight crossings of gaps between free cells are found, tested for obstacles, and grouped; stops
-are made of cells.
+They find straight crossings of gaps between free cells, test these for obstacles, group them, and
+make stops of cells.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ class Landings(NamedTuple):
 
     Attributes:
         level: number of the level whose floor the line may end on, int64.
-        lands: whether the line ends on that floor, bool.
-        goes_on: whether a line that doesn't end here continues to the next cell, bool.
+        has_landed: whether the line ends on that floor, bool.
+        continues: whether a line that doesn't end here continues to the next cell, bool.
     """
 
     level: Int
-    lands: Bool
-    goes_on: Bool
+    has_landed: Bool
+    continues: Bool
 
 
 LandingTest = Callable[[Int, Int, Float, int], Landings]
@@ -71,7 +71,7 @@ class LatticeLink(NamedTuple):
     """A link with stops on the whole lattice.
 
     Attributes:
-        stops: its stops, with cells of the whole lattice.
+        stops: the link's stops, with cell ids on the whole lattice.
         fields: the remaining fields of a `Link`, by name.
     """
 
@@ -80,11 +80,11 @@ class LatticeLink(NamedTuple):
 
 
 class CollisionShapes(NamedTuple):
-    """Geometry that an agent may collide with.
+    """Geometry that an agent may collide with, such as the structure, or all movables.
 
     Attributes:
-        columns: its hits on the vertical line through each cell's centre.
-        tiles: its shapes near each tile of cells.
+        columns: the geometry's hits on the vertical line through each cell's centre.
+        tiles: the geometry's shapes near each tile of cells.
     """
 
     columns: ColumnSource
@@ -95,7 +95,7 @@ class CollisionGeometry(NamedTuple):
     """The geometry that an agent on a link may collide with.
 
     Attributes:
-        sources: the geometry; a place is free if no source blocks it.
+        sources: the geometry, in several parts; a place is free if none of them blocks it.
         footprint: the volume over a cell that has to be free.
         window: the part of the whole lattice that the geometry is on; None for all of it.
     """
@@ -111,9 +111,9 @@ class CollisionGeometry(NamedTuple):
             shapes: the shapes to add.
             lattice: the lattice of the geometry.
         """
-        tiled = tile_shapes(shapes, lattice, self.footprint.half_width)
-        further_source = CollisionShapes(cast_columns(tiled), tiled)
-        return self._replace(sources=[*self.sources, further_source])
+        tiled_shapes = tile_shapes(shapes, lattice, self.footprint.half_width)
+        added_source = CollisionShapes(cast_columns(tiled_shapes), tiled_shapes)
+        return self._replace(sources=[*self.sources, added_source])
 
 
 class CrossingGroup(NamedTuple):
@@ -139,8 +139,9 @@ class LinkSearch(NamedTuple):
         scene: the scene.
         shapes: the geometry of everything except doors.
         lattice: the whole lattice.
-        floors: height of the floor [m], NaN for none, shape (levels, height, width), float64.
-        free: mask of the cells with a floor that nothing blocks, not even a door in any of its
+        floor_heights: height of the floor [m], NaN for none, shape (levels, height, width),
+            float64.
+        is_free: mask of the cells with a floor that nothing blocks, not even a door in any of its
             states, (levels, height, width), bool.
         geometry: the geometry that an agent on a link may collide with.
         agent: the agent; its radius, height and highest step are read.
@@ -149,8 +150,8 @@ class LinkSearch(NamedTuple):
     scene: Scene
     shapes: Shapes
     lattice: Lattice
-    floors: Float
-    free: Bool
+    floor_heights: Float
+    is_free: Bool
     geometry: CollisionGeometry
     agent: AgentSettings
 
@@ -168,17 +169,17 @@ class LinkSearch(NamedTuple):
         """
         row, col = divmod(cell, self.lattice.width)
         x, y = self.lattice.positions(row, col).tolist()
-        z = float(np.float32(self.floors[level, row, col]))
+        z = float(np.float32(self.floor_heights[level, row, col]))
         # adding 0 turns -0.0 into 0.0
         return Stop(level, cell, (round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0))
 
     def make_stop_off_edge(self, level: int, cell: int, direction: int, width: float) -> Stop:
         """Make a stop so far from an edge that an agent as wide as the link can stand there.
 
-        The stop lies in `direction` from the cell at the edge, half of the link's width away, but
-        at most `MAX_SETBACK`. All cells up to the stop are free, and the floors of neighbours among
-        them differ by at most the agent's highest step. Where such cells end earlier, the stop is
-        on the last of them.
+        From the cell at the edge, the stop lies half of the link's width away in `direction`, but
+        at most `MAX_SETBACK`. On the way there, all cells are free, and the floor changes by at
+        most the agent's highest step from cell to cell. If a cell on the way does not fulfil this,
+        the stop is on the cell before it.
 
         Args:
             level: number of the level.
@@ -186,17 +187,17 @@ class LinkSearch(NamedTuple):
             direction: index into `DIRECTIONS` of the direction away from the edge.
             width: width of the link [m].
         """
-        down, right = DIRECTIONS[direction]
+        row_step, col_step = DIRECTIONS[direction]
         num_rows, num_cols = self.lattice.shape
-        floor = self.floors[level]
-        free = self.free[level]
+        floor = self.floor_heights[level]
+        is_free = self.is_free[level]
         row, col = divmod(cell, num_cols)
         setback = min(width / 2, MAX_SETBACK)
         for _ in range(math.ceil(setback / self.lattice.cell_size - 0.5 - LIMIT_SLACK)):
-            next_row = row + down
-            next_col = col + right
+            next_row = row + row_step
+            next_col = col + col_step
             is_inside = 0 <= next_row < num_rows and 0 <= next_col < num_cols
-            if not is_inside or not free[next_row, next_col]:
+            if not is_inside or not is_free[next_row, next_col]:
                 break
             if abs(floor[next_row, next_col] - floor[row, col]) > self.max_step:
                 break
@@ -207,7 +208,7 @@ class LinkSearch(NamedTuple):
     def find_crossings(
         self,
         level: int,
-        starts: Bool,
+        is_start: Bool,
         directions: Iterable[int],
         max_gap: float,
         check_landing: LandingTest,
@@ -216,7 +217,7 @@ class LinkSearch(NamedTuple):
 
         Args:
             level: number of the level that the lines start on.
-            starts: mask of the cells that lines start from, shape (height, width), bool.
+            is_start: mask of the cells that lines start from, shape (height, width), bool.
             directions: indices into `DIRECTIONS`.
             max_gap: the widest gap between the two ends [m].
             check_landing: the test that decides in which cell a line ends.
@@ -228,36 +229,38 @@ class LinkSearch(NamedTuple):
         num_rows, num_cols = self.lattice.shape
         max_between = math.floor(max_gap / self.lattice.cell_size + LIMIT_SLACK)
         for direction in directions:
-            down, right = DIRECTIONS[direction]
+            row_step, col_step = DIRECTIONS[direction]
             # the lines that have not ended yet, by where they start
-            row, col = np.nonzero(starts)
-            from_height = self.floors[level, row, col]
+            start_rows, start_cols = np.nonzero(is_start)
+            from_height = self.floor_heights[level, start_rows, start_cols]
             for num_between in range(max_between + 1):
-                to_row = row + (num_between + 1) * down
-                to_col = col + (num_between + 1) * right
+                to_row = start_rows + (num_between + 1) * row_step
+                to_col = start_cols + (num_between + 1) * col_step
                 is_inside = (to_row >= 0) & (to_row < num_rows)
                 is_inside &= (to_col >= 0) & (to_col < num_cols)
-                row = row[is_inside]
-                col = col[is_inside]
+                start_rows = start_rows[is_inside]
+                start_cols = start_cols[is_inside]
                 to_row = to_row[is_inside]
                 to_col = to_col[is_inside]
                 from_height = from_height[is_inside]
                 landings = check_landing(to_row, to_col, from_height, num_between)
-                lands = landings.lands
-                landed = np.empty(int(np.count_nonzero(lands)), dtype=CROSSING)
-                landed["direction"] = direction
-                landed["from_level"] = level
-                landed["num_between"] = num_between
-                landed["from_cell"] = (row * num_cols + col)[lands]
-                landed["from_height"] = from_height[lands]
-                landed["to_cell"] = (to_row * num_cols + to_col)[lands]
-                landed["to_level"] = landings.level[lands]
-                landed["to_height"] = self.floors[landings.level, to_row, to_col][lands]
-                crossings.append(landed)
-                goes_on = landings.goes_on & ~lands
-                row = row[goes_on]
-                col = col[goes_on]
-                from_height = from_height[goes_on]
+                is_landed = landings.has_landed
+                landed_crossings = np.empty(int(np.count_nonzero(is_landed)), dtype=CROSSING)
+                landed_crossings["direction"] = direction
+                landed_crossings["from_level"] = level
+                landed_crossings["num_between"] = num_between
+                landed_crossings["from_cell"] = (start_rows * num_cols + start_cols)[is_landed]
+                landed_crossings["from_height"] = from_height[is_landed]
+                landed_crossings["to_cell"] = (to_row * num_cols + to_col)[is_landed]
+                landed_crossings["to_level"] = landings.level[is_landed]
+                landed_crossings["to_height"] = self.floor_heights[landings.level, to_row, to_col][
+                    is_landed
+                ]
+                crossings.append(landed_crossings)
+                is_unfinished = landings.continues & ~is_landed
+                start_rows = start_rows[is_unfinished]
+                start_cols = start_cols[is_unfinished]
+                from_height = from_height[is_unfinished]
         return np.concatenate(crossings)
 
     def mark_clear(self, crossings: Crossings, geometry: CollisionGeometry) -> Bool:
@@ -273,36 +276,38 @@ class LinkSearch(NamedTuple):
             A mask of `crossings`, shape (n,), bool.
         """
         width = self.lattice.width
-        top = np.maximum(crossings["from_height"], crossings["to_height"])
-        every_crossing = np.arange(len(crossings))
+        higher_end = np.maximum(crossings["from_height"], crossings["to_height"])
+        all_crossings = np.arange(len(crossings))
 
         # from the cell after the start to the end, at the height of the higher end
         num_steps = crossings["num_between"] + 1
-        crossing = np.repeat(every_crossing, num_steps)
+        crossing_of_step = np.repeat(all_crossings, num_steps)
         first_step = np.repeat(np.cumsum(num_steps) - num_steps, num_steps)
-        step = np.arange(len(crossing)) - first_step + 1
-        cell_steps = np.array([down * width + right for down, right in DIRECTIONS])
+        step_number = np.arange(len(crossing_of_step)) - first_step + 1
+        cell_steps = np.array([row_step * width + col_step for row_step, col_step in DIRECTIONS])
         cell_step = cell_steps[crossings["direction"]]
-        cells = [crossings["from_cell"][crossing] + step * cell_step[crossing]]
-        heights = [top[crossing]]
-        crossing_of_cell = [crossing]
+        cells = [
+            crossings["from_cell"][crossing_of_step] + step_number * cell_step[crossing_of_step]
+        ]
+        heights = [higher_end[crossing_of_step]]
+        crossing_of_cell = [crossing_of_step]
 
         # the start
         cells.append(crossings["from_cell"])
-        heights.append(top)
-        crossing_of_cell.append(every_crossing)
+        heights.append(higher_end)
+        crossing_of_cell.append(all_crossings)
 
         # the fall at the lower end, as a stack of volumes without a gap between them
         volume_height = self.agent.height - self.agent.traversable_floor_height
-        low = crossings["to_height"] + volume_height
+        volume_floor = crossings["to_height"] + volume_height
         while True:
-            falling = np.flatnonzero(low < top)
-            if not len(falling):
+            falling_crossings = np.flatnonzero(volume_floor < higher_end)
+            if not len(falling_crossings):
                 break
-            cells.append(crossings["to_cell"][falling])
-            heights.append(low[falling])
-            crossing_of_cell.append(falling)
-            low = low + volume_height
+            cells.append(crossings["to_cell"][falling_crossings])
+            heights.append(volume_floor[falling_crossings])
+            crossing_of_cell.append(falling_crossings)
+            volume_floor = volume_floor + volume_height
 
         checked_cells = np.concatenate(cells)
         checked_heights = np.concatenate(heights)
@@ -331,22 +336,26 @@ class LinkSearch(NamedTuple):
         num_cols = self.lattice.width
         cell_size = self.lattice.cell_size
         keys = crossings[["from_level", "to_level", "direction"]]
-        for key in np.unique(keys):
-            alike = crossings[keys == key]
-            alike = alike[np.argsort(alike["from_cell"], kind="stable")]
-            pairs = adjacent_pairs(alike["from_cell"], num_cols)
+        for group_key in np.unique(keys):
+            similar_crossings = crossings[keys == group_key]
+            similar_crossings = similar_crossings[
+                np.argsort(similar_crossings["from_cell"], kind="stable")
+            ]
+            pairs = adjacent_pairs(similar_crossings["from_cell"], num_cols)
             is_step = np.ones(pairs.shape[1], dtype=np.bool_)
-            for heights in (alike["from_height"], alike["to_height"]):
-                rise = np.abs(heights[pairs[1]] - heights[pairs[0]])
-                is_step &= rise <= self.max_step
-            component = label_components(pairs[:, is_step], len(alike))
-            for number in range(int(component.max(initial=-1)) + 1):
-                members = alike[component == number]
-                place = np.stack(np.divmod(members["from_cell"], num_cols)).astype(np.float64)
-                offset = place - place.mean(axis=1, keepdims=True)
-                distance = np.square(offset).sum(axis=0)
-                length = math.hypot(*np.ptp(place, axis=1)) * cell_size
+            for end_heights in (similar_crossings["from_height"], similar_crossings["to_height"]):
+                height_difference = np.abs(end_heights[pairs[1]] - end_heights[pairs[0]])
+                is_step &= height_difference <= self.max_step
+            group_of_crossing = label_components(pairs[:, is_step], len(similar_crossings))
+            for group_number in range(int(group_of_crossing.max(initial=-1)) + 1):
+                group_crossings = similar_crossings[group_of_crossing == group_number]
+                start_cells = np.stack(np.divmod(group_crossings["from_cell"], num_cols)).astype(
+                    np.float64
+                )
+                offset_from_mean = start_cells - start_cells.mean(axis=1, keepdims=True)
+                distance = np.square(offset_from_mean).sum(axis=0)
+                length = math.hypot(*np.ptp(start_cells, axis=1)) * cell_size
                 width = round(length + max(2 * self.agent.radius, cell_size), 6)
-                middle = members[int(np.argmin(np.round(distance, 9)))]
-                groups.append(CrossingGroup(members, middle, width))
+                middle = group_crossings[int(np.argmin(np.round(distance, 9)))]
+                groups.append(CrossingGroup(group_crossings, middle, width))
         return groups

@@ -191,8 +191,8 @@ class Baker:
         return BakedScene(
             structure=stages.baked_structure,
             pose=stages.baked_pose,
-            door_context=stages.door_context,
-            movable_context=stages.movable_context,
+            door_inputs=stages.door_inputs,
+            movable_inputs=stages.movable_inputs,
         )
 
 

@@ -18,7 +18,7 @@ from navbake.baker.bake.lattice import fit_lattice
 from navbake.baker.bake.level_crops import make_grid_door
 from navbake.baker.doors.doors import (
     ClassifiedLeaf,
-    DoorContext,
+    DoorInputs,
     closes_same_cells,
     mark_obstacle_geoms,
     move_leaf,
@@ -29,7 +29,7 @@ from navbake.baker.links.links import bake_links
 from navbake.baker.live.tracked_scene import SceneChange
 from navbake.baker.occupants.lost_floors import find_lost_floors
 from navbake.baker.occupants.movable import (
-    MovableContext,
+    MovableSearchInputs,
     update_movable_occupants,
 )
 from navbake.baker.scene.scene import Scene
@@ -54,14 +54,14 @@ class BakedScene(NamedTuple):
     Attributes:
         structure: all that follows from structure and closed leaves.
         pose: all that depends on the scene's pose.
-        door_context: the columns, floors and rooms on which the classification of leaves depends.
-        movable_context: the floors and the occupancy of structure, for the search for movables.
+        door_inputs: the columns, floors and rooms on which the classification of leaves depends.
+        movable_inputs: the floors and the occupancy of structure, for the search for movables.
     """
 
     structure: BakedStructure
     pose: BakedPose
-    door_context: DoorContext
-    movable_context: MovableContext
+    door_inputs: DoorInputs
+    movable_inputs: MovableSearchInputs
 
 
 def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfig) -> BakedScene:
@@ -100,7 +100,7 @@ def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfi
         if is_changed.any():
             occupants = update_movable_occupants(
                 old_pose.occupants,
-                baked.movable_context,
+                baked.movable_inputs,
                 shapes=scene.shapes,
                 is_obstacle_geom=is_obstacle_geom,
                 boxes=boxes,
@@ -157,7 +157,7 @@ def _update_leaves(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
     if not changed_candidates:
         return old_leaves
     lattice = baked.structure.lattice
-    footprint = baked.movable_context.footprint
+    footprint = baked.movable_inputs.footprint
     posed_leaves = pose_leaves(scene, changed_candidates, lattice, footprint.half_width)
     levels = baked.structure.floors.levels
     old_leaf_of_id = {leaf.candidate.id: leaf for leaf in old_leaves}
@@ -166,7 +166,7 @@ def _update_leaves(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
         old_leaf = old_leaf_of_id.get(candidate.id)
         if old_leaf is None or not closes_same_cells(leaf_cells, old_leaf):
             raise FullBakeRequired(f"the leaf {candidate.id!r} closes other cells")
-        leaf_of_candidate[candidate] = move_leaf(leaf_cells, old_leaf, baked.door_context)
+        leaf_of_candidate[candidate] = move_leaf(leaf_cells, old_leaf, baked.door_inputs)
     return [leaf_of_candidate[candidate] for candidate in scene.leaves]
 
 

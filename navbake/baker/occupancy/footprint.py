@@ -16,7 +16,8 @@ class Footprint(NamedTuple):
 
     It is an upright prism. Its base is the union of the cell's square and the agent's disc round
     the cell's centre. It begins above the highest step that the agent can take, and ends at the
-    agent's height.
+    agent's height. It is smaller by TOUCH_DEPTH on all sides, so that what only touches it does not
+    block it.
 
     Attributes:
         square: half of the square's edge less TOUCH_DEPTH; 0 if the disc covers the square [m].
@@ -36,18 +37,18 @@ class Footprint(NamedTuple):
         return max(self.square, self.radius) + TOUCH_DEPTH
 
     @classmethod
-    def of(cls, agent: AgentSettings, cell_size: float) -> Footprint:
+    def for_agent(cls, agent: AgentSettings, cell_size: float) -> Footprint:
         """Return the footprint of an agent over a cell.
 
         Args:
             agent: the agent; its radius, height and highest step are read.
             cell_size: edge of a cell [m].
         """
-        half = cell_size / 2
+        half_cell = cell_size / 2
         radius = agent.radius
         return cls(
-            square=half - TOUCH_DEPTH if radius < half * np.sqrt(2.0) else 0.0,
-            radius=radius - TOUCH_DEPTH if radius > half else 0.0,
+            square=half_cell - TOUCH_DEPTH if radius < half_cell * np.sqrt(2.0) else 0.0,
+            radius=radius - TOUCH_DEPTH if radius > half_cell else 0.0,
             low=agent.traversable_floor_height + TOUCH_DEPTH,
             high=agent.height - TOUCH_DEPTH,
         )

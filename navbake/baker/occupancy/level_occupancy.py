@@ -1,6 +1,6 @@
 """Checks which cells of a level are occupied, and lists the geoms between its floors and the next.
 
-Both the structure of a bake and what can move are checked by this, see `navbake.baker.occupants`.
+The structure of a bake is checked by this, and so are movables, see `navbake.baker.occupants`.
 """
 
 from __future__ import annotations
@@ -29,12 +29,13 @@ OPEN_ABOVE = 100.0
 
 
 class LevelOccupancy(NamedTuple):
-    """The occupancy of some cells of a level.
+    """The occupancy of those checked cells of a level that have a floor.
 
     Attributes:
         cells: ids of the checked cells that have a floor, shape (n,).
         occupancy: the occupancy of these cells.
-        lists: where the list of each cell's occupants begins; empty if none were requested.
+        lists: where the list of each cell's occupants begins; all arrays are empty if no lists were
+            requested.
     """
 
     cells: Int
@@ -49,7 +50,7 @@ def find_level_ceilings(floors: Floors) -> list[float]:
 
 def check_level_occupancy(
     columns: Columns,
-    tiled: TiledShapes,
+    tiled_shapes: TiledShapes,
     footprint: Footprint,
     cells: Int,
     level: LevelFloor,
@@ -57,11 +58,11 @@ def check_level_occupancy(
     agent: AgentSettings,
     wall_candidates: Bool | None,
 ) -> LevelOccupancy:
-    """Check which cells of a level some geoms occupy, and list the geoms in each cell.
+    """Check which cells of a level are occupied by geoms, and list the geoms in each cell.
 
     Args:
         columns: the geoms' hits on the vertical line through each cell's centre.
-        tiled: the geoms near the cells.
+        tiled_shapes: the geoms near the cells.
         footprint: the volume over a floor that has to be free.
         cells: cell ids, ascending.
         level: the floors.
@@ -90,18 +91,18 @@ def check_level_occupancy(
             wall_high=WALL_HEIGHTS.high - TOUCH_DEPTH,
             min_up=agent_limits(agent).min_up,
         )
-    occupancy = check_occupancy(columns, tiled, footprint, floor_cells, heights, lists)
+    occupancy = check_occupancy(columns, tiled_shapes, footprint, floor_cells, heights, lists)
     return LevelOccupancy(floor_cells, occupancy, lists)
 
 
-def entries_of_cells(
-    first: Int32, geom: Int32, flags: NDArray[np.uint8], cells: Int
+def select_list_entries(
+    list_starts: Int32, geom: Int32, flags: NDArray[np.uint8], cells: Int
 ) -> tuple[Int, Int32, NDArray[np.uint8]]:
-    """Return the list entries of some cells, ordered by cell and then geom.
+    """Return the entries of some cells from the lists of geoms, ordered by cell and then geom.
 
     Args:
-        first: by cell id, the index into `geom` at which the cell's list begins. The list ends
-            before the next -1 in `geom`.
+        list_starts: by cell id, the index into `geom` at which the cell's list begins. The list
+            ends before the next -1 in `geom`.
         geom: geom ids of all lists, one list after the other.
         flags: the flags of each entry of `geom`.
         cells: cell ids, shape (n,).
@@ -109,12 +110,12 @@ def entries_of_cells(
     Returns:
         For each entry the index of its cell in `cells`, its geom id, and its flags.
     """
-    begin = first[cells]
-    counts = np.zeros(len(cells), dtype=np.int64)
-    unfinished = np.flatnonzero(geom[begin] >= 0)
-    while len(unfinished):  # cells whose lists go on
-        counts[unfinished] += 1
-        next_geom = geom[begin[unfinished] + counts[unfinished]]
-        unfinished = unfinished[next_geom >= 0]
-    cell_place, entry = expand_ranges(begin, begin + counts)
-    return cell_place, geom[entry], flags[entry]
+    begins = list_starts[cells]
+    list_lengths = np.zeros(len(cells), dtype=np.int64)
+    unfinished_lists = np.flatnonzero(geom[begins] >= 0)
+    while len(unfinished_lists):  # cells whose lists go on
+        list_lengths[unfinished_lists] += 1
+        next_geom = geom[begins[unfinished_lists] + list_lengths[unfinished_lists]]
+        unfinished_lists = unfinished_lists[next_geom >= 0]
+    cell_index, entry_index = expand_ranges(begins, begins + list_lengths)
+    return cell_index, geom[entry_index], flags[entry_index]

@@ -52,7 +52,7 @@ NO_LISTS = OccupantLists(
     wall_high=0.0,
     min_up=0.0,
 )
-"""Settings for `check_occupancy` to list no occupants."""
+"""The value of `lists` for which `check_occupancy` lists no occupants."""
 
 
 class Occupancy(NamedTuple):
@@ -89,7 +89,7 @@ class CellOccupancy(NamedTuple):
 
 def check_occupancy(
     columns: Columns,
-    tiled: TiledShapes,
+    tiled_shapes: TiledShapes,
     footprint: Footprint,
     cells: Int,
     floors: Float,
@@ -105,7 +105,7 @@ def check_occupancy(
 
     Args:
         columns: the geoms' hits on the vertical line through each cell's centre.
-        tiled: the geoms near the cells, on the same lattice.
+        tiled_shapes: the geoms near the cells, on the same lattice.
         footprint: the volume over a floor that has to be free.
         cells: cell ids, shape (n,), int64, in any order; a cell may be repeated.
         floors: height of each cell's floor, shape (n,), float64 [m].
@@ -116,17 +116,19 @@ def check_occupancy(
         The occupancy of each cell, shape (n,), and the lists of occupants.
     """
     if len(cells) and np.any(cells[1:] < cells[:-1]):  # the kernel goes tile by tile
-        order = np.argsort(cells, kind="stable")
-        place = np.empty_like(order)
-        place[order] = np.arange(len(order))
-        in_order = check_occupancy(columns, tiled, footprint, cells[order], floors[order])
-        return in_order._replace(
-            occupied=in_order.occupied[place],
-            square_occupied=in_order.square_occupied[place],
+        sort_indices = np.argsort(cells, kind="stable")
+        place_in_order = np.empty_like(sort_indices)
+        place_in_order[sort_indices] = np.arange(len(sort_indices))
+        sorted_occupancy = check_occupancy(
+            columns, tiled_shapes, footprint, cells[sort_indices], floors[sort_indices]
+        )
+        return sorted_occupancy._replace(
+            occupied=sorted_occupancy.occupied[place_in_order],
+            square_occupied=sorted_occupancy.square_occupied[place_in_order],
         )
     lattice = columns.lattice
-    shapes = tiled.shapes
-    shape_arrays = ShapeArrays(shapes.solids, tiled.facets, shapes.planes)
+    shapes = tiled_shapes.shapes
+    all_shapes = ShapeArrays(shapes.solids, tiled_shapes.facets, shapes.planes)
     cells = cells.astype(np.int64, copy=False)
     query_flags = np.zeros(len(cells), dtype=np.uint8)
     queries = Queries(
@@ -138,53 +140,59 @@ def check_occupancy(
     )
     lists_by_row: dict[int, tuple[Int32, NDArray[np.uint8]]] = {}
 
-    def check_rows(first: int, end: int) -> None:
-        geom, flags, used = check_tiles(
+    def check_rows(first_row: int, end_row: int) -> None:
+        geom, flags, num_used = check_tiles(
             lattice,
             columns.hits,
-            shape_arrays,
-            tiled.tile_index,
+            all_shapes,
+            tiled_shapes.tile_index,
             footprint,
             queries,
             lists,
-            first,
-            end,
+            first_row,
+            end_row,
         )
-        lists_by_row[first] = geom[:used], flags[:used]
+        lists_by_row[first_row] = geom[:num_used], flags[:num_used]
 
     if len(cells):
-        first_row, last_row = (cells[[0, -1]] // lattice.width // TILE).tolist()
-        run_in_chunks(check_rows, last_row - first_row + 1, begin=first_row)
+        first_tile_row, last_tile_row = (cells[[0, -1]] // lattice.width // TILE).tolist()
+        run_in_chunks(check_rows, last_tile_row - first_tile_row + 1, begin=first_tile_row)
     geom, flags = _join_lists(lists_by_row, lists.first, cells, lattice)
 
     occupied = (query_flags & BLOCKING) > 0
     is_undecided = ~occupied & ((query_flags & MAYBE_BLOCKING) > 0)
-    for n in np.flatnonzero(is_undecided):
-        occupied[n] = _fcl_finds_overlap(tiled, footprint, int(cells[n]), float(floors[n]))
+    for query in np.flatnonzero(is_undecided):
+        occupied[query] = _fcl_finds_overlap(
+            tiled_shapes, footprint, int(cells[query]), float(floors[query])
+        )
     square_occupied = occupied
     if footprint.radius > 0:
         square_occupied = (query_flags & BLOCKING_SQUARE) > 0
-        square = footprint._replace(square=lattice.cell_size / 2 - TOUCH_DEPTH, radius=0.0)
+        square_footprint = footprint._replace(
+            square=lattice.cell_size / 2 - TOUCH_DEPTH, radius=0.0
+        )
         is_undecided = occupied & ~square_occupied & ((query_flags & MAYBE_BLOCKING_SQUARE) > 0)
-        for n in np.flatnonzero(is_undecided):
-            square_occupied[n] = _fcl_finds_overlap(tiled, square, int(cells[n]), float(floors[n]))
+        for query in np.flatnonzero(is_undecided):
+            square_occupied[query] = _fcl_finds_overlap(
+                tiled_shapes, square_footprint, int(cells[query]), float(floors[query])
+            )
         square_occupied &= occupied
     if len(lists.first):
         # FCL has decided about the cell, not about a geom: all geoms that may block an occupied
         # cell count as blocking it
-        for n in np.flatnonzero(occupied & ((query_flags & MAYBE_BLOCKING) > 0)):
-            i = lists.first[n]
-            while geom[i] >= 0:
-                if flags[i] & MAYBE_BLOCKING:
-                    flags[i] |= BLOCKING
-                i += 1
+        for query in np.flatnonzero(occupied & ((query_flags & MAYBE_BLOCKING) > 0)):
+            entry = lists.first[query]
+            while geom[entry] >= 0:
+                if flags[entry] & MAYBE_BLOCKING:
+                    flags[entry] |= BLOCKING
+                entry += 1
         flags &= ~np.uint8(MAYBE_BLOCKING)
     return CellOccupancy(occupied, square_occupied, geom, flags)
 
 
 def _join_lists(
     lists_by_row: dict[int, tuple[Int32, NDArray[np.uint8]]],
-    first_entry: Int32,
+    list_start: Int32,
     cells: Int,
     lattice: Lattice,
 ) -> tuple[Int32, NDArray[np.uint8]]:
@@ -192,7 +200,7 @@ def _join_lists(
 
     Args:
         lists_by_row: first row of tiles of a call -> geom ids and flags that the call listed.
-        first_entry: for each cell, where its list begins in the lists of its call; changed to where
+        list_start: for each cell, where its list begins in the lists of its call; changed to where
             it begins in the joined lists. Empty if nothing is listed.
         cells: the cells, ascending.
         lattice: the lattice.
@@ -202,34 +210,36 @@ def _join_lists(
     """
     if not lists_by_row:
         return np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.uint8)
-    first_rows = sorted(lists_by_row)
-    if len(first_entry):
-        row_cells = [row * TILE * lattice.width for row in first_rows[1:]]
+    first_tile_rows = sorted(lists_by_row)
+    if len(list_start):
+        first_cells = [tile_row * TILE * lattice.width for tile_row in first_tile_rows[1:]]
         num_entries = 0
-        first_by_row = np.split(first_entry, np.searchsorted(cells, row_cells))
-        for row, first in zip(first_rows, first_by_row, strict=True):
-            first += num_entries  # a view: `first_entry` changes
-            geom, _ = lists_by_row[row]
+        starts_by_row = np.split(list_start, np.searchsorted(cells, first_cells))
+        for tile_row, list_starts in zip(first_tile_rows, starts_by_row, strict=True):
+            list_starts += num_entries  # a view: `first_entry` changes
+            geom, _ = lists_by_row[tile_row]
             num_entries += len(geom)
-    if len(first_rows) == 1:
-        return lists_by_row[first_rows[0]]
-    geom = np.concatenate([lists_by_row[row][0] for row in first_rows])
-    flags = np.concatenate([lists_by_row[row][1] for row in first_rows])
+    if len(first_tile_rows) == 1:
+        return lists_by_row[first_tile_rows[0]]
+    geom = np.concatenate([lists_by_row[tile_row][0] for tile_row in first_tile_rows])
+    flags = np.concatenate([lists_by_row[tile_row][1] for tile_row in first_tile_rows])
     return geom, flags
 
 
-def _fcl_finds_overlap(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:
+def _fcl_finds_overlap(
+    tiled_shapes: TiledShapes, footprint: Footprint, cell: int, floor: float
+) -> bool:
     """Return whether FCL finds that a solid meets the footprint over the floor of a cell.
 
     Args:
-        tiled: the geoms near the cell; of these, the primitives (solids) are tested.
+        tiled_shapes: the geoms near the cell; of these, the primitives (solids) are tested.
         footprint: the volume over a floor that has to be free.
         cell: id of the cell.
         floor: height of its floor [m].
     """
-    lattice = tiled.lattice
-    tiles = tiled.tile_index
-    solids = tiled.shapes.solids
+    lattice = tiled_shapes.lattice
+    tile_index = tiled_shapes.tile_index
+    solids = tiled_shapes.shapes.solids
     tile = tile_of(lattice, cell)
     half_height = (footprint.high - footprint.low) / 2
     x, y = lattice.positions(*divmod(cell, lattice.width))
@@ -240,10 +250,12 @@ def _fcl_finds_overlap(tiled: TiledShapes, footprint: Footprint, cell: int, floo
     if footprint.radius > 0:
         prisms.append(fcl.Cylinder(footprint.radius, 2 * half_height))
     footprint_objects = [fcl.CollisionObject(prism, fcl.Transform(center)) for prism in prisms]
-    for solid in tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]:
-        shape = FCL_SHAPES[int(solids.kind[solid])](solids.size[solid])
+    for solid in tile_index.solid_item[
+        tile_index.solid_start[tile] : tile_index.solid_start[tile + 1]
+    ]:
+        fcl_shape = FCL_SHAPES[int(solids.kind[solid])](solids.size[solid])
         pose = fcl.Transform(solids.mat[solid].reshape(3, 3), solids.pos[solid])
-        solid_object = fcl.CollisionObject(shape, pose)
+        solid_object = fcl.CollisionObject(fcl_shape, pose)
         if any(fcl.collide(prism, solid_object) > 0 for prism in footprint_objects):
             return True
     return False

@@ -13,7 +13,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.types import Int
 
 CellNames = dict[str, list[str]]
-"""The user data of a cell: sorted names by key."""
+"""The user data of a cell: key, such as ``objects`` -> the sorted names under this key."""
 
 # Bits of a geom in a cell, and the keys of user data for them
 OBJECTS = 1
@@ -25,22 +25,25 @@ NUM_BITS_VALUES = 8  # all sums of these bits are below this
 
 
 def name_geoms(scene: Scene) -> list[str]:
-    """Return for each geom the name of its topmost body; on the world body, the geom's own name.
+    """Return for each geom the name of its topmost body.
 
-    A body or geom without a name is called ``body 3`` or ``geom 12``, after its id.
+    A geom of the world body has its own name instead. A body or geom without a name is called
+    ``body 3`` or ``geom 12``, after its id.
     """
     model = scene.model
-    roots = model.body_rootid[model.geom_bodyid]
-    bodies = {int(root): body_name(model, int(root)) for root in np.unique(roots)}
+    root_bodies = model.body_rootid[model.geom_bodyid]
+    names_of_bodies = {
+        int(root_body): body_name(model, int(root_body)) for root_body in np.unique(root_bodies)
+    }
     return [
-        bodies[int(root)] if root else report.name
-        for root, report in zip(roots, scene.geoms, strict=True)
+        names_of_bodies[int(root_body)] if root_body else geom_report.name
+        for root_body, geom_report in zip(root_bodies, scene.geoms, strict=True)
     ]
 
 
 def name_cells(
-    cell: Int,
-    geom: NDArray[np.integer],
+    cells: Int,
+    geoms: NDArray[np.integer],
     bits: Int,
     names: Sequence[str],
     lattice: Lattice,
@@ -49,8 +52,8 @@ def name_cells(
     """Make the table of names for the cells of a grid.
 
     Args:
-        cell: cell ids on the lattice, shape (n,).
-        geom: the id of a geom in each of these cells, shape (n,). A cell with several geoms occurs
+        cells: cell ids on the lattice, shape (n,).
+        geoms: the id of a geom in each of these cells, shape (n,). A cell with several geoms occurs
             several times.
         bits: the bits OBJECTS, WALLS and BLOCKERS of each pair of cell and geom, shape (n,); a pair
             with 0 is dropped.
@@ -65,90 +68,105 @@ def name_cells(
         its objects and walls together.
     """
     # names are numbered by their first geoms, so that they keep the order of the scene's geoms
-    numbers: dict[str, int] = {}
-    name_of_geom = np.array([numbers.setdefault(name, k) for k, name in enumerate(names)], np.int64)
-    cell, name, bits = _merge(cell, name_of_geom[geom], bits, len(names))
-    token = name * NUM_BITS_VALUES + bits
+    number_of_name: dict[str, int] = {}
+    name_of_geom = np.array(
+        [
+            number_of_name.setdefault(name_numbers, number)
+            for number, name_numbers in enumerate(names)
+        ],
+        np.int64,
+    )
+    cells, name_numbers, bits = _merge_pairs(cells, name_of_geom[geoms], bits, len(names))
+    name_and_bits = name_numbers * NUM_BITS_VALUES + bits
     if window != (slice(0, lattice.height), slice(0, lattice.width)):
-        cell, is_inside = crop_cells(cell, window, lattice.width)
-        token = token[is_inside]
+        cells, is_inside = crop_cells(cells, window, lattice.width)
+        name_and_bits = name_and_bits[is_inside]
     # cells with equal lists of tokens share an entry
-    first = np.flatnonzero(np.diff(cell, prepend=-1))
-    start = np.append(first, len(cell))
-    entry_of_cell = np.empty(len(first), dtype=np.int64)
-    lists = number_distinct_lists(start, token, entry_of_cell)
-    entries = _describe(token, start[lists], start[lists + 1], names)
-    return cell[first], entry_of_cell, entries
+    first_of_cell = np.flatnonzero(np.diff(cells, prepend=-1))
+    list_starts = np.append(first_of_cell, len(cells))
+    entry_of_cell = np.empty(len(first_of_cell), dtype=np.int64)
+    distinct_lists = number_distinct_lists(list_starts, name_and_bits, entry_of_cell)
+    entries = _describe(
+        name_and_bits, list_starts[distinct_lists], list_starts[distinct_lists + 1], names
+    )
+    return cells[first_of_cell], entry_of_cell, entries
 
 
-def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, Int]:
-    """Merge the entries with the same cell and name; entries without a bit are dropped.
+def _merge_pairs(cells: Int, name_numbers: Int, bits: Int, num_names: int) -> tuple[Int, Int, Int]:
+    """Merge all entries that have the same cell and the same name.
+
+    An entry is a geom in a cell. Entries without any bit are dropped.
 
     Args:
-        cell: the cell of each entry, (n,).
-        name: the number of the name of a geom in the cell, (n,).
+        cells: the cell of each entry, (n,).
+        name_numbers: the number of the name of a geom in the cell, (n,).
         bits: the bits of the geom in the cell, (n,).
-        num_names: the number of names; all of `name` are below it.
+        num_names: the number of names; all of `name_numbers` are below it.
 
     Returns:
         Cells and names of the unique pairs, sorted by cell and then name; and the bits that any
         entry of the pair has.
     """
-    counts = bits > 0
-    cell = cell[counts]
-    name = name[counts]
-    bits = bits[counts]
-    pair = cell * num_names + name
-    if (np.diff(pair) < 0).any():
-        order = np.argsort(pair, kind="stable")
-        pair = pair[order]
-        cell = cell[order]
-        name = name[order]
-        bits = bits[order]
-    first = np.flatnonzero(np.diff(pair, prepend=-1))
-    merged_bits = np.bitwise_or.reduceat(bits, first) if len(first) else bits
-    return cell[first], name[first], merged_bits
+    has_bits = bits > 0
+    cells = cells[has_bits]
+    name_numbers = name_numbers[has_bits]
+    bits = bits[has_bits]
+    pair_key = cells * num_names + name_numbers
+    if (np.diff(pair_key) < 0).any():
+        sort_indices = np.argsort(pair_key, kind="stable")
+        pair_key = pair_key[sort_indices]
+        cells = cells[sort_indices]
+        name_numbers = name_numbers[sort_indices]
+        bits = bits[sort_indices]
+    first_of_pair = np.flatnonzero(np.diff(pair_key, prepend=-1))
+    merged_bits = np.bitwise_or.reduceat(bits, first_of_pair) if len(first_of_pair) else bits
+    return cells[first_of_pair], name_numbers[first_of_pair], merged_bits
 
 
-def _describe(token: Int, begin: Int, end: Int, names: Sequence[str]) -> list[CellNames]:
+def _describe(
+    names_and_bits: Int, list_starts: Int, list_ends: Int, names: Sequence[str]
+) -> list[CellNames]:
     """Make the user data of each distinct list of tokens, which several cells may share.
 
     A token is ``number of a name * NUM_BITS_VALUES + bits``.
 
     Args:
-        token: tokens of all cells, one cell after the other.
-        begin: for each list, the index of its first token.
-        end: for each list, the index after its last token.
+        names_and_bits: tokens of all cells, one cell after the other.
+        list_starts: for each list, the index of its first token.
+        list_ends: for each list, the index after its last token.
         names: the names, by number.
 
     Returns:
         For each list, its sorted names by key.
     """
-    size = end - begin
-    num_entries = len(size)
-    entry = np.repeat(np.arange(num_entries), size)
-    token = token[np.arange(len(entry)) + (begin - np.cumsum(size) + size)[entry]]
-    name, bits = np.divmod(token, NUM_BITS_VALUES)
-    order = np.lexsort((_ranks(names)[name], entry))
-    name = name[order]
-    bits = bits[order]
-    differs = ((bits & BLOCKERS) > 0) != ((bits & OBJECTS_OR_WALLS) > 0)
-    has_blockers = np.bincount(entry, differs, num_entries) > 0
+    list_lengths = list_ends - list_starts
+    num_lists = len(list_lengths)
+    list_number = np.repeat(np.arange(num_lists), list_lengths)
+    names_and_bits = names_and_bits[
+        np.arange(len(list_number))
+        + (list_starts - np.cumsum(list_lengths) + list_lengths)[list_number]
+    ]
+    name_numbers, bits = np.divmod(names_and_bits, NUM_BITS_VALUES)
+    sort_indices = np.lexsort((_rank_names(names)[name_numbers], list_number))
+    name_numbers = name_numbers[sort_indices]
+    bits = bits[sort_indices]
+    is_different = ((bits & BLOCKERS) > 0) != ((bits & OBJECTS_OR_WALLS) > 0)
+    has_blockers = np.bincount(list_number, is_different, num_lists) > 0
     is_under_key = {key: (bits & bit) > 0 for key, bit in USER_DATA_KEYS.items()}
-    is_under_key["blockers"] = ((bits & BLOCKERS) > 0) & has_blockers[entry]
-    user_data: list[CellNames] = [{} for _ in range(num_entries)]
+    is_under_key["blockers"] = ((bits & BLOCKERS) > 0) & has_blockers[list_number]
+    user_data: list[CellNames] = [{} for _ in range(num_lists)]
     for key, is_listed in is_under_key.items():
-        key_names = [names[k] for k in name[is_listed].tolist()]
-        entries, first = np.unique(entry[is_listed], return_index=True)
-        end_of_entry = np.append(first[1:], len(key_names))[: len(first)]
-        ranges = np.stack([entries, first, end_of_entry], axis=1).tolist()
-        for number, first_name, end_name in ranges:
-            user_data[number][key] = key_names[first_name:end_name]
+        key_names = [names[name_number] for name_number in name_numbers[is_listed].tolist()]
+        list_numbers, first_names = np.unique(list_number[is_listed], return_index=True)
+        end_names = np.append(first_names[1:], len(key_names))[: len(first_names)]
+        ranges = np.stack([list_numbers, first_names, end_names], axis=1).tolist()
+        for list_index, first_name, end_name in ranges:
+            user_data[list_index][key] = key_names[first_name:end_name]
     return user_data
 
 
-def _ranks(names: Sequence[str]) -> Int:
-    """Return for each name its place in the sorted list of all names."""
-    ranks = np.empty(len(names), dtype=np.int64)
-    ranks[sorted(range(len(names)), key=names.__getitem__)] = np.arange(len(names))
-    return ranks
+def _rank_names(names: Sequence[str]) -> Int:
+    """Return for each name its index in the sorted list of all names, shape (n,)."""
+    ranks_of_names = np.empty(len(names), dtype=np.int64)
+    ranks_of_names[sorted(range(len(names)), key=names.__getitem__)] = np.arange(len(names))
+    return ranks_of_names

@@ -32,7 +32,7 @@ def flag_columns(hits, floor, ground, limits, above_heads, flags, begin, end):
             `ColumnHits`; line i belongs to cell i.
         floor: z of each cell's floor, float64, NaN for none [m].
         ground: z of the level's ground [m].
-        limits: what the agent can stand and walk on, as `AgentLimits`.
+        limits: the agent's highest step, headroom and largest slope, as `AgentLimits`.
         above_heads: the height above the floor from which on something is TALL [m].
         flags: receives the flags of each cell, uint8.
         begin: id of the first cell.

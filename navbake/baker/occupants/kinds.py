@@ -100,38 +100,38 @@ class OccupantSizes(NamedTuple):
     """The heights of geoms over floors, and the areas that they occupy, by geom id.
 
     Attributes:
-        base: the least height of the geom's bottom over the floor of a cell that it occupies [m];
-            inf where it occupies no cell, and for an endless plane.
-        rise: the greatest height of the geom's top over its bottom, or over the floor of a cell
-            that it occupies where the floor is higher than its bottom [m]; -inf where it occupies
-            no cell, and for an endless plane.
+        min_bottom_over_floor: the least height of the geom's bottom over the floor of a cell that
+            it occupies [m]; inf where it occupies no cell, and for an endless plane.
+        max_top_over_bottom: the greatest height of the geom's top over its bottom, or over the
+            floor of a cell that it occupies where the floor is higher than its bottom [m]; -inf
+            where it occupies no cell, and for an endless plane.
         area: the area that the geom occupies on the level where that is largest [m²].
         area_at_wall_height: the same, counting only cells that it occupies within `WALL_HEIGHTS`
             [m²]; 0 for geoms whose shape is not that of walls, see `mark_wall_candidates`.
     """
 
-    base: Float
-    rise: Float
+    min_bottom_over_floor: Float
+    max_top_over_bottom: Float
     area: Float
     area_at_wall_height: Float
 
 
 class FloorCounts(NamedTuple):
-    """Counts the cells in which the surface of a geom is the floor; by geom id, shape (ngeom,).
+    """How many cells have the surface of each geom as their floor; by geom id, shape (ngeom,).
 
     Attributes:
         num_cells: number of cells in which the geom's surface is the floor.
-        num_on_floors: number of these cells in which the geom lies on the floor of a second geom,
-            see `THING_HEIGHT`.
-        num_covers: number of these cells in which the geom's surface is at most `COVERING` above
+        num_on_floors: number of these cells in which the geom lies on the floor of a second geom:
+            at most `THING_HEIGHT` above it, or solid down to it.
+        num_covering: number of these cells in which the geom's surface is at most `COVERING` above
             the floor of a second geom.
-        stood_on: whether an agent can stand on the geom in any cell, bool.
+        is_stood_on: whether an agent can stand on the geom in any cell, bool.
     """
 
     num_cells: Int
     num_on_floors: Int
-    num_covers: Int
-    stood_on: Bool
+    num_covering: Int
+    is_stood_on: Bool
 
 
 class FloorSteps(NamedTuple):
@@ -140,32 +140,32 @@ class FloorSteps(NamedTuple):
     Arrays of shape (n,), with one entry for each pair of cells.
 
     Attributes:
-        lower: id of the geom whose surface is the lower floor.
-        higher: id of the geom whose surface is the higher floor.
-        rise: height of the step, >= 0 [m].
+        lower_geom: id of the geom whose surface is the lower floor.
+        higher_geom: id of the geom whose surface is the higher floor.
+        height: height of the step, >= 0 [m].
     """
 
-    lower: Int
-    higher: Int
-    rise: Float
+    lower_geom: Int
+    higher_geom: Int
+    height: Float
 
 
 class FloorGeoms(NamedTuple):
     """Masks by geom id of the geoms whose surfaces are floors, shape (ngeom,), bool.
 
     Attributes:
-        building: the geoms that are parts of the building.
-        things: the geoms that lie on the building's floors (rugs, pallets).
-        stood_on: the geoms of either mask that an agent can stand on in any cell.
+        is_building: the geoms that are parts of the building.
+        is_thing: the geoms that lie on the building's floors (rugs, pallets).
+        is_stood_on: the geoms of either mask that an agent can stand on in any cell.
     """
 
-    building: Bool
-    things: Bool
-    stood_on: Bool
+    is_building: Bool
+    is_thing: Bool
+    is_stood_on: Bool
 
 
 class ClassifiedGeoms(NamedTuple):
-    """What geoms are, and warnings.
+    """The kinds of all geoms, such as wall or object, and warnings.
 
     Attributes:
         kinds: for each geom, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
@@ -199,20 +199,22 @@ def classify_geoms(
     Returns:
         The kind of each geom, and a warning for each pattern of walls that matches nothing.
     """
-    buildings = mark_buildings(scene, extents, sizes)
-    ceilings = mark_ceilings(extents, sizes.base, scene.roles == STATIC_STRUCTURE, agent)
-    walls = mark_wall_geoms(scene, extents, sizes, floor_geoms, excluded=buildings)
+    is_building = mark_buildings(scene, extents, sizes)
+    is_ceiling = mark_ceilings(
+        extents, sizes.min_bottom_over_floor, scene.roles == STATIC_STRUCTURE, agent
+    )
+    is_wall = mark_wall_geoms(scene, extents, sizes, floor_geoms, excluded=is_building)
     kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
-    kinds[floor_geoms.building | ceilings] = STRUCTURE
-    kinds[walls] = WALL
-    kinds[buildings] = BUILDING
+    kinds[floor_geoms.is_building | is_ceiling] = STRUCTURE
+    kinds[is_wall] = WALL
+    kinds[is_building] = BUILDING
     room_kinds = kinds.copy()
     warnings = list[str]()
     if settings.walls:  # walls of the settings replace those by shape
-        walls_by_name, warnings = match_wall_names(scene, settings.walls)
+        is_named_wall, warnings = match_wall_names(scene, settings.walls)
         kinds[kinds == WALL] = OBJECT
-        kinds[walls_by_name] = WALL
-        room_kinds[walls_by_name] = WALL
+        kinds[is_named_wall] = WALL
+        room_kinds[is_named_wall] = WALL
     room_kinds[mark_panes(extents, sizes, room_kinds == WALL)] = WALL
     return ClassifiedGeoms(kinds, room_kinds, warnings)
 
@@ -231,7 +233,7 @@ def mark_wall_candidates(scene: Scene, extents: Extents) -> Bool:
         A mask by geom id, shape (ngeom,), bool.
     """
     is_tall = extents.top - extents.bottom >= MIN_WALL_HEIGHT
-    is_slender = _is_slender(extents, *THIN_WALLS, THICK_WALL)
+    is_slender = _mark_slender(extents, *THIN_WALLS, THICK_WALL)
     return is_tall & is_slender | _may_hold_building(scene, extents)
 
 
@@ -252,7 +254,7 @@ def mark_buildings(scene: Scene, extents: Extents, sizes: OccupantSizes) -> Bool
 
 
 def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
-    """Mark the geoms of triangles, other than hulls, that are as tall and wide as a building."""
+    """Mark the meshes that are as tall and wide as a building; convex hulls are not marked."""
     is_surface = [report.shape in TRIANGLE_SHAPES for report in scene.geoms]
     is_tall = extents.top - extents.bottom >= MIN_WALL_HEIGHT
     is_wide = extents.short_side >= BUILDING_WIDTH
@@ -272,14 +274,16 @@ def match_wall_names(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[
     warnings: list[str] = []
     names_by_geom = []
     for geom in range(len(scene.geoms)):
-        bodies = _bodies_above(scene.model, geom)
-        body_names = {body_name(scene.model, body) for body in bodies}
+        body_ids = _bodies_above(scene.model, geom)
+        body_names = {body_name(scene.model, body) for body in body_ids}
         names_by_geom.append(body_names | set(_names(scene, geom)))
     scene_names = sorted(set().union(*names_by_geom))
     for pattern in patterns:
-        matches = {name for name in scene_names if fnmatchcase(name, pattern)}
-        is_match |= np.array([not matches.isdisjoint(names) for names in names_by_geom], np.bool_)
-        if not matches:
+        matching_names = {name for name in scene_names if fnmatchcase(name, pattern)}
+        is_match |= np.array(
+            [not matching_names.isdisjoint(names) for names in names_by_geom], np.bool_
+        )
+        if not matching_names:
             warnings.append(warn_unmatched("names.walls", pattern, scene_names))
     return is_match, warnings
 
@@ -291,9 +295,9 @@ def mark_wall_geoms(
 
     By its shape, a geom is a wall if it is static and vertical, begins near a floor, rises at least
     1.5 m, and is long and at most 0.25 m thick. A geom up to 0.5 m thick has to be longer. A geom
-    up to 1.2 m thick also has to meet a wall, or a second geom as thick, at a corner, and be as
-    high as that, which racks, containers and rows of cupboards don't. Panels of furniture, and
-    geoms that an agent can stand on, are no walls.
+    up to 1.2 m thick also has to meet, at a corner, a wall or a second geom of such a thickness
+    that is equally high. So racks, containers and rows of cupboards are no walls. Neither are
+    panels of furniture, and geoms that an agent can stand on.
 
     By its name, a static geom that begins near a floor is a wall if `wall` or `partition` is in the
     name of the geom, its mesh or its body. Its height has to be at least 1 m, or 0.5 m if it is
@@ -305,27 +309,29 @@ def mark_wall_geoms(
     names = [" ".join(geom_names).lower() for geom_names in all_names(scene.model).geoms]
     has_wall_name = np.array([bool(WALL_NAME.search(name)) for name in names], dtype=np.bool_)
     is_static = (scene.roles == STATIC_STRUCTURE) & ~excluded
-    is_slender = _is_slender(extents, *THIN_WALLS)
-    is_near_floor = is_static & (sizes.base <= MAX_WALL_BOTTOM)
+    is_slender = _mark_slender(extents, *THIN_WALLS)
+    is_near_floor = is_static & (sizes.min_bottom_over_floor <= MAX_WALL_BOTTOM)
 
-    walls_by_name = is_near_floor & has_wall_name
-    walls_by_name &= (sizes.rise >= MIN_NAMED_HEIGHT) | (
-        is_slender & (sizes.rise >= MIN_NAMED_THIN_HEIGHT)
+    is_wall_by_name = is_near_floor & has_wall_name
+    is_wall_by_name &= (sizes.max_top_over_bottom >= MIN_NAMED_HEIGHT) | (
+        is_slender & (sizes.max_top_over_bottom >= MIN_NAMED_THIN_HEIGHT)
     )
 
-    is_upright = is_near_floor & (sizes.rise >= MIN_WALL_HEIGHT)
-    is_upright &= ~floor_geoms.stood_on & ~walls_by_name
+    is_upright = is_near_floor & (sizes.max_top_over_bottom >= MIN_WALL_HEIGHT)
+    is_upright &= ~floor_geoms.is_stood_on & ~is_wall_by_name
     is_upright &= sizes.area_at_wall_height >= MIN_UPRIGHT_SHARE * sizes.area
-    walls_by_shape = is_upright & is_slender
+    is_wall_by_shape = is_upright & is_slender
     subtree_ends = find_subtree_ends(scene.model)
-    for geom in np.flatnonzero(walls_by_shape):
-        walls_by_shape[geom] = not _is_furniture_panel(scene, extents, int(geom), subtree_ends)
+    for geom in np.flatnonzero(is_wall_by_shape):
+        is_wall_by_shape[geom] = not _is_furniture_panel(scene, extents, int(geom), subtree_ends)
 
-    is_thick = is_upright & ~is_slender & _is_slender(extents, THICK_WALL)
-    walls_by_shape |= _meets_at_corner(is_thick, walls_by_name | walls_by_shape, extents)
+    is_thick = is_upright & ~is_slender & _mark_slender(extents, THICK_WALL)
+    is_wall_by_shape |= _mark_meeting_at_corner(
+        is_thick, is_wall_by_name | is_wall_by_shape, extents
+    )
 
-    may_continue = is_static & ~floor_geoms.building & ~floor_geoms.things
-    return _continue_walls(walls_by_name | walls_by_shape, may_continue, extents)
+    may_continue = is_static & ~floor_geoms.is_building & ~floor_geoms.is_thing
+    return _add_wall_pieces(is_wall_by_name | is_wall_by_shape, may_continue, extents)
 
 
 def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
@@ -334,84 +340,87 @@ def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
     A pane is as thin, long and tall as a wall, and begins near a floor or a sill. Each of its two
     ends meets a wall, or a second pane in the same opening.
     """
-    is_pane = _is_slender(extents, THIN_WALLS[0])
+    is_pane = _mark_slender(extents, THIN_WALLS[0])
     is_pane &= extents.top - extents.bottom >= MIN_WALL_HEIGHT
-    is_pane &= (sizes.base <= MAX_WALL_BOTTOM) & ~is_wall
+    is_pane &= (sizes.min_bottom_over_floor <= MAX_WALL_BOTTOM) & ~is_wall
     # once a pane that meets nothing at an end is left out, its neighbor may meet nothing there
     while is_pane.any():
         panes = np.flatnonzero(is_pane)
         neighbors = np.flatnonzero(
             is_pane | is_wall & (extents.short_side <= THICK_WALL.max_thickness)
         )
-        is_held = np.zeros((2, len(is_pane)), dtype=np.bool_)
-        for pane, neighbor in _near_pairs(panes, neighbors, extents):
-            for side, half in enumerate((-0.5, 0.5)):
-                end = _end_of(pane, half, extents)
-                holds = (pane != neighbor) & _is_on(end, neighbor, extents)
-                is_held[side, pane[holds]] = True
-        remains = is_pane & is_held.all(axis=0)
-        if (remains == is_pane).all():
+        meets_at_end = np.zeros((2, len(is_pane)), dtype=np.bool_)
+        for pane, neighbor in _iterate_near_pairs(panes, neighbors, extents):
+            for end_number, end_sign in enumerate((-0.5, 0.5)):
+                end_point = _find_end_points(pane, end_sign, extents)
+                is_meeting = (pane != neighbor) & _mark_points_on(end_point, neighbor, extents)
+                meets_at_end[end_number, pane[is_meeting]] = True
+        still_is_pane = is_pane & meets_at_end.all(axis=0)
+        if (still_is_pane == is_pane).all():
             break
-        is_pane = remains
+        is_pane = still_is_pane
     return is_pane
 
 
-def _is_slender(extents: Extents, *limits: WallLimits) -> Bool:
+def _mark_slender(extents: Extents, *wall_limits: WallLimits) -> Bool:
     """Mark the geoms that are thin and long by at least one of several limits."""
     is_slender = np.zeros(len(extents.short_side), dtype=np.bool_)
-    for limit in limits:
-        min_length = np.maximum(limit.min_length, limit.min_ratio * extents.short_side)
-        is_slender |= (extents.short_side <= limit.max_thickness) & (
+    for wall_limit in wall_limits:
+        min_length = np.maximum(wall_limit.min_length, wall_limit.min_ratio * extents.short_side)
+        is_slender |= (extents.short_side <= wall_limit.max_thickness) & (
             extents.long_side >= min_length
         )
     return is_slender
 
 
-def _meets_at_corner(is_thick: Bool, is_wall: Bool, extents: Extents) -> Bool:
-    """Mark thick geoms that meet a wall, or another thick geom, of the same height at a corner."""
-    meets = np.zeros(len(is_thick), dtype=np.bool_)
+def _mark_meeting_at_corner(is_thick: Bool, is_wall: Bool, extents: Extents) -> Bool:
+    """Mark thick geoms that meet, at a corner, a wall or a thick geom of the same height."""
+    is_at_corner = np.zeros(len(is_thick), dtype=np.bool_)
     if not is_thick.any():
-        return meets
+        return is_at_corner
     thick_geoms = np.flatnonzero(is_thick)
     neighbors = np.flatnonzero(is_thick | is_wall)
-    for geom, neighbor in _near_pairs(thick_geoms, neighbors, extents):
+    for geom, neighbor in _iterate_near_pairs(thick_geoms, neighbors, extents):
         cosine = np.abs((extents.long_axis[geom] * extents.long_axis[neighbor]).sum(axis=1))
-        is_as_high = np.abs(extents.top[geom] - extents.top[neighbor]) <= SAME_TOP
-        is_corner = (cosine <= MAX_CORNER_COSINE) & is_as_high
-        is_corner &= _ends_at(geom, neighbor, extents) | _ends_at(neighbor, geom, extents)
-        meets[geom[is_corner]] = True
-    return meets
+        is_equally_high = np.abs(extents.top[geom] - extents.top[neighbor]) <= SAME_TOP
+        is_corner = (cosine <= MAX_CORNER_COSINE) & is_equally_high
+        is_corner &= _mark_ends_at(geom, neighbor, extents) | _mark_ends_at(neighbor, geom, extents)
+        is_at_corner[geom[is_corner]] = True
+    return is_at_corner
 
 
-def _end_of(geoms: Int, half: float, extents: Extents) -> Float:
+def _find_end_points(geoms: Int, end_factor: float, extents: Extents) -> Float:
     """Return the middle of one end of each geom, seen from above, (n, 2) [m].
 
     Args:
         geoms: ids of the geoms, (n,).
-        half: 0.5 for one end, -0.5 for the other.
+        end_factor: 0.5 for one end, -0.5 for the other.
         extents: bounding boxes of all geoms.
     """
-    end: Float = (
-        extents.center[geoms] + half * extents.long_side[geoms, None] * extents.long_axis[geoms]
+    end_point: Float = (
+        extents.center[geoms]
+        + end_factor * extents.long_side[geoms, None] * extents.long_axis[geoms]
     )
-    return end
+    return end_point
 
 
-def _ends_at(geoms: Int, neighbors: Int, extents: Extents) -> Bool:
-    """Mark the geoms that end at their neighbor: the middle of an end lies on it, from above.
+def _mark_ends_at(geoms: Int, neighbors: Int, extents: Extents) -> Bool:
+    """Mark the geoms that end at a neighbor: seen from above, the middle of an end lies on it.
 
     Args:
         geoms: ids of the geoms, (n,).
-        neighbors: the id of the neighbor that each geom is compared with, (n,).
+        neighbors: for each geom, the id of the neighbor that it is compared with, (n,).
         extents: bounding boxes of all geoms.
     """
-    ends = np.zeros(len(geoms), dtype=np.bool_)
-    for half in (-0.5, 0.5):
-        ends |= _is_on(_end_of(geoms, half, extents), neighbors, extents)
-    return ends
+    is_end_at_neighbor = np.zeros(len(geoms), dtype=np.bool_)
+    for end_factor in (-0.5, 0.5):
+        is_end_at_neighbor |= _mark_points_on(
+            _find_end_points(geoms, end_factor, extents), neighbors, extents
+        )
+    return is_end_at_neighbor
 
 
-def _is_on(points: Float, geoms: Int, extents: Extents) -> Bool:
+def _mark_points_on(points: Float, geoms: Int, extents: Extents) -> Bool:
     """Mark the points that lie on a geom, or at most `END_GAP` beside it, seen from above.
 
     Args:
@@ -420,17 +429,17 @@ def _is_on(points: Float, geoms: Int, extents: Extents) -> Bool:
         extents: bounding boxes of all geoms.
     """
     offset = points - extents.center[geoms]
-    beyond_side = (
+    distance_beyond_side = (
         np.abs((offset * extents.short_axis[geoms]).sum(axis=1)) - extents.short_side[geoms] / 2
     )
-    beyond_end = (
+    distance_beyond_end = (
         np.abs((offset * extents.long_axis[geoms]).sum(axis=1)) - extents.long_side[geoms] / 2
     )
-    return np.asarray(np.maximum(beyond_side, beyond_end) <= END_GAP)
+    return np.asarray(np.maximum(distance_beyond_side, distance_beyond_end) <= END_GAP)
 
 
-def _continue_walls(is_wall: Bool, may_continue: Bool, extents: Extents) -> Bool:
-    """Add to the walls the pieces that continue in the line of one, and are no thicker than it is.
+def _add_wall_pieces(is_wall: Bool, may_continue: Bool, extents: Extents) -> Bool:
+    """Add to the walls the pieces that continue a wall in its line, and are no thicker than it.
 
     Args:
         is_wall: mask by geom id of the walls; it is not changed.
@@ -447,22 +456,26 @@ def _continue_walls(is_wall: Bool, may_continue: Bool, extents: Extents) -> Bool
     while len(new_walls):
         max_thickness = extents.short_side[new_walls].max() + 2 * LINE_SLACK
         pieces = np.flatnonzero(may_continue & ~is_wall & (extents.short_side <= max_thickness))
-        continues = np.zeros(len(is_wall), dtype=np.bool_)
-        for wall, piece in _near_pairs(new_walls, pieces, extents):
+        continues_wall = np.zeros(len(is_wall), dtype=np.bool_)
+        for wall, piece in _iterate_near_pairs(new_walls, pieces, extents):
             offset = extents.center[piece] - extents.center[wall]
-            across = extents.short_axis[wall]
-            along = extents.long_axis[wall]
-            to_side = np.abs((offset * across).sum(axis=1)) + extents.half_widths(piece, across)
-            to_end = np.abs((offset * along).sum(axis=1)) - extents.half_widths(piece, along)
-            is_in_line = to_side <= extents.short_side[wall] / 2 + LINE_SLACK
-            is_in_line &= to_end <= extents.long_side[wall] / 2 + END_GAP
-            continues[piece[is_in_line]] = True
-        new_walls = np.flatnonzero(continues)
-        is_wall |= continues
+            short_axis = extents.short_axis[wall]
+            long_axis = extents.long_axis[wall]
+            side_distance = np.abs((offset * short_axis).sum(axis=1)) + extents.half_widths(
+                piece, short_axis
+            )
+            end_distance = np.abs((offset * long_axis).sum(axis=1)) - extents.half_widths(
+                piece, long_axis
+            )
+            is_in_line = side_distance <= extents.short_side[wall] / 2 + LINE_SLACK
+            is_in_line &= end_distance <= extents.long_side[wall] / 2 + END_GAP
+            continues_wall[piece[is_in_line]] = True
+        new_walls = np.flatnonzero(continues_wall)
+        is_wall |= continues_wall
     return is_wall
 
 
-def _near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterator[tuple[Int, Int]]:
+def _iterate_near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterator[tuple[Int, Int]]:
     """Yield the pairs of geoms and neighbors whose boxes touch, in chunks.
 
     Args:
@@ -473,12 +486,12 @@ def _near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterator[tuple[
     Yields:
         The first and the second geom of each pair, two arrays of ids.
     """
-    every_geom = np.arange(len(extents.short_side))
+    all_geoms = np.arange(len(extents.short_side))
     center = np.column_stack([extents.center, (extents.bottom + extents.top) / 2])
     half_size = np.column_stack(
         [
-            extents.half_widths(every_geom, np.array([1.0, 0.0])),
-            extents.half_widths(every_geom, np.array([0.0, 1.0])),
+            extents.half_widths(all_geoms, np.array([1.0, 0.0])),
+            extents.half_widths(all_geoms, np.array([0.0, 1.0])),
             (extents.top - extents.bottom) / 2,
         ]
     )
@@ -486,16 +499,17 @@ def _near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterator[tuple[
         touches = np.ones((len(geom_chunk), len(neighbors)), dtype=np.bool_)
         for axis in range(3):
             distance = np.abs(center[geom_chunk, axis, None] - center[neighbors, axis])
-            reach = half_size[geom_chunk, axis, None] + half_size[neighbors, axis] + END_GAP
-            touches &= distance <= reach
-        row, col = np.nonzero(touches)
-        yield geom_chunk[row], neighbors[col]
+            max_distance = half_size[geom_chunk, axis, None] + half_size[neighbors, axis] + END_GAP
+            touches &= distance <= max_distance
+        geom_index, neighbor_index = np.nonzero(touches)
+        yield geom_chunk[geom_index], neighbors[neighbor_index]
 
 
 def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, subtree_ends: Int) -> bool:
-    """Return whether a geom is a panel of furniture: of a body that is deeper than the panel.
+    """Return whether a geom is a panel of furniture, such as the side of a cupboard.
 
-    The body is the geom's own, or one above it; see `FURNITURE_DEPTH` for the limits.
+    It is if its body, or a body above that, is deeper than the geom, but not larger than furniture
+    is, see `FURNITURE_DEPTH`.
     """
     model = scene.model
     for body in _bodies_above(model, geom):
@@ -503,19 +517,19 @@ def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, subtree_ends:
         body_geoms = body_geoms[~np.isnan(extents.short_side[body_geoms])]
         if len(body_geoms) > FURNITURE_GEOMS:
             return False
-        depth = _width_along(body_geoms, extents.short_axis[geom], extents)
-        length = _width_along(body_geoms, extents.long_axis[geom], extents)
+        depth = _measure_width(body_geoms, extents.short_axis[geom], extents)
+        length = _measure_width(body_geoms, extents.long_axis[geom], extents)
         is_deeper = extents.short_side[geom] + FURNITURE_OVER_PANEL <= depth <= FURNITURE_DEPTH
         if is_deeper and length <= FURNITURE_LENGTH:
             return True
     return False
 
 
-def _width_along(geoms: Int, axis: Float, extents: Extents) -> float:
-    """Return the width of some geoms together along a horizontal axis, (2,) [m]."""
+def _measure_width(geoms: Int, axis: Float, extents: Extents) -> float:
+    """Return how far some geoms together extend along a horizontal axis, a unit vector (2,) [m]."""
     middle = extents.center[geoms] @ axis
-    half = extents.half_widths(geoms, axis)
-    return float((middle + half).max() - (middle - half).min())
+    half_width = extents.half_widths(geoms, axis)
+    return float((middle + half_width).max() - (middle - half_width).min())
 
 
 def _names(scene: Scene, geom: int) -> list[str]:
@@ -563,45 +577,56 @@ def classify_floor_geoms(
     num_geoms = len(counts.num_cells)
     is_floor = counts.num_cells > 0
     is_on_floor = counts.num_on_floors >= MIN_ON_FLOOR_SHARE * counts.num_cells
-    covers_floor = counts.num_covers >= MIN_ON_FLOOR_SHARE * counts.num_cells
+    covers_floor = counts.num_covering >= MIN_ON_FLOOR_SHARE * counts.num_cells
 
-    is_same_height = steps.rise <= SAME_HEIGHT
-    same_height_pairs = np.stack([steps.lower[is_same_height], steps.higher[is_same_height]])
+    is_same_height = steps.height <= SAME_HEIGHT
+    same_height_pairs = np.stack(
+        [steps.lower_geom[is_same_height], steps.higher_geom[is_same_height]]
+    )
     # floors of several geoms that continue each other at the same height
-    joined_floor = label_components(same_height_pairs, num_geoms)
-    joined_area = np.bincount(joined_floor, counts.num_cells)[joined_floor] * cell_size**2
-    things = is_floor & is_on_floor & (joined_area <= THING_AREA + LIMIT_SLACK)
+    joined_floor_of_geom = label_components(same_height_pairs, num_geoms)
+    joined_area = (
+        np.bincount(joined_floor_of_geom, counts.num_cells)[joined_floor_of_geom] * cell_size**2
+    )
+    is_thing = is_floor & is_on_floor & (joined_area <= THING_AREA + LIMIT_SLACK)
 
-    is_step = (steps.rise > SAME_HEIGHT) & (steps.rise <= max_step + LIMIT_SLACK)
-    is_step &= ~covers_floor[steps.lower]
-    lower = steps.lower[is_step]
-    higher = steps.higher[is_step]
+    is_step = (steps.height > SAME_HEIGHT) & (steps.height <= max_step + LIMIT_SLACK)
+    is_step &= ~covers_floor[steps.lower_geom]
+    lower_geoms = steps.lower_geom[is_step]
+    higher_geoms = steps.higher_geom[is_step]
     # a thing that leads to the building is a part of it; other things may then lead to that
     while True:
-        leads_to_building = np.unique(lower[things[lower] & ~things[higher]])
-        if not len(leads_to_building):
+        geoms_below_building = np.unique(
+            lower_geoms[is_thing[lower_geoms] & ~is_thing[higher_geoms]]
+        )
+        if not len(geoms_below_building):
             break
-        things[leads_to_building] = False
-    return FloorGeoms(building=is_floor & ~things, things=things, stood_on=counts.stood_on)
+        is_thing[geoms_below_building] = False
+    return FloorGeoms(
+        is_building=is_floor & ~is_thing, is_thing=is_thing, is_stood_on=counts.is_stood_on
+    )
 
 
-def mark_ceilings(extents: Extents, base: Float, is_static: Bool, agent: AgentSettings) -> Bool:
+def mark_ceilings(
+    extents: Extents, min_height_above_floor: Float, is_static: Bool, agent: AgentSettings
+) -> Bool:
     """Mark the geoms that are ceilings or roofs; returns a mask by geom id, (ngeom,).
 
-    They are static, at least `CEILING_WIDTH` wide along both axes, not taller than wide, and over
-    no floor lower than the agent's head.
+    They are static, at least `CEILING_WIDTH` wide along both axes, not taller than wide, and above
+    an agent's head over every floor below them.
 
     Args:
         extents: bounding boxes of all geoms.
-        base: the least height of each geom above a floor below it [m]; inf if there is none.
+        min_height_above_floor: the least height of each geom above a floor below it [m]; inf if
+            there is none.
         is_static: for each geom, whether it is static.
         agent: the agent; its height is read.
     """
     is_flat = extents.top - extents.bottom <= extents.short_side
-    is_above_heads = base >= agent.height - LIMIT_SLACK
+    is_above_heads = min_height_above_floor >= agent.height - LIMIT_SLACK
     is_wide = extents.short_side >= CEILING_WIDTH
-    ceilings: Bool = is_static & is_wide & is_flat & is_above_heads
-    return ceilings
+    is_ceiling: Bool = is_static & is_wide & is_flat & is_above_heads
+    return is_ceiling
 
 
 def find_steps(floors: Floors, floor_geom: Int32, lattice: Lattice) -> FloorSteps:
@@ -618,17 +643,19 @@ def find_steps(floors: Floors, floor_geom: Int32, lattice: Lattice) -> FloorStep
     """
     num_cells = floor_geom.shape[1]
     # cells of all levels are numbered one level after the other: level * num_cells + cell
-    floor = np.concatenate([level.floor.ravel() for level in floors.levels])
+    floor_heights = np.concatenate([level.floor.ravel() for level in floors.levels])
     from_level, from_cell, to_level, to_cell = floors.links.T
-    from_number = from_level * num_cells + from_cell
-    to_number = to_level * num_cells + to_cell
-    pairs = [np.stack([from_number, to_number], axis=1)]
-    for level, geoms in enumerate(floor_geom):
-        cell_pairs = differing_pairs(geoms.reshape(lattice.shape)).T
-        have_floors = (geoms[cell_pairs] >= 0).all(axis=1)
-        pairs.append(cell_pairs[have_floors] + level * num_cells)
+    from_index = from_level * num_cells + from_cell
+    to_index = to_level * num_cells + to_cell
+    pairs = [np.stack([from_index, to_index], axis=1)]
+    for level_number, level_floor_geom in enumerate(floor_geom):
+        cell_pairs = differing_pairs(level_floor_geom.reshape(lattice.shape)).T
+        has_both_floors = (level_floor_geom[cell_pairs] >= 0).all(axis=1)
+        pairs.append(cell_pairs[has_both_floors] + level_number * num_cells)
     cell_pairs = np.concatenate(pairs)
-    rise = floor[cell_pairs[:, 1]] - floor[cell_pairs[:, 0]]
+    height_difference = floor_heights[cell_pairs[:, 1]] - floor_heights[cell_pairs[:, 0]]
     geom_pairs = floor_geom.ravel()[cell_pairs].astype(np.int64)
-    geom_pairs[rise < 0] = geom_pairs[rise < 0, ::-1]
-    return FloorSteps(lower=geom_pairs[:, 0], higher=geom_pairs[:, 1], rise=np.abs(rise))
+    geom_pairs[height_difference < 0] = geom_pairs[height_difference < 0, ::-1]
+    return FloorSteps(
+        lower_geom=geom_pairs[:, 0], higher_geom=geom_pairs[:, 1], height=np.abs(height_difference)
+    )

@@ -44,33 +44,33 @@ def find_lost_floors(
     """
     min_area = MIN_LOST_AREA - LIMIT_SLACK
     cell_area = lattice.cell_size**2
-    geoms = shapes.boxed_geoms
-    is_boxed = is_checked[geoms]
+    boxed_geoms = shapes.boxed_geoms
+    is_boxed = is_checked[boxed_geoms]
     # an endless geom counts as far as the lattice reaches
     boxes = clip_boxes(lattice, shapes.boxes[is_boxed], 0.0)
-    movers = mover_of[geoms[is_boxed]]
-    box_area = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
-    large_movers = np.flatnonzero(np.bincount(movers, box_area) >= min_area)
-    areas = dict[int, float]()
+    movers = mover_of[boxed_geoms[is_boxed]]
+    box_areas = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
+    large_movers = np.flatnonzero(np.bincount(movers, box_areas) >= min_area)
+    area_of_mover = dict[int, float]()
     for mover in large_movers.tolist():
         mover_boxes = boxes[movers == mover]
-        low = mover_boxes[:, :3].min(axis=0)
-        high = mover_boxes[:, 3:].max(axis=0)
-        window = lattice.window(np.stack([low, high]))
+        lowest_corner = mover_boxes[:, :3].min(axis=0)
+        highest_corner = mover_boxes[:, 3:].max(axis=0)
+        window = lattice.window(np.stack([lowest_corner, highest_corner]))
         if window is None:
             continue
         # first a bound that is quickly found: no floor anywhere below the mover's highest point
-        is_bare = np.ones(lattice.cut(*window).shape, dtype=np.bool_)
+        has_no_floor = np.ones(lattice.cut(*window).shape, dtype=np.bool_)
         for level in levels:
-            is_bare &= ~(level.floor[window] <= high[2])
-        if np.count_nonzero(is_bare) * cell_area < min_area:
+            has_no_floor &= ~(level.floor[window] <= highest_corner[2])
+        if np.count_nonzero(has_no_floor) * cell_area < min_area:
             continue
         mover_shapes = shapes.only(is_checked & (mover_of == mover))
-        top = find_standable_tops(mover_shapes, lattice.cut(*window), agent)
-        is_lost = ~np.isnan(top)
+        top_height = find_standable_tops(mover_shapes, lattice.cut(*window), agent)
+        is_lost = ~np.isnan(top_height)
         for level in levels:
-            is_lost &= ~(level.floor[window] <= top)
+            is_lost &= ~(level.floor[window] <= top_height)
         area = np.count_nonzero(is_lost) * cell_area
         if area >= min_area:
-            areas[mover] = area
-    return areas
+            area_of_mover[mover] = area
+    return area_of_mover

@@ -30,8 +30,8 @@ from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.level_occupancy import (
     check_level_occupancy,
-    entries_of_cells,
     find_level_ceilings,
+    select_list_entries,
 )
 from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
@@ -67,7 +67,7 @@ class LevelMovables(NamedTuple):
     """The movables over some cells of a level.
 
     Attributes:
-        entries: the geoms in the cells.
+        entries: the movables in each cell.
         blocked: ids of the cells where these geoms overlap the footprint of an agent at the cell's
             centre (the cell's square joined with the agent's disc).
         blocked_squares: the same for the cell's own square, without the agent's disc.
@@ -103,8 +103,8 @@ class MovableOccupants(NamedTuple):
         return self.blocked
 
 
-class MovableContext(NamedTuple):
-    """The values that the search for movables reads; they don't change while things move.
+class MovableSearchInputs(NamedTuple):
+    """The inputs of the search for movables that stay the same while things move.
 
     Attributes:
         lattice: the whole lattice.
@@ -131,32 +131,32 @@ NO_ENTRIES = OccupantEntries(
 
 
 def find_movable_occupants(
-    context: MovableContext, shapes: Shapes, is_obstacle_geom: Bool
+    inputs: MovableSearchInputs, shapes: Shapes, is_obstacle_geom: Bool
 ) -> MovableOccupants:
     """Find the movables, and leaves that are no doors, over the floors of all cells.
 
     Args:
-        context: the floors, and the structure that stands on them.
+        inputs: the floors, and the structure that stands on them.
         shapes: all geometry that the bake uses.
         is_obstacle_geom: mask by geom id of the geoms to search for, shape (ngeom,), bool.
 
     Returns:
         The geoms in each cell, and the cells that they or structure block.
     """
-    num_chunks = -(-context.lattice.height // CHUNK_ROWS)
+    num_chunks = -(-inputs.lattice.height // CHUNK_ROWS)
     nothing = MovableOccupants(
-        entries=[[NO_ENTRIES] * num_chunks for _ in context.floors.levels],
-        blocked=context.standing.levels,
-        blocked_squares=context.standing.blocked_squares,
-        num_blocked_alone=np.zeros(int(context.mover_of.max(initial=0)) + 1, dtype=np.int64),
+        entries=[[NO_ENTRIES] * num_chunks for _ in inputs.floors.levels],
+        blocked=inputs.standing.levels,
+        blocked_squares=inputs.standing.blocked_squares,
+        num_blocked_alone=np.zeros(int(inputs.mover_of.max(initial=0)) + 1, dtype=np.int64),
     )
     boxes = shapes.boxes[is_obstacle_geom[shapes.boxed_geoms]]
-    return update_movable_occupants(nothing, context, shapes, is_obstacle_geom, boxes)
+    return update_movable_occupants(nothing, inputs, shapes, is_obstacle_geom, boxes)
 
 
 def update_movable_occupants(
     occupants: MovableOccupants,
-    context: MovableContext,
+    inputs: MovableSearchInputs,
     shapes: Shapes,
     is_obstacle_geom: Bool,
     boxes: Float,
@@ -165,67 +165,71 @@ def update_movable_occupants(
 
     Args:
         occupants: the occupants before the move; they are not changed.
-        context: the floors, and the structure that stands on them.
+        inputs: the floors, and the structure that stands on them.
         shapes: all geometry that the bake uses, in the new pose.
         is_obstacle_geom: mask by geom id of the geoms to search for, shape (ngeom,), bool.
         boxes: bounding boxes of the geoms that moved, in the old and in the new pose, (n, 6) [m].
     """
-    lattice = context.lattice
-    footprint = context.footprint
+    lattice = inputs.lattice
+    footprint = inputs.footprint
     cells = cells_near_boxes(lattice, boxes, footprint.half_width + 2 * TOUCH_DEPTH)
     if not len(cells):
         return occupants
     entries = [list(row_chunks) for row_chunks in occupants.entries]
-    blocked = [layer.copy() for layer in occupants.blocked]
+    blocked = [mask.copy() for mask in occupants.blocked]
     blocked_squares = None
     if occupants.blocked_squares is not None:
-        blocked_squares = [layer.copy() for layer in occupants.blocked_squares]
+        blocked_squares = [mask.copy() for mask in occupants.blocked_squares]
     num_blocked_alone = occupants.num_blocked_alone.copy()
     num_bodies = len(num_blocked_alone)
     for rows in split_into_row_chunks(lattice):
-        first, end = np.searchsorted(cells, rows.cell_range(lattice))
-        row_cells = cells[first:end]
+        first_cell, end_cell = np.searchsorted(cells, rows.cell_range(lattice))
+        row_cells = cells[first_cell:end_cell]
         if not len(row_cells):
             continue
         is_near = is_obstacle_geom & _mark_geoms_near(
             shapes, row_cells, lattice, footprint.half_width
         )
-        by_level = _find_over_cells(context, shapes.only(is_near), rows, row_cells)
-        for k, movables in enumerate(by_level):
-            standing = context.standing.levels[k]
-            former = _replace_entries(entries[k], row_cells, movables.entries, lattice)
+        movables_by_level = _find_movables_over_cells(inputs, shapes.only(is_near), rows, row_cells)
+        for level_number, movables in enumerate(movables_by_level):
+            structure_mask = inputs.standing.levels[level_number]
+            replaced_entries = _replace_cell_entries(
+                entries[level_number], row_cells, movables.entries, lattice
+            )
             num_blocked_alone -= _count_blocked_alone(
-                former, standing, context.mover_of, num_bodies
+                replaced_entries, structure_mask, inputs.mover_of, num_bodies
             )
             num_blocked_alone += _count_blocked_alone(
-                movables.entries, standing, context.mover_of, num_bodies
+                movables.entries, structure_mask, inputs.mover_of, num_bodies
             )
-            _write_blocked(blocked[k], standing, row_cells, movables.blocked)
-            if blocked_squares is not None and context.standing.blocked_squares is not None:
-                _write_blocked(
-                    blocked_squares[k],
-                    context.standing.blocked_squares[k],
+            _update_blocked_mask(blocked[level_number], structure_mask, row_cells, movables.blocked)
+            if blocked_squares is not None and inputs.standing.blocked_squares is not None:
+                _update_blocked_mask(
+                    blocked_squares[level_number],
+                    inputs.standing.blocked_squares[level_number],
                     row_cells,
                     movables.blocked_squares,
                 )
     return MovableOccupants(entries, blocked, blocked_squares, num_blocked_alone)
 
 
-def _write_blocked(layer: Bool, standing: Bool, cells: Int, blocked: Int) -> None:
+def _update_blocked_mask(
+    mask: Bool, is_blocked_by_structure: Bool, cells: Int, blocked_cells: Int
+) -> None:
     """Update some cells of a mask of blocked cells, after movables were searched for in them.
 
     Args:
-        layer: the mask, (height, width); is changed.
-        standing: a mask of the cells that structure blocks, (height, width).
+        mask: the mask, (height, width); is changed.
+        is_blocked_by_structure: a mask of the cells that structure blocks, (height, width).
         cells: ids of the cells to update.
-        blocked: ids of those that movables block.
+        blocked_cells: ids of those updated cells that movables block.
     """
-    flat = layer.ravel()
-    flat[cells] = standing.ravel()[cells]
-    flat[blocked] = True
+    flat_mask = mask.ravel()
+    flat_mask[cells] = is_blocked_by_structure.ravel()[cells]
+    flat_mask[blocked_cells] = True
 
 
-def _replace_entries(
+def _replace_cell_entries(
     row_chunks: list[OccupantEntries], cells: Int, new_entries: OccupantEntries, lattice: Lattice
 ) -> OccupantEntries:
     """Replace the entries of some cells in their row chunks; return the entries that were replaced.
@@ -237,34 +241,38 @@ def _replace_entries(
         lattice: the whole lattice.
     """
     chunk_size = CHUNK_ROWS * lattice.width
-    former_entries = [NO_ENTRIES]
+    replaced_entries = [NO_ENTRIES]
     chunk_of_cell = cells // chunk_size
-    for chunk in chunk_of_cell[np.diff(chunk_of_cell, prepend=-1) != 0].tolist():
-        first_cell = chunk * chunk_size
+    for chunk_number in chunk_of_cell[np.diff(chunk_of_cell, prepend=-1) != 0].tolist():
+        first_cell = chunk_number * chunk_size
         end_cell = first_cell + chunk_size
-        first, end = np.searchsorted(new_entries.cell, [first_cell, end_cell]).tolist()
+        first_index, end_index = np.searchsorted(new_entries.cell, [first_cell, end_cell]).tolist()
         entries = OccupantEntries(
-            cell=new_entries.cell[first:end],
-            geom=new_entries.geom[first:end],
-            flags=new_entries.flags[first:end],
+            cell=new_entries.cell[first_index:end_index],
+            geom=new_entries.geom[first_index:end_index],
+            flags=new_entries.flags[first_index:end_index],
         )
-        before = row_chunks[chunk]
-        if len(before.cell):
-            is_replaced = np.zeros(chunk_size, dtype=np.bool_)
-            first, end = np.searchsorted(cells, [first_cell, end_cell]).tolist()
-            is_replaced[cells[first:end] - first_cell] = True
-            is_former = is_replaced[before.cell - first_cell]
-            former_entries.append(_select_entries(before, is_former))
-            remaining = _select_entries(before, ~is_former)
-            merged = join_entries([remaining, entries])
-            entries = _select_entries(merged, np.argsort(merged.cell, kind="stable"))
-        row_chunks[chunk] = entries
-    return join_entries(former_entries)
+        chunk_entries = row_chunks[chunk_number]
+        if len(chunk_entries.cell):
+            is_updated_cell = np.zeros(chunk_size, dtype=np.bool_)
+            first_index, end_index = np.searchsorted(cells, [first_cell, end_cell]).tolist()
+            is_updated_cell[cells[first_index:end_index] - first_cell] = True
+            is_replaced_entry = is_updated_cell[chunk_entries.cell - first_cell]
+            replaced_entries.append(_select_entries(chunk_entries, is_replaced_entry))
+            remaining_entries = _select_entries(chunk_entries, ~is_replaced_entry)
+            merged_entries = join_entries([remaining_entries, entries])
+            entries = _select_entries(
+                merged_entries, np.argsort(merged_entries.cell, kind="stable")
+            )
+        row_chunks[chunk_number] = entries
+    return join_entries(replaced_entries)
 
 
-def _select_entries(entries: OccupantEntries, places: Bool | Int) -> OccupantEntries:
-    """Return the entries at some indices, or those that a mask marks."""
-    return OccupantEntries(entries.cell[places], entries.geom[places], entries.flags[places])
+def _select_entries(entries: OccupantEntries, selection: Bool | Int) -> OccupantEntries:
+    """Return the entries that a mask or an array of indices selects."""
+    return OccupantEntries(
+        entries.cell[selection], entries.geom[selection], entries.flags[selection]
+    )
 
 
 def join_entries(row_chunks: Sequence[OccupantEntries]) -> OccupantEntries:
@@ -277,13 +285,13 @@ def join_entries(row_chunks: Sequence[OccupantEntries]) -> OccupantEntries:
 
 
 def _count_blocked_alone(
-    entries: OccupantEntries, standing: Bool, mover_of: Int, num_bodies: int
+    entries: OccupantEntries, is_blocked_by_structure: Bool, mover_of: Int, num_bodies: int
 ) -> Int:
     """Count for each body the cells that it blocks and structure doesn't.
 
     Args:
         entries: geoms in cells of a level.
-        standing: a mask of the cells that structure blocks, shape (height, width).
+        is_blocked_by_structure: a mask of the cells that structure blocks, shape (height, width).
         mover_of: for each geom, the id of the body that it moves with.
         num_bodies: number of bodies.
 
@@ -291,7 +299,7 @@ def _count_blocked_alone(
         The number of cells by body id, shape (num_bodies,).
     """
     blocks_alone = (entries.flags & BLOCKING) > 0
-    blocks_alone &= ~standing.ravel()[entries.cell]
+    blocks_alone &= ~is_blocked_by_structure.ravel()[entries.cell]
     # a cell's entries lie together, and so do those of a body in it
     bodies = mover_of[entries.geom[blocks_alone]]
     cell_and_body = entries.cell[blocks_alone] * num_bodies + bodies
@@ -299,79 +307,79 @@ def _count_blocked_alone(
     return np.bincount(cell_and_body[is_first] % num_bodies, minlength=num_bodies)
 
 
-def _find_over_cells(
-    context: MovableContext, shapes: Shapes, rows: RowChunk, cells: Int
+def _find_movables_over_cells(
+    inputs: MovableSearchInputs, shapes: Shapes, rows: RowChunk, cells: Int
 ) -> list[LevelMovables]:
     """Find the movables over some cells, for each level.
 
     Args:
-        context: the floors, and the structure that stands on them.
+        inputs: the floors, and the structure that stands on them.
         shapes: the geometry of the movables near the cells.
         rows: the rows that contain the cells.
         cells: ids of the cells, ascending.
     """
-    lattice = context.lattice
-    tiled = tile_shapes(shapes, lattice, context.footprint.half_width)
-    first, end = rows.cell_range(lattice)
-    if len(cells) > MAX_SHARE_OF_SINGLE_CELLS * (end - first):
-        columns = cast_columns(tiled, rows)
+    lattice = inputs.lattice
+    tiled_shapes = tile_shapes(shapes, lattice, inputs.footprint.half_width)
+    first_cell, end_cell = rows.cell_range(lattice)
+    if len(cells) > MAX_SHARE_OF_SINGLE_CELLS * (end_cell - first_cell):
+        columns = cast_columns(tiled_shapes, rows)
     else:
         centers = lattice.positions(*np.divmod(cells, lattice.width))
-        columns = index_by_cell(lattice, cells, cast_points(tiled, cells, centers))
+        columns = index_by_cell(lattice, cells, cast_points(tiled_shapes, cells, centers))
     no_wall_candidates = np.zeros(len(shapes.endless), dtype=np.bool_)
-    by_level = []
-    level_ceilings = find_level_ceilings(context.floors)
-    for level, level_ceiling in zip(context.floors.levels, level_ceilings, strict=True):
-        checked = check_level_occupancy(
+    movables_by_level = []
+    level_ceilings = find_level_ceilings(inputs.floors)
+    for level, level_ceiling in zip(inputs.floors.levels, level_ceilings, strict=True):
+        level_occupancy = check_level_occupancy(
             columns,
-            tiled,
-            footprint=context.footprint,
+            tiled_shapes,
+            footprint=inputs.footprint,
             cells=cells,
             level=level,
             level_ceiling=level_ceiling,
-            agent=context.agent,
+            agent=inputs.agent,
             wall_candidates=no_wall_candidates,
         )
-        occupancy = checked.occupancy
-        place, geom, flags = entries_of_cells(
-            checked.lists.first,
+        occupancy = level_occupancy.occupancy
+        cell_index, geom, flags = select_list_entries(
+            level_occupancy.lists.first,
             occupancy.geom,
             occupancy.flags,
-            np.arange(len(checked.cells)),
+            np.arange(len(level_occupancy.cells)),
         )
-        by_level.append(
+        movables_by_level.append(
             LevelMovables(
-                entries=OccupantEntries(checked.cells[place], geom, flags),
-                blocked=checked.cells[occupancy.occupied],
-                blocked_squares=checked.cells[occupancy.square_occupied],
+                entries=OccupantEntries(level_occupancy.cells[cell_index], geom, flags),
+                blocked=level_occupancy.cells[occupancy.occupied],
+                blocked_squares=level_occupancy.cells[occupancy.square_occupied],
             )
         )
-    return by_level
+    return movables_by_level
 
 
-def _mark_geoms_near(shapes: Shapes, cells: Int, lattice: Lattice, reach: float) -> Bool:
+def _mark_geoms_near(shapes: Shapes, cells: Int, lattice: Lattice, max_distance: float) -> Bool:
     """Mark the geoms whose boxes are near the rectangle round some cells, seen from above.
 
     Args:
         shapes: the geometry of the geoms.
         cells: ids of the cells, ascending, at least one.
         lattice: the whole lattice.
-        reach: how far from a cell's centre a geom can matter [m].
+        max_distance: the greatest distance of a geom from a cell's centre at which it counts [m].
 
     Returns:
         A mask by geom id, shape (ngeom,), bool.
     """
-    row, col = np.divmod(cells, lattice.width)
-    margin = reach + lattice.cell_size
-    corners = lattice.positions(row[[0, -1]], np.array([col.min(), col.max()]))
+    rows, cols = np.divmod(cells, lattice.width)
+    margin = max_distance + lattice.cell_size
+    corners = lattice.positions(rows[[0, -1]], np.array([cols.min(), cols.max()]))
     x_min, y_max = corners[0]  # rows go from north to south
     x_max, y_min = corners[1]
     boxes = shapes.boxes
     is_near = (boxes[:, 0] <= x_max + margin) & (boxes[:, 3] >= x_min - margin)
     is_near &= (boxes[:, 1] <= y_max + margin) & (boxes[:, 4] >= y_min - margin)
-    marked = np.zeros(len(shapes.endless), dtype=np.bool_)
-    marked[shapes.boxed_geoms[is_near]] = True
-    return marked
+    is_near_geom = np.zeros(len(shapes.endless), dtype=np.bool_)
+    is_near_geom[shapes.boxed_geoms[is_near]] = True
+    return is_near_geom
 
 
 def name_occupants(
@@ -412,16 +420,16 @@ def _name_cells(
         window: the rows and columns of the lattice that the grid holds.
     """
     occupants = standing.levels[level]
-    every_cell = np.arange(len(occupants.first))
-    cell, geom, flags = entries_of_cells(
-        occupants.first, occupants.geom, occupants.flags, every_cell
+    all_cells = np.arange(len(occupants.first))
+    occupied_cells, occupant_geoms, flags = select_list_entries(
+        occupants.first, occupants.geom, occupants.flags, all_cells
     )
-    kind = standing.kinds[geom]
+    geom_kinds = standing.kinds[occupant_geoms]
     is_occupying = (flags & OCCUPYING) > 0
-    is_wall = (kind == WALL) | ((kind == BUILDING) & ((flags & AT_WALL_HEIGHT) > 0))
+    is_wall = (geom_kinds == WALL) | ((geom_kinds == BUILDING) & ((flags & AT_WALL_HEIGHT) > 0))
     bits = np.where(flags & BLOCKING, BLOCKERS, 0)
     bits |= np.where(is_occupying & is_wall, WALLS, 0)
-    bits |= np.where(is_occupying & (kind == OBJECT), OBJECTS, 0)
+    bits |= np.where(is_occupying & (geom_kinds == OBJECT), OBJECTS, 0)
 
     # things that are the floor of a cell
     floor_cells = np.flatnonzero(occupants.floor_geom >= 0)
@@ -437,12 +445,12 @@ def _name_cells(
     movable_bits = np.where(movable.flags & BLOCKING, BLOCKERS, 0)
     movable_bits |= np.where(movable.flags & OCCUPYING, key_bit, 0)
     with without_garbage_collection():
-        cells, number, entries = name_cells(
-            np.concatenate([cell, floor_cells, movable.cell]),
-            np.concatenate([geom, floor_geom, movable.geom]),
+        cells, entry_numbers, entries = name_cells(
+            np.concatenate([occupied_cells, floor_cells, movable.cell]),
+            np.concatenate([occupant_geoms, floor_geom, movable.geom]),
             np.concatenate([bits, floor_bits, movable_bits]),
             names=standing.names,
             lattice=occupants.lattice,
             window=window,
         )
-        return Shared(cells, number, entries)
+        return Shared(cells, entry_numbers, entries)

@@ -74,7 +74,7 @@ class StandingOccupants:
         kinds: for each geom, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
         room_kinds: like `kinds`, but for finding rooms: panes, and geoms with the shape of a wall,
             are WALL regardless of their names.
-        names: for each geom, see `name_geoms`.
+        names: for each geom, the name under which user data lists it, see `name_geoms`.
         warnings: warnings about wall patterns, one line each.
     """
 
@@ -130,7 +130,8 @@ def find_standing_cells(
         floors: the floors of all levels.
         footprint: the volume over a floor that has to be free.
         agent: the agent; its height, highest step and largest slope are read.
-        wall_candidates: see `check_level_occupancy`.
+        wall_candidates: mask by geom id of the geoms whose shape may be that of a wall, bool; None
+            to list no occupants.
         clock: measures the time for the flags, which counts as a part of the stage of rooms.
     """
     lattice = columns.lattice
@@ -141,37 +142,43 @@ def find_standing_cells(
     if footprint.radius > 0.0:
         blocked_squares = [mask.copy() for mask in occupied]
     column_flags = [np.zeros(num_cells, dtype=np.uint8) for _ in floors.levels]
-    builders = list[OccupantsBuilder]()
+    occupants_builders = list[OccupantsBuilder]()
     if wall_candidates is not None:
-        builders = [OccupantsBuilder(lattice) for _ in floors.levels]
+        occupants_builders = [OccupantsBuilder(lattice) for _ in floors.levels]
     for chunk in columns.row_chunks():
-        tiled = chunk.nearby_shapes or tiles.near_rows(chunk.valid_rows)
-        first, end = chunk.valid_rows.cell_range(lattice)
-        cells = np.arange(first, end)
-        for k, level in enumerate(floors.levels):
-            checked = check_level_occupancy(
+        tiled_shapes = chunk.nearby_shapes or tiles.near_rows(chunk.valid_rows)
+        first_cell, end_cell = chunk.valid_rows.cell_range(lattice)
+        cells = np.arange(first_cell, end_cell)
+        for level_number, level in enumerate(floors.levels):
+            level_occupancy = check_level_occupancy(
                 chunk,
-                tiled,
+                tiled_shapes,
                 footprint=footprint,
                 cells=cells,
                 level=level,
-                level_ceiling=level_ceilings[k],
+                level_ceiling=level_ceilings[level_number],
                 agent=agent,
                 wall_candidates=wall_candidates,
             )
-            occupied[k].reshape(-1)[checked.cells] = checked.occupancy.occupied
+            occupied[level_number].reshape(-1)[level_occupancy.cells] = (
+                level_occupancy.occupancy.occupied
+            )
             if blocked_squares is not None:
-                squares = blocked_squares[k].reshape(-1)
-                squares[checked.cells] = checked.occupancy.square_occupied
-            if builders:
-                builders[k].append(checked, end / num_cells)
+                level_blocked_squares = blocked_squares[level_number].reshape(-1)
+                level_blocked_squares[level_occupancy.cells] = (
+                    level_occupancy.occupancy.square_occupied
+                )
+            if occupants_builders:
+                occupants_builders[level_number].append(level_occupancy, end_cell / num_cells)
         with clock.part("rooms"):
-            hits = chunk.hits._replace(start=chunk.start[first : end + 1])
-            for k, level in enumerate(floors.levels):
-                flag_columns(hits, level, slice(first, end), agent, column_flags[k])
+            hits = chunk.hits._replace(start=chunk.start[first_cell : end_cell + 1])
+            for level_number, level in enumerate(floors.levels):
+                flag_columns(
+                    hits, level, slice(first_cell, end_cell), agent, column_flags[level_number]
+                )
     return StandingCells(
         occupancy=Occupancy(occupied, blocked_squares),
-        occupants=[builder.occupants for builder in builders],
+        occupants=[builder.occupants for builder in occupants_builders],
         column_flags=column_flags,
     )
 
@@ -195,28 +202,35 @@ class OccupantsBuilder:
             gap_below=np.full(num_cells, np.inf),
         )
 
-    def append(self, checked: LevelOccupancy, share: float) -> None:
+    def append(self, level_occupancy: LevelOccupancy, appended_fraction: float) -> None:
         """Append the occupants of some cells.
 
         Args:
-            checked: the cells and their lists.
-            share: the share of all cells that will have been appended after this call, in (0, 1].
+            level_occupancy: the cells and their lists.
+            appended_fraction: the fraction of all cells that have been appended after this call, in
+                (0, 1].
         """
-        begin = self._num_entries
-        end = begin + len(checked.occupancy.geom)
-        if end > len(self.occupants.geom):
-            room = int(end * SPARE_FACTOR / share) if share < 1.0 else end
-            geom = np.empty(room, dtype=np.int32)
-            flags = np.empty(room, dtype=np.uint8)
-            geom[:begin] = self.occupants.geom[:begin]
-            flags[:begin] = self.occupants.flags[:begin]
+        first_entry = self._num_entries
+        end_entry = first_entry + len(level_occupancy.occupancy.geom)
+        if end_entry > len(self.occupants.geom):
+            capacity = (
+                int(end_entry * SPARE_FACTOR / appended_fraction)
+                if appended_fraction < 1.0
+                else end_entry
+            )
+            geom = np.empty(capacity, dtype=np.int32)
+            flags = np.empty(capacity, dtype=np.uint8)
+            geom[:first_entry] = self.occupants.geom[:first_entry]
+            flags[:first_entry] = self.occupants.flags[:first_entry]
             self.occupants = self.occupants._replace(geom=geom, flags=flags)
-        self.occupants.geom[begin:end] = checked.occupancy.geom
-        self.occupants.flags[begin:end] = checked.occupancy.flags
-        self.occupants.first[checked.cells] = checked.lists.first + np.int32(begin)
-        self.occupants.floor_geom[checked.cells] = checked.lists.floor_geom
-        self.occupants.gap_below[checked.cells] = checked.lists.gap_below
-        self._num_entries = end
+        self.occupants.geom[first_entry:end_entry] = level_occupancy.occupancy.geom
+        self.occupants.flags[first_entry:end_entry] = level_occupancy.occupancy.flags
+        self.occupants.first[level_occupancy.cells] = level_occupancy.lists.first + np.int32(
+            first_entry
+        )
+        self.occupants.floor_geom[level_occupancy.cells] = level_occupancy.lists.floor_geom
+        self.occupants.gap_below[level_occupancy.cells] = level_occupancy.lists.gap_below
+        self._num_entries = end_entry
 
 
 def classify_occupants(
@@ -281,38 +295,38 @@ def _measure_levels(
     """
     lattice = levels[0].lattice
     num_geoms = len(extents.bottom)
-    heights = GeomHeights(
+    geom_heights = GeomHeights(
         low=extents.bottom,
         high=extents.top,
         on_floor_gap=(np.fmax(extents.top - extents.bottom + COVERING, THING_HEIGHT) + LIMIT_SLACK),
         cover_gap=COVERING + LIMIT_SLACK,
     )
-    base = np.full(num_geoms, np.inf)
-    rise = np.full(num_geoms, -np.inf)
-    stood_on = np.zeros(num_geoms, dtype=np.bool_)
+    min_bottom_over_floor = np.full(num_geoms, np.inf)
+    max_top_over_bottom = np.full(num_geoms, -np.inf)
+    is_stood_on = np.zeros(num_geoms, dtype=np.bool_)
     blocks = np.arange(Blocks(lattice).num)
     counts = np.zeros((len(levels), kernels.NUM_COUNTS, num_geoms), dtype=np.int64)
-    for k, (occupants, level) in enumerate(zip(levels, floors.levels, strict=True)):
-        layers = FloorLayers(level.floor.ravel(), level.standable.ravel())
+    for level_number, (occupants, level) in enumerate(zip(levels, floors.levels, strict=True)):
+        floor_layers = FloorLayers(level.floor.ravel(), level.standable.ravel())
         _, (block_counts, block_heights) = list_rows(
-            kernels.measure_blocks, blocks, NO_ROWS, occupants, layers, heights
+            kernels.measure_blocks, blocks, NO_ROWS, occupants, floor_layers, geom_heights
         )
-        geom = block_counts[:, kernels.GEOM]
-        np.add.at(counts[k].T, geom, block_counts[:, : kernels.NUM_COUNTS])
-        stood_on[geom[block_counts[:, kernels.IS_STANDABLE] > 0]] = True
-        np.minimum.at(base, geom, block_heights[:, kernels.LOWER_END])
-        np.maximum.at(rise, geom, block_heights[:, kernels.EXTENT_UP])
+        row_geoms = block_counts[:, kernels.GEOM]
+        np.add.at(counts[level_number].T, row_geoms, block_counts[:, : kernels.NUM_COUNTS])
+        is_stood_on[row_geoms[block_counts[:, kernels.IS_STANDABLE] > 0]] = True
+        np.minimum.at(min_bottom_over_floor, row_geoms, block_heights[:, kernels.LOWER_END])
+        np.maximum.at(max_top_over_bottom, row_geoms, block_heights[:, kernels.EXTENT_UP])
     cell_area = lattice.cell_size**2
     sizes = OccupantSizes(
-        base=base,
-        rise=rise,
+        min_bottom_over_floor=min_bottom_over_floor,
+        max_top_over_bottom=max_top_over_bottom,
         area=counts[:, kernels.NUM_CELLS].max(axis=0) * cell_area,
         area_at_wall_height=counts[:, kernels.NUM_AT_WALL_HEIGHT].max(axis=0) * cell_area,
     )
     floor_counts = FloorCounts(
         num_cells=counts[:, kernels.NUM_FLOORS].sum(axis=0),
         num_on_floors=counts[:, kernels.NUM_ON_FLOORS].sum(axis=0),
-        num_covers=counts[:, kernels.NUM_COVERS].sum(axis=0),
-        stood_on=stood_on,
+        num_covering=counts[:, kernels.NUM_COVERS].sum(axis=0),
+        is_stood_on=is_stood_on,
     )
     return sizes, floor_counts

@@ -60,16 +60,16 @@ MAX_SITE_GAP = 0.05
 # An agent stands in a site's volume if this share of the volume's height, or of the agent's if that
 # is less, is between the floor and the agent's head
 MIN_STANDING_SHARE = 0.5
-# Setting -> its default patterns; there are no warnings of these
+# Setting -> its default patterns; no warning is given if they match nothing
 DEFAULT_PATTERNS = {"geoms": DEFAULT_GEOMS, "sites": DEFAULT_SITES}
 # The most names that a warning lists
-NUM_LISTED_SITES = 5
+MAX_LISTED_SITES = 5
 
 
 class MarkedRooms(NamedTuple):
-    """The rooms of one source, which is an entry of `rooms.sources`.
+    """The rooms that one source finds: geoms, sites, polygons, or the automatic search.
 
-    Geoms, sites or polygons mark rooms, or the automatic search finds them.
+    The setting `rooms.sources` lists the sources.
 
     Attributes:
         names: the rooms' names, None for a room without a name. Room number k + 1 has ``names[k]``.
@@ -116,7 +116,7 @@ class LevelFlags(NamedTuple):
 
 
 class RoomFlags(NamedTuple):
-    """All inputs that rooms are computed from, except settings and closed leaves.
+    """All inputs from which rooms are found, except settings and closed door leaves.
 
     Attributes:
         lattice: the whole lattice.
@@ -128,8 +128,8 @@ class RoomFlags(NamedTuple):
         has_ground: whether an endless ground continues beyond the lattice.
         links: pairs of cells that a step to another level, or a slope, joins, see `Floors.links`,
             shape (n, 4).
-        marks: the rooms that the scene or the settings state, by what states them: ``geoms``,
-            ``sites`` or ``polygons``, as in `rooms.sources`.
+        marked_rooms: the rooms that the scene or the settings state, by what states them:
+            ``geoms``, ``sites`` or ``polygons``, as in `rooms.sources`.
     """
 
     lattice: Lattice
@@ -139,7 +139,7 @@ class RoomFlags(NamedTuple):
     walls: Shapes
     has_ground: bool
     links: Int
-    marks: Mapping[str, MarkedRooms]
+    marked_rooms: Mapping[str, MarkedRooms]
 
 
 def gather_flags(
@@ -152,7 +152,7 @@ def gather_flags(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
-    """Gather all inputs of the rooms, except settings and closed leaves.
+    """Gather all inputs from which rooms are found, except settings and closed door leaves.
 
     Args:
         scene: the scene, whose geoms and sites may mark rooms.
@@ -165,23 +165,27 @@ def gather_flags(
             agent's height, see `LevelFlags.occupied`.
         settings: how rooms are marked.
         agent: the agent that stands in the volumes of sites.
+
+    Returns:
+        The flags of the cells of all levels, the geometry of walls, and the rooms that geoms, sites
+        and polygons mark.
     """
     lattice = columns.lattice
     levels = list[LevelFlags]()
     is_empty = np.zeros(lattice.shape, dtype=np.bool_)
     wall_cells = np.zeros(lattice.shape, dtype=np.bool_)
     low_cells = np.zeros(lattice.shape, dtype=np.bool_)
-    for number, level in enumerate(floors.levels):
+    for level_number, level in enumerate(floors.levels):
         if standing_occupants is not None:
-            wall_cells, low_cells = standing_occupants.mark_walls(number)
-        flags = column_flags[number].reshape(lattice.shape)
-        is_empty = (flags & EMPTY) > 0  # the same on all levels
-        is_bank = (flags & STEEP_GROUND) > 0
-        under_sky = (flags & SKY) > 0
+            wall_cells, low_cells = standing_occupants.mark_walls(level_number)
+        flag_bits = column_flags[level_number].reshape(lattice.shape)
+        is_empty = (flag_bits & EMPTY) > 0  # the same on all levels
+        is_bank = (flag_bits & STEEP_GROUND) > 0
+        under_sky = (flag_bits & SKY) > 0
         is_window = find_windows(low_cells, wall_cells, lattice.cell_size)
         is_open = ~np.isnan(level.floor) & ~wall_cells & ~is_window
         at_edge = mark_edge(is_empty | is_bank, ALL_SIDES) & is_open
-        at_edge &= (flags & TALL) == 0
+        at_edge &= (flag_bits & TALL) == 0
         # The extent if all cells at the edge are in one diagonal line: the largest that is possible
         max_extent = np.sqrt(2) * np.count_nonzero(at_edge) * lattice.cell_size
         if max_extent <= MIN_OUTDOOR_EDGE:
@@ -190,11 +194,11 @@ def gather_flags(
             LevelFlags(
                 floor=level.floor,
                 is_open=is_open,
-                is_hole=(flags & HOLE) > 0,
+                is_hole=(flag_bits & HOLE) > 0,
                 at_edge=at_edge,
                 under_sky=under_sky,
                 is_bank=is_bank,
-                occupied=occupied[number],
+                occupied=occupied[level_number],
             )
         )
     is_wall = np.zeros(len(scene.geoms), dtype=np.bool_)
@@ -208,43 +212,49 @@ def gather_flags(
         walls=scene.structure.only(is_wall),
         has_ground=len(scene.structure.planes.geom) > 0,
         links=floors.links,
-        marks=mark_rooms(scene, columns, floors.levels, settings, agent),
+        marked_rooms=mark_rooms(scene, columns, floors.levels, settings, agent),
     )
 
 
 def _find_scene_ends(scene: Scene, lattice: Lattice) -> Bool:
-    """Mark the sides of the lattice that the scene's box doesn't exceed by more than half a cell.
+    """Mark the sides of the lattice at which the scene ends.
+
+    There, the scene's box exceeds the lattice by at most half a cell.
 
     Returns:
         A mask of the sides, [[upper, lower], [left, right]]; all False without a box.
     """
     if scene.bounds is None:
         return ~ALL_SIDES
-    x0, y0, x1, y1 = lattice.bounds
-    (low_x, low_y), (high_x, high_y) = scene.bounds[:, :2]
-    excess = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
-    ends: Bool = excess <= MAX_SCENE_EXCESS * lattice.cell_size
-    return ends
+    x_min, y_min, x_max, y_max = lattice.bounds
+    (scene_x_min, scene_y_min), (scene_x_max, scene_y_max) = scene.bounds[:, :2]
+    excess = np.array(
+        [[scene_y_max - y_max, y_min - scene_y_min], [x_min - scene_x_min, scene_x_max - x_max]]
+    )
+    is_scene_end: Bool = excess <= MAX_SCENE_EXCESS * lattice.cell_size
+    return is_scene_end
 
 
-def mark_edge(is_empty: Bool, sides: Bool) -> Bool:
+def mark_edge(is_empty: Bool, is_outer_side: Bool) -> Bool:
     """Mark the cells at the outer boundary of a scene.
 
     Args:
         is_empty: the empty cells, shape (height, width).
-        sides: the sides of the lattice beyond which there is nothing, [[upper, lower], [left,
-            right]].
+        is_outer_side: a mask of the sides of the lattice beyond which there is nothing, [[upper,
+            lower], [left, right]].
 
     Returns:
         A mask of the cells that are not empty, and are at such a side or next to empty cells that
         are connected to such a side, shape (height, width).
     """
-    padded = np.pad(is_empty, 1)
-    padded[[0, -1]] |= sides[0][:, None]
-    padded[:, [0, -1]] |= sides[1]
-    component, _ = label_components_2d(padded)
-    outer = np.unique(np.concatenate([component[[0, -1]].ravel(), component[:, [0, -1]].ravel()]))
-    is_outside = np.isin(component, outer[outer > 0])
+    padded_empty = np.pad(is_empty, 1)
+    padded_empty[[0, -1]] |= is_outer_side[0][:, None]
+    padded_empty[:, [0, -1]] |= is_outer_side[1]
+    component, _ = label_components_2d(padded_empty)
+    outer_components = np.unique(
+        np.concatenate([component[[0, -1]].ravel(), component[:, [0, -1]].ravel()])
+    )
+    is_outside = np.isin(component, outer_components[outer_components > 0])
     is_next_in_col = is_outside[:-2, 1:-1] | is_outside[2:, 1:-1]
     is_next_in_row = is_outside[1:-1, :-2] | is_outside[1:-1, 2:]
     is_edge: Bool = is_next_in_col | is_next_in_row
@@ -273,14 +283,14 @@ def mark_rooms(
     Returns:
         Source (``geoms``, ``sites`` or ``polygons``) -> the rooms that it marks.
     """
-    marks = {}
+    marked_rooms = {}
     if "geoms" in settings.sources:
-        marks["geoms"] = _mark_by_geoms(scene, columns, levels, settings, agent)
+        marked_rooms["geoms"] = _mark_by_geoms(scene, columns, levels, settings, agent)
     if "sites" in settings.sources:
-        marks["sites"] = _mark_by_sites(scene, columns.lattice, levels, settings, agent)
+        marked_rooms["sites"] = _mark_by_sites(scene, columns.lattice, levels, settings, agent)
     if "polygons" in settings.sources:
-        marks["polygons"] = _mark_by_polygons(columns.lattice, levels, settings)
-    return marks
+        marked_rooms["polygons"] = _mark_by_polygons(columns.lattice, levels, settings)
+    return marked_rooms
 
 
 def find_markers(model: mujoco.MjModel, settings: RoomSettings) -> tuple[list[int], list[int]]:
@@ -293,13 +303,13 @@ def find_markers(model: mujoco.MjModel, settings: RoomSettings) -> tuple[list[in
     Returns:
         Ids of geoms, and ids of sites, ascending.
     """
-    geoms = list[int]()
+    geom_ids = list[int]()
     if "geoms" in settings.sources:
-        geoms, _ = _match(all_names(model).own_geoms, tuple(settings.geoms), "geoms")
-    sites = list[int]()
+        geom_ids, _ = _match_names(all_names(model).own_geoms, tuple(settings.geoms), "geoms")
+    site_ids = list[int]()
     if "sites" in settings.sources:
-        sites, _ = _match(all_names(model).sites, tuple(settings.sites), "sites")
-    return geoms, sites
+        site_ids, _ = _match_names(all_names(model).sites, tuple(settings.sites), "sites")
+    return geom_ids, site_ids
 
 
 def _mark_by_geoms(
@@ -318,33 +328,45 @@ def _mark_by_geoms(
     """
     num_geoms = scene.model.ngeom
     names = all_names(scene.model).own_geoms
-    matching, warnings = _match(names, tuple(settings.geoms), "geoms")
+    matching_geoms, warnings = _match_names(names, tuple(settings.geoms), "geoms")
     is_on_structure = scene.is_structure_body[scene.model.geom_bodyid]  # movables mark no rooms
-    marking = [geom for geom in matching if is_on_structure[geom]]
+    marking_geoms = [geom for geom in matching_geoms if is_on_structure[geom]]
     labels = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
     covered = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
-    if not marking:
+    if not marking_geoms:
         return MarkedRooms([], labels, warnings)
-    room_of = np.zeros(num_geoms + 1, dtype=np.int32)  # the last entry is for no geom
-    room_of[marking] = np.arange(1, len(marking) + 1)
-    surfaces = _find_upward_surfaces(scene, columns, set(marking))
-    lowest = -agent.traversable_floor_height - SAME_HEIGHT
-    highest = MAX_MARKER_HEIGHT + SAME_HEIGHT
+    room_of_geom = np.zeros(num_geoms + 1, dtype=np.int32)  # the last entry is for no geom
+    room_of_geom[marking_geoms] = np.arange(1, len(marking_geoms) + 1)
+    surfaces = _find_upward_surfaces(scene, columns, set(marking_geoms))
+    min_height_above_floor = -agent.traversable_floor_height - SAME_HEIGHT
+    max_height_above_floor = MAX_MARKER_HEIGHT + SAME_HEIGHT
     # The heights of surfaces above each level's floor; NaN, which compares as False, without one
     heights = [surfaces.z - level.floor.ravel()[surfaces.cell] for level in levels]
-    at_floor = np.any([(height >= lowest) & (height <= highest) for height in heights], axis=0)
+    is_at_floor = np.any(
+        [
+            (height >= min_height_above_floor) & (height <= max_height_above_floor)
+            for height in heights
+        ],
+        axis=0,
+    )
     num_surfaces = np.bincount(surfaces.geom, minlength=num_geoms)
-    num_at_floor = np.bincount(surfaces.geom[at_floor], minlength=num_geoms)
-    is_floor = num_at_floor >= MIN_FLOOR_SHARE * num_surfaces
-    for level_labels, min_height in (
+    num_at_floor = np.bincount(surfaces.geom[is_at_floor], minlength=num_geoms)
+    is_floor_geom = num_at_floor >= MIN_FLOOR_SHARE * num_surfaces
+    for level_labels, min_label_height in (
         (labels, -MAX_MARKER_DEPTH - SAME_HEIGHT),
-        (covered, lowest),
+        (covered, min_height_above_floor),
     ):
         for label, height in zip(level_labels, heights, strict=True):
-            marks = (height >= min_height) & (height <= highest) & is_floor[surfaces.geom]
-            geom = _find_highest(surfaces, marks, label.size, no_geom=num_geoms)
-            label[:] = room_of[geom].reshape(label.shape)
-    room_names = [_remove_prefix(names[geom]) for geom in marking]
+            is_marking_surface = (
+                (height >= min_label_height)
+                & (height <= max_height_above_floor)
+                & is_floor_geom[surfaces.geom]
+            )
+            highest_geom = _find_highest_geom(
+                surfaces, is_marking_surface, label.size, no_geom=num_geoms
+            )
+            label[:] = room_of_geom[highest_geom].reshape(label.shape)
+    room_names = [_remove_prefix(names[geom]) for geom in marking_geoms]
     return MarkedRooms(room_names, labels, warnings, covered)
 
 
@@ -370,27 +392,28 @@ def _mark_by_sites(
     A site that contains less than `rooms.min_area` of floor, on all levels together, is no room.
     """
     names = all_names(scene.model).sites
-    matching, warnings = _match(names, tuple(settings.sites), "sites")
+    matching_sites, warnings = _match_names(names, tuple(settings.sites), "sites")
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     room_names = list[str | None]()
     small_sites = list[str]()
-    for site in matching:
+    for site in matching_sites:
         if not scene.is_structure_body[scene.model.site_bodyid[site]]:
             continue
-        masks = _mark_standing_in_site(site, scene, lattice, levels, agent)
-        if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < settings.min_area:
+        standing_masks = _mark_standing_in_site(site, scene, lattice, levels, agent)
+        num_cells = sum(int(mask.sum()) for mask in standing_masks)
+        if num_cells * lattice.cell_size**2 < settings.min_area:
             small_sites.append(names[site])
             continue
         room_names.append(names[site])
-        for label, mask in zip(labels, masks, strict=True):
-            label[mask & (label == 0)] = len(room_names)
+        for label, is_standing_place in zip(labels, standing_masks, strict=True):
+            label[is_standing_place & (label == 0)] = len(room_names)
     if small_sites:
-        listed = ", ".join(small_sites[:NUM_LISTED_SITES])
-        more = ", …" if len(small_sites) > NUM_LISTED_SITES else ""
+        listed_names = ", ".join(small_sites[:MAX_LISTED_SITES])
+        ellipsis = ", …" if len(small_sites) > MAX_LISTED_SITES else ""
         warnings = [
             *warnings,
             f"sites that hold less than {settings.min_area:g} m² of floor (`rooms.min_area`) are "
-            f"no rooms: {listed}{more}",
+            f"no rooms: {listed_names}{ellipsis}",
         ]
     return MarkedRooms(room_names, labels, warnings)
 
@@ -400,34 +423,37 @@ def _mark_standing_in_site(
 ) -> list[Bool]:
     """Mark the cells of each level on which an agent would stand in a site's volume.
 
-    The vertical line through the cell's centre runs through the volume between two heights. The
-    part of this stretch from 5 cm below the floor to the agent's height has to be at least half as
-    long as the stretch, or as the agent is high, whichever is less.
+    The vertical line through the cell's centre passes through the volume between two heights. Of
+    this stretch, the part from 5 cm below the floor to the agent's head counts. It has to be at
+    least half as long as the whole stretch, or half as long as the agent is high, whichever is
+    less.
     """
     model = scene.model
-    kind = model.site_type[[site]].astype(np.int32)  # sites have the types of geoms
+    geom_type = model.site_type[[site]].astype(np.int32)  # sites have the types of geoms
     position = scene.data.site_xpos[[site]]
     rotation = scene.data.site_xmat[[site]]
     size = model.site_size[[site]]
-    bounds = solid_bounds(kind, position, rotation, size)
-    solid = Solids(np.zeros(1, dtype=np.int32), kind, position, rotation, size, bounds)
+    bounds = solid_bounds(geom_type, position, rotation, size)
+    solid = Solids(np.zeros(1, dtype=np.int32), geom_type, position, rotation, size, bounds)
     masks = [np.zeros(lattice.shape, dtype=np.bool_) for _ in levels]
     window = lattice.window(solid.bounds.reshape(2, 3))
     if window is None:
         return masks
     no_shapes = scene.shapes.only(np.zeros(model.ngeom, dtype=np.bool_))
     window_lattice = lattice.cut(*window)
-    surfaces = cast_columns(tile_shapes(replace(no_shapes, solids=solid), window_lattice, 0.0))
-    low = np.full(window_lattice.shape, np.nan)
-    high = np.full(window_lattice.shape, np.nan)
-    is_hit = np.diff(surfaces.start).reshape(window_lattice.shape) > 1
-    low[is_hit] = surfaces.z[surfaces.start[:-1][is_hit.ravel()]]
-    high[is_hit] = surfaces.z[surfaces.start[1:][is_hit.ravel()] - 1]
+    crossings = cast_columns(tile_shapes(replace(no_shapes, solids=solid), window_lattice, 0.0))
+    site_bottom = np.full(window_lattice.shape, np.nan)
+    site_top = np.full(window_lattice.shape, np.nan)
+    is_hit = np.diff(crossings.start).reshape(window_lattice.shape) > 1
+    site_bottom[is_hit] = crossings.z[crossings.start[:-1][is_hit.ravel()]]
+    site_top[is_hit] = crossings.z[crossings.start[1:][is_hit.ravel()] - 1]
     for mask, level in zip(masks, levels, strict=True):
         floor = level.floor[window]
-        inside = np.minimum(high, floor + agent.height) - np.maximum(low, floor - MAX_SITE_GAP)
-        min_inside = MIN_STANDING_SHARE * np.minimum(high - low, agent.height)
-        mask[window] = inside >= min_inside - SAME_HEIGHT
+        standing_length = np.minimum(site_top, floor + agent.height) - np.maximum(
+            site_bottom, floor - MAX_SITE_GAP
+        )
+        min_standing_length = MIN_STANDING_SHARE * np.minimum(site_top - site_bottom, agent.height)
+        mask[window] = standing_length >= min_standing_length - SAME_HEIGHT
     return masks
 
 
@@ -442,20 +468,20 @@ def _mark_by_polygons(
     polygons = settings.polygons
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     warnings = []
-    for number, polygon in enumerate(polygons):
-        description = f"room {repr(polygon.name) if polygon.name else f'[{number}]'}"
-        matching = [k for k, level in enumerate(levels) if polygon.level in (k, level.name)]
-        if not matching:
-            listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
+    for polygon_number, polygon in enumerate(polygons):
+        description = f"room {repr(polygon.name) if polygon.name else f'[{polygon_number}]'}"
+        matching_levels = [k for k, level in enumerate(levels) if polygon.level in (k, level.name)]
+        if not matching_levels:
+            level_list = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
             raise ConfigError(
                 f"no level {polygon.level!r} for {description} of `rooms.polygons`: there are "
-                f"{listed}"
+                f"{level_list}"
             )
-        level = levels[matching[0]]
-        label = labels[matching[0]]
-        mask = cover_cells([polygon.points, *polygon.rings], lattice)
+        level = levels[matching_levels[0]]
+        label = labels[matching_levels[0]]
+        in_polygon = cover_cells([polygon.points, *polygon.rings], lattice)
         has_floor = ~np.isnan(level.floor)
-        if not (mask & has_floor).any():
+        if not (in_polygon & has_floor).any():
             rows, cols = np.nonzero(has_floor)
             x = lattice.center_x()[cols]
             y = lattice.center_y()[rows]
@@ -463,13 +489,15 @@ def _mark_by_polygons(
                 f"{description} of `rooms.polygons` has no floor on {level.name}, whose floor "
                 f"spans x {x.min():.2f} to {x.max():.2f}, y {y.min():.2f} to {y.max():.2f} m"
             )
-        label[mask & (label == 0)] = number + 1
-    outdoors = {number for number, polygon in enumerate(polygons, 1) if polygon.outdoors}
+        label[in_polygon & (label == 0)] = polygon_number + 1
+    outdoors = {
+        polygon_number for polygon_number, polygon in enumerate(polygons, 1) if polygon.outdoors
+    }
     return MarkedRooms([polygon.name for polygon in polygons], labels, warnings, outdoors=outdoors)
 
 
 class _Surfaces(NamedTuple):
-    """Places where geoms' surfaces meet the vertical lines of cells, as parallel arrays, (n,).
+    """Points where the vertical lines of cells meet surfaces of geoms, as arrays of shape (n,).
 
     Attributes:
         cell: the id of the cell.
@@ -485,18 +513,18 @@ class _Surfaces(NamedTuple):
 def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) -> _Surfaces:
     """Find where the vertical lines of cells meet surfaces of geoms that face up.
 
-    A mesh that the bake replaces by its convex hull is met by its own triangles here, and so is a
-    geom that the bake leaves out.
+    Meshes count with their own triangles here, also those that the bake replaces by their convex
+    hull, and those that it leaves out.
 
     Args:
         scene: the scene of the geoms.
         columns: hits of structure on the vertical line through each cell's centre.
-        geoms: ids of the geoms.
+        geoms: ids of the geoms whose surfaces are found.
     """
     num_geoms = len(scene.geoms)
-    in_columns = {geom for geom in geoms if scene.geoms[geom].shape not in ("", "hull")}
-    sources: list[tuple[ColumnSource, set[int]]] = [(columns, in_columns)]
-    missing_geoms = geoms - in_columns
+    geoms_in_columns = {geom for geom in geoms if scene.geoms[geom].shape not in ("", "hull")}
+    sources: list[tuple[ColumnSource, set[int]]] = [(columns, geoms_in_columns)]
+    missing_geoms = geoms - geoms_in_columns
     if missing_geoms:
         selections = [
             GeomSelection(geom in missing_geoms, "marks a room", "surface")
@@ -511,41 +539,46 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
     for source, source_geoms in sources:
         is_marking = np.isin(np.arange(num_geoms), list(source_geoms))
         for chunk in source.row_chunks() if source_geoms else ():
-            first, end = chunk.valid_rows.cell_range(chunk.lattice)
-            hit = np.flatnonzero(is_marking[chunk.geom] & (chunk.normal[:, 2] > 0))
-            column = np.searchsorted(chunk.start[first : end + 1], hit, side="right") - 1
-            cells.append(first + column)
-            heights.append(chunk.z[hit])
-            geom_ids.append(chunk.geom[hit])
+            first_cell, end_cell = chunk.valid_rows.cell_range(chunk.lattice)
+            hit_indices = np.flatnonzero(is_marking[chunk.geom] & (chunk.normal[:, 2] > 0))
+            cell_in_chunk = (
+                np.searchsorted(chunk.start[first_cell : end_cell + 1], hit_indices, side="right")
+                - 1
+            )
+            cells.append(first_cell + cell_in_chunk)
+            heights.append(chunk.z[hit_indices])
+            geom_ids.append(chunk.geom[hit_indices])
     return _Surfaces(np.concatenate(cells), np.concatenate(heights), np.concatenate(geom_ids))
 
 
-def _find_highest(surfaces: _Surfaces, is_considered: Bool, num_cells: int, no_geom: int) -> Int32:
+def _find_highest_geom(
+    surfaces: _Surfaces, is_considered: Bool, num_cells: int, no_geom: int
+) -> Int32:
     """Find the geom whose surface is the highest in each cell; of equally high ones, the lowest id.
 
     Args:
         surfaces: n surfaces.
         is_considered: which of the surfaces are compared, (n,).
         num_cells: the number of cells.
-        no_geom: the id that cells without a surface get.
+        no_geom: the id to return for cells without a surface.
 
     Returns:
         The geom of each cell, shape (num_cells,).
     """
-    cell = surfaces.cell
+    cells = surfaces.cell
     highest = np.full(num_cells, -np.inf)
-    np.maximum.at(highest, cell[is_considered], surfaces.z[is_considered])
-    is_highest = is_considered & (surfaces.z >= highest[cell] - SAME_HEIGHT)
-    first_geom = np.full(num_cells, no_geom, dtype=np.int32)
-    np.minimum.at(first_geom, cell[is_highest], surfaces.geom[is_highest])
-    return first_geom
+    np.maximum.at(highest, cells[is_considered], surfaces.z[is_considered])
+    is_highest = is_considered & (surfaces.z >= highest[cells] - SAME_HEIGHT)
+    lowest_geom_id = np.full(num_cells, no_geom, dtype=np.int32)
+    np.minimum.at(lowest_geom_id, cells[is_highest], surfaces.geom[is_highest])
+    return lowest_geom_id
 
 
 @lru_cache(maxsize=8)  # every update calls it with the same arguments
-def _match(
+def _match_names(
     names: tuple[str, ...], patterns: tuple[str, ...], setting: str
 ) -> tuple[list[int], list[str]]:
-    """Return the ids of the names that match a pattern, and warnings of unused patterns.
+    """Return the ids of the names that match a pattern, and warnings of patterns without a match.
 
     Args:
         names: names, in the order of ids.
@@ -553,12 +586,12 @@ def _match(
         setting: the key in `rooms`, ``geoms`` or ``sites``, of the setting that has the patterns.
             Its default patterns may match nothing without a warning.
     """
-    matching = set[int]()
+    matching_ids = set[int]()
     warnings = list[str]()
     for pattern in patterns:
-        match = re.compile(translate(pattern)).match
-        ids = [k for k, name in enumerate(names) if name and match(name)]
-        matching.update(ids)
-        if not ids and pattern not in DEFAULT_PATTERNS[setting]:
+        matches_pattern = re.compile(translate(pattern)).match
+        ids_of_pattern = [k for k, name in enumerate(names) if name and matches_pattern(name)]
+        matching_ids.update(ids_of_pattern)
+        if not ids_of_pattern and pattern not in DEFAULT_PATTERNS[setting]:
             warnings.append(warn_unmatched(f"rooms.{setting}", pattern, names))
-    return sorted(matching), warnings
+    return sorted(matching_ids), warnings

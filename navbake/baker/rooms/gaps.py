@@ -5,7 +5,7 @@ A *gap* is a narrow place between two *spaces*: the open floor is much wider bes
 1. `find_directions` (in `walls.py`) finds the directions in which walls run. For each direction,
    the lattice is scanned along parallel lines of cells, see `gap_kernels.py`; steps 2 and 4 are
    done for each direction.
-2. `_mark_lines` marks the cells of gaps: open cells in a line from wall to wall that is much
+2. `_mark_gap_lines` marks the cells of gaps: open cells in a line from wall to wall that is much
    shorter than the line next to it.
 3. `_label_spaces` labels the spaces: connected open cells that are not marked.
 4. `_list_gaps` combines marked cells in neighbouring columns between the same two spaces to a gap.
@@ -65,9 +65,9 @@ from navbake.types import Bool, Int, Int32
 
 
 class CloseCall(NamedTuple):
-    """A gap, such as a doorway, that nearly joined the spaces beside it, or nearly parted them.
+    """A gap, such as a doorway, for which it was a close decision whether it separates two rooms.
 
-    The gap's width, divided by that of the narrower space, is close to the limit.
+    The gap's width, divided by that of the narrower space beside it, is close to the limit.
 
     Attributes:
         cell: row and column of the gap's middle, with fractions.
@@ -84,7 +84,7 @@ class DirectionGaps(NamedTuple):
     """The gaps that lie along one direction of walls.
 
     Attributes:
-        direction: the direction.
+        direction: the direction of the walls.
         scan: the lattice as it is scanned in this direction.
         gaps: the gaps that the scan finds.
     """
@@ -117,7 +117,7 @@ def find_gaps(
     cell_size: float,
     door_width: float | None,
     rays: WallRays | None = None,
-    closed: Bool | None = None,
+    closed_cells: Bool | None = None,
 ) -> SeparatedSpaces:
     """Find the gaps along each direction of walls, and the spaces between all of them.
 
@@ -128,38 +128,45 @@ def find_gaps(
         door_width: the widest gap that separates two spaces [m]; None for the limits of
             `gap_limits.py`.
         rays: rays to the geometry of walls; None to find the walls' directions from cells.
-        closed: cells of closed door leaves. They are in no space and no gap, and gaps end at them
-            as at walls. None for no leaves.
+        closed_cells: cells of closed door leaves. They are in no space and no gap, and gaps end at
+            them as at walls. None for no leaves.
 
     Returns:
         The gaps and the spaces.
     """
-    space = open_cells | holes
-    if closed is None:
-        closed = np.zeros_like(space)
-    directions = find_directions(space, cell_size, rays)
-    marks, is_marked = _mark_lines(space, closed, directions, cell_size, door_width)
+    passable_cells = open_cells | holes
+    if closed_cells is None:
+        closed_cells = np.zeros_like(passable_cells)
+    directions = find_directions(passable_cells, cell_size, rays)
+    marks, is_marked = _mark_gap_lines(
+        passable_cells, closed_cells, directions, cell_size, door_width
+    )
     label, num_cells = _label_spaces(open_cells, is_marked, cell_size)
     direction_gaps = []
     for direction, direction_marks in zip(directions, marks, strict=True):
-        rows = np.array(
-            [max(1, round(d * direction.stretch / cell_size)) for d in MEASURING_DEPTHS]
+        depths_in_rows = np.array(
+            [
+                max(1, round(depth * direction.length_per_column / cell_size))
+                for depth in MEASURING_DEPTHS
+            ]
         )
         scan = Scan(
             label=to_scan_order(label, direction),
-            is_open=to_scan_order(space & ~closed, direction),
+            is_open=to_scan_order(passable_cells & ~closed_cells, direction),
             shift=direction.shift,
-            depths=rows,
-            leans=np.rint(rows * direction.slope / direction.stretch**2).astype(np.int64),
+            depths=depths_in_rows,
+            leans=np.rint(depths_in_rows * direction.slope / direction.length_per_column**2).astype(
+                np.int64
+            ),
         )
         gaps = _list_gaps(scan, to_scan_order(is_marked, direction), direction_marks)
         direction_gaps.append(DirectionGaps(direction, scan, gaps))
     return SeparatedSpaces(direction_gaps, label, num_cells)
 
 
-def _mark_lines(
-    space: Bool,
-    closed: Bool,
+def _mark_gap_lines(
+    passable_cells: Bool,
+    closed_cells: Bool,
     directions: list[WallDirection],
     cell_size: float,
     door_width: float | None,
@@ -171,9 +178,9 @@ def _mark_lines(
     through a door, and a line that continues a wall ends at a wide opening beside it.
 
     Args:
-        space: cells that a gap may go across: open cells, and holes in the floor, shape (height,
-            width).
-        closed: cells of closed door leaves, at which lines end.
+        passable_cells: cells that a gap may go across: open cells, and holes in the floor, shape
+            (height, width).
+        closed_cells: cells of closed door leaves, at which lines end.
         directions: the directions of walls, in which lines run.
         cell_size: the side of a cell, > 0 [m].
         door_width: the widest gap that separates two spaces [m]; None for the limits of
@@ -184,28 +191,29 @@ def _mark_lines(
         or marked in any direction, shape (height, width).
     """
     marks = [
-        np.zeros_like(to_scan_order(space, direction), dtype=np.uint8) for direction in directions
+        np.zeros_like(to_scan_order(passable_cells, direction), dtype=np.uint8)
+        for direction in directions
     ]
-    is_marked = closed.copy()
-    min_width = door_width or 0.0
+    is_marked = closed_cells.copy()
+    least_max_width = door_width or 0.0
     for max_width, only_doorways in (
-        (max(MAX_OPENING_WIDTH, min_width), True),
-        (max(MAX_PASSAGE_WIDTH, min_width), False),
+        (max(MAX_OPENING_WIDTH, least_max_width), True),
+        (max(MAX_PASSAGE_WIDTH, least_max_width), False),
     ):
-        unmarked = space & ~is_marked
-        waiting = []
+        unmarked = passable_cells & ~is_marked
+        wait_functions = []
         for direction, direction_marks in zip(directions, marks, strict=True):
-            step = direction.stretch * cell_size  # of a column along the lines [m]
+            column_length = direction.length_per_column * cell_size  # along the lines [m]
             limits = GapLimits(
-                max_width=int(max_width / step),
+                max_width=int(max_width / column_length),
                 widening_factor=WIDENING_FACTOR,
-                min_widening=MIN_WIDENING / step,
-                max_thickness=int(MAX_WALL_THICKNESS * direction.stretch / cell_size) + 2,
+                min_widening=MIN_WIDENING / column_length,
+                max_thickness=int(MAX_WALL_THICKNESS * direction.length_per_column / cell_size) + 2,
                 only_doorways=only_doorways,
             )
             is_open = to_scan_order(unmarked, direction)
-            is_near_wall = to_scan_order(direction.near, direction).copy("K")
-            waiting.append(
+            is_near_wall = to_scan_order(direction.is_near_wall, direction).copy("K")
+            wait_functions.append(
                 run_beside(
                     kernels.mark_gaps,
                     is_open,
@@ -215,8 +223,8 @@ def _mark_lines(
                     direction_marks,
                 )
             )
-        for wait in waiting:
-            wait()
+        for wait_for_marks in wait_functions:
+            wait_for_marks()
         for direction, direction_marks in zip(directions, marks, strict=True):
             is_marked |= from_scan_order(direction_marks, direction) > 0
     return marks, is_marked
@@ -231,8 +239,8 @@ def _label_spaces(open_cells: Bool, is_marked: Bool, cell_size: float) -> tuple[
         The label of each cell's space, from 1, 0 for none, shape (height, width); and the number of
         cells of each label, 0 for label 0.
     """
-    label, count = label_components_2d(open_cells & ~is_marked)
-    num_cells = count_cells_by_label(label, count + 1)
+    label, num_spaces = label_components_2d(open_cells & ~is_marked)
+    num_cells = count_cells_by_label(label, num_spaces + 1)
     is_space = num_cells * cell_size**2 >= MIN_SPACE_AREA
     is_space[0] = True
     if is_space.all():
@@ -244,9 +252,10 @@ def _label_spaces(open_cells: Bool, is_marked: Bool, cell_size: float) -> tuple[
 
 
 class _Crossings(NamedTuple):
-    """Where a column of a scan crosses a gap, as parallel arrays of n crossings, shape (n,).
+    """Where columns of a scan cross gaps, as parallel arrays of n crossings, shape (n,).
 
-    The column has consecutive marked cells there, with two different spaces above and below them.
+    At a crossing, consecutive cells of the column are marked, and the spaces above and below these
+    cells differ.
 
     Attributes:
         col: the column.
@@ -254,7 +263,7 @@ class _Crossings(NamedTuple):
         bottom: the row of the last marked cell.
         label_above: the label of the space above, in the row before `top`.
         label_below: the label of the space below, in the row after `bottom`.
-        mark: the greatest mark of the cells, see `Marks`.
+        mark: the greatest mark of the marked cells, see `Marks`.
     """
 
     col: Int
@@ -277,22 +286,29 @@ def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
         marks: the marks of this direction.
     """
     crossings = _list_crossings(scan, is_marked, marks)
-    previous = _find_previous(crossings, scan)
-    goes_on = np.flatnonzero(previous >= 0)
-    gap_of = label_components(np.stack([previous[goes_on], goes_on]), len(previous))
+    previous_crossing = _find_previous_crossings(crossings, scan)
+    continuing_crossings = np.flatnonzero(previous_crossing >= 0)
+    gap_of_crossing = label_components(
+        np.stack([previous_crossing[continuing_crossings], continuing_crossings]),
+        len(previous_crossing),
+    )
     # Sort by gap, and within a gap by column.
-    order = np.argsort(gap_of, kind="stable")
-    start = np.flatnonzero(np.diff(gap_of[order], prepend=-1))
-    first = order[start]
-    last = order[np.append(start[1:], len(order))[: len(start)] - 1]
+    sort_indices = np.argsort(gap_of_crossing, kind="stable")
+    gap_starts = np.flatnonzero(np.diff(gap_of_crossing[sort_indices], prepend=-1))
+    first_crossing = sort_indices[gap_starts]
+    last_crossing = sort_indices[
+        np.append(gap_starts[1:], len(sort_indices))[: len(gap_starts)] - 1
+    ]
     return Gaps(
-        first_col=crossings.col[first],
-        last_col=crossings.col[last],
-        top_row=np.stack([crossings.top[first], crossings.top[last]], axis=1),
-        bottom_row=np.stack([crossings.bottom[first], crossings.bottom[last]], axis=1),
-        label_above=crossings.label_above[first],
-        label_below=crossings.label_below[first],
-        is_doorway=np.maximum.reduceat(crossings.mark[order], start) == DOORWAY,
+        first_col=crossings.col[first_crossing],
+        last_col=crossings.col[last_crossing],
+        top_row=np.stack([crossings.top[first_crossing], crossings.top[last_crossing]], axis=1),
+        bottom_row=np.stack(
+            [crossings.bottom[first_crossing], crossings.bottom[last_crossing]], axis=1
+        ),
+        label_above=crossings.label_above[first_crossing],
+        label_below=crossings.label_below[first_crossing],
+        is_doorway=np.maximum.reduceat(crossings.mark[sort_indices], gap_starts) == DOORWAY,
     )
 
 
@@ -308,31 +324,31 @@ def _list_crossings(scan: Scan, is_marked: Bool, marks: Marks) -> _Crossings:
         marks: the marks of this direction.
     """
     label = scan.label
-    col, top, end, _ = find_row_runs(is_marked.T)
-    bottom = end - 1
-    starts = np.cumsum(end - top) - (end - top)
-    mark = np.maximum.reduceat(marks.T[is_marked.T], starts)
+    col, top, stop_row, _ = find_row_runs(is_marked.T)
+    bottom = stop_row - 1
+    starts = np.cumsum(stop_row - top) - (stop_row - top)
+    greatest_mark = np.maximum.reduceat(marks.T[is_marked.T], starts)
     is_open = np.logical_and.reduceat(scan.is_open.T[is_marked.T], starts)
     label_above = label[np.maximum(top - 1, 0), col]
     label_below = label[np.minimum(bottom + 1, len(label) - 1), col]
     # At the lattice's edge, the cell above or below is the marked cell itself, without a label.
-    crosses = (label_above > 0) & (label_below > 0) & (label_above != label_below)
-    crosses &= (mark > 0) & is_open
+    is_crossing = (label_above > 0) & (label_below > 0) & (label_above != label_below)
+    is_crossing &= (greatest_mark > 0) & is_open
     return _Crossings(
-        col=col[crosses].astype(np.int64),
-        top=top[crosses].astype(np.int64),
-        bottom=bottom[crosses].astype(np.int64),
-        label_above=label_above[crosses].astype(np.int64),
-        label_below=label_below[crosses].astype(np.int64),
-        mark=mark[crosses].astype(np.int64),
+        col=col[is_crossing].astype(np.int64),
+        top=top[is_crossing].astype(np.int64),
+        bottom=bottom[is_crossing].astype(np.int64),
+        label_above=label_above[is_crossing].astype(np.int64),
+        label_below=label_below[is_crossing].astype(np.int64),
+        mark=greatest_mark[is_crossing].astype(np.int64),
     )
 
 
-def _find_previous(crossings: _Crossings, scan: Scan) -> Int:
+def _find_previous_crossings(crossings: _Crossings, scan: Scan) -> Int:
     """Find for each crossing the crossing in the previous column that belongs to the same gap.
 
-    It lies between the same two spaces, and at most `MAX_LINE_DRIFT` rows off the line of cells
-    through this crossing. If there are several, the first counts.
+    Both lie between the same two spaces, and their middles are on lines of cells that are at most
+    `MAX_LINE_DRIFT` rows apart. Of several such crossings in the previous column, the first counts.
 
     Returns:
         The index of the crossing in the previous column, -1 if there is none, shape (n,).
@@ -340,19 +356,23 @@ def _find_previous(crossings: _Crossings, scan: Scan) -> Int:
     num_labels = scan.label.max(initial=0) + 1
     num_cols = scan.label.shape[1]
     # A key of the two spaces and the column; the previous column has the key minus 1.
-    pair = crossings.label_above * num_labels + crossings.label_below
-    key = pair * (num_cols + 1) + crossings.col
-    order = np.argsort(key, kind="stable")
-    begin = np.searchsorted(key[order], key - 1, "left")
-    end = np.searchsorted(key[order], key - 1, "right")
-    line = (crossings.top + crossings.bottom) / 2 - scan.shift[crossings.col]
-    previous = np.full(len(key), -1)
-    for number in range(int((end - begin).max(initial=0))):
-        candidate = order[np.minimum(begin + number, len(order) - 1)]
-        is_near = np.abs(line[candidate] - line) <= MAX_LINE_DRIFT
-        is_near &= begin + number < end
-        previous = np.where((previous < 0) & is_near, candidate, previous)
-    return previous
+    pair_key = crossings.label_above * num_labels + crossings.label_below
+    sort_key = pair_key * (num_cols + 1) + crossings.col
+    sort_indices = np.argsort(sort_key, kind="stable")
+    match_start = np.searchsorted(sort_key[sort_indices], sort_key - 1, "left")
+    match_stop = np.searchsorted(sort_key[sort_indices], sort_key - 1, "right")
+    middle_line = (crossings.top + crossings.bottom) / 2 - scan.shift[crossings.col]
+    previous_crossing = np.full(len(sort_key), -1)
+    for match_number in range(int((match_stop - match_start).max(initial=0))):
+        candidate_crossing = sort_indices[
+            np.minimum(match_start + match_number, len(sort_indices) - 1)
+        ]
+        is_near = np.abs(middle_line[candidate_crossing] - middle_line) <= MAX_LINE_DRIFT
+        is_near &= match_start + match_number < match_stop
+        previous_crossing = np.where(
+            (previous_crossing < 0) & is_near, candidate_crossing, previous_crossing
+        )
+    return previous_crossing
 
 
 # ---------------------------------------------------------------- joining spaces
@@ -392,12 +412,12 @@ class SpaceMerger:
         self._door_width = door_width
         self._rays = rays
         self._num_cells = separated.num_cells.astype(np.int64)  # of each space, after joins so far
-        self._first_num_cells = separated.num_cells  # of each space, before any were joined
+        self._initial_num_cells = separated.num_cells  # of each space, before any were joined
         self.space_of = np.arange(len(separated.num_cells), dtype=np.int32)
         # Gaps of all directions are numbered one after another.
-        counts = [len(direction.gaps.first_col) for direction in separated.directions]
-        self._first_gap = np.cumsum([0, *counts])  # the number of each direction's first gap
-        self._direction_of = np.repeat(np.arange(len(counts)), counts)
+        gap_counts = [len(direction.gaps.first_col) for direction in separated.directions]
+        self._first_gap = np.cumsum([0, *gap_counts])  # the number of each direction's first gap
+        self._direction_of = np.repeat(np.arange(len(gap_counts)), gap_counts)
         self._walls = [
             _find_gap_walls(direction_gaps, cell_size, rays)
             for direction_gaps in separated.directions
@@ -406,24 +426,26 @@ class SpaceMerger:
         self._width = np.ones(num_gaps)  # [cells]
         self._is_doorway = np.zeros(num_gaps, dtype=np.bool_)
         self._labels = np.empty((num_gaps, 2), dtype=np.int64)  # of the spaces above and below
-        for number, (direction, _, gaps) in enumerate(separated.directions):
-            numbers = slice(self._first_gap[number], self._first_gap[number + 1])
+        for direction_number, (direction, _, gaps) in enumerate(separated.directions):
+            gap_range = slice(
+                self._first_gap[direction_number], self._first_gap[direction_number + 1]
+            )
             between_ends = gaps.last_col - gaps.first_col
-            to_walls = self._walls[number].beside.sum(axis=1)
-            self._width[numbers] = (between_ends + to_walls) * direction.stretch
-            self._is_doorway[numbers] = gaps.is_doorway
-            self._labels[numbers, 0] = gaps.label_above
-            self._labels[numbers, 1] = gaps.label_below
+            to_walls = self._walls[direction_number].beside.sum(axis=1)
+            self._width[gap_range] = (between_ends + to_walls) * direction.length_per_column
+            self._is_doorway[gap_range] = gaps.is_doorway
+            self._labels[gap_range, 0] = gaps.label_above
+            self._labels[gap_range, 1] = gaps.label_below
         # Each gap's width, divided by that of the space above and below
         self._shares = np.ones((num_gaps, 2))
         # The share by which each gap was decided, see `_find_deciding_share`; NaN if by none
         self._deciding_share = np.full(num_gaps, np.nan)
         # For each space, the gaps beside it, and other gaps whose lines met it
-        self._gaps_at: list[set[int]] = [set() for _ in separated.num_cells]
+        self._gaps_beside: list[set[int]] = [set() for _ in separated.num_cells]
         self._gaps_meeting: list[set[int]] = [set() for _ in separated.num_cells]
         for gap, labels in enumerate(self._labels.tolist()):
             for label in labels:
-                self._gaps_at[label].add(gap)
+                self._gaps_beside[label].add(gap)
         self.measure(np.arange(num_gaps))
 
     def join_spaces(self) -> None:
@@ -433,10 +455,12 @@ class SpaceMerger:
         both), then those that are nearly as wide as the narrower one, or too wide for a door. This
         way, a gap across a room next to a doorway is decided before the doorway.
         """
-        for by_wider in (True, False):
+        for compares_with_wider in (True, False):
             queue = list[tuple[tuple[bool, float], int]]()
             for gap in range(len(self._width)):
-                priority = self._find_priority(gap, by_wider) if self.separates(gap) else None
+                priority = (
+                    self._find_priority(gap, compares_with_wider) if self.separates(gap) else None
+                )
                 if priority is not None:
                     queue.append((priority, gap))
             heapq.heapify(queue)
@@ -444,23 +468,28 @@ class SpaceMerger:
                 priority, gap = heapq.heappop(queue)
                 # A gap that was measured again is in the queue a second time. Also, a passage may
                 # have become long enough to be a room.
-                if not self.separates(gap) or priority != self._find_priority(gap, by_wider):
+                if not self.separates(gap) or priority != self._find_priority(
+                    gap, compares_with_wider
+                ):
                     continue
                 for measured_gap in self.join(gap):
-                    new_priority = self._find_priority(measured_gap, by_wider)
+                    new_priority = self._find_priority(measured_gap, compares_with_wider)
                     if new_priority is not None:
                         heapq.heappush(queue, (new_priority, measured_gap))
 
-    def _find_priority(self, gap: int, by_wider: bool) -> tuple[bool, float] | None:
-        """Return when the spaces of a gap are joined, lowest first; None if they stay apart.
+    def _find_priority(self, gap: int, compares_with_wider: bool) -> tuple[bool, float] | None:
+        """Return a gap's place in the order in which spaces are joined; None if it still separates.
+
+        Gaps with the lowest tuple come first.
 
         Args:
             gap: the gap's number.
-            by_wider: whether the gap's width is compared with the width of the wider space beside
-                it. Then gaps with a larger share of that width come first, and doorways last. If
-                False, it is compared with that of the narrower space, and wider gaps come first.
+            compares_with_wider: True to compare the gap's width with the width of the wider space
+                beside it; then gaps with a larger share of that width come first, and doorways
+                last. False to compare it with the width of the narrower space; then wider gaps come
+                first.
         """
-        if by_wider:
+        if compares_with_wider:
             share = min(self._shares[gap].tolist())
             if share < JOIN_SHARE_OF_WIDER:
                 return None
@@ -479,16 +508,16 @@ class SpaceMerger:
         Args:
             gap: the gap's number.
         """
-        above, below = self._shares[gap].tolist()
-        passage = self.space_of[self._labels[gap, 0 if above >= below else 1]]
-        is_long = self._num_cells[passage] >= MIN_PASSAGE_LENGTH * self._width[gap] ** 2
+        share_above, share_below = self._shares[gap].tolist()
+        narrower_space = self.space_of[self._labels[gap, 0 if share_above >= share_below else 1]]
+        is_long = self._num_cells[narrower_space] >= MIN_PASSAGE_LENGTH * self._width[gap] ** 2
         width = float(self._width[gap]) * self._cell_size - WIDTH_ROUNDING
         may_separate = self._door_width is None or width <= self._door_width
-        if is_long and min(above, below) <= 1 / PASSAGE_WIDENING and may_separate:
+        if is_long and min(share_above, share_below) <= 1 / PASSAGE_WIDENING and may_separate:
             return 0.0
         if width > (self._door_width or MAX_GAP_WIDTH):
             return 1.0
-        share: float = max(above, below)
+        share: float = max(share_above, share_below)
         self._deciding_share[gap] = share
         return share
 
@@ -501,28 +530,28 @@ class SpaceMerger:
         """
         is_close = np.abs(self._deciding_share - JOIN_SHARE_OF_NARROWER) <= CLOSE_SHARE
         is_close &= self._width * self._cell_size >= MIN_CLOSE_WIDTH
-        calls = []
+        close_calls = []
         for gap in np.flatnonzero(is_close).tolist():
             separates = self.separates(gap)
             labels = self._labels[gap]
             if separates:
                 num_cells = self._num_cells[self.space_of[labels]]
             else:
-                num_cells = self._first_num_cells[labels]
+                num_cells = self._initial_num_cells[labels]
             if (num_cells < MIN_CLOSE_AREA / self._cell_size**2).any():
                 continue
             width = float(self._width[gap]) * self._cell_size
-            calls.append(CloseCall(self._middle_of(gap), width, separates))
-        return calls
+            close_calls.append(CloseCall(self._middle_of(gap), width, separates))
+        return close_calls
 
     def _middle_of(self, gap: int) -> tuple[float, float]:
         """Return the row and the column of a gap's middle, with fractions."""
-        number = int(self._direction_of[gap])
-        direction, _, gaps = self._directions[number]
-        k = gap - int(self._first_gap[number])
-        col = float(gaps.first_col[k] + gaps.last_col[k]) / 2
-        row = float(gaps.top_row[k].mean() + gaps.bottom_row[k].mean()) / 2
-        return (col, row) if direction.swapped else (row, col)
+        direction_number = int(self._direction_of[gap])
+        direction, _, gaps = self._directions[direction_number]
+        index = gap - int(self._first_gap[direction_number])
+        col = float(gaps.first_col[index] + gaps.last_col[index]) / 2
+        row = float(gaps.top_row[index].mean() + gaps.bottom_row[index].mean()) / 2
+        return (col, row) if direction.is_swapped else (row, col)
 
     def separates(self, gap: int) -> bool:
         """Return whether a gap still separates two spaces: those beside it have not been joined.
@@ -530,21 +559,21 @@ class SpaceMerger:
         Args:
             gap: the gap's number.
         """
-        above, below = self._labels[gap]
-        return bool(self.space_of[above] != self.space_of[below])
+        label_above, label_below = self._labels[gap]
+        return bool(self.space_of[label_above] != self.space_of[label_below])
 
     def measure(self, gaps: Int) -> None:
-        """Measure which share of the width of the spaces beside it each gap takes.
+        """Measure the shares of gaps: a gap's width, divided by that of the space on either side.
 
         Args:
-            gaps: the numbers of the gaps, (n,).
+            gaps: the numbers of the gaps to measure, shape (n,).
         """
-        directions = self._direction_of[gaps]
-        for number in sorted(set(directions.tolist())):
-            direction, scan, direction_gaps = self._directions[number]
-            first_gap = int(self._first_gap[number])
-            chosen_gaps = gaps[directions == number] - first_gap
-            walls = self._walls[number]
+        direction_of_gap = self._direction_of[gaps]
+        for direction_number in sorted(set(direction_of_gap.tolist())):
+            direction, scan, direction_gaps = self._directions[direction_number]
+            first_gap = int(self._first_gap[direction_number])
+            chosen_gaps = gaps[direction_of_gap == direction_number] - first_gap
+            walls = self._walls[direction_number]
             lines, shares, needs_rays, met_spaces = kernels.measure_gaps(
                 scan, direction_gaps, chosen_gaps, self.space_of, walls
             )
@@ -574,19 +603,23 @@ class SpaceMerger:
             The numbers of the gaps that were measured again. They are beside one of the two spaces,
             and the lines that measured them had met the other.
         """
-        above, below = self.space_of[self._labels[gap]].tolist()
-        changed = self._gaps_at[above] & self._gaps_meeting[below]
-        changed |= self._gaps_at[below] & self._gaps_meeting[above]
-        joined = min(above, below)
-        removed = max(above, below)
-        self.space_of[self.space_of == removed] = joined
-        self._num_cells[joined] += self._num_cells[removed]
-        for gaps_of_space in (self._gaps_at, self._gaps_meeting):
-            small, large = sorted((gaps_of_space[joined], gaps_of_space[removed]), key=len)
-            large |= small
-            gaps_of_space[joined] = large
-            gaps_of_space[removed] = set()
-        still_separating = [number for number in sorted(changed) if self.separates(number)]
+        space_above, space_below = self.space_of[self._labels[gap]].tolist()
+        affected_gaps = self._gaps_beside[space_above] & self._gaps_meeting[space_below]
+        affected_gaps |= self._gaps_beside[space_below] & self._gaps_meeting[space_above]
+        kept_space = min(space_above, space_below)
+        removed_space = max(space_above, space_below)
+        self.space_of[self.space_of == removed_space] = kept_space
+        self._num_cells[kept_space] += self._num_cells[removed_space]
+        for gaps_of_space in (self._gaps_beside, self._gaps_meeting):
+            smaller_set, larger_set = sorted(
+                (gaps_of_space[kept_space], gaps_of_space[removed_space]), key=len
+            )
+            larger_set |= smaller_set
+            gaps_of_space[kept_space] = larger_set
+            gaps_of_space[removed_space] = set()
+        still_separating = [
+            affected_gap for affected_gap in sorted(affected_gaps) if self.separates(affected_gap)
+        ]
         self.measure(np.array(still_separating, dtype=np.int64))
         return still_separating
 
@@ -609,24 +642,30 @@ def _find_gap_walls(
     shift = scan.shift
     cols = np.stack([gaps.first_col, gaps.last_col], axis=1)
     rows = (gaps.top_row + gaps.bottom_row) // 2
-    jamb_distance = max(MAX_WALL_DISTANCE, MAX_JAMB_DISTANCE / (direction.stretch * cell_size))
+    jamb_distance = max(
+        MAX_WALL_DISTANCE, MAX_JAMB_DISTANCE / (direction.length_per_column * cell_size)
+    )
     max_distance = np.where(gaps.is_doorway, jamb_distance, MAX_WALL_DISTANCE)
     # The cells in the next column after each end
     next_cols = np.clip(cols + np.array([-1, 1]), 0, len(shift) - 1)
-    to_next = shift[next_cols] - shift[cols]
+    rows_to_next = shift[next_cols] - shift[cols]
     last_row = len(scan.label) - 1
-    rows_above = np.clip(gaps.top_row - 1 + to_next, 0, last_row)
-    rows_between = np.clip(rows + to_next, 0, last_row)
-    rows_below = np.clip(gaps.bottom_row + 1 + to_next, 0, last_row)
-    above = scan.label[rows_above, next_cols]
-    below = scan.label[rows_below, next_cols]
-    goes_on = scan.is_open[rows_between, next_cols] & (above > 0) & (below > 0)
-    goes_on &= (above != gaps.label_above[:, None]) | (below != gaps.label_below[:, None])
-    end_cells = np.where(goes_on, -1, rows * len(shift) + cols)
+    rows_above = np.clip(gaps.top_row - 1 + rows_to_next, 0, last_row)
+    rows_between = np.clip(rows + rows_to_next, 0, last_row)
+    rows_below = np.clip(gaps.bottom_row + 1 + rows_to_next, 0, last_row)
+    label_above = scan.label[rows_above, next_cols]
+    label_below = scan.label[rows_below, next_cols]
+    opening_continues = (
+        scan.is_open[rows_between, next_cols] & (label_above > 0) & (label_below > 0)
+    )
+    opening_continues &= (label_above != gaps.label_above[:, None]) | (
+        label_below != gaps.label_below[:, None]
+    )
+    end_cells = np.where(opening_continues, -1, rows * len(shift) + cols)
     if rays is None:
         coded_distance = np.full((scan.label.size, 2), 1.5)
     else:
         coded_distance = rays.measure(direction, end_cells)
-    beside = coded_distance[end_cells, [0, 1]] - 1.0
-    is_wall = (end_cells >= 0) & (beside <= max_distance[:, None])
-    return GapWalls(np.where(is_wall, beside, 0.5), max_distance, coded_distance)
+    wall_distance = coded_distance[end_cells, [0, 1]] - 1.0
+    has_wall = (end_cells >= 0) & (wall_distance <= max_distance[:, None])
+    return GapWalls(np.where(has_wall, wall_distance, 0.5), max_distance, coded_distance)

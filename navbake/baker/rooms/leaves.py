@@ -24,16 +24,19 @@ DETOUR_REACH = 1.0
 
 
 class LeafLines(NamedTuple):
-    """The ids of the cells along lines that start at a closed door leaf, -1 outside the lattice.
+    """The cells along lines that start at a closed door leaf: their ids, -1 outside the lattice.
+
+    These lines show which spaces the leaf separates.
 
     Attributes:
-        sight: the cells along lines at a right angle to the leaf, from each of its two sides, shape
-            (2, lines, steps).
-        ends: the cells along the lines that continue the leaf at its two ends, shape (2, steps).
+        sight_cells: the cells along lines at a right angle to the leaf, from each of its two sides,
+            shape (2, lines, steps).
+        end_cells: the cells along the lines that continue the leaf at its two ends, shape (2,
+            steps).
     """
 
-    sight: Int
-    ends: Int
+    sight_cells: Int
+    end_cells: Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,72 +70,76 @@ class LeafMarks(NamedTuple):
 
 
 def mark_leaves(
-    level: LevelFlags, number: int, closed_leaves: Sequence[ClosedLeaf], cell_size: float
+    level: LevelFlags, level_number: int, closed_leaves: Sequence[ClosedLeaf], cell_size: float
 ) -> LeafMarks | None:
     """Find which closed leaves separate two spaces of a level, and mark the cells of all leaves.
 
     At first, all leaves are closed: the two leaves of a double door only separate spaces together.
-    Leaves that separate nothing are removed, and the rest is tested again, until all remaining
-    leaves separate two spaces.
+    Leaves that separate nothing are removed, and the remaining ones are tested again, until each of
+    them separates two spaces.
 
     Args:
         level: the flags of the level's cells.
-        number: the level's number.
+        level_number: the level's number.
         closed_leaves: all door leaves of the scene, in their closed state.
         cell_size: the side of a cell, > 0 [m].
 
     Returns:
         The cells of leaves; None if there are no leaves on the level.
     """
-    on_level = [leaf for leaf in closed_leaves if len(leaf.cells[number])]
-    leaf_cells = _mark_cells(level, number, on_level)
+    leaves_on_level = [leaf for leaf in closed_leaves if len(leaf.cells[level_number])]
+    leaf_cells = _mark_cells(level, level_number, leaves_on_level)
     if not leaf_cells.any():
         return None
-    leaves = [leaf for leaf in on_level if leaf.lines is not None]
+    leaves = [leaf for leaf in leaves_on_level if leaf.lines is not None]
     while leaves:
         lines = [leaf.lines for leaf in leaves if leaf.lines is not None]
-        barrier = _mark_cells(level, number, leaves)
-        barrier |= _mark_frames(level, barrier, np.stack([line.ends for line in lines]))
+        barrier = _mark_cells(level, level_number, leaves)
+        barrier |= _mark_frames(level, barrier, np.stack([line.end_cells for line in lines]))
         spaces = _SpacesBetweenLeaves(level, barrier, cell_size)
-        beyond = spaces.find_cells_beyond(np.stack([line.sight for line in lines]))
-        windows = [_window_near(leaf.cells[number], leaf_cells.shape, cell_size) for leaf in leaves]
-        is_separating = spaces.find_separating(beyond, windows)
+        cells_beyond = spaces.find_cells_beyond(np.stack([line.sight_cells for line in lines]))
+        windows_near_leaves = [
+            _window_near(leaf.cells[level_number], leaf_cells.shape, cell_size) for leaf in leaves
+        ]
+        is_separating = spaces.find_separating(cells_beyond, windows_near_leaves)
         if is_separating.all():
             return LeafMarks(
                 separating=spaces.barrier,
                 not_separating=leaf_cells & ~spaces.barrier,
-                cells_beyond=np.unique(beyond[beyond >= 0]),
+                cells_beyond=np.unique(cells_beyond[cells_beyond >= 0]),
             )
         leaves = [leaf for leaf, separates in zip(leaves, is_separating, strict=True) if separates]
     return LeafMarks(np.zeros_like(leaf_cells), leaf_cells, np.empty(0, dtype=np.int64))
 
 
-def _mark_cells(level: LevelFlags, number: int, leaves: Sequence[ClosedLeaf]) -> Bool:
-    """Mark the open cells that leaves block on level `number`, shape (height, width)."""
-    mask = np.zeros(level.is_open.shape, dtype=np.bool_)
+def _mark_cells(level: LevelFlags, level_number: int, leaves: Sequence[ClosedLeaf]) -> Bool:
+    """Mark the open cells that leaves block on level `level_number`, shape (height, width)."""
+    is_leaf_cell = np.zeros(level.is_open.shape, dtype=np.bool_)
     for leaf in leaves:
-        mask.ravel()[leaf.cells[number]] = True
-    mask &= level.is_open
-    return mask
+        is_leaf_cell.ravel()[leaf.cells[level_number]] = True
+    is_leaf_cell &= level.is_open
+    return is_leaf_cell
 
 
-def _mark_frames(level: LevelFlags, leaf_cells: Bool, ends: Int) -> Bool:
+def _mark_frames(level: LevelFlags, leaf_cells: Bool, end_cells: Int) -> Bool:
     """Mark the frames and sidelights that continue leaves at their ends.
 
-    These are the open cells that structure occupies, from a leaf's end on along its line, up to the
-    first other cell. (Structure that is too short to be a wall leaves its cells open.)
+    From each end of a leaf, its line is followed as long as its cells are open but occupied by
+    structure. (Structure that is too short to be a wall leaves its cells open.)
 
     Args:
         level: the flags of the level's cells.
         leaf_cells: a mask of the open cells of leaves.
-        ends: `LeafLines.ends` of each leaf, shape (leaves, 2, steps).
+        end_cells: `LeafLines.end_cells` of each leaf, shape (leaves, 2, steps).
     """
-    cell = np.maximum(ends, 0)
+    clipped_cells = np.maximum(end_cells, 0)
     is_occupied = leaf_cells | level.is_open & level.occupied
-    goes_on = np.logical_and.accumulate((ends >= 0) & is_occupied.ravel()[cell], axis=-1)
-    mask = np.zeros(level.is_open.shape, dtype=np.bool_)
-    mask.ravel()[cell[goes_on]] = True
-    return mask
+    continues_leaf = np.logical_and.accumulate(
+        (end_cells >= 0) & is_occupied.ravel()[clipped_cells], axis=-1
+    )
+    is_frame = np.zeros(level.is_open.shape, dtype=np.bool_)
+    is_frame.ravel()[clipped_cells[continues_leaf]] = True
+    return is_frame
 
 
 def _window_near(cells: Int, shape: tuple[int, ...], cell_size: float) -> tuple[slice, slice]:
@@ -140,7 +147,7 @@ def _window_near(cells: Int, shape: tuple[int, ...], cell_size: float) -> tuple[
 
     Args:
         cells: ids of the leaf's cells, shape (n,), at least one.
-        shape: of the lattice, (height, width).
+        shape: the shape of the lattice, (height, width).
         cell_size: the side of a cell, > 0 [m].
     """
     margin = math.ceil(DETOUR_REACH / cell_size)
@@ -164,17 +171,18 @@ class _SpacesBetweenLeaves:
 
         Args:
             level: the flags of the level's cells.
-            barrier: a mask of the open cells of leaves and their frames; it is changed.
+            barrier: a mask of the open cells of leaves and their frames; the cells of small pockets
+                between leaves are added to it.
             cell_size: the side of a cell, > 0 [m].
         """
         self.barrier = barrier
         self._level = level
         self._label, num_components = label_components_2d(level.is_open & ~barrier)
-        count = num_components + 1
+        num_labels = num_components + 1
         min_cells = MIN_FREE_AREA / cell_size**2
-        num_cells = count_cells_by_label(self._label, count)
-        num_free = np.bincount(self._label[~level.occupied], minlength=count)
-        at_edge = np.zeros(count, dtype=np.bool_)
+        num_cells = count_cells_by_label(self._label, num_labels)
+        num_free = np.bincount(self._label[~level.occupied], minlength=num_labels)
+        at_edge = np.zeros(num_labels, dtype=np.bool_)
         at_edge[self._label[level.at_edge]] = True
         self._is_space = num_free >= min_cells
         self._is_space |= at_edge & (num_free > 0)  # a threshold before the outside
@@ -182,85 +190,94 @@ class _SpacesBetweenLeaves:
         self._is_pocket = (num_cells < min_cells) & ~at_edge
         self._is_pocket[0] = False
 
-    def find_cells_beyond(self, sight: Int) -> Int:
+    def find_cells_beyond(self, sight_cells: Int) -> Int:
         """Find the first open cell beyond the barrier on each line of sight, before any wall.
 
         A pocket (an area that is too small for a space) on a line is added to the barrier, and the
         line continues behind it.
 
         Args:
-            sight: `LeafLines.sight` of each leaf, shape (leaves, 2, lines, steps).
+            sight_cells: `LeafLines.sight_cells` of each leaf, shape (leaves, 2, lines, steps).
 
         Returns:
             The ids of the cells, -1 if a line has none, shape (leaves, 2, lines).
         """
-        cell = np.maximum(sight, 0)
-        is_visible = mark_visible(sight, self._level.is_open, self._level.floor)
-        is_visible &= (sight >= 0) & self._level.is_open.ravel()[cell]
+        clipped_cells = np.maximum(sight_cells, 0)
+        is_visible = mark_visible(sight_cells, self._level.is_open, self._level.floor)
+        is_visible &= (sight_cells >= 0) & self._level.is_open.ravel()[clipped_cells]
         while True:
-            is_beyond = is_visible & ~self.barrier.ravel()[cell]
+            is_beyond = is_visible & ~self.barrier.ravel()[clipped_cells]
             first_step = is_beyond.argmax(axis=-1)
-            first_cells = np.take_along_axis(cell, first_step[..., None], axis=-1)[..., 0]
+            first_cells = np.take_along_axis(clipped_cells, first_step[..., None], axis=-1)[..., 0]
             first_cells = np.where(is_beyond.any(axis=-1), first_cells, -1)
-            labels = np.unique(self._label.ravel()[first_cells[first_cells >= 0]])
-            pockets = labels[self._is_pocket[labels]]
+            first_labels = np.unique(self._label.ravel()[first_cells[first_cells >= 0]])
+            pockets = first_labels[self._is_pocket[first_labels]]
             if not len(pockets):
                 return np.asarray(first_cells)
             in_pocket = np.isin(self._label, pockets)
             self.barrier |= in_pocket
             self._label[in_pocket] = 0
 
-    def find_separating(self, beyond: Int, windows: Sequence[tuple[slice, slice]]) -> Bool:
+    def find_separating(self, cells_beyond: Int, windows: Sequence[tuple[slice, slice]]) -> Bool:
         """Mark the leaves that have different spaces on their two sides.
 
-        The space of a side is the one that most of its lines of sight reach. If it is the same
-        space on both sides, the leaf still separates it if the two sides are not connected within
-        the rows and columns near the leaf.
+        The space of a side is the one that most lines of sight from this side reach. If both sides
+        have the same space, the leaf still counts as separating if the two sides are not connected
+        within the rows and columns near the leaf.
 
         Args:
-            beyond: the first cell beyond the barrier on each line of sight, see
+            cells_beyond: the first cell beyond the barrier on each line of sight, see
                 `find_cells_beyond`, shape (leaves, 2, lines).
             windows: the rows and columns near each leaf.
 
         Returns:
             Whether each leaf separates two spaces, shape (leaves,).
         """
-        is_seen = beyond >= 0
-        label = self._label.ravel()[np.maximum(beyond, 0)]
-        sides = _find_majority_label(np.where(is_seen & self._is_space[label], label, 0))
-        has_both_sides = (sides > 0).all(axis=-1)
-        is_separating = has_both_sides & (sides[:, 0] != sides[:, 1])
+        is_seen = cells_beyond >= 0
+        label_beyond = self._label.ravel()[np.maximum(cells_beyond, 0)]
+        side_labels = _find_majority_label(
+            np.where(is_seen & self._is_space[label_beyond], label_beyond, 0)
+        )
+        has_both_sides = (side_labels > 0).all(axis=-1)
+        is_separating = has_both_sides & (side_labels[:, 0] != side_labels[:, 1])
         # one space on both sides may still be two spaces near the leaf
-        width = self._label.shape[1]
+        num_cols = self._label.shape[1]
         for leaf in np.flatnonzero(has_both_sides & ~is_separating).tolist():
             rows, cols = windows[leaf]
-            row, col = np.divmod(beyond[leaf], width)
+            row, col = np.divmod(cells_beyond[leaf], num_cols)
             is_near = (row >= rows.start) & (row < rows.stop)
             is_near &= (col >= cols.start) & (col < cols.stop) & is_seen[leaf]
             component, _ = label_components_2d(self._label[rows, cols] > 0)
             row = np.where(is_near, row - rows.start, 0)
             col = np.where(is_near, col - cols.start, 0)
             near_label = np.where(is_near, component[row, col], 0)
-            near_sides = _find_majority_label(near_label[None])[0]
-            is_separating[leaf] = (near_sides > 0).all() and near_sides[0] != near_sides[1]
+            near_side_labels = _find_majority_label(near_label[None])[0]
+            is_separating[leaf] = (near_side_labels > 0).all() and near_side_labels[
+                0
+            ] != near_side_labels[1]
         return np.asarray(is_separating)
 
 
-def mark_visible(sight: Int, is_open: Bool, floor: Float) -> Bool:
+def mark_visible(sight_cells: Int, is_open: Bool, floor: Float) -> Bool:
     """Mark the cells on lines of sight that are before the first wall on their line.
 
     A wall is a cell that has a floor and is not open.
 
     Args:
-        sight: ids of cells along lines, -1 outside the lattice, shape (…, steps), see `LeafLines`.
+        sight_cells: ids of cells along lines, -1 outside the lattice, shape (…, steps), see
+            `LeafLines`.
         is_open: the level's open cells, see `LevelFlags`, shape (height, width).
         floor: z of the level's floors, NaN for none, shape (height, width) [m].
 
     Returns:
-        A mask of the cells before the first wall, of the shape of `sight`.
+        A mask of the cells before the first wall, of the shape of `sight_cells`.
     """
-    cell = np.maximum(sight, 0)
-    is_wall = (sight >= 0) & ~is_open.ravel()[cell] & ~np.isnan(floor.ravel()[cell])
+    clipped_cells = np.maximum(sight_cells, 0)
+    is_wall = (
+        (sight_cells >= 0)
+        & ~is_open.ravel()[clipped_cells]
+        & ~np.isnan(floor.ravel()[clipped_cells])
+    )
     return ~np.logical_or.accumulate(is_wall, axis=-1)
 
 

@@ -55,7 +55,7 @@ MAX_ROOMS = np.iinfo(np.uint16).max
 ID_LIKE = re.compile(r"\d+:\d+")
 # Heights are summed in whole micrometres, so that the order of cells makes no difference
 MICROMETRES = 1e6  # in a metre
-# Two indices of rooms become one number to sort by: the first times this, plus the second
+# The key of a pair of rooms is the first room's index times this, plus the second room's index
 PAIR_BASE = 1 << 16
 
 
@@ -76,7 +76,7 @@ class Opening:
 
 @dataclass(frozen=True)
 class Rooms:
-    """The rooms of a scene.
+    """The rooms of a scene, and the openings and steps that connect them.
 
     Attributes:
         index: for each level, the index of each cell's room, shape (height, width).
@@ -123,21 +123,21 @@ class Rooms:
             doors: id of a door -> the ids of the rooms that it joins; and, for each level, the ids
                 of the cells that it blocks when it is closed.
         """
-        doors_of = match_doors(self.openings, doors, self._ids, self.lattice)
+        doors_of_opening = match_doors(self.openings, doors, self._ids, self.lattice)
         # Sets of (room, kind, door), see `Neighbour`; "" for no door, because None doesn't sort
         neighbours: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {
             room: set() for room in self._ids
         }
-        for first, second in self.links:
-            neighbours[first].add((second, "link", ""))
-            neighbours[second].add((first, "link", ""))
-        for number, opening in enumerate(self.openings):
-            first = (opening.level, opening.rooms[0])
-            second = (opening.level, opening.rooms[1])
-            for door in doors_of.get(number, [""]):
+        for first_room, second_room in self.links:
+            neighbours[first_room].add((second_room, "link", ""))
+            neighbours[second_room].add((first_room, "link", ""))
+        for opening_number, opening in enumerate(self.openings):
+            first_room = (opening.level, opening.rooms[0])
+            second_room = (opening.level, opening.rooms[1])
+            for door in doors_of_opening.get(opening_number, [""]):
                 kind = "door" if door else "open"
-                neighbours[first].add((second, kind, door))
-                neighbours[second].add((first, kind, door))
+                neighbours[first_room].add((second_room, kind, door))
+                neighbours[second_room].add((first_room, kind, door))
         table = [
             replace(
                 room,
@@ -175,10 +175,11 @@ def find_rooms(
     """Find the room that each cell belongs to.
 
     The sources of the settings are tried in their order, and the first that has a room for a cell
-    decides. The source ``auto`` divides what the others leave over, see `assign_unmarked`. Cells
-    without a floor, or in a wall or a window, belong to no room. On each level, rooms are numbered
-    by their first cells in reading order: from large y to small, from small x to large. A room
-    that a geom, site or polygon marks on several levels is a separate room on each of them.
+    decides. The source ``auto`` divides the cells that no other source has a room for, see
+    `assign_unmarked`. Cells without a floor, or in a wall or a window, belong to no room. On each
+    level, rooms are numbered by their first cells in reading order: from large y to small, from
+    small x to large. A room that a geom, site or polygon marks on several levels is a separate room
+    on each of them.
 
     A closed door leaf that parts the floor separates rooms of the source ``auto``: they meet in the
     leaf's cells. The floor behind such a leaf is a room whatever its size.
@@ -201,25 +202,25 @@ def find_rooms(
         if source == "auto":
             assignment.add_segments()
         else:
-            assignment.add_source(flags.marks[source], source)
-    index = list[RoomIndex]()
+            assignment.add_source(flags.marked_rooms[source], source)
+    room_index = list[RoomIndex]()
     named_rooms = list[list[NamedRoom]]()
-    for level, owner in enumerate(assignment.owner):
-        number, owners = renumber(owner)
-        if len(owners) > MAX_ROOMS:
+    for level_number, room_of_cell in enumerate(assignment.room_numbers):
+        room_number, used_rooms = renumber(room_of_cell)
+        if len(used_rooms) > MAX_ROOMS:
             raise SceneError(
-                f"expected at most {MAX_ROOMS} rooms on a level, got {len(owners)} on level "
-                f"{level}: raise `rooms.min_area`"
+                f"expected at most {MAX_ROOMS} rooms on a level, got {len(used_rooms)} on level "
+                f"{level_number}: raise `rooms.min_area`"
             )
-        index.append(number.astype(np.uint16))
-        named_rooms.append([assignment.rooms[k - 1] for k in owners])
+        room_index.append(room_number.astype(np.uint16))
+        named_rooms.append([assignment.rooms[room - 1] for room in used_rooms])
     floors = [level.floor for level in flags.levels]
     occupied = [level.occupied for level in flags.levels]
-    wait_for_table = run_beside(describe_rooms, index, named_rooms, floors, flags.lattice)
-    openings = find_openings(index, floors, occupied, flags.links, max_step)
-    links = _find_links(index, flags.links)
+    wait_for_table = run_beside(make_room_table, room_index, named_rooms, floors, flags.lattice)
+    openings = find_openings(room_index, floors, occupied, flags.links, max_step)
+    links = _find_room_links(room_index, flags.links)
     return Rooms(
-        index=index,
+        index=room_index,
         table=wait_for_table(),
         openings=openings,
         links=links,
@@ -229,7 +230,7 @@ def find_rooms(
     )
 
 
-def _find_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
+def _find_room_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
     """Return the pairs of rooms on different levels that a step joins, each pair once, sorted.
 
     Args:
@@ -239,10 +240,10 @@ def _find_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, R
     pairs = set[tuple[RoomKey, RoomKey]]()
     to_another_level = links[links[:, 0] != links[:, 2]]
     for first_level, first_cell, second_level, second_cell in to_another_level.tolist():
-        first = (first_level, int(index[first_level].flat[first_cell]))
-        second = (second_level, int(index[second_level].flat[second_cell]))
-        if first[1] and second[1]:
-            pairs.add((min(first, second), max(first, second)))
+        first_room = (first_level, int(index[first_level].flat[first_cell]))
+        second_room = (second_level, int(index[second_level].flat[second_cell]))
+        if first_room[1] and second_room[1]:
+            pairs.add((min(first_room, second_room), max(first_room, second_room)))
     return sorted(pairs)
 
 
@@ -250,8 +251,8 @@ class _RoomAssignment:
     """Assigns cells to rooms, source by source; the first source with a room for a cell decides.
 
     Attributes:
-        owner: for each level, the number of each cell's room, shape (height, width); 0 for none,
-            room number k + 1 is ``rooms[k]``.
+        room_numbers: for each level, the number of each cell's room, shape (height, width); 0 for
+            none, room number k + 1 is ``rooms[k]``.
         rooms: the rooms of all levels so far.
         warnings: warnings for the user, one line each.
     """
@@ -263,35 +264,43 @@ class _RoomAssignment:
         self._settings = settings
         self._closed_leaves = closed_leaves
         shape = flags.lattice.shape
-        self.owner = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
-        # For cells without an owner: the room whose floor is under the cell's own floor
-        self._under = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
+        self.room_numbers = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
+        # For cells without a room: the room whose floor is under the cell's own floor
+        self._room_under = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
         self.rooms: list[NamedRoom] = []
         self.warnings: list[str] = []
 
-    def add_source(self, marked: MarkedRooms, source: str) -> None:
-        """Add the rooms that a source marks; each takes those of its cells that have no room yet.
+    def add_source(self, marked_rooms: MarkedRooms, source: str) -> None:
+        """Add the rooms that a source finds. A room gets those of its cells that have no room yet.
 
         Args:
-            marked: the rooms of the source.
+            marked_rooms: the rooms that the source finds.
             source: the name of the source, see `NamedRoom.source`.
         """
-        self.warnings += marked.warnings
-        if not marked.names:
+        self.warnings += marked_rooms.warnings
+        if not marked_rooms.names:
             return
-        for level, flags in enumerate(self._flags.levels):
-            owner = self.owner[level]
-            label = np.where(flags.is_open & (owner == 0), marked.labels[level], 0)
-            new_owner = np.zeros(len(marked.names) + 1, dtype=np.int32)  # by label
-            num_cells = count_cells_by_label(label, len(new_owner))
-            for k in np.flatnonzero(num_cells[1:]).tolist():
-                self.rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
-                new_owner[k + 1] = len(self.rooms)
-            owner += new_owner[label]
+        for level_number, flags in enumerate(self._flags.levels):
+            room_number = self.room_numbers[level_number]
+            label = np.where(
+                flags.is_open & (room_number == 0), marked_rooms.labels[level_number], 0
+            )
+            new_room_number = np.zeros(len(marked_rooms.names) + 1, dtype=np.int32)  # by label
+            num_cells = count_cells_by_label(label, len(new_room_number))
+            for room_index in np.flatnonzero(num_cells[1:]).tolist():
+                self.rooms.append(
+                    NamedRoom(
+                        marked_rooms.names[room_index],
+                        source,
+                        room_index + 1 in marked_rooms.outdoors,
+                    )
+                )
+                new_room_number[room_index + 1] = len(self.rooms)
+            room_number += new_room_number[label]
             if source != "auto":
-                covered = marked.covered or marked.labels
-                under = self._under[level]
-                np.copyto(under, new_owner[covered[level]], where=under == 0)
+                covered = marked_rooms.covered or marked_rooms.labels
+                room_under = self._room_under[level_number]
+                np.copyto(room_under, new_room_number[covered[level_number]], where=room_under == 0)
 
     def add_segments(self) -> None:
         """Divide the cells that have no room yet into rooms: the source ``auto``.
@@ -301,28 +310,32 @@ class _RoomAssignment:
         labels = list[Int32]()
         outdoors = set[int]()
         separating_cells: list[Bool | None] = []
-        count = 0  # of new rooms on the levels so far
-        for number, level in enumerate(self._flags.levels):
-            leaves = mark_leaves(level, number, self._closed_leaves, self._flags.lattice.cell_size)
+        num_new_rooms = 0  # of new rooms on the levels so far
+        for level_number, level in enumerate(self._flags.levels):
+            leaves = mark_leaves(
+                level, level_number, self._closed_leaves, self._flags.lattice.cell_size
+            )
             separating_cells.append(None if leaves is None else leaves.separating & level.is_open)
-            segment, outdoor_segments = self._segment_level(number, level, leaves)
-            outdoors.update(room + count for room in outdoor_segments)
-            labels.append(np.where(segment > 0, segment + count, 0) if count else segment)
-            count += int(segment.max(initial=0))
-        self.add_source(MarkedRooms([None] * count, labels, outdoors=outdoors), "auto")
-        for owner, cells in zip(self.owner, separating_cells, strict=True):
-            if cells is not None:
-                assign_leaf_cells(owner, cells)
+            segment, outdoor_segments = self._segment_level(level_number, level, leaves)
+            outdoors.update(room + num_new_rooms for room in outdoor_segments)
+            labels.append(
+                np.where(segment > 0, segment + num_new_rooms, 0) if num_new_rooms else segment
+            )
+            num_new_rooms += int(segment.max(initial=0))
+        self.add_source(MarkedRooms([None] * num_new_rooms, labels, outdoors=outdoors), "auto")
+        for room_number, leaf_cells in zip(self.room_numbers, separating_cells, strict=True):
+            if leaf_cells is not None:
+                assign_leaf_cells(room_number, leaf_cells)
 
     def _segment_level(
-        self, number: int, level: LevelFlags, leaves: LeafMarks | None
+        self, level_number: int, level: LevelFlags, leaves: LeafMarks | None
     ) -> tuple[Int32, set[int]]:
         """Find the rooms of a level that no other source marks.
 
-        Marked rooms may get more cells: `owner` is changed.
+        Marked rooms may get more cells: `room_numbers` is changed.
 
         Args:
-            number: the number of the level.
+            level_number: the number of the level.
             level: the flags of the level's cells.
             leaves: the cells of the level's closed door leaves; None if there are none.
 
@@ -342,20 +355,24 @@ class _RoomAssignment:
             leaves=leaves,
         )
         if close_calls and door_width == "auto":
-            self.warnings.append(_describe_close_calls(close_calls, number, lattice))
-        beyond = None if leaves is None else leaves.cells_beyond
-        if self.owner[number].any():
-            segment = self._share_segments(number, segment, leaves)
-        is_cavity = mark_cavities(segment, self.owner[number], self._flags, number, beyond)
+            self.warnings.append(_describe_close_calls(close_calls, level_number, lattice))
+        cells_beyond = None if leaves is None else leaves.cells_beyond
+        if self.room_numbers[level_number].any():
+            segment = self._divide_segments(level_number, segment, leaves)
+        is_cavity = mark_cavities(
+            segment, self.room_numbers[level_number], self._flags, level_number, cells_beyond
+        )
         if is_cavity.any():
             segment, _ = renumber(np.where(is_cavity[segment], 0, segment))
-        return find_outdoors(segment, self._flags, number)
+        return find_outdoors(segment, self._flags, level_number)
 
-    def _share_segments(self, number: int, segment: Int32, leaves: LeafMarks | None) -> Int32:
-        """Divide the cells of a level between marked rooms and new rooms; changes `owner`.
+    def _divide_segments(
+        self, level_number: int, segment: Int32, leaves: LeafMarks | None
+    ) -> Int32:
+        """Divide the cells of a level between marked rooms and new rooms; changes `room_number`.
 
         Args:
-            number: the number of the level.
+            level_number: the number of the level.
             segment: the part of the floor, between narrow places, that each cell belongs to, from
                 1, 0 for none; see `segment_by_gaps`.
             leaves: the cells of the level's closed door leaves; None if there are none.
@@ -363,36 +380,47 @@ class _RoomAssignment:
         Returns:
             The number of each cell's new room, from 1, 0 for none, shape (height, width).
         """
-        level = self._flags.levels[number]
-        marked = self.owner[number]
-        owner = marked if leaves is None else np.where(leaves.separating, np.int32(0), marked)
-        owner = assign_covered(owner, self._under[number] * level.is_open, segment)
-        owner, new_room = assign_unmarked(
-            owner,
+        level = self._flags.levels[level_number]
+        marked_room_number = self.room_numbers[level_number]
+        room_number = (
+            marked_room_number
+            if leaves is None
+            else np.where(leaves.separating, np.int32(0), marked_room_number)
+        )
+        room_number = assign_covered(
+            room_number, self._room_under[level_number] * level.is_open, segment
+        )
+        room_number, new_room_number = assign_unmarked(
+            room_number,
             segment,
             self._flags.lattice.cell_size,
             self._settings.min_area,
             None if leaves is None else leaves.cells_beyond,
         )
-        self.owner[number] = np.where(marked > 0, marked, owner)
-        return new_room
+        self.room_numbers[level_number] = np.where(
+            marked_room_number > 0, marked_room_number, room_number
+        )
+        return new_room_number
 
 
-def _describe_close_calls(calls: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
+def _describe_close_calls(close_calls: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
     """Make the warning that lists the openings that nearly joined, or nearly parted, two rooms."""
-    listed = []
-    for cell, width, separates in calls[:MAX_LISTED_CLOSE_CALLS]:
+    descriptions = []
+    for cell, width, separates in close_calls[:MAX_LISTED_CLOSE_CALLS]:
         x, y = lattice.positions(*cell).tolist()
-        listed.append(f"{width:.1f} m at ({x:.1f}, {y:.1f}) {'parts' if separates else 'joins'}")
-    num_more = len(calls) - MAX_LISTED_CLOSE_CALLS
+        descriptions.append(
+            f"{width:.1f} m at ({x:.1f}, {y:.1f}) {'parts' if separates else 'joins'}"
+        )
+    num_more = len(close_calls) - MAX_LISTED_CLOSE_CALLS
     more = f", and {num_more} more" if num_more > 0 else ""
     return (
-        f"openings of rooms on level {level} that were a close call: {', '.join(listed)}{more}; "
+        f"openings of rooms on level {level} that were a close call: "
+        f"{', '.join(descriptions)}{more}; "
         "`rooms.door_width` in metres joins rooms at wider ones, `rooms.polygons` draws rooms"
     )
 
 
-def describe_rooms(
+def make_room_table(
     index: Sequence[RoomIndex],
     rooms: Sequence[Sequence[NamedRoom]],
     floors: Sequence[Float],
@@ -408,33 +436,35 @@ def describe_rooms(
         floors: for each level, z of the floors, shape (height, width) [m].
         lattice: the whole lattice.
     """
-    name_counts = Counter(room.name for level in rooms for room in level)
+    name_counts = Counter(room.name for level_rooms in rooms for room in level_rooms)
     table = []
-    for level, (label, floor) in enumerate(zip(index, floors, strict=True)):
-        row, first, end, room = find_row_runs(label)
-        num_cells = end - first
-        micrometres = np.rint(floor[label > 0] * MICROMETRES)
-        height_sums = np.add.reduceat(micrometres, np.cumsum(num_cells) - num_cells)
+    for level_number, (room_of_cell, floor) in enumerate(zip(index, floors, strict=True)):
+        run_rows, run_starts, run_stops, run_rooms = find_row_runs(room_of_cell)
+        run_lengths = run_stops - run_starts
+        micrometres = np.rint(floor[room_of_cell > 0] * MICROMETRES)
+        height_sums = np.add.reduceat(micrometres, np.cumsum(run_lengths) - run_lengths)
         # Sums of whole numbers don't depend on their order. The mean column of a run of cells may
         # end in .5, so twice its sum is used.
-        count = np.bincount(room, num_cells, minlength=1)
-        row_sum = np.bincount(room, row * num_cells, minlength=1)
-        twice_col_sum = np.bincount(room, (first + end - 1) * num_cells, minlength=1)
-        z_sum = np.bincount(room, height_sums, minlength=1)
-        x = lattice.x_min + (twice_col_sum / 2 / np.maximum(count, 1) + 0.5) * lattice.cell_size
-        y = lattice.y_max - (row_sum / np.maximum(count, 1) + 0.5) * lattice.cell_size
-        z = z_sum / np.maximum(count, 1) / MICROMETRES
+        num_cells = np.bincount(run_rooms, run_lengths, minlength=1)
+        row_sum = np.bincount(run_rooms, run_rows * run_lengths, minlength=1)
+        twice_col_sum = np.bincount(
+            run_rooms, (run_starts + run_stops - 1) * run_lengths, minlength=1
+        )
+        z_sum = np.bincount(run_rooms, height_sums, minlength=1)
+        x = lattice.x_min + (twice_col_sum / 2 / np.maximum(num_cells, 1) + 0.5) * lattice.cell_size
+        y = lattice.y_max - (row_sum / np.maximum(num_cells, 1) + 0.5) * lattice.cell_size
+        z = z_sum / np.maximum(num_cells, 1) / MICROMETRES
         center = (np.round(np.stack([x, y, z], axis=1), 6) + 0.0).tolist()  # no -0.0
-        for k, (name, source, outdoors) in enumerate(rooms[level], 1):
+        for room_index, (name, source, outdoors) in enumerate(rooms[level_number], 1):
             is_unique = name_counts[name] == 1 and not ID_LIKE.fullmatch(name or "")
             table.append(
                 Room(
-                    index=k,
-                    id=name if name is not None and is_unique else f"{level}:{k}",
+                    index=room_index,
+                    id=name if name is not None and is_unique else f"{level_number}:{room_index}",
                     name=name,
-                    level=level,
-                    area=round(float(count[k]) * lattice.cell_size**2, 6),
-                    centroid=(*center[k],),
+                    level=level_number,
+                    area=round(float(num_cells[room_index]) * lattice.cell_size**2, 6),
+                    centroid=(*center[room_index],),
                     source=source,
                     outdoors=outdoors,
                 )
@@ -469,34 +499,42 @@ def find_openings(
         The openings, ordered by level and rooms.
     """
     openings = []
-    for number, (rooms, floor, level_occupied) in enumerate(
+    for level_number, (room_of_cell, floor, level_occupied) in enumerate(
         zip(index, floors, occupied, strict=True)
     ):
-        on_level = (links[:, [0, 2]] == number).all(axis=1)
-        neighbors = differing_pairs(rooms).T  # few: only their heights are compared
-        rise = np.subtract(*floor.ravel()[neighbors.T])
-        is_step = np.abs(rise) <= max_step + LIMIT_SLACK
-        cells = np.concatenate([links[on_level][:, [1, 3]], neighbors[is_step]])
-        rooms_of_cells = np.sort(rooms.ravel()[cells].astype(np.int64), axis=1)
-        meet = (rooms_of_cells[:, 0] > 0) & (rooms_of_cells[:, 0] != rooms_of_cells[:, 1])
-        if not meet.any():
+        is_on_level = (links[:, [0, 2]] == level_number).all(axis=1)
+        neighbor_pairs = differing_pairs(room_of_cell).T  # few: only their heights are compared
+        height_difference = np.subtract(*floor.ravel()[neighbor_pairs.T])
+        is_step = np.abs(height_difference) <= max_step + LIMIT_SLACK
+        cell_pairs = np.concatenate([links[is_on_level][:, [1, 3]], neighbor_pairs[is_step]])
+        rooms_of_cells = np.sort(room_of_cell.ravel()[cell_pairs].astype(np.int64), axis=1)
+        is_between_rooms = (rooms_of_cells[:, 0] > 0) & (
+            rooms_of_cells[:, 0] != rooms_of_cells[:, 1]
+        )
+        if not is_between_rooms.any():
             continue
-        cells = cells[meet]
-        pairs, pair = np.unique(rooms_of_cells[meet] @ (PAIR_BASE, 1), return_inverse=True)
+        cell_pairs = cell_pairs[is_between_rooms]
+        pair_keys, pair_of_cells = np.unique(
+            rooms_of_cells[is_between_rooms] @ (PAIR_BASE, 1), return_inverse=True
+        )
         # Cells get a separate range of keys for each pair of rooms, so that pairs don't touch.
-        lattice_size = (rooms.shape[0] + 1) * rooms.shape[1]
-        keys, key_of_cell = np.unique(pair[:, None] * lattice_size + cells, return_inverse=True)
-        opening_of = label_components(adjacent_pairs(keys, rooms.shape[1]), len(keys))
-        is_free = ~level_occupied.ravel()[cells].any(axis=1)
-        is_passable = np.zeros(int(opening_of.max()) + 1, dtype=np.bool_)
-        is_passable[opening_of[key_of_cell.reshape(-1, 2)[is_free]]] = True
-        order = np.argsort(opening_of, kind="stable")
-        order = order[is_passable[opening_of[order]]]
-        if not len(order):
+        lattice_size = (room_of_cell.shape[0] + 1) * room_of_cell.shape[1]
+        keys, key_of_cell = np.unique(
+            pair_of_cells[:, None] * lattice_size + cell_pairs, return_inverse=True
+        )
+        opening_of_key = label_components(adjacent_pairs(keys, room_of_cell.shape[1]), len(keys))
+        is_free = ~level_occupied.ravel()[cell_pairs].any(axis=1)
+        is_passable = np.zeros(int(opening_of_key.max()) + 1, dtype=np.bool_)
+        is_passable[opening_of_key[key_of_cell.reshape(-1, 2)[is_free]]] = True
+        sort_indices = np.argsort(opening_of_key, kind="stable")
+        sort_indices = sort_indices[is_passable[opening_of_key[sort_indices]]]
+        if not len(sort_indices):
             continue
-        for opening_keys in np.split(keys[order], np.flatnonzero(np.diff(opening_of[order])) + 1):
-            room_pair = divmod(int(pairs[opening_keys[0] // lattice_size]), PAIR_BASE)
-            openings.append(Opening(number, room_pair, opening_keys % lattice_size))
+        for opening_keys in np.split(
+            keys[sort_indices], np.flatnonzero(np.diff(opening_of_key[sort_indices])) + 1
+        ):
+            room_pair = divmod(int(pair_keys[opening_keys[0] // lattice_size]), PAIR_BASE)
+            openings.append(Opening(level_number, room_pair, opening_keys % lattice_size))
     return openings
 
 
@@ -523,22 +561,23 @@ def match_doors(
         Index of an opening in `openings` -> the sorted ids of its doors; openings without doors are
         left out.
     """
-    reach = MAX_DOOR_DISTANCE / lattice.cell_size + LIMIT_SLACK  # [cells]
-    doors_of: dict[int, list[str]] = {}
-    for door, (rooms, closed_cells) in sorted(doors.items()):
-        scores: list[tuple[int, float, int]] = []  # near cells, distance, opening: best is greatest
-        for number, opening in enumerate(openings):
-            closed = closed_cells[opening.level]
+    max_distance = MAX_DOOR_DISTANCE / lattice.cell_size + LIMIT_SLACK  # [cells]
+    doors_of_opening: dict[int, list[str]] = {}
+    for door, (door_rooms, closed_cells) in sorted(doors.items()):
+        # number of near cells, negative distance, negative number of the opening: best is greatest
+        candidates: list[tuple[int, float, int]] = []
+        for opening_number, opening in enumerate(openings):
+            cells_of_door = closed_cells[opening.level]
             opening_rooms = {ids[opening.level, room] for room in opening.rooms}
-            if len(closed) and opening_rooms == set(rooms):
+            if len(cells_of_door) and opening_rooms == set(door_rooms):
                 row, col = np.divmod(opening.cells[:, None], lattice.width)
-                closed_row, closed_col = np.divmod(closed, lattice.width)
+                closed_row, closed_col = np.divmod(cells_of_door, lattice.width)
                 distance = np.hypot(row - closed_row, col - closed_col).min(axis=1)
-                num_near = int(np.count_nonzero(distance <= reach))
-                scores.append((num_near, -float(distance.mean()), -number))
-        if not scores:
+                num_near = int(np.count_nonzero(distance <= max_distance))
+                candidates.append((num_near, -float(distance.mean()), -opening_number))
+        if not candidates:
             continue
-        num_near, _, negative_number = max(scores)
+        num_near, _, negative_number = max(candidates)
         if num_near:
-            doors_of.setdefault(-negative_number, []).append(door)
-    return doors_of
+            doors_of_opening.setdefault(-negative_number, []).append(door)
+    return doors_of_opening

@@ -139,20 +139,22 @@ def segment_by_gaps(
     rays = None
     if walls is not None and lattice is not None:
         rays = WallRays(walls, lattice.cut(rows, cols), floor)
-    closed = np.zeros_like(open_cells) if leaves is None else leaves.separating[window]
-    label, close_calls = _label_at_gaps(open_cells, holes, cell_size, door_width, rays, closed)
+    closed_cells = np.zeros_like(open_cells) if leaves is None else leaves.separating[window]
+    label, close_calls = _label_at_gaps(
+        open_cells, holes, cell_size, door_width, rays, closed_cells
+    )
     del rays  # which hold the walls in all directions
-    open_cells = open_cells & ~closed
-    beyond = np.empty((2, 0), dtype=np.int64)  # rows and columns in the window
+    open_cells = open_cells & ~closed_cells
+    cells_beyond = np.empty((2, 0), dtype=np.int64)  # rows and columns in the window
     if leaves is not None:
         # rooms meet in the cells of a leaf, not beside it
         if leaves.not_separating.any():
             spread_labels(label, open_cells & ~leaves.not_separating[window])
         beyond_row, beyond_col = np.divmod(leaves.cells_beyond, level.is_open.shape[1])
-        beyond = np.stack([beyond_row - rows.start, beyond_col - cols.start])
+        cells_beyond = np.stack([beyond_row - rows.start, beyond_col - cols.start])
     spread_labels(label, open_cells)
-    _label_spaces_behind(beyond, label, open_cells)
-    label = _join_spaces(label, open_cells, floor, at_edge, beyond, cell_size, min_area)
+    _label_spaces_behind(cells_beyond, label, open_cells)
+    label = _join_spaces(label, open_cells, floor, at_edge, cells_beyond, cell_size, min_area)
     segment[window], _ = renumber(label)
     close_calls = [
         call._replace(cell=(call.cell[0] + rows.start, call.cell[1] + cols.start))
@@ -167,7 +169,7 @@ def _label_at_gaps(
     cell_size: float,
     door_width: float | None,
     rays: WallRays | None,
-    closed: Bool,
+    closed_cells: Bool,
 ) -> tuple[Int32, list[CloseCall]]:
     """Label the spaces between gaps, after the spaces on both sides of wide gaps were joined.
 
@@ -178,33 +180,33 @@ def _label_at_gaps(
         door_width: the widest gap that separates two rooms [m]; None for the limits of
             `segment_by_gaps`.
         rays: rays to the geometry of walls; None to measure widths in cells.
-        closed: cells of the closed leaves that separate two spaces.
+        closed_cells: cells of the closed leaves that separate two spaces.
 
     Returns:
         The label of each cell's space, 0 for none, shape (height, width); and the gaps that nearly
         joined, or nearly separated, two spaces.
     """
-    separated = find_gaps(open_cells, holes, cell_size, door_width, rays, closed)
+    separated = find_gaps(open_cells, holes, cell_size, door_width, rays, closed_cells)
     merger = SpaceMerger(separated, cell_size, door_width, rays)
     merger.join_spaces()
     return merger.space_of[separated.label], merger.list_close_calls()
 
 
-def _label_spaces_behind(beyond: Int, label: Int32, open_cells: Bool) -> None:
+def _label_spaces_behind(cells_beyond: Int, label: Int32, open_cells: Bool) -> None:
     """Label the spaces behind closed leaves that have no label yet, as all of their cells are gaps.
 
     Args:
-        beyond: rows and columns of cells in the spaces that leaves lead into, shape (2, n).
+        cells_beyond: rows and columns of cells in the spaces that leaves lead into, shape (2, n).
         label: the space of each cell, 0 for none, shape (height, width); is changed.
         open_cells: cells of spaces and of gaps between them.
     """
-    row, col = beyond[:, label[tuple(beyond)] == 0]
+    row, col = cells_beyond[:, label[tuple(cells_beyond)] == 0]
     if not len(row):
         return
     component, num_components = label_components_2d(open_cells & (label == 0))
     new_label = np.zeros(num_components + 1, dtype=np.int32)
-    unlabelled = np.unique(component[row, col])
-    new_label[unlabelled] = label.max() + 1 + np.arange(len(unlabelled))
+    unlabelled_components = np.unique(component[row, col])
+    new_label[unlabelled_components] = label.max() + 1 + np.arange(len(unlabelled_components))
     label += new_label[component]
 
 
@@ -213,7 +215,7 @@ def _join_spaces(
     open_cells: Bool,
     floor: Float,
     at_edge: Bool,
-    beyond: Int,
+    cells_beyond: Int,
     cell_size: float,
     min_area: float,
 ) -> Int32:
@@ -224,7 +226,8 @@ def _join_spaces(
         open_cells: cells of spaces and of gaps between them.
         floor: heights of the floor [m].
         at_edge: cells at the outer boundary of the scene, see `LevelFlags.at_edge`.
-        beyond: rows and columns of cells in spaces that closed leaves lead into, shape (2, n).
+        cells_beyond: rows and columns of cells in spaces that closed leaves lead into, shape (2,
+            n).
         cell_size: the side of a cell, > 0 [m].
         min_area: the least area of a room [m²].
 
@@ -232,26 +235,28 @@ def _join_spaces(
         The space of each cell after the joins, 0 where it is still too small for a room.
     """
     min_cells = min_area / cell_size**2 - CELL_ROUNDING
-    count = int(label.max(initial=0)) + 1
-    num_cells = count_cells_by_label(label, count)
-    num_steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=count)
+    num_labels = int(label.max(initial=0)) + 1
+    num_cells = count_cells_by_label(label, num_labels)
+    num_steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=num_labels)
     is_stair = num_steep >= MIN_STAIR_SHARE * np.maximum(num_cells, 1)
-    joins = is_stair | (num_cells > 0) & (num_cells < min_cells)
-    if not joins[1:].any():
+    may_join = is_stair | (num_cells > 0) & (num_cells < min_cells)
+    if not may_join[1:].any():
         return label
-    num_at_edge = np.bincount(label[at_edge], minlength=count)
-    is_room = np.bincount(label[tuple(beyond)], minlength=count) > 0
+    num_at_edge = np.bincount(label[at_edge], minlength=num_labels)
+    is_room = np.bincount(label[tuple(cells_beyond)], minlength=num_labels) > 0
     is_room &= num_at_edge == 0
     # distances matter up to half the widest gap [half cells]
     reach = int(MAX_GAP_WIDTH / cell_size) + 2
-    graph = _SpaceGraph(label, num_cells, joins, open_cells, reach)
+    graph = _SpaceGraph(label, num_cells, may_join, open_cells, reach)
     if is_stair.any():
-        sums = np.bincount(label.ravel(), np.where(label > 0, floor, 0.0).ravel(), count)
-        heights = sums / np.maximum(num_cells, 1)
-        peaks = find_widest_distances(
-            label, squared_distances(mark_wall_nodes(open_cells), reach), count
+        height_sums = np.bincount(
+            label.ravel(), np.where(label > 0, floor, 0.0).ravel(), num_labels
         )
-        graph.join_stairs(is_stair, heights, np.sqrt(peaks))
+        heights = height_sums / np.maximum(num_cells, 1)
+        widest_squared = find_widest_distances(
+            label, squared_distances(mark_wall_nodes(open_cells), reach), num_labels
+        )
+        graph.join_stairs(is_stair, heights, np.sqrt(widest_squared))
     graph.join_small_spaces(min_cells, num_at_edge, MAX_GAP_WIDTH / cell_size)
     return graph.select_rooms(min_cells, is_room)[label]
 
@@ -267,49 +272,55 @@ def spread_labels(label: Int32, open_cells: Bool) -> None:
         label: the label of each cell, from 1, 0 for none, shape (height, width); is changed.
         open_cells: cells that may receive a label.
     """
-    width = label.shape[1] + 2
+    padded_width = label.shape[1] + 2
     labels = np.pad(label, 1).ravel()
-    waiting = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
+    unlabelled_cells = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
     # from each cell to the cell that its label is from
-    downs = np.zeros(len(labels), dtype=np.int32)
-    rights = np.zeros(len(labels), dtype=np.int32)
+    rows_to_sources = np.zeros(len(labels), dtype=np.int32)
+    cols_to_sources = np.zeros(len(labels), dtype=np.int32)
     # to the four neighbours: rows, columns, and both in the padded array
-    steps = (0, 1, 1), (1, 0, width), (0, -1, -1), (-1, 0, -width)
-    while len(waiting):
-        is_reached = np.logical_or.reduce([labels[waiting + step] > 0 for _, _, step in steps])
+    neighbor_steps = (0, 1, 1), (1, 0, padded_width), (0, -1, -1), (-1, 0, -padded_width)
+    while len(unlabelled_cells):
+        is_reached = np.logical_or.reduce(
+            [labels[unlabelled_cells + step] > 0 for _, _, step in neighbor_steps]
+        )
         if not is_reached.any():
             break
-        wave = waiting[is_reached]
-        waiting = waiting[~is_reached]
-        best_square = np.zeros(len(wave), dtype=np.int32)
-        best_label = np.zeros(len(wave), dtype=np.int32)
-        best_down = np.zeros(len(wave), dtype=np.int32)
-        best_right = np.zeros(len(wave), dtype=np.int32)
-        for row_step, col_step, step in steps:
-            neighbor = wave + step
+        reached_cells = unlabelled_cells[is_reached]
+        unlabelled_cells = unlabelled_cells[~is_reached]
+        best_squared_distance = np.zeros(len(reached_cells), dtype=np.int32)
+        best_label = np.zeros(len(reached_cells), dtype=np.int32)
+        best_rows_to_source = np.zeros(len(reached_cells), dtype=np.int32)
+        best_cols_to_source = np.zeros(len(reached_cells), dtype=np.int32)
+        for row_step, col_step, step in neighbor_steps:
+            neighbor = reached_cells + step
             new_label = labels[neighbor]
-            down = downs[neighbor] + row_step
-            right = rights[neighbor] + col_step
-            square = down**2 + right**2
-            is_clockwise = best_right * down - best_down * right > 0
+            rows_to_source = rows_to_sources[neighbor] + row_step
+            cols_to_source = cols_to_sources[neighbor] + col_step
+            squared_distance = rows_to_source**2 + cols_to_source**2
+            is_clockwise = (
+                best_cols_to_source * rows_to_source - best_rows_to_source * cols_to_source > 0
+            )
             wins_tie = (new_label < best_label) | (new_label == best_label) & is_clockwise
-            is_nearer = (square < best_square) | (square == best_square) & wins_tie
+            is_nearer = (squared_distance < best_squared_distance) | (
+                squared_distance == best_squared_distance
+            ) & wins_tie
             is_better = (new_label > 0) & ((best_label == 0) | is_nearer)
-            np.copyto(best_square, square, where=is_better)
+            np.copyto(best_squared_distance, squared_distance, where=is_better)
             np.copyto(best_label, new_label, where=is_better)
-            np.copyto(best_down, down, where=is_better)
-            np.copyto(best_right, right, where=is_better)
-        labels[wave] = best_label
-        downs[wave] = best_down
-        rights[wave] = best_right
-    label[:] = labels.reshape(-1, width)[1:-1, 1:-1]
+            np.copyto(best_rows_to_source, rows_to_source, where=is_better)
+            np.copyto(best_cols_to_source, cols_to_source, where=is_better)
+        labels[reached_cells] = best_label
+        rows_to_sources[reached_cells] = best_rows_to_source
+        cols_to_sources[reached_cells] = best_cols_to_source
+    label[:] = labels.reshape(-1, padded_width)[1:-1, 1:-1]
 
 
 def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     """Mark the labelled cells where the floor rises like a stair.
 
     Args:
-        label: the label of each cell, shape (height, width). To cells with 0 no rise is measured.
+        label: the label of each cell, shape (height, width). The floor of cells with 0 is ignored.
         floor: heights of the floor [m].
         cell_size: the side of a cell, > 0 [m].
     """
@@ -319,16 +330,19 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= min_rise / 2:
         return is_steep
 
-    def mark_rows(first: int, end: int) -> None:
-        window = slice(max(first - reach, 0), end + reach)
+    def mark_rows(first: int, stop: int) -> None:
+        window = slice(max(first - reach, 0), stop + reach)
         height = np.where(label[window] > 0, floor[window], np.nan)
         squared_rise = np.zeros(height.shape)  # over rows and columns together
-        for along, squared in ((height, squared_rise), (height.T, squared_rise.T)):
-            rise = along[2 * reach :] - along[: -2 * reach]
+        for height_along, squared_rise_along in (
+            (height, squared_rise),
+            (height.T, squared_rise.T),
+        ):
+            rise = height_along[2 * reach :] - height_along[: -2 * reach]
             rise *= rise
-            squared[reach:-reach] += np.fmax(rise, 0.0, out=rise)  # NaN becomes 0
-        inner = slice(first - window.start, end - window.start)
-        is_steep[first:end] = (squared_rise[inner] >= min_rise**2) & (label[first:end] > 0)
+            squared_rise_along[reach:-reach] += np.fmax(rise, 0.0, out=rise)  # NaN becomes 0
+        inner_rows = slice(first - window.start, stop - window.start)
+        is_steep[first:stop] = (squared_rise[inner_rows] >= min_rise**2) & (label[first:stop] > 0)
 
     run_in_chunks(mark_rows, len(label), least=2 * reach)
     return is_steep
@@ -354,80 +368,84 @@ class _SpaceGraph:
     """
 
     def __init__(
-        self, label: Int32, num_cells: Int, joins: Bool, open_cells: Bool, reach: int
+        self, label: Int32, num_cells: Int, may_join: Bool, open_cells: Bool, reach: int
     ) -> None:
         """Find where spaces touch, and how wide the openings between them are.
 
         Args:
             label: the space of each cell, 0 for none.
             num_cells: the number of cells of each space, by label.
-            joins: by label, whether a space may be joined to a neighbour. Between two spaces that
-                may not, no contact is recorded.
+            may_join: by label, whether a space may be joined to a neighbour. The contact of two
+                spaces is only recorded if at least one of them may be joined.
             open_cells: cells of spaces and gaps.
             reach: up to which distances to walls are measured [half cells].
         """
-        count = len(num_cells)
+        num_labels = len(num_cells)
         self._num_cells = num_cells.copy()
         # label -> the space that it belongs to after the joins so far
-        self._space_of = np.arange(count, dtype=np.int32)
+        self._space_of = np.arange(num_labels, dtype=np.int32)
         # the edges between cells of two spaces
         edge_cells = differing_pairs(label)
         spaces = np.sort(label.ravel()[edge_cells].astype(np.int64), axis=0)
-        meet = (spaces[0] > 0) & joins[spaces].any(axis=0)
-        spaces = spaces[:, meet]
-        row, col = _edge_nodes(edge_cells[:, meet], label.shape[1])
+        is_contact = (spaces[0] > 0) & may_join[spaces].any(axis=0)
+        spaces = spaces[:, is_contact]
+        row, col = _edge_nodes(edge_cells[:, is_contact], label.shape[1])
         squared = squared_distances_at(open_cells, reach, row, col)
-        widest = squared.reshape(3, -1).max(axis=0)
+        widest_squared = squared.reshape(3, -1).max(axis=0)
         keys, key_of_edge, lengths = np.unique(
-            spaces[0] * count + spaces[1], return_inverse=True, return_counts=True
+            spaces[0] * num_labels + spaces[1], return_inverse=True, return_counts=True
         )
         distances = np.zeros(len(keys))
-        np.maximum.at(distances, key_of_edge, np.sqrt(widest))
+        np.maximum.at(distances, key_of_edge, np.sqrt(widest_squared))
         # by space and neighbour
-        self._passages: list[dict[int, SpaceContact]] = [{} for _ in num_cells]
+        self._contacts: list[dict[int, SpaceContact]] = [{} for _ in num_cells]
         for key, distance, length in zip(
             keys.tolist(), distances.tolist(), lengths.tolist(), strict=True
         ):
-            first, second = divmod(key, count)
-            passage = SpaceContact(distance, length)
-            self._passages[first][second] = passage
-            self._passages[second][first] = passage
+            first_space, second_space = divmod(key, num_labels)
+            contact = SpaceContact(distance, length)
+            self._contacts[first_space][second_space] = contact
+            self._contacts[second_space][first_space] = contact
 
-    def join_stairs(self, is_stair: Bool, height: Float, peak: Float) -> None:
+    def join_stairs(self, is_stair: Bool, height: Float, widest_distance: Float) -> None:
         """Join each stair to the lowest of the spaces that it opens to over its full width.
 
         Args:
             is_stair: by label, whether the space is a stair.
             height: by label, the mean height of the space's floor [m].
-            peak: by label, the distance to walls at the space's widest place [half cells]; is
-                changed.
+            widest_distance: by label, the distance to walls at the space's widest place [half
+                cells]; is changed.
         """
         for stair in np.flatnonzero(is_stair).tolist():
             if self._space_of[stair] != stair:
                 continue
-            min_distance = peak[stair] - WIDTH_ROUGHNESS - CELL_ROUNDING
+            min_distance = widest_distance[stair] - WIDTH_ROUGHNESS - CELL_ROUNDING
             neighbors = [
                 neighbor
-                for neighbor, passage in self._passages[stair].items()
-                if passage.distance >= min_distance
+                for neighbor, contact in self._contacts[stair].items()
+                if contact.distance >= min_distance
             ]
             if neighbors:
-                lowest = min(neighbors, key=lambda neighbor: (height[neighbor], neighbor))
-                self._join(lowest, stair)
-                peak[lowest] = max(peak[lowest], peak[stair])
+                lowest_neighbor = min(neighbors, key=lambda neighbor: (height[neighbor], neighbor))
+                self._join(lowest_neighbor, stair)
+                widest_distance[lowest_neighbor] = max(
+                    widest_distance[lowest_neighbor], widest_distance[stair]
+                )
 
-    def join_small_spaces(self, min_cells: float, num_at_edge: Int, max_counted: float) -> None:
+    def join_small_spaces(
+        self, min_cells: float, num_at_edge: Int, max_counted_cells: float
+    ) -> None:
         """Join each small space, the smallest first, to the neighbour that it opens to the widest.
 
         If the small space has cells at the edge of the grid, as a ledge round a house has, it is
-        joined to the neighbour with the most cells there instead. If it has more than `max_counted`
-        of them, it is only joined to a neighbour that has more than that, too.
+        joined to the neighbour with the most cells there instead. If it has more than
+        `max_counted_cells` of them, it is only joined to a neighbour that has more than that, too.
 
         Args:
             min_cells: spaces with fewer cells are small.
             num_at_edge: by label, how many cells of the space are at the edge of the grid; is
                 changed.
-            max_counted: neighbours with this many cells at the edge, or more, count as equal.
+            max_counted_cells: neighbours with this many cells at the edge, or more, count as equal.
         """
         is_small = (self._space_of == np.arange(len(self._num_cells))) & (
             self._num_cells < min_cells
@@ -439,50 +457,55 @@ class _SpaceGraph:
         ]
         heapq.heapify(queue)
         while queue:
-            num_cells, small = heapq.heappop(queue)
+            num_cells, small_space = heapq.heappop(queue)
             # a space that has grown since it was queued is in the queue a second time
-            if self._space_of[small] != small or self._num_cells[small] != num_cells:
+            if (
+                self._space_of[small_space] != small_space
+                or self._num_cells[small_space] != num_cells
+            ):
                 continue
             ranks = []
-            for neighbor, passage in self._passages[small].items():
-                edge_rank = min(num_at_edge[neighbor], max_counted) if num_at_edge[small] else 0
-                ranks.append((edge_rank, *passage, self._num_cells[neighbor], -neighbor))
+            for neighbor, contact in self._contacts[small_space].items():
+                edge_rank = (
+                    min(num_at_edge[neighbor], max_counted_cells) if num_at_edge[small_space] else 0
+                )
+                ranks.append((edge_rank, *contact, self._num_cells[neighbor], -neighbor))
             if not ranks:
                 continue
-            best = -max(ranks)[-1]
-            if num_at_edge[small] > max_counted >= num_at_edge[best]:
+            best_neighbor = -max(ranks)[-1]
+            if num_at_edge[small_space] > max_counted_cells >= num_at_edge[best_neighbor]:
                 continue
-            self._join(best, small)
-            num_at_edge[best] += num_at_edge[small]
-            if self._num_cells[best] < min_cells:
-                heapq.heappush(queue, (int(self._num_cells[best]), best))
+            self._join(best_neighbor, small_space)
+            num_at_edge[best_neighbor] += num_at_edge[small_space]
+            if self._num_cells[best_neighbor] < min_cells:
+                heapq.heappush(queue, (int(self._num_cells[best_neighbor]), best_neighbor))
 
     def select_rooms(self, min_cells: float, is_room: Bool) -> Int32:
-        """Return by label the space that the label belongs to now, 0 if that space is too small.
+        """Return for each label the space that it belongs to after the joins, 0 if it is too small.
 
         Args:
             min_cells: the least number of cells of a space that isn't too small.
-            is_room: by label, whether the space that it belongs to is a room whatever its size.
+            is_room: by label, whether the label's space is a room whatever its size.
         """
         is_large = self._num_cells >= min_cells
         is_large[self._space_of[is_room]] = True
         return np.where(is_large[self._space_of], self._space_of, np.int32(0))
 
-    def _join(self, joined: int, removed: int) -> None:
-        """Make the space `removed` a part of the space `joined`."""
-        self._space_of[self._space_of == removed] = joined
-        for neighbor, passage in self._passages[removed].items():
-            del self._passages[neighbor][removed]
-            if neighbor == joined:
+    def _join(self, kept_space: int, removed_space: int) -> None:
+        """Make the space `removed_space` a part of the space `kept_space`."""
+        self._space_of[self._space_of == removed_space] = kept_space
+        for neighbor, contact in self._contacts[removed_space].items():
+            del self._contacts[neighbor][removed_space]
+            if neighbor == kept_space:
                 continue
-            former = self._passages[joined].get(neighbor, SpaceContact(0.0, 0))
-            combined = SpaceContact(
-                max(former.distance, passage.distance), former.length + passage.length
+            kept_contact = self._contacts[kept_space].get(neighbor, SpaceContact(0.0, 0))
+            combined_contact = SpaceContact(
+                max(kept_contact.distance, contact.distance), kept_contact.length + contact.length
             )
-            self._passages[joined][neighbor] = combined
-            self._passages[neighbor][joined] = combined
-        self._passages[removed] = {}
-        self._num_cells[joined] += self._num_cells[removed]
+            self._contacts[kept_space][neighbor] = combined_contact
+            self._contacts[neighbor][kept_space] = combined_contact
+        self._contacts[removed_space] = {}
+        self._num_cells[kept_space] += self._num_cells[removed_space]
 
 
 def _edge_nodes(cells: Int, width: int) -> tuple[Int, Int]:
@@ -500,61 +523,71 @@ def _edge_nodes(cells: Int, width: int) -> tuple[Int, Int]:
     """
     centers = 2 * np.array(np.divmod(cells, width)) + 1  # rows and columns of both cells
     # an edge and its ends lie across the step from cell to cell
-    is_fixed = centers[:, 0] == centers[:, 1]
-    offset = is_fixed * np.array([-1, 0, 1])[:, None, None]
-    nodes = (centers[:, :1] + centers[:, 1:]) // 2 + offset.swapaxes(0, 1)
+    is_same_coordinate = centers[:, 0] == centers[:, 1]
+    node_offset = is_same_coordinate * np.array([-1, 0, 1])[:, None, None]
+    nodes = (centers[:, :1] + centers[:, 1:]) // 2 + node_offset.swapaxes(0, 1)
     rows, cols = nodes.reshape(2, -1)
     return rows, cols
 
 
-def find_widest_distances(label: Int32, distance: Int32, count: int) -> Int32:
+def find_widest_distances(label: Int32, squared_distance: Int32, num_labels: int) -> Int32:
     """Find how far the widest place of each labelled area is from walls.
 
     Args:
         label: the label of each cell, 0 for none, shape (height, width).
-        distance: the squared distance of each node from the nearest wall, shape (2 height + 1,
-            2 width + 1) [half cells squared]; nodes are the cells' centres, corners and middles of
-            edges, see `mark_wall_nodes`.
-        count: number of labels, including label 0.
+        squared_distance: the squared distance of each node from the nearest wall, shape (2 height +
+            1, 2 width + 1) [half cells squared]; nodes are the cells' centres, corners and middles
+            of edges, see `mark_wall_nodes`.
+        num_labels: number of labels, including label 0.
 
     Returns:
-        By label, the largest squared distance of all nodes on its cells, shape (count,).
+        By label, the largest squared distance of all nodes on its cells, shape (num_labels,).
     """
-    rows = np.maximum(distance[1::2], np.maximum(distance[:-2:2], distance[2::2]))
-    nodes = np.maximum(rows[:, 1::2], np.maximum(rows[:, :-2:2], rows[:, 2::2]))
-    peaks = np.zeros(count, dtype=np.int32)
-    np.maximum.at(peaks, label[label > 0], nodes[label > 0])
-    return peaks
+    widest_in_rows = np.maximum(
+        squared_distance[1::2], np.maximum(squared_distance[:-2:2], squared_distance[2::2])
+    )
+    widest_in_cells = np.maximum(
+        widest_in_rows[:, 1::2], np.maximum(widest_in_rows[:, :-2:2], widest_in_rows[:, 2::2])
+    )
+    widest_squared = np.zeros(num_labels, dtype=np.int32)
+    np.maximum.at(widest_squared, label[label > 0], widest_in_cells[label > 0])
+    return widest_squared
 
 
 # ---------------------------------------------------------------- segments and marked rooms
 
 
-def assign_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
+def assign_covered(room_number: Int32, room_under: Int32, segment: Int32) -> Int32:
     """Give cells without a room (of a podium, for example) to the room below their floor.
 
-    This is only done if that room has cells in the same segment: so a house does not become part of
-    the ground that it stands on.
+    This is only done if the room below has cells in the same segment, so that a house does not
+    become part of the ground that it stands on.
 
     Args:
-        owner: the marked room of each cell, 0 for none, shape (height, width).
-        under: the marked room whose floor lies under each cell's floor, 0 for none.
+        room_number: the marked room of each cell, 0 for none, shape (height, width).
+        room_under: the marked room whose floor lies under each cell's floor, 0 for none.
         segment: the part of the floor between gaps that each cell belongs to, 0 for none.
 
     Returns:
         The room of each cell, shape (height, width).
     """
-    base = int(max(owner.max(initial=0), under.max(initial=0))) + 1
-    owned = owner > 0
-    rooms_in_segments = np.unique(segment[owned].astype(np.int64) * base + owner[owned])
-    is_covered = (owner == 0) & (under > 0) & (segment > 0)
-    keys = segment[is_covered].astype(np.int64) * base + under[is_covered]
+    key_base = int(max(room_number.max(initial=0), room_under.max(initial=0))) + 1
+    has_room = room_number > 0
+    rooms_in_segments = np.unique(
+        segment[has_room].astype(np.int64) * key_base + room_number[has_room]
+    )
+    is_covered = (room_number == 0) & (room_under > 0) & (segment > 0)
+    keys = segment[is_covered].astype(np.int64) * key_base + room_under[is_covered]
     is_covered[is_covered] = np.isin(keys, rooms_in_segments)
-    return np.where(is_covered, under, owner)
+    return np.where(is_covered, room_under, room_number)
 
 
 def assign_unmarked(
-    owner: Int32, segment: Int32, cell_size: float, min_area: float, beyond: Int | None = None
+    room_number: Int32,
+    segment: Int32,
+    cell_size: float,
+    min_area: float,
+    cells_beyond: Int | None = None,
 ) -> tuple[Int32, Int32]:
     """Divide the cells that belong to no marked room between marked rooms and new rooms.
 
@@ -566,21 +599,23 @@ def assign_unmarked(
     leaf leads into it.
 
     Args:
-        owner: the marked room of each cell, 0 for none, shape (height, width).
+        room_number: the marked room of each cell, 0 for none, shape (height, width).
         segment: the segment of each cell, 0 for none.
         cell_size: the side of a cell, > 0 [m].
         min_area: the least area of a new room [m²].
-        beyond: ids of cells in the spaces that closed leaves lead into, None for none.
+        cells_beyond: ids of cells in the spaces that closed leaves lead into, None for none.
 
     Returns:
         The marked room of each cell, with the added areas, 0 for none; and the new room of each
         cell, from 1, 0 for none.
     """
     min_cells = min_area / cell_size**2 - CELL_ROUNDING
-    has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
-    has_marks[segment[owner > 0]] = True
-    unmarked = np.where(owner == 0, segment, 0)
-    component, _ = label_components_2d(np.where(has_marks[unmarked], unmarked, 0))
+    has_marked_room = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
+    has_marked_room[segment[room_number > 0]] = True
+    unmarked_segment = np.where(room_number == 0, segment, 0)
+    component, _ = label_components_2d(
+        np.where(has_marked_room[unmarked_segment], unmarked_segment, 0)
+    )
     num_cells, is_wide = _measure_components(component, cell_size)
     is_room = (num_cells >= min_cells) & is_wide
     if not (is_room | (num_cells < min_cells)).all():
@@ -589,41 +624,43 @@ def assign_unmarked(
         segment_of[component] = segment
         _, is_segment_wide = _measure_components(segment, cell_size)
         is_room |= (num_cells >= min_cells) & ~is_segment_wide[segment_of]
-    touched = _find_most_touched(component, owner, len(num_cells))
-    if beyond is not None:
-        is_beyond = np.zeros(len(num_cells), dtype=np.bool_)
-        is_beyond[component.ravel()[beyond]] = True
-        is_room |= is_beyond & (touched == 0)
+    touched_room = _find_most_touched_room(component, room_number, len(num_cells))
+    if cells_beyond is not None:
+        is_behind_leaf = np.zeros(len(num_cells), dtype=np.bool_)
+        is_behind_leaf[component.ravel()[cells_beyond]] = True
+        is_room |= is_behind_leaf & (touched_room == 0)
     is_room[0] = False
-    touched_owner = np.where(is_room[component], 0, touched[component])
-    new_owner = np.where(owner > 0, owner, touched_owner).astype(np.int32)
+    touched_room_number = np.where(is_room[component], 0, touched_room[component])
+    new_room_number = np.where(room_number > 0, room_number, touched_room_number).astype(np.int32)
     # segments without marks are numbered behind the components of others
-    unmarked_segment = np.where(
-        has_marks[unmarked], 0, unmarked + np.int32(len(num_cells)) * (unmarked > 0)
+    unmarked_segment_number = np.where(
+        has_marked_room[unmarked_segment],
+        0,
+        unmarked_segment + np.int32(len(num_cells)) * (unmarked_segment > 0),
     )
-    new_room, _ = renumber(
-        np.where(is_room[component], component, unmarked_segment).astype(np.int32)
+    new_segment_room, _ = renumber(
+        np.where(is_room[component], component, unmarked_segment_number).astype(np.int32)
     )
-    return new_owner, new_room
+    return new_room_number, new_segment_room
 
 
-def assign_leaf_cells(owner: Int32, leaf_cells: Bool) -> None:
+def assign_leaf_cells(room_number: Int32, leaf_cells: Bool) -> None:
     """Give leaf cells without a room to the nearest room beside them; on a tie, to the smaller one.
 
-    Sizes decide, and not the rooms' numbers, because those change when the map is turned.
+    Sizes decide, and not the rooms' numbers, because numbers change when the map is turned.
 
     Args:
-        owner: the room of each cell, 0 for none, shape (height, width); is changed.
+        room_number: the room of each cell, 0 for none, shape (height, width); is changed.
         leaf_cells: a mask of the cells of closed door leaves.
     """
-    without_room = leaf_cells & (owner == 0)
-    num_cells = count_cells_by_label(owner, int(owner.max(initial=0)) + 1)
-    by_size = np.append(0, np.argsort(num_cells[1:], kind="stable") + 1).astype(np.int32)
-    rank_of = np.empty_like(by_size)
-    rank_of[by_size] = np.arange(len(by_size))
-    rank = rank_of[owner]
-    spread_labels(rank, without_room)
-    owner[without_room] = by_size[rank[without_room]]
+    is_without_room = leaf_cells & (room_number == 0)
+    num_cells = count_cells_by_label(room_number, int(room_number.max(initial=0)) + 1)
+    rooms_by_size = np.append(0, np.argsort(num_cells[1:], kind="stable") + 1).astype(np.int32)
+    rank_of_room = np.empty_like(rooms_by_size)
+    rank_of_room[rooms_by_size] = np.arange(len(rooms_by_size))
+    rank_of_cell = rank_of_room[room_number]
+    spread_labels(rank_of_cell, is_without_room)
+    room_number[is_without_room] = rooms_by_size[rank_of_cell[is_without_room]]
 
 
 def _measure_components(label: Int32, cell_size: float) -> tuple[Int, Bool]:
@@ -633,39 +670,48 @@ def _measure_components(label: Int32, cell_size: float) -> tuple[Int, Bool]:
         By label, the number of its cells (0 for label 0); and whether they are wide enough.
     """
     reach = int(MIN_REMAINDER_WIDTH / cell_size) + 2
-    at_boundary = mark_wall_nodes(label > 0)
+    is_boundary_node = mark_wall_nodes(label > 0)
     height, width = label.shape
-    for k in range(3):  # the nodes on each edge between two labels
-        at_boundary[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
-        at_boundary[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
+    for node_offset in range(3):  # the nodes on each edge between two labels
+        is_boundary_node[node_offset : node_offset + 2 * height - 1 : 2, 2:-1:2] |= (
+            label[:, :-1] != label[:, 1:]
+        )
+        is_boundary_node[2:-1:2, node_offset : node_offset + 2 * width - 1 : 2] |= (
+            label[:-1] != label[1:]
+        )
     num_cells = count_cells_by_label(label, int(label.max(initial=0)) + 1)
-    peaks = find_widest_distances(label, squared_distances(at_boundary, reach), len(num_cells))
+    widest_squared = find_widest_distances(
+        label, squared_distances(is_boundary_node, reach), len(num_cells)
+    )
     # twice the distance to the boundary, in half cells: the widest disc that fits
-    return num_cells, peaks >= (MIN_REMAINDER_WIDTH / cell_size) ** 2 - CELL_ROUNDING
+    return num_cells, widest_squared >= (MIN_REMAINDER_WIDTH / cell_size) ** 2 - CELL_ROUNDING
 
 
-def _find_most_touched(component: Int32, owner: Int32, count: int) -> Int32:
+def _find_most_touched_room(component: Int32, room_number: Int32, num_labels: int) -> Int32:
     """Find for each area the marked room that it shares the most edges of cells with.
 
     Args:
         component: the area of each cell, 0 for none, shape (height, width).
-        owner: the marked room of each cell, 0 for none; areas have cells without a room only.
-        count: number of areas, plus 1.
+        room_number: the marked room of each cell, 0 for none; areas have cells without a room only.
+        num_labels: number of areas, plus 1.
 
     Returns:
-        By area, the number of the room, 0 if it touches none, shape (count,). Of equals, the room
-        with the lowest number counts.
+        By area, the number of the room, 0 if it touches none, shape (num_labels,). Of equals, the
+        room with the lowest number counts.
     """
-    node = np.where(owner > 0, owner + np.int32(count), component)  # components have no owner
-    low, high = np.sort(node.ravel()[differing_pairs(node)], axis=0)
-    base = int(node.max(initial=0)) + 1
-    is_shared = (low > 0) & (low < count) & (high >= count)
-    keys = low[is_shared].astype(np.int64) * base + high[is_shared]
-    key, num_edges = np.unique(keys, return_counts=True)
-    order = np.lexsort((-key, num_edges))  # the last one written stays
-    touched = np.zeros(count, dtype=np.int32)
-    touched[key[order] // base] = key[order] % base - count
-    return touched
+    # the cells of areas have no room
+    node_of_cell = np.where(room_number > 0, room_number + np.int32(num_labels), component)
+    lower_node, higher_node = np.sort(node_of_cell.ravel()[differing_pairs(node_of_cell)], axis=0)
+    key_base = int(node_of_cell.max(initial=0)) + 1
+    is_shared = (lower_node > 0) & (lower_node < num_labels) & (higher_node >= num_labels)
+    edge_keys = lower_node[is_shared].astype(np.int64) * key_base + higher_node[is_shared]
+    shared_key, num_edges = np.unique(edge_keys, return_counts=True)
+    sort_indices = np.lexsort((-shared_key, num_edges))  # the last one written stays
+    touched_room = np.zeros(num_labels, dtype=np.int32)
+    touched_room[shared_key[sort_indices] // key_base] = (
+        shared_key[sort_indices] % key_base - num_labels
+    )
+    return touched_room
 
 
 def renumber(label: Int32) -> tuple[Int32, Int]:
@@ -677,19 +723,23 @@ def renumber(label: Int32) -> tuple[Int32, Int]:
     Returns:
         The new label of each cell; and the old labels in the order of the new ones.
     """
-    *_, value = find_row_runs(label)
-    used, first = np.unique(value, return_index=True)
-    order = used[np.argsort(first)]
-    new_label = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
-    new_label[order] = np.arange(1, len(order) + 1)
-    return new_label[label], order
+    *_, run_labels = find_row_runs(label)
+    used_labels, first_runs = np.unique(run_labels, return_index=True)
+    labels_in_order = used_labels[np.argsort(first_runs)]
+    new_label = np.zeros(int(labels_in_order.max(initial=0)) + 1, dtype=np.int32)
+    new_label[labels_in_order] = np.arange(1, len(labels_in_order) + 1)
+    return new_label[label], labels_in_order
 
 
 # ---------------------------------------------------------------- cavities and outdoors
 
 
 def mark_cavities(
-    segment: Int32, owner: Int32, flags: RoomFlags, level: int, beyond: Int | None = None
+    segment: Int32,
+    room_number: Int32,
+    flags: RoomFlags,
+    level_number: int,
+    cells_beyond: Int | None = None,
 ) -> Bool:
     """Mark the segments of a level that are cavities: hollow walls, shafts, chases.
 
@@ -701,42 +751,42 @@ def mark_cavities(
     Args:
         segment: the part of the floor between gaps that each cell belongs to, 0 for none, shape
             (height, width).
-        owner: the marked room of each cell, 0 for none.
+        room_number: the marked room of each cell, 0 for none.
         flags: the flags of the cells of all levels, and the links between cells.
-        level: the number of the level.
-        beyond: ids of cells in the spaces that closed leaves lead into, None for none.
+        level_number: the number of the level.
+        cells_beyond: ids of cells in the spaces that closed leaves lead into, None for none.
 
     Returns:
         For each segment number, from 0: whether it is a cavity.
     """
-    level_flags = flags.levels[level]
+    level_flags = flags.levels[level_number]
     cell_size = flags.lattice.cell_size
-    count = int(segment.max(initial=0)) + 1
-    area = count_cells_by_label(segment, count) * cell_size**2
-    space = np.where(owner > 0, owner + count, segment)
-    pairs = space.ravel()[differing_pairs(space)]
-    is_open = np.zeros(count, dtype=np.bool_)
-    is_open[0] = True
-    is_open[pairs[(pairs > 0).all(axis=0) & (pairs < count)]] = True
-    is_open[segment[level_flags.at_edge]] = True
-    if beyond is not None:
-        is_open[segment.ravel()[beyond]] = True
+    num_labels = int(segment.max(initial=0)) + 1
+    area = count_cells_by_label(segment, num_labels) * cell_size**2
+    space_of_cell = np.where(room_number > 0, room_number + num_labels, segment)
+    pairs = space_of_cell.ravel()[differing_pairs(space_of_cell)]
+    is_connected = np.zeros(num_labels, dtype=np.bool_)
+    is_connected[0] = True
+    is_connected[pairs[(pairs > 0).all(axis=0) & (pairs < num_labels)]] = True
+    is_connected[segment[level_flags.at_edge]] = True
+    if cells_beyond is not None:
+        is_connected[segment.ravel()[cells_beyond]] = True
     for level_column, cell_column in ((0, 1), (2, 3)):  # of both ends of links
-        on_level = flags.links[flags.links[:, level_column] == level]
-        is_open[segment.ravel()[on_level[:, cell_column]]] = True
-    is_open |= area >= area[1:].max(initial=0.0)
-    is_cavity: Bool = ~is_open & (area < MIN_CLOSED_ROOM_AREA)
-    if (is_open | is_cavity).all():
+        links_on_level = flags.links[flags.links[:, level_column] == level_number]
+        is_connected[segment.ravel()[links_on_level[:, cell_column]]] = True
+    is_connected |= area >= area[1:].max(initial=0.0)
+    is_cavity: Bool = ~is_connected & (area < MIN_CLOSED_ROOM_AREA)
+    if (is_connected | is_cavity).all():
         return is_cavity
     reach = int(MIN_CLOSED_ROOM_WIDTH / cell_size) + 2
-    peaks = find_widest_distances(
-        segment, squared_distances(mark_wall_nodes(segment > 0), reach), count
+    widest_squared = find_widest_distances(
+        segment, squared_distances(mark_wall_nodes(segment > 0), reach), num_labels
     )
-    is_wide = peaks >= (MIN_CLOSED_ROOM_WIDTH / cell_size) ** 2 - CELL_ROUNDING
-    return is_cavity | ~is_open & ~is_wide
+    is_wide = widest_squared >= (MIN_CLOSED_ROOM_WIDTH / cell_size) ** 2 - CELL_ROUNDING
+    return is_cavity | ~is_connected & ~is_wide
 
 
-def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, set[int]]:
+def find_outdoors(segment: Int32, flags: RoomFlags, level_number: int) -> tuple[Int32, set[int]]:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
     A segment is outdoors if it touches the edge of the grid over a connected length that is wider
@@ -748,36 +798,36 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
         segment: the part of the floor between gaps that each cell belongs to, 0 for none, shape
             (height, width).
         flags: the flags of the cells of all levels.
-        level: the number of the level.
+        level_number: the number of the level.
 
     Returns:
         The segment of each cell, with touching outdoor segments united; and the numbers of the
         outdoor segments.
     """
-    level_flags = flags.levels[level]
+    level_flags = flags.levels[level_number]
     cell_size = flags.lattice.cell_size
-    count = int(segment.max(initial=0)) + 1
-    extents = _measure_edge_extents(segment, level_flags.at_edge & (segment > 0), count)
-    is_candidate = extents * cell_size > MIN_OUTDOOR_EDGE
+    num_labels = int(segment.max(initial=0)) + 1
+    edge_extents = _measure_edge_extents(segment, level_flags.at_edge & (segment > 0), num_labels)
+    is_candidate = edge_extents * cell_size > MIN_OUTDOOR_EDGE
     if not is_candidate.any():
         return segment, set()
     in_candidate = is_candidate[segment]
-    is_open = level_flags.under_sky[in_candidate]
-    if not is_open.all() and flags.scene_ends.any():
+    is_under_open_sky = level_flags.under_sky[in_candidate]
+    if not is_under_open_sky.all() and flags.scene_ends.any():
         # where the lattice crops the scene, rooms go on beyond it
-        at_end = in_candidate & mark_edge(flags.is_empty, flags.scene_ends)
-        if at_end.any():
+        is_at_scene_end = in_candidate & mark_edge(flags.is_empty, flags.scene_ends)
+        if is_at_scene_end.any():
             reach = int(MAX_EAVES_DEPTH / cell_size) + 1
-            squared = squared_distances(at_end, reach)[in_candidate]
-            is_open |= np.sqrt(squared) * cell_size <= MAX_EAVES_DEPTH
+            squared_distance = squared_distances(is_at_scene_end, reach)[in_candidate]
+            is_under_open_sky |= np.sqrt(squared_distance) * cell_size <= MAX_EAVES_DEPTH
     cell_segments = segment[in_candidate]
-    num_open = np.bincount(cell_segments[is_open], minlength=count)
-    num_cells = np.bincount(cell_segments, minlength=count)
-    is_outdoors = is_candidate & (num_open >= MIN_OPEN_SHARE * num_cells)
-    united = _unite_touching(segment, is_outdoors, level_flags.is_bank)
+    num_under_open_sky = np.bincount(cell_segments[is_under_open_sky], minlength=num_labels)
+    num_cells = np.bincount(cell_segments, minlength=num_labels)
+    is_outdoors = is_candidate & (num_under_open_sky >= MIN_OPEN_SHARE * num_cells)
+    united_segment = _unite_touching(segment, is_outdoors, level_flags.is_bank)
     if is_outdoors.any() and flags.has_ground:
-        united[is_outdoors] = united[is_outdoors].min()
-    return united[segment], set(np.unique(united[is_outdoors]).tolist())
+        united_segment[is_outdoors] = united_segment[is_outdoors].min()
+    return united_segment[segment], set(np.unique(united_segment[is_outdoors]).tolist())
 
 
 def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
@@ -791,18 +841,20 @@ def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
     Returns:
         By segment, the lowest number of the segments that it is united with, itself included.
     """
-    bank, num_banks = label_components_2d(is_bank)
+    bank_of_cell, num_banks = label_components_2d(is_bank)
     # nodes are the segments, and behind them the banks
-    node = np.where(is_bank, bank + len(is_outdoors) - 1, segment)
-    joins = np.concatenate([is_outdoors, np.ones(num_banks, dtype=np.bool_)])
-    pairs = node.ravel()[differing_pairs(node)]
+    node_of_cell = np.where(is_bank, bank_of_cell + len(is_outdoors) - 1, segment)
+    may_join = np.concatenate([is_outdoors, np.ones(num_banks, dtype=np.bool_)])
+    touching_nodes = node_of_cell.ravel()[differing_pairs(node_of_cell)]
     # the first node of a component is its least
-    component = label_components(pairs[:, joins[pairs].all(axis=0)], len(joins))
-    least = np.unique(component, return_index=True)[1].astype(np.int32)
-    return least[component][: len(is_outdoors)]
+    component = label_components(
+        touching_nodes[:, may_join[touching_nodes].all(axis=0)], len(may_join)
+    )
+    lowest_node = np.unique(component, return_index=True)[1].astype(np.int32)
+    return lowest_node[component][: len(is_outdoors)]
 
 
-def _measure_edge_extents(segment: Int32, at_edge: Bool, count: int) -> Float:
+def _measure_edge_extents(segment: Int32, at_edge: Bool, num_labels: int) -> Float:
     """Measure over which connected length each segment touches the edge of the grid [cells].
 
     Of several connected pieces of a segment's cells at the edge, the longest counts. The length of
@@ -811,23 +863,25 @@ def _measure_edge_extents(segment: Int32, at_edge: Bool, count: int) -> Float:
     Args:
         segment: the segment of each cell, shape (height, width).
         at_edge: a mask of the cells at the edge that are in a segment.
-        count: the number of segments, plus 1.
+        num_labels: the number of segments, plus 1.
 
     Returns:
-        The lengths by segment, 0 for segments that don't touch the edge, shape (count,).
+        The lengths by segment, 0 for segments that don't touch the edge, shape (num_labels,).
     """
-    cell = np.flatnonzero(at_edge)
-    rows, cols = np.divmod(cell, segment.shape[1])
+    edge_cells = np.flatnonzero(at_edge)
+    rows, cols = np.divmod(edge_cells, segment.shape[1])
     segment_of = segment[rows, cols]
-    pairs = adjacent_pairs(cell, segment.shape[1])
-    piece = label_components(pairs[:, segment_of[pairs[0]] == segment_of[pairs[1]]], len(cell))
-    extent = np.zeros(len(cell))
-    for position in (rows, cols):
-        low = np.full(len(cell), np.inf)
-        high = np.full(len(cell), -np.inf)
-        np.minimum.at(low, piece, position)
-        np.maximum.at(high, piece, position)
-        extent = np.hypot(extent, (high - low)[piece])
-    longest = np.zeros(count)
-    np.maximum.at(longest, segment_of, extent + 1)
-    return longest
+    pairs = adjacent_pairs(edge_cells, segment.shape[1])
+    piece_of_cell = label_components(
+        pairs[:, segment_of[pairs[0]] == segment_of[pairs[1]]], len(edge_cells)
+    )
+    extent = np.zeros(len(edge_cells))
+    for coordinate in (rows, cols):
+        lowest = np.full(len(edge_cells), np.inf)
+        highest = np.full(len(edge_cells), -np.inf)
+        np.minimum.at(lowest, piece_of_cell, coordinate)
+        np.maximum.at(highest, piece_of_cell, coordinate)
+        extent = np.hypot(extent, (highest - lowest)[piece_of_cell])
+    max_extent = np.zeros(num_labels)
+    np.maximum.at(max_extent, segment_of, extent + 1)
+    return max_extent

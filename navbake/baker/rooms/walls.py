@@ -1,7 +1,7 @@
-"""What rooms need to know about walls.
+"""Measures walls, for dividing floors into rooms.
 
-How far cells are from walls, in which directions walls run, where rays meet their geometry, and
-which sills and parapets continue them.
+Functions of this module measure how far cells are from walls, in which directions walls run, where
+rays meet the geometry of walls, and which sills and parapets continue walls.
 """
 
 from __future__ import annotations
@@ -103,27 +103,35 @@ MAX_SILL_THICKNESS = 0.5
 # ---------------------------------------------------------------- distances
 
 
-def squared_distances(target: Bool, reach: int) -> Int32:
+def squared_distances(is_target: Bool, reach: int) -> Int32:
     """Measure how far each cell is from the nearest target cell.
 
     Args:
-        target: a mask of the target cells, shape (rows, cols). It may also be a mask of nodes, see
-            `mark_wall_nodes`; distances are then in half cells.
+        is_target: a mask of the target cells, shape (rows, cols). It may also be a mask of nodes,
+            see `mark_wall_nodes`; distances are then in half cells.
         reach: the largest distance that is measured, >= 0 [cells].
 
     Returns:
-        The squared distances [cells squared], shape (rows, cols), int32; ``(reach + 1) ** 2`` also
-        stands for all greater ones.
+        The squared distances, ``(reach + 1) ** 2`` for all distances greater than `reach`, shape
+        (rows, cols), int32 [cells squared].
     """
-    target = np.ascontiguousarray(target)
-    rows, cols = target.shape
-    along = np.empty(target.shape, dtype=np.int16)
+    is_target = np.ascontiguousarray(is_target)
+    rows, cols = is_target.shape
+    column_distance = np.empty(is_target.shape, dtype=np.int16)
     run_in_chunks(
-        kernels.sweep_distances, cols, target, reach, along, NO_ROWS, least=MIN_CHUNK_COLUMNS
+        kernels.sweep_distances,
+        cols,
+        is_target,
+        reach,
+        column_distance,
+        NO_ROWS,
+        least=MIN_CHUNK_COLUMNS,
     )
-    squared = np.empty(target.shape, dtype=np.int32)
-    run_in_chunks(kernels.sweep_distances, rows, target, reach, along, squared)
-    return squared
+    squared_distance = np.empty(is_target.shape, dtype=np.int32)
+    run_in_chunks(
+        kernels.sweep_distances, rows, is_target, reach, column_distance, squared_distance
+    )
+    return squared_distance
 
 
 def squared_distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
@@ -140,27 +148,37 @@ def squared_distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> In
         col: the nodes' columns, shape (n,).
 
     Returns:
-        The squared distances [half cells squared], shape (n,); ``(reach + 1) ** 2`` also stands for
-        all greater ones.
+        The squared distances, ``(reach + 1) ** 2`` for all distances greater than `reach`, shape
+        (n,) [half cells squared].
     """
-    closed = np.pad(~open_cells, 1, constant_values=True)
-    cols = closed.shape[1]
-    along = np.empty(closed.shape, dtype=np.int16)
+    is_closed = np.pad(~open_cells, 1, constant_values=True)
+    cols = is_closed.shape[1]
+    column_distance = np.empty(is_closed.shape, dtype=np.int16)
     cell_reach = reach // 2 + 1
     run_in_chunks(
-        kernels.sweep_distances, cols, closed, cell_reach, along, NO_ROWS, least=MIN_CHUNK_COLUMNS
+        kernels.sweep_distances,
+        cols,
+        is_closed,
+        cell_reach,
+        column_distance,
+        NO_ROWS,
+        least=MIN_CHUNK_COLUMNS,
     )
-    nearest = np.full(len(row), (reach + 1) ** 2)
+    least_squared = np.full(len(row), (reach + 1) ** 2)
     # the cells above and below each node; the same cell where the node is at its middle
     row_above = (row + 1) // 2
     row_below = (row + 2) // 2
-    for shift in range(-(reach // 2) - 1, reach // 2 + 3):
-        cell_col = np.clip(col // 2 + shift, 0, cols - 1)
-        num_cells = np.minimum(along[row_above, cell_col], along[row_below, cell_col])
-        down = np.maximum(2 * num_cells.astype(np.int64) - row % 2, 0)
-        right = np.abs(2 * cell_col - 1 - col) - 1  # cells are two nodes wide
-        np.minimum(nearest, down**2 + np.maximum(right, 0) ** 2, out=nearest)
-    return nearest
+    for col_shift in range(-(reach // 2) - 1, reach // 2 + 3):
+        cell_col = np.clip(col // 2 + col_shift, 0, cols - 1)
+        num_rows = np.minimum(
+            column_distance[row_above, cell_col], column_distance[row_below, cell_col]
+        )
+        nodes_down = np.maximum(2 * num_rows.astype(np.int64) - row % 2, 0)
+        nodes_right = np.abs(2 * cell_col - 1 - col) - 1  # cells are two nodes wide
+        np.minimum(
+            least_squared, nodes_down**2 + np.maximum(nodes_right, 0) ** 2, out=least_squared
+        )
+    return least_squared
 
 
 def mark_wall_nodes(open_cells: Bool) -> Bool:
@@ -176,11 +194,12 @@ def mark_wall_nodes(open_cells: Bool) -> Bool:
     Returns:
         A mask of the nodes, shape (2 height + 1, 2 width + 1).
     """
-    closed = np.pad(~open_cells, 1, constant_values=True)
-    rows = closed.repeat(2, axis=0)[1:-1]
-    rows = rows[:-1] | rows[1:]  # each row's upper edge, its centre, …, the last one's lower edge
-    cols = rows.repeat(2, axis=1)[:, 1:-1]
-    return cols[:, :-1] | cols[:, 1:]
+    is_closed = np.pad(~open_cells, 1, constant_values=True)
+    closed_rows = is_closed.repeat(2, axis=0)[1:-1]
+    # each row's upper edge, its centre, …, the last row's lower edge
+    closed_rows = closed_rows[:-1] | closed_rows[1:]
+    closed_nodes = closed_rows.repeat(2, axis=1)[:, 1:-1]
+    return closed_nodes[:, :-1] | closed_nodes[:, 1:]
 
 
 # ---------------------------------------------------------------- directions of walls
@@ -192,20 +211,21 @@ class WallDirection(NamedTuple):
     The scan follows parallel lines of cells in this direction, from column to column.
 
     Attributes:
-        swapped: whether rows and columns are swapped for the scan, because the direction is steeper
-            than 45° to the rows.
+        is_swapped: whether rows and columns are swapped for the scan, because the direction is
+            steeper than 45° to the rows.
         shift: for each column of the scan, how many rows lower a line of cells is than in the first
             column, (cols,), int64.
         slope: how many rows the direction goes down per column of the scan, -1 to 1.
-        stretch: the length of a line from one column to the next, 1 to √2 [cells].
-        near: a mask of the cells near walls in this direction, shape (height, width), not swapped.
+        length_per_column: the length of a line from one column to the next, 1 to √2 [cells].
+        is_near_wall: a mask of the cells near walls in this direction, shape (height, width), not
+            swapped.
     """
 
-    swapped: bool
+    is_swapped: bool
     shift: Int
     slope: float
-    stretch: float
-    near: Bool
+    length_per_column: float
+    is_near_wall: Bool
 
 
 class WallPoints(NamedTuple):
@@ -267,7 +287,7 @@ def _list_directions(
         cell_size: the side of a cell, > 0 [m].
 
     Returns:
-        The directions, starting with the most common one; and the number of points.
+        The directions, starting with the most common one; and the number of points on such walls.
     """
     position, angle, spacing, bin_width, line_width = points
     num_bins = round(180 / bin_width)
@@ -279,34 +299,34 @@ def _list_directions(
     directions = list[WallDirection]()
     main_angle = 0.0
     num_explained = 0
-    remaining = np.ones(len(bins), dtype=np.bool_)
+    is_remaining = np.ones(len(bins), dtype=np.bool_)
     while True:
-        count = _add_neighbor_bins(np.bincount(bins[remaining], minlength=num_bins))
-        best = int(count.argmax())
-        if count[best] < min_points + corner_count:
+        bin_counts = _add_neighbor_bins(np.bincount(bins[is_remaining], minlength=num_bins))
+        best_bin = int(bin_counts.argmax())
+        if bin_counts[best_bin] < min_points + corner_count:
             return directions, num_explained
-        difference = np.abs((angle - best * bin_width + 90.0) % 180.0 - 90.0)
-        is_near = remaining & (difference <= 1.5 * bin_width)
-        wall_angle = _refine_angle(position[:, is_near], best, bin_width, line_width)
+        angle_difference = np.abs((angle - best_bin * bin_width + 90.0) % 180.0 - 90.0)
+        is_near = is_remaining & (angle_difference <= 1.5 * bin_width)
+        wall_angle = _refine_angle(position[:, is_near], best_bin, bin_width, line_width)
         # points on walls of this direction count for no other direction, a few degrees off
-        is_near = remaining & (difference <= 2.5 * bin_width)
+        is_near = is_remaining & (angle_difference <= 2.5 * bin_width)
         near_position = position[:, is_near]
-        on_walls = _mark_on_walls(near_position, wall_angle, line_width, min_on_line)
-        if on_walls.sum() < min_points:
-            remaining[is_near] = False
+        is_on_wall = _mark_on_walls(near_position, wall_angle, line_width, min_on_line)
+        if is_on_wall.sum() < min_points:
+            is_remaining[is_near] = False
             continue
-        direction = direction_of(wall_angle, shape)
+        direction = make_direction(wall_angle, shape)
         if not directions:
             main_angle = wall_angle
         if abs((wall_angle - main_angle + 45.0) % 90.0 - 45.0) > RIGHT_ANGLE_TOLERANCE:
-            near = _mark_near(near_position[:, on_walls], shape, cell_size)
-            direction = direction._replace(near=near)
+            is_near_wall = _mark_near_points(near_position[:, is_on_wall], shape, cell_size)
+            direction = direction._replace(is_near_wall=is_near_wall)
         directions.append(direction)
-        remaining[is_near] = ~on_walls
-        num_explained += int(on_walls.sum())
+        is_remaining[is_near] = ~is_on_wall
+        num_explained += int(is_on_wall.sum())
 
 
-def _mark_near(position: Float, shape: tuple[int, ...], cell_size: float) -> Bool:
+def _mark_near_points(position: Float, shape: tuple[int, ...], cell_size: float) -> Bool:
     """Mark the cells within `NEAR_WALL_DISTANCE` of points.
 
     Args:
@@ -316,8 +336,8 @@ def _mark_near(position: Float, shape: tuple[int, ...], cell_size: float) -> Boo
     """
     is_wall: Bool = np.zeros(shape, dtype=np.bool_)
     row, col = np.rint(position).astype(np.int64)
-    inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
-    is_wall[row[inside], col[inside]] = True
+    is_inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
+    is_wall[row[is_inside], col[is_inside]] = True
     reach = round(NEAR_WALL_DISTANCE / cell_size)
     return np.asarray(squared_distances(is_wall, reach) <= reach**2)
 
@@ -330,27 +350,30 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
     """
     reach = max(MIN_SLOPE_DISTANCE, round(SLOPE_DISTANCE / cell_size))
     # the edge of the lattice is no wall: what is at it goes on beyond it
-    closed = np.pad(~open_cells, EDGE_PADDING, mode="edge")
-    squared = squared_distances(closed, reach + 2)
-    is_off_wall = (squared >= (reach - 1) ** 2) & (squared < reach**2)
+    is_closed = np.pad(~open_cells, EDGE_PADDING, mode="edge")
+    squared_distance = squared_distances(is_closed, reach + 2)
+    is_off_wall = (squared_distance >= (reach - 1) ** 2) & (squared_distance < reach**2)
     is_off_wall[[0, 1, -2, -1]] = False
     is_off_wall[:, [0, 1, -2, -1]] = False
     cells = np.flatnonzero(is_off_wall)
-    width = closed.shape[1]
-    neighbors = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
-    distances = np.sqrt(squared.ravel()[neighbors], dtype=np.float32)
-    below, above, after, before, distance = distances
-    down = below - above
-    right = after - before
+    width = is_closed.shape[1]
+    neighbor_cells = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
+    distances = np.sqrt(squared_distance.ravel()[neighbor_cells], dtype=np.float32)
+    distance_below, distance_above, distance_after, distance_before, wall_distance = distances
+    slope_down = distance_below - distance_above
+    slope_right = distance_after - distance_before
     # a wall runs across the slope; between two walls that are equally near, the slope is less steep
-    is_clear = np.hypot(down, right) > MIN_DISTANCE_CHANGE
+    is_clear = np.hypot(slope_down, slope_right) > MIN_DISTANCE_CHANGE
     cells = cells[is_clear]
-    distance = distance[is_clear]
-    down = down[is_clear]
-    right = right[is_clear]
-    angle = np.mod(np.rad2deg(np.arctan2(down, right)) + 90.0, 180.0)
-    slope = np.hypot(down, right)
-    wall_position = np.array(np.divmod(cells, width)) - distance * np.stack([down, right]) / slope
+    wall_distance = wall_distance[is_clear]
+    slope_down = slope_down[is_clear]
+    slope_right = slope_right[is_clear]
+    angle = np.mod(np.rad2deg(np.arctan2(slope_down, slope_right)) + 90.0, 180.0)
+    slope = np.hypot(slope_down, slope_right)
+    wall_position = (
+        np.array(np.divmod(cells, width))
+        - wall_distance * np.stack([slope_down, slope_right]) / slope
+    )
     return WallPoints(
         position=wall_position - EDGE_PADDING,
         angle=angle,
@@ -360,12 +383,12 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
     )
 
 
-def _add_neighbor_bins(count: Int) -> Int:
+def _add_neighbor_bins(bin_counts: Int) -> Int:
     """Add to each bin's count those of its two neighbours; the last bin is beside the first."""
-    return count + np.roll(count, 1) + np.roll(count, -1)
+    return bin_counts + np.roll(bin_counts, 1) + np.roll(bin_counts, -1)
 
 
-def _find_lines(position: Float, angles: Float, line_width: float) -> Float:
+def _find_strips(position: Float, angles: Float, line_width: float) -> Float:
     """Find for each angle in which of many parallel strips, side by side, each point lies.
 
     Args:
@@ -374,15 +397,16 @@ def _find_lines(position: Float, angles: Float, line_width: float) -> Float:
         line_width: the width of a strip [cells].
 
     Returns:
-        The number of the strip from 0, with the place across it as fraction, shape (angles, n).
+        The number of each point's strip, from 0; its fraction is the place across the strip. Shape
+        (angles, n).
     """
     radians = np.deg2rad(angles)[:, None]
-    across = position[0] * np.cos(radians) - position[1] * np.sin(radians)
-    return np.asarray((across - across.min(axis=1, keepdims=True)) / line_width)
+    distance_across = position[0] * np.cos(radians) - position[1] * np.sin(radians)
+    return np.asarray((distance_across - distance_across.min(axis=1, keepdims=True)) / line_width)
 
 
 def _mark_on_walls(position: Float, angle: float, line_width: float, min_points: float) -> Bool:
-    """Mark the points that are on walls: those in two neighbouring strips with many points.
+    """Mark the points on walls: points in two neighbouring strips that contain many points.
 
     Args:
         position: rows and columns of the points, shape (2, n) [cells].
@@ -390,11 +414,13 @@ def _mark_on_walls(position: Float, angle: float, line_width: float, min_points:
         line_width: the width of a strip [cells].
         min_points: the least number of points that two strips with a wall contain together.
     """
-    line = _find_lines(position, np.array([angle]), line_width)[0].astype(np.int64)
-    count = np.pad(np.bincount(line), 1)
-    pairs = count[1:] + count[:-1]  # each line with the one before
-    on_wall: Bool = np.maximum(pairs[line], pairs[line + 1]) >= min_points
-    return on_wall
+    strip_of_point = _find_strips(position, np.array([angle]), line_width)[0].astype(np.int64)
+    points_in_strip = np.pad(np.bincount(strip_of_point), 1)
+    points_in_pair = points_in_strip[1:] + points_in_strip[:-1]  # each line with the one before
+    is_on_wall: Bool = (
+        np.maximum(points_in_pair[strip_of_point], points_in_pair[strip_of_point + 1]) >= min_points
+    )
+    return is_on_wall
 
 
 def _refine_angle(position: Float, bin_number: int, bin_width: float, line_width: float) -> float:
@@ -415,18 +441,21 @@ def _refine_angle(position: Float, bin_number: int, bin_width: float, line_width
     steps = np.arange(-num_steps, num_steps + 1, dtype=np.float64)
     angles = bin_width * (bin_number + REFINEMENT_STEP * steps)
     sharpness = np.zeros(len(angles), dtype=np.int64)
-    for k, line in enumerate(_find_lines(position, angles, line_width)):
-        for phase in (0.0, 0.5):  # so that no wall falls between two strips
-            count = np.bincount((line + phase).astype(np.int64))
+    for angle_index, strip_of_point in enumerate(_find_strips(position, angles, line_width)):
+        for strip_offset in (0.0, 0.5):  # so that no wall falls between two strips
+            points_in_strip = np.bincount((strip_of_point + strip_offset).astype(np.int64))
             # how densely points lie in strips and in pairs of strips; whole numbers, so exact
-            sharpness[k] = max(sharpness[k], count @ count + count[1:] @ count[:-1])
+            sharpness[angle_index] = max(
+                sharpness[angle_index],
+                points_in_strip @ points_in_strip + points_in_strip[1:] @ points_in_strip[:-1],
+            )
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= MIN_AXIS_SHARPNESS_SHARE * sharpness.max()).any():
         return float(angles[is_axis][0])
     return float(angles[sharpness.argmax()])
 
 
-def direction_of(angle: float, shape: tuple[int, ...]) -> WallDirection:
+def make_direction(angle: float, shape: tuple[int, ...]) -> WallDirection:
     """Make a direction from its angle, with all cells marked as near to its walls.
 
     Args:
@@ -437,11 +466,11 @@ def direction_of(angle: float, shape: tuple[int, ...]) -> WallDirection:
     slope = np.tan(np.deg2rad(90.0 - angle if swapped else angle))
     num_cols = shape[0] if swapped else shape[1]
     return WallDirection(
-        swapped=swapped,
+        is_swapped=swapped,
         shift=np.rint(np.arange(num_cols) * slope).astype(np.int64),
         slope=float(slope),
-        stretch=float(np.hypot(1.0, slope)),
-        near=np.broadcast_to(np.True_, shape),
+        length_per_column=float(np.hypot(1.0, slope)),
+        is_near_wall=np.broadcast_to(np.True_, shape),
     )
 
 
@@ -457,7 +486,7 @@ def to_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[
     Returns:
         The array in Fortran order, a view or a copy; `from_scan_order` is the inverse.
     """
-    return np.asfortranarray(array.T if direction.swapped else array)
+    return np.asfortranarray(array.T if direction.is_swapped else array)
 
 
 def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[ScalarT]:
@@ -469,7 +498,7 @@ def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArra
         array: an array in a direction's scan order.
         direction: the direction that the array was arranged for.
     """
-    return array.T if direction.swapped else array
+    return array.T if direction.is_swapped else array
 
 
 # ---------------------------------------------------------------- rays to walls
@@ -482,13 +511,13 @@ class RotatedWalls(NamedTuple):
 
     Attributes:
         axes: the frame's axes x, y and z as rows, in the world frame, shape (3, 3).
-        tiled: the walls in this frame, by tiles of the lattice.
+        tiled_walls: the walls in this frame, by tiles of the lattice.
         coded_distance: the distances from cells to walls that were measured so far, see
             `WallRays.measure`.
     """
 
     axes: Float
-    tiled: TiledShapes
+    tiled_walls: TiledShapes
     coded_distance: Float
 
 
@@ -505,20 +534,20 @@ class WallRays:
         """
         self._lattice = lattice
         has_floor = ~np.isnan(floor)
-        self._heights = floor + RAY_HEIGHT
+        self._ray_heights = floor + RAY_HEIGHT
         triangles_by_batch = [
-            _choose_triangles(facets, self._heights[has_floor])
+            _choose_triangles(facets, self._ray_heights[has_floor])
             for facets in walls.facets_in_batches()
         ]
         triangles = Facets._make(join_arrays(triangles_by_batch))
-        self._heights[~has_floor] = NO_FLOOR_HEIGHT
+        self._ray_heights[~has_floor] = NO_FLOOR_HEIGHT
         # rays from cells at the lattice's edge reach beyond it
         self._reach = max(MIN_RAY_LENGTH, MAX_JAMB_DISTANCE / lattice.cell_size)  # [cells]
         self._margin = math.ceil(self._reach) + 1
         rows = slice(-self._margin, lattice.height + self._margin)
         cols = slice(-self._margin, lattice.width + self._margin)
         self._tiled = tile_shapes(walls, lattice.cut(rows, cols), TILE_MARGIN, triangles)
-        self._rotated = dict[tuple[bool, float], RotatedWalls]()
+        self._rotated_walls = dict[tuple[bool, float], RotatedWalls]()
 
     def measure(self, direction: WallDirection, cells: Int) -> Float:
         """Measure distances from cells' centres to walls, backward and forward in a direction.
@@ -534,78 +563,87 @@ class WallRays:
             them yet; inf means no wall. Later calls for the direction write into the same array.
         """
         walls = self._rotate(direction)
-        entries = np.nonzero(cells >= 0)
-        cell = cells[entries]
-        end = entries[-1]
-        is_new = walls.coded_distance[cell, end] == 0.0
-        cell = cell[is_new]
-        end = end[is_new]
-        if len(cell):
-            if direction.swapped:
-                col, row = np.divmod(cell, self._heights.shape[0])
+        ray_indices = np.nonzero(cells >= 0)
+        ray_cells = cells[ray_indices]
+        ray_ends = ray_indices[-1]
+        is_new = walls.coded_distance[ray_cells, ray_ends] == 0.0
+        ray_cells = ray_cells[is_new]
+        ray_ends = ray_ends[is_new]
+        if len(ray_cells):
+            if direction.is_swapped:
+                cols, rows = np.divmod(ray_cells, self._ray_heights.shape[0])
             else:
-                row, col = np.divmod(cell, self._heights.shape[1])
-            distance, _ = self._cast(walls, row, col, end == 1, RAY_OFFSETS)
-            step = direction.stretch * self._lattice.cell_size
-            walls.coded_distance[cell, end] = distance / step + 1.0
+                rows, cols = np.divmod(ray_cells, self._ray_heights.shape[1])
+            distance, _ = self._cast(walls, rows, cols, ray_ends == 1, RAY_OFFSETS)
+            column_length = direction.length_per_column * self._lattice.cell_size
+            walls.coded_distance[ray_cells, ray_ends] = distance / column_length + 1.0
         return walls.coded_distance
 
     def find_points(self, open_cells: Bool) -> tuple[WallPoints, int]:
-        """Find points on walls by rays along the lattice's axes, from open cells to closed ones.
+        """Find points on walls by rays along the lattice's axes.
+
+        Rays are cast from open cells that are next to closed cells, towards these.
 
         Args:
             open_cells: a mask of the cells without a wall, shape (height, width).
 
         Returns:
-            The points; and the number of rays, those that meet no wall included, but not those that
-            meet a wall at less than 45°.
+            The points; and the number of rays. Rays that meet no wall are counted, rays that meet a
+            wall at less than 45° are not.
         """
-        closed = np.pad(~open_cells, 1, mode="edge")
+        is_closed = np.pad(~open_cells, 1, mode="edge")
         cell_size = self._lattice.cell_size
-        has_floor = open_cells & (self._heights > NO_FLOOR_HEIGHT)
-        stride = max(1, int(POINT_SPACING / cell_size))  # one of this many cells has a ray
+        has_floor = open_cells & (self._ray_heights > NO_FLOOR_HEIGHT)
+        cells_per_ray = max(1, int(POINT_SPACING / cell_size))  # one of this many cells has a ray
         rows, cols = open_cells.shape
         positions = list[Float]()
         angles = list[Float]()
         num_rays = 0
         for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            before_closed = closed[1 + down : 1 + down + rows, 1 + right : 1 + right + cols]
-            row, col = np.divmod(np.flatnonzero(has_floor & before_closed), cols)
-            has_ray = (row + col) % stride == 0
-            row = row[has_ray]
-            col = col[has_ray]
-            walls = self._rotate(direction_of(90.0 * abs(down), open_cells.shape))
-            goes_on = np.full(len(row), down + right > 0)
-            distance, normal = self._cast(walls, row, col, goes_on, np.zeros(1))
+            is_before_closed = is_closed[1 + down : 1 + down + rows, 1 + right : 1 + right + cols]
+            rows_of_rays, cols_of_rays = np.divmod(
+                np.flatnonzero(has_floor & is_before_closed), cols
+            )
+            has_ray = (rows_of_rays + cols_of_rays) % cells_per_ray == 0
+            rows_of_rays = rows_of_rays[has_ray]
+            cols_of_rays = cols_of_rays[has_ray]
+            walls = self._rotate(make_direction(90.0 * abs(down), open_cells.shape))
+            is_forward = np.full(len(rows_of_rays), down + right > 0)
+            distance, normal = self._cast(
+                walls, rows_of_rays, cols_of_rays, is_forward, np.zeros(1)
+            )
             # walls at less than 45° to the ray are met by rays along the other axis
             faces_ray = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])
             num_rays += int(faces_ray.sum())
             meets_wall = faces_ray & np.isfinite(distance)
-            row = row[meets_wall]
-            col = col[meets_wall]
+            rows_of_rays = rows_of_rays[meets_wall]
+            cols_of_rays = cols_of_rays[meets_wall]
             num_cells = distance[meets_wall] / cell_size
-            positions.append(np.stack([row + down * num_cells, col + right * num_cells]))
+            positions.append(
+                np.stack([rows_of_rays + down * num_cells, cols_of_rays + right * num_cells])
+            )
             x, y, _ = walls.axes.T @ normal[meets_wall].T
             angles.append(np.mod(np.rad2deg(np.arctan2(-y, x)) + 90.0, 180.0))
         points = WallPoints(
             position=np.concatenate(positions, axis=1),
             angle=np.concatenate(angles),
-            spacing=stride * cell_size,
+            spacing=cells_per_ray * cell_size,
             bin_width=GEOMETRY_BIN_WIDTH,
             line_width=GEOMETRY_LINE_WIDTH / cell_size,
         )
         return points, num_rays
 
     def _cast(
-        self, walls: RotatedWalls, row: Int, col: Int, goes_on: Bool, offsets: Float
+        self, walls: RotatedWalls, row: Int, col: Int, is_forward: Bool, ray_offsets: Float
     ) -> tuple[Float, Float]:
         """Cast rays from cells along a direction, forward or backward.
 
         Args:
             walls: the walls, rotated so that rays along the direction are vertical.
             row, col: rows and columns of the cells, shape (n,).
-            goes_on: whether the ray of each cell goes forward, else backward, shape (n,).
-            offsets: how far beside the cell's centre its rays begin, across the direction [cells].
+            is_forward: whether the ray of each cell goes forward, else backward, shape (n,).
+            ray_offsets: how far beside the cell's centre its rays begin, across the direction
+                [cells].
 
         Returns:
             The distance from each cell to the nearest wall that any of its rays meets, inf for
@@ -614,55 +652,62 @@ class WallRays:
         """
         lattice = self._lattice
         axes = walls.axes
-        tiled = walls.tiled
-        num_offsets = len(offsets)
-        centers = np.column_stack([lattice.positions(row, col), self._heights[row, col]]) @ axes.T
+        tiled_walls = walls.tiled_walls
+        num_offsets = len(ray_offsets)
+        centers = (
+            np.column_stack([lattice.positions(row, col), self._ray_heights[row, col]]) @ axes.T
+        )
         # cells of the lattice with its margin
-        places = np.stack([row, col]) + (self._margin + 0.5)
-        sign = np.where(goes_on, 1.0, -1.0)
+        start_cells = np.stack([row, col]) + (self._margin + 0.5)
+        sign = np.where(is_forward, 1.0, -1.0)
         # how a step across a ray and one along it change the row and the column
         across_step, along_step = axes[[0, 2]][:, [1, 0]] * (-1.0, 1.0)
         distance = np.full(len(row), np.inf)
         normal = np.zeros((len(row), 3))
-        remaining = np.arange(len(row))
+        unfinished_rays = np.arange(len(row))
         # most rays end near their cells, where there is little geometry
-        reaches = [self._reach] if len(row) < MANY_RAYS else [SHORT_RAY, self._reach]
-        for reach in reaches:
-            ray = remaining.repeat(num_offsets)
-            offset = np.tile(offsets, len(remaining))
-            points = centers[ray, :2]
-            points[:, 0] += offset * lattice.cell_size
-            ends = np.empty((2, len(ray), 2))
-            ends[..., 0] = places[:, ray] + across_step[:, None] * offset
-            ends[..., 1] = ends[..., 0] + along_step[:, None] * (sign[ray] * reach)
+        ray_lengths = [self._reach] if len(row) < MANY_RAYS else [SHORT_RAY, self._reach]
+        for ray_length in ray_lengths:
+            ray_numbers = unfinished_rays.repeat(num_offsets)
+            offset_of_ray = np.tile(ray_offsets, len(unfinished_rays))
+            points = centers[ray_numbers, :2]
+            points[:, 0] += offset_of_ray * lattice.cell_size
+            ends = np.empty((2, len(ray_numbers), 2))
+            ends[..., 0] = start_cells[:, ray_numbers] + across_step[:, None] * offset_of_ray
+            ends[..., 1] = ends[..., 0] + along_step[:, None] * (sign[ray_numbers] * ray_length)
             rows, cols = ends.astype(np.int64)
-            hits = cast_points(tiled, rows * tiled.lattice.width + cols, points, axes)
-            ray_of_hit = np.repeat(ray, np.diff(hits.start))
-            ahead = sign[ray_of_hit] * (hits.z - centers[ray_of_hit, 2])
-            ahead[~(ahead >= 0.0)] = np.inf
-            np.minimum.at(distance, ray_of_hit, ahead)
-            is_first = np.isfinite(ahead) & (ahead == distance[ray_of_hit])
+            hits = cast_points(tiled_walls, rows * tiled_walls.lattice.width + cols, points, axes)
+            ray_of_hit = np.repeat(ray_numbers, np.diff(hits.start))
+            distance_ahead = sign[ray_of_hit] * (hits.z - centers[ray_of_hit, 2])
+            distance_ahead[~(distance_ahead >= 0.0)] = np.inf
+            np.minimum.at(distance, ray_of_hit, distance_ahead)
+            is_first = np.isfinite(distance_ahead) & (distance_ahead == distance[ray_of_hit])
             normal[ray_of_hit[is_first]] = hits.normal[is_first]
-            remaining = remaining[distance[remaining] > reach * lattice.cell_size]
-            if not len(remaining):
+            unfinished_rays = unfinished_rays[
+                distance[unfinished_rays] > ray_length * lattice.cell_size
+            ]
+            if not len(unfinished_rays):
                 break
         return distance, normal
 
     def _rotate(self, direction: WallDirection) -> RotatedWalls:
-        """Return the walls in a frame in which the direction points up; made once per direction."""
-        key = direction.swapped, direction.slope
-        if key not in self._rotated:
-            along = np.array([1.0, -direction.slope]) / direction.stretch
-            x, y = -along[::-1] if direction.swapped else along
+        """Return the walls in a frame in which the direction points up.
+
+        The first call for a direction rotates the walls; later calls return the same walls.
+        """
+        key = direction.is_swapped, direction.slope
+        if key not in self._rotated_walls:
+            ray_direction = np.array([1.0, -direction.slope]) / direction.length_per_column
+            x, y = -ray_direction[::-1] if direction.is_swapped else ray_direction
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
-            tiled = replace(self._tiled, shapes=self._tiled.shapes.solids_in_frame(axes))
-            coded_distance = np.zeros((self._heights.size, 2))
-            self._rotated[key] = RotatedWalls(axes, tiled, coded_distance)
-        return self._rotated[key]
+            tiled_walls = replace(self._tiled, shapes=self._tiled.shapes.solids_in_frame(axes))
+            coded_distance = np.zeros((self._ray_heights.size, 2))
+            self._rotated_walls[key] = RotatedWalls(axes, tiled_walls, coded_distance)
+        return self._rotated_walls[key]
 
 
 def _choose_triangles(triangles: Facets, heights: Float) -> list[NDArray[Any]]:
-    """Choose the triangles that a ray may meet, by height; heights are rounded to a `HEIGHT_BIN`.
+    """Choose the triangles at heights of rays; heights are compared in bins of `HEIGHT_BIN`.
 
     Args:
         triangles: n triangles.
@@ -672,28 +717,33 @@ def _choose_triangles(triangles: Facets, heights: Float) -> list[NDArray[Any]]:
         The arrays of `Facets`, with the chosen triangles in the order of `triangles`.
     """
     bounds = triangles.bounds
-    low = heights.min()
-    high = heights.max()
-    has_ray = np.zeros(int((high - low) / HEIGHT_BIN) + 1, dtype=np.int64)
-    has_ray[((heights - low) / HEIGHT_BIN).astype(np.int64)] = 1
-    bins_before = np.append(0, np.cumsum(has_ray))  # of each bin, those with a ray
+    lowest_ray = heights.min()
+    highest_ray = heights.max()
+    has_ray = np.zeros(int((highest_ray - lowest_ray) / HEIGHT_BIN) + 1, dtype=np.int64)
+    has_ray[((heights - lowest_ray) / HEIGHT_BIN).astype(np.int64)] = 1
+    ray_bins_before = np.append(0, np.cumsum(has_ray))  # of each bin, those with a ray
     ids_of_chunk = dict[int, Int]()
 
     def choose_in_chunks(first_chunk: int, end_chunk: int) -> None:
         for chunk in range(first_chunk, end_chunk):
-            first = chunk * TRIANGLE_CHUNK
-            bottom = bounds[first : first + TRIANGLE_CHUNK, 2]
-            top = bounds[first : first + TRIANGLE_CHUNK, 5]
-            in_range = np.flatnonzero((bottom <= high) & (top >= low))
-            ends = np.stack([bottom[in_range] - TILE_MARGIN, top[in_range] + TILE_MARGIN]) - low
-            first_bin, last_bin = (ends / HEIGHT_BIN).astype(np.int64).clip(0, len(has_ray) - 1)
-            meets_ray = bins_before[last_bin + 1] > bins_before[first_bin]
-            ids_of_chunk[chunk] = first + in_range[meets_ray]
+            first_triangle = chunk * TRIANGLE_CHUNK
+            bottom = bounds[first_triangle : first_triangle + TRIANGLE_CHUNK, 2]
+            top = bounds[first_triangle : first_triangle + TRIANGLE_CHUNK, 5]
+            ids_in_range = np.flatnonzero((bottom <= highest_ray) & (top >= lowest_ray))
+            end_heights = (
+                np.stack([bottom[ids_in_range] - TILE_MARGIN, top[ids_in_range] + TILE_MARGIN])
+                - lowest_ray
+            )
+            first_bin, last_bin = (
+                (end_heights / HEIGHT_BIN).astype(np.int64).clip(0, len(has_ray) - 1)
+            )
+            meets_ray = ray_bins_before[last_bin + 1] > ray_bins_before[first_bin]
+            ids_of_chunk[chunk] = first_triangle + ids_in_range[meets_ray]
 
     run_in_chunks(choose_in_chunks, -(-len(bounds) // TRIANGLE_CHUNK))
-    ids = [ids_of_chunk[chunk] for chunk in sorted(ids_of_chunk)]
-    chosen = np.concatenate([np.empty(0, np.int64), *ids])
-    return [array.take(chosen, axis=0) for array in triangles]
+    chunk_ids = [ids_of_chunk[chunk] for chunk in sorted(ids_of_chunk)]
+    chosen_ids = np.concatenate([np.empty(0, np.int64), *chunk_ids])
+    return [array.take(chosen_ids, axis=0) for array in triangles]
 
 
 # ---------------------------------------------------------------- sills
@@ -718,19 +768,21 @@ def find_windows(is_low: Bool, is_wall: Bool, cell_size: float) -> Bool:
     is_window = np.zeros(is_low.shape, dtype=np.bool_)
     if not is_low.any():
         return is_window
-    waiting = []
+    scans = []
     for direction in find_directions(~is_wall, cell_size):
         # drawn sills are as wide as their wall, so that each line of theirs ends at it
         scanned_low = to_scan_order(is_low, direction)
         scanned_wall = to_scan_order(is_wall, direction)
         is_sill = np.zeros_like(scanned_low)
-        wait = run_beside(kernels.mark_sills, scanned_low, scanned_wall, direction.shift, is_sill)
-        waiting.append((direction, is_sill, wait))
-    for direction, is_sill, wait in waiting:
-        wait()
-        max_rows = int(MAX_SILL_THICKNESS * direction.stretch / cell_size) + 2
-        col, top, end, _ = find_row_runs(is_sill.T)
-        for k in np.flatnonzero(end - top > max_rows).tolist():
-            is_sill[top[k] : end[k], col[k]] = False
+        wait_for_sills = run_beside(
+            kernels.mark_sills, scanned_low, scanned_wall, direction.shift, is_sill
+        )
+        scans.append((direction, is_sill, wait_for_sills))
+    for direction, is_sill, wait_for_sills in scans:
+        wait_for_sills()
+        max_rows = int(MAX_SILL_THICKNESS * direction.length_per_column / cell_size) + 2
+        run_cols, run_tops, run_stops, _ = find_row_runs(is_sill.T)
+        for run in np.flatnonzero(run_stops - run_tops > max_rows).tolist():
+            is_sill[run_tops[run] : run_stops[run], run_cols[run]] = False
         is_window |= from_scan_order(is_sill, direction)
     return is_window

@@ -22,7 +22,7 @@ from navbake.baker.core.tiles import TILE, window_bits, window_near_box
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
 from navbake.baker.geometry.extents import measure_extents
 from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.level_occupancy import OPEN_ABOVE, WALL_HEIGHTS, entries_of_cells
+from navbake.baker.occupancy.level_occupancy import OPEN_ABOVE, WALL_HEIGHTS, select_list_entries
 from navbake.baker.occupancy.occupancy import check_occupancy
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.kinds import mark_wall_candidates
@@ -111,7 +111,7 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
     levels = zip(stages.floors.levels, stages.occupancy.levels, tops, contents.levels, strict=True)
     for level, occupied, top, listed in levels:
         every = np.arange(len(listed.first))
-        at, geom, flags = entries_of_cells(listed.first, listed.geom, listed.flags, every)
+        at, geom, flags = select_list_entries(listed.first, listed.geom, listed.flags, every)
         for cell in np.flatnonzero(~np.isnan(level.floor)).tolist():
             floor = level.floor.flat[cell]
             ceiling = max(min(top, floor + OPEN_ABOVE), floor + height) - TOUCH_DEPTH
@@ -146,7 +146,7 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
 
 def test_queries_in_any_order_and_more_than_one_a_cell():
     stages, rng = random_stages(5), np.random.default_rng(0)
-    footprint = Footprint.of(stages.config.agent, stages.lattice.cell_size)
+    footprint = Footprint.for_agent(stages.config.agent, stages.lattice.cell_size)
     num = stages.lattice.width * stages.lattice.height
     cells = rng.integers(0, num, 3000)
     floors = rng.choice([-0.5, 0.0, 0.3, 1.2], 3000)
@@ -167,7 +167,7 @@ def test_any_number_of_threads_finds_the_same():
             stages = random_stages(11)
             level = stages.standing_occupants.levels[0]
             every = np.arange(len(level.first))
-            listed = entries_of_cells(level.first, level.geom, level.flags, every)
+            listed = select_list_entries(level.first, level.geom, level.flags, every)
             answers.append([stages.occupancy.levels[0], *listed])
     for one, two in zip(*answers, strict=True):
         np.testing.assert_array_equal(one, two)

@@ -48,7 +48,7 @@ def endings_at(tmp_path: Path):
         tiles = stages.tile_index
         columns = stages.columns
         point = agent.model_copy(update={"radius": 0.0})
-        narrow = Footprint.of(point, stages.lattice.cell_size)
+        narrow = Footprint.for_agent(point, stages.lattice.cell_size)
 
         def is_occupied(cells, floors, band: HeightRange | None = None, /):
             volume = narrow if band is None else narrow.between(band)

@@ -133,9 +133,7 @@ def test_both_ways_to_cast_columns_find_the_same(monkeypatch):
         for most in (0.0, 2.0):
             monkeypatch.setattr("navbake.baker.occupants.movable.MAX_SHARE_OF_SINGLE_CELLS", most)
             found.append(
-                find_movable_occupants(
-                    stages.movable_context, stages.scene.shapes, is_obstacle_geom
-                )
+                find_movable_occupants(stages.movable_inputs, stages.scene.shapes, is_obstacle_geom)
             )
         one, other = found
         for number in range(len(stages.floors.levels)):

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.core.constants import BUILDING, OBJECT, WALL
-from navbake.baker.occupancy.level_occupancy import entries_of_cells
+from navbake.baker.occupancy.level_occupancy import select_list_entries
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.occupant_kernels import LevelOccupants, mark_walls
 from navbake.navgrid.lattice import Lattice
@@ -41,7 +41,7 @@ def test_entries_by_cell(seed):
     rng = np.random.default_rng(seed)
     listed, lists = random_lists(rng)
     cells = np.flatnonzero(rng.random(CELLS) < 0.7)
-    entries = entries_of_cells(listed.first, listed.geom, listed.flags, cells)
+    entries = select_list_entries(listed.first, listed.geom, listed.flags, cells)
     found = list(zip(*(array.tolist() for array in entries), strict=True))
     assert found == [(n, *entry) for n, cell in enumerate(cells) for entry in lists[cell]]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from box_worlds import FLOOR, box, stages_of_xml, world
 from navbake.baker.bake.stages import Stages, bake_stages
-from navbake.baker.occupancy.level_occupancy import WALL_HEIGHTS, entries_of_cells
+from navbake.baker.occupancy.level_occupancy import WALL_HEIGHTS, select_list_entries
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.occupant_kernels import LevelOccupants
 from navbake.baker.occupants.standing import StandingOccupants
@@ -61,7 +61,9 @@ def random_things(rng: np.random.Generator, kinds: tuple[str, ...], number: int)
 
 def all_entries(listed: LevelOccupants) -> tuple[NDArray, NDArray, NDArray]:
     """The cell, the geom and the flags of each entry of a level."""
-    return entries_of_cells(listed.first, listed.geom, listed.flags, np.arange(len(listed.first)))
+    return select_list_entries(
+        listed.first, listed.geom, listed.flags, np.arange(len(listed.first))
+    )
 
 
 def masks(listed: LevelOccupants, geom: int) -> tuple[NDArray, NDArray, NDArray]:

@@ -20,8 +20,8 @@ from navbake.baker.rooms.gaps import SpaceMerger, find_gaps
 from navbake.baker.rooms.walls import (
     RAY_HEIGHT,
     WallRays,
-    direction_of,
     find_directions,
+    make_direction,
     mark_wall_nodes,
     squared_distances,
     squared_distances_at,
@@ -70,7 +70,7 @@ def line_of(row, col, shift):
 def test_runs_are_as_long_as_lines_go_on(angle):
     rng = np.random.default_rng(0)
     is_open = blobs(rng)
-    shift = direction_of(angle, is_open.shape).shift[: is_open.shape[1]]
+    shift = make_direction(angle, is_open.shape).shift[: is_open.shape[1]]
     shift = np.concatenate([shift, np.repeat(shift[-1:], max(0, is_open.shape[1] - len(shift)))])
     marks = rng.random(is_open.shape) < 0.02
     marked = marks.copy()
@@ -145,7 +145,7 @@ def test_bridges_lead_from_wall_to_wall(angle):
     for _ in range(6):
         wall = np.asfortranarray(~blobs(rng, smooth=1.2, most=-0.6))
         low = np.asfortranarray(blobs(rng, smooth=1.0)) & ~wall
-        shift = direction_of(angle, low.shape).shift
+        shift = make_direction(angle, low.shape).shift
         bridge = np.zeros_like(low)
         kernels.mark_sills(low, wall, shift, bridge)
         expected = bridges(low, wall, shift)
@@ -383,7 +383,7 @@ def test_directions_are_those_of_the_walls(turn):
     found = []
     for direction in find_directions(is_open, CELL):
         slope = np.rad2deg(np.arctan(direction.slope))
-        found.append((90 - slope if direction.swapped else slope) % 180)
+        found.append((90 - slope if direction.is_swapped else slope) % 180)
     assert sorted(found) == pytest.approx(sorted([turn, turn + 90]), abs=0.5)
 
 
@@ -416,12 +416,14 @@ def test_rays_to_walls(as_mesh, is_cut, tmp_path):
         upright = [box for box in upright if box[0].startswith("wall")]
     met = 0
     for angle in (0.0, np.rad2deg(-plan.turn), 60.0):
-        direction = direction_of(angle, lattice.shape)
+        direction = make_direction(angle, lattice.shape)
         step = np.array([1.0, -direction.slope])
-        step = (-step[::-1] if direction.swapped else step) * lattice.cell_size
+        step = (-step[::-1] if direction.is_swapped else step) * lattice.cell_size
         across = np.array([-step[1], step[0]]) / np.hypot(*step) * lattice.cell_size
         for is_after in (False, True):
-            cells = col * lattice.height + row if direction.swapped else row * lattice.width + col
+            cells = (
+                col * lattice.height + row if direction.is_swapped else row * lattice.width + col
+            )
             sides = np.full((len(row), 2), -1)
             sides[:, int(is_after)] = cells
             found = rays.measure(direction, sides)[cells, int(is_after)] - 1.0
