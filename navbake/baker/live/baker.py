@@ -161,7 +161,7 @@ class Baker:
             >>> changes = baker.update(bodies={"chair_3": [2.0, 1.5, 0.0]}, joints={"door_1": 1.2})
             >>> changes.cells[0]  # of the lowest level
         """
-        begin = time.perf_counter()
+        start_time = time.perf_counter()
         with baking(), self._lock, limit_threads(self._threads):
             change = self._tracked_scene.move(data, bodies, joints)
             # After an error or an interruption below, the next update bakes the whole scene.
@@ -172,8 +172,8 @@ class Baker:
                 if old_baked is None:
                     raise FullBakeRequired("the last update failed")
                 baked = update_baked_scene(old_baked, change, self._config)
-            except FullBakeRequired as required:
-                reason = str(required)
+            except FullBakeRequired as full_bake_required:
+                reason = str(full_bake_required)
                 LOG.debug("the whole scene is baked again: %s", reason)
                 baked = self._bake(self._scene_model._replace(data=change.scene.data))
             # It was computed on another thread meanwhile.
@@ -184,7 +184,7 @@ class Baker:
             self._tracked_scene.commit(baked.pose.scene, change.snapshot)
             self._grid = grid
             self._baked = baked
-            return Changes(grid, cells, is_new, reason, time.perf_counter() - begin)
+            return Changes(grid, cells, is_new, reason, time.perf_counter() - start_time)
 
     def _bake(self, scene_model: SceneModel) -> BakedScene:
         stages = open_stages(self._config, StageClock(), scene_model=scene_model)
@@ -216,9 +216,9 @@ def _find_changed_cells(old_grid: NavGrid, new_grid: NavGrid) -> tuple[list[Int]
     for old_level, new_level in zip(old_grid.levels, new_grid.levels, strict=True):
         # Weights follow from the occupancy.
         is_changed = old_level.attributes["occupancy"] != new_level.attributes["occupancy"]
-        for name, new_layer in new_level.attributes.items():
-            old_layer = old_level.attributes[name]
-            if name == "occupancy" or np.may_share_memory(old_layer, new_layer):
+        for layer_name, new_layer in new_level.attributes.items():
+            old_layer = old_level.attributes[layer_name]
+            if layer_name == "occupancy" or np.may_share_memory(old_layer, new_layer):
                 continue
             is_layer_changed = old_layer != new_layer
             if new_layer.dtype.kind == "f":

@@ -38,7 +38,7 @@ GEOM_ATTRIBUTES = (
 # The attributes of a model that decide how joints move bodies
 JOINT_ATTRIBUTES = ("jnt_range", "jnt_limited", "jnt_axis", "jnt_pos")
 
-# The attributes of the geoms that mark rooms, but for their poses
+# The attributes of the geoms that mark rooms, except their poses
 MARKER_ATTRIBUTES = ("geom_type", "geom_dataid", "geom_size")
 
 
@@ -57,7 +57,7 @@ class PoseArrays(NamedTuple):
 
 
 class PoseSnapshot(NamedTuple):
-    """The values of a pose that are compared with those of the next pose to find changes.
+    """The values of one pose. They are compared with the values of the next pose to find changes.
 
     Attributes:
         geom_attributes: the model's arrays that decide which geoms the bake uses, as bytes.
@@ -81,7 +81,7 @@ class SceneChange(NamedTuple):
 
     Attributes:
         scene: the scene in the next pose.
-        changed_geoms: for each geom, whether the bake uses it in one of the two poses, and its
+        is_changed_geom: for each geom, whether the bake uses it in one of the two poses, and its
             geometry or role differs between them.
         full_bake_reason: why the whole scene has to be baked (structure, or a marker of a room, has
             changed); empty if an update is enough.
@@ -91,7 +91,7 @@ class SceneChange(NamedTuple):
     """
 
     scene: Scene
-    changed_geoms: Bool
+    is_changed_geom: Bool
     full_bake_reason: str
     wait_for_digest: Callable[[], str]
     snapshot: PoseSnapshot
@@ -129,31 +129,34 @@ class TrackedScene:
         self._is_sliding_geom = _mark_geoms_moved_by(model, (SLIDE,))
         self._finds_lifts = any(rule.auto == "lift" for rule in config.links)
         self._qpos_addresses = model.jnt_qposadr[np.isin(model.jnt_type, (HINGE, SLIDE))]
-        marker_geoms, marker_sites = find_markers(model, config.rooms)
-        self._marker_geoms = np.array(marker_geoms, dtype=np.int64)
-        self._marker_sites = np.array(marker_sites, dtype=np.int64)
+        marker_geom_ids, marker_site_ids = find_markers(model, config.rooms)
+        self._marker_geoms = np.array(marker_geom_ids, dtype=np.int64)
+        self._marker_sites = np.array(marker_site_ids, dtype=np.int64)
         self.scene = scene
         self.pose_arrays = _copy_pose(scene.data)
         self._snapshot = self._take_snapshot(scene.data)
 
     def _take_snapshot(self, data: mujoco.MjData) -> PoseSnapshot:
         model = self._model
-        sites = self._marker_sites
-        sites = sites[self.scene.is_structure_body[model.site_bodyid[sites]]]
+        site_ids = self._marker_sites
+        site_ids = site_ids[self.scene.is_structure_body[model.site_bodyid[site_ids]]]
         return PoseSnapshot(
-            geom_attributes=[getattr(model, name).tobytes() for name in GEOM_ATTRIBUTES],
+            geom_attributes=[getattr(model, attribute).tobytes() for attribute in GEOM_ATTRIBUTES],
             geom_poses=np.hstack([data.geom_xpos, data.geom_xmat]),
-            joint_attributes=[getattr(model, name).tobytes() for name in JOINT_ATTRIBUTES],
+            joint_attributes=[
+                getattr(model, attribute).tobytes() for attribute in JOINT_ATTRIBUTES
+            ],
             joint_positions=data.qpos[self._qpos_addresses],
             marker_geoms=[
-                getattr(model, name)[self._marker_geoms].tobytes() for name in MARKER_ATTRIBUTES
+                getattr(model, attribute)[self._marker_geoms].tobytes()
+                for attribute in MARKER_ATTRIBUTES
             ],
             marker_sites=np.hstack(
                 [
-                    data.site_xpos[sites],
-                    data.site_xmat[sites],
-                    model.site_size[sites],
-                    model.site_type[sites][:, None],
+                    data.site_xpos[site_ids],
+                    data.site_xmat[site_ids],
+                    model.site_size[site_ids],
+                    model.site_type[site_ids][:, None],
                 ]
             ),
         )
@@ -196,65 +199,69 @@ class TrackedScene:
         """
         old_scene = self.scene
         model = self._model
-        source = old_scene.data if data is None else data
-        check_data(model, source, str(self._config.scene.path))
+        source_data = old_scene.data if data is None else data
+        check_data(model, source_data, str(self._config.scene.path))
         next_data = self._next_data
-        next_data.qpos[:] = source.qpos
-        next_data.mocap_pos[:] = source.mocap_pos
-        next_data.mocap_quat[:] = source.mocap_quat
+        next_data.qpos[:] = source_data.qpos
+        next_data.mocap_pos[:] = source_data.mocap_pos
+        next_data.mocap_quat[:] = source_data.mocap_quat
         for name, pose in (bodies or {}).items():
             self._place_body(next_data, name, pose)
-        for name, position in (joints or {}).items():
-            self._move_joint(next_data, name, position)
+        for name, joint_position in (joints or {}).items():
+            self._move_joint(next_data, name, joint_position)
         self._check_finite(next_data)
         place_geoms(model, next_data)
         snapshot = self._take_snapshot(next_data)
-        moved = (snapshot.geom_poses != self._snapshot.geom_poses).any(axis=1)
-        if self._needs_new_roles(next_data, moved, snapshot):
+        is_moved = (snapshot.geom_poses != self._snapshot.geom_poses).any(axis=1)
+        if self._needs_new_roles(next_data, is_moved, snapshot):
             scene = load_scene(self._config, scene_model=self._scene_model._replace(data=next_data))
-            changed_geoms = find_changed_geoms(old_scene.shapes, scene.shapes)
+            is_changed_geom = find_changed_geoms(old_scene.shapes, scene.shapes)
             selections = zip(old_scene.selections, scene.selections, strict=True)
-            changed_geoms |= [old != new for old, new in selections]
-            leaves = self._reuse_leaves(scene.leaves, moved | changed_geoms, snapshot)
+            is_changed_geom |= [
+                old_selection != new_selection for old_selection, new_selection in selections
+            ]
+            leaves = self._reuse_leaves(scene.leaves, is_moved | is_changed_geom, snapshot)
             scene = replace(scene, leaves=leaves)
             digest = scene.digest
             wait_for_digest: Callable[[], str] = lambda: digest  # noqa: E731
         else:
             wait_for_digest = start_digest(model, next_data, old_scene.exact_meshes, self._names)
-            changed_geoms = moved & (old_scene.roles != LEFT_OUT)
-            shapes = self._move_shapes(next_data, changed_geoms)
+            is_changed_geom = is_moved & (old_scene.roles != LEFT_OUT)
+            shapes = self._move_shapes(next_data, is_changed_geom)
             scene = replace(old_scene, shapes=shapes, digest="", data=next_data)
-            scene = self._update_leaves(scene, moved, snapshot)
+            scene = self._update_leaves(scene, is_moved, snapshot)
         return SceneChange(
             scene=scene,
-            changed_geoms=changed_geoms,
-            full_bake_reason=self._find_full_bake_reason(scene, changed_geoms, moved, snapshot),
+            is_changed_geom=is_changed_geom,
+            full_bake_reason=self._find_full_bake_reason(
+                scene, is_changed_geom, is_moved, snapshot
+            ),
             wait_for_digest=wait_for_digest,
             snapshot=snapshot,
         )
 
-    def _move_shapes(self, data: mujoco.MjData, changed_geoms: Bool) -> Shapes:
+    def _move_shapes(self, data: mujoco.MjData, is_changed_geom: Bool) -> Shapes:
         """Return the current scene's shapes, with the changed geoms in the next pose.
 
         Args:
             data: the next pose.
-            changed_geoms: the geoms that are placed anew, (ngeom,).
+            is_changed_geom: the geoms that are placed anew, (ngeom,).
         """
         scene = self.scene
-        if not changed_geoms.any():
+        if not is_changed_geom.any():
             return scene.shapes
         moved_shapes, *_ = collect_shapes(
             scene.model,
             data,
             selections=scene.selections,
             exact_meshes=scene.exact_meshes,
-            geom_ids=np.flatnonzero(changed_geoms).tolist(),
+            geom_ids=np.flatnonzero(is_changed_geom).tolist(),
             meshes=scene.meshes,
         )
-        return scene.shapes.with_replaced(moved_shapes, changed_geoms)
+        return scene.shapes.with_replaced(moved_shapes, is_changed_geom)
 
     def _find_full_bake_reason(
-        self, scene: Scene, changed_geoms: Bool, moved: Bool, snapshot: PoseSnapshot
+        self, scene: Scene, is_changed_geom: Bool, is_moved: Bool, snapshot: PoseSnapshot
     ) -> str:
         """Return why the whole scene has to be baked again; empty if an update is enough.
 
@@ -262,25 +269,25 @@ class TrackedScene:
 
         Args:
             scene: the scene in the next pose.
-            changed_geoms: see `SceneChange`, (ngeom,).
-            moved: the geoms whose poses differ between the two poses, (ngeom,).
+            is_changed_geom: see `SceneChange`, (ngeom,).
+            is_moved: the geoms whose poses differ between the two poses, (ngeom,).
             snapshot: the values of the next pose.
         """
         old_scene = self.scene
-        is_changed = changed_geoms & (old_scene.is_structure | scene.is_structure)
+        is_changed = is_changed_geom & (old_scene.is_structure | scene.is_structure)
         is_changed |= old_scene.is_structure != scene.is_structure
         if is_changed.any():
             geom = int(np.argmax(is_changed))
             name = scene.geoms[geom].name
             roles = (old_scene.roles[geom], scene.roles[geom])
-            does = "carries floor" if MOVING_STRUCTURE in roles else "stands"
-            return f"{name!r}, which {does}, has changed"
+            role_text = "carries floor" if MOVING_STRUCTURE in roles else "stands"
+            return f"{name!r}, which {role_text}, has changed"
         if ((old_scene.roles == LEAF) != (scene.roles == LEAF)).any():
             return "other bodies than before look like leaves of doors"
-        markers = self._marker_geoms
-        is_structure = scene.is_structure_body[scene.model.geom_bodyid[markers]]
+        marker_geom_ids = self._marker_geoms
+        is_structure = scene.is_structure_body[scene.model.geom_bodyid[marker_geom_ids]]
         is_marker_changed = (
-            moved[markers][is_structure].any()
+            is_moved[marker_geom_ids][is_structure].any()
             or snapshot.marker_geoms != self._snapshot.marker_geoms
             or not np.array_equal(snapshot.marker_sites, self._snapshot.marker_sites)
         )
@@ -290,52 +297,54 @@ class TrackedScene:
         """Return whether a user has changed the model so that joints move bodies differently."""
         return snapshot.joint_attributes != self._snapshot.joint_attributes
 
-    def _update_leaves(self, scene: Scene, moved: Bool, snapshot: PoseSnapshot) -> Scene:
-        """Return the scene with the door candidates of the next pose, and the roles after these.
+    def _update_leaves(self, scene: Scene, is_moved: Bool, snapshot: PoseSnapshot) -> Scene:
+        """Return the scene with the door candidates and the roles of the next pose.
 
-        Nothing is searched if no candidate may have changed.
+        Candidates are only searched for if one may have changed.
 
         Args:
             scene: the scene in the next pose, with the candidates of the current one.
-            moved: the geoms whose poses differ between the two poses, (ngeom,).
+            is_moved: the geoms whose poses differ between the two poses, (ngeom,).
             snapshot: the values of the next pose.
         """
-        may_be_leaf = self._is_jointed_geom | mark_candidate_geoms(len(moved), scene.leaves)
+        may_be_leaf = self._is_jointed_geom | mark_candidate_geoms(len(is_moved), scene.leaves)
         may_change = (
             not np.array_equal(snapshot.joint_positions, self._snapshot.joint_positions)
             or self._are_joints_changed(snapshot)
-            or (moved & may_be_leaf).any()
+            or (is_moved & may_be_leaf).any()
         )
         if not may_change:
             return scene
-        counted = scene.roles != LEFT_OUT
+        is_counted = scene.roles != LEFT_OUT
         leaves, pattern_warnings = find_door_candidates(
             scene.model,
             scene.data,
             shapes=scene.shapes,
-            counted=counted,
+            counted=is_counted,
             movable=scene.movable,
             is_structure_body=scene.is_structure_body,
             named_leaves=scene.named_leaves,
             settings=self._config.doors,
         )
-        leaves = self._reuse_leaves(leaves, moved, snapshot)
-        roles = assign_roles(scene.model, counted, scene.movable, scene.is_structure_body, leaves)
+        leaves = self._reuse_leaves(leaves, is_moved, snapshot)
+        roles = assign_roles(
+            scene.model, is_counted, scene.movable, scene.is_structure_body, leaves
+        )
         return replace(scene, leaves=leaves, pattern_warnings=pattern_warnings, roles=roles)
 
     def _reuse_leaves(
-        self, leaves: list[DoorCandidate], changed_geoms: Bool, snapshot: PoseSnapshot
+        self, leaves: list[DoorCandidate], is_changed_geom: Bool, snapshot: PoseSnapshot
     ) -> list[DoorCandidate]:
-        """Replace the candidates that haven't changed by the objects of the current scene.
+        """Replace unchanged door candidates by the equal objects of the current scene.
 
-        So later steps tell unchanged candidates by their identity.
+        Later steps recognize unchanged candidates by this: they are the same objects as before.
         """
         are_joints_changed = self._are_joints_changed(snapshot)
         old_leaves = {leaf.id: leaf for leaf in self.scene.leaves}
 
         def is_unchanged(leaf: DoorCandidate) -> bool:
             old_leaf = old_leaves.get(leaf.id)
-            if old_leaf is None or are_joints_changed or changed_geoms[leaf.geoms].any():
+            if old_leaf is None or are_joints_changed or is_changed_geom[leaf.geoms].any():
                 return False
             return (
                 old_leaf.joint_id == leaf.joint_id
@@ -346,7 +355,7 @@ class TrackedScene:
 
         return [old_leaves[leaf.id] if is_unchanged(leaf) else leaf for leaf in leaves]
 
-    def _needs_new_roles(self, data: mujoco.MjData, moved: Bool, snapshot: PoseSnapshot) -> bool:
+    def _needs_new_roles(self, data: mujoco.MjData, is_moved: Bool, snapshot: PoseSnapshot) -> bool:
         """Return whether different geoms may count, so that the scene has to be loaded again.
 
         This is so if a user has changed the model; or if something moved that may be a lift's car,
@@ -354,12 +363,14 @@ class TrackedScene:
         """
         if snapshot.geom_attributes != self._snapshot.geom_attributes:
             return True
-        may_change_car = (moved & self._is_sliding_geom).any() or self._are_joints_changed(snapshot)
+        may_change_car = (is_moved & self._is_sliding_geom).any() or self._are_joints_changed(
+            snapshot
+        )
         if self._finds_lifts and may_change_car:
             return True
-        if self._config.scene.exclude.movable and (moved & self._is_jointed_geom).any():
+        if self._config.scene.exclude.movable and (is_moved & self._is_jointed_geom).any():
             return True
-        is_moved_mesh = moved & (self._model.geom_type == MESH)
+        is_moved_mesh = is_moved & (self._model.geom_type == MESH)
         if not is_moved_mesh.any():
             return False
         agent = self._config.agent
@@ -376,23 +387,23 @@ class TrackedScene:
         body = self._body_ids.get(name)
         if body is None:
             raise QueryError(f"no body {name!r} in the scene: {suggest(name, self._body_ids)}")
-        numbers = _to_numbers(pose, f"body {name!r}")
-        if numbers.shape not in ((3,), (7,)):
+        pose_numbers = _to_numbers(pose, f"body {name!r}")
+        if pose_numbers.shape not in ((3,), (7,)):
             raise QueryError(
                 f"expected x, y, z [m] of body {name!r}, or these and a quaternion w, x, y, z; "
-                f"got shape {numbers.shape}"
+                f"got shape {pose_numbers.shape}"
             )
-        if len(numbers) == 7 and not numbers[3:].any():
+        if len(pose_numbers) == 7 and not pose_numbers[3:].any():
             raise QueryError(f"expected a quaternion of body {name!r} that is not 0")
-        mocap = int(model.body_mocapid[body])
+        mocap_id = int(model.body_mocapid[body])
         first_joint = int(model.body_jntadr[body])
-        if mocap >= 0:
-            data.mocap_pos[mocap] = numbers[:3]
-            if len(numbers) == 7:
-                data.mocap_quat[mocap] = numbers[3:]
+        if mocap_id >= 0:
+            data.mocap_pos[mocap_id] = pose_numbers[:3]
+            if len(pose_numbers) == 7:
+                data.mocap_quat[mocap_id] = pose_numbers[3:]
         elif first_joint >= 0 and int(model.jnt_type[first_joint]) == FREE:
-            address = int(model.jnt_qposadr[first_joint])
-            data.qpos[address : address + len(numbers)] = numbers
+            qpos_address = int(model.jnt_qposadr[first_joint])
+            data.qpos[qpos_address : qpos_address + len(pose_numbers)] = pose_numbers
         else:
             raise QueryError(
                 f"body {name!r} can't be placed: it has no free joint and is no mocap body; turn "
@@ -404,13 +415,13 @@ class TrackedScene:
         joint = self._joint_ids.get(name)
         if joint is None:
             raise QueryError(f"no joint {name!r} in the scene: {suggest(name, self._joint_ids)}")
-        numbers = _to_numbers(position, f"joint {name!r}")
-        if int(model.jnt_type[joint]) not in (HINGE, SLIDE) or numbers.size != 1:
+        position_array = _to_numbers(position, f"joint {name!r}")
+        if int(model.jnt_type[joint]) not in (HINGE, SLIDE) or position_array.size != 1:
             raise QueryError(
                 f"expected one number [m or rad] for joint {name!r}, a hinge or a slide; place "
                 f"the bodies of other joints"
             )
-        data.qpos[model.jnt_qposadr[joint]] = numbers.item()
+        data.qpos[model.jnt_qposadr[joint]] = position_array.item()
 
     def _check_finite(self, data: mujoco.MjData) -> None:
         """Raise a QueryError if the pose of a body is not finite; the error names the body."""
@@ -424,8 +435,8 @@ class TrackedScene:
         wrong_mocaps = np.flatnonzero(~is_mocap_finite)
         mocap_bodies = np.flatnonzero(np.isin(model.body_mocapid, wrong_mocaps))
         for body in (*model.jnt_bodyid[wrong_joints], *mocap_bodies):
-            what = f"body {body_name(model, int(body))!r}"
-            raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
+            body_text = f"body {body_name(model, int(body))!r}"
+            raise QueryError(f"expected numbers as the pose of {body_text}, got NaN or infinity")
 
 
 def _copy_pose(data: mujoco.MjData) -> PoseArrays:
@@ -435,27 +446,27 @@ def _copy_pose(data: mujoco.MjData) -> PoseArrays:
 def _mark_geoms_moved_by(model: mujoco.MjModel, joint_types: Sequence[int]) -> Bool:
     """Mark the geoms of bodies with a joint of some types, and of these bodies' descendants."""
     subtree_ends = find_subtree_ends(model)
-    marked = np.zeros(model.ngeom, dtype=np.bool_)
+    is_moved_geom = np.zeros(model.ngeom, dtype=np.bool_)
     for body in model.jnt_bodyid[np.isin(model.jnt_type, joint_types)].tolist():
-        marked[geoms_of_bodies(model, body, int(subtree_ends[body]))] = True
-    return marked
+        is_moved_geom[geoms_of_bodies(model, body, int(subtree_ends[body]))] = True
+    return is_moved_geom
 
 
-def find_changed_geoms(old: Shapes, new: Shapes) -> Bool:
+def find_changed_geoms(old_shapes: Shapes, new_shapes: Shapes) -> Bool:
     """Mark the geoms whose geometry differs between two lists of shapes.
 
     Args:
-        old: shapes of a scene.
-        new: shapes of the same model, in a different pose or of a different choice of geoms.
+        old_shapes: shapes of a scene.
+        new_shapes: shapes of the same model, in a different pose or of a different choice of geoms.
 
     Returns:
         A mask by geom id, shape (ngeom,), bool.
     """
-    is_changed = np.array(old.endless != new.endless)
-    _mark_changed_primitives(old.solids, new.solids, is_changed)
-    _mark_changed_primitives(old.planes, new.planes, is_changed)
-    old_meshes = _triangles_by_geom(old)
-    new_meshes = _triangles_by_geom(new)
+    is_changed = np.array(old_shapes.endless != new_shapes.endless)
+    _mark_changed_primitives(old_shapes.solids, new_shapes.solids, is_changed)
+    _mark_changed_primitives(old_shapes.planes, new_shapes.planes, is_changed)
+    old_meshes = _group_triangles_by_geom(old_shapes)
+    new_meshes = _group_triangles_by_geom(new_shapes)
     for geom in old_meshes.keys() | new_meshes.keys():
         old_pieces = old_meshes.get(geom, [])
         new_pieces = new_meshes.get(geom, [])
@@ -470,39 +481,43 @@ def find_changed_geoms(old: Shapes, new: Shapes) -> Bool:
     return is_changed
 
 
-def _triangles_by_geom(shapes: Shapes) -> dict[int, list[GeomTriangles]]:
+def _group_triangles_by_geom(shapes: Shapes) -> dict[int, list[GeomTriangles]]:
     """Return the triangles of each geom: one entry, or the pieces of a height field."""
-    triangles = dict[int, list[GeomTriangles]]()
+    triangles_of_geom = dict[int, list[GeomTriangles]]()
     for geom, piece in zip(shapes.meshes.geom.tolist(), shapes.meshes.triangles, strict=True):
-        triangles.setdefault(geom, []).append(piece)
-    return triangles
+        triangles_of_geom.setdefault(geom, []).append(piece)
+    return triangles_of_geom
 
 
-def _mark_changed_primitives(old: Primitives, new: Primitives, is_changed: Bool) -> None:
+def _mark_changed_primitives(
+    old_primitives: Primitives, new_primitives: Primitives, is_changed: Bool
+) -> None:
     """Mark the geoms whose solids or planes appeared, vanished or changed.
 
     Args:
-        old: the solids or the planes of one scene.
-        new: those of the other scene.
+        old_primitives: the solids or the planes of one scene.
+        new_primitives: the solids or the planes of the other scene.
         is_changed: becomes True for these geoms, (ngeom,).
     """
     num_geoms = len(is_changed)
-    old_counts = np.bincount(old.geom, minlength=num_geoms)
-    new_counts = np.bincount(new.geom, minlength=num_geoms)
-    is_in_both: Bool = old_counts == new_counts
-    is_changed[~is_in_both] = True
-    old_rows = is_in_both[old.geom]
-    new_rows = is_in_both[new.geom]
-    geoms = new.geom[new_rows]
-    arrays: Iterable[tuple[NDArray[np.generic], NDArray[np.generic]]] = zip(old, new, strict=True)
+    old_counts = np.bincount(old_primitives.geom, minlength=num_geoms)
+    new_counts = np.bincount(new_primitives.geom, minlength=num_geoms)
+    is_same_count: Bool = old_counts == new_counts
+    is_changed[~is_same_count] = True
+    is_compared_old = is_same_count[old_primitives.geom]
+    is_compared_new = is_same_count[new_primitives.geom]
+    geoms = new_primitives.geom[is_compared_new]
+    arrays: Iterable[tuple[NDArray[np.generic], NDArray[np.generic]]] = zip(
+        old_primitives, new_primitives, strict=True
+    )
     for old_array, new_array in arrays:
-        is_unequal = old_array[old_rows] != new_array[new_rows]
+        is_unequal = old_array[is_compared_old] != new_array[is_compared_new]
         is_unequal_row = is_unequal.any(axis=tuple(range(1, is_unequal.ndim)))
         is_changed[geoms[is_unequal_row]] = True
 
 
-def _to_numbers(numbers: ArrayLike, what: str) -> Float:
+def _to_numbers(numbers: ArrayLike, subject: str) -> Float:
     try:
         return np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise QueryError(f"expected numbers as the pose of {what}, got {numbers!r}") from error
+        raise QueryError(f"expected numbers as the pose of {subject}, got {numbers!r}") from error

@@ -1,8 +1,8 @@
 """Brings the values of a bake up to date after things in its scene moved, for `Baker`.
 
-A pose → the geoms that moved → the cells near them → the occupants of these cells → the doors near
-them → the grid. Floors, walls and rooms stay the same objects. If structure has changed, the whole
-scene has to be baked. All of it is done by the functions of a bake.
+From the new pose follow the geoms that moved, the cells near them, the occupants of these cells,
+the doors near them, and the grid. Floors, walls and rooms stay the same objects. If structure has
+changed, the whole scene has to be baked. The functions of a bake do all of this.
 """
 
 from __future__ import annotations
@@ -87,12 +87,12 @@ def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfi
         raise FullBakeRequired("the grid is another one: the box round the scene has changed")
     leaves = _update_leaves(baked, scene)
     is_obstacle_geom = mark_obstacle_geoms(scene, leaves, config)
-    is_changed = change.changed_geoms & (old_pose.is_obstacle_geom | is_obstacle_geom)
+    is_changed = change.is_changed_geom & (old_pose.is_obstacle_geom | is_obstacle_geom)
     is_changed |= old_pose.is_obstacle_geom ^ is_obstacle_geom
     boxes = np.concatenate(
         [
-            _boxes_of_geoms(old_pose.scene, is_changed & old_pose.is_obstacle_geom),
-            _boxes_of_geoms(scene, is_changed & is_obstacle_geom),
+            _select_boxes(old_pose.scene, is_changed & old_pose.is_obstacle_geom),
+            _select_boxes(scene, is_changed & is_obstacle_geom),
         ]
     )
     pose = replace(old_pose, scene=scene, leaves=leaves, is_obstacle_geom=is_obstacle_geom)
@@ -129,14 +129,14 @@ def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfi
     return baked._replace(pose=pose)
 
 
-def _boxes_of_geoms(scene: Scene, mask: Bool) -> Float:
+def _select_boxes(scene: Scene, is_selected_geom: Bool) -> Float:
     """Return the boxes of the marked geoms of a scene: lower corner, upper corner, (n, 6) [m]."""
-    boxes: Float = scene.shapes.boxes[mask[scene.shapes.boxed_geoms]]
+    boxes: Float = scene.shapes.boxes[is_selected_geom[scene.shapes.boxed_geoms]]
     return boxes
 
 
 def _update_leaves(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
-    """Bring the leaves up to date: classify those leaves again that changed.
+    """Bring the leaves up to date: pose again those that changed.
 
     Args:
         baked: the values of the last bake or update.
@@ -173,7 +173,7 @@ def _update_leaves(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
 def _update_lost_floors(
     pose: BakedPose, structure: BakedStructure, is_changed: Bool, config: BakeConfig
 ) -> dict[int, float]:
-    """Bring up to date how much floor each movable body would carry if it could not move.
+    """Measure again how much floor each movable body would carry if it could not move.
 
     Only bodies with changed geoms are measured again.
 
@@ -230,8 +230,8 @@ def _update_grid_doors(pose: BakedPose, baked: BakedScene, config: BakeConfig) -
         grid_door = old_grid_doors.get(leaf)
         if (
             grid_door is None
-            or _blocks_any(leaf.blocked, changed_cells)
-            or _blocks_any(leaf.blocked_squares, changed_squares)
+            or _blocks_any_cell(leaf.blocked, changed_cells)
+            or _blocks_any_cell(leaf.blocked_squares, changed_squares)
         ):
             grid_door = make_grid_door(leaf, baked.structure, pose.occupants, config)
         grid_doors.append(grid_door)
@@ -239,19 +239,22 @@ def _update_grid_doors(pose: BakedPose, baked: BakedScene, config: BakeConfig) -
 
 
 def _mark_changed_cells(new_layers: Sequence[Bool], old_layers: Sequence[Bool]) -> list[Bool]:
-    """Return for each level a mask of the cells, by id, in which its two layers differ."""
-    return [(new != old).ravel() for new, old in zip(new_layers, old_layers, strict=True)]
+    """Return for each level a mask, by cell id, of the cells in which its two layers differ."""
+    return [
+        (new_layer != old_layer).ravel()
+        for new_layer, old_layer in zip(new_layers, old_layers, strict=True)
+    ]
 
 
-def _blocks_any(blocked: Mapping[str, Sequence[Int]], marked: Sequence[Bool]) -> bool:
+def _blocks_any_cell(blocked: Mapping[str, Sequence[Int]], level_masks: Sequence[Bool]) -> bool:
     """Return whether a leaf blocks any marked cell, in any of its states.
 
     Args:
         blocked: state -> for each level, the cells that the leaf blocks.
-        marked: for each level, a flat mask of cells; or an empty list, which marks none.
+        level_masks: for each level, a flat mask of cells; or an empty list, which marks none.
     """
     for cells_of_levels in blocked.values():
-        for mask, cells in zip(marked, cells_of_levels, strict=False):
+        for mask, cells in zip(level_masks, cells_of_levels, strict=False):
             if mask[cells].any():
                 return True
     return False

@@ -116,15 +116,17 @@ def create_voxel_grid(
         >>> scene = navbake.samples.path("apartment")
         >>> grid = navbake.create_voxel_grid(scene, res=0.05, of="apartment.binvox")
     """
-    counts = [n for n in (ncells_x, ncells_y, ncells_z) if n is not None]
-    if len(counts) not in (0, 3):
-        raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
+    given_counts = [
+        num_cells for num_cells in (ncells_x, ncells_y, ncells_z) if num_cells is not None
+    ]
+    if len(given_counts) not in (0, 3):
+        raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {given_counts}")
     if options.get("align") is None:
         options["align"] = of is not None and str(of).lower().endswith(OCTREE_SUFFIXES)
     voxelizer = scene if isinstance(scene, Voxelizer) else Voxelizer(scene, ignore=ignore)
     if ignore and voxelizer is scene:
         raise ConfigError("expected `ignore` where the Voxelizer is made, not where it is used")
-    grid = voxelizer.create(position, counts or None, res=res, **options)
+    grid = voxelizer.create(position, given_counts or None, res=res, **options)
     if of is not None:
         grid.save(of)
     return grid
@@ -170,21 +172,21 @@ class Voxelizer:
         self._settings: SceneSettings | None = None
         if isinstance(scene, Scene):
             arguments = {"ignore": ignore or None, "exclude": exclude, "robot": robot, "data": data}
-            for name, value in {**arguments, **settings}.items():
-                if value is not None:
+            for name, argument in {**arguments, **settings}.items():
+                if argument is not None:
                     raise ConfigError(f"expected `{name}` where the scene is loaded, this one is")
             self.scene = scene
         else:
-            config, opened = parse_arguments(scene, data, settings, exclude, robot)
+            config, scene_model = parse_arguments(scene, data, settings, exclude, robot)
             self._settings = config.scene
             if ignore:
                 exclusions = config.scene.exclude
                 patterns = [ignore] if isinstance(ignore, str) else ignore
-                bodies = [*exclusions.bodies, *patterns]
-                extended = exclusions.model_copy(update={"bodies": bodies})
-                self._settings = config.scene.model_copy(update={"exclude": extended})
+                excluded_bodies = [*exclusions.bodies, *patterns]
+                extended_exclusions = exclusions.model_copy(update={"bodies": excluded_bodies})
+                self._settings = config.scene.model_copy(update={"exclude": extended_exclusions})
             config = config.model_copy(update={"scene": self._settings})
-            self.scene = load_scene(config, scene_model=opened)
+            self.scene = load_scene(config, scene_model=scene_model)
         self.shapes = self.scene.shapes
         self._labels: dict[str, Labels] = {}  # ``repr(segments)`` -> labels
 
@@ -242,7 +244,7 @@ class Voxelizer:
             ConfigError: `segments` is wrong, or the grid needs more memory than there is.
         """
         ensure_compiled("baker.voxels.voxel_kernels.", "baker.columns.ray_kernels.")
-        labels = self._label(segments)
+        labels = self._get_labels(segments)
         dtype = dtype_of(max(labels.names, default=1))
         # one kernel for all IDs beyond a byte: each dtype costs seconds of compiling
         kernel_dtype = dtype if dtype == np.uint8 else np.dtype(np.uint32)
@@ -253,25 +255,25 @@ class Voxelizer:
         voxels = Voxels(np.zeros(place.shape, dtype=kernel_dtype), z, place.res)
         lattice = Lattice(x, y + ny * place.res, place.res, nx, ny)
         shapes = self.shapes
-        tiled = tile_shapes(shapes, lattice, 0.0)
+        tiled_shapes = tile_shapes(shapes, lattice, 0.0)
         # only closed surfaces are filled by the hits of lines: solids and planes are left out
         no_geoms = np.zeros(len(self.scene.geoms), dtype=np.bool_)
         meshes_only = replace(shapes.only(no_geoms), meshes=shapes.meshes)
-        tiled_meshes = replace(tiled, shapes=meshes_only)
+        tiled_meshes = replace(tiled_shapes, shapes=meshes_only)
         for rows in split_into_row_chunks(lattice):
-            tiles = tiles_of_rows(lattice, rows)
+            tile_range = tiles_of_rows(lattice, rows)
             run_in_chunks(
                 fill_voxels,
-                len(tiles),
+                len(tile_range),
                 voxels,
                 lattice,
                 shapes.solids,
-                tiled.facets,
+                tiled_shapes.facets,
                 shapes.planes,
-                tiled.tile_index,
+                tiled_shapes.tile_index,
                 cast_columns(tiled_meshes, rows).hits,
                 labels.ids.astype(kernel_dtype),
-                begin=tiles.start,
+                begin=tile_range.start,
             )
         values = voxels.values.astype(dtype, copy=False)
         return VoxelGrid(
@@ -315,8 +317,8 @@ class Voxelizer:
             if joints is not None and not isinstance(joints, Mapping):
                 raise ConfigError(f"expected joints as positions by name, got {joints!r}")
             settings = self._settings or SceneSettings(path=Path(self.scene.id))
-            update = {"joints": dict(joints or {}), "keyframe": keyframe}
-            data = pose_model(model, settings.model_copy(update=update))
+            changed_settings = {"joints": dict(joints or {}), "keyframe": keyframe}
+            data = pose_model(model, settings.model_copy(update=changed_settings))
         if not hasattr(data, "geom_xpos"):
             raise ConfigError(f"expected a mujoco.MjData of this scene, got {type(data).__name__}")
         loaded_data = self.scene.data
@@ -324,13 +326,16 @@ class Voxelizer:
             raise ConfigError(
                 f"expected data of this scene's {model.ngeom} geoms, got {len(data.geom_xpos)}"
             )
-        pos = np.array(data.geom_xpos)
-        mat = np.array(data.geom_xmat)
+        geom_positions = np.array(data.geom_xpos)
+        geom_rotations = np.array(data.geom_xmat)
         is_counted = np.array([geom.counted for geom in self.scene.geoms])
-        if not (np.isfinite(pos[is_counted]).all() and np.isfinite(mat[is_counted]).all()):
+        if not (
+            np.isfinite(geom_positions[is_counted]).all()
+            and np.isfinite(geom_rotations[is_counted]).all()
+        ):
             raise SceneError(f"a geom of {self.scene.id} would stand at no finite place")
-        has_moved = (pos != loaded_data.geom_xpos).any(axis=1)
-        has_moved |= (mat != loaded_data.geom_xmat).any(axis=1)
+        has_moved = (geom_positions != loaded_data.geom_xpos).any(axis=1)
+        has_moved |= (geom_rotations != loaded_data.geom_xmat).any(axis=1)
         has_moved &= is_counted
         shapes, _, _ = collect_shapes(
             model,
@@ -342,8 +347,11 @@ class Voxelizer:
         )
         self.shapes = self.scene.shapes.with_replaced(shapes, has_moved)
 
-    def _label(self, segments: Segments | None) -> Labels:
-        """Return the IDs for `segments`, and remember them; if it is None, all geoms get 1."""
+    def _get_labels(self, segments: Segments | None) -> Labels:
+        """Return the geoms' IDs for `segments`; if None, all geoms have the ID 1.
+
+        They are computed once for each value of `segments`.
+        """
         if segments is None:
             return Labels(np.ones(len(self.scene.geoms), dtype=np.uint32), {}, [])
         key = repr(segments)
@@ -395,31 +403,33 @@ def label_geoms(scene: Scene, segments: Segments) -> Labels:
     ids = np.zeros(len(scene.geoms), dtype=np.uint32)
     matched_patterns = set()
     has_unmatched = False
-    for geom in _counted_geoms(scene):
-        pattern = _first_match(patterns, _names_of(scene.model, geom))
+    for geom in _list_counted_geoms(scene):
+        pattern = _find_first_match(patterns, _list_names(scene.model, geom))
         if pattern is None:
             has_unmatched = True
             ids[geom] = unmatched_id
         else:
             matched_patterns.add(pattern)
             ids[geom] = patterns[pattern]
-    names: dict[int, str] = {}
-    for pattern, number in patterns.items():
-        names[number] = f"{names[number]}, {pattern}" if number in names else pattern
+    segment_names: dict[int, str] = {}
+    for pattern, segment_id in patterns.items():
+        segment_names[segment_id] = (
+            f"{segment_names[segment_id]}, {pattern}" if segment_id in segment_names else pattern
+        )
     if has_unmatched:
-        names[unmatched_id] = UNMATCHED
+        segment_names[unmatched_id] = UNMATCHED
     names_in_scene = sorted(
-        {name for geom in _counted_geoms(scene) for name in _names_of(scene.model, geom)}
+        {name for geom in _list_counted_geoms(scene) for name in _list_names(scene.model, geom)}
     )
     notes = [
         warn_unmatched("segments", pattern, names_in_scene)
         for pattern in patterns
         if pattern not in matched_patterns
     ]
-    return Labels(ids, names, notes)
+    return Labels(ids, segment_names, notes)
 
 
-def _first_match(patterns: Iterable[str], names: Sequence[str]) -> str | None:
+def _find_first_match(patterns: Iterable[str], names: Sequence[str]) -> str | None:
     """Return the first pattern that matches any of the names."""
     for pattern in patterns:
         if any(fnmatchcase(name, pattern) for name in names):
@@ -427,25 +437,30 @@ def _first_match(patterns: Iterable[str], names: Sequence[str]) -> str | None:
     return None
 
 
-def _label_by_kind(scene: Scene, kind: str) -> Labels:
-    """Give an ID to each geom, body or top-most body; `kind`, one of `ID_KINDS`, says which."""
+def _label_by_kind(scene: Scene, id_kind: str) -> Labels:
+    """Give an ID to each geom, body or top-most body.
+
+    Args:
+        scene: the scene.
+        id_kind: which of these get IDs: ``geom``, ``body`` or ``top``.
+    """
     model = scene.model
     ids = np.zeros(len(scene.geoms), dtype=np.uint32)
     id_of_segment: dict[tuple[str, int], int] = {}
     segment_names: dict[int, str] = {}
-    for geom in _counted_geoms(scene):
+    for geom in _list_counted_geoms(scene):
         body = int(model.geom_bodyid[geom])
-        if kind == "top":
+        if id_kind == "top":
             body = int(model.body_rootid[body])
-        is_geom = kind == "geom" or (kind == "top" and body == 0)
-        if kind == "geom":
-            number = geom + 1
+        is_geom = id_kind == "geom" or (id_kind == "top" and body == 0)
+        if id_kind == "geom":
+            segment_id = geom + 1
         else:
             segment = ("geom", geom) if is_geom else ("body", body)
-            number = id_of_segment.setdefault(segment, len(id_of_segment) + 1)
-        ids[geom] = number
+            segment_id = id_of_segment.setdefault(segment, len(id_of_segment) + 1)
+        ids[geom] = segment_id
         name = all_names(model).geoms[geom].geom if is_geom else body_name(model, body)
-        segment_names[number] = name
+        segment_names[segment_id] = name
     return Labels(ids, segment_names, [])
 
 
@@ -459,35 +474,35 @@ def _check_patterns(segments: object) -> dict[str, int]:
     ):
         patterns = {segments: 1}
     elif isinstance(segments, Sequence) and not isinstance(segments, str):
-        patterns = {pattern: number for number, pattern in enumerate(segments, 1)}
+        patterns = {pattern: segment_id for segment_id, pattern in enumerate(segments, 1)}
     else:
         patterns = {}
-    if not patterns or not all(isinstance(p, str) and p for p in patterns):
+    if not patterns or not all(isinstance(key, str) and key for key in patterns):
         raise ConfigError(
             f"expected `segments` to be {', '.join(ID_KINDS)}, or name patterns with their IDs, "
             f"got {segments!r}"
         )
-    for pattern, number in patterns.items():
-        is_integer = isinstance(number, int | np.integer) and not isinstance(number, bool)
-        if not is_integer or not 1 <= number < MAX_ID:
+    for pattern, segment_id in patterns.items():
+        is_integer = isinstance(segment_id, int | np.integer) and not isinstance(segment_id, bool)
+        if not is_integer or not 1 <= segment_id < MAX_ID:
             raise ConfigError(
                 f"expected an ID from 1 to {MAX_ID - 1} for segment pattern {pattern!r}, "
-                f"got {number!r}"
+                f"got {segment_id!r}"
             )
-    return {pattern: int(number) for pattern, number in patterns.items()}
+    return {pattern: int(segment_id) for pattern, segment_id in patterns.items()}
 
 
-def _counted_geoms(scene: Scene) -> list[int]:
+def _list_counted_geoms(scene: Scene) -> list[int]:
     """Return the ids of the geoms that count."""
     return [geom.id for geom in scene.geoms if geom.counted]
 
 
-def _names_of(model: mujoco.MjModel, geom: int) -> list[str]:
+def _list_names(model: mujoco.MjModel, geom: int) -> list[str]:
     """Return the names of a geom, of its mesh and of all bodies above it."""
-    names = all_names(model).geoms[geom]
-    bodies = []
+    geom_names = all_names(model).geoms[geom]
+    bodies_above = []
     body = int(model.geom_bodyid[geom])
     while body:
-        bodies.append(body_name(model, body))
+        bodies_above.append(body_name(model, body))
         body = int(model.body_parentid[body])
-    return [name for name in (names.geom, names.mesh, *bodies) if name]
+    return [name for name in (geom_names.geom, geom_names.mesh, *bodies_above) if name]
