@@ -295,7 +295,7 @@ class GoalFinder:
         grid = self.finder.grid
         flat = self.finder.search.flat
         for start, level in zip(flat.layout.start.tolist(), grid.levels, strict=False):
-            cells, entry_of_cell, entries = UserData.of(level.user_data).shared()
+            cells, entry_of_cell, entries = UserData.of(level.user_data).shared_entries()
             order = np.argsort(entry_of_cell, kind="stable")
             counts = np.bincount(entry_of_cell, minlength=len(entries))
             cells_of_entries = np.split(cells[order], np.cumsum(counts)[:-1])

@@ -141,11 +141,11 @@ def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
     max_step = step_limit(grid) * grid.unit
     num_cells = level.width * level.height
     smooth_parts = label_islands(  # the largest is number 1
-        start=np.array([0, num_cells]),
-        width=np.array([level.width]),
+        first_cells=np.array([0, num_cells]),
+        widths=np.array([level.width]),
         free=has_floor.ravel(),
         floor=floor.ravel(),
-        limit=_find_rise_limit(grid, level),
+        max_rise=_find_rise_limit(grid, level),
         steps=_find_ramp_steps(
             np.where(has_floor, floor, np.nan),
             _find_slope_rise(grid, level),

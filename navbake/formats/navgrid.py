@@ -50,7 +50,7 @@ from navbake.formats.source import (
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE
-from navbake.navgrid.user_data import Shared, UserData
+from navbake.navgrid.user_data import SharedEntries, UserData
 from navbake.types import Json, JsonValue
 
 if TYPE_CHECKING:
@@ -578,9 +578,9 @@ def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> bytes:
     """
     num_cells = grid.width * grid.height
     source = UserData.of(grid.user_data).source
-    if isinstance(source, Shared):
+    if isinstance(source, SharedEntries):
         cell_ids = source.cells.tolist()
-        entry_numbers = source.number.tolist()
+        entry_numbers = source.entry_index.tolist()
         entries = source.entries
         check_json(list(entries), place)
     else:

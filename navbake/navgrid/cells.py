@@ -32,7 +32,9 @@ CellsLike = Cell | Cells | tuple[ArrayLike, ArrayLike, ArrayLike]
 class Layer(NamedTuple):
     """How `values_at` computes one layer of a grid."""
 
-    make: Callable[[NavGrid], list[NDArray[Any]]]  # takes a grid, returns an array for each level
+    compute: Callable[
+        [NavGrid], list[NDArray[Any]]
+    ]  # takes a grid, returns an array for each level
     outside: float  # the value of positions outside the grid
 
 
@@ -91,13 +93,13 @@ def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> 
     Raises:
         QueryError: The level does not exist, or a position is not valid.
     """
-    checked = check_positions(positions, len(grid.levels), level)
-    flat = checked.reshape(-1, checked.shape[-1])
-    if level is None and checked.shape[-1] == 3:
-        cells = _cells_below(grid, flat)
+    checked_positions = check_positions(positions, len(grid.levels), level)
+    flat_positions = checked_positions.reshape(-1, checked_positions.shape[-1])
+    if level is None and checked_positions.shape[-1] == 3:
+        cells = _find_cells_below(grid, flat_positions)
     else:
-        cells = _cells_on_level(grid, level or 0, flat)
-    shape = checked.shape[:-1]
+        cells = _find_cells_on_level(grid, level or 0, flat_positions)
+    shape = checked_positions.shape[:-1]
     return Cells(cells[0].reshape(shape), cells[1].reshape(shape), cells[2].reshape(shape))
 
 
@@ -114,15 +116,15 @@ def position_of(grid: GridBase, cells: CellsLike) -> Float:
     Raises:
         QueryError: A cell does not exist.
     """
-    checked = check_cells(grid, cells)
-    positions = np.empty((*checked.level.shape, 3), dtype=np.float64)
+    checked_cells = check_cells(grid, cells)
+    positions = np.empty((*checked_cells.level.shape, 3), dtype=np.float64)
     for number, level in enumerate(grid.levels):
-        is_on_level = checked.level == number
-        rows = checked.row[is_on_level]
-        cols = checked.col[is_on_level]
-        floor = _floors(level, rows, cols)
+        is_on_level = checked_cells.level == number
+        rows = checked_cells.row[is_on_level]
+        cols = checked_cells.col[is_on_level]
+        floor_z = _floors_of_cells(level, rows, cols)
         positions[is_on_level, :2] = level.lattice.positions(rows, cols)
-        positions[is_on_level, 2] = np.where(np.isnan(floor), level.ground, floor)
+        positions[is_on_level, 2] = np.where(np.isnan(floor_z), level.ground, floor_z)
     return positions
 
 
@@ -145,21 +147,21 @@ def check_cells(grid: GridBase, cells: CellsLike) -> Cells:
         raise QueryError(
             f"expected {expected}, got {cells!r}", key="cells", value=cells, expected=expected
         )
-    checked = Cells(*(array.astype(np.int64) for array in arrays))
-    level, row, col = checked
+    checked_cells = Cells(*(array.astype(np.int64) for array in arrays))
+    level, row, col = checked_cells
     exists = (level >= 0) & (level < len(grid.levels)) & (row >= 0) & (col >= 0)
     # a level that does not exist gets the shape of level 0; its cells are faulty anyway
     level_shapes = np.array([level_grid.shape for level_grid in grid.levels])
     shapes = level_shapes[np.where(exists, level, 0)]
     exists &= (row < shapes[..., 0]) & (col < shapes[..., 1])
     if not exists.all():
-        missing = tuple(int(axis[~exists].ravel()[0]) for axis in checked)
+        missing_cell = tuple(int(axis[~exists].ravel()[0]) for axis in checked_cells)
         raise QueryError(
-            f"no cell (level, row, col) = {missing} in {grid.scene_id!r}",
+            f"no cell (level, row, col) = {missing_cell} in {grid.scene_id!r}",
             key="cells",
-            value=missing,
+            value=missing_cell,
         )
-    return checked
+    return checked_cells
 
 
 def check_positions(positions: ArrayLike, num_levels: int, level: int | None = None) -> Float:
@@ -178,7 +180,7 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
     """
     check_level(level, num_levels)
     try:
-        checked = np.asarray(positions, dtype=np.float64)
+        checked_positions = np.asarray(positions, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         expected = "world positions x, y, z [m]"
         hint = None
@@ -189,15 +191,15 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
         raise QueryError(
             message, key="position", value=positions, expected=expected, hint=hint
         ) from error
-    if checked.ndim == 0 or checked.shape[-1] not in (2, 3):
+    if checked_positions.ndim == 0 or checked_positions.shape[-1] not in (2, 3):
         expected = "world positions of shape (..., 3) [m]"
         raise QueryError(
-            f"expected {expected}, got {checked.shape}",
+            f"expected {expected}, got {checked_positions.shape}",
             key="position",
             value=positions,
             expected=expected,
         )
-    if checked.shape[-1] == 2 and num_levels > 1 and level is None:
+    if checked_positions.shape[-1] == 2 and num_levels > 1 and level is None:
         raise QueryError(
             f"expected x, y, z or a level, got x, y: the grid has {num_levels} levels, 0 to "
             f"{num_levels - 1}",
@@ -205,18 +207,22 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
             value=positions,
             expected="x, y, z or a level",
         )
-    is_finite = np.isfinite(checked)
+    is_finite = np.isfinite(checked_positions)
     if not is_finite.all():
-        faulty = checked[~is_finite.all(axis=-1)][0] if checked.ndim > 1 else checked
-        text = ", ".join(f"{coordinate:g}" for coordinate in faulty)
+        faulty_position = (
+            checked_positions[~is_finite.all(axis=-1)][0]
+            if checked_positions.ndim > 1
+            else checked_positions
+        )
+        text = ", ".join(f"{coordinate:g}" for coordinate in faulty_position)
         expected = "a position of finite numbers"
         raise QueryError(
             f"expected {expected}, got {text}",
             key="position",
-            value=tuple(faulty.tolist()),
+            value=tuple(faulty_position.tolist()),
             expected=expected,
         )
-    return checked
+    return checked_positions
 
 
 def check_level(level: int | None, num_levels: int) -> None:
@@ -235,7 +241,7 @@ def check_level(level: int | None, num_levels: int) -> None:
         )
 
 
-def _cells_below(grid: GridBase, positions: Float) -> Int:
+def _find_cells_below(grid: GridBase, positions: Float) -> Int:
     """Find for each position the cell with the highest floor at most a step above it.
 
     Where no level has such a floor, the levels' grounds count as floors.
@@ -249,29 +255,33 @@ def _cells_below(grid: GridBase, positions: Float) -> Int:
     """
     z = positions[:, 2]
     # float32 moved the floors of files, in proportion to their height
-    limit = z + grid.max_step + STEP_SLACK + np.abs(z) * FLOAT32_ROUNDING
+    highest_floor_allowed = z + grid.max_step + STEP_SLACK + np.abs(z) * FLOAT32_ROUNDING
     num_positions = len(positions)
     cells_on_floor = np.full((3, num_positions), -1, dtype=np.int64)
     cells_on_ground = np.full((3, num_positions), -1, dtype=np.int64)
     highest_floor = np.full(num_positions, -np.inf)
     highest_ground = np.full(num_positions, -np.inf)
-    # the highest floor below each limit counts; a ground counts only if there is no such floor
+    # the highest floor that is allowed counts; a ground counts only if there is no such floor
     for number, level in enumerate(grid.levels):
-        cells = _cells_on_level(grid, number, positions)
+        cells = _find_cells_on_level(grid, number, positions)
         is_inside = cells[0] >= 0
-        floor = np.full(num_positions, np.nan)
-        floor[is_inside] = _floors(level, cells[1, is_inside], cells[2, is_inside])
-        is_nearer = (floor <= limit) & (floor > highest_floor)  # False for NaN
-        highest_floor[is_nearer] = floor[is_nearer]
+        floor_z = np.full(num_positions, np.nan)
+        floor_z[is_inside] = _floors_of_cells(level, cells[1, is_inside], cells[2, is_inside])
+        is_nearer = (floor_z <= highest_floor_allowed) & (floor_z > highest_floor)  # False for NaN
+        highest_floor[is_nearer] = floor_z[is_nearer]
         cells_on_floor[:, is_nearer] = cells[:, is_nearer]
-        has_ground_only: Bool = is_inside & np.isnan(floor)
-        is_nearer = has_ground_only & (level.ground <= limit) & (level.ground > highest_ground)
+        has_ground_only: Bool = is_inside & np.isnan(floor_z)
+        is_nearer = (
+            has_ground_only
+            & (level.ground <= highest_floor_allowed)
+            & (level.ground > highest_ground)
+        )
         highest_ground[is_nearer] = level.ground
         cells_on_ground[:, is_nearer] = cells[:, is_nearer]
     return np.where(cells_on_floor[0] >= 0, cells_on_floor, cells_on_ground)
 
 
-def _cells_on_level(grid: GridBase, number: int, positions: Float) -> Int:
+def _find_cells_on_level(grid: GridBase, number: int, positions: Float) -> Int:
     """Return level, row and column of positions on one level, shape (3, n); -1 outside it."""
     x_min, y_max, cell_size, width, height = grid.levels[number].lattice
     row = np.floor((y_max - positions[:, 1]) / cell_size)
@@ -282,7 +292,7 @@ def _cells_on_level(grid: GridBase, number: int, positions: Float) -> Int:
     return np.where(is_inside, (level, row, col), -1.0).astype(np.int64)
 
 
-def _floors(level: SceneGrid2D, rows: Int, cols: Int) -> Float:
+def _floors_of_cells(level: SceneGrid2D, rows: Int, cols: Int) -> Float:
     """Return world z of the cells' floors [m], NaN for no floor.
 
     It is the level's ground if the level has no floors of single cells.
@@ -340,8 +350,8 @@ def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Pl
 
     Args:
         grid: The grid.
-        position: See `cell_at`.
-        level: See `cell_at`.
+        position: World x, y, z [m], shape (3,), or x, y.
+        level: The level of the cell, 0 is the lowest; None to find it by z.
 
     Returns:
         The layers; None if there is no cell.
@@ -361,20 +371,20 @@ def place_in(grid: NavGrid, cell: Cell) -> Place:
     floor = float(level.floor_height[cell.row, cell.col])
     weight = float(level.weights[cell.row, cell.col])
     is_free = math.isfinite(weight)
-    area = int(level.area_index[cell.row, cell.col])
+    area_number = int(level.area_index[cell.row, cell.col])
     return Place(
         cell=cell,
         floor=None if math.isnan(floor) else floor * level.unit,
         free=is_free,
         occupied=bool(level.occupancy[cell.row, cell.col]),
         weight=weight if is_free else math.inf,
-        room=_room_id(grid, cell),
-        area=grid.areas[area - 1].name if 0 < area <= len(grid.areas) else None,
+        room=_find_room_id(grid, cell),
+        area=grid.areas[area_number - 1].name if 0 < area_number <= len(grid.areas) else None,
         grid=grid,
     )
 
 
-def _room_id(grid: NavGrid, cell: Cell) -> str | None:
+def _find_room_id(grid: NavGrid, cell: Cell) -> str | None:
     """Return the id of a cell's room; ``level:index`` if no table lists it; None for no room."""
     index = int(grid.levels[cell.level].room_index[cell.row, cell.col])
     if not index:
@@ -393,8 +403,8 @@ def values_at(
     Args:
         grid: The grid.
         layer: A name of `LAYERS`, or of an attribute as the file stores it.
-        positions: See `cells_at`.
-        level: See `cells_at`.
+        positions: World x, y, z [m], shape (..., 3), or x, y.
+        level: The level of all cells, 0 is the lowest; None to find each by z.
 
     Returns:
         The values, shape (...).
@@ -403,11 +413,11 @@ def values_at(
         QueryError: The layer or the level does not exist, or a position is not valid.
     """
     cells = cells_at(grid, positions, level)
-    outside: float | None = None
+    value_outside: float | None = None
     arrays: dict[int, NDArray[Any]] = {}  # level -> array; a level may lack the attribute
     if layer in LAYERS:
-        outside = LAYERS[layer].outside
-        arrays = dict(enumerate(LAYERS[layer].make(grid)))
+        value_outside = LAYERS[layer].outside
+        arrays = dict(enumerate(LAYERS[layer].compute(grid)))
     else:
         for number, level_grid in enumerate(grid.levels):
             if layer in level_grid.attributes:
@@ -421,9 +431,9 @@ def values_at(
             f"no layer {layer!r} in {grid.scene_id!r}: {hint}", key="layer", value=layer, hint=hint
         )
     dtype = np.result_type(*arrays.values())
-    if outside is None:
-        outside = np.nan if dtype.kind == "f" else 0
-    values = np.full(cells.level.shape, outside, dtype=dtype)
+    if value_outside is None:
+        value_outside = np.nan if dtype.kind == "f" else 0
+    values = np.full(cells.level.shape, value_outside, dtype=dtype)
     for number, array in arrays.items():
         is_on_level = cells.level == number
         values[is_on_level] = array[cells.row[is_on_level], cells.col[is_on_level]]

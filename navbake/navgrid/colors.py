@@ -52,11 +52,11 @@ def to_linear(color: NDArray[Any]) -> NDArray[Any]:
 
 def darken_rooms(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the colours of rooms' occupied cells, from those of their free cells, (..., 3)."""
-    mixed = rgb * (1 - OCCUPIED_SHARE) + np.array(rgb_of(OCCUPIED)) * OCCUPIED_SHARE
-    return np.round(mixed).astype(np.uint8)
+    mixed_rgb = rgb * (1 - OCCUPIED_SHARE) + np.array(rgb_of(OCCUPIED)) * OCCUPIED_SHARE
+    return np.round(mixed_rgb).astype(np.uint8)
 
 
-def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
+def color_rooms(grid: NavGrid, level_number: int) -> NDArray[np.uint8]:
     """Choose colours for the rooms of a level.
 
     Rooms that share a wall or an opening have different colours, if possible. All outdoor areas
@@ -64,28 +64,28 @@ def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
 
     Args:
         grid: The grid.
-        number: Number of the level, 0 is the lowest.
+        level_number: Number of the level, 0 is the lowest.
 
     Returns:
         Red, green and blue for each index of a room, shape (n + 1, 3), uint8; index 0 is no room.
     """
-    level = grid.levels[number]
-    index = level.room_index
-    count = int(index.max(initial=0))
-    rooms = [room for room in grid.rooms if room.level == number and room.index <= count]
-    index_of = {room.id: room.index for room in rooms}
-    pairs = find_neighbours(index, math.ceil(MAX_NEIGHBOR_GAP / level.lattice.cell_size))
+    level = grid.levels[level_number]
+    room_index = level.room_index
+    num_rooms = int(room_index.max(initial=0))
+    rooms = [room for room in grid.rooms if room.level == level_number and room.index <= num_rooms]
+    index_by_id = {room.id: room.index for room in rooms}
+    pairs = find_neighbours(room_index, math.ceil(MAX_NEIGHBOR_GAP / level.lattice.cell_size))
     for room in rooms:
         for neighbour in room.neighbours:
-            neighbour_index = index_of.get(neighbour.room, room.index)
+            neighbour_index = index_by_id.get(neighbour.room, room.index)
             if neighbour_index != room.index:
                 pairs.add((room.index, neighbour_index))
-    outdoors = {room.index for room in rooms if room.outdoors}
-    pairs = {pair for pair in pairs if not outdoors.intersection(pair)}
+    outdoor_indices = {room.index for room in rooms if room.outdoors}
+    pairs = {pair for pair in pairs if not outdoor_indices.intersection(pair)}
     palette = np.array([rgb_of(color) for color in ROOMS], dtype=np.uint8)
-    colors = palette[choose_colors(count, pairs, len(palette))]
-    for room_index in outdoors:
-        colors[room_index] = rgb_of(OUTDOORS)
+    colors = palette[choose_colors(num_rooms, pairs, len(palette))]
+    for outdoor_index in outdoor_indices:
+        colors[outdoor_index] = rgb_of(OUTDOORS)
     return colors
 
 
@@ -102,20 +102,24 @@ def find_neighbours(part_of_cell: NDArray[Any], max_gap: int) -> set[tuple[int, 
     """
     all_pairs = [np.empty((0, 2), dtype=np.int64)]
     for lines in (part_of_cell, part_of_cell.T):
-        line, place = np.nonzero(lines[:, 1:] != lines[:, :-1])
-        before = lines[line, place]
-        after = lines[line, place + 1]
+        line_numbers, change_indices = np.nonzero(lines[:, 1:] != lines[:, :-1])
+        parts_before = lines[line_numbers, change_indices]
+        parts_after = lines[line_numbers, change_indices + 1]
         # a gap opens at one change and closes at the next change of the same line
-        is_gap = (line[1:] == line[:-1]) & (after[:-1] == 0) & (np.diff(place) <= max_gap)
-        touching = np.stack([before, after], axis=1)
-        across_gap = np.stack([before[:-1], after[1:]], axis=1)[is_gap]
-        all_pairs += [touching, across_gap]
+        is_gap = (
+            (line_numbers[1:] == line_numbers[:-1])
+            & (parts_after[:-1] == 0)
+            & (np.diff(change_indices) <= max_gap)
+        )
+        touching_pairs = np.stack([parts_before, parts_after], axis=1)
+        pairs_across_gaps = np.stack([parts_before[:-1], parts_after[1:]], axis=1)[is_gap]
+        all_pairs += [touching_pairs, pairs_across_gaps]
     pairs = np.sort(np.concatenate(all_pairs), axis=1)
     pairs = pairs[(pairs[:, 0] > 0) & (pairs[:, 0] < pairs[:, 1])]
     return set(map(tuple, np.unique(pairs, axis=0).tolist()))
 
 
-def choose_colors(count: int, pairs: Iterable[tuple[int, int]], num_colors: int) -> Int:
+def choose_colors(num_parts: int, pairs: Iterable[tuple[int, int]], num_colors: int) -> Int:
     """Choose colours for the parts of a plan so that neighbours differ, if possible.
 
     Greedy colouring (Welsh and Powell 1967): the part with most neighbours comes first. It gets a
@@ -123,29 +127,29 @@ def choose_colors(count: int, pairs: Iterable[tuple[int, int]], num_colors: int)
     least used so far.
 
     Args:
-        count: Number of parts, which are numbered from 1.
+        num_parts: Number of parts, which are numbered from 1.
         pairs: Pairs of the numbers of neighbours.
         num_colors: Number of colours.
 
     Returns:
-        For each part the number of its colour, from 0; shape (count + 1,), int64. Entry 0 belongs
-        to no part.
+        For each part the number of its colour, from 0; shape (num_parts + 1,), int64. Entry 0
+        belongs to no part.
     """
-    neighbours: list[set[int]] = [set() for _ in range(count + 1)]
+    neighbours: list[set[int]] = [set() for _ in range(num_parts + 1)]
     for first, second in pairs:
         neighbours[first].add(second)
         neighbours[second].add(first)
-    colors = np.full(count + 1, -1, dtype=np.int64)
+    colors = np.full(num_parts + 1, -1, dtype=np.int64)
     num_uses = [0] * num_colors
-    for part in sorted(range(1, count + 1), key=lambda part: (-len(neighbours[part]), part)):
+    for part in sorted(range(1, num_parts + 1), key=lambda part: (-len(neighbours[part]), part)):
         num_conflicts = [0] * num_colors
         for neighbour in neighbours[part]:
             if colors[neighbour] >= 0:
                 num_conflicts[colors[neighbour]] += 1
-        best = min(
+        best_color = min(
             range(num_colors), key=lambda color: (num_conflicts[color], num_uses[color], color)
         )
-        colors[part] = best
-        num_uses[best] += 1
+        colors[part] = best_color
+        num_uses[best_color] += 1
     colors[0] = 0
     return colors

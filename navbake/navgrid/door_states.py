@@ -49,16 +49,16 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
         replace(door, state=new_states.get(door.id, door.state)) for door in doors_before.values()
     ]
     # for each level a mask, indexed by cell id
-    occupied = [level.occupancy.astype(np.bool_).ravel() for level in grid.levels]
-    solid = [level.solid.astype(np.bool_).ravel() for level in grid.levels]
+    occupied_masks = [level.occupancy.astype(np.bool_).ravel() for level in grid.levels]
+    solid_masks = [level.solid.astype(np.bool_).ravel() for level in grid.levels]
     # doors may overlap, so all are taken out before any is put in
-    _mark_doors(list(doors_before.values()), occupied, solid, is_blocked=False)
-    _mark_doors(doors_after, occupied, solid, is_blocked=True)
+    _mark_doors(list(doors_before.values()), occupied_masks, solid_masks, is_blocked=False)
+    _mark_doors(doors_after, occupied_masks, solid_masks, is_blocked=True)
     levels = []
     for number, level in enumerate(grid.levels):
-        is_occupied = occupied[number].reshape(level.shape)
+        is_occupied = occupied_masks[number].reshape(level.shape)
         was_occupied = level.occupancy.astype(np.bool_)
-        is_solid = solid[number].reshape(level.shape)
+        is_solid = solid_masks[number].reshape(level.shape)
         obstacles = level.obstacle_state
         if obstacles is not None:
             is_occupied |= obstacles.mask_of(OCCUPIED)
@@ -80,11 +80,11 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
         levels.append(
             level.with_layers(weights=weights, attributes=attributes, user_data=user_data)
         )
-    table = [
+    door_table = [
         {**entry, "state": door.state}
         for entry, door in zip(grid.navbake.get("doors", []), doors_after, strict=True)
     ]
-    metadata = {**grid.metadata, "navbake": {**grid.navbake, "doors": table}}
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, "doors": door_table}}
     changed_grid = grid.with_levels(levels, metadata)
     add_layers(changed_grid, {name for level in levels for name in level.attributes})
     return changed_grid
@@ -109,32 +109,33 @@ def _check_door_states(
                 expected=expected,
             )
         if state not in doors[name].states:
-            possible = ", ".join(doors[name].states)
+            possible_states = ", ".join(doors[name].states)
             raise QueryError(
-                f"door {name!r} can't be {state}: it can be {possible}",
+                f"door {name!r} can't be {state}: it can be {possible_states}",
                 key=name,
                 value=state,
-                expected=possible,
+                expected=possible_states,
             )
 
 
 def _mark_doors(
-    doors: Sequence[Door], occupied: list[Bool], solid: list[Bool], *, is_blocked: bool
+    doors: Sequence[Door], occupied_masks: list[Bool], solid_masks: list[Bool], *, is_blocked: bool
 ) -> None:
     """Set the cells that doors block in their current states to `is_blocked`.
 
     Args:
         doors: The doors.
-        occupied: For each level a mask by cell id, which changes: the cells that a door blocks.
-        solid: For each level a mask by cell id, which changes: the cells whose square a door
+        occupied_masks: For each level a mask by cell id, which changes: the cells that a door
+            blocks.
+        solid_masks: For each level a mask by cell id, which changes: the cells whose square a door
             overlaps.
         is_blocked: The value to set.
     """
     for door in doors:
-        for number, cells in enumerate(door.cells_in(door.state, len(occupied))):
-            occupied[number][cells] = is_blocked
-        for number, cells in enumerate(door.solid_in(door.state, len(solid))):
-            solid[number][cells] = is_blocked
+        for number, cells in enumerate(door.cells_in(door.state, len(occupied_masks))):
+            occupied_masks[number][cells] = is_blocked
+        for number, cells in enumerate(door.solid_in(door.state, len(solid_masks))):
+            solid_masks[number][cells] = is_blocked
 
 
 def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
@@ -167,11 +168,11 @@ def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
                 value=state,
                 expected=expected,
             )
-    table = []
+    link_table = []
     for entry in grid.navbake.get("links") or []:
         is_changed = isinstance(entry, dict) and entry["name"] in states
-        table.append({**entry, "state": states[entry["name"]]} if is_changed else entry)
-    metadata = {**grid.metadata, "navbake": {**grid.navbake, "links": table}}
+        link_table.append({**entry, "state": states[entry["name"]]} if is_changed else entry)
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, "links": link_table}}
     changed_grid = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
     renew_islands(changed_grid)
     return changed_grid
@@ -206,38 +207,42 @@ def with_door_names(
                     blocking_by_cell.setdefault(cell, set()).add(door.id)
     all_door_ids = {door.id for door in doors}
     cells = np.fromiter(doors_by_cell, dtype=np.int64, count=len(doors_by_cell))
-    changed: dict[int, Json] = {}
+    new_entries: dict[int, Json] = {}
     for cell, entry in zip(doors_by_cell, user_data.find(cells), strict=True):
-        changed[cell] = _with_door_ids(
+        new_entries[cell] = _with_door_ids(
             _without_doors(entry, all_door_ids),
             doors_by_cell[cell],
             blocking_by_cell.get(cell, set()),
         )
-    return user_data.with_entries(changed)
+    return user_data.with_entries(new_entries)
 
 
 def _without_doors(entry: Json, door_ids: set[str]) -> Json:
     """Return a cell's user data without ``doors`` and ``blockers``, and with no door as object."""
     if "doors" not in entry:
         return entry
-    remaining = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}
-    if isinstance(remaining.get("objects"), list):
-        objects = [name for name in names_in(remaining, "objects") if name not in door_ids]
-        remaining["objects"] = objects
+    entry_without_doors = {
+        key: value for key, value in entry.items() if key not in ("doors", "blockers")
+    }
+    if isinstance(entry_without_doors.get("objects"), list):
+        objects = [
+            name for name in names_in(entry_without_doors, "objects") if name not in door_ids
+        ]
+        entry_without_doors["objects"] = objects
         if not objects:
-            del remaining["objects"]
-    return remaining
+            del entry_without_doors["objects"]
+    return entry_without_doors
 
 
 def _with_door_ids(entry: Json, door_ids: set[str], blocking_ids: set[str]) -> Json:
     """Return a cell's user data with `door_ids` as doors, and `blocking_ids` as objects, too."""
     if not door_ids:
         return entry
-    names: Json = {"doors": sorted(door_ids)}
+    name_lists: Json = {"doors": sorted(door_ids)}
     objects = sorted({*names_in(entry, "objects"), *blocking_ids})
     if objects:
-        names["objects"] = objects
-    entry = {**names, **{key: value for key, value in entry.items() if key not in names}}
+        name_lists["objects"] = objects
+    entry = {**name_lists, **{key: value for key, value in entry.items() if key not in name_lists}}
     # blockers are listed only where they aren't all that stands in the cell
     if blocking_ids and blocking_ids != {
         name for key in NAME_KEYS for name in names_in(entry, key)
@@ -268,16 +273,16 @@ class DoorLine(NamedTuple):
         return (self.start[0] + self.end[0]) / 2, (self.start[1] + self.end[1]) / 2
 
 
-def find_door_lines(grid: NavGrid, number: int) -> tuple[DoorLine, ...]:
+def find_door_lines(grid: NavGrid, level_number: int) -> tuple[DoorLine, ...]:
     """Find the lines of the doors of a level; see `find_leaf_ends`.
 
     Args:
         grid: The grid.
-        number: Number of the level, 0 is the lowest.
+        level_number: Number of the level, 0 is the lowest.
     """
     lines = []
     for door in grid.doors:
-        ends = find_leaf_ends(grid, door, number)
+        ends = find_leaf_ends(grid, door, level_number)
         if ends is not None:
             lines.append(DoorLine(door.id, door.like or door.state, ends[0], ends[1]))
     return tuple(lines)
@@ -295,21 +300,25 @@ def name_doors(leaf_ids: Iterable[str]) -> dict[str, str]:
     Returns:
         Id of a leaf -> name of its door.
     """
-    ids = dict.fromkeys(leaf_ids)
+    unique_ids = dict.fromkeys(leaf_ids)
     names = {}
-    for leaf_id in ids:
+    for leaf_id in unique_ids:
         stem, _, side = leaf_id.rpartition("_")
-        is_pair = side in ("right", "left") and f"{stem}_right" in ids and f"{stem}_left" in ids
+        is_pair = (
+            side in ("right", "left")
+            and f"{stem}_right" in unique_ids
+            and f"{stem}_left" in unique_ids
+        )
         names[leaf_id] = stem if is_pair else leaf_id
     return names
 
 
-def mark_door_cells(grid: NavGrid, number: int, *, in_current_state: bool) -> Bool:
+def mark_door_cells(grid: NavGrid, level_number: int, *, in_current_state: bool) -> Bool:
     """Mark the cells of a level that doors block.
 
     Args:
         grid: The grid.
-        number: Number of the level, 0 is the lowest.
+        level_number: Number of the level, 0 is the lowest.
         in_current_state: Whether to mark the cells that doors block in their current states. If
             False, the cells that they block when closed; a door without the state ``closed`` is
             taken in its current one.
@@ -317,18 +326,18 @@ def mark_door_cells(grid: NavGrid, number: int, *, in_current_state: bool) -> Bo
     Returns:
         Shape (height, width), bool.
     """
-    mask = np.zeros(grid.levels[number].shape, dtype=np.bool_)
+    is_door_cell = np.zeros(grid.levels[level_number].shape, dtype=np.bool_)
     for door in grid.doors:
         state = "closed" if "closed" in door.cells and not in_current_state else door.state
-        mask.flat[door.cells_in(state, len(grid.levels))[number]] = True
-    return mask
+        is_door_cell.flat[door.cells_in(state, len(grid.levels))[level_number]] = True
+    return is_door_cell
 
 
 Ends = tuple[tuple[float, float], tuple[float, float]]
 """Both ends of a line, world x, y [m]."""
 
 
-def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
+def find_leaf_ends(grid: NavGrid, door: Door, level_number: int) -> Ends | None:
     """Find the ends of a door's leaf on a level.
 
     The leaf is taken in the first state in which the grid has cells of it on the level: closed, the
@@ -342,17 +351,17 @@ def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
     Args:
         grid: The grid.
         door: One of its doors.
-        number: Number of the level, 0 is the lowest.
+        level_number: Number of the level, 0 is the lowest.
 
     Returns:
         The ends, or None if the door has no cells on the level.
     """
-    level = grid.levels[number]
+    level = grid.levels[level_number]
     num_levels = len(grid.levels)
     for state in ("closed", door.state, *door.states):
-        leaf_cells = door.solid_in(state, num_levels)[number]
+        leaf_cells = door.solid_in(state, num_levels)[level_number]
         has_leaf = len(leaf_cells) > 0
-        cells = leaf_cells if has_leaf else door.cells_in(state, num_levels)[number]
+        cells = leaf_cells if has_leaf else door.cells_in(state, num_levels)[level_number]
         if len(cells):
             break
     else:
@@ -362,7 +371,7 @@ def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
     middle = centers.mean(axis=0)
     offsets = centers - middle
     # the longer principal axis: the eigenvector of the largest eigenvalue
-    axis = _pointing_right(np.linalg.eigh(offsets.T @ offsets)[1][:, 1])
+    axis = _point_right(np.linalg.eigh(offsets.T @ offsets)[1][:, 1])
     if np.ptp(offsets @ axis) * np.abs(axis).min() < cell_size / 2:
         # within half a cell, it runs along a row or a column
         axis = np.round(axis) + 0.0
@@ -372,7 +381,7 @@ def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
 
         def count_obstacles(axis: Float) -> int:
             """Count the blocked cells among the two next to the ends of the leaf along an axis."""
-            normal = _pointing_right(np.array([-axis[1], axis[0]]))
+            normal = _point_right(np.array([-axis[1], axis[0]]))
             distances = centers @ axis
             offset = np.median(centers @ normal) * normal
             ends = np.array([[distances.min() - cell_size], [distances.max() + cell_size]])
@@ -381,7 +390,7 @@ def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
             cols = (cols + 1).clip(0, is_free.shape[1] - 1)
             return int(np.count_nonzero(~is_free[rows, cols]))
 
-        shorter_axis = _pointing_right(np.array([-axis[1], axis[0]]))
+        shorter_axis = _point_right(np.array([-axis[1], axis[0]]))
         if count_obstacles(shorter_axis) > count_obstacles(axis):
             axis = shorter_axis
         extra_length = grid.agent_radius
@@ -393,6 +402,6 @@ def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
     return (ends[0][0], ends[0][1]), (ends[1][0], ends[1][1])
 
 
-def _pointing_right(axis: Float) -> Float:
+def _point_right(axis: Float) -> Float:
     """Return the axis or its opposite: the one towards +x, or towards +y if both have x = 0."""
     return axis if tuple(axis) > (0.0, 0.0) else 0.0 - axis

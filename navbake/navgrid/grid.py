@@ -106,13 +106,13 @@ class GridBase(GridMethods):
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        levels = count_of(len(self.levels), "level")
+        levels_text = count_of(len(self.levels), "level")
         free_area = sum(
             np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in self.levels
         )
         num_rooms = sum(int(np.count_nonzero(np.unique(level.room_index))) for level in self.levels)
-        rooms = count_of(num_rooms, "room")
-        facts = f"{levels}, {free_area:.1f} m² free, {rooms}, {self.describe_radius()}"
+        rooms_text = count_of(num_rooms, "room")
+        facts = f"{levels_text}, {free_area:.1f} m² free, {rooms_text}, {self.describe_radius()}"
         return f"{type(self).__name__}({self.scene_id!r}, {facts})"
 
     def describe_radius(self) -> str:
@@ -166,12 +166,12 @@ class GridBase(GridMethods):
     @property
     def inflated_radius(self) -> float:
         """The largest radius that the grid was inflated for in mode ``exact`` [m], or 0."""
-        largest = 0.0
+        largest_radius = 0.0
         for inflation in self.exact_inflations:
             radius = inflation.get("radius")
             if isinstance(radius, int | float) and 0 <= radius <= MAX_RADIUS:
-                largest = max(largest, float(radius))
-        return largest
+                largest_radius = max(largest_radius, float(radius))
+        return largest_radius
 
     @property
     def radius(self) -> float:
@@ -215,8 +215,8 @@ class GridBase(GridMethods):
         rooms = self.stated_rooms
         if rooms is not None:
             return rooms
-        measured = (level.measure_rooms(number) for number, level in enumerate(self.levels))
-        return tuple(chain.from_iterable(measured))
+        rooms_by_level = (level.measure_rooms(number) for number, level in enumerate(self.levels))
+        return tuple(chain.from_iterable(rooms_by_level))
 
     @property
     def stated_rooms(self) -> tuple[Room, ...] | None:
@@ -241,7 +241,7 @@ class GridBase(GridMethods):
     def step_array(self) -> Int:
         """`steps` as an array, int64, shape (n, 4): the fields of `Step` in their order."""
         return self._table(
-            "links", lambda entries: parse_steps(entries, self._cell_counts), part="steps"
+            "links", lambda entries: parse_steps(entries, self._cell_counts), part_name="steps"
         )
 
     @property
@@ -264,17 +264,17 @@ class GridBase(GridMethods):
         """The number of cells of each level."""
         return [level.width * level.height for level in self.levels]
 
-    def _table(self, name: str, parse: Callable[[Any], Table], part: str = "") -> Table:
+    def _table(self, name: str, parse: Callable[[Any], Table], part_name: str = "") -> Table:
         """Return a parsed table of the metadata; parse it only if its entries are new.
 
         Args:
             name: Key of the table under ``navbake``.
             parse: Converts the entries to the result.
-            part: Name of what `parse` returns, if it is only a part of the table, such as the steps
-                of ``links``.
+            part_name: Name of what `parse` returns, if it is only a part of the table, such as the
+                steps of ``links``.
         """
         entries = self.navbake.get(name)
-        key = part or name
+        key = part_name or name
         if key not in self._tables or self._tables[key][0] is not entries:
             self._tables[key] = (entries, parse(entries))
         return cast("Table", self._tables[key][1])
@@ -376,8 +376,8 @@ class SceneGrid2D(GridBase):
             metadata: The new metadata; None to keep the metadata of the new level.
         """
         (level,) = levels
-        changed = level if metadata is None else level.with_layers(metadata=metadata)
-        return cast("Self", changed)
+        changed_level = level if metadata is None else level.with_layers(metadata=metadata)
+        return cast("Self", changed_level)
 
     def with_layers(
         self,
@@ -421,12 +421,12 @@ class SceneGrid2D(GridBase):
         state = self.obstacle_state
         if state is None or not state.is_blocked:
             return self
-        occupied = {
+        occupied_attributes = {
             name: np.where(state.mask_of(OCCUPIED), without_obstacles, self.attributes[name])
             for name, without_obstacles in state.occupied.items()
         }
         weights = np.where(state.mask_of(BLOCKED), state.weights, self.weights)
-        return self.with_layers(weights=weights, attributes=occupied)
+        return self.with_layers(weights=weights, attributes=occupied_attributes)
 
     @property
     def uses_cell_floors(self) -> bool:
@@ -463,14 +463,14 @@ class SceneGrid2D(GridBase):
         ``useCellFloorHeight: false``, free cells and cells with a stored floor have it. Read-only
         unless it is the attribute itself.
         """
-        stored = self.attributes.get("floorHeight")
-        if stored is None or not self.uses_cell_floors:
-            has_floor = self.free if stored is None else self.free | ~np.isnan(stored)
+        stored_floor = self.attributes.get("floorHeight")
+        if stored_floor is None or not self.uses_cell_floors:
+            has_floor = self.free if stored_floor is None else self.free | ~np.isnan(stored_floor)
             return _read_only(np.where(has_floor, np.float32(self.min_yup[1]), np.float32(np.nan)))
-        if stored.dtype == np.float32:
-            return stored
+        if stored_floor.dtype == np.float32:
+            return stored_floor
         with np.errstate(over="ignore"):  # what float32 can't hold becomes infinite
-            return _read_only(stored.astype(np.float32))
+            return _read_only(stored_floor.astype(np.float32))
 
     @property
     def floor(self) -> Float:
@@ -512,10 +512,10 @@ class SceneGrid2D(GridBase):
         square; otherwise it equals `occupancy`. Inflation for other agents starts from it.
         Read-only unless it is the attribute itself.
         """
-        stored = self.attributes.get("solid")
-        if stored is None or not self.navbake:  # other programs may use the name for anything
+        stored_layer = self.attributes.get("solid")
+        if stored_layer is None or not self.navbake:  # other programs may use the name for anything
             return self.occupancy
-        return _as_flags(stored)
+        return _as_flags(stored_layer)
 
     @property
     def free_for_point(self) -> Bool:
@@ -561,13 +561,13 @@ class SceneGrid2D(GridBase):
             name: Name of the attribute.
             dtype: The unsigned integer type of the result.
         """
-        stored = self.attributes.get(name)
-        if stored is None:
+        stored_layer = self.attributes.get(name)
+        if stored_layer is None:
             return _read_only(np.zeros(self.shape, dtype=dtype))
-        if stored.dtype == dtype:
-            return stored
-        is_index = (stored >= 0) & (stored <= np.iinfo(dtype).max)
-        return _read_only(np.where(is_index, stored, 0).astype(dtype))
+        if stored_layer.dtype == dtype:
+            return stored_layer
+        is_index = (stored_layer >= 0) & (stored_layer <= np.iinfo(dtype).max)
+        return _read_only(np.where(is_index, stored_layer, 0).astype(dtype))
 
     def measure_rooms(self, number: int = 0) -> list[Room]:
         """Describe the rooms of the level from `room_index` alone.
@@ -635,11 +635,11 @@ class MultiLevelGrid(GridBase):
         return replace(self, grids=grids, metadata=self.metadata if metadata is None else metadata)
 
 
-def _as_flags(stored: NDArray[Any]) -> NDArray[np.uint8]:
+def _as_flags(layer: NDArray[Any]) -> NDArray[np.uint8]:
     """Convert a layer to uint8: 1 where it is not 0. A uint8 layer is returned unchanged."""
-    if stored.dtype == np.uint8:
-        return stored
-    return _read_only((stored != 0).astype(np.uint8))
+    if layer.dtype == np.uint8:
+        return layer
+    return _read_only((layer != 0).astype(np.uint8))
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

@@ -112,8 +112,9 @@ class GridMethods:
         """Return all layers of the grid in the cell of a position.
 
         Args:
-            position: See `cell_at`.
-            level: See `cell_at`.
+            position: World x, y, z [m], shape (3,). x, y are enough with `level`, or on a grid of
+                one level.
+            level: The level of the cell, 0 is the lowest; z is then ignored. None to find it by z.
 
         Returns:
             The cell, its floor, whether it is free, its weight, room, area and island; None where
@@ -151,8 +152,10 @@ class GridMethods:
 
         Args:
             layer: The name of a layer above, or of an attribute (`SceneGrid2D.attributes`).
-            positions: See `cells_at`.
-            level: See `cells_at`.
+            positions: World x, y, z [m], shape (..., 3); shape (..., 2) is enough with `level`, or
+                on a grid of one level.
+            level: The level of all cells, 0 is the lowest; z is then ignored. None to find each by
+                z.
 
         Returns:
             The values, shape (...).
@@ -312,7 +315,8 @@ class GridMethods:
                 to the left, the agent's centre at the origin. No two sides cross.
             num_headings: Number of headings, >= 1. Heading k is ``2 π k / num_headings`` [rad],
                 counter-clockwise from the world's x axis.
-            ledges: See `inflate`.
+            ledges: ``avoid`` keeps the footprint off floors that are more than a step lower,
+                ``ignore`` lets it overhang them.
 
         Returns:
             For each level an array of shape (num_headings, height, width), bool.
@@ -469,7 +473,8 @@ class GridMethods:
             max_drop: Largest height above the floor at which `navbake.tensors.is_navigable` is true
                 [m], >= 0.
             cut_corners: Allow diagonal steps past blocked corners.
-            agent: See `PathFinder`; the arrays describe the grid for an agent of its size.
+            agent: The name of one of the grid's `agents`, or an `Agent`; the arrays describe the
+                grid for an agent of its size. None for the grid's own.
 
         Returns:
             The arrays; the functions of `navbake.tensors` answer queries with them.
@@ -751,7 +756,7 @@ class GridMethods:
         doors.
 
         Args:
-            kinds: See `to_polygons`.
+            kinds: The kinds of shapes: some of ``room``, ``walkable`` and ``door``.
 
         Returns:
             The FeatureCollection, which can be written as JSON.

@@ -33,24 +33,29 @@ def find_islands(grid: GridBase) -> list[Int32]:
         island, else 0. Islands of equal size are numbered by their lowest (level, cell id).
     """
     levels = grid.levels
-    start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)
-    width = np.array([level.width for level in levels], dtype=np.int64)
-    free = np.concatenate([level.free.ravel() for level in levels])
-    floor = np.concatenate([level.floor_height.ravel() for level in levels])
-    free &= ~values_by_area(grid, [area.bars(None) for area in grid.areas], False)
+    first_cells = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)
+    widths = np.array([level.width for level in levels], dtype=np.int64)
+    is_free = np.concatenate([level.free.ravel() for level in levels])
+    floor_y = np.concatenate([level.floor_height.ravel() for level in levels])
+    is_free &= ~values_by_area(grid, [area.bars(None) for area in grid.areas], False)
     # flat ids over all levels, so that steps join cells as edges do
-    steps = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
-    arcs = find_arcs(grid.links, start)
-    island = label_islands(
-        start=start,
-        width=width,
-        free=free,
-        floor=floor,
-        limit=step_limit(grid),
+    steps = first_cells[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
+    arcs = find_arcs(grid.links, first_cells)
+    island_numbers = label_islands(
+        first_cells=first_cells,
+        widths=widths,
+        free=is_free,
+        floor=floor_y,
+        max_rise=step_limit(grid),
         steps=steps,
         arcs=arcs.ends[arcs.fits_radius(grid.radius)],
     )
-    return [island[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
+    return [
+        island_numbers[first_cells[level_number] : first_cells[level_number + 1]].reshape(
+            level.shape
+        )
+        for level_number, level in enumerate(levels)
+    ]
 
 
 def values_by_area(grid: GridBase, values: Sequence[object], outside: object) -> NDArray[Any]:
@@ -72,11 +77,11 @@ def values_by_area(grid: GridBase, values: Sequence[object], outside: object) ->
 
 
 def label_islands(
-    start: Int,
-    width: Int,
+    first_cells: Int,
+    widths: Int,
     free: Bool,
     floor: NDArray[Any],
-    limit: float,
+    max_rise: float,
     steps: Int,
     arcs: Int | None = None,
 ) -> Int32:
@@ -88,11 +93,11 @@ def label_islands(
     have equal ends (Shiloach and Vishkin, 1982).
 
     Args:
-        start: First flat id of each level, then the number of all cells, shape (levels + 1,).
-        width: Number of columns of each level, shape (levels,).
+        first_cells: First flat id of each level, then the number of all cells, shape (levels + 1,).
+        widths: Number of columns of each level, shape (levels,).
         free: Whether each cell is free, by flat id, shape (n,).
         floor: Floor of each cell, NaN for none, shape (n,).
-        limit: Largest difference of neighbours' floors, in the unit of `floor`.
+        max_rise: Largest difference of neighbours' floors, in the unit of `floor`.
         steps: Flat ids of the two cells that each step joins, shape (m, 2).
         arcs: Flat ids of the cells that each link leads from and to, shape (k, 2); None for no
             links.
@@ -103,52 +108,58 @@ def label_islands(
     # float32, and a difference of two that is rounded to it, could pass a limit
     floor = floor.astype(np.float64)
     begins_run = free.copy()
-    pairs = [steps[free[steps].all(axis=1)]]
-    for first_cell, end_cell, num_cols in zip(start[:-1], start[1:], width, strict=True):
+    cell_pairs = [steps[free[steps].all(axis=1)]]
+    for first_cell, end_cell, num_cols in zip(
+        first_cells[:-1], first_cells[1:], widths, strict=True
+    ):
         level_cells = slice(first_cell, end_cell)
         is_free = free[level_cells].reshape(-1, num_cols)
-        height = floor[level_cells].reshape(-1, num_cols)
+        floor_of_cell = floor[level_cells].reshape(-1, num_cols)
         begins_here = begins_run[level_cells].reshape(-1, num_cols)
         # an unknown floor, NaN, is level with its neighbours
         joins_right = is_free[:, 1:] & is_free[:, :-1]
-        joins_right &= ~(np.abs(height[:, 1:] - height[:, :-1]) > limit)
+        joins_right &= ~(np.abs(floor_of_cell[:, 1:] - floor_of_cell[:, :-1]) > max_rise)
         begins_here[:, 1:] &= ~joins_right
-        joins_down = is_free[1:] & is_free[:-1] & ~(np.abs(height[1:] - height[:-1]) > limit)
+        joins_down = (
+            is_free[1:]
+            & is_free[:-1]
+            & ~(np.abs(floor_of_cell[1:] - floor_of_cell[:-1]) > max_rise)
+        )
         # one pair of cells for each pair of runs
         joins_down[:, 1:] &= ~joins_down[:, :-1] | begins_here[1:, 1:] | begins_here[:-1, 1:]
         upper_cell = np.flatnonzero(joins_down) + first_cell
-        pairs.append(np.stack([upper_cell, upper_cell + num_cols], axis=1))
+        cell_pairs.append(np.stack([upper_cell, upper_cell + num_cols], axis=1))
     run_of_cell = np.cumsum(begins_run) - 1
-    ends = run_of_cell[np.concatenate(pairs)]
-    root = np.arange(np.count_nonzero(begins_run))
-    while len(ends):
-        ends = root[ends]
-        ends = ends[ends[:, 0] != ends[:, 1]]
-        np.minimum.at(root, ends.max(axis=1), ends.min(axis=1))
-        while (root[root] != root).any():
-            root = root[root]
-    number = np.unique(root, return_inverse=True)[1]
+    run_pairs = run_of_cell[np.concatenate(cell_pairs)]
+    root_of_run = np.arange(np.count_nonzero(begins_run))
+    while len(run_pairs):
+        run_pairs = root_of_run[run_pairs]
+        run_pairs = run_pairs[run_pairs[:, 0] != run_pairs[:, 1]]
+        np.minimum.at(root_of_run, run_pairs.max(axis=1), run_pairs.min(axis=1))
+        while (root_of_run[root_of_run] != root_of_run).any():
+            root_of_run = root_of_run[root_of_run]
+    island_of_run = np.unique(root_of_run, return_inverse=True)[1]
     if arcs is not None and free[arcs].all(axis=1).any():
         free_arcs = arcs[free[arcs].all(axis=1)]
-        number = _join_linked(number, number[run_of_cell[free_arcs]])
-    number = number[run_of_cell[free]]
-    size = np.bincount(number, minlength=1)
-    rank = np.empty(len(size), dtype=np.int32)
+        island_of_run = _join_linked(island_of_run, island_of_run[run_of_cell[free_arcs]])
+    island_of_run = island_of_run[run_of_cell[free]]
+    island_sizes = np.bincount(island_of_run, minlength=1)
+    ranks = np.empty(len(island_sizes), dtype=np.int32)
     # stable, so that islands of one size stay in the order of their first cells
-    rank[np.argsort(-size, kind="stable")] = np.arange(1, len(size) + 1)
-    island = np.zeros(len(free), dtype=np.int32)
-    island[free] = rank[number]
-    return island
+    ranks[np.argsort(-island_sizes, kind="stable")] = np.arange(1, len(island_sizes) + 1)
+    island_numbers = np.zeros(len(free), dtype=np.int32)
+    island_numbers[free] = ranks[island_of_run]
+    return island_numbers
 
 
-def _join_linked(number: Int, linked: Int) -> Int:
+def _join_linked(island_of_run: Int, linked_islands: Int) -> Int:
     """Join islands that links connect in both directions, and renumber all islands from 0.
 
     The islands keep their order; a joined island has the place of the first of its parts.
 
     Args:
-        number: The island of each run, shape (n,).
-        linked: The islands that each link leads from and to, shape (k, 2).
+        island_of_run: The island of each run, shape (n,).
+        linked_islands: The islands that each link leads from and to, shape (k, 2).
 
     Returns:
         The new island of each run, shape (n,).
@@ -156,12 +167,14 @@ def _join_linked(number: Int, linked: Int) -> Int:
     from scipy.sparse import coo_array  # scipy loads slowly
     from scipy.sparse.csgraph import connected_components  # scipy loads slowly
 
-    count = int(number.max()) + 1
-    graph = coo_array((np.ones(len(linked)), tuple(linked.T)), shape=(count, count))
-    component = connected_components(graph, connection="strong")[1]
-    lowest = np.full(count, count)
-    np.minimum.at(lowest, component, np.arange(count))
-    return np.unique(lowest[component][number], return_inverse=True)[1]
+    num_islands = int(island_of_run.max()) + 1
+    graph = coo_array(
+        (np.ones(len(linked_islands)), tuple(linked_islands.T)), shape=(num_islands, num_islands)
+    )
+    components = connected_components(graph, connection="strong")[1]
+    lowest_island = np.full(num_islands, num_islands)
+    np.minimum.at(lowest_island, components, np.arange(num_islands))
+    return np.unique(lowest_island[components][island_of_run], return_inverse=True)[1]
 
 
 def islands_of(grid: GridBase) -> list[Int32]:
@@ -174,13 +187,16 @@ def islands_of(grid: GridBase) -> list[Int32]:
         For each level, the number of each cell's island, shape (height, width), int32. The arrays
         must not be modified.
     """
-    stored = [level.attributes.get("island") for level in grid.levels]
+    stored_layers = [level.attributes.get("island") for level in grid.levels]
     if (
         grid.navbake
         and not grid.is_blocked
-        and all(layer is not None and layer.max(initial=0) < MAX_STORED_ISLAND for layer in stored)
+        and all(
+            layer is not None and layer.max(initial=0) < MAX_STORED_ISLAND
+            for layer in stored_layers
+        )
     ):
-        return [np.asarray(layer).astype(np.int32) for layer in stored]
+        return [np.asarray(layer).astype(np.int32) for layer in stored_layers]
     digest = _digest_sources(grid)
     if grid.cached_islands is None or grid.cached_islands[0] != digest:
         grid.cached_islands = (digest, find_islands(grid))
@@ -215,18 +231,20 @@ def measure_clearance(level: SceneGrid2D, cells: CellRange | None = None) -> NDA
     """
     from scipy.ndimage import distance_transform_edt  # scipy loads slowly
 
-    first_row, end_row, first_col, end_col = cells or (0, level.height, 0, level.width)
-    free = level.free[first_row:end_row, first_col:end_col]
-    is_open = level.free_for_point[first_row:end_row, first_col:end_col]
+    first_row, stop_row, first_col, stop_col = cells or (0, level.height, 0, level.width)
+    is_free = level.free[first_row:stop_row, first_col:stop_col]
+    is_open = level.free_for_point[first_row:stop_row, first_col:stop_col]
     # one blocked cell beyond each side of the cells that is an edge of the grid
     pad_top = int(first_row == 0)
     pad_left = int(first_col == 0)
-    pad_bottom = int(end_row == level.height)
-    pad_right = int(end_col == level.width)
-    padded = np.pad(is_open, ((pad_top, pad_bottom), (pad_left, pad_right)))
-    distance = distance_transform_edt(padded)  # in cells
-    distance = distance[pad_top : pad_top + free.shape[0], pad_left : pad_left + free.shape[1]]
-    return np.where(free, (distance - 0.5) * level.lattice.cell_size, 0.0).astype(np.float32)
+    pad_bottom = int(stop_row == level.height)
+    pad_right = int(stop_col == level.width)
+    padded_mask = np.pad(is_open, ((pad_top, pad_bottom), (pad_left, pad_right)))
+    distances = distance_transform_edt(padded_mask)  # in cells
+    distances = distances[
+        pad_top : pad_top + is_free.shape[0], pad_left : pad_left + is_free.shape[1]
+    ]
+    return np.where(is_free, (distances - 0.5) * level.lattice.cell_size, 0.0).astype(np.float32)
 
 
 def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
@@ -250,9 +268,9 @@ def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
         is_step = np.zeros(level.shape, dtype=np.bool_)
         cells = np.divmod(steps_of_pair[:, 1], level.width)
         is_step[cells] = True
-        group = ndimage.label(is_step, np.ones((3, 3)))[0][cells]
-        for number in np.unique(group).tolist():
-            yield steps_of_pair[group == number]
+        group_numbers = ndimage.label(is_step, np.ones((3, 3)))[0][cells]
+        for number in np.unique(group_numbers).tolist():
+            yield steps_of_pair[group_numbers == number]
 
 
 def step_limit(grid: GridBase) -> float:
@@ -262,8 +280,8 @@ def step_limit(grid: GridBase) -> float:
     floor, so that a step of exactly the allowed height is allowed.
     """
     floors = [np.abs(level.floor_height) for level in grid.levels]
-    highest = max(float(np.nanmax(floor, initial=0.0)) for floor in floors)
-    rounding = float(np.spacing(np.float32(highest)))
+    highest_floor = max(float(np.nanmax(floor, initial=0.0)) for floor in floors)
+    rounding = float(np.spacing(np.float32(highest_floor)))
     return grid.max_step / grid.unit + STEP_SLACK / grid.unit + rounding
 
 

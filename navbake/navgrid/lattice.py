@@ -217,14 +217,14 @@ def find_outline_fault(points: ArrayLike) -> str | None:
         return "corners that all lie in a line"
     sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
     num_at_once = max(1, MAX_PAIRS // len(sides))
-    for first in range(0, len(sides), num_at_once):
-        some_sides = sides[first : first + num_at_once, None]
+    for first_side in range(0, len(sides), num_at_once):
+        some_sides = sides[first_side : first_side + num_at_once, None]
         is_crossing = _separates(some_sides, sides[None]) & _separates(sides[None], some_sides)
         crossing = np.argwhere(is_crossing)
         if len(crossing):  # the first side that crosses another, and the first that it crosses
             row, col = crossing[0]
-            pair = sides[[first + row, col]]
-            texts = [f"[{x0:g}, {y0:g}] to [{x1:g}, {y1:g}]" for x0, y0, x1, y1 in pair]
+            crossing_pair = sides[[first_side + row, col]]
+            texts = [f"[{x0:g}, {y0:g}] to [{x1:g}, {y1:g}]" for x0, y0, x1, y1 in crossing_pair]
             return "sides that cross: " + " and ".join(texts)
     return None
 
@@ -268,11 +268,15 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
         corners = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
         for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             # always upwards, so that two polygons get the same crossings from a shared side
-            low, high = (start, end) if start[1] <= end[1] else (end, start)
-            # y descends: rows with low <= y < high
-            rows = slice(*(len(y) - np.searchsorted(y[::-1], [high[1], low[1]])))
-            slope = (high[0] - low[0]) / (high[1] - low[1]) if high[1] > low[1] else 0.0
-            cols = np.searchsorted(x, low[0] + (y[rows] - low[1]) * slope)
+            lower_end, upper_end = (start, end) if start[1] <= end[1] else (end, start)
+            # y descends: rows whose y is from that of the lower end to below that of the upper end
+            rows = slice(*(len(y) - np.searchsorted(y[::-1], [upper_end[1], lower_end[1]])))
+            slope = (
+                (upper_end[0] - lower_end[0]) / (upper_end[1] - lower_end[1])
+                if upper_end[1] > lower_end[1]
+                else 0.0
+            )
+            cols = np.searchsorted(x, lower_end[0] + (y[rows] - lower_end[1]) * slope)
             np.add.at(num_toggles, (np.arange(rows.start, rows.stop), cols), 1)
     is_inside: Bool = np.cumsum(num_toggles[:, :-1], axis=1) % 2 == 1
     return is_inside
@@ -285,7 +289,8 @@ def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     zones use this rule, so even a thin zone has no gaps.
 
     Args:
-        rings: See `cover_cells`.
+        rings: The polygon's outlines and the outlines of its holes, each of shape (n, 2), world
+            x, y [m].
         lattice: The cells.
 
     Returns:
@@ -300,21 +305,23 @@ def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
         corners[:, 1] *= -1.0
         for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             upper, lower = (start, end) if start[1] <= end[1] else (end, start)
-            col0, row0 = upper
-            col1, row1 = lower
-            first_row = math.floor(row0 + CELL_SLACK)
-            end_row = math.ceil(row1 - CELL_SLACK)
-            rows = np.arange(max(first_row, 0), min(end_row, lattice.height))
+            upper_col, upper_row = upper
+            lower_col, lower_row = lower
+            first_row = math.floor(upper_row + CELL_SLACK)
+            stop_row = math.ceil(lower_row - CELL_SLACK)
+            rows = np.arange(max(first_row, 0), min(stop_row, lattice.height))
             # the part of the side in each row, by the columns of its ends
-            row_ends = np.clip([rows + CELL_SLACK, rows + 1 - CELL_SLACK], row0, row1)
-            slope = (col1 - col0) / (row1 - row0) if row1 > row0 else 0.0
-            cols = col0 + (row_ends - row0) * slope
-            if row1 - row0 < CELL_SLACK:
-                cols = np.array([[col0], [col1]])
+            row_ends = np.clip([rows + CELL_SLACK, rows + 1 - CELL_SLACK], upper_row, lower_row)
+            slope = (
+                (lower_col - upper_col) / (lower_row - upper_row) if lower_row > upper_row else 0.0
+            )
+            cols = upper_col + (row_ends - upper_row) * slope
+            if lower_row - upper_row < CELL_SLACK:
+                cols = np.array([[upper_col], [lower_col]])
             first_col = np.floor(cols.min(axis=0) + CELL_SLACK).clip(0, lattice.width)
-            end_col = np.ceil(cols.max(axis=0) - CELL_SLACK).clip(first_col, lattice.width)
+            stop_col = np.ceil(cols.max(axis=0) - CELL_SLACK).clip(first_col, lattice.width)
             np.add.at(changes, (rows, first_col.astype(np.int64)), 1)
-            np.add.at(changes, (rows, end_col.astype(np.int64)), -1)
+            np.add.at(changes, (rows, stop_col.astype(np.int64)), -1)
     is_on_side = np.cumsum(changes[:, :-1], axis=1) > 0
     is_touched: Bool = cover_cells(rings, lattice) | is_on_side
     return is_touched

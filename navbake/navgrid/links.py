@@ -86,9 +86,9 @@ def parse_agents(entries: JsonValue) -> dict[str, Agent]:
     Raises:
         FormatError: The table is broken.
     """
-    by_name: dict[str, Json] = read_table(entries or {}, dict[Name, Json], AGENTS)
-    with_names = {name: {**entry, "name": name} for name, entry in by_name.items()}
-    return read_table(with_names, dict[str, Agent], AGENTS)
+    entries_by_name: dict[str, Json] = read_table(entries or {}, dict[Name, Json], AGENTS)
+    named_entries = {name: {**entry, "name": name} for name, entry in entries_by_name.items()}
+    return read_table(named_entries, dict[str, Agent], AGENTS)
 
 
 @dataclass(frozen=True)
@@ -136,22 +136,22 @@ def parse_areas(entries: JsonValue) -> tuple[Area, ...]:
         FormatError: The table is broken, has more than 255 areas, or a name twice.
     """
     areas: dict[str, Area] = {}
-    parsed: list[_AreaEntry] = read_table(entries or [], list[_AreaEntry], AREAS)
-    if len(parsed) > MAX_AREAS:
+    area_entries: list[_AreaEntry] = read_table(entries or [], list[_AreaEntry], AREAS)
+    if len(area_entries) > MAX_AREAS:
         raise FormatError(
-            f"expected at most {MAX_AREAS} areas, got {len(parsed)} at `{AREAS}`",
-            value=len(parsed),
+            f"expected at most {MAX_AREAS} areas, got {len(area_entries)} at `{AREAS}`",
+            value=len(area_entries),
             expected=f"at most {MAX_AREAS} areas",
             place=AREAS,
         )
-    for number, entry in enumerate(parsed):
+    for number, entry in enumerate(area_entries):
         if entry.name in areas:
-            raise _not_unique(entry.name, f"{AREAS}[{number}].name")
+            raise _make_duplicate_error(entry.name, f"{AREAS}[{number}].name")
         areas[entry.name] = Area(entry.name, float(entry.cost), entry.speed, entry.agents)
     return tuple(areas.values())
 
 
-def _not_unique(name: str, place: str) -> FormatError:
+def _make_duplicate_error(name: str, place: str) -> FormatError:
     """Make the error for a name that stands twice in a table."""
     expected = "unique names"
     return FormatError(
@@ -255,8 +255,8 @@ class Link:
             begin: Index of the first stop.
             end: Index of the last stop.
         """
-        first, last = sorted((begin, end))
-        places = [stop.position for stop in self.stops[first : last + 1]]
+        lower_index, upper_index = sorted((begin, end))
+        places = [stop.position for stop in self.stops[lower_index : upper_index + 1]]
         return sum(math.dist(place, next_place) for place, next_place in pairwise(places))
 
     def to_json(self) -> Json:
@@ -273,49 +273,61 @@ class Link:
 
 
 class Arcs(NamedTuple):
-    """The n passages over links, each from one stop to another."""
+    """The arcs over links: n ways from one stop of a link to another, each in one direction."""
 
     ends: Int  #: Flat ids of the cells that each leads from and to, shape (n, 2), int64.
-    link: Int  #: Index of each passage's link in the grid's `links`, shape (n,), int64.
+    link: Int  #: Index of each arc's link in the grid's `links`, shape (n,), int64.
     width: Float  #: Diameter of the widest agent that fits [m], inf for any, shape (n,).
-    cost: Float  #: Cost of each passage [m], shape (n,).
-    seconds: Float  #: Duration of each passage [s], shape (n,).
+    cost: Float  #: Cost of each arc [m], shape (n,).
+    seconds: Float  #: Duration of each arc [s], shape (n,).
 
     def fits_radius(self, radius: float) -> Bool:
-        """Mark the passages that an agent of a radius [m] fits through, shape (n,)."""
+        """Mark the arcs over links that are wide enough for a radius [m], shape (n,)."""
         return np.asarray(self.width >= 2.0 * radius * (1.0 - WIDTH_SLACK))
 
 
 def find_arcs(
-    links: Sequence[Link], start: Int, agent: Agent | None = None, penalty: float | None = None
+    links: Sequence[Link],
+    first_cells: Int,
+    agent: Agent | None = None,
+    penalty: float | None = None,
 ) -> Arcs:
-    """List the passages over links that an agent may use; its size is not considered.
+    """List the arcs over links that an agent may use; its size is not considered.
 
     Args:
         links: The links of a grid.
-        start: First flat id of each level.
+        first_cells: First flat id of each level.
         agent: The agent, whose permissions and speed count; None for one with 1 m/s that may use
             all open links.
-        penalty: Extra cost [m] and duration [s] of passages that the agent may not use, and of
-            passages against the direction of a one-way link. None to leave such passages out.
+        penalty: Extra cost [m] and duration [s] of arcs that the agent may not use, and of arcs
+            against the direction of a one-way link. None to leave such arcs out.
 
     Returns:
-        The passages, in the order of the links.
+        The arcs, in the order of the links.
     """
     speed = DEFAULT_SPEED if agent is None else agent.speed
-    rows = []
+    arc_rows = []
     for number, link in enumerate(links):
-        cells = [int(start[stop.level]) + stop.cell for stop in link.stops]
+        cells = [int(first_cells[stop.level]) + stop.cell for stop in link.stops]
         width = math.inf if link.width is None else link.width
-        for begin, end in np.ndindex(len(cells), len(cells)):
-            is_allowed = not link.refuses(agent) and not (link.one_way and end < begin)
-            if cells[begin] == cells[end] or not (is_allowed or penalty):
+        for start_index, end_index in np.ndindex(len(cells), len(cells)):
+            is_allowed = not link.refuses(agent) and not (link.one_way and end_index < start_index)
+            if cells[start_index] == cells[end_index] or not (is_allowed or penalty):
                 continue
-            cost = link.length(begin, end) if link.cost is None else link.cost
+            cost = link.length(start_index, end_index) if link.cost is None else link.cost
             seconds = cost / speed if link.seconds is None else link.seconds
-            extra = 0.0 if is_allowed else float(penalty or 0.0)
-            rows.append((cells[begin], cells[end], number, width, cost + extra, seconds + extra))
-    table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+            extra_cost = 0.0 if is_allowed else float(penalty or 0.0)
+            arc_rows.append(
+                (
+                    cells[start_index],
+                    cells[end_index],
+                    number,
+                    width,
+                    cost + extra_cost,
+                    seconds + extra_cost,
+                )
+            )
+    table = np.array(arc_rows, dtype=np.float64).reshape(-1, 6)
     return Arcs(
         ends=table[:, :2].astype(np.int64),
         link=table[:, 2].astype(np.int64),
@@ -334,11 +346,13 @@ class _StopsEntry(msgspec.Struct):
 
 def _parse_entries(entries: JsonValue) -> list[StepEntry | _StopsEntry]:
     """Convert a table of links to steps (tuples) and stops of named links, in the table's order."""
-    separate = unflatten(entries or [])
-    has_links = isinstance(separate, list) and any(isinstance(entry, dict) for entry in separate)
+    entry_list = unflatten(entries or [])
+    has_links = isinstance(entry_list, list) and any(
+        isinstance(entry, dict) for entry in entry_list
+    )
     if has_links:
-        return read_table(separate, list[StepEntry | _StopsEntry], LINKS)
-    return [*read_table(separate, list[StepEntry], LINKS)]
+        return read_table(entry_list, list[StepEntry | _StopsEntry], LINKS)
+    return [*read_table(entry_list, list[StepEntry], LINKS)]
 
 
 def parse_steps(entries: JsonValue, cell_counts: Sequence[int]) -> Int:
@@ -354,15 +368,15 @@ def parse_steps(entries: JsonValue, cell_counts: Sequence[int]) -> Int:
     Raises:
         FormatError: The table is broken, or a cell does not exist.
     """
-    numbers = []  # of the steps in the table
+    entry_numbers = []  # of the steps in the table
     rows = []
     for number, entry in enumerate(_parse_entries(entries)):
         if isinstance(entry, tuple):
-            numbers.append(number)
+            entry_numbers.append(number)
             rows.append(entry)
     steps = np.array(rows, dtype=np.int64).reshape(-1, 4)
     for index, (level, cell) in enumerate(steps.reshape(-1, 2).tolist()):
-        _check_cell(level, cell, cell_counts, f"link {numbers[index // 2]}")
+        _check_cell(level, cell, cell_counts, f"link {entry_numbers[index // 2]}")
     steps.flags.writeable = False
     return steps
 
@@ -371,7 +385,7 @@ def parse_links(entries: JsonValue, cell_counts: Sequence[int]) -> tuple[Link, .
     """Check and convert the named links of ``metadata.navbake.links``.
 
     Args:
-        entries: The table; see `parse_steps`.
+        entries: The table: a list of entries, a flat list of integers, or None.
         cell_counts: Number of cells of each level.
 
     Raises:
@@ -388,7 +402,7 @@ def parse_links(entries: JsonValue, cell_counts: Sequence[int]) -> tuple[Link, .
         ]
         link: Link = read_table({**entries[number], "stops": stops}, Link, place)
         if link.name in links:
-            raise _not_unique(link.name, f"{place}.name")
+            raise _make_duplicate_error(link.name, f"{place}.name")
         if len(entry.positions) != len(entry.stops):
             expected = f"a position for each of {len(entry.stops)} stops"
             raise FormatError(

@@ -49,10 +49,10 @@ def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
     for entry in entries if isinstance(entries, list) else []:
         if isinstance(entry, dict) and isinstance(entry.get("name"), str):
             entry_of_name[entry["name"]] = entry
-    described: dict[str, Json] = {}
+    entry_by_attribute: dict[str, Json] = {}
     for arrays in levels:
         for name, array in arrays.items():
-            if name in described:
+            if name in entry_by_attribute:
                 continue
             entry = entry_of_name.get(name, {})
             dtype = array.dtype
@@ -61,24 +61,29 @@ def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
             if not isinstance(array_type, str) or datatype_name(array_type) != dtype.name:
                 array_type = f"{dtype.name.capitalize()}Array"
             data_type = "continuous" if dtype.kind == "f" else "categorical"
-            described[name] = {"name": name, "type": array_type, "dataType": data_type, **entry}
-            described[name]["type"] = array_type
-    return list(described.values())
+            entry_by_attribute[name] = {
+                "name": name,
+                "type": array_type,
+                "dataType": data_type,
+                **entry,
+            }
+            entry_by_attribute[name]["type"] = array_type
+    return list(entry_by_attribute.values())
 
 
-def read_table(entries: JsonValue, kind: type[Table], place: str) -> Table:
+def read_table(entries: JsonValue, table_type: type[Table], place: str) -> Table:
     """Convert a table of a file to a Python type, and check it.
 
     Args:
         entries: The parsed JSON of the table.
-        kind: The type, such as ``list[Room]``; msgspec checks it.
+        table_type: The type, such as ``list[Room]``; msgspec checks it.
         place: The place of the table, such as ``metadata.navbake.rooms``.
 
     Raises:
         FormatError: The table does not have this type; the message names the place.
     """
     try:
-        return msgspec.convert(entries, kind)
+        return msgspec.convert(entries, table_type)
     except msgspec.ValidationError as error:
         # msgspec writes places as `$.area` or `$[0].name`, and none for the whole
         text = str(error) if "`$" in str(error) else f"{error} - at `$`"
@@ -116,11 +121,11 @@ def cut_metadata(metadata: Json, level: int) -> Json:
     tables = metadata.get("navbake")
     if not isinstance(tables, dict) or not tables:
         return metadata
-    cut = dict(tables)
+    level_tables = dict(tables)
     for name, cut_table in CUT_FUNCTIONS.items():
         with suppress(AttributeError, KeyError, TypeError, ValueError):
-            cut[name] = cut_table(tables[name], level)
-    return {**metadata, "navbake": cut}
+            level_tables[name] = cut_table(tables[name], level)
+    return {**metadata, "navbake": level_tables}
 
 
 def unflatten(links: JsonValue) -> JsonValue:
@@ -137,7 +142,7 @@ def cut_levels(levels: list[Json], level: int) -> list[Json]:
 
 def cut_links(links: JsonValue, level: int) -> list[JsonValue]:
     """Return the steps within a level, and the named links with at least two stops on it."""
-    cut: list[JsonValue] = []
+    level_links: list[JsonValue] = []
     for entry in unflatten(links):
         if isinstance(entry, dict):
             stops = []
@@ -149,18 +154,18 @@ def cut_links(links: JsonValue, level: int) -> list[JsonValue]:
                     stops.append([0, cell])
                     positions.append(position)
             if len(stops) >= 2:
-                cut.append({**entry, "stops": stops, "positions": positions})
+                level_links.append({**entry, "stops": stops, "positions": positions})
         else:
             first_level, first_cell, second_level, second_cell = entry
             if first_level == second_level == level:
-                cut.append([0, first_cell, 0, second_cell])
-    return cut
+                level_links.append([0, first_cell, 0, second_cell])
+    return level_links
 
 
 def cut_rooms(rooms: list[Json], level: int) -> list[Json]:
     """Return the rooms of a level, without neighbours on other levels."""
     rooms_elsewhere = {room["id"] for room in rooms if room["level"] != level}
-    cut = []
+    level_rooms = []
     for room in rooms:
         if room["level"] == level:
             neighbours = [
@@ -169,13 +174,13 @@ def cut_rooms(rooms: list[Json], level: int) -> list[Json]:
                 if neighbour["room"] not in rooms_elsewhere
             ]
             # a copy: the whole grid's table stays as it is
-            cut.append({**room, "level": 0, "neighbours": neighbours})
-    return cut
+            level_rooms.append({**room, "level": 0, "neighbours": neighbours})
+    return level_rooms
 
 
 def cut_doors(doors: list[Json], level: int) -> list[Json]:
     """Return the doors with cells on a level, without their cells on other levels."""
-    cut = []
+    level_doors = []
     for door in doors:
         # a door beside a stair may be on two levels: it is in the tables of both
         cells_on_level: Json = {}
@@ -186,8 +191,8 @@ def cut_doors(doors: list[Json], level: int) -> list[Json]:
                     for state, entries in door[key].items()
                 }
         if any(any(by_state.values()) for by_state in cells_on_level.values()):
-            cut.append({**door, **cells_on_level})
-    return cut
+            level_doors.append({**door, **cells_on_level})
+    return level_doors
 
 
 CUT_FUNCTIONS: dict[str, Callable[[JsonValue, int], JsonValue]] = {

@@ -109,39 +109,41 @@ def parse_rooms(entries: object, num_levels: int) -> tuple[Room, ...]:
     return tuple(sorted(rooms, key=lambda room: (room.level, room.index)))
 
 
-def measure_rooms(index: NDArray[Any], floor: Float, lattice: Lattice, number: int) -> list[Room]:
+def measure_rooms(
+    room_index: NDArray[Any], floor_z: Float, lattice: Lattice, level_number: int
+) -> list[Room]:
     """Describe the rooms of a level from its cells alone.
 
     The rooms have the id ``level:index``, and neither names nor neighbours.
 
     Args:
-        index: Index of each cell's room, 0 for no room, shape (height, width), integers.
-        floor: World z of each cell's floor [m], shape (height, width).
+        room_index: Index of each cell's room, 0 for no room, shape (height, width), integers.
+        floor_z: World z of each cell's floor [m], shape (height, width).
         lattice: The cells of the level.
-        number: Number of the level, 0 is the lowest.
+        level_number: Number of the level, 0 is the lowest.
 
     Returns:
         The rooms, sorted by index.
     """
     x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
-    index = index.ravel()
+    room_index = room_index.ravel()
     # bincount with weights sums the coordinates of all rooms' cells in one pass
-    num_cells = np.bincount(index)
+    num_cells = np.bincount(room_index)
     divisor = np.maximum(num_cells, 1)
-    mean_x = np.bincount(index, x.ravel()) / divisor
-    mean_y = np.bincount(index, y.ravel()) / divisor
-    mean_z = np.bincount(index, floor.ravel()) / divisor
+    mean_x = np.bincount(room_index, x.ravel()) / divisor
+    mean_y = np.bincount(room_index, y.ravel()) / divisor
+    mean_z = np.bincount(room_index, floor_z.ravel()) / divisor
     return [
         Room(
-            index=int(room),
-            id=f"{number}:{room}",
+            index=int(index),
+            id=f"{level_number}:{index}",
             name=None,
-            level=number,
-            area=round(float(num_cells[room]) * lattice.cell_size**2, 6),
-            centroid=(rounded(mean_x[room]), rounded(mean_y[room]), rounded(mean_z[room])),
+            level=level_number,
+            area=round(float(num_cells[index]) * lattice.cell_size**2, 6),
+            centroid=(rounded(mean_x[index]), rounded(mean_y[index]), rounded(mean_z[index])),
         )
-        for room in np.flatnonzero(num_cells)
-        if room
+        for index in np.flatnonzero(num_cells)
+        if index
     ]
 
 
@@ -223,8 +225,8 @@ class Door:
         Returns:
             Ascending cell ids for each level, int64.
         """
-        by_level = self.cells.get(state, {})
-        return [from_runs(by_level.get(level, ())) for level in range(num_levels)]
+        runs_by_level = self.cells.get(state, {})
+        return [from_runs(runs_by_level.get(level, ())) for level in range(num_levels)]
 
     def solid_in(self, state: str, num_levels: int) -> list[Int]:
         """Return the cells whose squares only this door overlaps in a state.
@@ -236,8 +238,8 @@ class Door:
         Returns:
             Ascending cell ids for each level, int64.
         """
-        by_level = self.solid.get(state, {})
-        return [from_runs(by_level.get(level, ())) for level in range(num_levels)]
+        runs_by_level = self.solid.get(state, {})
+        return [from_runs(runs_by_level.get(level, ())) for level in range(num_levels)]
 
     def to_json(self) -> Json:
         """Return the door as JSON, without its cells."""
@@ -267,8 +269,8 @@ def parse_doors(entries: object, cell_counts: Sequence[int]) -> tuple[Door, ...]
         FormatError: The table is broken, an id stands twice, or a cell does not exist.
     """
     doors: dict[str, Door] = {}
-    parsed: list[_DoorEntry] = read_table(entries, list[_DoorEntry], DOORS)
-    for number, entry in enumerate(parsed):
+    door_entries: list[_DoorEntry] = read_table(entries, list[_DoorEntry], DOORS)
+    for number, entry in enumerate(door_entries):
         place = f"{DOORS}[{number}]"
         if entry.id in doors:
             raise FormatError(
@@ -277,8 +279,8 @@ def parse_doors(entries: object, cell_counts: Sequence[int]) -> tuple[Door, ...]
                 expected="unique ids",
                 place=f"{place}.id",
             )
-        for by_state in (entry.cells, entry.solid):
-            for state, by_level in by_state.items():
+        for runs_by_state in (entry.cells, entry.solid):
+            for state, by_level in runs_by_state.items():
                 levels = [level for level, _ in by_level]
                 is_valid = len(set(levels)) == len(levels) and all(
                     0 <= level < len(cell_counts) and _are_runs(runs, cell_counts[level])
@@ -301,9 +303,9 @@ def _are_runs(runs: list[int], num_cells: int) -> bool:
     """Return whether runs ascend, don't overlap, and hold only ids below `num_cells`."""
     if len(runs) % 2:
         return False
-    end = 0
+    previous_stop = 0
     for first, count in zip(runs[::2], runs[1::2], strict=True):
-        if first < end or not 0 < count <= num_cells - first:
+        if first < previous_stop or not 0 < count <= num_cells - first:
             return False
-        end = first + count
+        previous_stop = first + count
     return True

@@ -32,24 +32,24 @@ def without_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-class Shared(NamedTuple):
-    """User data in which many cells share one entry."""
+class SharedEntries(NamedTuple):
+    """The user data of a level, in which many cells share one entry."""
 
     cells: Int  #: Cell ids, ascending, shape (n,), int64.
-    number: Int  #: Index in `entries` for each cell, shape (n,), int64.
+    entry_index: Int  #: Index in `entries` for each cell, shape (n,), int64.
     entries: Sequence[Json]  #: The different entries; they must not be modified.
 
 
-Entries: TypeAlias = MutableMapping[int, Json] | Shared
+Entries: TypeAlias = MutableMapping[int, Json] | SharedEntries
 
 
 class UserData(MutableMapping[int, Json]):
     """The user data of cells: cell id (col + row * width) -> entry.
 
     Args:
-        source: A dictionary, which is modified in place; or `Shared`, which becomes a dictionary on
-            access to single cells; or a function that returns one of these and is called on first
-            use; or None for no data.
+        source: A dictionary, which is modified in place; or `SharedEntries`, which becomes a
+            dictionary on access to single cells; or a function that returns one of these and is
+            called on first use; or None for no data.
     """
 
     def __init__(self, source: Entries | Callable[[], Entries] | None = None) -> None:
@@ -77,15 +77,15 @@ class UserData(MutableMapping[int, Json]):
     def _cells(self) -> MutableMapping[int, Json]:
         """The dictionary; shared entries are turned into one, with a copy for each cell."""
         source = self.source
-        if not isinstance(source, Shared):
+        if not isinstance(source, SharedEntries):
             return source
         with without_garbage_collection():
-            entries = [_copy_json(source.entries[number]) for number in source.number.tolist()]
-            by_cell: MutableMapping[int, Json] = dict(
+            entries = [_copy_json(source.entries[number]) for number in source.entry_index.tolist()]
+            entry_by_cell: MutableMapping[int, Json] = dict(
                 zip(source.cells.tolist(), entries, strict=True)
             )
-        self._source = by_cell
-        return by_cell
+        self._source = entry_by_cell
+        return entry_by_cell
 
     def __getitem__(self, cell: int) -> Json:
         return self._cells[cell]
@@ -115,53 +115,59 @@ class UserData(MutableMapping[int, Json]):
             cells: Cell ids, shape (n,), int64.
         """
         source = self.source
-        if not isinstance(source, Shared):
+        if not isinstance(source, SharedEntries):
             return [source.get(cell, {}) for cell in cells.tolist()]
-        index = np.searchsorted(source.cells, cells)
+        indices = np.searchsorted(source.cells, cells)
         # a -1 at the end, for cells beyond the last one that has an entry
-        has_entry = np.append(source.cells, -1)[index] == cells
-        numbers = np.where(has_entry, np.append(source.number, -1)[index], -1)
+        has_entry = np.append(source.cells, -1)[indices] == cells
+        entry_indices = np.where(has_entry, np.append(source.entry_index, -1)[indices], -1)
         entries = [*source.entries, {}]  # the last one has number -1, too
-        return [entries[number] for number in numbers.tolist()]
+        return [entries[number] for number in entry_indices.tolist()]
 
-    def shared(self) -> Shared:
+    def shared_entries(self) -> SharedEntries:
         """Return all entries and their cells, in the source's order.
 
         The entries must not be modified.
         """
         source = self.source
-        if isinstance(source, Shared):
+        if isinstance(source, SharedEntries):
             return source
         cells = np.fromiter(source, dtype=np.int64, count=len(source))
-        return Shared(cells, np.arange(len(cells)), list(source.values()))
+        return SharedEntries(cells, np.arange(len(cells)), list(source.values()))
 
-    def with_entries(self, changed: Mapping[int, Json]) -> UserData:
+    def with_entries(self, changed_entries: Mapping[int, Json]) -> UserData:
         """Return a copy, sorted by cell id, in which some cells have other entries.
 
         Args:
-            changed: Cell id -> new entry, which must not be modified. An empty entry removes the
-                one that the cell has.
+            changed_entries: Cell id -> new entry, which must not be modified. An empty entry
+                removes the one that the cell has.
         """
         source = self.source
-        if not isinstance(source, Shared):
-            merged = {**source, **changed}
+        if not isinstance(source, SharedEntries):
+            all_entries = {**source, **changed_entries}
             cells_with_entry = [
-                cell for cell in sorted(merged) if cell not in changed or changed[cell]
+                cell
+                for cell in sorted(all_entries)
+                if cell not in changed_entries or changed_entries[cell]
             ]
-            return UserData({cell: merged[cell] for cell in cells_with_entry})
-        changed_cells = np.fromiter(changed, dtype=np.int64, count=len(changed))
+            return UserData({cell: all_entries[cell] for cell in cells_with_entry})
+        changed_cells = np.fromiter(changed_entries, dtype=np.int64, count=len(changed_entries))
         is_unchanged = ~np.isin(source.cells, changed_cells)
-        number = source.number[is_unchanged]
+        entry_indices = source.entry_index[is_unchanged]
         # unused entries are dropped: they would pile up
-        is_used = np.bincount(number, minlength=len(source.entries)) > 0
+        is_used = np.bincount(entry_indices, minlength=len(source.entries)) > 0
         entries = list(compress(source.entries, is_used))
-        new_entries = {cell: entry for cell, entry in changed.items() if entry}
-        new_numbers = len(entries) + np.arange(len(new_entries))
-        number = np.concatenate([(np.cumsum(is_used) - 1)[number], new_numbers])
+        new_entries = {cell: entry for cell, entry in changed_entries.items() if entry}
+        new_indices = len(entries) + np.arange(len(new_entries))
+        entry_indices = np.concatenate([(np.cumsum(is_used) - 1)[entry_indices], new_indices])
         new_cells = np.fromiter(new_entries, dtype=np.int64)
         cells = np.concatenate([source.cells[is_unchanged], new_cells])
-        order = np.argsort(cells)
-        return UserData(Shared(cells[order], number[order], [*entries, *new_entries.values()]))
+        sort_indices = np.argsort(cells)
+        return UserData(
+            SharedEntries(
+                cells[sort_indices], entry_indices[sort_indices], [*entries, *new_entries.values()]
+            )
+        )
 
 
 def names_in(entry: Json, key: str) -> list[str]:

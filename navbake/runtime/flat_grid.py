@@ -717,11 +717,11 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
             diagonal_cells = cells + layout.width[flat.level_of(cells)] + col_step
             step_lists.append(np.stack([cells, diagonal_cells], axis=1))
     number = label_islands(
-        start=layout.start,
-        width=layout.width,
+        first_cells=layout.start,
+        widths=layout.width,
         free=flat.free,
         floor=floors.z,
-        limit=floors.max_step,
+        max_rise=floors.max_step,
         steps=np.concatenate(step_lists),
         arcs=arc_ends,
     )

@@ -301,7 +301,7 @@ def cells_with_name(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     known_names: set[str] = set()
     first_cells = flat.layout.start[:-1].tolist()
     for first_cell, level in zip(first_cells, grid.levels, strict=True):
-        cells, entry_indices, entries = UserData.of(level.user_data).shared()
+        cells, entry_indices, entries = UserData.of(level.user_data).shared_entries()
         names_by_entry = [
             {entry_name for key in NAME_KEYS for entry_name in names_in(entry, key)}
             for entry in entries

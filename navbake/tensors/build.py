@@ -68,8 +68,9 @@ def make_tensors(
             grids, such a sequence for each grid, all equally long. `distance_to_goal` and
             `path_step` number goals in this order.
         max_drop: `is_navigable` holds up to this height above the floor [m], >= 0.
-        cut_corners: see `PathFinder`.
-        agent: see `PathFinder`; the arrays are made of the grids for the agent's size.
+        cut_corners: allow diagonal steps past blocked corners.
+        agent: the name of an agent that the grids list, or a `navbake.Agent`; the arrays are made
+            of the grids for its size. None for each grid's own.
 
     Returns:
         The tensors.
@@ -86,14 +87,14 @@ def make_tensors(
     check_distance(max_drop, "max_drop")
     xp, make_array = _open_library(xp, device, dtype)
     library_dtype = make_array(np.zeros(1)).dtype
-    floating: Floating = np.dtype("float64" if library_dtype == xp.float64 else "float32")
+    float_dtype: Floating = np.dtype("float64" if library_dtype == xp.float64 else "float32")
     searches = [Search(grid, cut_corners=cut_corners, agent=agent) for grid in grid_list]
     grid_list = [search.grid for search in searches]
     shape = _find_padded_shape(grid_list)
     _check_size(shape, len(goals_of_grids[0]))
-    arrays = _make_lattices(grid_list, shape, floating)
-    arrays |= _make_layers(searches, shape, floating, max_drop)
-    arrays |= _make_goal_fields(searches, goals_of_grids, shape, floating)
+    arrays = _make_lattices(grid_list, shape, float_dtype)
+    arrays |= _make_layers(searches, shape, float_dtype, max_drop)
+    arrays |= _make_goal_fields(searches, goals_of_grids, shape, float_dtype)
     rooms = tuple(tuple(room.id for room in search.rooms.rooms) for search in searches)
     num_rooms = max(len(rooms_of_scene) for rooms_of_scene in rooms)
     arrays |= _sort_free_cells(arrays["room"], arrays["island"], num_rooms, shape)
@@ -138,8 +139,8 @@ def with_goals(
     _, goals_of_grids = _check_grids(grids[0] if len(grids) == 1 else grids, goals)
     _check_size(tensors.shape, len(goals_of_grids[0]))
     xp = tensors.xp
-    floating: Floating = np.dtype("float64" if tensors.dtype == xp.float64 else "float32")
-    fields = _make_goal_fields(list(tensors.searches), goals_of_grids, tensors.shape, floating)
+    float_dtype: Floating = np.dtype("float64" if tensors.dtype == xp.float64 else "float32")
+    fields = _make_goal_fields(list(tensors.searches), goals_of_grids, tensors.shape, float_dtype)
     arrays = {name: xp.asarray(array, device=device_of(tensors)) for name, array in fields.items()}
     return replace(tensors, goals=_name_goals(goals_of_grids[0]), **arrays)
 
@@ -173,10 +174,10 @@ def _check_grids(
     if isinstance(goals, str):
         raise QueryError(f"expected a list of goals, got {goals!r}: write goals=[{goals!r}]")
     goals_of_grids: list[Any] = [goals] if is_single else list(goals) or [()] * len(grid_list)
-    counts = [len(goals_of_grid) for goals_of_grid in goals_of_grids]
-    if len(counts) != len(grid_list) or len(set(counts)) != 1:
+    num_goals_of_grids = [len(goals_of_grid) for goals_of_grid in goals_of_grids]
+    if len(num_goals_of_grids) != len(grid_list) or len(set(num_goals_of_grids)) != 1:
         expected = f"as many goals for each of {len(grid_list)} grids"
-        raise QueryError(f"expected {expected}, got {counts}")
+        raise QueryError(f"expected {expected}, got {num_goals_of_grids}")
     return grid_list, goals_of_grids
 
 
@@ -227,8 +228,8 @@ def _open_library(
         except Exception as error:  # each library has errors of its own
             if device is None:
                 raise
-            place = f"{namespace.__name__} can be made on the device {device!r}"
-            raise QueryError(f"no array of {place}: {str(error).splitlines()[0]}") from error
+            arrays_text = f"{namespace.__name__} can be made on the device {device!r}"
+            raise QueryError(f"no array of {arrays_text}: {str(error).splitlines()[0]}") from error
 
     if make_array(np.zeros(1)).dtype != float_dtype:  # JAX has no 64-bit types by default
         raise QueryError(f"{namespace.__name__} has no {dtype} in its configuration: use float32")
@@ -248,9 +249,9 @@ def _pad(search: Search, values: NDArray[Any], shape: PaddedShape, padding: floa
         The values, shape (levels, rows, cols).
     """
     padded = np.full(shape[1:], padding, dtype=values.dtype)
-    for number, level in enumerate(search.grid.levels):
-        level_values = values[search.flat.cells_of(number)].reshape(level.shape)
-        padded[number, : level.height, : level.width] = level_values
+    for level_number, level in enumerate(search.grid.levels):
+        level_values = values[search.flat.cells_of(level_number)].reshape(level.shape)
+        padded[level_number, : level.height, : level.width] = level_values
     return padded
 
 
@@ -266,27 +267,27 @@ def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) ->
     arrays["num_rows"] = np.zeros(num_levels, dtype=np.int32)
     arrays["num_cols"] = np.zeros(num_levels, dtype=np.int32)
     for scene, grid in enumerate(grids):
-        for number, level in enumerate(grid.levels):
-            x_min, y_max, size, width, height = level.lattice
-            sides = [x_min, x_min + width * size, y_max, y_max - height * size]
-            farthest = np.abs(sides).max()
-            if np.spacing(farthest.astype(dtype)) > size / MIN_FLOATS_PER_CELL:
-                place = f"at x, y up to {farthest:g} m in {grid.scene_id!r}"
+        for level_number, level in enumerate(grid.levels):
+            x_min, y_max, cell_size, width, height = level.lattice
+            edges = [x_min, x_min + width * cell_size, y_max, y_max - height * cell_size]
+            max_coordinate = np.abs(edges).max()
+            if np.spacing(max_coordinate.astype(dtype)) > cell_size / MIN_FLOATS_PER_CELL:
+                place_text = f"at x, y up to {max_coordinate:g} m in {grid.scene_id!r}"
                 raise QueryError(
-                    f"{dtype} can't tell cells of {size:g} m apart {place}: use float64"
+                    f"{dtype} can't tell cells of {cell_size:g} m apart {place_text}: use float64"
                 )
-            x_edge = find_first_in_cells(x_min, size, width, dtype)
+            x_edge = find_first_in_cells(x_min, cell_size, width, dtype)
             y_edge = -find_first_in_cells(
-                -y_max, size, height, dtype
+                -y_max, cell_size, height, dtype
             )  # the same formula, bit for bit
-            level_index = (scene, number)
+            level_index = (scene, level_number)
             arrays["x_edge"][level_index][: width + 1] = x_edge
             arrays["y_edge"][level_index][: height + 1] = y_edge
             arrays["num_rows"][level_index] = height
             arrays["num_cols"][level_index] = width
             arrays["x_first"][level_index] = x_min
             arrays["y_first"][level_index] = y_max
-            arrays["cells_per_metre"][level_index] = 1 / size
+            arrays["cells_per_metre"][level_index] = 1 / cell_size
             arrays["west"][level_index] = x_edge[0]
             arrays["east"][level_index] = x_edge[-1]
             arrays["north"][level_index] = y_edge[0]
@@ -304,28 +305,32 @@ def _make_layers(
     for scene, search in enumerate(searches):
         flat = search.flat
         levels = search.grid.levels
-        z = flat.floors.z
+        floor_z = flat.floors.z
         ground[scene, : len(levels)] = flat.floors.ground
         ground_of_cell = flat.floors.ground[flat.level_of(np.arange(flat.num_cells))]
         # a position over a cell without a floor counts from the level's ground
-        standing_z = np.where(np.isnan(z), ground_of_cell, z)
-        heights, rank = np.unique(standing_z, return_inverse=True)
-        rank = np.where(np.isnan(z), rank, rank + len(heights)).astype(np.int32)
+        standing_z = np.where(np.isnan(floor_z), ground_of_cell, floor_z)
+        heights, ranks = np.unique(standing_z, return_inverse=True)
+        ranks = np.where(np.isnan(floor_z), ranks, ranks + len(heights)).astype(np.int32)
         # the highest z is found like the lowest one, with the signs of z and the floors changed
-        highest = -find_lowest_within_step(-standing_z, max_drop, dtype)
-        island = search.islands.number
-        island = np.where(island > 0, island + num_islands, 0).astype(np.int32)
+        highest_z = -find_lowest_within_step(-standing_z, max_drop, dtype)
+        island_numbers = search.islands.number
+        island_numbers = np.where(island_numbers > 0, island_numbers + num_islands, 0).astype(
+            np.int32
+        )
         num_islands += search.islands.count
         area_numbers = range(1, len(search.grid.areas) + 1)
-        area = values_by_area(search.grid, area_numbers, 0).astype(np.int32) + 0 * island
+        area_of_cell = (
+            values_by_area(search.grid, area_numbers, 0).astype(np.int32) + 0 * island_numbers
+        )
         layers = {
             "lowest_z": (find_lowest_within_step(standing_z, flat.floors.max_step, dtype), np.inf),
-            "rank": (rank, -1),
-            "highest_z": (np.where(flat.free, highest, -np.inf), -np.inf),
-            "floor": (z, np.nan),
+            "rank": (ranks, -1),
+            "highest_z": (np.where(flat.free, highest_z, -np.inf), -np.inf),
+            "floor": (floor_z, np.nan),
             "room": (search.rooms.number, 0),
-            "island": (island, 0),
-            "area": (area, 0),
+            "island": (island_numbers, 0),
+            "area": (area_of_cell, 0),
             "clearance": (
                 np.concatenate([measure_clearance(level).ravel() for level in levels]),
                 0,
@@ -355,42 +360,42 @@ def _make_goal_fields(
     padded_ids = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
     for scene, search in enumerate(searches):
         ids_of_levels = [
-            padded_ids[scene, number, : level.height, : level.width].ravel()
-            for number, level in enumerate(search.grid.levels)
+            padded_ids[scene, goal_number, : level.height, : level.width].ravel()
+            for goal_number, level in enumerate(search.grid.levels)
         ]
         # flat id -> padded id; its last entry, -1, is looked up for no next cell, which is also -1
         padded_id = np.concatenate([*ids_of_levels, np.array([-1], dtype=np.int32)])
-        for number, goal in enumerate(goals[scene]):
+        for goal_number, goal in enumerate(goals[scene]):
             target = find_target(search, goal)
             goal_cells = target.free_cells(search.flat)
             if not len(goal_cells):
                 reason = describe_blocked_goal(search, target)
                 raise QueryError(
-                    f"no path leads to goal {number} in {search.grid.scene_id!r}: {reason}",
+                    f"no path leads to goal {goal_number} in {search.grid.scene_id!r}: {reason}",
                     key="goals",
                     value=goal,
                 )
             cost_of_cell, next_of_cell = search.find_next_cells(goal_cells)
-            cost[number, scene] = _pad(search, cost_of_cell, shape, np.inf)
-            next_cell[number, scene] = _pad(search, padded_id[next_of_cell], shape, -1)
+            cost[goal_number, scene] = _pad(search, cost_of_cell, shape, np.inf)
+            next_cell[goal_number, scene] = _pad(search, padded_id[next_of_cell], shape, -1)
     return {"cost": cost.ravel(), "next_cell": next_cell.ravel()}
 
 
 def _sort_free_cells(
-    room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: PaddedShape
+    room_of_cell: NDArray[Any], island_of_cell: NDArray[Any], num_rooms: int, shape: PaddedShape
 ) -> Arrays:
     """Make the arrays of free cells, sorted by island and room, and sorted by scene and room."""
-    free = np.flatnonzero(island)
-    scene = free // int(np.prod(shape[1:]))
-    num_groups = max(int(island.max(initial=0)) + 1, shape.scenes)
+    free_cells = np.flatnonzero(island_of_cell)
+    scene_of_cell = free_cells // int(np.prod(shape[1:]))
+    num_groups = max(int(island_of_cell.max(initial=0)) + 1, shape.scenes)
     if num_groups * (num_rooms + 1) >= 2**31:
         raise QueryError("too many islands and rooms in all: make tensors of fewer grids at once")
     arrays: Arrays = {}
-    for name, group in (("island", island[free]), ("room", scene)):
-        key = (group * (num_rooms + 1) + room[free]).astype(np.int32)
-        order = np.argsort(key, kind="stable")
-        arrays[f"cells_by_{name}"] = free[order].astype(np.int32)
-        arrays[f"{name}_key"] = key[order]
+    for name, groups in (("island", island_of_cell[free_cells]), ("room", scene_of_cell)):
+        keys = (groups * (num_rooms + 1) + room_of_cell[free_cells]).astype(np.int32)
+        sort_indices = np.argsort(keys, kind="stable")
+        arrays[f"cells_by_{name}"] = free_cells[sort_indices].astype(np.int32)
+        arrays[f"{name}_key"] = keys[sort_indices]
     return arrays
 
 
@@ -422,32 +427,32 @@ def find_smallest_true(
         is_between = (middle > last_false) & (middle < first_true)
         if not is_between.any():
             return first_true
-        holds = condition(middle.astype(np.float64))
-        first_true = np.where(is_between & holds, middle, first_true)
-        last_false = np.where(is_between & ~holds, middle, last_false)
+        is_true = condition(middle.astype(np.float64))
+        first_true = np.where(is_between & is_true, middle, first_true)
+        last_false = np.where(is_between & ~is_true, middle, last_false)
 
 
 def find_first_in_cells(
-    x_min: float, size: float, count: int, dtype: Floating
+    x_min: float, col_width: float, num_cols: int, dtype: Floating
 ) -> NDArray[np.floating]:
     """Find the smallest x that a dtype can hold in each column, and beyond the last column.
 
     Args:
         x_min: the first column's edge [m].
-        size: width of a column [m].
-        count: number of columns.
+        col_width: width of a column [m].
+        num_cols: number of columns.
         dtype: the dtype of the numbers.
 
     Returns:
-        x, shape (count + 1,) [m].
+        x, shape (num_cols + 1,) [m].
     """
-    number = np.arange(count + 1, dtype=np.float64)
-    edge = x_min + number * size
+    col_numbers = np.arange(num_cols + 1, dtype=np.float64)
+    edges = x_min + col_numbers * col_width
 
     def is_in_cell(x: Float) -> Bool:
-        return np.asarray(np.floor((x - x_min) / size) >= number)
+        return np.asarray(np.floor((x - x_min) / col_width) >= col_numbers)
 
-    return find_smallest_true(is_in_cell, edge - size / 2, edge + size / 2, dtype)
+    return find_smallest_true(is_in_cell, edges - col_width / 2, edges + col_width / 2, dtype)
 
 
 def find_lowest_within_step(
@@ -465,9 +470,9 @@ def find_lowest_within_step(
     """
     heights, height_of_floor = np.unique(floors, return_inverse=True)
     # bounds beyond the rounding of the exact thresholds
-    exact = heights - max_step
-    bound = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(heights) + np.abs(exact))
-    lowest = find_smallest_true(
-        lambda z: heights <= z + max_step, exact - bound, exact + bound, dtype
+    exact_z = heights - max_step
+    margin = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(heights) + np.abs(exact_z))
+    lowest_z = find_smallest_true(
+        lambda z: heights <= z + max_step, exact_z - margin, exact_z + margin, dtype
     )
-    return lowest[height_of_floor]
+    return lowest_z[height_of_floor]

@@ -150,11 +150,13 @@ def register_pytree(xp: Namespace) -> None:
         )
 
 
-def locate_in_scenes(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Array, Array]:
+def locate_in_scenes(
+    tensors: GridTensors, positions: Array, scene_id: Ids
+) -> tuple[Array, Array, Array]:
     """Find the cells of positions.
 
     Args:
-        t: the tensors.
+        tensors: the tensors.
         positions: checked world positions, shape (..., 3) [m].
         scene_id: checked scenes, shape (...), -1 for unknown ones; None for a single scene.
 
@@ -162,37 +164,39 @@ def locate_in_scenes(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[A
         Ids of the cells, 0 for none; numbers of the levels in their scenes, 0 for none; and whether
         each position is in a cell; all of shape (...).
     """
-    xp = t.xp
-    lowest = first_level(t, scene_id)
+    xp = tensors.xp
+    lowest_level = first_level(tensors, scene_id)
     x = positions[..., 0]
     y = positions[..., 1]
     z = positions[..., 2]
     if scene_id is not None:
         z = xp.where(scene_id >= 0, z, xp.nan)  # unknown scenes
-    best_cell = xp.zeros_like(x, dtype=t.index_dtype)
+    best_cell = xp.zeros_like(x, dtype=tensors.index_dtype)
     best_level = best_cell
-    if t.shape.levels == 1:  # no choice of a level
-        cell, is_in_cell = clamp_to_level(t, x, y, lowest)
-        is_in_cell = is_in_cell & (z >= t.lowest_z[cell]) & (z < MAX_Z)
+    if tensors.shape.levels == 1:  # no choice of a level
+        cell, is_in_cell = clamp_to_level(tensors, x, y, lowest_level)
+        is_in_cell = is_in_cell & (z >= tensors.lowest_z[cell]) & (z < MAX_Z)
         return xp.where(is_in_cell, cell, 0), best_level, is_in_cell
     best_rank = best_cell - 1
-    for number in range(t.shape.levels):
-        cell, is_in_cell = clamp_to_level(t, x, y, lowest + number)
-        rank = t.rank[cell]
-        is_better = is_in_cell & (z >= t.lowest_z[cell]) & (z < MAX_Z) & (rank > best_rank)
+    for number in range(tensors.shape.levels):
+        cell, is_in_cell = clamp_to_level(tensors, x, y, lowest_level + number)
+        rank = tensors.rank[cell]
+        is_better = is_in_cell & (z >= tensors.lowest_z[cell]) & (z < MAX_Z) & (rank > best_rank)
         best_cell = xp.where(is_better, cell, best_cell)
         best_level = xp.where(is_better, number, best_level)
         best_rank = xp.where(is_better, rank, best_rank)
     return best_cell, best_level, best_rank >= 0
 
 
-def clamp_to_level(t: GridTensors, x: Array, y: Array, level: Array | int) -> tuple[Array, Array]:
+def clamp_to_level(
+    tensors: GridTensors, x: Array, y: Array, level: Array | int
+) -> tuple[Array, Array]:
     """Find the cells of positions x, y on one level, and whether the positions are on the level.
 
     Rounding finds the nearest edge; an exact comparison tells on which side of it the position is.
 
     Args:
-        t: the tensors.
+        tensors: the tensors.
         x: world x, shape (...) [m].
         y: world y, shape (...) [m].
         level: the level's index among the levels of all scenes, or an index for each position.
@@ -201,53 +205,61 @@ def clamp_to_level(t: GridTensors, x: Array, y: Array, level: Array | int) -> tu
         Ids of cells, valid ones also for positions outside the level; and whether the positions are
         in them; both of shape (...).
     """
-    xp = t.xp
-    shape = t.shape
-    west = t.west[level]
-    east = t.east[level]
-    north = t.north[level]
-    south = t.south[level]
-    in_cols = (x >= west) & (x < east)  # False for NaN
-    x = xp.where(in_cols, x, west)
-    col = xp.astype(xp.round((x - t.x_first[level]) * t.cells_per_metre[level]), t.index_dtype)
-    col = col - xp.astype(x < t.x_edge[level * (shape.cols + 1) + col], t.index_dtype)
-    in_rows = (y <= north) & (y > south)
-    y = xp.where(in_rows, y, north)
-    row = xp.astype(xp.round((t.y_first[level] - y) * t.cells_per_metre[level]), t.index_dtype)
-    row = row - xp.astype(y > t.y_edge[level * (shape.rows + 1) + row], t.index_dtype)
-    return (level * shape.rows + row) * shape.cols + col, in_cols & in_rows
+    xp = tensors.xp
+    shape = tensors.shape
+    west = tensors.west[level]
+    east = tensors.east[level]
+    north = tensors.north[level]
+    south = tensors.south[level]
+    is_in_cols = (x >= west) & (x < east)  # False for NaN
+    x = xp.where(is_in_cols, x, west)
+    col = xp.astype(
+        xp.round((x - tensors.x_first[level]) * tensors.cells_per_metre[level]), tensors.index_dtype
+    )
+    col = col - xp.astype(x < tensors.x_edge[level * (shape.cols + 1) + col], tensors.index_dtype)
+    is_in_rows = (y <= north) & (y > south)
+    y = xp.where(is_in_rows, y, north)
+    row = xp.astype(
+        xp.round((tensors.y_first[level] - y) * tensors.cells_per_metre[level]), tensors.index_dtype
+    )
+    row = row - xp.astype(y > tensors.y_edge[level * (shape.rows + 1) + row], tensors.index_dtype)
+    return (level * shape.rows + row) * shape.cols + col, is_in_cols & is_in_rows
 
 
-def first_level(t: GridTensors, scene_id: Ids) -> Array | int:
+def first_level(tensors: GridTensors, scene_id: Ids) -> Array | int:
     """Return the index of each scene's lowest level among the levels of all scenes."""
     if scene_id is None:
         return 0
-    return t.xp.where(scene_id >= 0, scene_id, 0) * t.shape.levels
+    return tensors.xp.where(scene_id >= 0, scene_id, 0) * tensors.shape.levels
 
 
-def split(t: GridTensors, cell: Array) -> tuple[Array, Array, Array]:
+def to_level_row_col(tensors: GridTensors, cells: Array) -> tuple[Array, Array, Array]:
     """Convert ids of cells to three arrays: level, row and column.
 
     A level is its index among the levels of all scenes.
     """
-    cells_per_level = t.shape.rows * t.shape.cols
-    cell_of_level = cell % cells_per_level
-    return cell // cells_per_level, cell_of_level // t.shape.cols, cell_of_level % t.shape.cols
+    cells_per_level = tensors.shape.rows * tensors.shape.cols
+    cell_of_level = cells % cells_per_level
+    return (
+        cells // cells_per_level,
+        cell_of_level // tensors.shape.cols,
+        cell_of_level % tensors.shape.cols,
+    )
 
 
-def check_positions(t: GridTensors, positions: Array) -> Array:
+def check_positions(tensors: GridTensors, positions: Array) -> Array:
     """Check world positions, and return them as an array of shape (..., 3).
 
     Raises:
         QueryError: the shape or the dtype is wrong.
     """
-    points = as_array(t, positions)
+    points = as_array(tensors, positions)
     if points.ndim == 0 or points.shape[-1] != 3:
         raise QueryError(f"expected positions of shape (..., 3) [m], got {tuple(points.shape)}")
     return points
 
 
-def as_array(t: GridTensors, values: Array) -> Array:
+def as_array(tensors: GridTensors, values: Array) -> Array:
     """Convert numbers to an array of the tensors' dtype.
 
     Arrays of other dtypes are refused, as rounding might move a position into another cell.
@@ -256,32 +268,34 @@ def as_array(t: GridTensors, values: Array) -> Array:
         QueryError: it is an array of another dtype, or holds no numbers.
     """
     if isinstance(values, int | float | Sequence):
-        return _new_array(t, values, t.dtype)
+        return _make_array(tensors, values, tensors.dtype)
     dtype = getattr(values, "dtype", "no numbers")
-    if dtype != t.dtype:
+    if dtype != tensors.dtype:
         actual = f"{type(values).__name__} of {dtype}"
         hint = "convert it, or make the tensors with that dtype"
         raise QueryError(
-            f"expected an array of {t.dtype}, as the tensors are, got {actual}: {hint}"
+            f"expected an array of {tensors.dtype}, as the tensors are, got {actual}: {hint}"
         )
     return values
 
 
-def check_scenes(t: GridTensors, scene_id: Ids, shape: tuple[int, ...]) -> Array:
+def check_scenes(tensors: GridTensors, scene_id: Ids, shape: tuple[int, ...]) -> Array:
     """Broadcast scene numbers to a shape, -1 for unknown ones; None for tensors of one scene.
 
     Raises:
         QueryError: there are several scenes and none is given, or they don't fit the shape.
     """
     if scene_id is None:
-        if t.shape.scenes > 1:
-            raise QueryError(f"expected a scene_id, 0 to {t.shape.scenes - 1}: there are several")
+        if tensors.shape.scenes > 1:
+            raise QueryError(
+                f"expected a scene_id, 0 to {tensors.shape.scenes - 1}: there are several"
+            )
         return None
     if isinstance(scene_id, int | np.integer):
-        scene_id = check_number(scene_id, "scene", t.shape.scenes)
-        if t.shape.scenes == 1:
+        scene_id = check_number(scene_id, "scene", tensors.shape.scenes)
+        if tensors.shape.scenes == 1:
             return None
-    return check_numbers(t, scene_id, "scene", t.shape.scenes, shape)
+    return check_numbers(tensors, scene_id, "scene", tensors.shape.scenes, shape)
 
 
 def check_number(number: int | np.integer, label: str, count: int) -> int:
@@ -296,12 +310,12 @@ def check_number(number: int | np.integer, label: str, count: int) -> int:
 
 
 def check_numbers(
-    t: GridTensors, numbers: Ids, label: str, count: int, shape: tuple[int, ...]
+    tensors: GridTensors, numbers: Ids, label: str, count: int, shape: tuple[int, ...]
 ) -> Array:
     """Check numbers of scenes, goals or rooms, and broadcast them to a shape.
 
     Args:
-        t: the tensors.
+        tensors: the tensors.
         numbers: an integer or integers.
         label: what they are, for errors.
         count: how many there are.
@@ -314,37 +328,37 @@ def check_numbers(
         QueryError: they are no integers, or don't fit the shape.
     """
     if isinstance(numbers, int | Sequence | np.ndarray | np.integer):
-        numbers = _new_array(t, numbers, None)
-    if not hasattr(numbers, "dtype") or not t.xp.isdtype(numbers.dtype, "integral"):
+        numbers = _make_array(tensors, numbers, None)
+    if not hasattr(numbers, "dtype") or not tensors.xp.isdtype(numbers.dtype, "integral"):
         actual = getattr(numbers, "dtype", type(numbers).__name__)
         raise QueryError(f"expected an integer or integers as {label}, got {actual}")
-    numbers = t.xp.astype(numbers, t.index_dtype)
-    numbers = t.xp.where((numbers >= 0) & (numbers < count), numbers, -1)
-    return broadcast(t, numbers, shape, label)
+    numbers = tensors.xp.astype(numbers, tensors.index_dtype)
+    numbers = tensors.xp.where((numbers >= 0) & (numbers < count), numbers, -1)
+    return broadcast(tensors, numbers, shape, label)
 
 
-def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], label: str) -> Array:
+def broadcast(tensors: GridTensors, values: Array, shape: tuple[int, ...], label: str) -> Array:
     """Broadcast values to a shape; `label` names them in errors.
 
     Raises:
         QueryError: the values can't be broadcast to the shape.
     """
     try:
-        return t.xp.broadcast_to(values, shape)
+        return tensors.xp.broadcast_to(values, shape)
     except (ValueError, RuntimeError, TypeError) as error:
         expected = f"expected a {label} that fits the shape {tuple(shape)}"
         raise QueryError(f"{expected}, got one of shape {tuple(values.shape)}") from error
 
 
-def device_of(t: GridTensors) -> object:
+def device_of(tensors: GridTensors) -> object:
     """Return the arrays' device; None inside functions that JAX traces, for the default one."""
-    return getattr(t.floor, "device", None)
+    return getattr(tensors.floor, "device", None)
 
 
-def _new_array(t: GridTensors, values: Array, dtype: DType) -> Array:
+def _make_array(tensors: GridTensors, values: Array, dtype: DType) -> Array:
     """Make an array on the tensors' device of numbers of Python or numpy."""
     try:
-        return t.xp.asarray(values, dtype=dtype, device=device_of(t))
+        return tensors.xp.asarray(values, dtype=dtype, device=device_of(tensors))
     except (ValueError, TypeError, RuntimeError) as error:
         raise QueryError(f"expected numbers, got {values!r:.60}") from error
 
@@ -355,7 +369,7 @@ def clip(xp: Namespace, values: Array, low: Array | float, high: Array | float) 
 
 
 def apply_in_chunks(
-    t: GridTensors,
+    tensors: GridTensors,
     function: Callable[..., Array],
     positions: Array,
     *other_arguments: Array | int | None,
@@ -363,7 +377,7 @@ def apply_in_chunks(
     """Apply a function to positions, in chunks on several threads where that is faster.
 
     Args:
-        t: the tensors.
+        tensors: the tensors.
         function: takes positions and the other arguments; returns an array with an entry for each
             position.
         positions: shape (..., 3) [m].
@@ -375,7 +389,7 @@ def apply_in_chunks(
     """
     shape = tuple(positions.shape[:-1])
     count = math.prod(shape)
-    if t.xp.__name__ not in NUMPY_NAMES or count < 2 * POSITIONS_PER_CHUNK:
+    if tensors.xp.__name__ not in NUMPY_NAMES or count < 2 * POSITIONS_PER_CHUNK:
         return function(positions, *other_arguments)
     from navbake.threads import run_in_chunks  # saves numba for small batches
 
@@ -387,10 +401,10 @@ def apply_in_chunks(
     arguments = [flatten(argument) for argument in (positions, *other_arguments)]
     results: dict[int, Array] = {}  # by the first position of each chunk
 
-    def fill(first: int, last: int) -> None:
-        for begin in range(first, last, POSITIONS_PER_CHUNK):
-            chunk = slice(begin, min(begin + POSITIONS_PER_CHUNK, last))
-            results[begin] = function(
+    def fill(first_position: int, stop_position: int) -> None:
+        for chunk_start in range(first_position, stop_position, POSITIONS_PER_CHUNK):
+            chunk = slice(chunk_start, min(chunk_start + POSITIONS_PER_CHUNK, stop_position))
+            results[chunk_start] = function(
                 *(
                     argument[chunk] if isinstance(argument, np.ndarray) else argument
                     for argument in arguments
@@ -398,5 +412,5 @@ def apply_in_chunks(
             )
 
     run_in_chunks(fill, count, least=POSITIONS_PER_CHUNK)
-    values = np.concatenate([results[begin] for begin in sorted(results)])
+    values = np.concatenate([results[chunk_start] for chunk_start in sorted(results)])
     return values.reshape(*shape, *values.shape[1:])

@@ -31,7 +31,7 @@ from navbake.tensors.grid_tensors import (
     device_of,
     first_level,
     locate_in_scenes,
-    split,
+    to_level_row_col,
 )
 
 INTERPOLATIONS = ("nearest", "bilinear")
@@ -167,47 +167,50 @@ def clearance(
         x = xp.where(is_in_cell, points[..., 0], t.x_first[level])
         y = xp.where(is_in_cell, points[..., 1], t.y_first[level])
         # in cells, from the centre of the level's first cell
-        u = (x - t.x_first[level]) * t.cells_per_metre[level] - 0.5
-        v = (t.y_first[level] - y) * t.cells_per_metre[level] - 0.5
+        cols_from_first = (x - t.x_first[level]) * t.cells_per_metre[level] - 0.5
+        rows_from_first = (t.y_first[level] - y) * t.cells_per_metre[level] - 0.5
         last_col = t.num_cols[level] - 1
         last_row = t.num_rows[level] - 1
-        col0 = clip(xp, xp.astype(xp.floor(u), t.index_dtype), 0, last_col)
-        row0 = clip(xp, xp.astype(xp.floor(v), t.index_dtype), 0, last_row)
-        col1 = xp.minimum(col0 + 1, last_col)
-        row1 = xp.minimum(row0 + 1, last_row)
-        share_x = clip(xp, u - xp.astype(col0, t.dtype), 0.0, 1.0)
-        share_y = clip(xp, v - xp.astype(row0, t.dtype), 0.0, 1.0)
+        west_col = clip(xp, xp.astype(xp.floor(cols_from_first), t.index_dtype), 0, last_col)
+        north_row = clip(xp, xp.astype(xp.floor(rows_from_first), t.index_dtype), 0, last_row)
+        east_col = xp.minimum(west_col + 1, last_col)
+        south_row = xp.minimum(north_row + 1, last_row)
+        fraction_x = clip(xp, cols_from_first - xp.astype(west_col, t.dtype), 0.0, 1.0)
+        fraction_y = clip(xp, rows_from_first - xp.astype(north_row, t.dtype), 0.0, 1.0)
 
         def interpolate_in_row(row: Array) -> Array:
-            start = level * (shape.rows * shape.cols) + row * shape.cols
-            return t.clearance[start + col0] * (1 - share_x) + t.clearance[start + col1] * share_x
+            row_start = level * (shape.rows * shape.cols) + row * shape.cols
+            return (
+                t.clearance[row_start + west_col] * (1 - fraction_x)
+                + t.clearance[row_start + east_col] * fraction_x
+            )
 
-        upper = interpolate_in_row(row0) * (1 - share_y)
-        value = upper + interpolate_in_row(row1) * share_y
+        north_part = interpolate_in_row(north_row) * (1 - fraction_y)
+        value = north_part + interpolate_in_row(south_row) * fraction_y
         return xp.where(is_in_cell, value, xp.nan)
 
     return _apply(t, interpolate, positions, scene_id)
 
 
 def _values_at(
-    t: GridTensors, layer: Array, value_outside: float, positions: Array, scene_id: Ids
+    tensors: GridTensors, layer: Array, value_outside: float, positions: Array, scene_id: Ids
 ) -> Array:
     """Look up a layer in the cells of positions; the value is `value_outside` for no cell."""
 
     def value_of(points: Array, scenes: Array) -> Array:
-        cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
-        return t.xp.where(is_in_cell, layer[cell], value_outside)
+        cell, _, is_in_cell = locate_in_scenes(tensors, points, scenes)
+        return tensors.xp.where(is_in_cell, layer[cell], value_outside)
 
-    return _apply(t, value_of, positions, scene_id)
+    return _apply(tensors, value_of, positions, scene_id)
 
 
 def _apply(
-    t: GridTensors, function: Callable[..., Array], positions: Array, scene_id: Ids
+    tensors: GridTensors, function: Callable[..., Array], positions: Array, scene_id: Ids
 ) -> Array:
     """Check positions and scenes, and apply a function to them."""
-    points = check_positions(t, positions)
-    scenes = check_scenes(t, scene_id, points.shape[:-1])
-    return apply_in_chunks(t, function, points, scenes)
+    points = check_positions(tensors, positions)
+    scenes = check_scenes(tensors, scene_id, points.shape[:-1])
+    return apply_in_chunks(tensors, function, points, scenes)
 
 
 LAYERS: dict[str, Callable[..., Array]] = {
@@ -271,7 +274,8 @@ def patch(
     """
     if layer not in LAYERS:
         raise QueryError(f"no layer {layer!r}: expected one of {', '.join(LAYERS)}")
-    if not isinstance(shape, Sequence) or [isinstance(n, int) for n in shape] != [True, True]:
+    is_sequence = isinstance(shape, Sequence)
+    if not is_sequence or [isinstance(number, int) for number in shape] != [True, True]:
         raise QueryError(f"expected a shape (rows, columns), whole numbers, got {shape!r}")
     rows, cols = shape
     if rows < 1 or cols < 1 or not 0 < cell < math.inf:
@@ -289,12 +293,12 @@ def patch(
 
 
 def _pattern_points(
-    t: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Ids
+    tensors: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Ids
 ) -> tuple[Array, Array]:
     """Compute world positions of points round agents.
 
     Args:
-        t: the tensors.
+        tensors: the tensors.
         positions: positions of the agents, world x, y, z, shape (..., 3) [m].
         yaw: headings of the agents, shape (...) [rad].
         pattern: points in the agents' frames, x ahead, y to the left, shape (k, 2) [m].
@@ -304,22 +308,22 @@ def _pattern_points(
         World x, y, z of the points, shape (..., k, 3); and their scenes, shape (..., 1), None for
         tensors of one scene.
     """
-    xp = t.xp
-    agents = check_positions(t, positions)
-    heading = as_array(t, yaw)
-    points = as_array(t, pattern)
+    xp = tensors.xp
+    agent_positions = check_positions(tensors, positions)
+    headings = as_array(tensors, yaw)
+    points = as_array(tensors, pattern)
     if points.ndim != 2 or points.shape[-1] != 2:
         raise QueryError(f"expected a pattern of shape (k, 2), got {tuple(points.shape)}")
-    shape = tuple(agents.shape[:-1])
-    if tuple(heading.shape) != shape:
-        actual = tuple(heading.shape)
+    shape = tuple(agent_positions.shape[:-1])
+    if tuple(headings.shape) != shape:
+        actual = tuple(headings.shape)
         raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {actual}")
-    cos = xp.cos(heading)[..., None]
-    sin = xp.sin(heading)[..., None]
-    x = agents[..., 0, None] + cos * points[:, 0] - sin * points[:, 1]
-    y = agents[..., 1, None] + sin * points[:, 0] + cos * points[:, 1]
-    z = xp.broadcast_to(agents[..., 2, None], x.shape)
-    scenes = check_scenes(t, scene_id, shape)
+    cos = xp.cos(headings)[..., None]
+    sin = xp.sin(headings)[..., None]
+    x = agent_positions[..., 0, None] + cos * points[:, 0] - sin * points[:, 1]
+    y = agent_positions[..., 1, None] + sin * points[:, 0] + cos * points[:, 1]
+    z = xp.broadcast_to(agent_positions[..., 2, None], x.shape)
+    scenes = check_scenes(tensors, scene_id, shape)
     return xp.stack([x, y, z], axis=-1), None if scenes is None else scenes[..., None]
 
 
@@ -339,9 +343,9 @@ def distance_to_goal(
         Metres times weights, shape (...); inf for no path, NaN outside the grid.
     """
 
-    def cost_of(points: Array, first: Array | int, scenes: Array) -> Array:
+    def cost_of(points: Array, first_cell: Array | int, scenes: Array) -> Array:
         cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
-        return t.xp.where(is_in_cell, t.cost[first + cell], t.xp.nan)
+        return t.xp.where(is_in_cell, t.cost[first_cell + cell], t.xp.nan)
 
     return _apply_to_goal(t, cost_of, positions, goal, scene_id)
 
@@ -360,17 +364,17 @@ def distances(
     Returns:
         Metres times weights, shape (..., m); inf for no path, NaN outside the grid.
     """
-    count = _num_goals(t)
+    num_goals = _num_goals(t)
     num_cells = int(t.floor.shape[0])
     if goals is None:
-        goals = list(range(count))
-    numbers = check_numbers(t, goals, "goal", count, (len(goals),))
+        goals = list(range(num_goals))
+    goal_numbers = check_numbers(t, goals, "goal", num_goals, (len(goals),))
 
     def costs_of(points: Array, scenes: Array) -> Array:
         cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
-        first = t.xp.where(numbers >= 0, numbers, 0) * num_cells
-        is_known = is_in_cell[..., None] & (numbers >= 0)
-        return t.xp.where(is_known, t.cost[first + cell[..., None]], t.xp.nan)
+        first_cells = t.xp.where(goal_numbers >= 0, goal_numbers, 0) * num_cells
+        is_known = is_in_cell[..., None] & (goal_numbers >= 0)
+        return t.xp.where(is_known, t.cost[first_cells + cell[..., None]], t.xp.nan)
 
     return _apply(t, costs_of, starts, scene_id)
 
@@ -394,48 +398,50 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
     """
     xp = t.xp
 
-    def direction_of(points: Array, first: Array | int, scenes: Array) -> Array:
+    def direction_of(points: Array, first_cell: Array | int, scenes: Array) -> Array:
         cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
-        next_cell = xp.astype(t.next_cell[first + cell], t.index_dtype)
+        next_cell = xp.astype(t.next_cell[first_cell + cell], t.index_dtype)
         has_path = is_in_cell & (next_cell >= 0)
-        level, row, col = split(t, xp.where(has_path, next_cell, 0))
-        size = 1 / t.cells_per_metre[level]
-        x = t.x_first[level] + (xp.astype(col, t.dtype) + 0.5) * size
-        y = t.y_first[level] - (xp.astype(row, t.dtype) + 0.5) * size
-        offset = xp.stack([x, y], axis=-1) - points[..., :2]
-        offset = xp.where((has_path & (next_cell != cell))[..., None], offset, 0.0)
-        length = xp.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
-        unit = offset / xp.where(length > 0, length, 1.0)[..., None]
-        return xp.where(has_path[..., None], unit, xp.nan)
+        level, row, col = to_level_row_col(t, xp.where(has_path, next_cell, 0))
+        cell_size = 1 / t.cells_per_metre[level]
+        x = t.x_first[level] + (xp.astype(col, t.dtype) + 0.5) * cell_size
+        y = t.y_first[level] - (xp.astype(row, t.dtype) + 0.5) * cell_size
+        offsets = xp.stack([x, y], axis=-1) - points[..., :2]
+        offsets = xp.where((has_path & (next_cell != cell))[..., None], offsets, 0.0)
+        lengths = xp.sqrt(offsets[..., 0] ** 2 + offsets[..., 1] ** 2)
+        unit_vectors = offsets / xp.where(lengths > 0, lengths, 1.0)[..., None]
+        return xp.where(has_path[..., None], unit_vectors, xp.nan)
 
     return _apply_to_goal(t, direction_of, positions, goal, scene_id)
 
 
 def _apply_to_goal(
-    t: GridTensors, function: Callable[..., Array], positions: Array, goal: Ids, scene_id: Ids
+    tensors: GridTensors, function: Callable[..., Array], positions: Array, goal: Ids, scene_id: Ids
 ) -> Array:
     """Check arguments, and apply a function of positions, first indices and scenes to them.
 
     A first index is where the cells of the position's goal begin in ``t.cost``.
     """
-    xp = t.xp
-    points = check_positions(t, positions)
-    num_cells = int(t.floor.shape[0])
+    xp = tensors.xp
+    points = check_positions(tensors, positions)
+    num_cells = int(tensors.floor.shape[0])
     shape = points.shape[:-1]
     if isinstance(goal, int | np.integer):
-        first = check_number(goal, "goal", _num_goals(t)) * num_cells
+        first_cell = check_number(goal, "goal", _num_goals(tensors)) * num_cells
     else:
-        goals = check_numbers(t, goal, "goal", _num_goals(t), shape)
+        goals = check_numbers(tensors, goal, "goal", _num_goals(tensors), shape)
         points = xp.where((goals >= 0)[..., None], points, xp.nan)  # unknown goals
-        first = xp.where(goals >= 0, goals, 0) * num_cells
-    return apply_in_chunks(t, function, points, first, check_scenes(t, scene_id, shape))
+        first_cell = xp.where(goals >= 0, goals, 0) * num_cells
+    return apply_in_chunks(
+        tensors, function, points, first_cell, check_scenes(tensors, scene_id, shape)
+    )
 
 
-def _num_goals(t: GridTensors) -> int:
+def _num_goals(tensors: GridTensors) -> int:
     """Return the number of goals; raise an error if there are none."""
-    if not t.goals:
+    if not tensors.goals:
         raise QueryError("the tensors know no goals: name them when they are made, goals=[…]")
-    return len(t.goals)
+    return len(tensors.goals)
 
 
 def sample(
@@ -473,31 +479,31 @@ def sample(
     scenes = check_scenes(t, scene_id, shape)
     keys_per_group = t.num_rooms + 1
     is_valid = ~xp.isnan(numbers[..., 0])
-    share = xp.where(is_valid, numbers[..., 0], 0.0)
+    cell_fraction = xp.where(is_valid, numbers[..., 0], 0.0)
     # The cells are sorted by a key of group and room. Groups are scenes, or islands.
     if reachable_from is None:
-        group = xp.zeros_like(share, dtype=t.index_dtype) if scenes is None else scenes
+        groups = xp.zeros_like(cell_fraction, dtype=t.index_dtype) if scenes is None else scenes
         cells = t.cells_by_room
         keys = t.room_key
-        is_valid = is_valid & (group >= 0)
+        is_valid = is_valid & (groups >= 0)
     else:
-        start = as_array(t, reachable_from)
+        start_positions = as_array(t, reachable_from)
         if scenes is not None:
-            start = broadcast(t, start, (*shape, 3), "reachable_from")
-        start_island = broadcast(t, island(t, start, scenes), shape, "reachable_from")
-        group = xp.astype(start_island, t.index_dtype)
+            start_positions = broadcast(t, start_positions, (*shape, 3), "reachable_from")
+        start_island = broadcast(t, island(t, start_positions, scenes), shape, "reachable_from")
+        groups = xp.astype(start_island, t.index_dtype)
         cells = t.cells_by_island
         keys = t.island_key
-        is_valid = is_valid & (group > 0)
+        is_valid = is_valid & (groups > 0)
     if cells.shape[0] == 0:
         return xp.full((*shape, 3), xp.nan, dtype=t.dtype, device=device_of(t))
-    low = group * keys_per_group
-    high = (group + 1) * keys_per_group
+    first_key = groups * keys_per_group
+    stop_key = (groups + 1) * keys_per_group
     if room is not None:
         room_number = check_numbers(t, room, "room", keys_per_group, shape)
         is_valid = is_valid & (room_number >= 0)
-        low = group * keys_per_group + room_number
-        high = low + 1
+        first_key = groups * keys_per_group + room_number
+        stop_key = first_key + 1
 
     def count_below(sorted_keys: Array, limits: Array) -> Array:
         """Count the sorted keys that are smaller than each limit."""
@@ -505,25 +511,25 @@ def sample(
         counts = xp.searchsorted(sorted_keys, flat_limits, side="left")
         return xp.reshape(xp.astype(counts, t.index_dtype), limits.shape)
 
-    begin = count_below(keys, low)
-    end = count_below(keys, high)
-    count = end - begin
+    first_index = count_below(keys, first_key)
+    stop_index = count_below(keys, stop_key)
+    num_candidates = stop_index - first_index
     num_allowed = None  # for each of `cells`, how many before it are allowed; None for all
     if min_clearance is not None:
         if getattr(min_clearance, "ndim", 0) != 0:
             raise QueryError("expected one number as min_clearance [m], got an array of them")
         is_allowed = xp.astype(t.clearance[cells] >= min_clearance, t.index_dtype)
         num_allowed = xp.concat([xp.zeros_like(is_allowed[:1]), xp.cumulative_sum(is_allowed)])
-        count = num_allowed[end] - num_allowed[begin]
-    # the cell's index among the `count` allowed ones; the product may be rounded up to `count`
-    rank = xp.astype(xp.floor(share * xp.astype(count, t.dtype)), t.index_dtype)
-    rank = clip(xp, xp.minimum(rank, count - 1), 0, cells.shape[0])
+        num_candidates = num_allowed[stop_index] - num_allowed[first_index]
+    # the cell's index among the candidates; the product may be rounded up to their number
+    rank = xp.astype(xp.floor(cell_fraction * xp.astype(num_candidates, t.dtype)), t.index_dtype)
+    rank = clip(xp, xp.minimum(rank, num_candidates - 1), 0, cells.shape[0])
     if num_allowed is None:
-        cell_index = begin + rank
+        cell_index = first_index + rank
     else:
-        cell_index = count_below(num_allowed[1:], num_allowed[begin] + rank + 1)
+        cell_index = count_below(num_allowed[1:], num_allowed[first_index] + rank + 1)
     cell = xp.astype(cells[clip(xp, cell_index, 0, cells.shape[0] - 1)], t.index_dtype)
-    level, row, col = split(t, cell)
+    level, row, col = to_level_row_col(t, cell)
     z = t.floor[cell]
     z = xp.where(xp.isnan(z), t.ground[level], z)
     column_edge = level * (t.shape.cols + 1) + col
@@ -533,16 +539,16 @@ def sample(
     north = t.y_edge[row_edge]
     south = t.y_edge[row_edge + 1]
     if numbers.shape[-1] == 1:
-        share_x = 0.5
-        share_y = 0.5
+        fraction_x = 0.5
+        fraction_y = 0.5
     else:
-        share_x = numbers[..., 1]
-        share_y = numbers[..., 2]
+        fraction_x = numbers[..., 1]
+        fraction_y = numbers[..., 2]
     # the eastern and the southern edge belong to the next cells
     last_x = xp.nextafter(east, xp.full_like(east, -xp.inf))
     last_y = xp.nextafter(south, xp.full_like(south, xp.inf))
-    x = xp.minimum(west + share_x * (east - west), last_x)
-    y = xp.maximum(north - share_y * (north - south), last_y)
+    x = xp.minimum(west + fraction_x * (east - west), last_x)
+    y = xp.maximum(north - fraction_y * (north - south), last_y)
     points = xp.stack([x, y, z], axis=-1)
-    is_place = is_valid & (count > 0) & ~xp.any(xp.isnan(points), axis=-1)
+    is_place = is_valid & (num_candidates > 0) & ~xp.any(xp.isnan(points), axis=-1)
     return xp.where(is_place[..., None], points, xp.nan)

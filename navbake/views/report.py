@@ -352,7 +352,7 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
         return numbers_by_entry[key]
 
     numbers = np.full(level.height * level.width, NO_NAMES, dtype=np.int64)
-    cells, entry_of_cell, entries = UserData.of(level.user_data).shared()
+    cells, entry_of_cell, entries = UserData.of(level.user_data).shared_entries()
     numbers[cells] = np.array([number_of(entry) for entry in entries], np.int64)[entry_of_cell]
     return numbers.reshape(level.shape), name_lists
 

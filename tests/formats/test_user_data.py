@@ -17,7 +17,7 @@ from navbake.errors import FormatError
 from navbake.formats import navgrid as reader
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.user_data import Shared, UserData
+from navbake.navgrid.user_data import SharedEntries, UserData
 
 WALLS = {"walls": ["wall_x_0", "wall_y_0"], "doors": ["d"]}
 
@@ -168,7 +168,7 @@ def test_shared_entries_are_written_as_the_same_dictionary():
     rng = np.random.default_rng(0)
     entries = [{"objects": [f"thing {k}", 'ﬁn"\\']} for k in range(5)]
     cells = np.sort(rng.choice(200, 80, replace=False))
-    shared = UserData(Shared(cells, rng.integers(0, 5, 80), entries))
+    shared = UserData(SharedEntries(cells, rng.integers(0, 5, 80), entries))
     plain_one = {int(c): e for c, e in zip(cells, shared.find(cells), strict=True)}
 
     def grid(user_data):
@@ -188,7 +188,7 @@ def test_shared_entries_are_written_as_the_same_dictionary():
 def test_a_change_in_one_cell_is_none_in_those_that_share_its_entry():
     entries = [{"objects": ["lamp"], "walls": ["beam"], "more": {"deep": [1]}}]
     entries[0]["walls"] = entries[0]["objects"]  # as the bake has them where all names are both
-    user_data = UserData(Shared(np.arange(3), np.zeros(3, dtype=np.int64), entries))
+    user_data = UserData(SharedEntries(np.arange(3), np.zeros(3, dtype=np.int64), entries))
     user_data[1]["note"] = "mine"
     user_data[1]["objects"].append("chair")
     user_data[1]["more"]["deep"].append(2)
@@ -202,7 +202,7 @@ def test_what_is_made_later_is_made_once_and_can_be_copied():
 
     def make():
         made.append(1)
-        return Shared(np.array([1, 4]), np.array([0, 0]), [{"objects": ["a"]}])
+        return SharedEntries(np.array([1, 4]), np.array([0, 0]), [{"objects": ["a"]}])
 
     shared = UserData(make)
     assert not made

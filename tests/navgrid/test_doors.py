@@ -13,7 +13,7 @@ from navbake.errors import FormatError, QueryError
 from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.rooms import from_runs, parse_doors, to_runs
-from navbake.navgrid.user_data import Shared, UserData
+from navbake.navgrid.user_data import SharedEntries, UserData
 
 GATE = {
     "id": "gate",
@@ -116,7 +116,7 @@ def test_names_follow_the_doors_where_cells_share_entries(seed):
     rng = np.random.default_rng(seed)
     entries = [{"objects": ["lamp"]}, {"walls": ["beam"]}, {"doors": ["gate"], "objects": ["gate"]}]
     cells = np.sort(rng.choice(9, rng.integers(0, 10), replace=False))
-    shared = UserData(Shared(cells, rng.integers(0, 3, len(cells)), entries))
+    shared = UserData(SharedEntries(cells, rng.integers(0, 3, len(cells)), entries))
     plain = UserData(dict(UserData(shared.source)))
     before = copy.deepcopy(entries)
     doors = parse_doors([GATE, HATCH], [8])

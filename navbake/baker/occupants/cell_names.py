@@ -62,8 +62,8 @@ def name_cells(
         window: the rows and columns of the lattice that the grid holds.
 
     Returns:
-        The fields of `navbake.navgrid.user_data.Shared`: the ids on the window of the cells with
-        names, ascending; for each of them, the index of its entry; and the entries, which hold
+        The fields of `navbake.navgrid.user_data.SharedEntries`: the ids on the window of the cells
+        with names, ascending; for each of them, the index of its entry; and the entries, which hold
         sorted names by key. An entry has ``blockers`` only where these are not the same names as
         its objects and walls together.
     """

@@ -39,7 +39,7 @@ from navbake.baker.occupants.cell_names import BLOCKERS, OBJECTS, WALLS, name_ce
 from navbake.baker.occupants.standing import StandingOccupants
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.user_data import Shared, UserData, without_garbage_collection
+from navbake.navgrid.user_data import SharedEntries, UserData, without_garbage_collection
 from navbake.types import Bool, Float, Int, Int32
 
 # Entries are stored in chunks; a chunk has those of this many rows of cells
@@ -410,7 +410,7 @@ def name_occupants(
 
 def _name_cells(
     standing: StandingOccupants, row_chunks: Sequence[OccupantEntries], level: int, window: Window
-) -> Shared:
+) -> SharedEntries:
     """Return the names of the geoms in a level's cells, see `name_occupants`.
 
     Args:
@@ -453,4 +453,4 @@ def _name_cells(
             lattice=occupants.lattice,
             window=window,
         )
-        return Shared(cells, entry_numbers, entries)
+        return SharedEntries(cells, entry_numbers, entries)

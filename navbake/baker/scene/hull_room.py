@@ -256,11 +256,11 @@ def _mark_tops(
         lowest: the height of the mesh's bottom [m].
     """
     surface_of_cell = label_islands(
-        start=np.array([0, len(is_gentle)]),
-        width=np.array([lattice.width]),
+        first_cells=np.array([0, len(is_gentle)]),
+        widths=np.array([lattice.width]),
         free=is_gentle,
         floor=top_z,
-        limit=limits.step + LIMIT_SLACK,
+        max_rise=limits.step + LIMIT_SLACK,
         steps=np.empty((0, 2), dtype=np.int64),
     ).reshape(lattice.height, lattice.width)
     # a rim of cells beside the mesh
