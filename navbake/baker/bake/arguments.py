@@ -84,12 +84,12 @@ def parse_arguments(
     # The model says which bodies there are. The bake needs it as well, and does not load it again.
     if scene_model is None:
         scene_model = load_scene_file(config.scene, limits)
-    excluded = _exclude_settings(scene_model.model, config.scene.exclude, exclude, robot)
+    excluded = _merge_exclude_settings(scene_model.model, config.scene.exclude, exclude, robot)
     scene_settings = config.scene.model_copy(update={"exclude": excluded})
     return config.model_copy(update={"scene": scene_settings}), scene_model
 
 
-def _exclude_settings(
+def _merge_exclude_settings(
     model: mujoco.MjModel,
     settings: ExcludeSettings,
     exclude: Mapping[str, object] | None,
@@ -100,8 +100,8 @@ def _exclude_settings(
     Args:
         model: the compiled scene, which has the names of bodies and geoms.
         settings: the settings of `scene.exclude`.
-        exclude: see `parse_arguments`.
-        robot: see `parse_arguments`.
+        exclude: bodies and geoms to leave out, as ``{"bodies": […], "geoms": […]}``.
+        robot: the body of the robot, or several bodies, to leave out.
 
     Raises:
         ConfigError: an argument is wrong, or names a body or geom that the scene does not have.
@@ -109,8 +109,8 @@ def _exclude_settings(
     if exclude is None:
         exclude = {}
     if not isinstance(exclude, Mapping):
-        wanted = "`exclude` as {'bodies': […], 'geoms': […]}"
-        raise ConfigError(f"expected {wanted}, got {type(exclude).__name__}")
+        expected_form = "`exclude` as {'bodies': […], 'geoms': […]}"
+        raise ConfigError(f"expected {expected_form}, got {type(exclude).__name__}")
     names = all_names(model)
     geom_names = [geom.geom for geom in names.geoms]
     body_patterns = [
@@ -122,62 +122,63 @@ def _exclude_settings(
         *settings.geoms,
         *_find_patterns(exclude.get("geoms", []), geom_names, "geom", "exclude"),
     ]
-    merged = {
+    merged_settings = {
         "movable": settings.movable,
         **exclude,
         "bodies": body_patterns,
         "geoms": geom_patterns,
     }
     try:
-        return ExcludeSettings.model_validate(merged)
+        return ExcludeSettings.model_validate(merged_settings)
     except ValidationError as error:
         raise make_config_error(error, {"": ExcludeSettings}, "`exclude`") from error
 
 
 def _find_patterns(
-    references: References, names: Sequence[str], kind: str, keyword: str
+    references: References, all_names_by_id: Sequence[str], body_or_geom: str, keyword: str
 ) -> list[str]:
     """Turn references to bodies or geoms into name patterns.
 
     Args:
         references: one or several bodies or geoms, each by its name or id, as a name pattern, or as
             MuJoCo's view of it.
-        names: the names of all bodies or geoms, by id.
-        kind: ``body`` or ``geom``.
+        all_names_by_id: the names of all bodies or geoms, by id.
+        body_or_geom: ``body`` or ``geom``.
         keyword: the argument of `navbake.bake` that has the references, for errors.
 
     Raises:
         ConfigError: a reference is of a wrong type, or names nothing in the scene.
     """
-    first_id = 1 if kind == "body" else 0  # the world, body 0, is no body of the scene
+    first_id = 1 if body_or_geom == "body" else 0  # the world, body 0, is no body of the scene
     patterns = list[str]()
     for reference in references if _are_several(references) else [references]:
         name_or_id = _name_or_id(reference)
         if isinstance(name_or_id, str):
             name = name_or_id
-            if name not in names[first_id:]:
+            if name not in all_names_by_id[first_id:]:
                 if keyword == "robot" or not WILDCARDS.search(name):
-                    near = suggest(name, names[first_id:])
-                    raise ConfigError(f"no {kind} {name!r} for `{keyword}`: {near}")
+                    suggestion = suggest(name, all_names_by_id[first_id:])
+                    raise ConfigError(f"no {body_or_geom} {name!r} for `{keyword}`: {suggestion}")
                 patterns.append(name)
                 continue
         else:
-            index = name_or_id.__index__() if isinstance(name_or_id, SupportsIndex) else -1
-            if isinstance(name_or_id, bool) or not first_id <= index < len(names):
-                wanted = f"the name or id of a {kind} in `{keyword}`"
-                expected = f"{wanted}, {first_id} to {len(names) - 1}"
+            reference_id = name_or_id.__index__() if isinstance(name_or_id, SupportsIndex) else -1
+            if isinstance(name_or_id, bool) or not first_id <= reference_id < len(all_names_by_id):
+                expected_reference = f"the name or id of a {body_or_geom} in `{keyword}`"
+                expected = f"{expected_reference}, {first_id} to {len(all_names_by_id) - 1}"
                 raise ConfigError(f"expected {expected}, got {reference!r}")
-            name = names[index]
+            name = all_names_by_id[reference_id]
         patterns.append(WILDCARDS.sub(r"[\1]", name))
     return patterns
 
 
 def _are_several(references: References) -> TypeGuard[Sequence[Reference]]:
+    """Return whether an argument is a list of references to bodies or geoms, rather than one."""
     return isinstance(references, Sequence | np.ndarray) and not isinstance(references, str)
 
 
 def _name_or_id(reference: Reference) -> object:
-    """The name of a body or geom, or its id: MuJoCo's views and specs have one of the two."""
+    """Return the name that a reference to a body or geom has; if it has no name, its id."""
     if isinstance(reference, str):
         return reference
     return getattr(reference, "name", "") or getattr(reference, "id", reference)

@@ -50,7 +50,7 @@ class LevelBoxes(NamedTuple):
 
 def find_level_boxes(
     levels: Sequence[LevelFloor],
-    occupied: Sequence[Bool],
+    occupied_by_level: Sequence[Bool],
     lattice: Lattice,
     scene_box: Float | None,
     agent_height: float,
@@ -66,7 +66,7 @@ def find_level_boxes(
 
     Args:
         levels: the levels on the whole lattice, lowest first.
-        occupied: the cells of each level that structure occupies, (height, width).
+        occupied_by_level: the cells of each level that structure occupies, (height, width).
         lattice: the cells of all levels.
         scene_box: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
         agent_height: height of the agent [m].
@@ -76,27 +76,33 @@ def find_level_boxes(
         levels.
     """
     floors = [level.floor.astype(np.float32) for level in levels]  # as written to a file
-    lowest = [float(np.fmin.reduce(floor, axis=None)) for floor in floors]
-    highest = [float(np.fmax.reduce(floor, axis=None)) for floor in floors]
+    lowest_floors = [float(np.fmin.reduce(floor, axis=None)) for floor in floors]
+    highest_floors = [float(np.fmax.reduce(floor, axis=None)) for floor in floors]
     windows = [bounding_window(~np.isnan(floor)) for floor in floors]
-    sides = [_level_sides(lattice.cut(*window), scene_box) for window in windows]
+    box_sides = [_level_sides(lattice.cut(*window), scene_box) for window in windows]
     if len(levels) == 1:
         full_window = (slice(0, lattice.height), slice(0, lattice.width))
-        box = _single_level_box(sides[0], lowest[0], highest[0], scene_box, agent_height)
+        box = _single_level_box(
+            box_sides[0], lowest_floors[0], highest_floors[0], scene_box, agent_height
+        )
         return LevelBoxes([full_window], [box], 0, [])
-    bottoms = [round(z - BOX_MARGIN, BOX_DECIMALS) for z in lowest]
+    bottoms = [round(z - BOX_MARGIN, BOX_DECIMALS) for z in lowest_floors]
     bottoms[0] = min(bottoms[0], round(levels[0].ground - BOX_MARGIN, BOX_DECIMALS))
-    top = max(highest) + agent_height
+    highest_top = max(highest_floors) + agent_height
     if scene_box is not None:
-        top = max(top, float(scene_box[1, 2]))
+        highest_top = max(highest_top, float(scene_box[1, 2]))
     # The floors of single cells matter only where a level reaches up to a box above it.
     free_floors = [np.empty((0, 0)) for _ in levels]
-    if any(z > min(bottoms[k:], default=np.inf) - 2 * BOX_GAP for k, z in enumerate(highest, 1)):
+    if any(
+        z > min(bottoms[k:], default=np.inf) - 2 * BOX_GAP for k, z in enumerate(highest_floors, 1)
+    ):
         free_floors = [floor.astype(np.float64) for floor in floors]
-        for floor, is_occupied in zip(free_floors, occupied, strict=True):
+        for floor, is_occupied in zip(free_floors, occupied_by_level, strict=True):
             floor[is_occupied] = np.nan
-    tops, num_misplaced = _find_tops(free_floors, windows, bottoms, round(top, LENGTH_DECIMALS))
-    boxes = [_to_file_frame(*box) for box in zip(sides, bottoms, tops, strict=True)]
+    tops, num_misplaced = _find_tops(
+        free_floors, windows, bottoms, round(highest_top, LENGTH_DECIMALS)
+    )
+    boxes = [_to_file_frame(*box) for box in zip(box_sides, bottoms, tops, strict=True)]
     return LevelBoxes(
         windows=windows,
         boxes=boxes,
@@ -169,16 +175,16 @@ def _last_floor(floors: Float, heights_above: Float) -> float:
             above the bottom of the level's box, shape (m,) [m].
     """
     # Of the floors below all of the higher levels', only the highest can be the best.
-    is_low = floors < heights_above.min(initial=np.inf)
+    is_below_all = floors < heights_above.min(initial=np.inf)
     highest = floors.max(initial=-np.inf)
-    heights, counts = np.unique(floors[~is_low], return_counts=True)
-    heights = np.append(floors[is_low].max(initial=-np.inf), heights)
-    num_contained = np.append(np.count_nonzero(is_low), counts).cumsum()
+    heights, num_at_height = np.unique(floors[~is_below_all], return_counts=True)
+    heights = np.append(floors[is_below_all].max(initial=-np.inf), heights)
+    num_contained = np.append(np.count_nonzero(is_below_all), num_at_height).cumsum()
     heights_above = np.sort(heights_above[heights_above <= highest])
     num_misplaced = np.searchsorted(heights_above, heights, side="right")
-    gain = np.append(0, num_contained - num_misplaced)
-    best = len(gain) - 1 - int(np.argmax(gain[::-1]))  # the highest of equally good ones
-    return float(np.append(-np.inf, heights)[best])
+    score = np.append(0, num_contained - num_misplaced)
+    best_index = len(score) - 1 - int(np.argmax(score[::-1]))  # the highest of equally good ones
+    return float(np.append(-np.inf, heights)[best_index])
 
 
 def _level_sides(lattice: Lattice, scene_box: Float | None) -> Float:
@@ -195,10 +201,10 @@ def _level_sides(lattice: Lattice, scene_box: Float | None) -> Float:
     sides = np.round([x_min, y_min, x_max, y_max], LENGTH_DECIMALS) + 0.0
     if scene_box is None:
         return sides
-    half = lattice.cell_size / 2
+    half_cell = lattice.cell_size / 2
     scene_sides = np.round(scene_box[:, :2].ravel(), LENGTH_DECIMALS) + 0.0
     # Only a side between the rectangle's and the outermost centres is taken from the scene.
-    centers = np.array([x_min + half, y_min + half, x_max - half, y_max - half])
+    centers = np.array([x_min + half_cell, y_min + half_cell, x_max - half_cell, y_max - half_cell])
     is_between = np.minimum(sides, centers) <= scene_sides
     is_between &= scene_sides <= np.maximum(sides, centers)
     return np.where(is_between, scene_sides, sides)
@@ -220,16 +226,23 @@ def _single_level_box(
         bottom = round(lowest - BOX_MARGIN, LENGTH_DECIMALS)
         top = round(highest + agent_height, LENGTH_DECIMALS)
         return _to_file_frame(sides, bottom, top)
-    corners = np.round(scene_box, LENGTH_DECIMALS) + 0.0
-    sides[:2] = np.minimum(sides[:2], corners[0, :2])
-    sides[2:] = np.maximum(sides[2:], corners[1, :2])
-    bottom = float(corners[0, 2])
-    top = float(corners[1, 2])
+    scene_corners = np.round(scene_box, LENGTH_DECIMALS) + 0.0
+    sides[:2] = np.minimum(sides[:2], scene_corners[0, :2])
+    sides[2:] = np.maximum(sides[2:], scene_corners[1, :2])
+    bottom = float(scene_corners[0, 2])
+    top = float(scene_corners[1, 2])
     if bottom > lowest:
         bottom = round(lowest - BOX_MARGIN, BOX_DECIMALS)
     return _to_file_frame(sides, bottom, max(top, highest))
 
 
 def _to_file_frame(sides: Float, bottom: float, top: float) -> Box:
+    """Return a box in the frame of the file, where y is up.
+
+    Args:
+        sides: x_min, y_min, x_max, y_max in the world frame, shape (4,) [m].
+        bottom: height of the box's bottom [m].
+        top: height of the box's top [m].
+    """
     x_min, y_min, x_max, y_max = sides.tolist()
     return (x_min, bottom + 0.0, 0.0 - y_max), (x_max, top + 0.0, 0.0 - y_min)

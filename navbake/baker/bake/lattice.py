@@ -19,10 +19,11 @@ SIZE_ROUNDING = 1e-6
 # fraction of the largest coordinate
 FLOAT32_ROUNDING = 2.0**-22
 # Extents are never reduced by more than this fraction of a cell, however far away a mesh lies
-MAX_ROUNDED_SHARE = 0.25
-# A geom makes the scene's box large if the box is smaller than this fraction of its area without it
-MAX_REST = 0.5
-SAME_AREA = 0.01  # areas of boxes are equal if they differ by less than this fraction
+MAX_ROUNDED_FRACTION = 0.25
+# A geom makes the scene's box large if the box without this geom has less than this fraction of its
+# area, seen from above
+MAX_REMAINING_FRACTION = 0.5
+SAME_AREA_FRACTION = 0.01  # areas of boxes are equal if they differ by less than this fraction
 # Floors are found on the scene up to this far around `grid.bounds`, or up to the longer side of the
 # bounds, if that is more [m]
 MAX_EXTENSION = 50.0
@@ -54,8 +55,8 @@ def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     elif scene_box is not None:
         bounds = (*scene_box[0, :2].tolist(), *scene_box[1, :2].tolist())
     else:
-        endless = f"only infinite planes count in {config.scene.path}, so the grid has no end"
-        raise ConfigError(f"{endless}: set `grid.bounds` to [x_min, y_min, x_max, y_max]")
+        no_end = f"only infinite planes count in {config.scene.path}, so the grid has no end"
+        raise ConfigError(f"{no_end}: set `grid.bounds` to [x_min, y_min, x_max, y_max]")
     if not np.isfinite(bounds).all():
         raise SceneError(f"the scene {config.scene.path} has geoms whose pose is not finite")
     width = bounds[2] - bounds[0]
@@ -90,7 +91,7 @@ def box_rounding(scene: Scene, bounds: Float, cell_size: float) -> float:
     rounding = SIZE_ROUNDING * float((bounds[2:] - bounds[:2]).max())
     if scene.exact_meshes:
         rounding += FLOAT32_ROUNDING * float(np.abs(bounds).max())
-    return min(rounding, MAX_ROUNDED_SHARE * cell_size)
+    return min(rounding, MAX_ROUNDED_FRACTION * cell_size)
 
 
 def _name_farthest_geom(scene: Scene, config: BakeConfig) -> str:
@@ -101,36 +102,42 @@ def _name_farthest_geom(scene: Scene, config: BakeConfig) -> str:
     """
     shapes = scene.shapes if scene.bounds is None else scene.structure
     is_finite = np.isfinite(shapes.boxes).all(axis=1)
-    geoms, geom_of_box = np.unique(shapes.boxed_geoms[is_finite], return_inverse=True)
-    if config.grid.bounds is not None or not len(geoms):
+    geom_ids, geom_of_box = np.unique(shapes.geom_of_box[is_finite], return_inverse=True)
+    if config.grid.bounds is not None or not len(geom_ids):
         return ""
     boxes = shapes.boxes[is_finite]
-    low = np.full((len(geoms), 2), np.inf)
-    high = np.full((len(geoms), 2), -np.inf)
-    np.minimum.at(low, geom_of_box, boxes[:, :2])
-    np.maximum.at(high, geom_of_box, boxes[:, 3:5])
-    sides = high - low
+    lower_corners = np.full((len(geom_ids), 2), np.inf)
+    upper_corners = np.full((len(geom_ids), 2), -np.inf)
+    np.minimum.at(lower_corners, geom_of_box, boxes[:, :2])
+    np.maximum.at(upper_corners, geom_of_box, boxes[:, 3:5])
+    sides = upper_corners - lower_corners
     area = sides.prod(axis=1)
-    largest = int(area.argmax())
-    name = scene.geoms[int(geoms[largest])].name
-    text = f"the largest geom is {name!r}, {sides[largest, 0]:.6g} x {sides[largest, 1]:.6g} m; "
-    if len(geoms) == 1:
+    largest_geom = int(area.argmax())
+    name = scene.geoms[int(geom_ids[largest_geom])].name
+    width, depth = sides[largest_geom].tolist()
+    text = f"the largest geom is {name!r}, {width:.6g} x {depth:.6g} m; "
+    if len(geom_ids) == 1:
         return text
     # the box without a geom ends at the second lowest or highest side where that geom has the first
-    lowest = np.sort(low, axis=0)[:2]
-    highest = np.sort(high, axis=0)[-2:]
-    rest = np.where(high == highest[1], highest[0], highest[1])
-    rest -= np.where(low == lowest[0], lowest[1], lowest[0])
-    rest_area = rest.prod(axis=1)
-    makes_box = rest_area <= MAX_REST * (highest[1] - lowest[0]).prod()
-    if not makes_box.any():
+    two_lowest = np.sort(lower_corners, axis=0)[:2]
+    two_highest = np.sort(upper_corners, axis=0)[-2:]
+    remaining_sides = np.where(upper_corners == two_highest[1], two_highest[0], two_highest[1])
+    remaining_sides -= np.where(lower_corners == two_lowest[0], two_lowest[1], two_lowest[0])
+    remaining_area = remaining_sides.prod(axis=1)
+    is_enlarging = (
+        remaining_area <= MAX_REMAINING_FRACTION * (two_highest[1] - two_lowest[0]).prod()
+    )
+    if not is_enlarging.any():
         return text
     # of a floor and a small thing far away, the box is small without either: the thing is the one
-    total = rest_area + area
-    is_best = makes_box & (total <= (1 + SAME_AREA) * total[makes_box].min())
-    farthest = int(np.where(is_best, area, np.inf).argmin())
-    name = scene.geoms[int(geoms[farthest])].name
-    return f"without {name!r} it is {rest[farthest, 0]:.6g} x {rest[farthest, 1]:.6g} m; "
+    total_area = remaining_area + area
+    is_best = is_enlarging & (
+        total_area <= (1 + SAME_AREA_FRACTION) * total_area[is_enlarging].min()
+    )
+    farthest_geom = int(np.where(is_best, area, np.inf).argmin())
+    name = scene.geoms[int(geom_ids[farthest_geom])].name
+    width, depth = remaining_sides[farthest_geom].tolist()
+    return f"without {name!r} it is {width:.6g} x {depth:.6g} m; "
 
 
 def extend_lattice(
@@ -177,8 +184,8 @@ def extend_lattice(
         )
 
     def is_too_large(max_extension: int) -> bool:
-        extended = extend(max_extension)
-        return extended.width * extended.height > max_cells
+        extended_lattice = extend(max_extension)
+        return extended_lattice.width * extended_lattice.height > max_cells
 
     # The number of cells grows with the extension: bisect for the largest that is allowed.
     most_cells = max(math.ceil(MAX_EXTENSION / lattice.cell_size), lattice.width, lattice.height)

@@ -58,14 +58,14 @@ def crop_steps(steps: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
         The rows of `steps`, with each cell's id replaced by its id on its level's own rectangle.
     """
     cropped_steps = steps.copy()
-    for number, window in enumerate(boxes.windows):
+    for level_number, window in enumerate(boxes.windows):
         for level_column, cell_column in ((0, 1), (2, 3)):
-            is_on_level = cropped_steps[:, level_column] == number
+            is_on_level = cropped_steps[:, level_column] == level_number
             cells = cropped_steps[is_on_level, cell_column]
             # Each of them has a floor, so that none lies outside of the rectangle.
             cropped_steps[is_on_level, cell_column] = crop_cells(cells, window, width)[0]
-    rows: list[list[int]] = cropped_steps.tolist()
-    return rows
+    step_rows: list[list[int]] = cropped_steps.tolist()
+    return step_rows
 
 
 def make_grid_door(
@@ -110,19 +110,19 @@ def door_to_json(door: Door) -> Json:
     return entry
 
 
-def _runs_to_json(by_state: Mapping[str, Mapping[int, Runs]]) -> Json:
+def _runs_to_json(runs_by_state: Mapping[str, Mapping[int, Runs]]) -> Json:
     """Return the cells of each state of a door as they are written to a file.
 
     Args:
-        by_state: state of the door -> level -> runs of cells on the level's rectangle. Runs are a
-            list of the first cell and the number of cells of each run, in turns.
+        runs_by_state: state of the door -> level -> runs of cells on the level's rectangle. Runs
+            are a list of the first cell and the number of cells of each run, in turns.
 
     Returns:
         State of the door -> a list of pairs of a level and its runs.
     """
     entry: Json = {}
-    for state, by_level in by_state.items():
-        entry[state] = [[level, runs] for level, runs in by_level.items()]
+    for state, runs_by_level in runs_by_state.items():
+        entry[state] = [[level, runs] for level, runs in runs_by_level.items()]
     return entry
 
 

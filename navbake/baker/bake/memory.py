@@ -24,9 +24,9 @@ def estimate_memory(structure: Shapes, lattice: Lattice, margin: float) -> int:
     Args:
         structure: the geometry that floors are found on.
         lattice: the cells of the whole scene.
-        margin: see `make_shape_source` [m].
+        margin: shapes within this distance of a tile of cells are listed for it [m].
     """
-    num_triangles = int(structure.meshes.counts.sum())
+    num_triangles = int(structure.meshes.num_triangles.sum())
     bytes_per_triangle = BYTES_PER_TRIANGLE
     if expands_on_request(structure, lattice, margin):
         bytes_per_triangle = BYTES_PER_TRIANGLE_ON_REQUEST
@@ -39,18 +39,19 @@ def warn_of_memory(structure: Shapes, lattice: Lattice, margin: float) -> None:
     The warning isn't stored in the grid: on another machine, the same bake has enough memory.
 
     Args:
-        structure: see `estimate_memory`.
-        lattice: see `estimate_memory`.
-        margin: see `estimate_memory` [m].
+        structure: the geometry that floors are found on.
+        lattice: the cells of the whole scene.
+        margin: shapes within this distance of a tile of cells are listed for it [m].
     """
-    needed = estimate_memory(structure, lattice, margin)
-    free = free_memory()
-    if needed <= free:
+    needed_bytes = estimate_memory(structure, lattice, margin)
+    free_bytes = free_memory()
+    if needed_bytes <= free_bytes:
         return
     num_cells = lattice.width * lattice.height
-    num_triangles = int(structure.meshes.counts.sum())
+    num_triangles = int(structure.meshes.num_triangles.sum())
     LOG.warning(
-        f"this bake needs about {needed / GB:.1f} GB of memory, and {free / GB:.1f} GB are free: "
+        f"this bake needs about {needed_bytes / GB:.1f} GB of memory, "
+        f"and {free_bytes / GB:.1f} GB are free: "
         f"{num_cells} cells and {num_triangles} triangles: raise `grid.cell_size`, bake a part "
         f"(`grid.bounds`), or leave geoms out (`scene.exclude`)"
     )

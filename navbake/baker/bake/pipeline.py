@@ -222,18 +222,18 @@ def _verify_grid(
 
     report = verify_scene(grid, scene, config, sample=sample)
     num_findings = len(report.findings)
-    verified = {
+    counts_to_store = {
         "sample": sample,
         "cells": report.checked,
         "disagreements": num_findings,
         "digest": report.digest,
     }
-    metadata: Json = {**grid.navbake, "verified": verified}
+    metadata: Json = {**grid.navbake, "verified": counts_to_store}
     if num_findings:
-        places = "1 place" if num_findings == 1 else f"{num_findings} places"
+        num_places_text = "1 place" if num_findings == 1 else f"{num_findings} places"
         warning = (
-            f"verify: MuJoCo and FCL disagree with the grid at {places}, with {report.checked} "
-            "cells looked at; navbake verify lists them"
+            f"verify: MuJoCo and FCL disagree with the grid at {num_places_text}, with "
+            f"{report.checked} cells looked at; navbake verify lists them"
         )
         metadata["warnings"] = [*grid.warnings, warning]
     verified_grid: SceneGrid2D | MultiLevelGrid
@@ -284,14 +284,14 @@ def _build_level_grid(
     layers = baked_structure.layers[level]
     lattice = baked_structure.lattice.cut(*window)
 
-    def add_doors(occupied: Bool, cells_name: str) -> NDArray[np.uint8]:
+    def add_doors(is_occupied: Bool, cells_name: str) -> NDArray[np.uint8]:
         """Crop a layer to the level's rectangle, and add the runs of cells that doors block."""
-        layer = occupied[window].copy()
+        layer = is_occupied[window].copy()
         flat_layer = layer.ravel()
         for door in doors:
             runs = getattr(door, cells_name).get(door.state, {}).get(level, [])
-            for first, count in zip(runs[::2], runs[1::2], strict=True):
-                flat_layer[first : first + count] = True
+            for first_cell, num_cells in zip(runs[::2], runs[1::2], strict=True):
+                flat_layer[first_cell : first_cell + num_cells] = True
         return layer.view(np.uint8)
 
     attributes: dict[str, NDArray[np.generic]] = {

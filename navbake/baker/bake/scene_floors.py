@@ -33,17 +33,18 @@ def find_scene_floors(
     tile_index: ShapeSource,
     scene: Scene,
     lattice: Lattice,
-    extended: FloorLattice,
+    floor_lattice: FloorLattice,
     config: BakeConfig,
 ) -> Floors:
     """Find the floors of the whole scene, and crop them to the lattice that is baked.
 
     Args:
-        columns: the vertical columns of the structure, on the extended lattice.
+        columns: the hits of structure on the vertical line through each cell's centre, on the
+            extended lattice.
         tile_index: the structure's geometry, by tiles of the extended lattice.
         scene: the posed scene.
         lattice: the cells that are baked.
-        extended: the lattice of the whole scene, and the window of it that is baked.
+        floor_lattice: the extended lattice, that of the whole scene, and its window that is baked.
         config: all settings.
 
     Returns:
@@ -61,8 +62,8 @@ def find_scene_floors(
             level_settings=None if config.levels == "auto" else list(config.levels),
             is_occupied=make_occupancy_test(columns, tile_index, config),
         )
-        if extended.lattice != lattice:
-            floors = crop_floors(floors, extended.window)
+        if floor_lattice.lattice != lattice:
+            floors = crop_floors(floors, floor_lattice.window)
     except SceneError as error:
         text = str(error)
         advice = _advise_ground(scene, config)
@@ -92,19 +93,21 @@ def make_occupancy_test(
     point_agent = config.agent.model_copy(update={"radius": 0.0})
     footprint = Footprint.for_agent(point_agent, columns.lattice.cell_size)
 
-    def is_occupied(cells: Int, floors: Float, heights: HeightRange | None = None, /) -> Bool:
+    def is_occupied(
+        cells: Int, floor_heights: Float, heights: HeightRange | None = None, /
+    ) -> Bool:
         volume = footprint if heights is None else footprint.between(heights)
-        occupied = np.zeros(len(cells), dtype=np.bool_)
-        for chunk in split_cells(tile_index, cells):
-            chunk_cells = cells[chunk]
-            occupied[chunk] = check_occupancy(
-                columns.covering(chunk_cells),
-                tile_index.near_cells(chunk_cells),
+        is_cell_occupied = np.zeros(len(cells), dtype=np.bool_)
+        for chunk_indices in split_cells(tile_index, cells):
+            chunk_cells = cells[chunk_indices]
+            is_cell_occupied[chunk_indices] = check_occupancy(
+                columns.columns_at(chunk_cells),
+                tile_index.shapes_near_cells(chunk_cells),
                 volume,
                 chunk_cells,
-                floors[chunk],
+                floor_heights[chunk_indices],
             ).occupied
-        return occupied
+        return is_cell_occupied
 
     return is_occupied
 
@@ -130,9 +133,9 @@ def measure_holes(
         is_occupied = make_occupancy_test(columns, tile_index, config)
         level = fill_holes(level, SCAN_HOLES / cell_area, is_occupied)
     hole_of_cell, _ = label_components_2d(np.asarray(level.unseen))
-    cells_of_hole = np.bincount(hole_of_cell.ravel())[1:]
-    areas: Float = cells_of_hole.astype(np.float64) * cell_area
-    return areas
+    num_cells_of_hole = np.bincount(hole_of_cell.ravel())[1:]
+    hole_areas: Float = num_cells_of_hole.astype(np.float64) * cell_area
+    return hole_areas
 
 
 def _advise_ground(scene: Scene, config: BakeConfig) -> str:
@@ -154,27 +157,29 @@ def _advise_ground(scene: Scene, config: BakeConfig) -> str:
     is_mesh |= is_in_memory and bool(scene.exact_meshes)
     if is_mesh or scene.bounds is None or config.grid.bounds is not None:
         return ""
-    low, high = scene.bounds
-    if (high - low)[:2].min() < MIN_GROUND_SIDE:
+    lowest_corner, highest_corner = scene.bounds
+    if (highest_corner - lowest_corner)[:2].min() < MIN_GROUND_SIDE:
         return ""
     if is_in_memory:
-        setting = f'`scene={{"ground": {low[2]:.6g}}}` adds it to an MjSpec'
+        setting = f'`scene={{"ground": {lowest_corner[2]:.6g}}}` adds it to an MjSpec'
         return f"if the scene comes without its ground, {setting}"
-    return f"if the scene comes without its ground, `scene.ground={low[2]:.6g}` adds it"
+    return f"if the scene comes without its ground, `scene.ground={lowest_corner[2]:.6g}` adds it"
 
 
 def _describe_extent(scene: Scene, config: BakeConfig) -> str:
     """Describe where a scene without floor lies: its axes, unit or bounds are often wrong."""
     if scene.bounds is None:
         return ""
-    hint = "; ".join(scene.hints)
-    if scene.exact_meshes and not hint:
+    hint_text = "; ".join(scene.hints)
+    if scene.exact_meshes and not hint_text:
         up = config.scene.up
         unit = config.scene.unit
-        hint = f"check which way is up (`scene.up` is {up}) and the unit (`scene.unit` is {unit:g})"
+        hint_text = (
+            f"check which way is up (`scene.up` is {up}) and the unit (`scene.unit` is {unit:g})"
+        )
     sides = zip("xyz", *scene.bounds.tolist(), strict=True)
-    spans = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)
+    span_text = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)
     endless_geoms = scene.shapes.planes.geom
     if len(endless_geoms):
-        spans += f" without {scene.geoms[endless_geoms[0]].name!r}"
-    return f"; the scene spans, in m, {spans}{'; ' if hint else ''}{hint}"
+        span_text += f" without {scene.geoms[endless_geoms[0]].name!r}"
+    return f"; the scene spans, in m, {span_text}{'; ' if hint_text else ''}{hint_text}"

@@ -188,10 +188,13 @@ class Stages:
 
     @cached_property
     def floor_columns(self) -> ColumnSource:
-        """The vertical columns of the extended lattice, on which floors are found.
+        """The hits on the vertical line through each cell's centre, on the extended lattice.
+
+        Floors are found in them.
 
         They are read in chunks of rows. In a large lattice, the chunks are not kept: each reading
-        casts them again. See `column_blocks` and `columns` for the columns of the baked lattice.
+        intersects the lines with the geometry again. `column_blocks` and `columns` have the hits on
+        the baked lattice.
         """
         return ColumnCaster(
             self.floor_tile_index, self.config.agent, self.config.floors.crack, self.clock
@@ -199,18 +202,18 @@ class Stages:
 
     @cached_property
     def columns(self) -> Columns:
-        """The vertical columns of the baked lattice, all in memory; made for users to inspect.
+        """The hits of structure on the vertical line through each baked cell's centre.
 
-        They contain all hits of the structure on the vertical line through each cell's centre. If
-        the line goes through a crack in a floor, the floor beside the crack is also a hit.
+        All are in memory, for users to inspect. If the line goes through a crack in a floor, the
+        floor beside the crack is also a hit.
         """
         return join_columns(self.floor_columns, self.extended_lattice.window, self.lattice)
 
     @property
     def column_blocks(self) -> ColumnSource:
-        """The vertical columns of the baked lattice, read in chunks of rows from `floor_columns`.
+        """The hits of `columns`, in chunks of rows, so that they need not all be in memory.
 
-        All stages after the floors read these; they have the same hits as `columns`.
+        All stages after the floors read these, from `floor_columns`.
         """
         columns = self.floor_columns
         if columns.lattice == self.lattice:
@@ -221,26 +224,29 @@ class Stages:
 
     @cached_property
     def _floors_and_extents(self) -> tuple[Floors, Extents | None]:
+        """The floors, and the boxes of the structure's geoms, which another thread measures."""
         columns = self.floor_columns
-        join_extents = None
+        wait_for_extents = None
         if self.config.names.enabled or self.config.rooms.sources:
             # Casting took all threads and expanded the triangles; finding floors leaves one free.
-            join_extents = run_beside(measure_extents, self.scene.structure, len(self.scene.geoms))
+            wait_for_extents = run_beside(
+                measure_extents, self.scene.structure, len(self.scene.geoms)
+            )
         with self.clock.stage("floors"):
             floors = find_scene_floors(
                 columns,
                 self.floor_tile_index,
                 scene=self.scene,
                 lattice=self.lattice,
-                extended=self.extended_lattice,
+                floor_lattice=self.extended_lattice,
                 config=self.config,
             )
-            extents = None if join_extents is None else join_extents()
+            extents = None if wait_for_extents is None else wait_for_extents()
         return floors, extents
 
     @property
     def floors(self) -> Floors:
-        """The levels of the scene, cropped to the lattice: their floors, and the steps between."""
+        """The levels, with their floors, cropped to the lattice; and the steps between levels."""
         return self._floors_and_extents[0]
 
     @property
@@ -331,7 +337,7 @@ class Stages:
     def leaf_cells(self) -> list[LeafCells]:
         """For each leaf, the cells that its own geometry blocks in each state."""
         levels = self.floors.levels
-        with self.clock.part("doors"):
+        with self.clock.add_to_stage("doors"):
             leaves = pose_leaves(
                 self.scene, self.scene.leaves, self.lattice, self.footprint.half_width
             )
@@ -468,14 +474,14 @@ class Stages:
             warnings=warn_of_structure(
                 self.config,
                 self.scene,
-                extended=self.extended_lattice,
+                floor_lattice=self.extended_lattice,
                 floors=self.floors,
                 occupancy=self.occupancy,
                 standing_occupants=self.standing_occupants,
                 rooms=self.rooms,
                 boxes=boxes,
-                holes=self.hole_areas,
-                uncounted=warn_uncounted(
+                hole_areas=self.hole_areas,
+                uncounted_warnings=warn_uncounted(
                     self.scene,
                     self.floors,
                     self.occupancy,
@@ -519,6 +525,7 @@ class Stages:
         return max(self.footprint.half_width, self.config.floors.crack)
 
     def _index_structure(self, lattice: Lattice) -> ShapeSource:
+        """List the structure's geometry by tiles of a lattice."""
         return make_shape_source(self.scene.structure, lattice, self.shape_margin)
 
 
@@ -536,5 +543,7 @@ def find_floor_lattice(lattice: Lattice, scene: Scene, config: BakeConfig) -> Fl
     rounding = 0.0
     if scene.bounds is not None:
         rounding = box_rounding(scene, scene.bounds[:, :2].ravel(), lattice.cell_size)
-    extended, window = extend_lattice(lattice, scene.bounds, config.grid.max_cells, rounding)
-    return FloorLattice(extended, window)
+    extended_lattice, window = extend_lattice(
+        lattice, scene.bounds, config.grid.max_cells, rounding
+    )
+    return FloorLattice(extended_lattice, window)

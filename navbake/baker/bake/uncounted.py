@@ -27,8 +27,8 @@ from navbake.types import Bool, Int
 # fraction of the floor that it would block is free: drawn geoms often lie a little beside geoms
 # that collide for them
 MIN_UNCOUNTED_AREA = 0.04
-MIN_FREE_SHARE = 0.5
-MAX_NAMED_THINGS = 5  # geoms that the warning names
+MIN_FREE_FRACTION = 0.5
+MAX_NAMED_GEOMS = 5  # geoms that the warning names
 # Thinner geoms are textures and pictures on what collides for them [m]
 MIN_THICKNESS = 0.02
 
@@ -58,17 +58,17 @@ def warn_uncounted(
         One warning, which names the largest things; or none.
     """
     is_candidate = _mark_candidates(scene)
-    free = [
+    free_by_level = [
         level.standable & ~is_occupied
         for level, is_occupied in zip(floors.levels, occupancy.levels, strict=True)
     ]
-    is_candidate &= _mark_over_free_floor(scene, floors, free, lattice, agent)
-    candidates = np.flatnonzero(is_candidate)
-    if not len(candidates):
+    is_candidate &= _mark_over_free_floor(scene, floors, free_by_level, lattice, agent)
+    candidate_geoms = np.flatnonzero(is_candidate)
+    if not len(candidate_geoms):
         return []
     selections = {
         geom: GeomSelection(True, "", scene.selections[geom].mesh_mode)
-        for geom in candidates.tolist()
+        for geom in candidate_geoms.tolist()
     }
     shapes, *_ = collect_shapes(
         scene.model,
@@ -82,28 +82,32 @@ def warn_uncounted(
     occupants = find_movable_occupants(inputs, shapes, is_candidate)
     num_blocked = np.zeros(len(is_candidate), dtype=np.int64)
     num_free = np.zeros(len(is_candidate), dtype=np.int64)
-    for level_free, chunks in zip(free, occupants.entries, strict=True):
+    for is_level_free, chunks in zip(free_by_level, occupants.entries, strict=True):
         for entries in chunks:
             is_blocking = (entries.flags & BLOCKING) > 0
             geom = entries.geom[is_blocking]
-            is_free = level_free.ravel()[entries.cell[is_blocking]]
+            is_free = is_level_free.ravel()[entries.cell[is_blocking]]
             num_blocked += np.bincount(geom, minlength=len(num_blocked))
             num_free += np.bincount(geom[is_free], minlength=len(num_free))
     area = num_free * lattice.cell_size**2
-    is_uncounted = (area >= MIN_UNCOUNTED_AREA) & (num_free >= MIN_FREE_SHARE * num_blocked)
-    things = np.flatnonzero(is_uncounted)
-    if not len(things):
+    is_uncounted = (area >= MIN_UNCOUNTED_AREA) & (num_free >= MIN_FREE_FRACTION * num_blocked)
+    uncounted_geoms = np.flatnonzero(is_uncounted)
+    if not len(uncounted_geoms):
         return []
-    largest = things[np.argsort(-area[things], kind="stable")][:MAX_NAMED_THINGS].tolist()
-    names = ", ".join(f"{scene.geoms[geom].name!r} ({area[geom]:.2f} m²)" for geom in largest)
-    reasons = {scene.selections[geom].reason for geom in things.tolist()}
-    reason = "they can't collide"
+    largest_geoms = uncounted_geoms[np.argsort(-area[uncounted_geoms], kind="stable")][
+        :MAX_NAMED_GEOMS
+    ].tolist()
+    names = ", ".join(f"{scene.geoms[geom].name!r} ({area[geom]:.2f} m²)" for geom in largest_geoms)
+    reasons = {scene.selections[geom].reason for geom in uncounted_geoms.tolist()}
+    reason_text = "they can't collide"
     if COLLIDES_IN_PAIRS in reasons:
-        reason = "their contype and conaffinity are 0 (a <contact><pair> is of two geoms alone)"
-    num_more = len(things) - len(largest)
-    more = f", and {num_more} more" if num_more else ""
+        reason_text = (
+            "their contype and conaffinity are 0 (a <contact><pair> is of two geoms alone)"
+        )
+    num_more = len(uncounted_geoms) - len(largest_geoms)
+    more_text = f", and {num_more} more" if num_more else ""
     return [
-        f"drawn on free floor, but not counted, as {reason}: {names}{more}; "
+        f"drawn on free floor, but not counted, as {reason_text}: {names}{more_text}; "
         f"`scene.geoms: all` counts everything, `scene.exclude.geoms` silences this"
     ]
 
@@ -124,7 +128,7 @@ def _mark_candidates(scene: Scene) -> Bool:
 
 
 def _mark_over_free_floor(
-    scene: Scene, floors: Floors, free: list[Bool], lattice: Lattice, agent: AgentSettings
+    scene: Scene, floors: Floors, free_by_level: list[Bool], lattice: Lattice, agent: AgentSettings
 ) -> Bool:
     """Mark the geoms whose bounding boxes lie over free floor, at a height where an agent would be.
 
@@ -134,55 +138,57 @@ def _mark_over_free_floor(
     Args:
         scene: the posed scene.
         floors: the floors of all levels.
-        free: the free cells of each level, (height, width).
+        free_by_level: the free cells of each level, (height, width).
         lattice: the whole lattice.
         agent: the agent, whose step and height are used.
     """
-    low, high = geom_boxes(scene.model, scene.data)
-    is_over = np.zeros(len(low), dtype=np.bool_)
-    is_around_all = np.zeros(len(low), dtype=np.bool_)  # as a sky is
+    lower_corners, upper_corners = geom_boxes(scene.model, scene.data)
+    is_over = np.zeros(len(lower_corners), dtype=np.bool_)
+    is_around_all = np.zeros(len(lower_corners), dtype=np.bool_)  # as a sky is
     if scene.bounds is not None:
-        is_around_all = ((low <= scene.bounds[0]) & (high >= scene.bounds[1])).all(axis=1)
+        is_around_all = (
+            (lower_corners <= scene.bounds[0]) & (upper_corners >= scene.bounds[1])
+        ).all(axis=1)
     with np.errstate(invalid="ignore"):
-        first_col = np.floor((low[:, 0] - lattice.x_min) / lattice.cell_size)
-        end_col = np.ceil((high[:, 0] - lattice.x_min) / lattice.cell_size)
-        first_row = np.floor((lattice.y_max - high[:, 1]) / lattice.cell_size)
-        end_row = np.ceil((lattice.y_max - low[:, 1]) / lattice.cell_size)
-    window = [
-        np.clip(np.nan_to_num(side), 0, length).astype(np.int64)
-        for side, length in (
+        first_col = np.floor((lower_corners[:, 0] - lattice.x_min) / lattice.cell_size)
+        end_col = np.ceil((upper_corners[:, 0] - lattice.x_min) / lattice.cell_size)
+        first_row = np.floor((lattice.y_max - upper_corners[:, 1]) / lattice.cell_size)
+        end_row = np.ceil((lattice.y_max - lower_corners[:, 1]) / lattice.cell_size)
+    windows = [
+        np.clip(np.nan_to_num(limit), 0, length).astype(np.int64)
+        for limit, length in (
             (first_row, lattice.height),
             (end_row, lattice.height),
             (first_col, lattice.width),
             (end_col, lattice.width),
         )
     ]
-    num_cells = np.maximum((window[1] - window[0]) * (window[3] - window[2]), 1)
-    for level, level_free in zip(floors.levels, free, strict=True):
-        heights = level.floor[level_free]
+    num_cells = np.maximum((windows[1] - windows[0]) * (windows[3] - windows[2]), 1)
+    for level, is_level_free in zip(floors.levels, free_by_level, strict=True):
+        heights = level.floor[is_level_free]
         if not len(heights):
             continue
-        is_beside = high[:, 2] > heights.min() + agent.traversable_floor_height
-        is_beside &= low[:, 2] < heights.max() + agent.height
-        num_free = _sum_windows(level_free, window)
-        is_over |= is_beside & (num_free >= MIN_FREE_SHARE / 2 * num_cells)
+        is_beside = upper_corners[:, 2] > heights.min() + agent.traversable_floor_height
+        is_beside &= lower_corners[:, 2] < heights.max() + agent.height
+        num_free = _sum_windows(is_level_free, windows)
+        is_over |= is_beside & (num_free >= MIN_FREE_FRACTION / 2 * num_cells)
     return is_over & ~is_around_all
 
 
-def _sum_windows(mask: Bool, window: list[Int]) -> Int:
+def _sum_windows(is_marked: Bool, windows: list[Int]) -> Int:
     """Count the marked cells in each of some windows.
 
     Args:
-        mask: the marked cells, shape (height, width).
-        window: the first rows of the windows, the ends of their rows, their first columns, and the
+        is_marked: the marked cells, shape (height, width).
+        windows: the first rows of the windows, the ends of their rows, their first columns, and the
             ends of their columns, shape (n,) each; ends are exclusive.
 
     Returns:
         How many cells are marked in each window, shape (n,).
     """
-    first_row, end_row, first_col, end_col = window
-    total = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), dtype=np.int64)
-    np.cumsum(np.cumsum(mask, axis=0, dtype=np.int64), axis=1, out=total[1:, 1:])
-    count: Int = total[end_row, end_col] - total[first_row, end_col]
-    count -= total[end_row, first_col] - total[first_row, first_col]
-    return count
+    first_row, end_row, first_col, end_col = windows
+    cumulative_count = np.zeros((is_marked.shape[0] + 1, is_marked.shape[1] + 1), dtype=np.int64)
+    np.cumsum(np.cumsum(is_marked, axis=0, dtype=np.int64), axis=1, out=cumulative_count[1:, 1:])
+    num_marked: Int = cumulative_count[end_row, end_col] - cumulative_count[first_row, end_col]
+    num_marked -= cumulative_count[end_row, first_col] - cumulative_count[first_row, first_col]
+    return num_marked

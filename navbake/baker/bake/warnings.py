@@ -27,9 +27,10 @@ from navbake.types import Bool, Float, Int
 
 SAMPLED_ROWS = 64  # every 64th row is read first, to see how low a level's floor is
 ROW_CHUNK = 64  # rows of a level that are searched together for a free cell
+# Unreached floors are warned of level by level on at most this many levels, those with the largest
+# unreached floors; one more warning sums up the others
+MAX_UNREACHED_LISTED = 5
 # A configured ground may have been set too high by a slab's thickness: a floor up to this far below
-# Unreached floors are told of on so many levels one by one, those with the largest; then summed up
-MAX_UNREACHED_TOLD = 5
 # it may be the one that was meant [m]
 MAX_GROUND_ERROR = 0.5
 MIN_HOLE_AREA = 0.05  # smaller holes in a mesh aren't counted in a warning [m²]
@@ -37,9 +38,7 @@ MAX_NAMED_BODIES = 3  # movable bodies that a warning names
 
 
 class PatchWarning(NamedTuple):
-    """A kind of warning about patches of surface.
-
-    A patch is warned of where it became no floor, or where it is a floor though it is small.
+    """How a bake warns of patches: surfaces that became no floor, or a floor though they are small.
 
     Attributes:
         min_area: the least area of a patch that is warned of [m²].
@@ -78,7 +77,7 @@ PATCHES_BEFORE_GROUNDS = {
     ),
 }
 PATCHES_AFTER_GROUNDS = {
-    "removed_by_reach": PatchWarning(
+    "removed_floors": PatchWarning(
         min_area=REPORTED_AREA,
         text="left out by `floors.reach: steps`, because no step leads there: {what}; {keep}",
     ),
@@ -103,7 +102,7 @@ PATCHES_AFTER_GROUNDS = {
             "crawl space): the void over {what}; `floors.voids: true` keeps all"
         ),
     ),
-    "without_level": PatchWarning(
+    "surfaces_without_level": PatchWarning(
         min_area=0.0,
         text=(
             "left out, because their columns hold more floors than there are levels, and no walk "
@@ -116,43 +115,43 @@ PATCHES_AFTER_GROUNDS = {
 def warn_of_structure(
     config: BakeConfig,
     scene: Scene,
-    extended: FloorLattice,
+    floor_lattice: FloorLattice,
     floors: Floors,
     occupancy: Occupancy,
     standing_occupants: StandingOccupants | None,
     rooms: Rooms,
     boxes: LevelBoxes,
-    holes: Float,
-    uncounted: list[str],
+    hole_areas: Float,
+    uncounted_warnings: list[str],
 ) -> list[str]:
     """Collect the warnings that concern structure, in the order of the stages.
 
     Args:
         config: all settings.
         scene: the posed scene.
-        extended: the lattice of the whole scene, on which floors were found.
+        floor_lattice: the lattice of the whole scene, on which floors were found.
         floors: the levels, and the surfaces that became no floor.
         occupancy: the cells of each level that structure occupies.
         standing_occupants: the structure in each cell; None where it was not needed.
         rooms: the rooms, with their warnings.
         boxes: the levels' boxes, and how many cells the original client misplaces.
-        holes: the area of each hole in the floor of a mesh [m²], shape (n,).
-        uncounted: the warnings of things on the floor that don't count.
+        hole_areas: the area of each hole in the floor of a mesh [m²], shape (n,).
+        uncounted_warnings: the warnings of things on the floor that don't count.
 
     Returns:
         The warnings, one printable line each.
     """
     warnings = [
-        *_warn_cropped(config, extended, scene),
+        *_warn_cropped(config, floor_lattice, scene),
         *_warn_patches(floors, scene, PATCHES_BEFORE_GROUNDS),
         *_warn_high_grounds(config, floors),
         *_warn_patches(floors, scene, PATCHES_AFTER_GROUNDS),
-        *_warn_holes(config, holes),
+        *_warn_holes(config, hole_areas),
         *_warn_hidden_ground(config, floors, scene),
         *(standing_occupants.warnings if standing_occupants else ()),
         *rooms.warnings,
         *_warn_interleaved(floors, occupancy, boxes),
-        *uncounted,
+        *uncounted_warnings,
     ]
     return [printable(warning) for warning in warnings]
 
@@ -188,9 +187,9 @@ def collect_warnings(
     ]
 
 
-def _warn_cropped(config: BakeConfig, extended: FloorLattice, scene: Scene) -> Iterator[str]:
+def _warn_cropped(config: BakeConfig, floor_lattice: FloorLattice, scene: Scene) -> Iterator[str]:
     """Warn where floors were found on a part of the scene, around `grid.bounds`."""
-    lattice = extended.lattice
+    lattice = floor_lattice.lattice
     if scene.bounds is not None and mark_cropped_sides(lattice, scene.bounds).any():
         x_min, y_min, x_max, y_max = lattice.bounds
         yield (
@@ -232,43 +231,45 @@ def _has_free_cell(standable: Bool, is_blocked: Bool) -> bool:
 
 
 def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Iterator[str]:
-    """Warn of movables that take floor: robots, and things that may be elsewhere later."""
+    """Warn of movables that occupy floor: robots, and things that may be elsewhere later."""
     scene = baked_pose.scene
     num_blocked = baked_pose.occupants.num_blocked_alone
     cell_area = baked_structure.lattice.cell_size**2
-    bodies = np.flatnonzero(num_blocked)
+    movable_bodies = np.flatnonzero(num_blocked)
     # Structure among them is a leaf that hangs on no joint.
-    bodies = bodies[~scene.is_structure_body[bodies]]
-    is_robot = np.isin(bodies, list(scene.actuated_bodies))
-    robots = bodies[is_robot]
-    things = bodies[~is_robot]
+    movable_bodies = movable_bodies[~scene.is_structure_body[movable_bodies]]
+    is_robot = np.isin(movable_bodies, list(scene.actuated_bodies))
+    robot_bodies = movable_bodies[is_robot]
+    other_bodies = movable_bodies[~is_robot]
 
-    def list_largest(bodies: Int) -> str:
-        largest = bodies[np.argsort(-num_blocked[bodies], kind="stable")][:MAX_NAMED_BODIES]
+    def list_largest(movable_bodies: Int) -> str:
+        largest_bodies = movable_bodies[np.argsort(-num_blocked[movable_bodies], kind="stable")][
+            :MAX_NAMED_BODIES
+        ]
         entries = [
             f"{body_name(scene.model, body)!r} ({num_blocked[body] * cell_area:.2f} m²)"
-            for body in largest.tolist()
+            for body in largest_bodies.tolist()
         ]
-        num_more = len(bodies) - len(entries)
+        num_more = len(movable_bodies) - len(entries)
         return ", ".join(entries) + (f", and {num_more} more" if num_more else "")
 
-    if len(robots):
-        pattern = body_name(scene.model, int(robots[0]))
+    if len(robot_bodies):
+        pattern = body_name(scene.model, int(robot_bodies[0]))
         yield (
-            f"bodies with actuators take floor, where they stand now: {list_largest(robots)}; "
-            f"what is to drive through the grid is left out by `scene.exclude.bodies: [{pattern}]` "
-            f"in the settings, by `robot=` in Python"
+            f"bodies with actuators take floor, where they stand now: "
+            f"{list_largest(robot_bodies)}; what is to drive through the grid is left out by "
+            f"`scene.exclude.bodies: [{pattern}]` in the settings, by `robot=` in Python"
         )
-    if len(things):
+    if len(other_bodies):
         yield (
-            f"bodies that can move take floor, where they stand now: {list_largest(things)}; "
+            f"bodies that can move take floor, where they stand now: {list_largest(other_bodies)}; "
             f"`scene.exclude.movable: true` leaves all such bodies out, `scene.exclude.bodies` "
             f"those that its patterns name"
         )
 
 
 def _warn_lost_floors(baked_pose: BakedPose) -> Iterator[str]:
-    """Warn of movables that would carry floor where there is none."""
+    """Warn of movables whose tops would be floor, if they were structure, where there is none."""
     scene = baked_pose.scene
     for body, area in baked_pose.lost_floors.items():
         if scene.is_structure_body[body]:  # a leaf without a joint
@@ -295,14 +296,14 @@ def _warn_patches(
         patches = [patch for patch in getattr(floors, attribute) if patch.area >= min_area]
         if not patches:
             continue
-        first = patches[0]
-        x, y, z = first.position
-        name = repr(scene.geoms[first.geom].name)
-        area = f"{first.area:.1f}"
+        largest_patch = patches[0]
+        x, y, z = largest_patch.position
+        name = repr(scene.geoms[largest_patch.geom].name)
+        area = f"{largest_patch.area:.1f}"
         height = f"{z:.2f}"
-        more = f", and {len(patches) - 1} more" if len(patches) > 1 else ""
+        more_text = f", and {len(patches) - 1} more" if len(patches) > 1 else ""
         yield text.format(
-            what=f"{name} ({area} m² at {height} m{more})",
+            what=f"{name} ({area} m² at {height} m{more_text})",
             keep=f"`floors.from: [[{x:.2f}, {y:.2f}, {height}]]` keeps it",
             cells=sum(len(patch.cells) for patch in patches),
             area=area,
@@ -331,17 +332,19 @@ def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
             for neighbor in floors.levels
             if neighbor is not level
         ]
-        z = np.concatenate([np.empty(0), *heights])
-        drops = np.round((level.ground - z) * 100)  # [cm]
-        drops = drops[(drops > 0) & (drops <= MAX_GROUND_ERROR * 100)].astype(np.int64)
-        cells_of_drop = np.bincount(drops, minlength=1)
-        area = int(cells_of_drop.max()) * config.grid.cell_size**2
-        drop = int(cells_of_drop.argmax()) / 100
+        standable_heights = np.concatenate([np.empty(0), *heights])
+        depths_below = np.round((level.ground - standable_heights) * 100)  # [cm]
+        depths_below = depths_below[
+            (depths_below > 0) & (depths_below <= MAX_GROUND_ERROR * 100)
+        ].astype(np.int64)
+        num_cells_at_depth = np.bincount(depths_below, minlength=1)
+        area = int(num_cells_at_depth.max()) * config.grid.cell_size**2
+        depth = int(num_cells_at_depth.argmax()) / 100
         if area >= config.floors.min_area:
             yield (
                 f"{level.name!r} has no floor near its ground, {level.ground:.2f} m: one of "
-                f"{area:.1f} m² lies {drop:.2f} m below it and is on another level; "
-                f"`ground: {level.ground - drop:.6g}` in `levels` takes it in"
+                f"{area:.1f} m² lies {depth:.2f} m below it and is on another level; "
+                f"`ground: {level.ground - depth:.6g}` in `levels` takes it in"
             )
 
 
@@ -351,48 +354,49 @@ def _warn_unreached(floors: Floors, baked_pose: BakedPose) -> Iterator[str]:
     A whole level that no step leads to is not warned of if a link stops on it.
     """
     linked_levels = {stop.level for link in baked_pose.links.links for stop in link.stops}
-    told = [
-        unreached
-        for unreached in floors.unreached
-        if not (unreached.is_whole_level and unreached.level in linked_levels)
+    reported_floors = [
+        level_floors
+        for level_floors in floors.unreached_floors
+        if not (level_floors.is_whole_level and level_floors.level in linked_levels)
     ]
-    by_area = sorted(told, key=lambda unreached: -unreached.patch.area)
-    smaller = by_area[MAX_UNREACHED_TOLD:]
-    summed_levels = {unreached.level for unreached in smaller}
-    for unreached in told:
-        if unreached.level in summed_levels:
+    sorted_floors = sorted(reported_floors, key=lambda level_floors: -level_floors.patch.area)
+    smaller_floors = sorted_floors[MAX_UNREACHED_LISTED:]
+    summed_levels = {level_floors.level for level_floors in smaller_floors}
+    for level_floors in reported_floors:
+        if level_floors.level in summed_levels:
             continue
-        is_level = unreached.is_whole_level
-        name = floors.levels[unreached.level].name
-        patch = unreached.patch
+        is_whole_level = level_floors.is_whole_level
+        name = floors.levels[level_floors.level].name
+        patch = level_floors.patch
         geom = baked_pose.scene.geoms[patch.geom].name
         area = f"{patch.area:.1f} m²"
         x, y, z = patch.position
         what = f"{area} of {name!r} (most of it on {geom!r}, as at {x:.2f}, {y:.2f}, {z:.2f})"
-        if is_level:
+        if is_whole_level:
             what = f"{name!r} ({area} at {z:.2f} m, most of it on {geom!r})"
         yield (
             f"no step leads to {what}: `floors.reach: steps` leaves such "
-            f"{'levels' if is_level else 'floors'} out, `floors.from` names places that count as "
-            "reached"
+            f"{'levels' if is_whole_level else 'floors'} out, `floors.from` names places that "
+            "count as reached"
         )
-    if smaller:
-        summed_area = sum(unreached.patch.area for unreached in smaller)
+    if smaller_floors:
+        summed_area = sum(level_floors.patch.area for level_floors in smaller_floors)
         yield (
-            f"no step leads to floors of {len(smaller)} more levels, either, {summed_area:.1f} m² "
-            "in all: `floors.reach: steps` leaves them out"
+            f"no step leads to floors of {len(smaller_floors)} more levels, either, "
+            f"{summed_area:.1f} m² in all: `floors.reach: steps` leaves them out"
         )
 
 
-def _warn_holes(config: BakeConfig, holes: Float) -> Iterator[str]:
+def _warn_holes(config: BakeConfig, hole_areas: Float) -> Iterator[str]:
     """Warn of holes in the floor of a mesh."""
-    areas = holes[holes >= MIN_HOLE_AREA]
-    if len(areas):
-        number = "a hole" if len(areas) == 1 else f"{len(areas)} holes"
+    counted_areas = hole_areas[hole_areas >= MIN_HOLE_AREA]
+    if len(counted_areas):
+        number_text = "a hole" if len(counted_areas) == 1 else f"{len(counted_areas)} holes"
         text = "closed and marked in the layer `unseen`"
         if not config.floors.fill:
             text = "no floor: `floors.fill` closes holes up to an area, `scene.scan: true` does so"
-        yield f"the mesh is open in its floor, {number} of {areas.sum():.2f} m² in all: {text}"
+        area = counted_areas.sum()
+        yield f"the mesh is open in its floor, {number_text} of {area:.2f} m² in all: {text}"
 
 
 def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Iterator[str]:
@@ -412,9 +416,9 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
     )
     if not (planes.pos[:, 2] < lowest_sampled - step).any():
         return
-    lowest = min(float(np.nanmin(level.floor)) for level in levels)
+    lowest_floor = min(float(np.nanmin(level.floor)) for level in levels)
     is_horizontal = planes.normal[:, 2] >= 1.0 - 1e-9
-    is_hidden = is_horizontal & (planes.pos[:, 2] < lowest - step)
+    is_hidden = is_horizontal & (planes.pos[:, 2] < lowest_floor - step)
     for plane in np.flatnonzero(is_hidden)[:1].tolist():
         name = scene.geoms[planes.geom[plane]].name
         z = planes.pos[plane, 2]

@@ -27,7 +27,7 @@ from navbake.baker.columns.columns import (
     tile_of,
     tile_shapes,
 )
-from navbake.baker.columns.rough_ground import foot_radius, level_rough_ground
+from navbake.baker.columns.rough_ground import foot_radius, replace_rough_ground_normals
 from navbake.baker.columns.seams import close_cracks, resolve_seams
 from navbake.baker.core.arrays import ColumnHits
 from navbake.baker.core.clock import StageClock
@@ -43,7 +43,7 @@ from navbake.types import Bool, Int, Int32
 # Columns of lattices with at most this many cells stay in memory: they take about 100 bytes a cell
 MAX_CELLS_KEPT = 1 << 22
 # How many chunks of rows are in memory at a time: the one that the caller works on, and the next
-CHUNKS_ALIVE = 2
+CHUNKS_IN_MEMORY = 2
 # Up to this many triangles are expanded once and stay in memory: about 130 bytes each
 MAX_TRIANGLES_EXPANDED_AT_ONCE = 1 << 20
 # More triangles than this are expanded chunk by chunk also where columns stay in memory
@@ -78,15 +78,17 @@ class ChunkedShapes:
         no_meshes = shapes.meshes.only(np.zeros(len(shapes.meshes.geom), dtype=np.bool_))
         self._solids = tile_shapes(shapes, lattice, margin, no_meshes.expand())
 
-    def row_chunks(self, num_alive: int = 1) -> list[RowChunk]:
+    def row_chunks(self, num_in_memory: int = 1) -> list[RowChunk]:
         """Split the lattice into chunks with few enough cells and triangles.
 
         Args:
-            num_alive: how many chunks will be in memory at a time.
+            num_in_memory: how many chunks will be in memory at a time.
         """
-        return split_by_triangles(int(self._shapes.meshes.counts.sum()), self.lattice, num_alive)
+        return split_by_triangles(
+            int(self._shapes.meshes.num_triangles.sum()), self.lattice, num_in_memory
+        )
 
-    def near_rows(self, rows: RowChunk) -> TiledShapes:
+    def shapes_near_rows(self, rows: RowChunk) -> TiledShapes:
         """Return all shapes near some rows of cells, and maybe others; implements `ShapeSource`."""
         y_max = self.lattice.y_max
         cell_size = self.lattice.cell_size
@@ -96,15 +98,15 @@ class ChunkedShapes:
         is_near &= boxes[:, 1] <= y_max - rows.first * cell_size + margin
         return self._expand(is_near)
 
-    def near_cells(self, cells: Int) -> TiledShapes:
+    def shapes_near_cells(self, cells: Int) -> TiledShapes:
         """Return all shapes near some cells (ids), and maybe others; implements `ShapeSource`."""
         boxes = self._shapes.meshes.boxes
         margin = self._margin + foot_radius(self.lattice)
-        start, item = list_by_tile(boxes, margin, self.lattice)
-        holds_cell = np.zeros(len(start) - 1, dtype=np.bool_)
+        tile_start, mesh_of_item = list_by_tile(boxes, margin, self.lattice)
+        holds_cell = np.zeros(len(tile_start) - 1, dtype=np.bool_)
         holds_cell[tile_of(self.lattice, cells)] = True
         is_near = np.zeros(len(boxes), dtype=np.bool_)
-        is_near[item[np.repeat(holds_cell, np.diff(start))]] = True
+        is_near[mesh_of_item[np.repeat(holds_cell, np.diff(tile_start))]] = True
         return self._expand(is_near)
 
     def _expand(self, is_near: Bool) -> TiledShapes:
@@ -114,8 +116,10 @@ class ChunkedShapes:
             is_near: marks the meshes whose triangles are listed, shape (meshes,).
         """
         facets = self._shapes.meshes.only(is_near).expand()
-        start, item = list_by_tile(facets.bounds, self._margin, self.lattice)
-        tile_index = self._solids.tile_index._replace(triangle_start=start, triangle_item=item)
+        tile_start, facet_of_item = list_by_tile(facets.bounds, self._margin, self.lattice)
+        tile_index = self._solids.tile_index._replace(
+            triangle_start=tile_start, triangle_item=facet_of_item
+        )
         return TiledShapes(self._shapes, self.lattice, facets, tile_index)
 
 
@@ -144,31 +148,31 @@ def expands_on_request(shapes: Shapes, lattice: Lattice, margin: float) -> bool:
         lattice: the cells.
         margin: shapes within this distance of a tile count as over it [m].
     """
-    counts = shapes.meshes.counts
+    num_triangles = shapes.meshes.num_triangles
     boxes = shapes.meshes.boxes
     keeps_columns = lattice.width * lattice.height <= MAX_CELLS_KEPT
     max_triangles = (
         MAX_TRIANGLES_BESIDE_COLUMNS if keeps_columns else MAX_TRIANGLES_EXPANDED_AT_ONCE
     )
-    if counts.sum() <= max_triangles:
+    if num_triangles.sum() <= max_triangles:
         return False
-    rows = split_by_triangles(int(counts.sum()), lattice, CHUNKS_ALIVE)
-    chunk_length = rows[0].end * lattice.cell_size
-    lengths = boxes[:, 4] - boxes[:, 1] + 2 * margin
-    num_expanded = counts * (1.0 + lengths / chunk_length)  # for all chunks together
-    return bool(num_expanded.sum() <= MAX_REPEATED_EXPANSION * counts.sum())
+    chunks = split_by_triangles(int(num_triangles.sum()), lattice, CHUNKS_IN_MEMORY)
+    chunk_length = chunks[0].end * lattice.cell_size
+    mesh_lengths = boxes[:, 4] - boxes[:, 1] + 2 * margin
+    num_expanded = num_triangles * (1.0 + mesh_lengths / chunk_length)  # for all chunks together
+    return bool(num_expanded.sum() <= MAX_REPEATED_EXPANSION * num_triangles.sum())
 
 
-def split_by_triangles(num_triangles: int, lattice: Lattice, num_alive: int) -> list[RowChunk]:
+def split_by_triangles(num_triangles: int, lattice: Lattice, num_in_memory: int) -> list[RowChunk]:
     """Split a lattice into chunks of rows with few enough cells and triangles.
 
     Args:
         num_triangles: how many triangles are over the lattice; about evenly, as is assumed.
         lattice: the cells.
-        num_alive: how many chunks will be in memory at a time.
+        num_in_memory: how many chunks will be in memory at a time.
     """
     max_rows = TRIANGLES_PER_CHUNK * lattice.height / max(num_triangles, 1)
-    return split_into_row_chunks(lattice, num_alive, max_rows)
+    return split_into_row_chunks(lattice, num_in_memory, max_rows)
 
 
 def split_cells(shapes: ShapeSource, cells: Int) -> Iterator[Int | slice]:
@@ -186,9 +190,9 @@ def split_cells(shapes: ShapeSource, cells: Int) -> Iterator[Int | slice]:
         return
     for rows in shapes.row_chunks():
         first_cell, end_cell = rows.cell_range(shapes.lattice)
-        in_rows = np.flatnonzero((first_cell <= cells) & (cells < end_cell))
-        if len(in_rows):
-            yield in_rows
+        indices_in_rows = np.flatnonzero((first_cell <= cells) & (cells < end_cell))
+        if len(indices_in_rows):
+            yield indices_in_rows
 
 
 class ColumnCaster:
@@ -202,23 +206,27 @@ class ColumnCaster:
     """
 
     def __init__(
-        self, shapes: ShapeSource, agent: AgentSettings, crack: float, clock: StageClock
+        self,
+        shapes: ShapeSource,
+        agent: AgentSettings,
+        max_crack_distance: float,
+        clock: StageClock,
     ) -> None:
         """Cast the columns if they are to be kept.
 
         Args:
-            shapes: the shapes on the lattice, listed for lines up to `crack` away.
+            shapes: the shapes on the lattice, listed for lines up to `max_crack_distance` away.
             agent: the agent: cracks are closed in floors that it can stand on.
-            crack: how wide cracks may be to be closed, see `close_cracks` [m].
+            max_crack_distance: how wide cracks may be to be closed, see `close_cracks` [m].
             clock: times the casting.
         """
         self.lattice = shapes.lattice
         self._shapes = shapes
         self._agent = agent
-        self._crack = crack
+        self._crack = max_crack_distance
         self._clock = clock
         self._all_columns: Columns | None = None
-        self._last_cells: Int = np.empty(0, dtype=np.int64)  # of the last call of `covering`
+        self._last_cells: Int = np.empty(0, dtype=np.int64)  # of the last call of `columns_at`
         self._last_columns: Columns | None = None
         with clock.stage("columns"):
             if self.lattice.width * self.lattice.height <= MAX_CELLS_KEPT:
@@ -236,22 +244,22 @@ class ColumnCaster:
             else:
                 yield self._all_columns
             return
-        chunks = self._shapes.row_chunks(CHUNKS_ALIVE)
+        chunks = self._shapes.row_chunks(CHUNKS_IN_MEMORY)
         next_columns = run_beside(self._cast_rows, chunks[0])
         for rows in [*chunks[1:], None]:
-            columns = [self._wait(next_columns)]
+            chunk_columns = [self._wait(next_columns)]
             if rows is not None:
                 next_columns = run_beside(self._cast_rows, rows)
             # popped, so that no reference is held here while the caller works on it
-            yield columns.pop()
+            yield chunk_columns.pop()
         give_back_memory()  # memory that is freed between arrays in use stays reserved
 
     def _wait(self, next_columns: Callable[[], Columns]) -> Columns:
         """Wait for columns that another thread casts, and add the time to the clock's stage."""
-        with self._clock.part("columns"):
+        with self._clock.add_to_stage("columns"):
             return next_columns()
 
-    def covering(self, cells: Int | Int32) -> Columns:
+    def columns_at(self, cells: Int | Int32) -> Columns:
         """Return columns of the lattice that are valid for some cells, and maybe for others.
 
         Args:
@@ -262,7 +270,7 @@ class ColumnCaster:
         if self._last_columns is not None and np.isin(cells, self._last_cells).all():
             return self._last_columns
         ascending_cells = unique_cells(self.lattice, cells)
-        with self._clock.part("columns"):
+        with self._clock.add_to_stage("columns"):
             columns = cast_cells(self._shapes, self._agent, self._crack, ascending_cells)
         self._last_cells = ascending_cells
         self._last_columns = columns
@@ -270,30 +278,32 @@ class ColumnCaster:
 
     def _cast_rows(self, rows: RowChunk) -> Columns:
         """Cast the columns of a chunk of rows."""
-        tiled = self._shapes.near_rows(rows)
-        columns = self._correct_columns(cast_columns(tiled, rows).select_rows(rows), tiled)
-        return replace(columns, nearby_shapes=tiled)
+        tiled_shapes = self._shapes.shapes_near_rows(rows)
+        columns = self._correct_columns(
+            cast_columns(tiled_shapes, rows).select_rows(rows), tiled_shapes
+        )
+        return replace(columns, nearby_shapes=tiled_shapes)
 
     def _cast_all(self) -> Columns:
         """Cast the columns of all cells, chunk by chunk to limit the memory that it takes."""
         chunks = self._shapes.row_chunks()
         if len(chunks) == 1:
-            tiled = self._shapes.near_rows(chunks[0])
-            return self._correct_columns(cast_columns(tiled), tiled)
+            tiled_shapes = self._shapes.shapes_near_rows(chunks[0])
+            return self._correct_columns(cast_columns(tiled_shapes), tiled_shapes)
         builder = ColumnsBuilder(self.lattice)
         for rows in chunks:
             builder.add(self._cast_rows(rows), rows)
         return builder.build()
 
-    def _correct_columns(self, columns: Columns, tiled: TiledShapes) -> Columns:
+    def _correct_columns(self, columns: Columns, tiled_shapes: TiledShapes) -> Columns:
         """Correct columns where they are not what an agent would meet, after they were cast.
 
         Lines in seams between geoms get the hits of one geom, steep facets of rough ground get the
         normal of the ground, and lines in cracks of a floor get a hit of the floor.
         """
-        columns = resolve_seams(columns, tiled)
-        columns = level_rough_ground(columns, tiled, self._agent)
-        return close_cracks(columns, tiled, self._agent, self._crack)
+        columns = resolve_seams(columns, tiled_shapes)
+        columns = replace_rough_ground_normals(columns, tiled_shapes, self._agent)
+        return close_cracks(columns, tiled_shapes, self._agent, self._crack)
 
 
 def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Columns:
@@ -331,7 +341,7 @@ class WindowColumns(NamedTuple):
         """Yield all columns as one chunk."""
         yield join_columns(self.source, self.window, self.lattice)
 
-    def covering(self, cells: Int | Int32) -> Columns:
+    def columns_at(self, cells: Int | Int32) -> Columns:
         """Return columns of the lattice that are valid for some cells, and maybe for others.
 
         Args:
@@ -339,7 +349,7 @@ class WindowColumns(NamedTuple):
         """
         window_cells = unique_cells(self.lattice, cells)
         source_cells = self.to_source_cells(window_cells)
-        hits = select_columns(self.source.covering(source_cells).hits, source_cells)
+        hits = select_columns(self.source.columns_at(source_cells).hits, source_cells)
         return index_by_cell(self.lattice, window_cells, hits)
 
     def to_source_cells(self, cells: Int) -> Int:
@@ -353,33 +363,35 @@ class WindowColumns(NamedTuple):
 
 def unique_cells(lattice: Lattice, cells: Int | Int32) -> Int:
     """Return ids of cells in ascending order, without repeats."""
-    mask = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
-    mask[cells] = True
-    return np.flatnonzero(mask)
+    is_requested = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+    is_requested[cells] = True
+    return np.flatnonzero(is_requested)
 
 
-def cast_cells(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: Int) -> Columns:
+def cast_cells(
+    shapes: ShapeSource, agent: AgentSettings, max_crack_distance: float, cells: Int
+) -> Columns:
     """Cast the columns of some cells.
 
     Args:
         shapes: the shapes on the lattice.
         agent: the agent, by whose slope, step and height floors are told from other surfaces.
-        crack: how wide cracks may be to be closed, see `close_cracks` [m].
+        max_crack_distance: how wide cracks may be to be closed, see `close_cracks` [m].
         cells: ids of the cells, ascending, (n,).
 
     Returns:
         Columns of the lattice, of which only those of these cells are valid.
     """
-    tiled = shapes.near_cells(cells)
+    tiled_shapes = shapes.shapes_near_cells(cells)
     lattice = shapes.lattice
     row, col = np.divmod(cells, lattice.width)
-    hits = cast_points(tiled, cells, lattice.positions(row, col))
+    hits = cast_points(tiled_shapes, cells, lattice.positions(row, col))
     columns = index_by_cell(lattice, cells, hits)
-    columns = resolve_seams(columns, tiled, cells)
+    columns = resolve_seams(columns, tiled_shapes, cells)
     is_cast = np.zeros(len(columns.start) - 1, dtype=np.bool_)
     is_cast[cells] = True
-    columns = level_rough_ground(columns, tiled, agent, is_cast)
-    return close_cracks(columns, tiled, agent, crack, is_cast)
+    columns = replace_rough_ground_normals(columns, tiled_shapes, agent, is_cast)
+    return close_cracks(columns, tiled_shapes, agent, max_crack_distance, is_cast)
 
 
 def index_by_cell(lattice: Lattice, cells: Int, hits: ColumnHits) -> Columns:
@@ -397,6 +409,6 @@ def index_by_cell(lattice: Lattice, cells: Int, hits: ColumnHits) -> Columns:
     start[cells] = hits.start[:-1]
     start[cells + 1] = hits.start[1:]
     first_row, last_row = (cells[[0, -1]] // lattice.width).tolist() if len(cells) else (0, 0)
-    first = first_row // TILE * TILE
-    end = min(last_row // TILE * TILE + TILE, lattice.height)
-    return Columns(lattice, hits._replace(start=start), RowChunk(first, end))
+    first_valid_row = first_row // TILE * TILE
+    end_valid_row = min(last_row // TILE * TILE + TILE, lattice.height)
+    return Columns(lattice, hits._replace(start=start), RowChunk(first_valid_row, end_valid_row))

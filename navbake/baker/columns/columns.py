@@ -37,7 +37,7 @@ WORLD_AXES = np.eye(3)
 
 
 class RowChunk(NamedTuple):
-    """A range of rows of cells.
+    """A range of rows of cells, of which a chunk of a lattice that is worked on at a time consists.
 
     Attributes:
         first: index of the first row.
@@ -53,7 +53,7 @@ class RowChunk(NamedTuple):
 
 
 def split_into_row_chunks(
-    lattice: Lattice, num_alive: int = 1, max_rows: float = math.inf
+    lattice: Lattice, num_in_memory: int = 1, max_rows: float = math.inf
 ) -> list[RowChunk]:
     """Split a lattice into chunks of rows, of about `CELLS_PER_CHUNK` cells each.
 
@@ -61,14 +61,16 @@ def split_into_row_chunks(
 
     Args:
         lattice: the cells.
-        num_alive: how many chunks will be in memory at a time; these together have about
+        num_in_memory: how many chunks will be in memory at a time; these together have about
             `CELLS_PER_CHUNK` cells.
-        max_rows: about how many rows of cells these together have at most.
+        max_rows: about how many rows of cells the chunks in memory together have at most.
     """
-    rows_alive = min(CELLS_PER_CHUNK / lattice.width, max_rows)
-    num_rows = max(int(rows_alive / (num_alive * TILE)), 1) * TILE
+    rows_in_memory = min(CELLS_PER_CHUNK / lattice.width, max_rows)
+    num_rows = max(int(rows_in_memory / (num_in_memory * TILE)), 1) * TILE
     first_rows = range(0, lattice.height, num_rows)
-    return [RowChunk(first, min(first + num_rows, lattice.height)) for first in first_rows]
+    return [
+        RowChunk(first_row, min(first_row + num_rows, lattice.height)) for first_row in first_rows
+    ]
 
 
 def tiles_of_rows(lattice: Lattice, rows: RowChunk) -> range:
@@ -78,8 +80,8 @@ def tiles_of_rows(lattice: Lattice, rows: RowChunk) -> range:
         lattice: the cells.
         rows: the rows of cells, which make up entire rows of tiles.
     """
-    tiles_x = -(-lattice.width // TILE)
-    return range(rows.first // TILE * tiles_x, -(-rows.end // TILE) * tiles_x)
+    tiles_per_row = -(-lattice.width // TILE)
+    return range(rows.first // TILE * tiles_per_row, -(-rows.end // TILE) * tiles_per_row)
 
 
 @dataclass(frozen=True)
@@ -99,15 +101,15 @@ class TiledShapes:
     tile_index: ShapeIndex
     is_chunked = False
 
-    def row_chunks(self, num_alive: int = 1) -> list[RowChunk]:
+    def row_chunks(self, num_in_memory: int = 1) -> list[RowChunk]:
         """Split the lattice as `split_into_row_chunks` does; implements `ShapeSource`."""
-        return split_into_row_chunks(self.lattice, num_alive)
+        return split_into_row_chunks(self.lattice, num_in_memory)
 
-    def near_rows(self, rows: RowChunk) -> "TiledShapes":
+    def shapes_near_rows(self, rows: RowChunk) -> "TiledShapes":
         """Return all shapes, whatever the rows; implements `ShapeSource`."""
         return self
 
-    def near_cells(self, cells: Int) -> "TiledShapes":
+    def shapes_near_cells(self, cells: Int) -> "TiledShapes":
         """Return all shapes, whatever the cells; implements `ShapeSource`."""
         return self
 
@@ -191,11 +193,11 @@ class Columns:
             rows, cols: the window.
             lattice: the window's own lattice, whose cells are at the same places.
         """
-        first, end = np.clip(self.valid_rows, rows.start, rows.stop).tolist()
-        row, col = np.ogrid[first:end, cols]
-        cells = (row * self.lattice.width + col).ravel()
+        first_row, end_row = np.clip(self.valid_rows, rows.start, rows.stop).tolist()
+        row_grid, col_grid = np.ogrid[first_row:end_row, cols]
+        cells = (row_grid * self.lattice.width + col_grid).ravel()
         hits = select_columns(self.hits, cells)
-        cropped_rows = RowChunk(first - rows.start, end - rows.start)
+        cropped_rows = RowChunk(first_row - rows.start, end_row - rows.start)
         first_cell, end_cell = cropped_rows.cell_range(lattice)
         start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
         start[first_cell : end_cell + 1] = hits.start
@@ -206,8 +208,8 @@ class Columns:
         """Yield all columns as one chunk; implements `ColumnSource`."""
         yield self
 
-    def covering(self, cells: Int | Int32) -> "Columns":
-        """Return all columns, whatever the cells; implements `ColumnSource`."""
+    def columns_at(self, cells: Int | Int32) -> "Columns":
+        """Return all columns, which are valid for all cells; implements `ColumnSource`."""
         return self
 
 
@@ -221,7 +223,7 @@ class ColumnSource(Protocol):
     def row_chunks(self) -> Iterator[Columns]:
         """Yield the columns of all rows, as chunks of rows in their order."""
 
-    def covering(self, cells: Int | Int32) -> Columns:
+    def columns_at(self, cells: Int | Int32) -> Columns:
         """Return columns of the lattice that are valid for some cells, and maybe for others.
 
         Args:
@@ -240,21 +242,21 @@ class ShapeSource(Protocol):
     def is_chunked(self) -> bool:
         """Return whether shapes are listed anew on each request, for some rows or cells."""
 
-    def row_chunks(self, num_alive: int = 1) -> list[RowChunk]:
+    def row_chunks(self, num_in_memory: int = 1) -> list[RowChunk]:
         """Split the lattice into chunks of rows whose shapes are listed at a time.
 
         Args:
-            num_alive: how many chunks will be in memory at a time.
+            num_in_memory: how many chunks will be in memory at a time.
         """
 
-    def near_rows(self, rows: RowChunk) -> TiledShapes:
+    def shapes_near_rows(self, rows: RowChunk) -> TiledShapes:
         """Return all shapes near some rows of cells, and maybe others.
 
         Args:
             rows: the rows, which make up entire rows of tiles.
         """
 
-    def near_cells(self, cells: Int) -> TiledShapes:
+    def shapes_near_cells(self, cells: Int) -> TiledShapes:
         """Return all shapes near some cells, and maybe others.
 
         Args:
@@ -320,25 +322,25 @@ def tile_shapes(
     return TiledShapes(shapes, lattice, facets, tile_index)
 
 
-def cast_columns(tiled: TiledShapes, rows: RowChunk | None = None) -> Columns:
+def cast_columns(tiled_shapes: TiledShapes, rows: RowChunk | None = None) -> Columns:
     """Intersect the vertical line through every cell's centre with all shapes.
 
     A line crosses a solid's top and its underside, but only the front of a plane. A line that
     misses a shape's rim by at most 1e-7 m crosses it, so that a seam between two geoms never leaks.
 
     Args:
-        tiled: the shapes on a lattice.
+        tiled_shapes: the shapes on a lattice.
         rows: the rows of cells to cast lines in, widened to entire rows of tiles; None for all.
     """
-    lattice = tiled.lattice
+    lattice = tiled_shapes.lattice
     cast_rows = rows or RowChunk(0, lattice.height)
     tile_rows = range(cast_rows.first // TILE, -(-cast_rows.end // TILE))
     cast_rows = RowChunk(tile_rows.start * TILE, min(tile_rows.stop * TILE, lattice.height))
     first_cell, end_cell = cast_rows.cell_range(lattice)
     hits = _cast_groups(
-        tiled,
+        tiled_shapes,
         lines=Lines(np.empty((0, 2)), np.empty((0, 2), dtype=np.int64), WORLD_AXES),
-        shape_index=tiled.tile_row_index,
+        shape_index=tiled_shapes.tile_row_index,
         groups=tile_rows,
         start=np.zeros(lattice.width * lattice.height + 1, dtype=np.int64),
         lines_of_groups=slice(first_cell, end_cell + 1),
@@ -347,12 +349,12 @@ def cast_columns(tiled: TiledShapes, rows: RowChunk | None = None) -> Columns:
 
 
 def cast_points(
-    tiled: TiledShapes, cells: Int, points: Float, axes: Float = WORLD_AXES
+    tiled_shapes: TiledShapes, cells: Int, points: Float, axes: Float = WORLD_AXES
 ) -> ColumnHits:
     """Intersect lines through points with shapes, as `cast_columns` does.
 
     Args:
-        tiled: the shapes on a lattice.
+        tiled_shapes: the shapes on a lattice.
         cells: for each line, the id of a cell that it is near to, (n,): the line is intersected
             with the shapes over this cell's tile. Or two cells, (n, 2): it is intersected with the
             shapes over all tiles in the rectangle that the cells span, and crosses a shape once for
@@ -364,13 +366,13 @@ def cast_points(
     Returns:
         The hits; column i belongs to line i.
     """
-    tiles = tile_of(tiled.lattice, cells)
+    tiles = tile_of(tiled_shapes.lattice, cells)
     if tiles.ndim == 1:
         tiles = np.stack([tiles, tiles], axis=1)
     return _cast_groups(
-        tiled,
+        tiled_shapes,
         lines=Lines(np.ascontiguousarray(points), tiles, axes),
-        shape_index=tiled.tile_index,
+        shape_index=tiled_shapes.tile_index,
         groups=range(-(-len(points) // LINES_PER_CALL)),
         start=np.zeros(len(points) + 1, dtype=np.int64),
         lines_of_groups=slice(None),
@@ -379,7 +381,7 @@ def cast_points(
 
 
 def _cast_groups(
-    tiled: TiledShapes,
+    tiled_shapes: TiledShapes,
     *,
     lines: Lines,
     shape_index: ShapeIndex,
@@ -391,7 +393,7 @@ def _cast_groups(
     """Intersect lines with shapes, group by group of lines, on all threads; see `cast_lines`.
 
     Args:
-        tiled: the shapes.
+        tiled_shapes: the shapes.
         lines: lines through points; without points, the lines run through the centres of cells.
         shape_index: the shapes by tile for lines through points, else by row of tiles.
         groups: numbers of the groups to cast: of `LINES_PER_CALL` lines through points, or of the
@@ -401,16 +403,18 @@ def _cast_groups(
             last one.
         least: smallest number of groups for one call, see `run_in_chunks`.
     """
-    shapes = tiled.shapes
-    geometry = Geometry(shapes.solids, tiled.facets, shapes.planes, tiled.height_range)
+    shapes = tiled_shapes.shapes
+    geometry = Geometry(
+        shapes.solids, tiled_shapes.facets, shapes.planes, tiled_shapes.height_range
+    )
     num_dropped = np.zeros(groups.stop, dtype=np.int64)
     is_crossed = np.empty(len(shape_index.triangle_item), dtype=np.bool_)
 
-    def cast(hits: ColumnHits) -> None:
+    def cast_all(hits: ColumnHits) -> None:
         run_in_chunks(
             cast_lines,
             len(groups),
-            tiled.lattice,
+            tiled_shapes.lattice,
             lines,
             geometry,
             shape_index,
@@ -421,19 +425,19 @@ def _cast_groups(
             begin=groups.start,
         )
 
-    cast(empty_hits(start, 0))  # without room for hits, they are only counted
-    ends = start[lines_of_groups]
-    np.cumsum(ends, out=ends)
-    hits = empty_hits(start, int(ends[-1]))
+    cast_all(empty_hits(start, 0))  # without room for hits, they are only counted
+    hit_ends = start[lines_of_groups]
+    np.cumsum(hit_ends, out=hit_ends)
+    hits = empty_hits(start, int(hit_ends[-1]))
     if len(hits.z):
-        cast(hits)
+        cast_all(hits)
     if num_dropped.any():
-        lines_per_group = LINES_PER_CALL if len(lines.points) else TILE * tiled.lattice.width
-        hits = _remove_dropped(hits, groups, lines_per_group, num_dropped)
+        lines_per_group = LINES_PER_CALL if len(lines.points) else TILE * tiled_shapes.lattice.width
+        hits = _remove_dropped_hits(hits, groups, lines_per_group, num_dropped)
     return hits
 
 
-def _remove_dropped(
+def _remove_dropped_hits(
     hits: ColumnHits, groups: range, lines_per_group: int, num_dropped: Int
 ) -> ColumnHits:
     """Remove the hits that are marked as superfluous, by DROPPED in place of their geom.
@@ -444,23 +448,31 @@ def _remove_dropped(
         lines_per_group: how many lines a group has.
         num_dropped: how many hits of each group are DROPPED, shape (groups.stop,).
     """
-    dropped_before = np.append(0, np.cumsum(num_dropped))
-    group_begin = hits.start[groups.start * lines_per_group :: lines_per_group][: len(groups)]
-    group_bounds = [*group_begin.tolist(), len(hits.z)]
-    remaining_hits = empty_hits(hits.start, len(hits.z) - int(dropped_before[-1]))
+    num_dropped_before = np.append(0, np.cumsum(num_dropped))
+    first_hit_of_group = hits.start[groups.start * lines_per_group :: lines_per_group][
+        : len(groups)
+    ]
+    group_limits = [*first_hit_of_group.tolist(), len(hits.z)]
+    remaining_hits = empty_hits(hits.start, len(hits.z) - int(num_dropped_before[-1]))
 
-    def copy_remaining(first: int, end: int) -> None:
-        for group in range(first, end):
-            old_begin, old_end = group_bounds[group - groups.start : group - groups.start + 2]
-            new_begin = old_begin - int(dropped_before[group])
-            new_end = old_end - int(dropped_before[group + 1])
-            ends = hits.start[group * lines_per_group + 1 : (group + 1) * lines_per_group + 1]
-            remains = hits.geom[old_begin:old_end] != DROPPED
-            ends[:] = new_begin + np.append(0, np.cumsum(remains))[ends - old_begin]
-            remaining = np.flatnonzero(remains)
-            for old, new in zip(hits.entries, remaining_hits.entries, strict=True):
-                new_part = new[new_begin:new_end]
-                np.take(old[old_begin:old_end], remaining, axis=0, out=new_part, mode="clip")
+    def copy_remaining(first_group: int, end_group: int) -> None:
+        for group in range(first_group, end_group):
+            old_begin, old_end = group_limits[group - groups.start : group - groups.start + 2]
+            new_begin = old_begin - int(num_dropped_before[group])
+            new_end = old_end - int(num_dropped_before[group + 1])
+            hit_ends = hits.start[group * lines_per_group + 1 : (group + 1) * lines_per_group + 1]
+            is_remaining = hits.geom[old_begin:old_end] != DROPPED
+            hit_ends[:] = new_begin + np.append(0, np.cumsum(is_remaining))[hit_ends - old_begin]
+            remaining_indices = np.flatnonzero(is_remaining)
+            for old_array, new_array in zip(hits.entries, remaining_hits.entries, strict=True):
+                new_range = new_array[new_begin:new_end]
+                np.take(
+                    old_array[old_begin:old_end],
+                    remaining_indices,
+                    axis=0,
+                    out=new_range,
+                    mode="clip",
+                )
 
     run_in_chunks(copy_remaining, len(groups), begin=groups.start)
     return remaining_hits
@@ -480,27 +492,29 @@ def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
     return gather_hits(hits.entries, first, hits.start[cells + 1] - first)
 
 
-def gather_hits(arrays: Sequence[NDArray[Any]], first: Int, counts: Int) -> ColumnHits:
+def gather_hits(
+    arrays: Sequence[NDArray[Any]], first_old_hit: Int, num_old_hits: Int
+) -> ColumnHits:
     """Copy hits to new columns; each new column receives a range of the old hits.
 
     Args:
         arrays: the old hits, `ColumnHits.entries`.
-        first: index of the first old hit for each new column, (columns,).
-        counts: how many old hits each new column receives, (columns,).
+        first_old_hit: index of the first old hit for each new column, (columns,).
+        num_old_hits: how many old hits each new column receives, (columns,).
     """
-    start = np.concatenate([[0], np.cumsum(counts)])
-    indices = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
-    return ColumnHits(start, *(array[indices] for array in arrays))
+    start = np.concatenate([[0], np.cumsum(num_old_hits)])
+    old_indices = np.repeat(first_old_hit - start[:-1], num_old_hits) + np.arange(start[-1])
+    return ColumnHits(start, *(array[old_indices] for array in arrays))
 
 
-def empty_hits(start: Int, count: int) -> ColumnHits:
-    """Allocate room for `count` hits; `start` becomes `ColumnHits.start`, without a copy."""
+def empty_hits(start: Int, num_hits: int) -> ColumnHits:
+    """Allocate room for `num_hits` hits; `start` becomes `ColumnHits.start`, without a copy."""
     return ColumnHits(
         start=start,
-        z=np.empty(count),
-        normal=np.empty((count, 3), dtype=np.float32),
-        geom=np.empty(count, dtype=np.int32),
-        closed=np.empty(count, dtype=np.uint8),
+        z=np.empty(num_hits),
+        normal=np.empty((num_hits, 3), dtype=np.float32),
+        geom=np.empty(num_hits, dtype=np.int32),
+        closed=np.empty(num_hits, dtype=np.uint8),
     )
 
 
@@ -513,9 +527,11 @@ def height_range(shapes: Shapes, lattice: Lattice) -> HeightRange:
     heights = [0.0] if bounds is None else [float(bounds[0, 2]), float(bounds[1, 2])]
     x_min, y_min, x_max, y_max = lattice.bounds
     corners = np.array([[x_min, y_min], [x_min, y_max], [x_max, y_min], [x_max, y_max]])
-    for pos, normal in zip(shapes.planes.pos, shapes.planes.normal, strict=True):
-        if abs(normal[2]) > 1e-6:
-            heights.extend(pos[2] - (corners - pos[:2]) @ normal[:2] / normal[2])
+    for plane_pos, plane_normal in zip(shapes.planes.pos, shapes.planes.normal, strict=True):
+        if abs(plane_normal[2]) > 1e-6:
+            heights.extend(
+                plane_pos[2] - (corners - plane_pos[:2]) @ plane_normal[:2] / plane_normal[2]
+            )
     return HeightRange(float(min(heights)) - 1.0, float(max(heights)) + 1.0)
 
 
@@ -553,7 +569,14 @@ def list_by_tile(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, In
 def list_by_tile_row(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, Int32]:
     """List, for each row of tiles, the boxes that cover a cell's centre there.
 
-    The arguments and the returned arrays are as in `list_by_tile`, but for rows of tiles.
+    Args:
+        boxes: lower corner, upper corner, shape (n, 6) [m].
+        margin: how much the boxes are widened on each side [m].
+        lattice: the cells.
+
+    Returns:
+        The list of row r of tiles is ``item[start[r] : start[r + 1]]``, ascending; start, shape
+        (rows of tiles + 1,), int64, and item, shape (start[-1],), int32.
     """
     num_tile_rows = -(-lattice.height // TILE)
     return _list_boxes(boxes, margin, lattice, num_tile_rows, by_tile_row=True)
@@ -564,38 +587,47 @@ def _list_boxes(
 ) -> tuple[Int, Int32]:
     """List boxes by tile, or by row of tiles, on all threads.
 
-    The arguments and the returned arrays are as in `list_by_tile` or, with `by_tile_row`, as in
-    `list_by_tile_row`; `num_tiles` is the number of tiles, or of rows of tiles.
+    Args:
+        boxes: lower corner, upper corner, shape (n, 6) [m].
+        margin: how much the boxes are widened on each side [m].
+        lattice: the cells.
+        num_tiles: how many tiles the lattice has, or how many rows of tiles.
+        by_tile_row: whether boxes are listed by row of tiles; then only boxes that cover a cell's
+            centre in a row of tiles are listed for it.
+
+    Returns:
+        The list of tile (or row of tiles) t is ``item[start[t] : start[t + 1]]``, ascending; start,
+        shape (num_tiles + 1,), int64, and item, shape (start[-1],), int32.
     """
     if not len(boxes):
         return np.zeros(num_tiles + 1, dtype=np.int64), np.empty(0, dtype=np.int32)
-    threads = num_threads()
-    chunks = 1
-    if threads > 1 and len(boxes) > MIN_BOXES_PER_TILE * num_tiles:
+    thread_count = num_threads()
+    num_chunks = 1
+    if thread_count > 1 and len(boxes) > MIN_BOXES_PER_TILE * num_tiles:
         # no more counts than boxes, however many threads there are
-        chunks = min(CHUNKS_PER_THREAD * threads, len(boxes) // num_tiles)
-    cursor = np.zeros((chunks, num_tiles), dtype=np.int64)
-    tiles_under = np.empty((len(boxes), 4), dtype=np.int32)
+        num_chunks = min(CHUNKS_PER_THREAD * thread_count, len(boxes) // num_tiles)
+    next_index = np.zeros((num_chunks, num_tiles), dtype=np.int64)
+    tile_range_of_box = np.empty((len(boxes), 4), dtype=np.int32)
 
-    def list_boxes(item: Int32) -> None:
+    def list_boxes(box_of_item: Int32) -> None:
         run_in_chunks(
             list_boxes_by_tile,
-            chunks,
+            num_chunks,
             boxes,
             margin,
             lattice,
             by_tile_row,
-            tiles_under,
-            cursor,
-            item,
+            tile_range_of_box,
+            next_index,
+            box_of_item,
         )
 
     list_boxes(np.empty(0, dtype=np.int32))  # without room, the boxes are only counted
-    start = np.zeros(num_tiles + 1, dtype=np.int64)
-    np.cumsum(cursor.sum(axis=0), out=start[1:])
+    tile_start = np.zeros(num_tiles + 1, dtype=np.int64)
+    np.cumsum(next_index.sum(axis=0), out=tile_start[1:])
     # each chunk's boxes over a tile follow those of the chunks before it
-    cursor[:] = np.cumsum(cursor, axis=0) - cursor + start[:-1]
-    item = np.empty(start[-1], dtype=np.int32)
-    if len(item):
-        list_boxes(item)
-    return start, item
+    next_index[:] = np.cumsum(next_index, axis=0) - next_index + tile_start[:-1]
+    box_of_item = np.empty(tile_start[-1], dtype=np.int32)
+    if len(box_of_item):
+        list_boxes(box_of_item)
+    return tile_start, box_of_item

@@ -28,15 +28,15 @@ FOOT_RADIUS = 0.1
 # Points around a cell's line at which the ground is sampled: in this many directions, on circles
 # whose radii are these fractions of the foot's radius
 NUM_DIRECTIONS = 8
-SAMPLED_SHARES = (0.5, 1.0)
+SAMPLED_RADIUS_FRACTIONS = (0.5, 1.0)
 # Four points decide first whether the ground is clearly too steep: if the plane through them rises
 # more than this many times as much as the agent's steepest slope, no other points are sampled
 CLEARLY_STEEP_FACTOR = 1.5
 # Bumps are at most this fraction of a step above or below the plane through the ground
-MAX_BUMP_SHARE = 1.0 / 3.0
+MAX_BUMP_FRACTION = 1.0 / 3.0
 # The samples determine a plane if their least variance along any horizontal direction is at least
 # this fraction of the squared radius: samples along a line don't
-MIN_VARIANCE_SHARE = 0.02
+MIN_VARIANCE_FRACTION = 0.02
 # A facet differs from the plane clearly if the cosine of their angle is at most this
 MAX_SAME_COSINE = np.cos(np.radians(10.0))
 # Lines that are cast together, which limits the memory that it takes
@@ -44,20 +44,26 @@ LINES_PER_PASS = 1 << 20
 
 
 def foot_radius(lattice: Lattice) -> float:
-    """Return how far from a cell's centre the ground is sampled, as a foot would touch it [m]."""
+    """Return the radius around a cell's centre in which the ground is sampled [m].
+
+    It is that of the ground that a foot covers, or the size of a cell if that is larger.
+    """
     return max(FOOT_RADIUS, lattice.cell_size)
 
 
-def level_rough_ground(
-    columns: Columns, tiled: TiledShapes, agent: AgentSettings, selected: Bool | None = None
+def replace_rough_ground_normals(
+    columns: Columns,
+    tiled_shapes: TiledShapes,
+    agent: AgentSettings,
+    is_selected: Bool | None = None,
 ) -> Columns:
-    """Replace the normals of steep facets on ground that is flat enough as a whole.
+    """Replace the normals of steep facets where the ground around them is flat enough as a whole.
 
-    A triangle steeper than the agent's slope, with the agent's headroom above it, receives the
-    normal of a plane that is fitted to the ground around it. The plane has to keep the agent's
-    slope, and each sample of the ground has to lie within a third of a step of it. Where four
-    samples already rise far too steeply, no plane is fitted. Primitives and hulls are smooth, and
-    keep their normals.
+    An agent can then stand on them. A triangle steeper than the agent's slope, with the agent's
+    headroom above it, receives the normal of a plane that is fitted to the ground around it. The
+    plane has to keep the agent's slope, and each sample of the ground has to lie within a third of
+    a step of it. Where four samples already rise far too steeply, no plane is fitted. Primitives
+    and hulls are smooth, and keep their normals.
 
     The ground is sampled by vertical rays on circles around the cell's centre, up to `foot_radius`
     away. A ray's sample is the highest surface that faces up and lies at most a step above or below
@@ -67,78 +73,89 @@ def level_rough_ground(
 
     Args:
         columns: the columns.
-        tiled: the shapes that they were cast from, listed also for cells within `foot_radius`.
+        tiled_shapes: the shapes that they were cast from, listed also for cells within
+            `foot_radius`.
         agent: the agent: its slope, step and height.
-        selected: mask of the cells whose columns are valid, shape (cells,); None for those of
+        is_selected: mask of the cells whose columns are valid, shape (cells,); None for those of
             `columns.valid_rows`.
     """
     limits = agent_limits(agent)
-    cell, hit = _find_steep_facets(columns, limits, selected)
-    if not len(hit):
+    cell_ids, hit_indices = _find_steep_facets(columns, limits, is_selected)
+    if not len(hit_indices):
         return columns
     normal = columns.normal.copy()
-    num_samples = NUM_DIRECTIONS * len(SAMPLED_SHARES)
-    for first in range(0, len(hit), LINES_PER_PASS // num_samples):
-        some_cells = cell[first : first + LINES_PER_PASS // num_samples]
-        some_hits = hit[first : first + LINES_PER_PASS // num_samples]
-        is_steep = _mark_clearly_steep(columns, tiled, limits, some_cells, some_hits)
-        some_cells = some_cells[~is_steep]
-        some_hits = some_hits[~is_steep]
-        plane_normal, is_ground = _mark_flat_ground(columns, tiled, limits, some_cells, some_hits)
-        normal[some_hits[is_ground]] = plane_normal[is_ground]
+    num_samples = NUM_DIRECTIONS * len(SAMPLED_RADIUS_FRACTIONS)
+    for first_hit in range(0, len(hit_indices), LINES_PER_PASS // num_samples):
+        pass_cells = cell_ids[first_hit : first_hit + LINES_PER_PASS // num_samples]
+        pass_hits = hit_indices[first_hit : first_hit + LINES_PER_PASS // num_samples]
+        is_steep = _mark_clearly_steep(columns, tiled_shapes, limits, pass_cells, pass_hits)
+        pass_cells = pass_cells[~is_steep]
+        pass_hits = pass_hits[~is_steep]
+        plane_normal, is_ground = _mark_flat_ground(
+            columns, tiled_shapes, limits, pass_cells, pass_hits
+        )
+        normal[pass_hits[is_ground]] = plane_normal[is_ground]
     return replace(columns, hits=columns.hits._replace(normal=normal))
 
 
 def _find_steep_facets(
-    columns: Columns, limits: AgentLimits, selected: Bool | None
+    columns: Columns, limits: AgentLimits, is_selected: Bool | None
 ) -> tuple[Int, Int]:
     """Find the hits on which an agent could stand if they were less steep; none of convex solids.
 
     Args:
         columns: the columns.
         limits: the agent's limits.
-        selected: mask of the cells whose columns are valid, see `level_rough_ground`.
+        is_selected: mask of the cells whose columns are valid, see `replace_rough_ground_normals`.
 
     Returns:
         The cells of the hits, (n,), and the indices of the hits, (n,).
     """
     first_cell, end_cell = columns.valid_rows.cell_range(columns.lattice)
     cells = np.arange(first_cell, end_cell)
-    if selected is not None:
-        cells = np.flatnonzero(selected)
+    if is_selected is not None:
+        cells = np.flatnonzero(is_selected)
     is_steep = columns.hits.closed != CONVEX_SOLID
     if is_steep.any():
-        up = columns.normal[:, 2]
-        is_steep &= (up > 0.0) & (up < limits.min_up)
+        normal_z = columns.normal[:, 2]
+        is_steep &= (normal_z > 0.0) & (normal_z < limits.min_up)
     if not is_steep.any():
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    column, hit = expand_ranges(columns.start[cells], columns.start[cells + 1])
-    hit_is_steep = is_steep[hit]
-    cell = cells[column[hit_is_steep]]
-    hit = hit[hit_is_steep]
-    low = columns.z[hit] + SAME_HEIGHT
-    high = columns.z[hit] + limits.headroom - LIMIT_SLACK
-    is_covered = np.empty(len(hit), dtype=np.bool_)
-    run_in_chunks(find_blocked_lines, len(hit), cell, low, high, columns.hits, is_covered)
-    return cell[~is_covered], hit[~is_covered]
+    column_index, hit_indices = expand_ranges(columns.start[cells], columns.start[cells + 1])
+    is_steep_hit = is_steep[hit_indices]
+    cell_ids = cells[column_index[is_steep_hit]]
+    hit_indices = hit_indices[is_steep_hit]
+    low_z = columns.z[hit_indices] + SAME_HEIGHT
+    high_z = columns.z[hit_indices] + limits.headroom - LIMIT_SLACK
+    is_covered = np.empty(len(hit_indices), dtype=np.bool_)
+    run_in_chunks(
+        find_blocked_lines, len(hit_indices), cell_ids, low_z, high_z, columns.hits, is_covered
+    )
+    return cell_ids[~is_covered], hit_indices[~is_covered]
 
 
 def _mark_clearly_steep(
-    columns: Columns, tiled: TiledShapes, limits: AgentLimits, cell: Int, hit: Int
+    columns: Columns,
+    tiled_shapes: TiledShapes,
+    limits: AgentLimits,
+    cell_ids: Int,
+    hit_indices: Int,
 ) -> Bool:
     """Mark the hits around which the ground rises much more than the agent's slope.
 
     Args:
         columns: the columns.
-        tiled: the shapes.
+        tiled_shapes: the shapes.
         limits: the agent's limits.
-        cell: the cell of each hit, (n,).
-        hit: indices of hits, (n,).
+        cell_ids: the cell of each hit, (n,).
+        hit_indices: indices of hits, (n,).
     """
-    offset = circle_offsets(4, foot_radius(columns.lattice))
-    east, north, west, south = _sample_ground(columns, tiled, limits, cell, hit, offset).T
-    length = 2.0 * foot_radius(columns.lattice)
-    rise = np.hypot(east - west, north - south) / length  # NaN where a sample is missing
+    sample_offsets = circle_offsets(4, foot_radius(columns.lattice))
+    east, north, west, south = _sample_ground(
+        columns, tiled_shapes, limits, cell_ids, hit_indices, sample_offsets
+    ).T
+    distance = 2.0 * foot_radius(columns.lattice)
+    rise = np.hypot(east - west, north - south) / distance  # NaN where a sample is missing
     max_rise = math.sqrt(1.0 / limits.min_up**2 - 1.0)
     is_steep: Bool = rise > CLEARLY_STEEP_FACTOR * max_rise
     return is_steep
@@ -169,7 +186,11 @@ class GroundPlane(NamedTuple):
 
 
 def _mark_flat_ground(
-    columns: Columns, tiled: TiledShapes, limits: AgentLimits, cell: Int, hit: Int
+    columns: Columns,
+    tiled_shapes: TiledShapes,
+    limits: AgentLimits,
+    cell_ids: Int,
+    hit_indices: Int,
 ) -> tuple[Float, Bool]:
     """Fit planes to the ground around hits, and mark the planes that are flat enough.
 
@@ -180,50 +201,62 @@ def _mark_flat_ground(
 
     Args:
         columns: the columns.
-        tiled: the shapes.
+        tiled_shapes: the shapes.
         limits: the agent's limits.
-        cell: the cell of each hit, (n,).
-        hit: indices of hits, (n,).
+        cell_ids: the cell of each hit, (n,).
+        hit_indices: indices of hits, (n,).
 
     Returns:
         The unit normals of the planes, (n, 3), and which of the planes are ground that the agent
         can stand on, (n,).
     """
     radius = foot_radius(columns.lattice)
-    offset = np.concatenate(
-        [circle_offsets(NUM_DIRECTIONS, share * radius) for share in SAMPLED_SHARES], axis=1
+    sample_offsets = np.concatenate(
+        [
+            circle_offsets(NUM_DIRECTIONS, fraction * radius)
+            for fraction in SAMPLED_RADIUS_FRACTIONS
+        ],
+        axis=1,
     )
-    height = _sample_ground(columns, tiled, limits, cell, hit, offset)
+    sample_heights = _sample_ground(
+        columns, tiled_shapes, limits, cell_ids, hit_indices, sample_offsets
+    )
     half_turn = NUM_DIRECTIONS // 2
-    opposite = np.roll(height.reshape(len(hit), -1, NUM_DIRECTIONS), half_turn, axis=2)
-    mirrored = np.where(np.isnan(opposite.reshape(height.shape)), np.nan, height)
-    min_variance = MIN_VARIANCE_SHARE * radius**2
-    plane = _fit_planes(offset, mirrored, min_variance)
-    one_sided = np.flatnonzero(~plane.is_determined)
-    by_all = _fit_planes(offset, height[one_sided], min_variance)
-    differs = (by_all.normal * columns.normal[hit[one_sided]]).sum(axis=1) <= MAX_SAME_COSINE
-    plane.normal[one_sided] = by_all.normal
-    plane.max_bump[one_sided] = by_all.max_bump
-    plane.is_determined[one_sided] = by_all.is_determined & differs
+    opposite_heights = np.roll(
+        sample_heights.reshape(len(hit_indices), -1, NUM_DIRECTIONS), half_turn, axis=2
+    )
+    paired_heights = np.where(
+        np.isnan(opposite_heights.reshape(sample_heights.shape)), np.nan, sample_heights
+    )
+    min_variance = MIN_VARIANCE_FRACTION * radius**2
+    plane = _fit_planes(sample_offsets, paired_heights, min_variance)
+    unpaired_indices = np.flatnonzero(~plane.is_determined)
+    plane_of_all = _fit_planes(sample_offsets, sample_heights[unpaired_indices], min_variance)
+    is_different = (plane_of_all.normal * columns.normal[hit_indices[unpaired_indices]]).sum(
+        axis=1
+    ) <= MAX_SAME_COSINE
+    plane.normal[unpaired_indices] = plane_of_all.normal
+    plane.max_bump[unpaired_indices] = plane_of_all.max_bump
+    plane.is_determined[unpaired_indices] = plane_of_all.is_determined & is_different
     is_flat = plane.is_determined & (plane.normal[:, 2] >= limits.min_up)
-    is_flat &= plane.max_bump <= MAX_BUMP_SHARE * limits.step + LIMIT_SLACK
+    is_flat &= plane.max_bump <= MAX_BUMP_FRACTION * limits.step + LIMIT_SLACK
     return plane.normal, is_flat
 
 
-def _fit_planes(offset: Float, height: Float, min_variance: float) -> GroundPlane:
+def _fit_planes(sample_offsets: Float, sample_heights: Float, min_variance: float) -> GroundPlane:
     """Fit a plane to each row of samples, and to the hit itself, which is at the origin.
 
     Args:
-        offset: x and y of the samples relative to the hit, (2, samples) [m].
-        height: their heights relative to the hit, NaN for none, (n, samples) [m].
+        sample_offsets: x and y of the samples relative to the hit, (2, samples) [m].
+        sample_heights: their heights relative to the hit, NaN for none, (n, samples) [m].
         min_variance: the samples determine a plane if their variance along each horizontal
             direction is at least this [m²].
     """
-    is_sample = ~np.isnan(height)
+    is_sample = ~np.isnan(sample_heights)
     num_samples = 1.0 + is_sample.sum(axis=1)
-    x = np.where(is_sample, offset[0], 0.0)
-    y = np.where(is_sample, offset[1], 0.0)
-    z = np.where(is_sample, height, 0.0)
+    x = np.where(is_sample, sample_offsets[0], 0.0)
+    y = np.where(is_sample, sample_offsets[1], 0.0)
+    z = np.where(is_sample, sample_heights, 0.0)
     mean_x = x.sum(axis=1) / num_samples
     mean_y = y.sum(axis=1) / num_samples
     mean_z = z.sum(axis=1) / num_samples
@@ -237,47 +270,51 @@ def _fit_planes(offset: Float, height: Float, min_variance: float) -> GroundPlan
     determinant = np.where(is_determined, var_x * var_y - cov_xy**2, 1.0)
     slope_x = (cov_xz * var_y - cov_yz * cov_xy) / determinant
     slope_y = (cov_yz * var_x - cov_xz * cov_xy) / determinant
-    plane_z = mean_z - slope_x * mean_x - slope_y * mean_y  # at the hit
-    bump = np.abs(z - plane_z[:, None] - slope_x[:, None] * x - slope_y[:, None] * y)
-    max_bump = np.maximum(np.where(is_sample, bump, 0.0).max(axis=1), np.abs(plane_z))
-    up = 1.0 / np.sqrt(1.0 + slope_x**2 + slope_y**2)
+    plane_z_at_hit = mean_z - slope_x * mean_x - slope_y * mean_y  # at the hit
+    bump = np.abs(z - plane_z_at_hit[:, None] - slope_x[:, None] * x - slope_y[:, None] * y)
+    max_bump = np.maximum(np.where(is_sample, bump, 0.0).max(axis=1), np.abs(plane_z_at_hit))
+    normal_z = 1.0 / np.sqrt(1.0 + slope_x**2 + slope_y**2)
     return GroundPlane(
-        np.stack([-slope_x * up, -slope_y * up, up], axis=1), max_bump, is_determined
+        np.stack([-slope_x * normal_z, -slope_y * normal_z, normal_z], axis=1),
+        max_bump,
+        is_determined,
     )
 
 
 def _sample_ground(
     columns: Columns,
-    tiled: TiledShapes,
+    tiled_shapes: TiledShapes,
     limits: AgentLimits,
-    cell: Int,
-    hit: Int,
-    offset: Float,
+    cell_ids: Int,
+    hit_indices: Int,
+    sample_offsets: Float,
 ) -> Float:
     """Sample the ground around hits.
 
     Args:
         columns: the columns.
-        tiled: the shapes.
+        tiled_shapes: the shapes.
         limits: the agent's limits.
-        cell: the cell of each hit, (n,).
-        hit: indices of hits, (n,).
-        offset: x and y of the samples relative to the cell's centre, (2, samples) [m].
+        cell_ids: the cell of each hit, (n,).
+        hit_indices: indices of hits, (n,).
+        sample_offsets: x and y of the samples relative to the cell's centre, (2, samples) [m].
 
     Returns:
         The heights of the ground relative to the hit, NaN where there is none, (n, samples) [m].
     """
     lattice = columns.lattice
-    center = lattice.positions(*np.divmod(cell, lattice.width))
-    points = (center[:, None] + offset.T).reshape(-1, 2)
+    centers = lattice.positions(*np.divmod(cell_ids, lattice.width))
+    points = (centers[:, None] + sample_offsets.T).reshape(-1, 2)
     rows, cols = lattice.rows_cols(points)
     is_inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
-    sample = np.flatnonzero(is_inside)
-    height = np.full(len(points), np.nan)
-    rays = cast_points(tiled, (rows * lattice.width + cols)[sample], points[sample])
-    line = np.repeat(sample, np.diff(rays.start))
-    rise = rays.z - columns.z[hit][line // offset.shape[1]]
-    is_ground = (rays.normal[:, 2] > 0.0) & (np.abs(rise) <= limits.step + LIMIT_SLACK)
+    inside_indices = np.flatnonzero(is_inside)
+    ground_heights = np.full(len(points), np.nan)
+    rays = cast_points(
+        tiled_shapes, (rows * lattice.width + cols)[inside_indices], points[inside_indices]
+    )
+    sample_of_ray_hit = np.repeat(inside_indices, np.diff(rays.start))
+    relative_z = rays.z - columns.z[hit_indices][sample_of_ray_hit // sample_offsets.shape[1]]
+    is_ground = (rays.normal[:, 2] > 0.0) & (np.abs(relative_z) <= limits.step + LIMIT_SLACK)
     # heights ascend along a line: the last assignment is that of the highest surface
-    height[line[is_ground]] = rise[is_ground]
-    return height.reshape(len(cell), -1)
+    ground_heights[sample_of_ray_hit[is_ground]] = relative_z[is_ground]
+    return ground_heights.reshape(len(cell_ids), -1)

@@ -31,27 +31,27 @@ class AreaTest(NamedTuple):
 
 
 @lru_cache(maxsize=4)  # several tests of a scene need the same disc, and so do scenes of a batch
-def disc_half_widths(limit: float, shorter_side: int) -> Int:
-    """Compute `AreaTest.half_widths` of the disc of all cells nearer than a limit to its centre.
+def disc_half_widths(disc_radius: float, shorter_side: int) -> Int:
+    """Compute `AreaTest.half_widths` of the disc of all cells nearer than a radius to its centre.
 
-    If no cell of the lattice is as far from the outside as the limit, no cell can remain. Testing
+    If no cell of the lattice is as far from the outside as the radius, no cell can remain. Testing
     the disc's first, middle and last row is then enough: one of them is always partly outside.
 
     Args:
-        limit: radius of the disc [cells].
+        disc_radius: the radius, which need not be a whole number [cells].
         shorter_side: number of rows or columns of the lattice, whichever is smaller.
 
     Returns:
         The half widths, shape (2 radius + 1,). The array is shared between calls: don't change it.
     """
     farthest_inside = (shorter_side + 1) // 2
-    if limit > farthest_inside:
+    if disc_radius > farthest_inside:
         half_widths = np.full(2 * farthest_inside + 1, -1, dtype=np.int64)
         half_widths[farthest_inside] = farthest_inside
         half_widths[[0, -1]] = 0
         return half_widths
-    offsets = np.arange(-int(np.ceil(limit)), int(np.ceil(limit)) + 1)
-    is_in_disc = np.sqrt(offsets[:, None] ** 2 + offsets**2) < limit
+    offsets = np.arange(-int(np.ceil(disc_radius)), int(np.ceil(disc_radius)) + 1)
+    is_in_disc = np.sqrt(offsets[:, None] ** 2 + offsets**2) < disc_radius
     half_widths = np.where(is_in_disc, offsets, np.int64(-1)).max(axis=1, initial=-1)
     return np.asarray(half_widths[half_widths >= 0], dtype=np.int64)
 
@@ -64,33 +64,35 @@ def make_area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
         settings: settings of `floors`; `min_area` [m²] and `shrink` [m] are used.
     """
     min_cells = int(np.ceil(max((settings.min_area - LIMIT_SLACK) / lattice.cell_size**2, 0.0)))
-    limit = (settings.shrink - LIMIT_SLACK) / lattice.cell_size + 0.5
-    half_widths = disc_half_widths(limit, min(lattice.width, lattice.height))
+    disc_radius = (settings.shrink - LIMIT_SLACK) / lattice.cell_size + 0.5
+    half_widths = disc_half_widths(disc_radius, min(lattice.width, lattice.height))
     return AreaTest(min_cells, len(half_widths) // 2, half_widths)
 
 
-def is_large_enough(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
+def is_large_enough(lattice: Lattice, settings: FloorSettings, is_marked: Bool) -> bool:
     """Return whether the marked cells are large enough for a floor, see `make_area_test`.
 
     Args:
         lattice: the cells.
         settings: settings of `floors`; `min_area` [m²] and `shrink` [m] are used.
-        marked: mask of the cells, shape (cells,) or (height, width), bool.
+        is_marked: mask of the cells, shape (cells,) or (height, width), bool.
     """
-    return keeps_enough(make_area_test(lattice, settings), marked.reshape(lattice.shape))
+    return keeps_min_cells(make_area_test(lattice, settings), is_marked.reshape(lattice.shape))
 
 
-def keeps_enough(test: AreaTest, marked: Bool) -> bool:
-    """Return whether enough of the marked cells of a window remain after they are eroded.
+def keeps_min_cells(area_test: AreaTest, is_marked: Bool) -> bool:
+    """Return whether at least `AreaTest.min_cells` marked cells of a window remain after erosion.
 
     Args:
-        test: the area test of the lattice.
-        marked: mask of the window's cells, shape (rows, cols); cells beside the window aren't
+        area_test: the area test of the lattice.
+        is_marked: mask of the window's cells, shape (rows, cols); cells beside the window aren't
             marked.
     """
-    padded = np.pad(marked, test.radius)
-    remaining = np.flatnonzero(padded)
-    for row, half_width in enumerate(test.half_widths.tolist(), start=-test.radius):
+    is_marked_padded = np.pad(is_marked, area_test.radius)
+    remaining_cells = np.flatnonzero(is_marked_padded)
+    for row, half_width in enumerate(area_test.half_widths.tolist(), start=-area_test.radius):
         for col in range(-half_width, half_width + 1):
-            remaining = remaining[padded.ravel()[remaining + row * padded.shape[1] + col]]
-    return len(remaining) >= test.min_cells
+            remaining_cells = remaining_cells[
+                is_marked_padded.ravel()[remaining_cells + row * is_marked_padded.shape[1] + col]
+            ]
+    return len(remaining_cells) >= area_test.min_cells

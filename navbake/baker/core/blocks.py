@@ -45,26 +45,27 @@ class Blocks:
         block_row, block_col = np.divmod(blocks, self.cols)
         row = BLOCK * block_row[:, None] + offsets
         col = BLOCK * block_col[:, None] + offsets
-        inside = (row < height)[:, :, None] & (col < width)[:, None, :]
-        cells: Int = (row[:, :, None] * width + col[:, None, :])[inside]
+        is_inside = (row < height)[:, :, None] & (col < width)[:, None, :]
+        cells: Int = (row[:, :, None] * width + col[:, None, :])[is_inside]
         return cells
 
     def list_rows(
-        self, kernel: Callable[..., int], empty: tuple[NDArray[Any], ...], *args: object
+        self, kernel: Callable[..., int], empty_arrays: tuple[NDArray[Any], ...], *args: object
     ) -> tuple[Int, list[NDArray[Any]]]:
         """List rows of numbers for all blocks, by `list_rows` of this module.
 
         Args:
-            kernel: see `list_rows`.
-            empty: see `list_rows`.
+            kernel: lists the rows of some blocks, as the function `list_rows` describes.
+            empty_arrays: arrays without entries, which have the dtypes, and the shapes after the
+                first axis, of the arrays that receive the rows.
             args: the kernel's first arguments.
 
         Returns:
             The block of each row, (n,); and the rows, as arrays of shape (n, ...).
         """
         block_ids = np.arange(self.num)
-        counts, columns = list_rows(kernel, block_ids, empty, *args)
-        return np.repeat(block_ids, counts), columns
+        row_counts, row_arrays = list_rows(kernel, block_ids, empty_arrays, *args)
+        return np.repeat(block_ids, row_counts), row_arrays
 
 
 def join_arrays(chunks: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
@@ -81,72 +82,86 @@ def join_arrays(chunks: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
     return [np.concatenate([chunk.pop(0) for chunk in chunks]) for _ in range(len(chunks[0]))]
 
 
-def splice(old: NDArray[Any], begin: Int, end: Int, new: NDArray[Any], start: Int) -> NDArray[Any]:
-    """Replace slices of an array: ``old[begin[i]:end[i]]`` by ``new[start[i]:start[i + 1]]``.
+def replace_slices(
+    array: NDArray[Any],
+    slice_begin: Int,
+    slice_end: Int,
+    replacement: NDArray[Any],
+    replacement_start: Int,
+) -> NDArray[Any]:
+    """Replace slices of an array by other values, also by more or fewer than they have.
+
+    ``array[slice_begin[i]:slice_end[i]]`` becomes
+    ``replacement[replacement_start[i]:replacement_start[i + 1]]``.
 
     For few slices, copying what lies between them is faster than numpy's masks and indices.
 
     Args:
-        old: the array, shape (n, ...).
-        begin, end: begin and end of each slice of `old`, ascending, shape (k,).
-        new: what replaces the slices, shape (m, ...).
-        start: begin of each slice of `new`, and the end of the last one, shape (k + 1,).
+        array: the array, shape (n, ...).
+        slice_begin: where each slice of `array` begins, ascending, shape (k,).
+        slice_end: where each slice ends, exclusive, shape (k,).
+        replacement: what replaces the slices, shape (m, ...).
+        replacement_start: begin of each slice of `replacement`, and the end of the last one, shape
+            (k + 1,).
 
     Returns:
-        The new array; `old` is not changed.
+        The new array; `array` is not changed.
     """
-    unchanged_begin = [0, *end.tolist()]
-    unchanged_end = [*begin.tolist(), len(old)]
-    pieces = [new[:0]] * (2 * len(begin) + 1)
-    pieces[::2] = [old[i:j] for i, j in zip(unchanged_begin, unchanged_end, strict=True)]
-    pieces[1::2] = [new[i:j] for i, j in pairwise(start.tolist())]
+    unchanged_begin = [0, *slice_end.tolist()]
+    unchanged_end = [*slice_begin.tolist(), len(array)]
+    pieces = [replacement[:0]] * (2 * len(slice_begin) + 1)
+    pieces[::2] = [
+        array[begin:end] for begin, end in zip(unchanged_begin, unchanged_end, strict=True)
+    ]
+    pieces[1::2] = [replacement[begin:end] for begin, end in pairwise(replacement_start.tolist())]
     return np.concatenate(pieces)
 
 
 def list_rows(
     kernel: Callable[..., int],
     blocks: Int,
-    empty: tuple[NDArray[Any], ...],
+    empty_arrays: tuple[NDArray[Any], ...],
     *args: object,
     least: int = 1,
 ) -> tuple[Int, list[NDArray[Any]]]:
     """List rows of numbers for some blocks or cells, on all threads.
 
-    A row consists of an entry in each of several arrays, the columns.
+    A row of numbers is spread over several arrays: it has an entry in each of them.
 
     Args:
-        kernel: ``kernel(*args, blocks, counts, columns, begin, end)`` writes the rows of
-            ``blocks[begin:end]`` into the columns, from their first entry on, and into
-            ``counts[begin:end]`` how many rows each block has. It returns `end`, or the index of
-            the first block that had no room. It is then called again from that block on, with
-            columns that have more room.
+        kernel: ``kernel(*args, blocks, row_counts, row_arrays, begin, end)`` writes the rows of
+            ``blocks[begin:end]`` into the arrays `row_arrays`, from their first entry on, and into
+            ``row_counts[begin:end]`` how many rows each block has. It returns `end`, or the
+            index of the first block that had no room. It is then called again from that block on,
+            with arrays that have more room.
         blocks: ids of the blocks or cells, (k,).
-        empty: an empty array for each column, with its dtype and its shape after the first axis.
+        empty_arrays: arrays without entries, which have the dtypes, and the shapes after the first
+            axis, of the arrays that receive the rows.
         args: the kernel's first arguments.
         least: smallest number of blocks for one call, see `run_in_chunks`.
 
     Returns:
-        How many rows each block has, (k,) int64; and the columns, (n, ...) each, with the rows in
+        How many rows each block has, (k,) int64; and the arrays with the rows, (n, ...) each, in
         the order of the blocks.
     """
-    counts = np.zeros(len(blocks), dtype=np.int64)
-    # index of a range's first block -> columns of the range; -1 -> empty columns
-    columns_of_range: dict[int, list[NDArray[Any]]] = {-1: list(empty)}
+    row_counts = np.zeros(len(blocks), dtype=np.int64)
+    # index of a range's first block -> the range's rows; -1 -> arrays without rows
+    arrays_of_range: dict[int, list[NDArray[Any]]] = {-1: list(empty_arrays)}
 
     def list_range(first: int, end: int) -> None:
         capacity = FIRST_CAPACITY
         while first < end:
-            columns = tuple(
-                np.empty((capacity, *column.shape[1:]), column.dtype) for column in empty
+            row_arrays = tuple(
+                np.empty((capacity, *array.shape[1:]), array.dtype) for array in empty_arrays
             )
-            next_block = kernel(*args, blocks, counts, columns, first, end)
-            num_rows = counts[first:next_block].sum()
-            columns_of_range[first] = [column[:num_rows] for column in columns]
+            next_block = kernel(*args, blocks, row_counts, row_arrays, first, end)
+            num_rows = row_counts[first:next_block].sum()
+            arrays_of_range[first] = [array[:num_rows] for array in row_arrays]
             first = next_block
             capacity = 2 * capacity
 
     run_in_chunks(list_range, len(blocks), least=least)
-    if len(columns_of_range) == 2:
-        return counts, columns_of_range[0]
-    in_order = [columns_of_range[first] for first in sorted(columns_of_range)]
-    return counts, [np.concatenate(arrays) for arrays in zip(*in_order, strict=True)]
+    if len(arrays_of_range) == 2:
+        return row_counts, arrays_of_range[0]
+    ranges_in_order = [arrays_of_range[first] for first in sorted(arrays_of_range)]
+    return row_counts, [np.concatenate(arrays) for arrays in zip(*ranges_in_order, strict=True)]

@@ -37,37 +37,39 @@ class StageClock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time a stage, and report its progress."""
+        """Time a stage: the code in the ``with`` block. Report when it begins and ends."""
         if self._progress is not None:
             self._progress(name, 0.0)
-        with self.part(name):
+        with self.add_to_stage(name):
             yield
-        unfinished = self._unfinished_seconds.pop(name, 0.0)
-        self.seconds[name] = self.seconds.get(name, 0.0) + unfinished
+        unfinished_seconds = self._unfinished_seconds.pop(name, 0.0)
+        self.seconds[name] = self.seconds.get(name, 0.0) + unfinished_seconds
         LOG.debug("%s: %.2f s", name, self.seconds[name])
         if self._progress is not None:
             self._progress(name, 1.0)
 
     @contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        """Add the time of a block of code to a stage, before, within or after `stage`.
+    def add_to_stage(self, name: str) -> Iterator[None]:
+        """Add the time of the code in the ``with`` block to a stage.
 
-        Progress is not reported.
+        The block may stand before, within or after that of `stage`. Progress is not reported.
         """
-        begin = time.perf_counter()
+        start_time = time.perf_counter()
         self._nested_seconds.append(0.0)
         try:
             yield
         finally:
-            elapsed = time.perf_counter() - begin
-            nested = self._nested_seconds.pop()
+            elapsed_seconds = time.perf_counter() - start_time
+            nested_seconds = self._nested_seconds.pop()
         # not in the `finally`: the time of a stage that fails is not counted
-        totals = self.seconds if name in self.seconds else self._unfinished_seconds
-        totals[name] = totals.get(name, 0.0) + elapsed - nested
+        seconds_by_stage = self.seconds if name in self.seconds else self._unfinished_seconds
+        seconds_by_stage[name] = seconds_by_stage.get(name, 0.0) + elapsed_seconds - nested_seconds
         if self._nested_seconds:
-            self._nested_seconds[-1] += elapsed
+            self._nested_seconds[-1] += elapsed_seconds
 
     def to_json(self) -> dict[str, float]:
         """Return the timings as a grid file holds them: ``createMillis`` and ``<stage>Millis``."""
-        millis = {f"{name}Millis": round(1e3 * s, 3) for name, s in self.seconds.items()}
+        millis = {
+            f"{name}Millis": round(1e3 * seconds, 3) for name, seconds in self.seconds.items()
+        }
         return {"createMillis": round(1e3 * sum(self.seconds.values()), 3), **millis}

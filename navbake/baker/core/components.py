@@ -12,21 +12,21 @@ from navbake.baker.core.union_find import number_components
 from navbake.types import Int, Int32
 
 
-def label_components(pairs: Int, count: int) -> Int32:
+def label_components(pairs: Int, num_nodes: int) -> Int32:
     """Number the connected components of a graph from 0, in the order of their first nodes.
 
     Args:
         pairs: the two nodes of each edge, shape (2, n).
-        count: number of nodes; nodes are numbered from 0.
+        num_nodes: number of nodes; nodes are numbered from 0.
 
     Returns:
         The component of each node, shape (count,).
     """
-    labels: Int32 = number_components(np.ascontiguousarray(pairs, dtype=np.int64), count)
+    labels: Int32 = number_components(np.ascontiguousarray(pairs, dtype=np.int64), num_nodes)
     return labels
 
 
-def adjacent_pairs(cells: Int, width: int) -> Int:
+def list_adjacent_pairs(cells: Int, width: int) -> Int:
     """List the pairs of cells that share an edge or a corner.
 
     Args:
@@ -39,11 +39,11 @@ def adjacent_pairs(cells: Int, width: int) -> Int:
     col = cells % width
     pairs = list[Int]()
     for row_step, col_step in ((0, 1), (1, -1), (1, 0), (1, 1)):
-        first = np.flatnonzero((col + col_step >= 0) & (col + col_step < width))
-        neighbor_id = cells[first] + row_step * width + col_step
-        second = np.searchsorted(cells, neighbor_id)
-        is_in_cells = np.append(cells, -1)[second] == neighbor_id
-        pairs.append(np.stack([first[is_in_cells], second[is_in_cells]]))
+        first_index = np.flatnonzero((col + col_step >= 0) & (col + col_step < width))
+        neighbor_id = cells[first_index] + row_step * width + col_step
+        second_index = np.searchsorted(cells, neighbor_id)
+        is_in_cells = np.append(cells, -1)[second_index] == neighbor_id
+        pairs.append(np.stack([first_index[is_in_cells], second_index[is_in_cells]]))
     return np.concatenate(pairs, axis=1)
 
 
@@ -57,9 +57,9 @@ def expand_ranges(begin: Int | Int32, end: Int | Int32) -> tuple[Int, Int]:
         For each integer, the index i of its range; and the integers themselves; shape (sum of the
         ranges' lengths,) each.
     """
-    count = np.maximum(end - begin, 0)
-    range_index = np.repeat(np.arange(len(count)), count)
-    offsets = np.repeat(begin - np.cumsum(count) + count, count)
+    range_length = np.maximum(end - begin, 0)
+    range_index = np.repeat(np.arange(len(range_length)), range_length)
+    offsets = np.repeat(begin - np.cumsum(range_length) + range_length, range_length)
     return range_index, np.arange(len(range_index)) + offsets
 
 
@@ -75,27 +75,27 @@ def find_row_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
     """
     rows = values.shape[0]
     width = values.shape[1] + 1
-    line = np.zeros(rows * width + 1, dtype=values.dtype)  # each row ends with a 0
-    line[1:].reshape(rows, width)[:, :-1] = values
-    bounds = np.flatnonzero(line[1:] != line[:-1])
-    value = line[1 + bounds]
-    is_run = np.flatnonzero(value)
-    row, first = np.divmod(bounds[is_run], width)
-    return row, first, bounds[is_run + 1] - row * width, value[is_run]
+    flat_values = np.zeros(rows * width + 1, dtype=values.dtype)  # each row ends with a 0
+    flat_values[1:].reshape(rows, width)[:, :-1] = values
+    change_indices = np.flatnonzero(flat_values[1:] != flat_values[:-1])
+    value_after_change = flat_values[1 + change_indices]
+    is_run = np.flatnonzero(value_after_change)
+    row, first_col = np.divmod(change_indices[is_run], width)
+    return row, first_col, change_indices[is_run + 1] - row * width, value_after_change[is_run]
 
 
-def count_cells_by_label(labels: Int32, count: int) -> Int:
+def count_cells_by_label(labels: Int32, num_labels: int) -> Int:
     """Count the cells of each label.
 
     Args:
         labels: the label of each cell, from 0 to ``count - 1``, shape (rows, cols).
-        count: number of labels, including label 0.
+        num_labels: number of labels, including label 0.
 
     Returns:
         How many cells each label has, shape (count,); cells with label 0 are not counted.
     """
-    _, first, end, label = find_row_runs(labels)
-    return np.bincount(label, end - first, count).astype(np.int64)
+    _, first_col, end_col, label = find_row_runs(labels)
+    return np.bincount(label, end_col - first_col, num_labels).astype(np.int64)
 
 
 def label_components_2d(values: NDArray[Any]) -> tuple[Int32, int]:
@@ -109,20 +109,24 @@ def label_components_2d(values: NDArray[Any]) -> tuple[Int32, int]:
         1, in the order of the components' first cells; 0 means no component.
     """
     rows, cols = values.shape
-    row, first, end, value = find_row_runs(values)
+    row_of_run, first_col, end_col, value_of_run = find_row_runs(values)
     # each row has a column more, so that no run touches the next row's
-    run_begin = row * (cols + 1) + first
-    run_end = row * (cols + 1) + end
+    run_begin = row_of_run * (cols + 1) + first_col
+    run_end = row_of_run * (cols + 1) + end_col
     # the runs of the next row that begin before a run's end and end behind its beginning
     first_below = np.searchsorted(run_end, run_begin + cols + 1, "right")
     end_below = np.searchsorted(run_begin, run_end + cols + 1, "left")
-    upper, lower = expand_ranges(first_below, end_below)
-    is_equal = value[upper] == value[lower]
-    component = label_components(np.stack([upper[is_equal], lower[is_equal]]), len(row))
+    upper_run, lower_run = expand_ranges(first_below, end_below)
+    is_equal = value_of_run[upper_run] == value_of_run[lower_run]
+    component_of_run = label_components(
+        np.stack([upper_run[is_equal], lower_run[is_equal]]), len(row_of_run)
+    )
     # lengths of gap, run, gap, run, … over all cells in order; then the gap behind the last run
-    run_bounds = np.stack([row * cols + first, row * cols + end], axis=1).ravel()
+    run_bounds = np.stack(
+        [row_of_run * cols + first_col, row_of_run * cols + end_col], axis=1
+    ).ravel()
     lengths = np.diff(run_bounds, prepend=0)
     label_of_piece = np.zeros(len(lengths) + 1, dtype=np.int32)
-    label_of_piece[1:-1:2] = component + 1
+    label_of_piece[1:-1:2] = component_of_run + 1
     labels = np.repeat(label_of_piece, np.append(lengths, rows * cols - lengths.sum()))
-    return labels.reshape(rows, cols), int(component.max(initial=-1)) + 1
+    return labels.reshape(rows, cols), int(component_of_run.max(initial=-1)) + 1

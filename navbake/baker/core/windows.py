@@ -22,7 +22,7 @@ NEIGHBOR_SLICES: tuple[tuple[CellSlices, CellSlices], ...] = (
 and right cells), then of the pairs along columns (upper and lower cells)."""
 
 
-def differing_pairs(values: NDArray[Any]) -> Int:
+def list_differing_pairs(values: NDArray[Any]) -> Int:
     """List the pairs of neighboring cells whose values differ.
 
     Args:
@@ -33,10 +33,10 @@ def differing_pairs(values: NDArray[Any]) -> Int:
         along columns.
     """
     width = values.shape[1]
-    flat = values.ravel()
-    left_cell = np.flatnonzero(flat[:-1] != flat[1:])
+    flat_values = values.ravel()
+    left_cell = np.flatnonzero(flat_values[:-1] != flat_values[1:])
     left_cell = left_cell[(left_cell + 1) % width > 0]  # not across the end of a row
-    upper_cell = np.flatnonzero(flat[:-width] != flat[width:])
+    upper_cell = np.flatnonzero(flat_values[:-width] != flat_values[width:])
     pairs_in_rows = [left_cell, left_cell + 1]
     pairs_in_columns = [upper_cell, upper_cell + width]
     return np.concatenate([pairs_in_rows, pairs_in_columns], axis=1)
@@ -51,10 +51,10 @@ def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
         margin: how far beyond the lattice boxes may reach [m].
     """
     x_min, y_min, x_max, y_max = lattice.bounds
-    low = np.array([x_min - margin, y_min - margin, -np.inf])
-    high = np.array([x_max + margin, y_max + margin, np.inf])
-    clipped: Float = boxes.clip(np.tile(low, 2), np.tile(high, 2))
-    return clipped
+    lower_limits = np.array([x_min - margin, y_min - margin, -np.inf])
+    upper_limits = np.array([x_max + margin, y_max + margin, np.inf])
+    clipped_boxes: Float = boxes.clip(np.tile(lower_limits, 2), np.tile(upper_limits, 2))
+    return clipped_boxes
 
 
 def cells_near_boxes(lattice: Lattice, boxes: Float, distance: float) -> Int:
@@ -75,21 +75,27 @@ def cells_near_boxes(lattice: Lattice, boxes: Float, distance: float) -> Int:
     x_high, y_high = (near_boxes[:, 3:5] + distance).T
     first_row, first_col = lattice.rows_cols(np.stack([x_low, y_high], axis=1))
     last_row, last_col = lattice.rows_cols(np.stack([x_high, y_low], axis=1))
-    mask = np.zeros(lattice.shape, dtype=np.bool_)
+    is_near = np.zeros(lattice.shape, dtype=np.bool_)
     row_ranges = np.stack([first_row - 1, last_row + 2]).clip(0, lattice.height).T.tolist()
     col_ranges = np.stack([first_col - 1, last_col + 2]).clip(0, lattice.width).T.tolist()
     for (row, row_end), (col, col_end) in zip(row_ranges, col_ranges, strict=True):
-        mask[row:row_end, col:col_end] = True
-    first = min((row for row, _ in row_ranges), default=0)
-    end = max((row_end for _, row_end in row_ranges), default=0)
-    cells: Int = np.flatnonzero(mask[first:end]) + first * lattice.width
+        is_near[row:row_end, col:col_end] = True
+    first_near_row = min((row for row, _ in row_ranges), default=0)
+    end_near_row = max((row_end for _, row_end in row_ranges), default=0)
+    cells: Int = (
+        np.flatnonzero(is_near[first_near_row:end_near_row]) + first_near_row * lattice.width
+    )
     return cells
 
 
-def bounding_window(mask: Bool) -> Window:
-    """Return the smallest window that holds all marked cells; at least one is marked."""
-    rows = np.flatnonzero(mask.any(axis=1))
-    cols = np.flatnonzero(mask.any(axis=0))
+def bounding_window(is_marked: Bool) -> Window:
+    """Return the smallest window that holds all marked cells of a mask.
+
+    Args:
+        is_marked: shape (height, width), bool; at least one cell is marked.
+    """
+    rows = np.flatnonzero(is_marked.any(axis=1))
+    cols = np.flatnonzero(is_marked.any(axis=0))
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
@@ -107,6 +113,8 @@ def crop_cells(cells: Int, window: Window, width: int) -> tuple[Int, Bool]:
     """
     rows, cols = window
     row, col = np.divmod(cells, width)
-    inside = (row >= rows.start) & (row < rows.stop) & (col >= cols.start) & (col < cols.stop)
-    cropped: Int = ((row - rows.start) * (cols.stop - cols.start) + col - cols.start)[inside]
-    return cropped, inside
+    is_inside = (row >= rows.start) & (row < rows.stop) & (col >= cols.start) & (col < cols.stop)
+    cropped_cells: Int = ((row - rows.start) * (cols.stop - cols.start) + col - cols.start)[
+        is_inside
+    ]
+    return cropped_cells, is_inside

@@ -501,7 +501,7 @@ def _measure_walkable_area(shapes: Shapes, inputs: DoorInputs) -> float:
         cells,
         heights + LIMIT_SLACK,
         heights + agent.height - LIMIT_SLACK,
-        inputs.columns.covering(cells).hits,
+        inputs.columns.columns_at(cells).hits,
         is_covered,
         0,
         len(cells),

@@ -31,33 +31,35 @@ class GrownFloor(NamedTuple):
     Attributes:
         height: the height of the floor in each cell, NaN where there is none, shape (cells,),
             float64 [m].
-        ring: how many cells the floor had to grow to reach each cell: 0 where an agent can stand,
-            -1 where there is no floor, shape (cells,), int32.
+        ring_of_cell: how many cells the floor had to grow to reach each cell: 0 where an agent can
+            stand, -1 where there is no floor, shape (cells,), int32.
     """
 
     height: Float
-    ring: Int32
+    ring_of_cell: Int32
 
 
 def grow_floors(
-    regions: Regions, assignment: LevelAssignment, stops_growth: Bool, agent: AgentSettings
+    regions: Regions, assignment: LevelAssignment, is_growth_barrier: Bool, agent: AgentSettings
 ) -> list[GrownFloor]:
     """Find the floor of each level: where an agent can stand, and where it goes on under things.
 
     Args:
         regions: all regions.
         assignment: the level of each surface.
-        stops_growth: the regions whose surfaces floors don't grow onto, such as roofs and tops of
-            furniture, shape (regions,), bool.
+        is_growth_barrier: the regions whose surfaces floors don't grow onto, such as roofs and tops
+            of furniture, shape (regions,), bool.
         agent: the agent, of which the height and step are used.
 
     Returns:
         The floors, the lowest level first.
     """
-    labelled = regions.label_surfaces(stops_growth)
+    labelled = regions.label_surfaces(is_growth_barrier)
     return [
-        grow_level(labelled, assignment.level, assignment.final_level, number, agent)
-        for number in range(len(assignment.grounds))
+        grow_level(
+            labelled, assignment.preliminary_level, assignment.final_level, level_number, agent
+        )
+        for level_number in range(len(assignment.grounds))
     ]
 
 
@@ -73,7 +75,8 @@ def grow_level(
     Args:
         labelled: all surfaces; those labelled with a region are surfaces that floors don't grow
             onto.
-        level: the preliminary number of each surface's level, see `LevelAssignment.level`.
+        level: the preliminary number of each surface's level, see
+            `LevelAssignment.preliminary_level`.
         final_level: the final number for each preliminary one, see `LevelAssignment.final_level`.
         grown_level: the final number of the level whose floor is found.
         agent: the agent, of which the height and step are used.
@@ -93,16 +96,16 @@ def grow_level(
     )
     blocks = Blocks(surfaces.lattice)
     _, (open_cells,) = blocks.list_rows(kernels.start_growth, (NO_CELLS,), labelled, state)
-    front = open_cells
+    cells_to_grow = open_cells
     ring_number = 1
     # a ring is the cells that the floor grows into at the same time; all threads grow large rings,
     # one thread grows the small rings after them
-    while len(front) >= LEAST_CELLS:
-        _, (front,) = list_rows(
-            kernels.grow_ring, front, (NO_CELLS,), state, ring_number, least=LEAST_CELLS
+    while len(cells_to_grow) >= LEAST_CELLS:
+        _, (cells_to_grow,) = list_rows(
+            kernels.grow_ring, cells_to_grow, (NO_CELLS,), state, ring_number, least=LEAST_CELLS
         )
         ring_number += 1
-    kernels.grow_remaining_rings(state, ring_number, front)
+    kernels.grow_remaining_rings(state, ring_number, cells_to_grow)
     # cells into which no floor grew
     not_reached = open_cells[state.ring[open_cells] < NO_FLOOR]
     state.ring[not_reached] = NO_FLOOR
@@ -128,7 +131,7 @@ def find_level_links(regions: Regions, assignment: LevelAssignment, agent: Agent
         kernels.list_links,
         (NO_LINKS,),
         regions.surfaces,
-        assignment.level,
+        assignment.preliminary_level,
         assignment.final_level,
         agent.traversable_floor_height,
         by_slopes,

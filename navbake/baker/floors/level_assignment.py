@@ -7,7 +7,8 @@ The steps, in their order:
    heights of floors that lie over other floors. If the configuration has levels, it gives the
    grounds instead.
 3. `_assign_surfaces` assigns each surface to a level by its height, and by the surfaces above and
-   below it in its column. `_lower_grounds` lowers a ground if connected floor lies just below it.
+   below it in its column. `_move_grounds_down` lowers a ground if connected floor lies just below
+   it.
 4. `_resolve_full_columns` treats columns with more surfaces than there are levels: it leaves out
    surfaces, or adds levels.
 5. `_drop_empty_levels` numbers and names the levels that have surfaces.
@@ -88,14 +89,14 @@ def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightR
         The range [low, high) of each level [m], lowest level first.
     """
     height_ranges = []
-    for number, level in enumerate(level_settings):
+    for level_number, level_setting in enumerate(level_settings):
         top = np.inf
-        if number + 1 < len(level_settings):
-            top = level_settings[number + 1].ground - CONFIGURED_GROUND_TOLERANCE
-        if level.top is not None:
-            top = min(top, level.top)
-        low = level.ground - CONFIGURED_GROUND_TOLERANCE
-        height_ranges.append(HeightRange(low, top - LIMIT_SLACK))
+        if level_number + 1 < len(level_settings):
+            top = level_settings[level_number + 1].ground - CONFIGURED_GROUND_TOLERANCE
+        if level_setting.top is not None:
+            top = min(top, level_setting.top)
+        lowest = level_setting.ground - CONFIGURED_GROUND_TOLERANCE
+        height_ranges.append(HeightRange(lowest, top - LIMIT_SLACK))
     return height_ranges
 
 
@@ -121,19 +122,20 @@ class LevelAssignment(NamedTuple):
     Attributes:
         grounds: the height at which each level begins [m].
         names: the name of each level.
-        level: for each surface, the preliminary number of its level, negative for none, int32.
-            Preliminary numbers also count levels that have no surface in the end.
+        preliminary_level: for each surface, the preliminary number of its level, negative for none,
+            int32. Preliminary numbers also count levels that have no surface in the end.
         final_level: for each preliminary number, the index of the level in `grounds`, int64.
         counts: how many surfaces each region has on each level.
-        without_level: surfaces left out because other surfaces of their columns have all levels.
+        surfaces_without_level: surfaces left out because other surfaces of their columns have all
+            levels.
     """
 
     grounds: list[float]
     names: list[str]
-    level: Int32
+    preliminary_level: Int32
     final_level: Int
     counts: RegionLevelCounts
-    without_level: list[Patch]
+    surfaces_without_level: list[Patch]
 
 
 class ComponentLevels(NamedTuple):
@@ -144,16 +146,17 @@ class ComponentLevels(NamedTuple):
 
     Attributes:
         component: index of the component in `Regions.components`, int64.
-        level: preliminary number of the level, see `LevelAssignment.level`; NO_FREE_LEVEL or less
-            for surfaces without a level, as other surfaces of their columns have all levels, int64.
+        level: preliminary number of the level, see `LevelAssignment.preliminary_level`;
+            NO_FREE_LEVEL or less for surfaces without a level, as other surfaces of their columns
+            have all levels, int64.
         num_surfaces: how many surfaces of the component are on the level, int64.
-        low: the lowest height of these surfaces, float64 [m].
+        lowest_z: the lowest height of these surfaces, float64 [m].
     """
 
     component: Int
     level: Int
     num_surfaces: Int
-    low: Float
+    lowest_z: Float
 
 
 class SurfaceLevels(NamedTuple):
@@ -163,14 +166,14 @@ class SurfaceLevels(NamedTuple):
         grounds: the heights at which levels begin, ascending [m].
         skips_floors: whether floors rather than stairs are left out, in columns with more surfaces
             of floors and stairs than there are levels.
-        level: the level of each surface, see `assign_columns`, int32.
-        components: how many surfaces each component has on each level.
+        level_of_surface: the level of each surface, see `assign_columns`, int32.
+        component_levels: how many surfaces each component has on each level.
     """
 
     grounds: list[float]
     skips_floors: bool
-    level: Int32
-    components: ComponentLevels
+    level_of_surface: Int32
+    component_levels: ComponentLevels
 
 
 class HeightHistogram(NamedTuple):
@@ -182,23 +185,23 @@ class HeightHistogram(NamedTuple):
         window: number of the window of heights, see `HeightSelection`, int64.
         height_bin: number of a bin of heights inside of the window, see `height_bin`, int64.
         num_surfaces: how many surfaces lie in the bin, int64.
-        low: the lowest height of these surfaces, float64 [m].
+        lowest_z: the lowest height of these surfaces, float64 [m].
     """
 
     window: Int
     height_bin: Int
     num_surfaces: Int
-    low: Float
+    lowest_z: Float
 
-    def select(self, mask: Bool) -> HeightHistogram:
+    def select(self, is_selected: Bool) -> HeightHistogram:
         """Return the entries that a mask of shape (n,) marks."""
-        return HeightHistogram._make(column[mask] for column in self)
+        return HeightHistogram._make(column[is_selected] for column in self)
 
     def most_common_height(self) -> float:
         """Return the lowest height in the bin with the most surfaces [m]."""
-        bins, bin_index = np.unique(self.height_bin, return_inverse=True)
-        largest = int(np.bincount(bin_index, self.num_surfaces).argmax())
-        return float(self.low[self.height_bin == bins[largest]].min())
+        height_bins, bin_index = np.unique(self.height_bin, return_inverse=True)
+        fullest_bin = int(np.bincount(bin_index, self.num_surfaces).argmax())
+        return float(self.lowest_z[self.height_bin == height_bins[fullest_bin]].min())
 
 
 class AssignmentInput(NamedTuple):
@@ -223,7 +226,7 @@ class AssignmentInput(NamedTuple):
 
 def assign_levels(
     regions: Regions,
-    mask: Bool,
+    is_floor: Bool,
     level_settings: Sequence[LevelSettings],
     agent: AgentSettings,
     settings: FloorSettings,
@@ -232,7 +235,7 @@ def assign_levels(
 
     Args:
         regions: all regions.
-        mask: the regions whose surfaces are assigned, shape (regions,), bool.
+        is_floor: the regions whose surfaces are assigned, shape (regions,), bool.
         level_settings: the levels of the configuration; only surfaces in the ranges of heights that
             `level_height_ranges` has for them are assigned. If empty, the levels are found.
         agent: the agent, of which the step and slope are used.
@@ -244,7 +247,7 @@ def assign_levels(
     run_in_chunks(
         kernels.mark_candidates,
         regions.blocks.num,
-        regions.label_surfaces(mask),
+        regions.label_surfaces(is_floor),
         height_ranges,
         group,
         has_stacked_candidates,
@@ -268,12 +271,12 @@ def assign_levels(
         surface_levels = _assign_surfaces(assignment_input, grounds)
     else:
         grounds = _find_grounds(assignment_input)
-        surface_levels = _lower_grounds(assignment_input, grounds)
+        surface_levels = _move_grounds_down(assignment_input, grounds)
     without_level: list[Patch] = []
-    if (surface_levels.components.level <= NO_FREE_LEVEL).any():
+    if (surface_levels.component_levels.level <= NO_FREE_LEVEL).any():
         surface_levels, without_level = _resolve_full_columns(assignment_input, surface_levels)
-    names = {level.ground: level.name for level in level_settings}
-    return _drop_empty_levels(regions, surface_levels, names, without_level)
+    name_of_ground = {level.ground: level.name for level in level_settings}
+    return _drop_empty_levels(regions, surface_levels, name_of_ground, without_level)
 
 
 def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Candidates:
@@ -299,7 +302,7 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Cand
     num_plateaus = int(plateau_of_component.max(initial=-1)) + 1
 
     # the histogram of each plateau's heights; each component of a plateau is in one region
-    _, (rows, low) = regions.blocks.list_rows(
+    _, (histogram_rows, lowest_z) = regions.blocks.list_rows(
         cross_tabulate,
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
@@ -307,35 +310,35 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Cand
         regions.components.number,
         NO_GROUPS,
     )
-    plateau = plateau_of_component[rows[:, 0]]
-    region = regions.of_component[rows[:, 1]].astype(np.int64)
-    height_bin = rows[:, 2]
-    num_surfaces = rows[:, 3]
-    height = np.full(num_plateaus, np.inf)
-    np.minimum.at(height, plateau, low)
+    plateau_of_row = plateau_of_component[histogram_rows[:, 0]]
+    region_of_row = regions.region_of_component[histogram_rows[:, 1]].astype(np.int64)
+    bin_of_row = histogram_rows[:, 2]
+    num_surfaces = histogram_rows[:, 3]
+    plateau_height = np.full(num_plateaus, np.inf)
+    np.minimum.at(plateau_height, plateau_of_row, lowest_z)
 
     half_step = max(step, HEIGHT_BIN) / 2
-    floor_area = _count_near_height(region, height_bin, num_surfaces, half_step)
-    area = np.zeros(num_plateaus, dtype=np.int64)
-    np.maximum.at(area, plateau, floor_area)
+    floor_area = _count_near_height(region_of_row, bin_of_row, num_surfaces, half_step)
+    plateau_area = np.zeros(num_plateaus, dtype=np.int64)
+    np.maximum.at(plateau_area, plateau_of_row, floor_area)
 
     # steps between plateaus, from the lower to the upper one
     first_plateau, second_plateau = components.linked_pairs(plateau_of_component)
-    is_first_lower = height[first_plateau] < height[second_plateau]
-    lower = np.where(is_first_lower, first_plateau, second_plateau)
-    upper = np.where(is_first_lower, second_plateau, first_plateau)
-    rises = height[lower] < height[upper]
-    lower = lower[rises]
-    upper = upper[rises]
-    above, below = kernels.find_largest_areas(
-        lower,
-        upper,
-        area,
-        np.argsort(height[lower], kind="stable"),
-        np.argsort(height[upper], kind="stable"),
+    is_first_lower = plateau_height[first_plateau] < plateau_height[second_plateau]
+    lower_plateau = np.where(is_first_lower, first_plateau, second_plateau)
+    upper_plateau = np.where(is_first_lower, second_plateau, first_plateau)
+    is_rising = plateau_height[lower_plateau] < plateau_height[upper_plateau]
+    lower_plateau = lower_plateau[is_rising]
+    upper_plateau = upper_plateau[is_rising]
+    largest_area_above, largest_area_below = kernels.find_largest_areas(
+        lower_plateau,
+        upper_plateau,
+        plateau_area,
+        np.argsort(plateau_height[lower_plateau], kind="stable"),
+        np.argsort(plateau_height[upper_plateau], kind="stable"),
     )
     # what leads both up and down to larger floors lies between them
-    is_stair = STAIR_AREA_RATIO * area < np.minimum(above, below)
+    is_stair = STAIR_AREA_RATIO * plateau_area < np.minimum(largest_area_above, largest_area_below)
     return Candidates(group, components.number, is_stair[plateau_of_component])
 
 
@@ -354,17 +357,19 @@ def _count_near_height(region: Int, height_bin: Int, num_surfaces: Int, half_ste
         (n,).
     """
     num_bins = int(half_step / HEIGHT_BIN + LIMIT_SLACK)
-    # a sliding window over one axis of heights, on which each region has a stretch of its own, so
-    # far from the next one's that no window reaches it
-    lowest = height_bin.min(initial=0)
-    stretch = int(height_bin.max(initial=0) - lowest + 2 * num_bins + 1)
-    bin_on_axis = region * stretch + height_bin - lowest
-    bins, row_bin = np.unique(bin_on_axis, return_inverse=True)
-    cumulative = np.append(0, np.bincount(row_bin, num_surfaces).astype(np.int64).cumsum())
-    first = np.searchsorted(bins, bins - num_bins, side="left")
-    end = np.searchsorted(bins, bins + num_bins, side="right")
-    count: Int = (cumulative[end] - cumulative[first])[row_bin]
-    return count
+    # a sliding window over one axis of bins. On it each region has a range of its own, so far from
+    # the next region's range that no window reaches both
+    lowest_bin = height_bin.min(initial=0)
+    bins_per_region = int(height_bin.max(initial=0) - lowest_bin + 2 * num_bins + 1)
+    bin_on_axis = region * bins_per_region + height_bin - lowest_bin
+    axis_bins, index_in_bins = np.unique(bin_on_axis, return_inverse=True)
+    cumulative_count = np.append(
+        0, np.bincount(index_in_bins, num_surfaces).astype(np.int64).cumsum()
+    )
+    first_bin = np.searchsorted(axis_bins, axis_bins - num_bins, side="left")
+    end_bin = np.searchsorted(axis_bins, axis_bins + num_bins, side="right")
+    num_near: Int = (cumulative_count[end_bin] - cumulative_count[first_bin])[index_in_bins]
+    return num_near
 
 
 def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
@@ -465,14 +470,14 @@ def _count_heights(
         area_test,
     )
     return HeightHistogram(
-        window=rows[:, 0], height_bin=rows[:, 1], num_surfaces=rows[:, 3], low=low
+        window=rows[:, 0], height_bin=rows[:, 1], num_surfaces=rows[:, 3], lowest_z=low
     )
 
 
 def _assign_surfaces(
     assignment_input: AssignmentInput, grounds: list[float], skip_floors: bool = False
 ) -> SurfaceLevels:
-    """Assign surfaces to levels whose grounds are given, see `assign_columns`.
+    """Assign surfaces to levels whose grounds are given: in each column, at most one to a level.
 
     Args:
         assignment_input: the surfaces to assign.
@@ -482,7 +487,7 @@ def _assign_surfaces(
     """
     regions = assignment_input.regions
     level = np.empty(len(regions.surfaces.z), dtype=np.int32)
-    _, (rows, low) = regions.blocks.list_rows(
+    _, (histogram_rows, lowest_z) = regions.blocks.list_rows(
         kernels.assign_columns,
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
@@ -491,13 +496,16 @@ def _assign_surfaces(
         regions.components.number,
         level,
     )
-    components = ComponentLevels(
-        component=rows[:, 0], level=rows[:, 2], num_surfaces=rows[:, 3], low=low
+    component_levels = ComponentLevels(
+        component=histogram_rows[:, 0],
+        level=histogram_rows[:, 2],
+        num_surfaces=histogram_rows[:, 3],
+        lowest_z=lowest_z,
     )
-    return SurfaceLevels(grounds, skip_floors, level, components)
+    return SurfaceLevels(grounds, skip_floors, level, component_levels)
 
 
-def _lower_grounds(assignment_input: AssignmentInput, grounds: list[float]) -> SurfaceLevels:
+def _move_grounds_down(assignment_input: AssignmentInput, grounds: list[float]) -> SurfaceLevels:
     """Lower each ground to include connected floor just below it, then assign surfaces to levels.
 
     A floor just below a ground is first assigned to the level below. The ground is lowered to the
@@ -514,20 +522,20 @@ def _lower_grounds(assignment_input: AssignmentInput, grounds: list[float]) -> S
     """
     surface_levels = _assign_surfaces(assignment_input, grounds)
     for _ in grounds[1:]:
-        lowered = _lower_grounds_once(assignment_input, surface_levels)
-        if lowered == surface_levels.grounds:
+        lowered_grounds = _move_grounds_down_once(assignment_input, surface_levels)
+        if lowered_grounds == surface_levels.grounds:
             break
         # lower grounds may take further parts from the level below, so this is repeated
-        surface_levels = _assign_surfaces(assignment_input, lowered)
+        surface_levels = _assign_surfaces(assignment_input, lowered_grounds)
     if surface_levels.grounds != sorted(surface_levels.grounds):
         surface_levels = _assign_surfaces(assignment_input, sorted(surface_levels.grounds))
     return surface_levels
 
 
-def _lower_grounds_once(
+def _move_grounds_down_once(
     assignment_input: AssignmentInput, surface_levels: SurfaceLevels
 ) -> list[float]:
-    """Lower each ground once by the rule of `_lower_grounds`.
+    """Lower each ground once, to include connected floor just below it, see `_move_grounds_down`.
 
     Args:
         assignment_input: the surfaces to assign.
@@ -543,43 +551,43 @@ def _lower_grounds_once(
 
     # the connected parts of each level
     rule = JoinRule(step, link_step=step)
-    components = find_components(regions.surfaces, rule, surface_levels.level)
+    components = find_components(regions.surfaces, rule, surface_levels.level_of_surface)
     part_of_component = components.merge()
     num_parts = int(part_of_component.max(initial=-1)) + 1
-    _, (rows, heights) = regions.blocks.list_rows(
+    _, (histogram_rows, lowest_z) = regions.blocks.list_rows(
         cross_tabulate,
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
         components.number,
         candidates.component,
-        surface_levels.level,
+        surface_levels.level_of_surface,
     )
-    part = part_of_component[rows[:, 0]]
-    low = np.full(num_parts, np.inf)
-    np.minimum.at(low, part, heights)
-    level = np.zeros(num_parts, dtype=np.int64)
-    level[part] = rows[:, 2]
-    is_floor = ~candidates.is_stair[rows[:, 1]]
-    has_floor = np.bincount(part[is_floor], minlength=num_parts) > 0
+    part_of_row = part_of_component[histogram_rows[:, 0]]
+    lowest_of_part = np.full(num_parts, np.inf)
+    np.minimum.at(lowest_of_part, part_of_row, lowest_z)
+    level_of_part = np.zeros(num_parts, dtype=np.int64)
+    level_of_part[part_of_row] = histogram_rows[:, 2]
+    is_floor_row = ~candidates.is_stair[histogram_rows[:, 1]]
+    has_floor = np.bincount(part_of_row[is_floor_row], minlength=num_parts) > 0
 
     # steps between parts, in both directions
     first_part, second_part = components.linked_pairs(part_of_component)
     from_part = np.append(first_part, second_part)
     to_part = np.append(second_part, first_part)
-    lowered = list(grounds)
-    for k in range(1, len(grounds)):
-        is_from_below = level[from_part] == k - 1
-        is_to_level = level[to_part] == k
+    lowered_grounds = list(grounds)
+    for level_number in range(1, len(grounds)):
+        is_from_below = level_of_part[from_part] == level_number - 1
+        is_to_level = level_of_part[to_part] == level_number
         steps_to_level = from_part[is_from_below & is_to_level]
         steps_elsewhere = from_part[is_from_below & ~is_to_level]
         leads_to_level = np.bincount(steps_to_level, minlength=num_parts) > 0
         leads_elsewhere = np.bincount(steps_elsewhere, minlength=num_parts) > 0
-        is_near = low >= grounds[k] - step - LIMIT_SLACK
+        is_near = lowest_of_part >= grounds[level_number] - step - LIMIT_SLACK
         belongs_to_level = has_floor & leads_to_level & ~leads_elsewhere & is_near
         if belongs_to_level.any():
-            lowest = round(float(low[belongs_to_level].min()), GROUND_DECIMALS)
-            lowered[k] = min(grounds[k], lowest)
-    return lowered
+            lowest_part = round(float(lowest_of_part[belongs_to_level].min()), GROUND_DECIMALS)
+            lowered_grounds[level_number] = min(grounds[level_number], lowest_part)
+    return lowered_grounds
 
 
 def _resolve_full_columns(
@@ -599,47 +607,55 @@ def _resolve_full_columns(
         The levels of all surfaces, and a summary of what is left out, region by region.
     """
     regions = assignment_input.regions
-    walks = _find_walks(assignment_input, assignment_input.candidates.group)
+    walkable_areas = _find_walkable_areas(assignment_input, assignment_input.candidates.group)
     while True:
-        full_regions = _list_full_regions(regions, surface_levels)
-        if _are_dispensable(assignment_input, surface_levels, full_regions, walks):
+        regions_without_level = _list_regions_without_level(regions, surface_levels)
+        if _are_dispensable(
+            assignment_input, surface_levels, regions_without_level, walkable_areas
+        ):
             break
         # stairs may be needed where floors under them are not
-        without_floors = _assign_surfaces(
+        levels_of_stairs = _assign_surfaces(
             assignment_input, surface_levels.grounds, skip_floors=True
         )
-        full_floors = _list_full_regions(regions, without_floors)
-        if _are_dispensable(assignment_input, without_floors, full_floors, walks):
-            surface_levels = without_floors
-            full_regions = full_floors
+        floors_without_level = _list_regions_without_level(regions, levels_of_stairs)
+        if _are_dispensable(
+            assignment_input, levels_of_stairs, floors_without_level, walkable_areas
+        ):
+            surface_levels = levels_of_stairs
+            regions_without_level = floors_without_level
             break
-        ground = _choose_extra_ground(assignment_input.candidates, surface_levels, full_regions)
-        grounds = sorted([*surface_levels.grounds, ground])
-        surface_levels = _assign_surfaces(assignment_input, grounds)
-    without_level = []
-    for region_surfaces in full_regions:
-        has_no_level = surface_levels.level[region_surfaces.surface_id] <= NO_FREE_LEVEL
-        without_level.append(
-            describe_surfaces(regions.lattice, region_surfaces.select(has_no_level))
+        added_ground = _choose_extra_ground(
+            assignment_input.candidates, surface_levels, regions_without_level
         )
-    return surface_levels, without_level
+        grounds = sorted([*surface_levels.grounds, added_ground])
+        surface_levels = _assign_surfaces(assignment_input, grounds)
+    left_out = []
+    for region_surfaces in regions_without_level:
+        has_no_level = surface_levels.level_of_surface[region_surfaces.surface_id] <= NO_FREE_LEVEL
+        left_out.append(describe_surfaces(regions.lattice, region_surfaces.select(has_no_level)))
+    return surface_levels, left_out
 
 
-def _list_full_regions(regions: Regions, surface_levels: SurfaceLevels) -> list[RegionSurfaces]:
-    """List the regions that have a surface to assign which got no level; all surfaces of each.
+def _list_regions_without_level(
+    regions: Regions, surface_levels: SurfaceLevels
+) -> list[RegionSurfaces]:
+    """Return, for each region with a surface that got no level, all surfaces of the region.
 
     Args:
         regions: all regions.
         surface_levels: the levels of the surfaces.
     """
-    components = surface_levels.components
-    has_no_level = components.level <= NO_FREE_LEVEL
-    region_ids = np.unique(regions.of_component[components.component[has_no_level]])
+    component_levels = surface_levels.component_levels
+    has_no_level = component_levels.level <= NO_FREE_LEVEL
+    region_ids = np.unique(regions.region_of_component[component_levels.component[has_no_level]])
     return [regions.surfaces_of(region) for region in region_ids.tolist()]
 
 
 def _choose_extra_ground(
-    candidates: Candidates, surface_levels: SurfaceLevels, full_regions: list[RegionSurfaces]
+    candidates: Candidates,
+    surface_levels: SurfaceLevels,
+    regions_without_level: list[RegionSurfaces],
 ) -> float:
     """Choose the ground of an added level, for surfaces without a level.
 
@@ -649,105 +665,116 @@ def _choose_extra_ground(
     Args:
         candidates: the surfaces to assign.
         surface_levels: their levels.
-        full_regions: the regions with surfaces without a level, as `_list_full_regions` lists them.
+        regions_without_level: the regions with surfaces without a level, as
+            `_list_regions_without_level` lists them.
 
     Returns:
         The ground's height [m].
     """
     grounds = surface_levels.grounds
-    components = surface_levels.components
-    has_no_level = components.level == NO_FREE_LEVEL
-    lowest_without = float(components.low[has_no_level].min(initial=np.inf))
+    component_levels = surface_levels.component_levels
+    has_no_level = component_levels.level == NO_FREE_LEVEL
+    lowest_without = float(component_levels.lowest_z[has_no_level].min(initial=np.inf))
     if lowest_without == np.inf:
         # all of them lie at grounds of levels, whose places are taken: add one above all levels
         return max(grounds) + EXTRA_LEVEL_RISE
-    heights = []
-    for region_surfaces in full_regions:
+    candidate_heights = []
+    for region_surfaces in regions_without_level:
         is_candidate = candidates.group[region_surfaces.surface_id] >= 0
-        heights.append(region_surfaces.z[is_candidate])
-    z = np.concatenate(heights)
+        candidate_heights.append(region_surfaces.z[is_candidate])
+    candidate_z = np.concatenate(candidate_heights)
     # above each ground below the surface
     grounds_below = [ground + LIMIT_SLACK for ground in grounds if ground <= lowest_without]
-    low = max([lowest_without - UNEVENNESS, *grounds_below])
-    is_near = (z >= low) & (z <= lowest_without)
-    return round(float(z[is_near].min(initial=lowest_without)), GROUND_DECIMALS)
+    lowest_allowed = max([lowest_without - UNEVENNESS, *grounds_below])
+    is_near = (candidate_z >= lowest_allowed) & (candidate_z <= lowest_without)
+    return round(float(candidate_z[is_near].min(initial=lowest_without)), GROUND_DECIMALS)
 
 
 def _are_dispensable(
     assignment_input: AssignmentInput,
     surface_levels: SurfaceLevels,
-    full_regions: list[RegionSurfaces],
-    walks: Components,
+    regions_without_level: list[RegionSurfaces],
+    walkable_areas: Components,
 ) -> bool:
     """Return whether the surfaces without a level can be left out.
 
     In each region they must be small. Stairs are small if they are nowhere wider than
     `floors.shrink`; floors (if `surface_levels.skips_floors`), if they don't keep
     `floors.min_area` when shrunk by `floors.shrink`. And leaving them out must not cut a floor in
-    two: their regions must not get more large walks than they have with all surfaces.
+    two: their regions must not get more large walkable areas than they have with all surfaces. In a
+    walkable area, an agent can walk from each surface to each other one.
 
     Args:
         assignment_input: the surfaces to assign.
         surface_levels: their levels.
-        full_regions: the regions with surfaces without a level, as `_list_full_regions` lists them.
-        walks: the walks of all surfaces to assign, see `_find_walks`.
+        regions_without_level: the regions with surfaces without a level, as
+            `_list_regions_without_level` lists them.
+        walkable_areas: the walkable areas of all surfaces to assign, in parts: one for each block
+            of cells that an area lies in, see `_find_walkable_areas`.
     """
-    if not full_regions:
+    if not regions_without_level:
         return True
     lattice = assignment_input.regions.lattice
     settings = assignment_input.settings
     size_limits = settings
     if not surface_levels.skips_floors:
-        rim = {"min_area": lattice.cell_size**2, "shrink": settings.shrink / 2}
-        size_limits = settings.model_copy(update=rim)
-    for region_surfaces in full_regions:
-        has_no_level = surface_levels.level[region_surfaces.surface_id] <= NO_FREE_LEVEL
-        cells = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
-        cells[region_surfaces.cell[has_no_level]] = True
-        if is_large_enough(lattice, size_limits, cells):
+        stair_limits = {"min_area": lattice.cell_size**2, "shrink": settings.shrink / 2}
+        size_limits = settings.model_copy(update=stair_limits)
+    for region_surfaces in regions_without_level:
+        has_no_level = surface_levels.level_of_surface[region_surfaces.surface_id] <= NO_FREE_LEVEL
+        is_left_out = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+        is_left_out[region_surfaces.cell[has_no_level]] = True
+        if is_large_enough(lattice, size_limits, is_left_out):
             return False
     candidate_group = assignment_input.candidates.group
-    remaining_group = np.where(surface_levels.level <= NO_FREE_LEVEL, np.int8(-1), candidate_group)
-    # where a walk is divided, several large ones take the place of one
-    remaining_walks = _find_walks(assignment_input, remaining_group)
+    remaining_group = np.where(
+        surface_levels.level_of_surface <= NO_FREE_LEVEL, np.int8(-1), candidate_group
+    )
+    # where a walkable area is divided, several large ones take the place of one
+    remaining_areas = _find_walkable_areas(assignment_input, remaining_group)
     min_cells = make_area_test(lattice, settings).min_cells
-    num_remaining = _count_walks(remaining_walks, full_regions, min_cells)
-    return num_remaining <= _count_walks(walks, full_regions, min_cells)
+    num_remaining = _count_large_walkable_areas(remaining_areas, regions_without_level, min_cells)
+    return num_remaining <= _count_large_walkable_areas(
+        walkable_areas, regions_without_level, min_cells
+    )
 
 
-def _find_walks(assignment_input: AssignmentInput, group: NDArray[np.int8]) -> Components:
-    """Find the walks: sets of surfaces between which an agent can walk by steps and slopes.
+def _find_walkable_areas(assignment_input: AssignmentInput, group: NDArray[np.int8]) -> Components:
+    """Find walkable areas: sets of surfaces between which an agent can walk by steps and slopes.
 
     Args:
         assignment_input: all surfaces, and the agent.
         group: 0 for each surface that counts, else -1, shape (surfaces,).
 
     Returns:
-        The part of each walk in each block of cells; `Components.merge` joins and numbers them.
+        The part of each area in each block of cells; `Components.merge` joins and numbers them.
     """
     surfaces = assignment_input.regions.surfaces
     rule = region_join_rule(surfaces.lattice, assignment_input.agent)
     return find_components(surfaces, rule, group.astype(np.int32))
 
 
-def _count_walks(walks: Components, regions: list[RegionSurfaces], min_surfaces: int) -> int:
-    """Count, in each region, the walks with at least `min_surfaces` surfaces there; add them up.
+def _count_large_walkable_areas(
+    walkable_areas: Components, regions: list[RegionSurfaces], min_surfaces: int
+) -> int:
+    """Count the walkable areas that have at least `min_surfaces` surfaces in one of some regions.
 
-    A walk, see `_find_walks`, is a set of surfaces between which an agent can walk.
+    A walkable area is a set of surfaces between which an agent can walk. One that is large enough
+    in several regions counts once for each of them.
     """
-    walk_of_component = walks.merge()
-    num_walks = 0
+    area_of_component = walkable_areas.merge()
+    num_large_areas = 0
     for region_surfaces in regions:
-        component = walks.number[region_surfaces.surface_id]
-        walk = walk_of_component[component[component >= 0]]
-        num_walks += int(np.count_nonzero(np.bincount(walk) >= min_surfaces))
-    return num_walks
+        component_of_surface = walkable_areas.number[region_surfaces.surface_id]
+        area_of_surface = area_of_component[component_of_surface[component_of_surface >= 0]]
+        num_large_areas += int(np.count_nonzero(np.bincount(area_of_surface) >= min_surfaces))
+    return num_large_areas
 
 
 def _drop_empty_levels(
     regions: Regions,
     surface_levels: SurfaceLevels,
-    names: dict[float, str | None],
+    name_of_ground: dict[float, str | None],
     without_level: list[Patch],
 ) -> LevelAssignment:
     """Remove the levels without surfaces, and name the remaining levels.
@@ -755,34 +782,35 @@ def _drop_empty_levels(
     Args:
         regions: all regions.
         surface_levels: the level of each surface.
-        names: ground height [m] -> configured name. A level without one is named by its number.
+        name_of_ground: ground height [m] -> configured name. A level without one is named by its
+            number.
         without_level: the surfaces that are left out, see `LevelAssignment`.
     """
-    components = surface_levels.components
-    has_level = components.level >= 0
-    level = components.level[has_level]
-    is_used = np.bincount(level, minlength=len(surface_levels.grounds)) > 0
+    component_levels = surface_levels.component_levels
+    has_level = component_levels.level >= 0
+    level_of_row = component_levels.level[has_level]
+    is_used = np.bincount(level_of_row, minlength=len(surface_levels.grounds)) > 0
     final_level = np.cumsum(is_used, dtype=np.int64) - 1
     grounds = [surface_levels.grounds[k] for k in np.flatnonzero(is_used).tolist()]
     return LevelAssignment(
         grounds=grounds,
-        names=_name_levels([names.get(ground) for ground in grounds]),
-        level=surface_levels.level,
+        names=_name_levels([name_of_ground.get(ground) for ground in grounds]),
+        preliminary_level=surface_levels.level_of_surface,
         final_level=final_level,
         counts=RegionLevelCounts(
-            region=regions.of_component[components.component[has_level]],
-            level=final_level[level],
-            num_surfaces=components.num_surfaces[has_level],
+            region=regions.region_of_component[component_levels.component[has_level]],
+            level=final_level[level_of_row],
+            num_surfaces=component_levels.num_surfaces[has_level],
         ),
-        without_level=without_level,
+        surfaces_without_level=without_level,
     )
 
 
 def _name_levels(configured_names: list[str | None]) -> list[str]:
-    """Make a different name for each level: the configured one, or else ``level <number>``."""
+    """Return a different name for each level: the configured one, or else ``level <number>``."""
     names: list[str] = []
-    for number, configured_name in enumerate(configured_names):
-        name = configured_name or f"level {number}"
+    for level_number, configured_name in enumerate(configured_names):
+        name = configured_name or f"level {level_number}"
         while name in names or (not configured_name and name in configured_names):
             name += "'"
         names.append(name)

@@ -38,7 +38,7 @@ from navbake.baker.floors.reach import (
 )
 from navbake.baker.floors.regions import Patch, describe_regions, find_large_regions, find_regions
 from navbake.baker.floors.rejected import find_rejected_regions, mark_reported_roofs
-from navbake.baker.floors.ridges import RIDGE_WIDTH, find_ridges, without_surfaces
+from navbake.baker.floors.ridges import RIDGE_WIDTH, clear_marks, find_ridges
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.geometry.shapes import Shapes
@@ -81,13 +81,15 @@ class Floors:
         roofs: roofs to report, which are no floors, the largest first.
         small_starts: small surfaces that are floors only because a position of `floors.from` lies
             on them, the largest first.
-        unreached: floors that no path from a start leads to, an entry for each level, lowest first.
-        removed_by_reach: floors that `floors.reach: steps` leaves out, the largest first.
+        unreached_floors: floors that no path from a start leads to, an entry for each level, lowest
+            first.
+        removed_floors: floors that `floors.reach: steps` leaves out, the largest first.
         enclosed_by_meshes: floors inside of closed meshes; `Patch.geom` is the mesh.
         enclosed_by_planes: floors inside of infinite planes; `Patch.geom` is the plane.
         voids: floors of levels that are left out because no path leads to them and nobody can stand
             upright there, the largest first.
-        without_level: surfaces left out because other surfaces of their columns have all levels.
+        surfaces_without_level: surfaces left out because other surfaces of their columns have all
+            levels.
     """
 
     levels: list[LevelFloor]
@@ -95,12 +97,12 @@ class Floors:
     tops: list[Patch]
     roofs: list[Patch]
     small_starts: list[Patch]
-    unreached: list[UnreachedFloors]
-    removed_by_reach: list[Patch]
+    unreached_floors: list[UnreachedFloors]
+    removed_floors: list[Patch]
     enclosed_by_meshes: list[Patch]
     enclosed_by_planes: list[Patch]
     voids: list[Patch]
-    without_level: list[Patch]
+    surfaces_without_level: list[Patch]
 
 
 def find_floors(
@@ -155,7 +157,7 @@ def find_floors(
     if not settings.tops:
         is_ridge = find_ridges(context, settings.starts)
         if is_ridge.any():
-            surfaces = without_surfaces(surfaces, is_ridge)
+            surfaces = clear_marks(surfaces, is_ridge)
             context = find_context(surfaces)
             if not context.is_large.any():
                 raise SceneError(
@@ -189,12 +191,12 @@ def find_floors(
         tops=describe_regions(regions, is_furniture & ~is_start),
         roofs=describe_regions(regions, reported_roofs),
         small_starts=describe_regions(regions, is_start & ~is_large),
-        unreached=find_unreached_floors(regions, assignment, reached.is_reached),
-        removed_by_reach=reached.removed_by_reach,
+        unreached_floors=find_unreached_floors(regions, assignment, reached.is_reached),
+        removed_floors=reached.removed_floors,
         enclosed_by_meshes=[patch for patch in enclosed if patch.geom not in plane_geoms],
         enclosed_by_planes=[patch for patch in enclosed if patch.geom in plane_geoms],
         voids=reached.voids,
-        without_level=assignment.without_level,
+        surfaces_without_level=assignment.surfaces_without_level,
     )
 
 
@@ -204,14 +206,14 @@ class ReachedLevels(NamedTuple):
     Attributes:
         assignment: the levels, and the level of each surface.
         is_reached: which regions are reached from a start, shape (regions,), bool.
-        removed_by_reach: floors that `floors.reach: steps` leaves out, the largest first.
+        removed_floors: floors that `floors.reach: steps` leaves out, the largest first.
         voids: floors of levels that are left out because no path leads to them and nobody can stand
             upright there, the largest first.
     """
 
     assignment: LevelAssignment
     is_reached: Bool
-    removed_by_reach: list[Patch]
+    removed_floors: list[Patch]
     voids: list[Patch]
 
 
@@ -231,7 +233,7 @@ def find_reached_levels(
         is_floor: which regions are floors, shape (regions,), bool.
         is_start: the regions on which `floors.from` has agents start, shape (regions,); if none,
             agents start on the largest floor of the lowest level.
-        level_settings: see `find_floors`.
+        level_settings: the levels of the configuration, lowest first; None to find the levels.
 
     Raises:
         SceneError: there is no floor on a level of the configuration, or what the starts reach is
@@ -253,9 +255,11 @@ def find_reached_levels(
         if level_settings is None and not settings.voids:
             reached = find_voids(context, assignment.counts, reached.is_reached, has_starts)
     height_ranges = level_height_ranges(level_settings or ())
-    for number, heights in enumerate(height_ranges):
+    for level_number, heights in enumerate(height_ranges):
         if not regions.mark_in_range(is_floor, heights).any():
-            raise SceneError(_explain_no_floor_on(level_settings or (), number, context.columns))
+            raise SceneError(
+                _explain_no_floor_on(level_settings or (), level_number, context.columns)
+            )
     is_included = is_floor & (reached.is_reached if by_steps else ~reached.is_void)
     if (
         assignment is None
@@ -264,10 +268,10 @@ def find_reached_levels(
     ):
         assignment = assign_levels(regions, is_included, level_settings or (), agent, settings)
         if not len(assignment.counts.level):
-            start = "what `floors.from` names"
+            start_text = "what `floors.from` names"
             if not has_starts:
-                start = "the largest floor of the lowest level"
-            raise SceneError(f"no floor: {start} lies outside of the `levels`")
+                start_text = "the largest floor of the lowest level"
+            raise SceneError(f"no floor: {start_text} lies outside of the `levels`")
     removed_by_reach: list[Patch] = []
     voids: list[Patch] = []
     if by_steps:
@@ -285,13 +289,13 @@ def _make_level_floors(
     settings: FloorSettings,
     is_occupied: OccupancyTest,
 ) -> list[LevelFloor]:
-    """Make the `LevelFloor` of each level, with its holes closed if `floors.fill` is set."""
+    """Make the `LevelFloor` of each level, lowest first; `floors.fill` closes its holes."""
     levels = []
     for name, ground, grown_floor in zip(
         assignment.names, assignment.grounds, grown_floors, strict=True
     ):
         height = grown_floor.height.reshape(lattice.shape)
-        is_standable = (grown_floor.ring == 0).reshape(lattice.shape)
+        is_standable = (grown_floor.ring_of_cell == 0).reshape(lattice.shape)
         level = LevelFloor(name, ground, height, is_standable)
         if settings.fill:
             level = fill_holes(level, settings.fill / lattice.cell_size**2, is_occupied)
@@ -317,30 +321,30 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
     from scipy.interpolate import griddata  # scipy loads slowly, and few bakes need this
     from scipy.ndimage import binary_dilation, label  # likewise
 
-    holes, _ = label(np.isnan(level.floor))  # connected by cells' edges
-    size = np.bincount(holes.ravel()).astype(np.float64)  # [cells]
+    hole_of_cell, _ = label(np.isnan(level.floor))  # connected by cells' edges
+    num_cells = np.bincount(hole_of_cell.ravel()).astype(np.float64)  # [cells]
     # holes at the lattice's border are not surrounded by floor
-    for border in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
-        size[border] = np.inf
-    size[0] = np.inf  # cells with a floor
-    unseen: Bool = (size <= max_cells + LIMIT_SLACK)[holes]
-    if not unseen.any():
-        return replace(level, unseen=unseen)
+    for border in (hole_of_cell[0], hole_of_cell[-1], hole_of_cell[:, 0], hole_of_cell[:, -1]):
+        num_cells[border] = np.inf
+    num_cells[0] = np.inf  # cells with a floor
+    is_filled: Bool = (num_cells <= max_cells + LIMIT_SLACK)[hole_of_cell]
+    if not is_filled.any():
+        return replace(level, unseen=is_filled)
     # holes to close, with their rims
-    near = binary_dilation(unseen, np.ones((3, 3)))
-    rim = near & ~unseen & ~np.isnan(level.floor)
+    is_near_hole = binary_dilation(is_filled, np.ones((3, 3)))
+    is_rim = is_near_hole & ~is_filled & ~np.isnan(level.floor)
     floor = level.floor.copy()
-    floor[unseen] = griddata(np.argwhere(rim), floor[rim], np.argwhere(unseen))
-    near &= ~np.isnan(floor)
-    free = near.copy()
-    free[near] = ~is_occupied(np.flatnonzero(near), floor[near], None)
+    floor[is_filled] = griddata(np.argwhere(is_rim), floor[is_rim], np.argwhere(is_filled))
+    is_near_hole &= ~np.isnan(floor)
+    is_free = is_near_hole.copy()
+    is_free[is_near_hole] = ~is_occupied(np.flatnonzero(is_near_hole), floor[is_near_hole], None)
     # free cells connected to floor at the rim, and things that stand in a hole with such cells
-    free_component, _ = label(free)
-    reached = free & np.isin(free_component, free_component[free & rim])
-    has_reached_cell = np.isin(holes, holes[reached & unseen])
-    unseen &= reached | (has_reached_cell & ~free)
-    floor[~unseen & (holes > 0)] = np.nan
-    return replace(level, floor=floor, standable=level.standable | unseen, unseen=unseen)
+    free_part, _ = label(is_free)
+    is_connected = is_free & np.isin(free_part, free_part[is_free & is_rim])
+    has_reached_cell = np.isin(hole_of_cell, hole_of_cell[is_connected & is_filled])
+    is_filled &= is_connected | (has_reached_cell & ~is_free)
+    floor[~is_filled & (hole_of_cell > 0)] = np.nan
+    return replace(level, floor=floor, standable=level.standable | is_filled, unseen=is_filled)
 
 
 def crop_floors(floors: Floors, window: Window) -> Floors:
@@ -355,36 +359,36 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
     Raises:
         SceneError: no floor lies in the window.
     """
-    shown = [k for k, level in enumerate(floors.levels) if level.standable[window].any()]
-    if not shown:
+    shown_levels = [k for k, level in enumerate(floors.levels) if level.standable[window].any()]
+    if not shown_levels:
         raise SceneError("no floor lies inside of `grid.bounds`")
-    new_number = np.full(len(floors.levels), -1, dtype=np.int64)
-    new_number[shown] = np.arange(len(shown))
+    new_number_of_level = np.full(len(floors.levels), -1, dtype=np.int64)
+    new_number_of_level[shown_levels] = np.arange(len(shown_levels))
     width = floors.levels[0].floor.shape[1]
 
     def crop_patches(patches: list[Patch]) -> list[Patch]:
         return [patch for patch in patches if _is_inside(patch, window, width)]
 
     unreached = []
-    for part in floors.unreached:
-        level = int(new_number[part.level])
-        if level >= 0 and _is_inside(part.patch, window, width):
-            unreached.append(replace(part, level=level))
+    for level_part in floors.unreached_floors:
+        level = int(new_number_of_level[level_part.level])
+        if level >= 0 and _is_inside(level_part.patch, window, width):
+            unreached.append(replace(level_part, level=level))
     return Floors(
         levels=[
-            _crop_level(floors.levels[old], window, old_number=old, new_number=new)
-            for new, old in enumerate(shown)
+            _crop_level(floors.levels[old_number], window, old_number, new_number)
+            for new_number, old_number in enumerate(shown_levels)
         ],
-        links=_crop_links(floors.links, new_number, window, width),
+        links=_crop_links(floors.links, new_number_of_level, window, width),
         tops=crop_patches(floors.tops),
         roofs=crop_patches(floors.roofs),
         small_starts=crop_patches(floors.small_starts),
-        unreached=unreached,
-        removed_by_reach=crop_patches(floors.removed_by_reach),
+        unreached_floors=unreached,
+        removed_floors=crop_patches(floors.removed_floors),
         enclosed_by_meshes=crop_patches(floors.enclosed_by_meshes),
         enclosed_by_planes=crop_patches(floors.enclosed_by_planes),
         voids=crop_patches(floors.voids),
-        without_level=crop_patches(floors.without_level),
+        surfaces_without_level=crop_patches(floors.surfaces_without_level),
     )
 
 
@@ -415,12 +419,12 @@ def _crop_level(level: LevelFloor, window: Window, old_number: int, new_number: 
     )
 
 
-def _crop_links(links: Int, new_number: Int, window: Window, width: int) -> Int:
+def _crop_links(links: Int, new_number_of_level: Int, window: Window, width: int) -> Int:
     """Crop links between levels to a window.
 
     Args:
         links: `Floors.links`.
-        new_number: the new number of each level, -1 for levels that are left out.
+        new_number_of_level: the new number of each level, -1 for levels that are left out.
         window: rows and columns of the whole lattice.
         width: the number of columns of the whole lattice.
 
@@ -428,46 +432,46 @@ def _crop_links(links: Int, new_number: Int, window: Window, width: int) -> Int:
         The links with both ends in the window; new level numbers, and cell ids in the window.
     """
     lower_level, lower_cell, upper_level, upper_cell = links.T
-    has_levels = (new_number[lower_level] >= 0) & (new_number[upper_level] >= 0)
+    has_levels = (new_number_of_level[lower_level] >= 0) & (new_number_of_level[upper_level] >= 0)
     _, is_lower_inside = crop_cells(lower_cell, window, width)
     _, is_upper_inside = crop_cells(upper_cell, window, width)
     is_shown = has_levels & is_lower_inside & is_upper_inside
     new_lower_cell, _ = crop_cells(lower_cell[is_shown], window, width)
     new_upper_cell, _ = crop_cells(upper_cell[is_shown], window, width)
-    columns = [
-        new_number[lower_level[is_shown]],
+    link_columns = [
+        new_number_of_level[lower_level[is_shown]],
         new_lower_cell,
-        new_number[upper_level[is_shown]],
+        new_number_of_level[upper_level[is_shown]],
         new_upper_cell,
     ]
-    return np.stack(columns, axis=1)
+    return np.stack(link_columns, axis=1)
 
 
 def _explain_no_floor_on(
-    level_settings: Sequence[LevelSettings], number: int, columns: ColumnSource
+    level_settings: Sequence[LevelSettings], level_number: int, columns: ColumnSource
 ) -> str:
     """Word the error that a level of the configuration has no floor.
 
     Args:
         level_settings: the levels of the configuration, lowest first.
-        number: index of the level in these.
+        level_number: index of the level in these.
         columns: the hits of all columns.
     """
-    level = level_settings[number]
-    name = f"level {level.name!r}" if level.name else f"level {number}"
+    level_setting = level_settings[level_number]
+    name = f"level {level_setting.name!r}" if level_setting.name else f"level {level_number}"
     top = np.inf
-    if number + 1 < len(level_settings):
-        top = level_settings[number + 1].ground
-    if level.top is not None:
-        top = min(top, level.top)
-    low = np.inf
-    high = -np.inf
+    if level_number + 1 < len(level_settings):
+        top = level_settings[level_number + 1].ground
+    if level_setting.top is not None:
+        top = min(top, level_setting.top)
+    lowest = np.inf
+    highest = -np.inf
     for chunk in columns.row_chunks():
-        low = min(low, chunk.z.min(initial=np.inf))
-        high = max(high, chunk.z.max(initial=-np.inf))
+        lowest = min(lowest, chunk.z.min(initial=np.inf))
+        highest = max(highest, chunk.z.max(initial=-np.inf))
     return (
-        f"no floor on {name} (ground {level.ground:g} m, top {top:g} m) of `levels`: "
-        f"the scene's surfaces span {low:g} to {high:g} m"
+        f"no floor on {name} (ground {level_setting.ground:g} m, top {top:g} m) of `levels`: "
+        f"the scene's surfaces span {lowest:g} to {highest:g} m"
     )
 
 

@@ -58,17 +58,17 @@ class EdgeEndings(NamedTuple):
     """How regions end at their edges, see `RegionContext.classify_edges`; shape (edges,) each.
 
     Attributes:
-        kind: WALL, BARRIER, DROP, BORDER or OPEN, uint8.
+        ending: WALL, BARRIER, DROP, BORDER or OPEN, uint8.
         floor_height: the height of the floor that a DROP leads to, NaN at other edges [m].
         floor_region: the region of that floor, -1 at other edges, int32.
-        is_known: whether it is known what lies beyond the edge, bool. It is unknown where the
-            lattice ends and the scene goes on; where both end, it is known that nothing does.
+        is_beyond_known: whether it is known what lies beyond the edge, bool. It is unknown where
+            the lattice ends and the scene goes on; where both end, it is known that nothing does.
     """
 
-    kind: NDArray[np.uint8]
+    ending: NDArray[np.uint8]
     floor_height: Float
     floor_region: Int32
-    is_known: Bool
+    is_beyond_known: Bool
 
 
 class ListedEdges(NamedTuple):
@@ -125,18 +125,18 @@ class RegionContext(NamedTuple):
         Args:
             cells: ids of all cells whose columns will be needed.
         """
-        self.columns.covering(cells)
+        self.columns.columns_at(cells)
 
-    def select_edges(self, mask: Bool, num_cells_beyond: int) -> RegionEdges:
+    def select_edges(self, is_selected_region: Bool, num_cells_beyond: int) -> RegionEdges:
         """Return the edges of some large regions, and the lower floors beyond these edges.
 
         Args:
-            mask: which large regions, shape (regions,).
+            is_selected_region: which large regions, shape (regions,).
             num_cells_beyond: how many cells beyond an edge to search for lower floors.
         """
         regions = self.regions
         step = self.agent.traversable_floor_height
-        is_selected = mask[self.edges.region]
+        is_selected = is_selected_region[self.edges.region]
         cell = self.edges.cell[is_selected]
         edges = RegionEdges(
             region=self.edges.region[is_selected],
@@ -160,16 +160,16 @@ class RegionContext(NamedTuple):
             cells = cells[is_inside]
             # a surface within a step is no drop
             limits = edges.z[open_edges] - step - LIMIT_SLACK
-            below, regions_below = find_highest_below(
+            surface_below, regions_below = find_highest_below(
                 labelled, cells, limits, edges.region[open_edges]
             )
-            is_outside = below != SAME_REGION
+            is_outside = surface_below != SAME_REGION
             open_edges = open_edges[is_outside]
-            below = below[is_outside]
+            surface_below = surface_below[is_outside]
             edges.cells_beyond[open_edges, k] = cells[is_outside]
             edges.regions_below[open_edges, k] = regions_below[is_outside]
-            has_floor = below >= 0
-            floor_heights = labelled.surfaces.z[below[has_floor]]
+            has_floor = surface_below >= 0
+            floor_heights = labelled.surfaces.z[surface_below[has_floor]]
             edges.floors_below[open_edges[has_floor], k] = floor_heights
         return edges
 
@@ -185,20 +185,24 @@ class RegionContext(NamedTuple):
             WALL, BARRIER, BORDER or OPEN for each edge, shape (edges,), uint8. Edges that
             `classify_edges` makes a DROP, or a BARRIER for something farther out, are OPEN here.
         """
-        outer = neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
-        kind = np.full(len(outer), OPEN, dtype=np.uint8)
-        kind[outer < 0] = BORDER
-        candidates = np.arange(len(outer))
-        at_feet, at_head = probe_ranges(agent)
+        outer_cells = neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
+        ending = np.full(len(outer_cells), OPEN, dtype=np.uint8)
+        ending[outer_cells < 0] = BORDER
+        candidate_edges = np.arange(len(outer_cells))
+        range_at_feet, range_at_head = probe_ranges(agent)
         # what is in the way of the feet is a barrier; if of the head, too, it is a wall
-        for heights, ending in ((at_feet, BARRIER), (at_head, WALL)):
-            is_met = self.is_occupied(edges.cell[candidates], edges.z[candidates], heights)
-            unmet = np.flatnonzero(~is_met & (outer[candidates] >= 0))
-            cells = outer[candidates[unmet]]
-            is_met[unmet] = self.is_occupied(cells, edges.z[candidates[unmet]], heights)
-            candidates = candidates[is_met]
-            kind[candidates] = ending
-        return kind
+        for heights, ending_if_met in ((range_at_feet, BARRIER), (range_at_head, WALL)):
+            is_met = self.is_occupied(
+                edges.cell[candidate_edges], edges.z[candidate_edges], heights
+            )
+            unmet_indices = np.flatnonzero(~is_met & (outer_cells[candidate_edges] >= 0))
+            unmet_cells = outer_cells[candidate_edges[unmet_indices]]
+            is_met[unmet_indices] = self.is_occupied(
+                unmet_cells, edges.z[candidate_edges[unmet_indices]], heights
+            )
+            candidate_edges = candidate_edges[is_met]
+            ending[candidate_edges] = ending_if_met
+        return ending
 
     def classify_edges(self, edges: RegionEdges) -> EdgeEndings:
         """Classify how a region ends at each of its edges.
@@ -221,76 +225,79 @@ class RegionContext(NamedTuple):
             edges: edges of large regions, see `select_edges`.
         """
         agent = self.agent
-        at_feet, _ = probe_ranges(agent)
+        range_at_feet, _ = probe_ranges(agent)
         # the columns of all these cells are cast at once, see `cast_ahead`
         cells_beyond = edges.cells_beyond[edges.cells_beyond >= 0]
-        columns = self.columns.covering(np.concatenate([edges.cell, cells_beyond]))
-        kind = self.classify_barriers(edges, agent)
-        floor_height = np.full(len(kind), np.nan)
-        floor_region = np.full(len(kind), -1, dtype=np.int32)
+        columns = self.columns.columns_at(np.concatenate([edges.cell, cells_beyond]))
+        ending = self.classify_barriers(edges, agent)
+        floor_height = np.full(len(ending), np.nan)
+        floor_region = np.full(len(ending), -1, dtype=np.int32)
         # the height of the surface that continues from the region, NaN where none does
         continued_z = edges.z.copy()
-        candidates = np.flatnonzero(kind == OPEN)
+        candidate_edges = np.flatnonzero(ending == OPEN)
         for k in range(edges.cells_beyond.shape[1]):
-            candidates = candidates[edges.cells_beyond[candidates, k] >= 0]
+            candidate_edges = candidate_edges[edges.cells_beyond[candidate_edges, k] >= 0]
             if k > 0:  # `classify_barriers` has tested the nearest cell
-                cells = edges.cells_beyond[candidates, k]
-                is_barred = self.is_occupied(cells, edges.z[candidates], at_feet)
-                kind[candidates[is_barred]] = BARRIER
-                candidates = candidates[~is_barred]
-            cells = edges.cells_beyond[candidates, k]
-            continued_z[candidates] = find_highest_within_step(
+                cells = edges.cells_beyond[candidate_edges, k]
+                is_barred = self.is_occupied(cells, edges.z[candidate_edges], range_at_feet)
+                ending[candidate_edges[is_barred]] = BARRIER
+                candidate_edges = candidate_edges[~is_barred]
+            cells = edges.cells_beyond[candidate_edges, k]
+            continued_z[candidate_edges] = find_highest_within_step(
                 columns.start[cells],
                 columns.start[cells + 1],
                 columns.z,
-                continued_z[candidates],
+                continued_z[candidate_edges],
                 agent.traversable_floor_height,
             )
-            with_floor = candidates[~np.isnan(edges.floors_below[candidates, k])]
-            floors = edges.floors_below[with_floor, k]
+            edges_with_floor = candidate_edges[~np.isnan(edges.floors_below[candidate_edges, k])]
+            floor_heights = edges.floors_below[edges_with_floor, k]
             # with a surface above it that continues from the region, the floor is another storey
-            is_covered = continued_z[with_floor] > floors + agent.height + LIMIT_SLACK
-            is_full = self.is_occupied(edges.cells_beyond[with_floor, k], floors, None)
-            drop_edges = with_floor[~is_covered & ~is_full]
-            kind[drop_edges] = DROP
+            is_covered = continued_z[edges_with_floor] > floor_heights + agent.height + LIMIT_SLACK
+            is_blocked = self.is_occupied(
+                edges.cells_beyond[edges_with_floor, k], floor_heights, None
+            )
+            drop_edges = edges_with_floor[~is_covered & ~is_blocked]
+            ending[drop_edges] = DROP
             floor_height[drop_edges] = edges.floors_below[drop_edges, k]
             floor_region[drop_edges] = edges.regions_below[drop_edges, k]
             # edges without an ending so far are tried one cell farther out
-            candidates = candidates[kind[candidates] == OPEN]
-        is_known = self.mark_known(kind, edges.direction)
-        return EdgeEndings(kind, floor_height, floor_region, is_known)
+            candidate_edges = candidate_edges[ending[candidate_edges] == OPEN]
+        is_beyond_known = self.mark_known_beyond(ending, edges.direction)
+        return EdgeEndings(ending, floor_height, floor_region, is_beyond_known)
 
-    def mark_known(self, kind: NDArray[np.uint8], direction: Int) -> Bool:
-        """Mark the edges of which it is known what lies beyond.
+    def mark_known_beyond(self, ending: NDArray[np.uint8], direction: Int) -> Bool:
+        """Mark the edges for which it is known what lies beyond them.
 
-        It is known of all edges except those at sides of the lattice where the scene goes on.
+        That is unknown only for edges at sides of the lattice where the scene goes on.
 
         Args:
-            kind: how the region ends at each edge, WALL to OPEN, shape (edges,).
+            ending: how the region ends at each edge, WALL to OPEN, shape (edges,).
             direction: the direction out of the region, EAST to NORTH, shape (edges,).
 
         Returns:
             A mask, shape (edges,), bool.
         """
-        is_known: Bool = (kind != BORDER) | ~self.is_cropped[direction]
-        return is_known
+        is_beyond_known: Bool = (ending != BORDER) | ~self.is_cropped[direction]
+        return is_beyond_known
 
-    def share_of_edges(self, edges: RegionEdges, mask: Bool, is_known: Bool) -> Float:
-        """Compute for each region which fraction of its edges a mask marks.
+    def fraction_of_edges(self, edges: RegionEdges, is_marked: Bool, is_counted: Bool) -> Float:
+        """Compute for each region the fraction of its counted edges that a mask marks.
 
         Args:
             edges: the edges.
-            mask: the mask, shape (edges,).
-            is_known: the edges to count, of which it is known what lies beyond, shape (edges,).
+            is_marked: the mask, shape (edges,).
+            is_counted: the edges to count, of which it is known what lies beyond, shape (edges,).
 
         Returns:
-            Fractions from 0 to 1, shape (regions,); NaN for regions without an edge to count.
+            Fractions from 0 to 1, shape (regions,), float64; NaN for regions without an edge to
+            count.
         """
-        num_marked = np.bincount(edges.region, mask & is_known, len(self.is_large))
-        num_known = np.bincount(edges.region, is_known, len(self.is_large))
-        share = np.full(len(num_known), np.nan)
-        np.divide(num_marked, num_known, out=share, where=num_known > 0)
-        return share
+        num_marked = np.bincount(edges.region, is_marked & is_counted, len(self.is_large))
+        num_counted = np.bincount(edges.region, is_counted, len(self.is_large))
+        marked_fraction = np.full(len(num_counted), np.nan)
+        np.divide(num_marked, num_counted, out=marked_fraction, where=num_counted > 0)
+        return marked_fraction
 
 
 def make_region_context(
@@ -314,16 +321,16 @@ def make_region_context(
         is_occupied: tests whether something stands on a floor in some cells.
     """
     num_cells_beyond = int(np.ceil(settings.shrink / regions.lattice.cell_size)) + 1
-    lowest = regions.low[is_large].min(initial=np.inf)
-    _, (rows,) = regions.blocks.list_rows(
+    lowest_z = regions.lowest_z[is_large].min(initial=np.inf)
+    _, (edge_rows,) = regions.blocks.list_rows(
         list_edges,
         (NO_EDGES,),
         regions.label_surfaces(is_large),
-        lowest,
+        lowest_z,
         agent.traversable_floor_height,
         num_cells_beyond,
     )
-    component, cell, surface_id, direction, has_drop = rows.T
+    component, cell, surface_id, direction, has_drop = edge_rows.T
     return RegionContext(
         regions=regions,
         is_large=is_large,
@@ -333,7 +340,7 @@ def make_region_context(
         is_occupied=is_occupied,
         is_cropped=is_cropped,
         edges=ListedEdges(
-            region=regions.of_component[component],
+            region=regions.region_of_component[component],
             cell=cell,
             surface_id=surface_id,
             direction=direction,
@@ -344,7 +351,7 @@ def make_region_context(
 
 
 def find_highest_below(
-    labelled: LabelledSurfaces, cells: Int, limits: Float, regions: Int32 | None = None
+    labelled: LabelledSurfaces, cells: Int, limits: Float, excluded_regions: Int32 | None = None
 ) -> tuple[Int, Int32]:
     """Find in each cell the highest surface that lies below a given height.
 
@@ -352,29 +359,29 @@ def find_highest_below(
         labelled: all surfaces, and the regions whose surfaces count.
         cells: ids of cells, shape (n,).
         limits: for each cell, the height below which the surface must lie, shape (n,) [m].
-        regions: for each cell, a region that must not have a surface there at any height, or else
-            SAME_REGION is returned, shape (n,); None to rule out no region.
+        excluded_regions: for each cell, a region that must not have a surface there at any height,
+            or else SAME_REGION is returned, shape (n,); None to rule out no region.
 
     Returns:
         The ids of the surfaces, NO_SURFACE if there is none, SAME_REGION if the cell is ruled out;
         and the regions of the surfaces, -1 for none; shape (n,) each.
     """
-    if regions is None:
-        regions = np.full(len(cells), -2, dtype=np.int32)  # no region's id
-    below = np.empty(len(cells), dtype=np.int64)
+    if excluded_regions is None:
+        excluded_regions = np.full(len(cells), -2, dtype=np.int32)  # no region's id
+    surface_below = np.empty(len(cells), dtype=np.int64)
     regions_below = np.empty(len(cells), dtype=np.int32)
     run_in_chunks(
         find_surfaces_below,
         len(cells),
         labelled,
         cells,
-        regions,
+        excluded_regions,
         limits,
-        below,
+        surface_below,
         regions_below,
         least=MIN_CELLS_PER_THREAD,
     )
-    return below, regions_below
+    return surface_below, regions_below
 
 
 def mark_cropped_sides(lattice: Lattice, bounds: Float | None) -> Bool:
@@ -392,8 +399,8 @@ def mark_cropped_sides(lattice: Lattice, bounds: Float | None) -> Bool:
         return np.ones(4, dtype=np.bool_)
     x_min, y_min, x_max, y_max = lattice.bounds
     low, high = bounds
-    excess = np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max])
-    return excess > LIMIT_SLACK
+    scene_beyond = np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max])
+    return scene_beyond > LIMIT_SLACK
 
 
 def find_hole_edges(edges: RegionEdges, lattice: Lattice) -> Bool:
@@ -406,37 +413,50 @@ def find_hole_edges(edges: RegionEdges, lattice: Lattice) -> Bool:
     Returns:
         A mask, shape (edges,), bool.
     """
-    order = np.argsort(edges.region, kind="stable")
-    start = np.append(np.flatnonzero(np.diff(edges.region[order], prepend=-1)), len(order))
-    in_hole_sorted = np.empty(len(order), dtype=np.bool_)
-    mark_hole_edges(edges.cell[order], edges.direction[order], start, lattice, in_hole_sorted)
-    in_hole = np.empty(len(order), dtype=np.bool_)
-    in_hole[order] = in_hole_sorted
-    return in_hole
+    sort_indices = np.argsort(edges.region, kind="stable")
+    first_edge_of_region = np.append(
+        np.flatnonzero(np.diff(edges.region[sort_indices], prepend=-1)), len(sort_indices)
+    )
+    is_in_hole_sorted = np.empty(len(sort_indices), dtype=np.bool_)
+    mark_hole_edges(
+        edges.cell[sort_indices],
+        edges.direction[sort_indices],
+        first_edge_of_region,
+        lattice,
+        is_in_hole_sorted,
+    )
+    is_in_hole = np.empty(len(sort_indices), dtype=np.bool_)
+    is_in_hole[sort_indices] = is_in_hole_sorted
+    return is_in_hole
 
 
-def neighbor_cells(lattice: Lattice, cell: Int, direction: Int | int, steps: int = 1) -> Int:
-    """Return the neighbors of cells in a direction, `steps` cells away.
+def neighbor_cells(lattice: Lattice, cells: Int, direction: Int | int, distance: int = 1) -> Int:
+    """Return the neighbors of cells in a direction, `distance` cells away.
 
     Args:
         lattice: the lattice.
-        cell: ids of cells, shape (n,).
+        cells: ids of cells, shape (n,).
         direction: EAST (0), SOUTH (1), WEST (2) or NORTH (3), for each cell or for all.
-        steps: how many cells to go.
+        distance: how many cells to go.
 
     Returns:
         Ids of cells, shape (n,); -1 beyond the lattice.
     """
-    row, col = np.divmod(cell, lattice.width)
-    row = row + steps * np.array([0, 1, 0, -1])[direction]
-    col = col + steps * np.array([1, 0, -1, 0])[direction]
+    row, col = np.divmod(cells, lattice.width)
+    row = row + distance * np.array([0, 1, 0, -1])[direction]
+    col = col + distance * np.array([1, 0, -1, 0])[direction]
     is_inside = (row >= 0) & (row < lattice.height) & (col >= 0) & (col < lattice.width)
     return np.where(is_inside, row * lattice.width + col, -1)
 
 
 def probe_ranges(agent: AgentSettings) -> tuple[HeightRange, HeightRange]:
-    """Return two thin ranges of heights above a floor [m]: at an agent's feet, and at its head."""
-    low = agent.traversable_floor_height
-    high = agent.height
-    thickness = min(PROBE_HEIGHT, (high - low) / 2)
-    return HeightRange(low, low + thickness), HeightRange(high - thickness, high)
+    """Return two thin ranges of heights above a floor [m]: at an agent's feet, and at its head.
+
+    The first begins at the agent's step, so that it meets only what no step gets over.
+    """
+    feet_height = agent.traversable_floor_height
+    head_height = agent.height
+    thickness = min(PROBE_HEIGHT, (head_height - feet_height) / 2)
+    return HeightRange(feet_height, feet_height + thickness), HeightRange(
+        head_height - thickness, head_height
+    )

@@ -1,7 +1,7 @@
 """Find which floors agents get to: where they start, and which floors no path leads to.
 
-Among floors that no path leads to, voids (too low to stand upright in) and floors inside of closed
-meshes are found, too, as warnings tell of them.
+Warnings tell of the floors that no path leads to. Two kinds of them are found here, too: voids,
+which are too low to stand upright in, and floors inside of closed meshes.
 """
 
 from __future__ import annotations
@@ -95,10 +95,10 @@ def find_start_regions(
     lattice = regions.lattice
     surfaces = regions.surfaces
     step = context.agent.traversable_floor_height
-    is_small = regions.size * lattice.cell_size**2 < LARGE_TOP_AREA
+    is_small = regions.num_surfaces * lattice.cell_size**2 < LARGE_TOP_AREA
     may_start = context.is_large & ~rejected.is_shelf & ~(rejected.is_top & is_small)
     is_start = np.zeros(regions.num, dtype=np.bool_)
-    for number, (x, y, z) in enumerate(positions):
+    for position_number, (x, y, z) in enumerate(positions):
         row, col = lattice.rows_cols([x, y])
         surface_ids = np.empty(0, dtype=np.int64)
         cell = int(row) * lattice.width + int(col)
@@ -107,40 +107,42 @@ def find_start_regions(
             surface_ids = surface_ids[regions.region_of(surface_ids) >= 0]
         heights = surfaces.z[surface_ids]
         regions_in_column = regions.region_of(surface_ids)
-        below = regions_in_column[heights <= z + step + LIMIT_SLACK]
-        if not len(below):
-            in_cell = "there is none in that cell"
+        regions_below = regions_in_column[heights <= z + step + LIMIT_SLACK]
+        if not len(regions_below):
+            cell_text = "there is none in that cell"
             if len(heights):
-                in_cell = f"floors there are at {', '.join(f'{z:.2f}' for z in heights)} m"
+                cell_text = f"floors there are at {', '.join(f'{z:.2f}' for z in heights)} m"
             raise SceneError(
-                f"no floor at `floors.from[{number}]` ({x:g}, {y:g}, {z:g}): expected one that "
-                f"an agent can stand on, at most a step higher; {in_cell}"
+                f"no floor at `floors.from[{position_number}]` ({x:g}, {y:g}, {z:g}): "
+                f"expected one that an agent can stand on, at most a step higher; {cell_text}"
             )
         # the first that exists: the region at the position, a floor below it, a floor beside it
-        at_position = regions_in_column[abs(heights - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK]
-        floors_below = below[may_start[below]]
-        if len(at_position):
-            start = int(at_position[-1])
+        regions_at_position = regions_in_column[
+            abs(heights - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK
+        ]
+        floors_below = regions_below[may_start[regions_below]]
+        if len(regions_at_position):
+            start_region = int(regions_at_position[-1])
         elif len(floors_below):
-            start = int(floors_below[-1])
+            start_region = int(floors_below[-1])
         else:
-            start = _find_floor_beside(context, may_start, int(below[-1]))
-        is_start[start] = True
+            start_region = _find_floor_beside(context, may_start, int(regions_below[-1]))
+        is_start[start_region] = True
     return is_start
 
 
-def _find_floor_beside(context: RegionContext, may_start: Bool, furniture: int) -> int:
+def _find_floor_beside(context: RegionContext, may_start: Bool, furniture_region: int) -> int:
     """Find the floor to which most edges of a piece of furniture drop.
 
     Args:
         context: all regions with their edges.
         may_start: which regions are floors, shape (regions,), bool.
-        furniture: the id of the region on top of the furniture.
+        furniture_region: the id of the region on top of the furniture.
 
     Returns:
-        The id of the floor's region; `furniture` if no edge drops to a floor.
+        The id of the floor's region; `furniture_region` if no edge drops to a floor.
     """
-    is_furniture = np.arange(len(may_start)) == furniture
+    is_furniture = np.arange(len(may_start)) == furniture_region
     context_with_furniture = make_region_context(
         regions=context.regions,
         is_large=may_start | is_furniture,
@@ -154,8 +156,8 @@ def _find_floor_beside(context: RegionContext, may_start: Bool, furniture: int) 
         is_furniture, context_with_furniture.num_cells_beyond
     )
     endings = context_with_furniture.classify_edges(edges)
-    floors = endings.floor_region[endings.kind == DROP]
-    return int(np.bincount(floors).argmax()) if len(floors) else furniture
+    floor_regions = endings.floor_region[endings.ending == DROP]
+    return int(np.bincount(floor_regions).argmax()) if len(floor_regions) else furniture_region
 
 
 def mark_largest_on_lowest_level(counts: RegionLevelCounts, num_regions: int) -> Bool:
@@ -168,14 +170,14 @@ def mark_largest_on_lowest_level(counts: RegionLevelCounts, num_regions: int) ->
     Returns:
         A mask, shape (regions,), bool; True for that region alone.
     """
-    on_lowest = counts.level == counts.level.min()
-    size = np.bincount(counts.region[on_lowest], counts.num_surfaces[on_lowest])
-    is_largest: Bool = np.arange(num_regions) == size.argmax()
+    is_on_lowest = counts.level == counts.level.min()
+    num_surfaces = np.bincount(counts.region[is_on_lowest], counts.num_surfaces[is_on_lowest])
+    is_largest: Bool = np.arange(num_regions) == num_surfaces.argmax()
     return is_largest
 
 
-def count_low_surfaces(context: RegionContext) -> Int:
-    """Count in each region the surfaces over which something is lower than `ADULT_HEADROOM`.
+def count_surfaces_below_headroom(context: RegionContext) -> Int:
+    """Count in each region the surfaces with less headroom than an adult needs, `ADULT_HEADROOM`.
 
     Args:
         context: all regions, and the hits of all columns.
@@ -198,7 +200,7 @@ def count_low_surfaces(context: RegionContext) -> Int:
         cell,
         surfaces.z[surface_ids] + context.agent.height - TOUCH_DEPTH,
         surfaces.z[surface_ids] + ADULT_HEADROOM,
-        context.columns.covering(cell).hits,
+        context.columns.columns_at(cell).hits,
         is_low,
         least=MIN_LINES_PER_THREAD,
     )
@@ -234,25 +236,29 @@ def find_voids(
         The regions that agents reach from their starts, and those that are on voids.
     """
     is_void = np.zeros_like(is_reached)
-    levels = np.unique(counts.level)
+    level_numbers = np.unique(counts.level)
     # headroom is measured only if some level is not reached at all
-    if np.isin(levels, counts.level[is_reached[counts.region]]).all():
+    if np.isin(level_numbers, counts.level[is_reached[counts.region]]).all():
         return ReachedRegions(is_reached, is_void)
-    num_low = count_low_surfaces(context)
+    num_with_low_headroom = count_surfaces_below_headroom(context)
     low_levels = []
-    for level in levels.tolist():
-        on_level = np.unique(counts.region[counts.level == level])
-        if num_low[on_level].sum() / context.regions.size[on_level].sum() >= VOID_SHARE:
-            low_levels.append(level)
-    on_low_level = np.isin(counts.level, low_levels)
-    if not has_starts and len(low_levels) < len(levels):
-        on_high_level = RegionLevelCounts._make(column[~on_low_level] for column in counts)
-        is_reached = mark_largest_on_lowest_level(on_high_level, len(is_reached))
-    on_reached_level = np.isin(counts.level, counts.level[is_reached[counts.region]])
-    on_void_level = on_low_level & ~on_reached_level
+    for level_number in level_numbers.tolist():
+        regions_on_level = np.unique(counts.region[counts.level == level_number])
+        if (
+            num_with_low_headroom[regions_on_level].sum()
+            / context.regions.num_surfaces[regions_on_level].sum()
+            >= VOID_SHARE
+        ):
+            low_levels.append(level_number)
+    is_on_low_level = np.isin(counts.level, low_levels)
+    if not has_starts and len(low_levels) < len(level_numbers):
+        high_level_counts = RegionLevelCounts._make(column[~is_on_low_level] for column in counts)
+        is_reached = mark_largest_on_lowest_level(high_level_counts, len(is_reached))
+    is_on_reached_level = np.isin(counts.level, counts.level[is_reached[counts.region]])
+    is_on_void_level = is_on_low_level & ~is_on_reached_level
     # a region that is also on a level that is no void stays
-    is_void[counts.region[on_void_level]] = True
-    is_void[counts.region[~on_void_level]] = False
+    is_void[counts.region[is_on_void_level]] = True
+    is_void[counts.region[~is_on_void_level]] = False
     return ReachedRegions(is_reached, is_void)
 
 
@@ -286,39 +292,45 @@ def find_unreached_floors(
             is_reported &= area >= REPORTED_AREA - LIMIT_SLACK
         if is_reported.any():
             patch = _describe_on_level(
-                regions, assignment, level, is_reported, largest=int(size.argmax())
+                regions, assignment, level, is_reported, largest_region=int(size.argmax())
             )
             unreached.append(UnreachedFloors(level, patch, is_whole_level))
     return unreached
 
 
 def _describe_on_level(
-    regions: Regions, assignment: LevelAssignment, level: int, mask: Bool, largest: int
+    regions: Regions,
+    assignment: LevelAssignment,
+    level_number: int,
+    is_selected: Bool,
+    largest_region: int,
 ) -> Patch:
     """Summarize the surfaces that some regions have on a level as a patch.
 
     Args:
         regions: all regions.
         assignment: the level of each surface.
-        level: index of the level in `assignment.grounds`.
-        mask: the regions, shape (regions,), bool.
-        largest: the region on which the patch has its position; one of the marked regions.
+        level_number: index of the level in `assignment.grounds`.
+        is_selected: the regions, shape (regions,), bool.
+        largest_region: the region on which the patch has its position; one of the marked regions.
     """
     surfaces_on_level = {}
-    for region in np.flatnonzero(mask).tolist():
-        members = regions.surfaces_of(region)
-        first_level = assignment.level[members.surface_id]
-        final_level = assignment.final_level[np.maximum(first_level, 0)]
-        on_level = (first_level >= 0) & (final_level == level)
-        surfaces_on_level[region] = members.select(on_level)
+    for region in np.flatnonzero(is_selected).tolist():
+        region_surfaces = regions.surfaces_of(region)
+        preliminary_level = assignment.preliminary_level[region_surfaces.surface_id]
+        final_level = assignment.final_level[np.maximum(preliminary_level, 0)]
+        is_on_level = (preliminary_level >= 0) & (final_level == level_number)
+        surfaces_on_level[region] = region_surfaces.select(is_on_level)
     lattice = regions.lattice
-    row, col = np.divmod(surfaces_on_level[largest].cell, lattice.width)
-    geoms = np.concatenate([members.geom for members in surfaces_on_level.values()])
-    cells = np.concatenate([members.cell for members in surfaces_on_level.values()])
+    row, col = np.divmod(surfaces_on_level[largest_region].cell, lattice.width)
+    geoms = np.concatenate([region_surfaces.geom for region_surfaces in surfaces_on_level.values()])
+    cells = np.concatenate([region_surfaces.cell for region_surfaces in surfaces_on_level.values()])
     return Patch(
         geom=int(np.bincount(geoms).argmax()),
         area=len(cells) * lattice.cell_size**2,
-        position=find_nearest_position(lattice, surfaces_on_level[largest], row.mean(), col.mean()),
+        position=find_nearest_position(
+            lattice, surfaces_on_level[largest_region], row.mean(), col.mean()
+        ),
         cells=cells.astype(np.int32),
     )
 
@@ -346,28 +358,28 @@ def find_enclosed_floors(
     # each region is of one mesh or plane
     group = np.where(is_enclosed, surfaces.geom, np.int32(-1))
     regions = find_regions(surfaces, agent, group)
-    is_large = find_large_regions(regions, regions.size > 0, settings)
+    is_large = find_large_regions(regions, regions.num_surfaces > 0, settings)
     patches = []
     for region in np.flatnonzero(is_large).tolist():
-        members = regions.surfaces_of(region)
+        region_surfaces = regions.surfaces_of(region)
         num_edges = 0
         num_continuing = 0
         for direction in range(4):
-            cells = neighbor_cells(regions.lattice, members.cell, direction)
+            neighbors = neighbor_cells(regions.lattice, region_surfaces.cell, direction)
             # edges of the region in this direction, and how many of them continue outside
-            at_edge = ~np.isin(cells, members.cell)
-            num_edges += int(np.count_nonzero(at_edge))
-            is_inside = at_edge & (cells >= 0)
-            cells = cells[is_inside]
+            is_edge = ~np.isin(neighbors, region_surfaces.cell)
+            num_edges += int(np.count_nonzero(is_edge))
+            is_inside = is_edge & (neighbors >= 0)
+            neighbors = neighbors[is_inside]
             continued_z = find_highest_within_step(
-                surfaces.first[cells],
-                surfaces.end[cells],
+                surfaces.first[neighbors],
+                surfaces.end[neighbors],
                 surfaces.z,
-                members.z[is_inside],
+                region_surfaces.z[is_inside],
                 agent.traversable_floor_height,
             )
             num_continuing += int(np.count_nonzero(~np.isnan(continued_z)))
-        patch = describe_surfaces(regions.lattice, members)
+        patch = describe_surfaces(regions.lattice, region_surfaces)
         if patch.area >= BUILDING_AREA or num_continuing < CONTINUING_SHARE * num_edges:
             patches.append(patch)
     return sorted(patches, key=lambda patch: -patch.area)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.area_test import keeps_enough, make_area_test
+from navbake.baker.core.area_test import keeps_min_cells, make_area_test
 from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.blocks import Blocks
 from navbake.baker.core.components import expand_ranges, label_components
@@ -54,14 +54,14 @@ class Components(NamedTuple):
         block: the block that each component lies in, shape (components,).
         measures: seven numbers of each component, such as how many surfaces it has, see
             `label_blocks`, shape (components, 7).
-        low: the lowest height of each component, shape (components,) [m].
+        lowest_z: the lowest height of each component, shape (components,) [m].
         pairs: pairs of components that meet, as `list_pairs` lists them, shape (n, 4).
     """
 
     number: Int32
     block: Int
     measures: Int
-    low: Float
+    lowest_z: Float
     pairs: Int
 
     @property
@@ -84,21 +84,21 @@ class Components(NamedTuple):
         """
         return label_components(self.pairs_of_kind(JOINED)[:, :2].T, self.num)
 
-    def linked_pairs(self, merged: Int32) -> tuple[Int, Int]:
+    def linked_pairs(self, merged_component: Int32) -> tuple[Int, Int]:
         """Find the pairs of different merged components that a link joins.
 
         Args:
-            merged: the merged component of each component, as `merge` returns it.
+            merged_component: the merged component of each component, as `merge` returns it.
 
         Returns:
             The lower and the higher number of each pair, without repeats, shape (n,) each.
         """
-        linked = merged[self.pairs_of_kind(LINKED)[:, :2]].astype(np.int64)
-        lower = linked.min(axis=1)
-        upper = linked.max(axis=1)
-        differs = lower != upper
+        linked_components = merged_component[self.pairs_of_kind(LINKED)[:, :2]].astype(np.int64)
+        lower = linked_components.min(axis=1)
+        upper = linked_components.max(axis=1)
+        is_different = lower != upper
         # one number for each pair, so that `unique` sorts numbers rather than rows
-        pair_ids = np.unique(lower[differs] * self.num + upper[differs])
+        pair_ids = np.unique(lower[is_different] * self.num + upper[is_different])
         return np.divmod(pair_ids, max(self.num, 1))
 
 
@@ -114,20 +114,20 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
     """
     blocks = Blocks(surfaces.lattice)
     number_in_block = np.empty(len(surfaces.z), dtype=np.int32)
-    block, (measures, low) = blocks.list_rows(
+    block_of_component, (measures, lowest_z) = blocks.list_rows(
         kernels.label_blocks, (NO_MEASURES, NO_HEIGHTS), surfaces, group, rule, number_in_block
     )
     numbering = ComponentNumbering(
         in_block=number_in_block,
-        offset=np.searchsorted(block, np.arange(blocks.num)),
+        offset=np.searchsorted(block_of_component, np.arange(blocks.num)),
         overall=np.empty(len(surfaces.z), dtype=np.int32),
     )
     _, (pairs,) = blocks.list_rows(kernels.list_pairs, (NO_ROWS,), surfaces, group, rule, numbering)
-    return Components(numbering.overall, block, measures, low, pairs)
+    return Components(numbering.overall, block_of_component, measures, lowest_z, pairs)
 
 
 class RegionStacks(NamedTuple):
-    """Pairs of regions, one directly above the other; arrays of shape (n,).
+    """Which regions lie directly above each other: a table of pairs, shape (n,) each.
 
     A pair may stand in several entries; their numbers of cells are then to be added up.
 
@@ -144,31 +144,33 @@ class RegionStacks(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Regions:
-    """All regions of a scene, numbered in the order of their first surfaces.
+    """All regions of a scene: the connected surfaces between which an agent can walk.
+
+    They are numbered in the order of their first surfaces.
 
     Attributes:
         surfaces: all surfaces.
         components: the parts of regions in the blocks of the lattice.
-        of_component: the region of each component, shape (components,), int32.
-        size: how many surfaces each region has, shape (regions,), int64.
+        region_of_component: the region of each component, shape (components,), int32.
+        num_surfaces: how many surfaces each region has, shape (regions,), int64.
         num_uncovered: how many of these have nothing above them, shape (regions,), int64.
-        box: the rows and columns of each region: first row, first column, end of the rows, end of
-            the columns (exclusive), shape (regions, 4).
-        low: the lowest height of each region, shape (regions,) [m].
+        box: the smallest rectangle of cells around each region: first row, first column, and the
+            row and the column past the last ones, shape (regions, 4).
+        lowest_z: the lowest height of each region, shape (regions,) [m].
     """
 
     surfaces: Surfaces
     components: Components
-    of_component: Int32
-    size: Int
+    region_of_component: Int32
+    num_surfaces: Int
     num_uncovered: Int
     box: Int
-    low: Float
+    lowest_z: Float
 
     @property
     def num(self) -> int:
         """Return the number of regions."""
-        return len(self.size)
+        return len(self.num_surfaces)
 
     @property
     def blocks(self) -> Blocks:
@@ -180,25 +182,29 @@ class Regions:
         """Return the lattice that the surfaces lie on."""
         return self.surfaces.lattice
 
-    def label_surfaces(self, mask: Bool) -> LabelledSurfaces:
+    def label_surfaces(self, is_selected: Bool) -> LabelledSurfaces:
         """Return all surfaces, with the region of those that belong to a selected region.
 
         Args:
-            mask: the selected regions, shape (regions,), bool.
+            is_selected: the selected regions, shape (regions,), bool.
         """
-        is_marked = mask[self.of_component]
-        region = np.where(is_marked, self.of_component, np.int32(-1)).astype(np.int32)
-        return LabelledSurfaces(self.surfaces, self.components.number, region)
+        is_marked = is_selected[self.region_of_component]
+        region_of_component = np.where(is_marked, self.region_of_component, np.int32(-1)).astype(
+            np.int32
+        )
+        return LabelledSurfaces(self.surfaces, self.components.number, region_of_component)
 
     def region_of(self, surface_ids: Int) -> Int32:
         """Return the region of each surface id, -1 for surfaces without a region."""
         component = self.components.number[surface_ids]
-        return np.where(component >= 0, self.of_component[component], np.int32(-1))
+        return np.where(component >= 0, self.region_of_component[component], np.int32(-1))
 
     def find_stacks(self) -> RegionStacks:
         """Find the pairs of regions that lie above each other, and in how many cells."""
         upper, lower, _, num_cells = self.components.pairs_of_kind(STACKED).T
-        return RegionStacks(self.of_component[upper], self.of_component[lower], num_cells)
+        return RegionStacks(
+            self.region_of_component[upper], self.region_of_component[lower], num_cells
+        )
 
     def surfaces_of(self, region: int) -> RegionSurfaces:
         """Return the surfaces of a region, in the order of cell ids."""
@@ -217,21 +223,21 @@ class Regions:
             surface_id=surface_ids,
         )
 
-    def mark_in_range(self, mask: Bool, heights: HeightRange) -> Bool:
+    def mark_in_range(self, is_tested: Bool, heights: HeightRange) -> Bool:
         """Mark the regions that have a surface in a range of heights.
 
         Args:
-            mask: the regions to test, shape (regions,).
+            is_tested: the regions to test, shape (regions,).
             heights: the range [low, high) [m].
 
         Returns:
             A mask, shape (regions,), bool.
         """
-        in_range = np.zeros_like(mask)
-        for region in np.flatnonzero(mask).tolist():
+        is_in_range = np.zeros_like(is_tested)
+        for region in np.flatnonzero(is_tested).tolist():
             z = self.surfaces_of(region).z
-            in_range[region] = ((heights.low <= z) & (z < heights.high)).any()
-        return in_range
+            is_in_range[region] = ((heights.low <= z) & (z < heights.high)).any()
+        return is_in_range
 
 
 def region_join_rule(lattice: Lattice, agent: AgentSettings) -> JoinRule:
@@ -253,33 +259,35 @@ def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GRO
         group: the group of each surface, see `find_components`; a region lies in one group.
     """
     components = find_components(surfaces, region_join_rule(surfaces.lattice, agent), group)
-    merged = components.merge()
-    num = int(merged.max(initial=-1)) + 1
+    merged_component = components.merge()
+    num_regions = int(merged_component.max(initial=-1)) + 1
     # sort components by region: those of a region then stand side by side, and the measures of the
     # region are their sums, minima or maxima
-    order = np.argsort(merged, kind="stable")
-    start = np.searchsorted(merged[order], np.arange(num))
-    measures = components.measures[order]
-    sums = np.add.reduceat(measures, start)
-    minima = np.minimum.reduceat(measures, start)
-    maxima = np.maximum.reduceat(measures, start)
+    sort_indices = np.argsort(merged_component, kind="stable")
+    first_component = np.searchsorted(merged_component[sort_indices], np.arange(num_regions))
+    measures = components.measures[sort_indices]
+    sums = np.add.reduceat(measures, first_component)
+    minima = np.minimum.reduceat(measures, first_component)
+    maxima = np.maximum.reduceat(measures, first_component)
     # number regions by their first surfaces, so that neither threads nor blocks change the order
     by_first_surface = np.argsort(minima[:, kernels.FIRST_SURFACE])
-    number = np.argsort(by_first_surface).astype(np.int32)
+    region_of_merged = np.argsort(by_first_surface).astype(np.int32)
     first_cells = minima[:, [kernels.FIRST_ROW, kernels.FIRST_COL]]
     end_cells = maxima[:, [kernels.END_ROW, kernels.END_COL]]
     return Regions(
         surfaces=surfaces,
         components=components,
-        of_component=number[merged],
-        size=sums[by_first_surface, kernels.NUM_SURFACES],
+        region_of_component=region_of_merged[merged_component],
+        num_surfaces=sums[by_first_surface, kernels.NUM_SURFACES],
         num_uncovered=sums[by_first_surface, kernels.NUM_UNCOVERED],
         box=np.hstack([first_cells, end_cells])[by_first_surface],
-        low=np.minimum.reduceat(components.low[order], start)[by_first_surface],
+        lowest_z=np.minimum.reduceat(components.lowest_z[sort_indices], first_component)[
+            by_first_surface
+        ],
     )
 
 
-def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) -> Bool:
+def find_large_regions(regions: Regions, is_tested: Bool, settings: FloorSettings) -> Bool:
     """Mark the regions that are large enough for floors.
 
     A region is large enough if it keeps `floors.min_area` when it is shrunk by `floors.shrink`, all
@@ -287,7 +295,7 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
 
     Args:
         regions: all regions.
-        mask: which of them are tested, shape (regions,).
+        is_tested: which of them are tested, shape (regions,).
         settings: the settings of `floors`; `min_area` [m²], `shrink` [m] and `fill` [m²] are used.
 
     Returns:
@@ -295,38 +303,38 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
     """
     area_test = make_area_test(regions.lattice, settings)
     is_large = np.zeros(regions.num, dtype=np.bool_)
-    candidates = np.flatnonzero(mask & (regions.size >= area_test.min_cells))
+    candidate_regions = np.flatnonzero(is_tested & (regions.num_surfaces >= area_test.min_cells))
     # the blocks of each candidate, one candidate after the other
-    is_of_candidate = np.isin(regions.of_component, candidates)
-    region_of_component = regions.of_component[is_of_candidate].astype(np.int64)
+    is_of_candidate = np.isin(regions.region_of_component, candidate_regions)
+    region_of_component = regions.region_of_component[is_of_candidate].astype(np.int64)
     block_of_component = regions.components.block[is_of_candidate]
     # one number for each pair of a region and a block
     pair_ids = np.unique(region_of_component * regions.blocks.num + block_of_component)
-    region, block = np.divmod(pair_ids, regions.blocks.num)
-    start = np.searchsorted(region, [*candidates, regions.num])
+    paired_region, paired_block = np.divmod(pair_ids, regions.blocks.num)
+    first_block = np.searchsorted(paired_region, [*candidate_regions, regions.num])
     run_in_chunks(
         mark_large_regions,
-        len(candidates),
-        regions.label_surfaces(mask),
+        len(candidate_regions),
+        regions.label_surfaces(is_tested),
         regions.box,
-        candidates,
-        start,
-        block,
+        candidate_regions,
+        first_block,
+        paired_block,
         area_test,
         is_large,
     )
     if settings.fill:
         max_cells = settings.fill / regions.lattice.cell_size**2
-        for number in np.flatnonzero(mask & ~is_large).tolist():
-            row0, col0, row1, col1 = regions.box[number].tolist()
+        for region_id in np.flatnonzero(is_tested & ~is_large).tolist():
+            row0, col0, row1, col1 = regions.box[region_id].tolist()
             if (row1 - row0) * (col1 - col0) >= area_test.min_cells:
-                filled = _fill_region(regions, number, max_cells)
-                is_large[number] = keeps_enough(area_test, filled)
+                is_in_region = _fill_region(regions, region_id, max_cells)
+                is_large[region_id] = keeps_min_cells(area_test, is_in_region)
     return is_large
 
 
 def _fill_region(regions: Regions, region: int, max_cells: float) -> Bool:
-    """Mark the cells of a region, and of its small holes.
+    """Mark the cells of a region, and those of its holes with at most `max_cells` cells.
 
     Args:
         regions: all regions.
@@ -343,13 +351,13 @@ def _fill_region(regions: Regions, region: int, max_cells: float) -> Bool:
     # what lies beside the box is connected all round, and is no hole
     is_empty = np.ones((row1 - row0 + 2, col1 - col0 + 2), dtype=np.bool_)
     is_empty[row - row0 + 1, col - col0 + 1] = False
-    hole, _ = label(is_empty)
-    size = np.bincount(hole.ravel())  # [cells]
-    is_filled = size <= max_cells + LIMIT_SLACK
-    is_filled[0] = True  # the region's cells
-    is_filled[hole[0, 0]] = False
-    filled: Bool = is_filled[hole][1:-1, 1:-1]
-    return filled
+    hole_of_cell, _ = label(is_empty)
+    num_cells = np.bincount(hole_of_cell.ravel())  # [cells]
+    is_filled_hole = num_cells <= max_cells + LIMIT_SLACK
+    is_filled_hole[0] = True  # the region's cells
+    is_filled_hole[hole_of_cell[0, 0]] = False
+    is_in_region: Bool = is_filled_hole[hole_of_cell][1:-1, 1:-1]
+    return is_in_region
 
 
 @dataclass(frozen=True)
@@ -400,30 +408,30 @@ def find_nearest_position(
         World coordinates x, y, z [m].
     """
     rows, cols = np.divmod(surfaces.cell, lattice.width)
-    nearest = int(((rows - row) ** 2 + (cols - col) ** 2).argmin())
-    x = lattice.center_x()[cols[nearest]]
-    y = lattice.center_y()[rows[nearest]]
-    return float(x), float(y), float(surfaces.z[nearest])
+    nearest_surface = int(((rows - row) ** 2 + (cols - col) ** 2).argmin())
+    x = lattice.center_x()[cols[nearest_surface]]
+    y = lattice.center_y()[rows[nearest_surface]]
+    return float(x), float(y), float(surfaces.z[nearest_surface])
 
 
 def describe_regions(
-    regions: Regions, mask: Bool, height_ranges: Sequence[HeightRange] = ()
+    regions: Regions, is_described: Bool, height_ranges: Sequence[HeightRange] = ()
 ) -> list[Patch]:
     """Summarize some regions as patches, the largest first.
 
     Args:
         regions: all regions.
-        mask: the regions to summarize, shape (regions,).
+        is_described: the regions to summarize, shape (regions,).
         height_ranges: only surfaces in these ranges of heights [low, high) [m] are summarized; if
             empty, surfaces at all heights.
     """
     patches = []
-    for region in np.flatnonzero(mask).tolist():
+    for region in np.flatnonzero(is_described).tolist():
         surfaces = regions.surfaces_of(region)
         if height_ranges:
             z = surfaces.z
-            in_ranges = [(z >= heights.low) & (z < heights.high) for heights in height_ranges]
-            surfaces = surfaces.select(np.any(in_ranges, axis=0))
+            is_in_range = [(z >= heights.low) & (z < heights.high) for heights in height_ranges]
+            surfaces = surfaces.select(np.any(is_in_range, axis=0))
         if len(surfaces.z):
             patches.append(describe_surfaces(regions.lattice, surfaces))
     return sorted(patches, key=lambda patch: -patch.area)

@@ -104,32 +104,34 @@ def find_rejected_regions(
     is_shelf = no_regions
     is_roof = no_regions
     stacks = regions.find_stacks()
-    size = np.maximum(regions.size, 1)
-    sky_share = regions.num_uncovered / size
-    # `over_share` is the fraction of a region's area that lies over others. Furniture counts, too:
-    # a hall's roof lies over its floor whatever stands there
+    num_surfaces = np.maximum(regions.num_surfaces, 1)
+    sky_fraction = regions.num_uncovered / num_surfaces
+    # furniture counts, too: a hall's roof lies over its floor whatever stands there
     num_cells_over = stacks.num_cells * (stacks.upper != stacks.lower)
-    over_share = np.bincount(stacks.upper, num_cells_over, regions.num) / size
+    fraction_over_regions = np.bincount(stacks.upper, num_cells_over, regions.num) / num_surfaces
     if not context.settings.tops:
         is_top = _find_tops(context, height_fields)
         is_shelf = _find_shelves(
-            context, is_large & (sky_share < MIN_SKY_SHARE) & (over_share >= MIN_SHARE_OVER_FLOOR)
+            context,
+            is_large
+            & (sky_fraction < MIN_SKY_SHARE)
+            & (fraction_over_regions >= MIN_SHARE_OVER_FLOOR),
         )
     if not context.settings.roofs:
         may_be_roof = (
             is_large
-            & (sky_share >= MIN_SKY_SHARE)
-            & (over_share >= MIN_SHARE_OVER_FLOOR_WITH_WALLS)
+            & (sky_fraction >= MIN_SKY_SHARE)
+            & (fraction_over_regions >= MIN_SHARE_OVER_FLOOR_WITH_WALLS)
         )
-        is_roof = _find_roofs(context, may_be_roof, over_share)
+        is_roof = _find_roofs(context, may_be_roof, fraction_over_regions)
     is_floor = is_large & ~(is_top | is_shelf | is_roof)
     if not is_floor.any():
         is_roof = no_regions
     # a level of the configuration keeps its roof if it has no other floor
     for heights in height_ranges:
-        on_level = regions.mark_in_range(is_large, heights)
-        if not (on_level & is_floor).any():
-            is_roof = is_roof & ~on_level
+        is_on_level = regions.mark_in_range(is_large, heights)
+        if not (is_on_level & is_floor).any():
+            is_roof = is_roof & ~is_on_level
     return RejectedRegions(is_top & ~is_roof, is_shelf & ~is_roof, is_roof)
 
 
@@ -137,15 +139,15 @@ class TopDrops(NamedTuple):
     """How many edges of a region drop to each of the regions below it.
 
     Attributes:
-        drops_to: id of the region below -> how many edges drop to it. Empty if the region can't be
-            a top because it has too few drops, or room for an agent under it, see `_find_tops`.
-        drops_in_holes: like `drops_to`, but only for edges at the rims of holes.
-        outline: how many edges the region's outer rim has.
+        num_drops_to: id of the region below -> how many edges drop to it. Empty if the region can't
+            be a top because it has too few drops, or room for an agent under it, see `_find_tops`.
+        num_drops_in_holes: like `num_drops_to`, but only for edges at the rims of holes.
+        num_outline_edges: how many edges the region's outer rim has.
     """
 
-    drops_to: Counter[int]
-    drops_in_holes: Counter[int]
-    outline: int
+    num_drops_to: Counter[int]
+    num_drops_in_holes: Counter[int]
+    num_outline_edges: int
 
 
 def _find_tops(context: RegionContext, height_fields: Int32) -> Bool:
@@ -180,52 +182,63 @@ def _find_tops(context: RegionContext, height_fields: Int32) -> Bool:
     may_be_top = context.is_large & (num_drops > 0)
     if not context.is_cropped.any():
         # an outline is at least as long as the box around it: most regions drop along less of it
-        height = regions.box[:, 2] - regions.box[:, 0]
-        width = regions.box[:, 3] - regions.box[:, 1]
-        may_be_top &= num_drops >= MIN_DROP_SHARE * 2 * (height + width)
+        num_rows = regions.box[:, 2] - regions.box[:, 0]
+        num_cols = regions.box[:, 3] - regions.box[:, 1]
+        may_be_top &= num_drops >= MIN_DROP_SHARE * 2 * (num_rows + num_cols)
     drops_by_region = _count_drops(context, may_be_top)
-    drops_from_all = Counter[int]()  # region below -> drops to it from all regions
-    for drops in drops_by_region.values():
-        drops_from_all.update(drops.drops_to)
+    num_drops_to_floor = Counter[int]()  # region below -> drops to it from all regions
+    for region_drops in drops_by_region.values():
+        num_drops_to_floor.update(region_drops.num_drops_to)
     is_top = np.zeros(regions.num, dtype=np.bool_)
     is_too_large = np.zeros(regions.num, dtype=np.bool_)
-    for region, drops in drops_by_region.items():
-        if not drops.drops_to or _is_plateau(context, region, drops, height_fields):
+    for region, region_drops in drops_by_region.items():
+        if not region_drops.num_drops_to or _is_raised_ground(
+            context, region, region_drops, height_fields
+        ):
             continue
-        size = regions.size[region]
-        is_small = size * regions.lattice.cell_size**2 <= LARGE_TOP_AREA
+        num_surfaces = regions.num_surfaces[region]
+        is_small = num_surfaces * regions.lattice.cell_size**2 <= LARGE_TOP_AREA
         # or the largest floor that it drops to is larger
-        is_small |= regions.size[list(drops.drops_to)].max() > MIN_FLOOR_RATIO * size
+        is_small |= (
+            regions.num_surfaces[list(region_drops.num_drops_to)].max()
+            > MIN_FLOOR_RATIO * num_surfaces
+        )
         # for each floor in its holes: the drops to it from these holes, and from other regions
         drops_around_floor = [
-            num + drops_from_all[floor] - drops.drops_to[floor]
-            for floor, num in drops.drops_in_holes.items()
+            num_in_holes
+            + num_drops_to_floor[floor_region]
+            - region_drops.num_drops_to[floor_region]
+            for floor_region, num_in_holes in region_drops.num_drops_in_holes.items()
         ]
-        is_wound_through = max(drops_around_floor, default=0) > drops.outline
+        is_wound_through = max(drops_around_floor, default=0) > region_drops.num_outline_edges
         is_top[region] = is_small or is_wound_through
         is_too_large[region] = not is_top[region]
     return is_top | (is_too_large & ~_mark_wider_than(context, is_too_large, MAX_WALL_TOP_WIDTH))
 
 
-def _is_plateau(context: RegionContext, region: int, drops: TopDrops, height_fields: Int32) -> bool:
+def _is_raised_ground(
+    context: RegionContext, region: int, region_drops: TopDrops, height_fields: Int32
+) -> bool:
     """Return whether a region is raised ground: a part of a height field with lower ground beside.
 
-    It is if the region belongs to a height field, and more than half of its drops lead to regions
-    of the same height field.
+    A region is raised ground if it belongs to a height field, and more than half of its drops lead
+    to other regions of that height field.
 
     Args:
         context: all regions.
         region: the region's id.
-        drops: the drops from the region.
+        region_drops: the drops from the region.
         height_fields: the ids of the geoms that are height fields, shape (n,).
     """
     geom = _main_geom(context, region)
     if geom not in height_fields:
         return False
     num_on_field = sum(
-        num for floor, num in drops.drops_to.items() if _main_geom(context, floor) == geom
+        num_drops
+        for floor_region, num_drops in region_drops.num_drops_to.items()
+        if _main_geom(context, floor_region) == geom
     )
-    return 2 * num_on_field > drops.drops_to.total()
+    return 2 * num_on_field > region_drops.num_drops_to.total()
 
 
 def _main_geom(context: RegionContext, region: int) -> int:
@@ -234,68 +247,70 @@ def _main_geom(context: RegionContext, region: int) -> int:
     return int(geoms[counts.argmax()])
 
 
-def _mark_wider_than(context: RegionContext, candidates: Bool, width: float) -> Bool:
+def _mark_wider_than(context: RegionContext, is_candidate: Bool, width: float) -> Bool:
     """Mark the candidates that are wider than a width [m] at some place.
 
     A region is that wide if a cell of it is left when it is shrunk by half of the width.
     """
-    if not candidates.any():
-        return candidates
+    if not is_candidate.any():
+        return is_candidate
     one_cell = {"min_area": context.regions.lattice.cell_size**2, "shrink": width / 2}
     settings = context.settings.model_copy(update=one_cell)
-    return find_large_regions(context.regions, candidates, settings)
+    return find_large_regions(context.regions, is_candidate, settings)
 
 
-def _count_drops(context: RegionContext, candidates: Bool) -> dict[int, TopDrops]:
+def _count_drops(context: RegionContext, is_candidate: Bool) -> dict[int, TopDrops]:
     """Count how many edges of each candidate drop to each of the regions below it.
 
     Args:
         context: all regions with their edges.
-        candidates: the regions that may be tops, shape (regions,), bool.
+        is_candidate: the regions that may be tops, shape (regions,), bool.
 
     Returns:
         Id of the candidate -> its drops.
     """
-    if not candidates.any():
+    if not is_candidate.any():
         return {}
     regions = context.regions
-    edges = context.select_edges(candidates, context.num_cells_beyond)
+    edges = context.select_edges(is_candidate, context.num_cells_beyond)
     has_floor = np.asarray((~np.isnan(edges.floors_below)).any(axis=1))
-    in_hole = find_hole_edges(edges, regions.lattice)
+    is_in_hole = find_hole_edges(edges, regions.lattice)
     # drop the regions that have too few floors below their outline, to classify fewer edges
     may_continue = (edges.cells_beyond[:, 0] < 0) & context.is_cropped[edges.direction]
-    is_certain = ~may_continue & ~in_hole
-    share = context.share_of_edges(edges, has_floor, is_certain | has_floor)
-    drops_enough = ~(share < MIN_DROP_SHARE)
+    is_certain = ~may_continue & ~is_in_hole
+    possible_fraction = context.fraction_of_edges(edges, has_floor, is_certain | has_floor)
+    drops_enough = ~(possible_fraction < MIN_DROP_SHARE)
     is_possible = drops_enough[edges.region]
     edges = edges.select(is_possible)
-    in_hole = in_hole[is_possible]
+    is_in_hole = is_in_hole[is_possible]
     endings = context.classify_edges(edges)
-    drops = endings.kind == DROP
+    is_drop = endings.ending == DROP
     # edges in holes without a drop are around things that stand on the region, such as pillows
-    is_known = endings.is_known & (~in_hole | drops)
-    may_be_top = context.share_of_edges(edges, drops, is_known) >= MIN_DROP_SHARE
+    is_counted = endings.is_beyond_known & (~is_in_hole | is_drop)
+    may_be_top = context.fraction_of_edges(edges, is_drop, is_counted) >= MIN_DROP_SHARE
     drops_by_region = {}
-    for region in np.flatnonzero(candidates).tolist():
+    for region in np.flatnonzero(is_candidate).tolist():
         is_of_region = edges.region == region
-        floor_heights = np.sort(endings.floor_height[is_of_region & drops])
-        drops_to = Counter[int]()
-        drops_in_holes = Counter[int]()
+        floor_heights = np.sort(endings.floor_height[is_of_region & is_drop])
+        num_drops_to = Counter[int]()
+        num_drops_in_holes = Counter[int]()
         if may_be_top[region] and len(floor_heights):
             # the median; the lower one of the two middle heights
-            floor = float(floor_heights[(len(floor_heights) - 1) // 2])
+            floor_height = float(floor_heights[(len(floor_heights) - 1) // 2])
             if (
-                _count_cells_over_room(context, region, floor)
-                <= MAX_SHARE_OVER_ROOM * regions.size[region]
+                _count_cells_over_room(context, region, floor_height)
+                <= MAX_SHARE_OVER_ROOM * regions.num_surfaces[region]
             ):
-                drops_to.update(endings.floor_region[is_of_region & drops].tolist())
-                drops_in_holes.update(endings.floor_region[is_of_region & drops & in_hole].tolist())
-        outline = int(np.count_nonzero(~in_hole[is_of_region]))
-        drops_by_region[region] = TopDrops(drops_to, drops_in_holes, outline)
+                num_drops_to.update(endings.floor_region[is_of_region & is_drop].tolist())
+                num_drops_in_holes.update(
+                    endings.floor_region[is_of_region & is_drop & is_in_hole].tolist()
+                )
+        num_outline_edges = int(np.count_nonzero(~is_in_hole[is_of_region]))
+        drops_by_region[region] = TopDrops(num_drops_to, num_drops_in_holes, num_outline_edges)
     return drops_by_region
 
 
-def _count_cells_over_room(context: RegionContext, region: int, floor: float) -> int:
+def _count_cells_over_room(context: RegionContext, region: int, floor_height: float) -> int:
     """Count a region's cells under which an agent has room.
 
     An agent has room if a region lies below the cell, at most a step lower than the floor beside
@@ -305,29 +320,31 @@ def _count_cells_over_room(context: RegionContext, region: int, floor: float) ->
     Args:
         context: all regions, and the hits of all columns.
         region: the region's id.
-        floor: the height of the floor beside it [m].
+        floor_height: the height of the floor beside it [m].
     """
-    members = context.regions.surfaces_of(region)
-    cells = members.cell
+    region_surfaces = context.regions.surfaces_of(region)
+    cells = region_surfaces.cell
     step = context.agent.traversable_floor_height
     labelled = context.regions.label_surfaces(context.is_large)
-    below, _ = find_highest_below(labelled, cells, members.z)
-    has_floor = (below >= 0) & (labelled.surfaces.z[below] >= floor - step - LIMIT_SLACK)
+    surface_below, _ = find_highest_below(labelled, cells, region_surfaces.z)
+    has_floor = (surface_below >= 0) & (
+        labelled.surfaces.z[surface_below] >= floor_height - step - LIMIT_SLACK
+    )
     is_blocked = np.zeros(len(cells), dtype=np.bool_)
     run_in_chunks(
         find_blocked_lines,
         len(cells),
         cells,
-        np.full(len(cells), floor + step + TOUCH_DEPTH),
-        np.full(len(cells), floor + context.agent.height - TOUCH_DEPTH),
-        context.columns.covering(cells).hits,
+        np.full(len(cells), floor_height + step + TOUCH_DEPTH),
+        np.full(len(cells), floor_height + context.agent.height - TOUCH_DEPTH),
+        context.columns.columns_at(cells).hits,
         is_blocked,
         least=MIN_LINES_PER_THREAD,
     )
     return int(np.count_nonzero(has_floor | ~is_blocked))
 
 
-def _find_roofs(context: RegionContext, candidates: Bool, over_share: Float) -> Bool:
+def _find_roofs(context: RegionContext, is_candidate: Bool, fraction_over_regions: Float) -> Bool:
     """Find the regions that are roofs: open to the sky, over a floor, and without walls.
 
     At least half of a roof lies over a floor or furniture; or a tenth does, and two thirds lie over
@@ -338,71 +355,73 @@ def _find_roofs(context: RegionContext, candidates: Bool, over_share: Float) -> 
 
     Args:
         context: all regions with their edges.
-        candidates: the large regions that are open to the sky, shape (regions,).
-        over_share: the fraction of each region's area that lies over other regions, from 0 to 1,
-            shape (regions,).
+        is_candidate: the large regions that are open to the sky, shape (regions,).
+        fraction_over_regions: the fraction of each region's area that lies over other regions, from
+            0 to 1, shape (regions,).
 
     Returns:
         A mask, shape (regions,), bool.
     """
-    is_half_over = candidates & (over_share < MIN_SHARE_OVER_FLOOR)
+    is_half_over = is_candidate & (fraction_over_regions < MIN_SHARE_OVER_FLOOR)
     is_over_walls = _mark_over_walls(context, is_half_over)
-    return _mark_without_walls(context, candidates & (~is_half_over | is_over_walls))
+    return _mark_without_walls(context, is_candidate & (~is_half_over | is_over_walls))
 
 
-def _mark_without_walls(context: RegionContext, candidates: Bool) -> Bool:
+def _mark_without_walls(context: RegionContext, is_candidate: Bool) -> Bool:
     """Mark the candidates with walls along at most half of their outline.
 
     Walls up to `floors.shrink` inside of the outline are counted, too.
 
     Args:
         context: all regions with their edges.
-        candidates: the regions that may be roofs, shape (regions,), bool.
+        is_candidate: the regions that may be roofs, shape (regions,), bool.
 
     Returns:
         A mask, shape (regions,), bool.
     """
-    if not candidates.any():
-        return candidates
-    height = max(context.agent.height, MIN_WALL_HEIGHT)
-    agent = context.agent.model_copy(update={"height": height})
+    if not is_candidate.any():
+        return is_candidate
+    wall_height = max(context.agent.height, MIN_WALL_HEIGHT)
+    agent = context.agent.model_copy(update={"height": wall_height})
     lattice = context.regions.lattice
-    edges = _select_outer_edges(context, candidates, num_cells_beyond=0)
+    edges = _select_outer_edges(context, is_candidate, num_cells_beyond=0)
     farthest_in = -int(np.ceil(context.settings.shrink / lattice.cell_size))
     # from the innermost cells near an edge to those just beyond it
     cells_near = [
-        neighbor_cells(lattice, edges.cell, edges.direction, steps)
-        for steps in range(farthest_in, 2)
+        neighbor_cells(lattice, edges.cell, edges.direction, distance)
+        for distance in range(farthest_in, 2)
     ]
     all_cells_near = np.concatenate(cells_near)
     context.cast_ahead(all_cells_near[all_cells_near >= 0])
-    kind = context.classify_barriers(edges, agent)
-    is_known = context.mark_known(kind, edges.direction)
+    ending = context.classify_barriers(edges, agent)
+    is_beyond_known = context.mark_known_beyond(ending, edges.direction)
     # `classify_barriers` has tested the cells at the edge and beyond it
     for cells in cells_near[-3::-1]:
-        edges_near = np.flatnonzero(is_known & (kind != WALL) & (cells >= 0))
+        edges_near = np.flatnonzero(is_beyond_known & (ending != WALL) & (cells >= 0))
         for heights in probe_ranges(agent):
             is_met = context.is_occupied(cells[edges_near], edges.z[edges_near], heights)
             edges_near = edges_near[is_met]
-        kind[edges_near] = WALL
-    return candidates & (context.share_of_edges(edges, kind == WALL, is_known) <= MAX_WALL_SHARE)
+        ending[edges_near] = WALL
+    return is_candidate & (
+        context.fraction_of_edges(edges, ending == WALL, is_beyond_known) <= MAX_WALL_SHARE
+    )
 
 
 def _select_outer_edges(
-    context: RegionContext, candidates: Bool, num_cells_beyond: int
+    context: RegionContext, is_selected: Bool, num_cells_beyond: int
 ) -> RegionEdges:
     """Return the edges of regions at their outer rims, not those at the rims of holes.
 
     Args:
         context: all regions with their edges.
-        candidates: the regions, shape (regions,), bool.
+        is_selected: the regions, shape (regions,), bool.
         num_cells_beyond: how many cells beyond an edge to search for lower floors.
     """
-    edges = context.select_edges(candidates, num_cells_beyond)
+    edges = context.select_edges(is_selected, num_cells_beyond)
     return edges.select(~find_hole_edges(edges, context.regions.lattice))
 
 
-def _find_shelves(context: RegionContext, candidates: Bool) -> Bool:
+def _find_shelves(context: RegionContext, is_candidate: Bool) -> Bool:
     """Mark the candidates that are shelves.
 
     A shelf is nowhere deeper than 2.5 m (a mezzanine is deeper). More than half of its outline
@@ -410,21 +429,24 @@ def _find_shelves(context: RegionContext, candidates: Bool) -> Bool:
 
     Args:
         context: all regions with their edges.
-        candidates: the large regions that lie over floors and are covered, shape (regions,), bool.
+        is_candidate: the large regions that lie over floors and are covered, shape (regions,),
+            bool.
 
     Returns:
         A mask, shape (regions,), bool.
     """
-    candidates = candidates & ~_mark_wider_than(context, candidates, MAX_SHELF_DEPTH)
-    if not candidates.any():
-        return candidates
-    edges = _select_outer_edges(context, candidates, context.num_cells_beyond)
+    is_candidate = is_candidate & ~_mark_wider_than(context, is_candidate, MAX_SHELF_DEPTH)
+    if not is_candidate.any():
+        return is_candidate
+    edges = _select_outer_edges(context, is_candidate, context.num_cells_beyond)
     endings = context.classify_edges(edges)
-    drop_share = context.share_of_edges(edges, endings.kind == DROP, endings.is_known)
-    return candidates & (drop_share > MIN_SHELF_DROP_SHARE)
+    drop_fraction = context.fraction_of_edges(
+        edges, endings.ending == DROP, endings.is_beyond_known
+    )
+    return is_candidate & (drop_fraction > MIN_SHELF_DROP_SHARE)
 
 
-def _mark_over_walls(context: RegionContext, candidates: Bool) -> Bool:
+def _mark_over_walls(context: RegionContext, is_candidate: Bool) -> Bool:
     """Mark the candidates that lie mostly over other regions or walls, or near these.
 
     At least two thirds of their cells are over another region or over the top of a wall, or within
@@ -432,62 +454,66 @@ def _mark_over_walls(context: RegionContext, candidates: Bool) -> Bool:
 
     Args:
         context: all regions, and the hits of all columns.
-        candidates: the regions that may be roofs, shape (regions,), bool.
+        is_candidate: the regions that may be roofs, shape (regions,), bool.
 
     Returns:
         A mask, shape (regions,), bool.
     """
-    is_over_walls = np.zeros_like(candidates)
-    if not candidates.any():
+    is_over_walls = np.zeros_like(is_candidate)
+    if not is_candidate.any():
         return is_over_walls
     regions = context.regions
     lattice = regions.lattice
-    num_cells = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
+    eaves_cells = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
     # all regions count, also furniture
-    labelled = regions.label_surfaces(np.ones_like(candidates))
-    for region in np.flatnonzero(candidates).tolist():
-        members = regions.surfaces_of(region)
-        _, region_below = find_highest_below(labelled, members.cell, members.z)
+    labelled = regions.label_surfaces(np.ones_like(is_candidate))
+    for region in np.flatnonzero(is_candidate).tolist():
+        region_surfaces = regions.surfaces_of(region)
+        _, region_below = find_highest_below(labelled, region_surfaces.cell, region_surfaces.z)
         is_over_region = (region_below >= 0) & (region_below != region)
         is_over = np.zeros(lattice.shape, dtype=np.bool_)
-        is_over.flat[members.cell] = mark_over_wall_tops(context, members) | is_over_region
+        is_over.flat[region_surfaces.cell] = (
+            mark_over_wall_tops(context, region_surfaces) | is_over_region
+        )
         # dilate by a square, first along one axis, then along the other
-        for grid in (is_over, is_over.T):
-            before = grid.copy()
-            for k in range(1, min(num_cells, len(grid) - 1) + 1):
-                grid[k:] |= before[:-k]
-                grid[:-k] |= before[k:]
-        is_over_walls[region] = is_over.flat[members.cell].mean() >= MIN_SHARE_OVER_WALLS
+        for mask in (is_over, is_over.T):
+            mask_before = mask.copy()
+            for k in range(1, min(eaves_cells, len(mask) - 1) + 1):
+                mask[k:] |= mask_before[:-k]
+                mask[:-k] |= mask_before[k:]
+        is_over_walls[region] = is_over.flat[region_surfaces.cell].mean() >= MIN_SHARE_OVER_WALLS
     return is_over_walls
 
 
-def mark_over_wall_tops(context: RegionContext, members: RegionSurfaces) -> Bool:
+def mark_over_wall_tops(context: RegionContext, roof_surfaces: RegionSurfaces) -> Bool:
     """Mark the surfaces of a roof under which the top of a wall touches the roof or lies within it.
 
     Args:
         context: the hits of all columns, and the agent.
-        members: the surfaces of the roof.
+        roof_surfaces: the surfaces of the roof.
 
     Returns:
         A mask, shape (surfaces,), bool.
     """
-    cell = members.cell
-    columns = context.columns.covering(cell)
-    first = columns.start[cell]
-    end = columns.start[cell + 1]
-    is_over = np.zeros(len(cell), dtype=np.bool_)
+    cell_ids = roof_surfaces.cell
+    columns = context.columns.columns_at(cell_ids)
+    first_hit = columns.start[cell_ids]
+    end_hit = columns.start[cell_ids + 1]
+    is_over = np.zeros(len(cell_ids), dtype=np.bool_)
     # all pairs of a hit and the next one above it
-    for k in range(int((end - first).max(initial=0)) - 1):
-        cell_with_pair = np.flatnonzero(first + k + 1 < end)
-        lower = first[cell_with_pair] + k
-        lower_z = columns.z[lower]
-        gap = columns.z[lower + 1] - lower_z
-        lower_faces_up = columns.normal[lower, 2] > 0
-        upper_faces_up = columns.normal[lower + 1, 2] > 0
+    for k in range(int((end_hit - first_hit).max(initial=0)) - 1):
+        cells_with_pair = np.flatnonzero(first_hit + k + 1 < end_hit)
+        lower_hit = first_hit[cells_with_pair] + k
+        lower_z = columns.z[lower_hit]
+        gap = columns.z[lower_hit + 1] - lower_z
+        lower_faces_up = columns.normal[lower_hit, 2] > 0
+        upper_faces_up = columns.normal[lower_hit + 1, 2] > 0
         # at one height, the roof's lower side may stand before the wall's top
-        limit = np.where(lower_faces_up, context.agent.traversable_floor_height, SAME_HEIGHT)
-        is_wall_top = (gap < limit) & (lower_faces_up | upper_faces_up)
-        is_over[cell_with_pair] |= is_wall_top & (lower_z < members.z[cell_with_pair] - SAME_HEIGHT)
+        max_gap = np.where(lower_faces_up, context.agent.traversable_floor_height, SAME_HEIGHT)
+        is_wall_top = (gap < max_gap) & (lower_faces_up | upper_faces_up)
+        is_over[cells_with_pair] |= is_wall_top & (
+            lower_z < roof_surfaces.z[cells_with_pair] - SAME_HEIGHT
+        )
     return is_over
 
 
@@ -505,12 +531,14 @@ def mark_reported_roofs(context: RegionContext, is_roof: Bool, is_floor: Bool) -
     Returns:
         A mask, shape (regions,), bool.
     """
-    size = context.regions.size
-    is_reported: Bool = is_roof & (size > REPORTED_ROOF_RATIO * size[is_floor].max())
-    area = size * context.regions.lattice.cell_size**2
+    num_surfaces = context.regions.num_surfaces
+    is_reported: Bool = is_roof & (
+        num_surfaces > REPORTED_ROOF_RATIO * num_surfaces[is_floor].max()
+    )
+    area = num_surfaces * context.regions.lattice.cell_size**2
     is_large = is_roof & (area >= REPORTED_ROOF_AREA - LIMIT_SLACK)
     # a large roof without walls under it may be a deck, which was meant as a floor
     for region in np.flatnonzero(is_large & ~is_reported).tolist():
-        members = context.regions.surfaces_of(region)
-        is_reported[region] = not mark_over_wall_tops(context, members).any()
+        region_surfaces = context.regions.surfaces_of(region)
+        is_reported[region] = not mark_over_wall_tops(context, region_surfaces).any()
     return is_reported

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from navbake.baker.core.components import adjacent_pairs, label_components
+from navbake.baker.core.components import label_components, list_adjacent_pairs
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.component_kernels import JoinRule
 from navbake.baker.floors.outline import RegionContext, neighbor_cells, probe_ranges
@@ -52,17 +52,21 @@ def find_ridges(context: RegionContext, positions: list[list[float]]) -> Bool:
     runs = runs[_mark_runs_between_drops(context, runs)]
     if not len(runs):
         return is_ridge
-    surface, cell, width = _measure_widths(surfaces, rule, runs)
+    surface_ids, cell_ids, width = _measure_widths(surfaces, rule, runs)
     is_narrow = width < RIDGE_WIDTH - LIMIT_SLACK
-    surface = surface[is_narrow]
-    cell = cell[is_narrow]
+    surface_ids = surface_ids[is_narrow]
+    cell_ids = cell_ids[is_narrow]
     # narrow surfaces in cells that share a side or a corner make up a ridge
-    _, place = np.unique(cell, return_inverse=True)
-    cells = np.unique(cell)
-    ridge = label_components(adjacent_pairs(cells, regions.lattice.width), len(cells))[place]
-    is_floor = _mark_short(ridge, cell, regions.lattice)
-    is_floor |= _mark_named(ridge, surface, cell, context, positions)
-    is_ridge[surface[~is_floor[ridge]]] = True
+    _, cell_index = np.unique(cell_ids, return_inverse=True)
+    ridge_cells = np.unique(cell_ids)
+    ridge_of_surface = label_components(
+        list_adjacent_pairs(ridge_cells, regions.lattice.width), len(ridge_cells)
+    )[cell_index]
+    is_floor_ridge = _mark_short_ridges(ridge_of_surface, cell_ids, regions.lattice)
+    is_floor_ridge |= _mark_ridges_at_positions(
+        ridge_of_surface, surface_ids, cell_ids, context, positions
+    )
+    is_ridge[surface_ids[~is_floor_ridge[ridge_of_surface]]] = True
     return is_ridge
 
 
@@ -80,14 +84,16 @@ def _measure_widths(surfaces: Surfaces, rule: JoinRule, runs: Int) -> tuple[Int,
         each of them, square to its drops, (n,) [m].
     """
     num_cells = runs[:, 1]
-    start = np.cumsum(num_cells) - num_cells
+    first_row = np.cumsum(num_cells) - num_cells
     surface_cells = np.empty((int(num_cells.sum()), 2), dtype=np.int64)
-    run_in_chunks(list_run_surfaces, len(runs), surfaces, rule, runs, start, surface_cells)
-    surface, first, place = np.unique(surface_cells[:, 0], return_index=True, return_inverse=True)
-    # a strip at an angle a to x is cut by w / sin(a) along x, and by w / cos(a) along y
-    length = np.repeat(num_cells, num_cells) * surfaces.lattice.cell_size
-    inverse_square = np.bincount(place, 1.0 / length**2)
-    return surface, surface_cells[first, 1], 1.0 / np.sqrt(inverse_square)
+    run_in_chunks(list_run_surfaces, len(runs), surfaces, rule, runs, first_row, surface_cells)
+    surface_ids, first_index, surface_index = np.unique(
+        surface_cells[:, 0], return_index=True, return_inverse=True
+    )
+    # a strip of width w at an angle a to x has the length w / sin(a) along x, w / cos(a) along y
+    run_length = np.repeat(num_cells, num_cells) * surfaces.lattice.cell_size
+    inverse_square = np.bincount(surface_index, 1.0 / run_length**2)
+    return surface_ids, surface_cells[first_index, 1], 1.0 / np.sqrt(inverse_square)
 
 
 def _mark_runs_between_drops(context: RegionContext, runs: Int) -> Bool:
@@ -100,21 +106,26 @@ def _mark_runs_between_drops(context: RegionContext, runs: Int) -> Bool:
     Returns:
         A mask, shape (n,).
     """
-    axis, _, surface, cell, last_surface, last_cell = runs.T
+    axis, _, surface_ids, cell_ids, other_surface_ids, other_cell_ids = runs.T
     direction = np.where(axis == EAST, EAST, SOUTH)
-    opposite = np.where(axis == EAST, WEST, NORTH)
+    opposite_direction = np.where(axis == EAST, WEST, NORTH)
     # the ends of one run are far from those of another: cast their columns together
-    beyond = neighbor_cells(context.regions.lattice, cell, direction)
-    beyond_last = neighbor_cells(context.regions.lattice, last_cell, opposite)
-    all_beyond = np.concatenate([beyond, beyond_last])
+    cells_beyond = neighbor_cells(context.regions.lattice, cell_ids, direction)
+    other_cells_beyond = neighbor_cells(context.regions.lattice, other_cell_ids, opposite_direction)
+    all_beyond = np.concatenate([cells_beyond, other_cells_beyond])
     context.cast_ahead(all_beyond[all_beyond >= 0])
-    is_between = _mark_drops(context, surface, cell, direction)
-    last = np.flatnonzero(is_between)
-    is_between[last] = _mark_drops(context, last_surface[last], last_cell[last], opposite[last])
-    return is_between
+    is_between_drops = _mark_drops(context, surface_ids, cell_ids, direction)
+    runs_with_drop = np.flatnonzero(is_between_drops)
+    is_between_drops[runs_with_drop] = _mark_drops(
+        context,
+        other_surface_ids[runs_with_drop],
+        other_cell_ids[runs_with_drop],
+        opposite_direction[runs_with_drop],
+    )
+    return is_between_drops
 
 
-def _mark_drops(context: RegionContext, surface: Int, cell: Int, direction: Int) -> Bool:
+def _mark_drops(context: RegionContext, surface_ids: Int, cell_ids: Int, direction: Int) -> Bool:
     """Mark the edges of surfaces at which an agent would fall by more than a step.
 
     At such an edge the next cell in the given direction has no surface within a step of the
@@ -124,8 +135,8 @@ def _mark_drops(context: RegionContext, surface: Int, cell: Int, direction: Int)
 
     Args:
         context: all regions, and the hits of all columns.
-        surface: ids of surfaces, (n,).
-        cell: the cell of each surface, (n,).
+        surface_ids: ids of surfaces, (n,).
+        cell_ids: the cell of each surface, (n,).
         direction: EAST, SOUTH, WEST or NORTH: the side of each cell that is tested, (n,).
 
     Returns:
@@ -133,60 +144,66 @@ def _mark_drops(context: RegionContext, surface: Int, cell: Int, direction: Int)
     """
     lattice = context.regions.lattice
     step = context.agent.traversable_floor_height
-    z = context.regions.surfaces.z[surface]
-    beyond = neighbor_cells(lattice, cell, direction)
-    is_drop = (beyond >= 0) | ~context.is_cropped[direction]
-    inside = np.flatnonzero(beyond >= 0)
-    columns = context.columns.covering(beyond[inside])
-    first = columns.start[beyond[inside]]
-    end = columns.start[beyond[inside] + 1]
-    continued = find_highest_within_step(first, end, columns.z, z[inside], step)
-    is_drop[inside[~np.isnan(continued)]] = False
+    z = context.regions.surfaces.z[surface_ids]
+    cells_beyond = neighbor_cells(lattice, cell_ids, direction)
+    is_drop = (cells_beyond >= 0) | ~context.is_cropped[direction]
+    indices_inside = np.flatnonzero(cells_beyond >= 0)
+    columns = context.columns.columns_at(cells_beyond[indices_inside])
+    first_hit = columns.start[cells_beyond[indices_inside]]
+    end_hit = columns.start[cells_beyond[indices_inside] + 1]
+    continued_z = find_highest_within_step(first_hit, end_hit, columns.z, z[indices_inside], step)
+    is_drop[indices_inside[~np.isnan(continued_z)]] = False
     if context.settings.fill:
-        lowest = np.full(len(inside), np.inf)
-        lowest[end > first] = columns.z[first[end > first]]
-        is_drop[inside[lowest > z[inside] - step]] = False
-        is_drop[beyond < 0] = False
-    at_feet, _ = probe_ranges(context.agent)
-    for cells in (beyond, cell):
-        tested = np.flatnonzero(is_drop & (cells >= 0))
-        is_drop[tested] = ~context.is_occupied(cells[tested], z[tested], at_feet)
+        lowest_z = np.full(len(indices_inside), np.inf)
+        lowest_z[end_hit > first_hit] = columns.z[first_hit[end_hit > first_hit]]
+        is_drop[indices_inside[lowest_z > z[indices_inside] - step]] = False
+        is_drop[cells_beyond < 0] = False
+    range_at_feet, _ = probe_ranges(context.agent)
+    for cells in (cells_beyond, cell_ids):
+        tested_indices = np.flatnonzero(is_drop & (cells >= 0))
+        is_drop[tested_indices] = ~context.is_occupied(
+            cells[tested_indices], z[tested_indices], range_at_feet
+        )
     return is_drop
 
 
-def _mark_short(ridge: Int32, cell: Int, lattice: Lattice) -> Bool:
-    """Mark the ridges that are at most `RIDGE_WIDTH` long, and so are no tops of walls or beams.
+def _mark_short_ridges(ridge_of_surface: Int32, cell_ids: Int, lattice: Lattice) -> Bool:
+    """Mark ridges at most `RIDGE_WIDTH` (0.4 m) long, which are no tops of walls or beams.
 
     They are tops of posts, and corners of wide floors that are turned against the lattice.
 
     Args:
-        ridge: the ridge of each surface, (n,).
-        cell: the cell of each surface, (n,).
+        ridge_of_surface: the ridge of each surface, (n,).
+        cell_ids: the cell of each surface, (n,).
         lattice: the cells.
 
     Returns:
         A mask of the ridges, shape (ridges,).
     """
     max_cells = RIDGE_WIDTH / lattice.cell_size + LIMIT_SLACK
-    is_short = np.ones(int(ridge.max(initial=-1)) + 1, dtype=np.bool_)
-    for place in np.divmod(cell, lattice.width):
+    is_short = np.ones(int(ridge_of_surface.max(initial=-1)) + 1, dtype=np.bool_)
+    for row_or_col in np.divmod(cell_ids, lattice.width):
         lowest = np.full(len(is_short), np.iinfo(np.int64).max)
         highest = np.full(len(is_short), -1)
-        np.minimum.at(lowest, ridge, place)
-        np.maximum.at(highest, ridge, place)
+        np.minimum.at(lowest, ridge_of_surface, row_or_col)
+        np.maximum.at(highest, ridge_of_surface, row_or_col)
         is_short &= highest - lowest + 1 <= max_cells
     return is_short
 
 
-def _mark_named(
-    ridge: Int32, surface: Int, cell: Int, context: RegionContext, positions: list[list[float]]
+def _mark_ridges_at_positions(
+    ridge_of_surface: Int32,
+    surface_ids: Int,
+    cell_ids: Int,
+    context: RegionContext,
+    positions: list[list[float]],
 ) -> Bool:
     """Mark the ridges that have at least one of some positions on them.
 
     Args:
-        ridge: the ridge of each surface, (n,).
-        surface: ids of the surfaces, (n,).
-        cell: the cell of each surface, (n,).
+        ridge_of_surface: the ridge of each surface, (n,).
+        surface_ids: ids of the surfaces, (n,).
+        cell_ids: the cell of each surface, (n,).
         context: all regions.
         positions: x, y, z of each position, world frame [m].
 
@@ -194,24 +211,24 @@ def _mark_named(
         A mask of the ridges, shape (ridges,).
     """
     lattice = context.regions.lattice
-    heights = context.regions.surfaces.z[surface]
-    is_named = np.zeros(int(ridge.max(initial=-1)) + 1, dtype=np.bool_)
+    heights = context.regions.surfaces.z[surface_ids]
+    has_position = np.zeros(int(ridge_of_surface.max(initial=-1)) + 1, dtype=np.bool_)
     for x, y, z in positions:
         row, col = lattice.rows_cols([x, y])
-        is_at_position = cell == int(row) * lattice.width + int(col)
+        is_at_position = cell_ids == int(row) * lattice.width + int(col)
         is_at_position &= np.abs(heights - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK
         if 0 <= col < lattice.width:
-            is_named[ridge[is_at_position]] = True
-    return is_named
+            has_position[ridge_of_surface[is_at_position]] = True
+    return has_position
 
 
-def without_surfaces(surfaces: Surfaces, mask: Bool) -> Surfaces:
-    """Return the surfaces with all their marks removed where a mask is True.
+def clear_marks(surfaces: Surfaces, is_cleared: Bool) -> Surfaces:
+    """Return all surfaces, with `Surfaces.marks` set to 0 where a mask is True.
 
     No agent stands on such a surface then, but a floor beside it may still go on there.
 
     Args:
         surfaces: all surfaces.
-        mask: shape (surfaces,), bool.
+        is_cleared: shape (surfaces,), bool.
     """
-    return surfaces._replace(marks=np.where(mask, np.uint8(0), surfaces.marks))
+    return surfaces._replace(marks=np.where(is_cleared, np.uint8(0), surfaces.marks))

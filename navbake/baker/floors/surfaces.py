@@ -39,11 +39,11 @@ def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) 
     """
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
     hit_cells = np.flatnonzero(np.diff(columns.start))
-    uppermost = columns.start[hit_cells + 1] - 1
-    is_gentle = columns.normal[uppermost, 2] >= agent_limits(agent).min_up
-    top = np.full(lattice.shape, np.nan)
-    top.ravel()[hit_cells[is_gentle]] = columns.z[uppermost[is_gentle]]
-    return top
+    uppermost_hits = columns.start[hit_cells + 1] - 1
+    is_gentle = columns.normal[uppermost_hits, 2] >= agent_limits(agent).min_up
+    top_height = np.full(lattice.shape, np.nan)
+    top_height.ravel()[hit_cells[is_gentle]] = columns.z[uppermost_hits[is_gentle]]
+    return top_height
 
 
 def may_slopes_join(lattice: Lattice, agent: AgentSettings) -> bool:
@@ -78,8 +78,8 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
         np.empty(0, dtype=np.uint8),
         np.empty((0, num_axes), dtype=np.float32),
     )
-    first = np.zeros(lattice.width * lattice.height, dtype=np.int32)
-    end = np.zeros(lattice.width * lattice.height, dtype=np.int32)
+    first_surface = np.zeros(lattice.width * lattice.height, dtype=np.int32)
+    end_surface = np.zeros(lattice.width * lattice.height, dtype=np.int32)
     num_surfaces = 0
     arrays_by_chunk: list[list[NDArray[Any]]] = []
     for chunk in columns.row_chunks():
@@ -95,12 +95,12 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
             least=LEAST_CELLS,
         )
         # surfaces of this chunk come after those of earlier chunks
-        end[cells] = num_surfaces + np.cumsum(counts)
-        first[cells] = end[cells] - counts
+        end_surface[cells] = num_surfaces + np.cumsum(counts)
+        first_surface[cells] = end_surface[cells] - counts
         num_surfaces += int(counts.sum())
         arrays_by_chunk.append(arrays)
     z, geom, marks, normal = join_arrays(arrays_by_chunk)
-    return Surfaces(lattice, first, end, z, geom, marks, normal)
+    return Surfaces(lattice, first_surface, end_surface, z, geom, marks, normal)
 
 
 def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
@@ -109,18 +109,18 @@ def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
     first_block = rows.first // BLOCK * blocks.cols
     end_block = -(-rows.end // BLOCK) * blocks.cols
     cells = blocks.cells(np.arange(first_block, end_block))
-    first, end = rows.cell_range(lattice)
-    return cells[(first <= cells) & (cells < end)]
+    first_cell, end_cell = rows.cell_range(lattice)
+    return cells[(first_cell <= cells) & (cells < end_cell)]
 
 
 def find_highest_within_step(
-    first: Int | Int32, end: Int | Int32, heights: Float, z: Float, step: float
+    first_surface: Int | Int32, end_surface: Int | Int32, heights: Float, z: Float, step: float
 ) -> Float:
     """Find in each cell the highest surface that differs from a height by at most a step.
 
     Args:
-        first: the index of each cell's first surface in `heights`, shape (n,).
-        end: the index past each cell's last surface, shape (n,).
+        first_surface: the index of each cell's first surface in `heights`, shape (n,).
+        end_surface: the index past each cell's last surface, shape (n,).
         heights: the heights of all surfaces, ascending in each cell [m].
         z: for each cell, the height to compare with, shape (n,) [m].
         step: the highest step [m].
@@ -128,9 +128,9 @@ def find_highest_within_step(
     Returns:
         Heights, shape (n,) [m]; NaN for a cell without such a surface.
     """
-    highest = np.full(len(z), np.nan)
-    for k in range(int((end - first).max(initial=0))):
-        height = heights[np.minimum(first + k, end - 1)]
-        is_near = (first + k < end) & (abs(height - z) <= step + LIMIT_SLACK)
-        highest[is_near] = height[is_near]
-    return highest
+    highest_z = np.full(len(z), np.nan)
+    for k in range(int((end_surface - first_surface).max(initial=0))):
+        height = heights[np.minimum(first_surface + k, end_surface - 1)]
+        is_near = (first_surface + k < end_surface) & (abs(height - z) <= step + LIMIT_SLACK)
+        highest_z[is_near] = height[is_near]
+    return highest_z

@@ -47,19 +47,19 @@ class Extents(NamedTuple):
         """Horizontal unit vectors along the longer sides, shape (n, 2), float64."""
         return np.stack([-self.short_axis[:, 1], self.short_axis[:, 0]], axis=1)
 
-    def half_widths(self, geoms: Int, direction: Float) -> Float:
+    def half_widths(self, geom_ids: Int, direction: Float) -> Float:
         """Return half the width of geoms' boxes, measured along a horizontal direction.
 
         Args:
-            geoms: geom ids, shape (k,).
+            geom_ids: geom ids, shape (k,).
             direction: unit vectors, shape (2,) or (k, 2).
 
         Returns:
             Half widths, shape (k,) [m].
         """
-        on_short = np.abs((self.short_axis[geoms] * direction).sum(axis=-1))
-        on_long = np.abs((self.long_axis[geoms] * direction).sum(axis=-1))
-        widths = on_short * self.short_side[geoms] + on_long * self.long_side[geoms]
+        part_of_short = np.abs((self.short_axis[geom_ids] * direction).sum(axis=-1))
+        part_of_long = np.abs((self.long_axis[geom_ids] * direction).sum(axis=-1))
+        widths = part_of_short * self.short_side[geom_ids] + part_of_long * self.long_side[geom_ids]
         return np.asarray(widths / 2)
 
 
@@ -86,28 +86,28 @@ def measure_extents(shapes: Shapes, num_geoms: int) -> Extents:
     return extents
 
 
-def _measure_solids(solids: Solids, out: Extents) -> None:
-    """Compute the upright boxes of solids, and write them to `out`, at the solids' geom ids."""
+def _measure_solids(solids: Solids, extents: Extents) -> None:
+    """Compute the upright boxes of solids, and write them to `extents`, at the solids' geom ids."""
     axes = solids.mat.reshape(-1, 3, 3)
     least_area = np.full(len(solids.geom), np.inf)
     for axis in range(3):
         direction = axes[:, :2, axis]
         length = np.hypot(direction[:, 0], direction[:, 1])[:, None]
         direction = np.where(length > 1e-6, direction / np.maximum(length, 1e-6), [1.0, 0.0])
-        normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+        perpendicular = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
         half_along = _horizontal_half_widths(solids, axes, direction)
-        half_across = _horizontal_half_widths(solids, axes, normal)
+        half_across = _horizontal_half_widths(solids, axes, perpendicular)
         area = half_along * half_across
         is_smaller = area < least_area * (1 - 1e-9)  # rounding alone never picks another axis
         least_area[is_smaller] = area[is_smaller]
         is_short = (half_along <= half_across)[:, None]
         geom = solids.geom[is_smaller]
-        out.short_axis[geom] = np.where(is_short, direction, normal)[is_smaller]
-        out.short_side[geom] = 2 * np.minimum(half_along, half_across)[is_smaller]
-        out.long_side[geom] = 2 * np.maximum(half_along, half_across)[is_smaller]
-    out.center[solids.geom] = solids.pos[:, :2]
-    out.bottom[solids.geom] = solids.bounds[:, 2]
-    out.top[solids.geom] = solids.bounds[:, 5]
+        extents.short_axis[geom] = np.where(is_short, direction, perpendicular)[is_smaller]
+        extents.short_side[geom] = 2 * np.minimum(half_along, half_across)[is_smaller]
+        extents.long_side[geom] = 2 * np.maximum(half_along, half_across)[is_smaller]
+    extents.center[solids.geom] = solids.pos[:, :2]
+    extents.bottom[solids.geom] = solids.bounds[:, 2]
+    extents.top[solids.geom] = solids.bounds[:, 5]
 
 
 def _horizontal_half_widths(solids: Solids, axes: Float, direction: Float) -> Float:
@@ -125,38 +125,39 @@ def _horizontal_half_widths(solids: Solids, axes: Float, direction: Float) -> Fl
     return support_distances(solids.kind, local_direction, solids.size)
 
 
-def _measure_triangles(shapes: Shapes, out: Extents) -> None:
-    """Compute the upright boxes of geoms made of triangles, and write them to `out`."""
+def _measure_triangles(shapes: Shapes, extents: Extents) -> None:
+    """Compute the upright boxes of geoms made of triangles, and write them to `extents`."""
     geom_ids = np.unique(shapes.meshes.geom)
     if not len(geom_ids):
         return
     group_of_geom = np.zeros(int(geom_ids[-1]) + 1, dtype=np.int32)
     group_of_geom[geom_ids] = np.arange(len(geom_ids))
-    facing = FacingAreas(len(geom_ids))
+    facing_areas = FacingAreas(len(geom_ids))
     for facets in shapes.facets_in_batches():
-        facing.add(facets.corners, group_of_geom[facets.geom])
-    angle = facing.find_angles()
+        facing_areas.add(facets.corners, group_of_geom[facets.geom])
+    angle = facing_areas.find_angles()
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    low = np.full((len(geom_ids), 3), np.inf)
-    high = np.full((len(geom_ids), 3), -np.inf)
+    perpendicular = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    lowest = np.full((len(geom_ids), 3), np.inf)
+    highest = np.full((len(geom_ids), 3), -np.inf)
     for facets in shapes.facets_in_batches():
-        measure_spans(facets.corners, group_of_geom[facets.geom], direction, low, high)
-    along, across, _ = (high - low).T
-    middle = (low + high) / 2
-    is_short = (along <= across)[:, None]
-    out.short_axis[geom_ids] = np.where(is_short, direction, normal)
-    out.short_side[geom_ids] = np.minimum(along, across)
-    out.long_side[geom_ids] = np.maximum(along, across)
-    out.center[geom_ids] = direction * middle[:, :1] + normal * middle[:, 1:2]
-    out.bottom[geom_ids] = low[:, 2]
-    out.top[geom_ids] = high[:, 2]
+        measure_spans(facets.corners, group_of_geom[facets.geom], direction, lowest, highest)
+    width_along, width_across, _ = (highest - lowest).T
+    middle = (lowest + highest) / 2
+    is_short = (width_along <= width_across)[:, None]
+    extents.short_axis[geom_ids] = np.where(is_short, direction, perpendicular)
+    extents.short_side[geom_ids] = np.minimum(width_along, width_across)
+    extents.long_side[geom_ids] = np.maximum(width_along, width_across)
+    extents.center[geom_ids] = direction * middle[:, :1] + perpendicular * middle[:, 1:2]
+    extents.bottom[geom_ids] = lowest[:, 2]
+    extents.top[geom_ids] = highest[:, 2]
 
 
 class FacingAreas:
-    """How large the vertical faces of groups of triangles are, by the direction that they face.
+    """Sums up the areas of vertical faces by the direction that they face, for groups of triangles.
 
-    A face counts by its area as seen from the side. Directions a quarter turn apart count as equal.
+    So the direction that most of a group's faces face can be found. A face counts by its area as
+    seen from the side. Directions a quarter turn apart count as equal.
     """
 
     def __init__(self, num_groups: int) -> None:
@@ -178,7 +179,7 @@ class FacingAreas:
             corners: corners of the triangles, shape (m, 3, 3) [m].
             group: the group of each triangle, from 0, shape (m,).
         """
-        direction = np.empty(TRIANGLES_PER_CALL, np.int32)
+        direction_index = np.empty(TRIANGLES_PER_CALL, np.int32)
         weight = np.empty(TRIANGLES_PER_CALL)
         weighted_angle = np.empty(TRIANGLES_PER_CALL)
         for first in range(0, len(group), TRIANGLES_PER_CALL):
@@ -188,15 +189,15 @@ class FacingAreas:
                 len(batch),
                 batch,
                 NUM_DIRECTIONS,
-                direction,
+                direction_index,
                 weight,
                 weighted_angle,
                 least=4096,
             )
-            first_entry = group[first : first + TRIANGLES_PER_CALL] * np.int64(NUM_DIRECTIONS)
-            entry = first_entry + direction[: len(batch)]
-            np.add.at(self._area, entry, weight[: len(batch)])
-            np.add.at(self._area_times_angle, entry, weighted_angle[: len(batch)])
+            first_index = group[first : first + TRIANGLES_PER_CALL] * np.int64(NUM_DIRECTIONS)
+            flat_index = first_index + direction_index[: len(batch)]
+            np.add.at(self._area, flat_index, weight[: len(batch)])
+            np.add.at(self._area_times_angle, flat_index, weighted_angle[: len(batch)])
 
     def find_angles(self) -> Float:
         """Find the direction that most vertical faces of each group face.
@@ -205,10 +206,10 @@ class FacingAreas:
             For each group, the angle of that direction from x, from 0 to a quarter turn, shape
             (groups,) [rad].
         """
-        best = self._area.reshape(self._num_groups, NUM_DIRECTIONS).argmax(axis=1)
-        best_entry = np.arange(self._num_groups) * NUM_DIRECTIONS + best
-        best_area = self._area[best_entry]
-        best_sum = self._area_times_angle[best_entry]
-        offset = best_sum / np.where(best_area > 0.0, best_area, 1.0)
-        angle: Float = best * (QUARTER_TURN / NUM_DIRECTIONS) + offset
+        best_direction = self._area.reshape(self._num_groups, NUM_DIRECTIONS).argmax(axis=1)
+        best_index = np.arange(self._num_groups) * NUM_DIRECTIONS + best_direction
+        best_area = self._area[best_index]
+        best_sum = self._area_times_angle[best_index]
+        mean_offset = best_sum / np.where(best_area > 0.0, best_area, 1.0)
+        angle: Float = best_direction * (QUARTER_TURN / NUM_DIRECTIONS) + mean_offset
         return angle

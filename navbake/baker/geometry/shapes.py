@@ -27,11 +27,11 @@ spatial = lazy("scipy.spatial")
 # Half-size that stands for the infinite side of a plane whose other side is finite; heights on a
 # tilted one are off by about 1e-16 ENDLESS_HALF_SIZE^2 [m]
 ENDLESS_HALF_SIZE = 1e4
-# The points or triangles of a mesh are divided into shares, ranges for one thread each, of at least
+# The points or triangles of a mesh are divided into chunks, ranges for one thread each, of at least
 # this many; fewer are not worth a call on another thread
-MIN_ITEMS_PER_SHARE = 4096
-# A mesh is divided into at most this many shares, as each needs arrays of its own
-MAX_SHARES = 8
+MIN_ITEMS_PER_CHUNK = 4096
+# A mesh is divided into at most this many chunks, as each needs arrays of its own
+MAX_CHUNKS = 8
 NUM_SIDES = 32  # of round solids that are made of triangles
 # Triangles of about this many are expanded at a time
 TRIANGLES_PER_BATCH = 1 << 20
@@ -50,14 +50,14 @@ class GeomTriangles(NamedTuple):
             those that enclose nothing, and for all geoms but meshes.
         closed: OPEN_SURFACE, CLOSED_SURFACE, SOLID (height fields) or CONVEX_SOLID (hulls), (m,)
             uint8. The inside of all but the first counts as occupied.
-        kind: what the triangles are, in words, for `GeomReport.shape`.
+        description: what the triangles are, in words, for `GeomReport.shape`.
     """
 
     vertices: Float
     faces: Int32
     part: Int32
     closed: NDArray[np.uint8]
-    kind: str
+    description: str
 
 
 class Mesh(NamedTuple):
@@ -90,7 +90,7 @@ class Meshes:
     boxes: Float
 
     @property
-    def counts(self) -> Int:
+    def num_triangles(self) -> Int:
         """Return the number of triangles of each entry, shape (n,)."""
         return np.array([len(mesh.faces) for mesh in self.triangles], dtype=np.int64)
 
@@ -99,45 +99,47 @@ class Meshes:
         """Return all triangles; they are expanded once and kept."""
         return self.expand()
 
-    def only(self, mask: Bool) -> Meshes:
+    def only(self, is_selected: Bool) -> Meshes:
         """Return the entries that a mask of shape (n,) marks."""
-        if mask.all():
+        if is_selected.all():
             return self
-        triangles = [self.triangles[n] for n in np.flatnonzero(mask).tolist()]
-        return Meshes(self.geom[mask], triangles, self.boxes[mask])
+        triangles = [self.triangles[n] for n in np.flatnonzero(is_selected).tolist()]
+        return Meshes(self.geom[is_selected], triangles, self.boxes[is_selected])
 
     def expand(self) -> Facets:
         """Return all triangles of all geoms, ordered by geom, with their corners and boxes."""
-        start = np.cumsum([0, *self.counts])  # of each entry
-        num_triangles = int(start[-1])
+        first_of_mesh = np.cumsum([0, *self.num_triangles])  # of each entry
+        num_triangles = int(first_of_mesh[-1])
         corners = np.empty((num_triangles, 3, 3))
         bounds = np.empty((num_triangles, 6))
         facing = np.empty(num_triangles, dtype=np.int8)
 
-        def expand_range(first: int, end: int) -> None:
-            n = int(np.searchsorted(start, first, side="right")) - 1
-            while first < end:
-                begin, stop = start[n : n + 2].tolist()
-                last = min(stop, end)
-                mesh = self.triangles[n]
+        def expand_range(first_triangle: int, end_triangle: int) -> None:
+            mesh_number = int(np.searchsorted(first_of_mesh, first_triangle, side="right")) - 1
+            while first_triangle < end_triangle:
+                mesh_begin, mesh_end = first_of_mesh[mesh_number : mesh_number + 2].tolist()
+                range_end = min(mesh_end, end_triangle)
+                mesh = self.triangles[mesh_number]
                 expand_mesh(
                     mesh.vertices,
                     mesh.faces,
-                    corners[begin:stop],
-                    bounds[begin:stop],
-                    facing[begin:stop],
-                    first - begin,
-                    last - begin,
+                    corners[mesh_begin:mesh_end],
+                    bounds[mesh_begin:mesh_end],
+                    facing[mesh_begin:mesh_end],
+                    first_triangle - mesh_begin,
+                    range_end - mesh_begin,
                 )
-                first = last
-                n = n + 1
+                first_triangle = range_end
+                mesh_number = mesh_number + 1
 
-        run_in_chunks(expand_range, num_triangles, least=MIN_ITEMS_PER_SHARE)
+        run_in_chunks(expand_range, num_triangles, least=MIN_ITEMS_PER_CHUNK)
         arrays: list[list[NDArray[Any]]] = [[mesh.part, mesh.closed] for mesh in self.triangles]
         if not arrays:
             arrays.append([np.empty(0, np.int32), np.empty(0, np.uint8)])
         part, closed = join_arrays(arrays)
-        return Facets(np.repeat(self.geom, self.counts), part, closed, corners, bounds, facing)
+        return Facets(
+            np.repeat(self.geom, self.num_triangles), part, closed, corners, bounds, facing
+        )
 
 
 Primitives = TypeVar("Primitives", Solids, Planes)
@@ -151,23 +153,25 @@ class Shapes:
         solids: the primitives.
         planes: the planes that are infinite along both sides.
         meshes: the geoms that are made of triangles.
-        endless: marks the planes with one infinite side, whose triangles extend ENDLESS_HALF_SIZE
-            there and don't count for `bounds`, shape (ngeom,), bool.
+        is_endless: marks the planes with one infinite side, whose triangles extend
+            ENDLESS_HALF_SIZE there and don't count for `bounds`, shape (ngeom,), bool.
     """
 
     solids: Solids
     planes: Planes
     meshes: Meshes
-    endless: Bool
+    is_endless: Bool
 
     @cached_property
     def bounds(self) -> Float | None:
         """Return the box around all finite geoms, shape (2, 3) [m]; None if there are none."""
-        finite_boxes = self.meshes.boxes[~self.endless[self.meshes.geom]]
+        finite_boxes = self.meshes.boxes[~self.is_endless[self.meshes.geom]]
         boxes = np.concatenate([self.solids.bounds, finite_boxes])
-        low = boxes[:, :3]
-        high = boxes[:, 3:]
-        return np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else None
+        lower_corners = boxes[:, :3]
+        upper_corners = boxes[:, 3:]
+        if not len(boxes):
+            return None
+        return np.stack([lower_corners.min(axis=0), upper_corners.max(axis=0)])
 
     @cached_property
     def boxes(self) -> Float:
@@ -179,7 +183,7 @@ class Shapes:
         return np.concatenate([self.solids.bounds, self.meshes.boxes, planes])
 
     @cached_property
-    def boxed_geoms(self) -> Int32:
+    def geom_of_box(self) -> Int32:
         """Return the geom id of each box in `boxes`, shape (n,)."""
         return np.concatenate([self.solids.geom, self.meshes.geom, self.planes.geom])
 
@@ -204,58 +208,64 @@ class Shapes:
         Triangles that are no more than that, or that are expanded already, are yielded at once, and
         are kept.
         """
-        if "expanded" in self.meshes.__dict__ or self.meshes.counts.sum() <= TRIANGLES_PER_BATCH:
+        if (
+            "expanded" in self.meshes.__dict__
+            or self.meshes.num_triangles.sum() <= TRIANGLES_PER_BATCH
+        ):
             yield self.triangles
             return
-        batch_of_entry = np.cumsum(self.meshes.counts) // TRIANGLES_PER_BATCH
+        batch_of_entry = np.cumsum(self.meshes.num_triangles) // TRIANGLES_PER_BATCH
         for batch in np.unique(batch_of_entry).tolist():
             yield self.meshes.only(batch_of_entry == batch).expand()
 
-    def only(self, geoms: Bool) -> Shapes:
+    def only(self, is_selected: Bool) -> Shapes:
         """Return the geometry of the geoms that are marked.
 
         Args:
-            geoms: mask by geom id, shape (ngeom,).
+            is_selected: mask by geom id, shape (ngeom,).
         """
-        if geoms.all():
+        if is_selected.all():
             return self
 
         def select(primitives: Primitives) -> Primitives:
-            mask = geoms[primitives.geom]
-            if mask.all():
+            is_selected_primitive = is_selected[primitives.geom]
+            if is_selected_primitive.all():
                 return primitives
-            return type(primitives)._make(array[mask] for array in primitives)
+            return type(primitives)._make(array[is_selected_primitive] for array in primitives)
 
-        meshes = self.meshes.only(geoms[self.meshes.geom])
-        return Shapes(select(self.solids), select(self.planes), meshes, self.endless & geoms)
+        meshes = self.meshes.only(is_selected[self.meshes.geom])
+        return Shapes(
+            select(self.solids), select(self.planes), meshes, self.is_endless & is_selected
+        )
 
-    def with_replaced(self, new: Shapes, geoms: Bool) -> Shapes:
+    def with_replaced(self, new_shapes: Shapes, is_replaced: Bool) -> Shapes:
         """Return the shapes, with the geometry of the marked geoms replaced.
 
         Args:
-            new: the new geometry of the marked geoms; a solid stays a solid, a plane a plane.
-            geoms: mask by geom id, shape (ngeom,).
+            new_shapes: the new geometry of the marked geoms; a solid stays a solid, a plane a
+                plane.
+            is_replaced: mask by geom id, shape (ngeom,).
         """
 
-        def replace_in(old: Primitives, new_primitives: Primitives) -> Primitives:
-            indices = np.flatnonzero(geoms[old.geom])
+        def replace_in(old_primitives: Primitives, new_primitives: Primitives) -> Primitives:
+            indices = np.flatnonzero(is_replaced[old_primitives.geom])
             if not len(indices):
-                return old
-            arrays: list[NDArray[Any]] = [array.copy() for array in old]
+                return old_primitives
+            arrays: list[NDArray[Any]] = [array.copy() for array in old_primitives]
             for array, values in zip(arrays, new_primitives, strict=True):
                 array[indices] = values
-            return type(old)._make(arrays)
+            return type(old_primitives)._make(arrays)
 
         triangles = list(self.meshes.triangles)
         boxes = self.meshes.boxes.copy()
-        indices = np.flatnonzero(geoms[self.meshes.geom])
-        boxes[indices] = new.meshes.boxes
-        for n, new_triangles in zip(indices.tolist(), new.meshes.triangles, strict=True):
+        indices = np.flatnonzero(is_replaced[self.meshes.geom])
+        boxes[indices] = new_shapes.meshes.boxes
+        for n, new_triangles in zip(indices.tolist(), new_shapes.meshes.triangles, strict=True):
             triangles[n] = new_triangles
         meshes = Meshes(self.meshes.geom, triangles, boxes)
-        solids = replace_in(self.solids, new.solids)
-        planes = replace_in(self.planes, new.planes)
-        return Shapes(solids, planes, meshes, self.endless)
+        solids = replace_in(self.solids, new_shapes.solids)
+        planes = replace_in(self.planes, new_shapes.planes)
+        return Shapes(solids, planes, meshes, self.is_endless)
 
     def solids_in_frame(self, axes: Float) -> Shapes:
         """Return the solids alone, in a rotated frame.
@@ -266,21 +276,22 @@ class Shapes:
         solids = self.solids
         pos = solids.pos @ axes.T
         mat = np.ascontiguousarray((axes @ solids.mat.reshape(-1, 3, 3)).reshape(-1, 9))
-        rotated = solids._replace(
+        rotated_solids = solids._replace(
             pos=pos, mat=mat, bounds=solid_bounds(solids.kind, pos, mat, solids.size)
         )
         no_planes = Planes._make(array[:0] for array in self.planes)
         no_meshes = self.meshes.only(np.zeros(len(self.meshes.geom), dtype=np.bool_))
-        return Shapes(rotated, no_planes, no_meshes, self.endless)
+        return Shapes(rotated_solids, no_planes, no_meshes, self.is_endless)
 
 
-def gather_meshes(triangles: Iterable[tuple[int, GeomTriangles]]) -> Meshes:
+def gather_meshes(triangles_of_geoms: Iterable[tuple[int, GeomTriangles]]) -> Meshes:
     """Gather the geoms that have triangles, and compute their boxes.
 
     Args:
-        triangles: geom ids, ascending, each with the triangles of the geom, or of a piece of it.
+        triangles_of_geoms: geom ids, ascending, each with the triangles of the geom, or of a piece
+            of it.
     """
-    non_empty = [(geom, mesh) for geom, mesh in triangles if len(mesh.faces)]
+    non_empty = [(geom, mesh) for geom, mesh in triangles_of_geoms if len(mesh.faces)]
     geoms = [geom for geom, _ in non_empty]
     meshes = [mesh for _, mesh in non_empty]
     boxes = np.empty((len(meshes), 6))
@@ -303,8 +314,8 @@ def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
         Lower corner, upper corner, shape (n, 6) [m].
     """
     axes = mat.reshape(-1, 3, 3)
-    half = np.stack([support_distances(kind, axes[:, k], size) for k in range(3)], axis=1)
-    return np.concatenate([pos - half, pos + half], axis=1)
+    half_sides = np.stack([support_distances(kind, axes[:, k], size) for k in range(3)], axis=1)
+    return np.concatenate([pos - half_sides, pos + half_sides], axis=1)
 
 
 def support_distances(kind: Int32, direction: Float, size: Float) -> Float:
@@ -317,24 +328,26 @@ def support_distances(kind: Int32, direction: Float, size: Float) -> Float:
     Returns:
         Distances, shape (n,) [m].
     """
-    components = np.abs(direction)
+    absolute_direction = np.abs(direction)
     distances = np.empty(len(kind))
     kinds = set(kind.tolist())
     for solid_kind in kinds:
-        mask = kind == solid_kind if len(kinds) > 1 else slice(None)
-        up = components[mask, 2]
-        sizes = size[mask]
+        is_of_kind = kind == solid_kind if len(kinds) > 1 else slice(None)
+        absolute_z = absolute_direction[is_of_kind, 2]
+        sizes = size[is_of_kind]
         if solid_kind == BOX:
-            distances[mask] = (components[mask] * sizes).sum(axis=1)
+            distances[is_of_kind] = (absolute_direction[is_of_kind] * sizes).sum(axis=1)
         elif solid_kind == ELLIPSOID:
-            distances[mask] = np.sqrt(np.square(components[mask] * sizes).sum(axis=1))
+            distances[is_of_kind] = np.sqrt(
+                np.square(absolute_direction[is_of_kind] * sizes).sum(axis=1)
+            )
         elif solid_kind == CYLINDER:
-            horizontal = np.sqrt(np.clip(1.0 - np.square(up), 0.0, None))
-            distances[mask] = up * sizes[:, 1] + sizes[:, 0] * horizontal
+            horizontal_length = np.sqrt(np.clip(1.0 - np.square(absolute_z), 0.0, None))
+            distances[is_of_kind] = absolute_z * sizes[:, 1] + sizes[:, 0] * horizontal_length
         elif solid_kind == CAPSULE:
-            distances[mask] = sizes[:, 0] + up * sizes[:, 1]
+            distances[is_of_kind] = sizes[:, 0] + absolute_z * sizes[:, 1]
         else:
-            distances[mask] = sizes[:, 0]
+            distances[is_of_kind] = sizes[:, 0]
     return distances
 
 
@@ -356,14 +369,16 @@ def height_field_pieces(heights: Float, size: Float) -> Iterator[Mesh]:
     y = np.linspace(-size[1], size[1], rows)
     rows_per_piece = max(1, TRIANGLES_PER_PIECE // (2 * (cols - 1)))
     faces = grid_faces(min(rows_per_piece, rows - 1), cols)
-    for first in range(0, rows - 1, rows_per_piece):
-        end = min(first + rows_per_piece, rows - 1)
-        num_faces = 2 * (end - first) * (cols - 1)
+    for first_row in range(0, rows - 1, rows_per_piece):
+        end_row = min(first_row + rows_per_piece, rows - 1)
+        num_faces = 2 * (end_row - first_row) * (cols - 1)
         yield Mesh(
-            vertices=_surface_points(x, y[first : end + 1], heights[first : end + 1] * size[2]),
+            vertices=_surface_points(
+                x, y[first_row : end_row + 1], heights[first_row : end_row + 1] * size[2]
+            ),
             faces=faces if num_faces == len(faces) else faces[:num_faces],
         )
-    yield _height_field_skirt(x, y, heights, size)
+    yield _make_height_field_sides(x, y, heights, size)
 
 
 def grid_faces(num_rows: int, num_columns: int) -> Int32:
@@ -376,13 +391,13 @@ def grid_faces(num_rows: int, num_columns: int) -> Int32:
     Returns:
         Vertices of each triangle, shape (2 rows (columns - 1), 3), row by row.
     """
-    corner = np.arange(num_rows)[:, None] * num_columns + np.arange(num_columns - 1)
-    right = corner + 1
-    above = corner + num_columns
-    above_right = above + 1
-    lower = np.stack([corner, right, above_right], axis=-1)
-    upper = np.stack([corner, above_right, above], axis=-1)
-    return np.stack([lower, upper], axis=2).reshape(-1, 3).astype(np.int32)
+    lower_left = np.arange(num_rows)[:, None] * num_columns + np.arange(num_columns - 1)
+    lower_right = lower_left + 1
+    upper_left = lower_left + num_columns
+    upper_right = upper_left + 1
+    lower_triangles = np.stack([lower_left, lower_right, upper_right], axis=-1)
+    upper_triangles = np.stack([lower_left, upper_right, upper_left], axis=-1)
+    return np.stack([lower_triangles, upper_triangles], axis=2).reshape(-1, 3).astype(np.int32)
 
 
 def _surface_points(x: Float, y: Float, z: Float) -> Float:
@@ -394,7 +409,7 @@ def _surface_points(x: Float, y: Float, z: Float) -> Float:
     return points.reshape(-1, 3)
 
 
-def _height_field_skirt(x: Float, y: Float, heights: Float, size: Float) -> Mesh:
+def _make_height_field_sides(x: Float, y: Float, heights: Float, size: Float) -> Mesh:
     """Make the four sides and the bottom of a height field.
 
     The bottom is a fan over the border's points, so that two triangles meet at every edge.
@@ -414,13 +429,15 @@ def _height_field_skirt(x: Float, y: Float, heights: Float, size: Float) -> Mesh
         (np.full_like(columns[:-1], rows[-1]), columns[:0:-1]),
         (rows[:0:-1], np.zeros_like(rows[:-1])),
     ]
-    row = np.concatenate([side_rows for side_rows, _ in border])
-    column = np.concatenate([side_columns for _, side_columns in border])
-    upper = np.stack([x[column], y[row], heights[row, column] * size[2]], axis=1)
-    lower = upper.copy()
-    lower[:, 2] = -size[3]
-    middle = np.array([(x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2, -size[3]])
-    num_points = len(upper)
+    border_rows = np.concatenate([side_rows for side_rows, _ in border])
+    border_columns = np.concatenate([side_columns for _, side_columns in border])
+    upper_points = np.stack(
+        [x[border_columns], y[border_rows], heights[border_rows, border_columns] * size[2]], axis=1
+    )
+    lower_points = upper_points.copy()
+    lower_points[:, 2] = -size[3]
+    bottom_middle = np.array([(x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2, -size[3]])
+    num_points = len(upper_points)
     top_id = np.arange(num_points)
     next_top_id = np.roll(top_id, -1)
     bottom_id = top_id + num_points
@@ -431,7 +448,7 @@ def _height_field_skirt(x: Float, y: Float, heights: Float, size: Float) -> Mesh
         np.stack([bottom_id, next_top_id, top_id], axis=1),
         np.stack([middle_id, next_bottom_id, bottom_id], axis=1),
     ]
-    vertices = np.concatenate([upper, lower, middle[None]])
+    vertices = np.concatenate([upper_points, lower_points, bottom_middle[None]])
     return Mesh(vertices, np.concatenate(faces).astype(np.int32))
 
 
@@ -450,20 +467,24 @@ def hull_faces(vertices: Float) -> Int32 | None:
     except (spatial.QhullError, ValueError):  # flat, or fewer than four
         return None
     corners: Float = vertices[hull.simplices]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross_products = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     # Qhull's simplices turn either way round, but its equations point outward
-    inward = np.einsum("ij,ij->i", cross, hull.equations[:, :3]) < 0
+    is_inward = np.einsum("ij,ij->i", cross_products, hull.equations[:, :3]) < 0
     faces: Int32 = hull.simplices.astype(np.int32)
-    faces[inward] = faces[inward][:, ::-1]
+    faces[is_inward] = faces[is_inward][:, ::-1]
     return faces
 
 
 # ---------------------------------------------------------------- meshes as arrays
 
 
-def choose_num_shares(count: int) -> int:
-    """Return into how many shares `count` points or triangles are divided, one for each thread."""
-    return max(1, min(num_threads(), MAX_SHARES, count // MIN_ITEMS_PER_SHARE))
+def choose_num_chunks(num_items: int) -> int:
+    """Return into how many chunks, one for each thread, points or triangles are divided.
+
+    Args:
+        num_items: how many points or triangles there are.
+    """
+    return max(1, min(num_threads(), MAX_CHUNKS, num_items // MIN_ITEMS_PER_CHUNK))
 
 
 def triangle_areas(vertices: Float, faces: Int32) -> Float:
@@ -477,7 +498,7 @@ def triangle_areas(vertices: Float, faces: Int32) -> Float:
         Areas, shape (m,) [m²].
     """
     area = np.empty(len(faces))
-    run_in_chunks(measure_areas, len(faces), vertices, faces, area, least=MIN_ITEMS_PER_SHARE)
+    run_in_chunks(measure_areas, len(faces), vertices, faces, area, least=MIN_ITEMS_PER_CHUNK)
     return area
 
 
@@ -492,12 +513,12 @@ def bounding_box(points: Float) -> Float:
     """
     box = np.empty(6)
 
-    def measure(first: int, end: int) -> None:
-        for k in range(first, end):  # numpy takes ten times as long along narrow rows
-            box[k] = points[:, k].min()
-            box[3 + k] = points[:, k].max()
+    def measure(first_axis: int, end_axis: int) -> None:
+        for axis in range(first_axis, end_axis):  # numpy takes ten times as long along narrow rows
+            box[axis] = points[:, axis].min()
+            box[3 + axis] = points[:, axis].max()
 
-    run_in_chunks(measure, 3, least=1 if len(points) > MIN_ITEMS_PER_SHARE else 3)
+    run_in_chunks(measure, 3, least=1 if len(points) > MIN_ITEMS_PER_CHUNK else 3)
     return box
 
 
@@ -511,16 +532,18 @@ def mark_used_vertices(num_vertices: int, faces: Int32) -> Bool:
     Returns:
         A mask, shape (num_vertices,), bool.
     """
-    marks = np.zeros((choose_num_shares(len(faces)), num_vertices), dtype=np.bool_)
+    is_used_by_chunk = np.zeros((choose_num_chunks(len(faces)), num_vertices), dtype=np.bool_)
 
-    def mark(first: int, end: int) -> None:
-        for share in range(first, end):
-            begin = len(faces) * share // len(marks)
-            last = len(faces) * (share + 1) // len(marks)
-            marks[share][faces[begin:last]] = True
+    def mark(first_chunk: int, end_chunk: int) -> None:
+        for chunk in range(first_chunk, end_chunk):
+            first_face = len(faces) * chunk // len(is_used_by_chunk)
+            end_face = len(faces) * (chunk + 1) // len(is_used_by_chunk)
+            is_used_by_chunk[chunk][faces[first_face:end_face]] = True
 
-    run_in_chunks(mark, len(marks))
-    return marks[0] if len(marks) == 1 else np.asarray(marks.any(axis=0))
+    run_in_chunks(mark, len(is_used_by_chunk))
+    if len(is_used_by_chunk) == 1:
+        return np.asarray(is_used_by_chunk[0])
+    return np.asarray(is_used_by_chunk.any(axis=0))
 
 
 def drop_unused_vertices(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
@@ -560,43 +583,60 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
         assert hull is not None
         return Mesh(corners, hull)
     radius = size[0]
-    half = size[1] if len(size) > 1 else 0.0
+    half_height = size[1] if len(size) > 1 else 0.0
     arc = np.linspace(-math.pi / 2, 0.0, NUM_SIDES // 4 + 1)
     if kind == "cylinder":
-        profile = [(0.0, -half), (radius, -half), (radius, half), (0.0, half)]
+        profile = [
+            (0.0, -half_height),
+            (radius, -half_height),
+            (radius, half_height),
+            (0.0, half_height),
+        ]
     elif kind == "cone":
-        profile = [(0.0, -half), (radius, -half), (0.0, half)]
+        profile = [(0.0, -half_height), (radius, -half_height), (0.0, half_height)]
     else:
-        lift = half if kind == "capsule" else 0.0
-        lower = [(radius * math.cos(a), radius * math.sin(a) - lift) for a in arc.tolist()]
-        upper = [(r, -z) for r, z in lower[::-1]]
+        cylinder_half_height = half_height if kind == "capsule" else 0.0
+        lower_profile = [
+            (radius * math.cos(angle_below), radius * math.sin(angle_below) - cylinder_half_height)
+            for angle_below in arc.tolist()
+        ]
+        upper_profile = [(ring_radius, -z) for ring_radius, z in lower_profile[::-1]]
         # the two halves of a sphere share their ring in the middle
-        profile = lower + (upper[1:] if lift == 0 else upper)
+        profile = lower_profile + (
+            upper_profile[1:] if cylinder_half_height == 0 else upper_profile
+        )
     _, bottom = profile[0]
     _, top = profile[-1]
-    rings = profile[1:-1]
+    ring_profile = profile[1:-1]
     angle = np.arange(NUM_SIDES) * (2 * math.pi / NUM_SIDES)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    layers = [np.column_stack([r * circle, np.full(NUM_SIDES, z)]) for r, z in rings]
+    layers = [
+        np.column_stack([ring_radius * circle, np.full(NUM_SIDES, z)])
+        for ring_radius, z in ring_profile
+    ]
     vertices = np.concatenate([*layers, [[0.0, 0.0, bottom], [0.0, 0.0, top]]])
     side = np.arange(NUM_SIDES)
     next_side = (side + 1) % NUM_SIDES
     bottom_vertex = np.full(NUM_SIDES, len(vertices) - 2)
     top_vertex = np.full(NUM_SIDES, len(vertices) - 1)
-    last_ring = (len(rings) - 1) * NUM_SIDES
+    last_ring = (len(ring_profile) - 1) * NUM_SIDES
     faces = [np.column_stack([bottom_vertex, next_side, side])]
-    for ring in range(0, last_ring, NUM_SIDES):
-        a = ring + side
-        b = ring + next_side
-        faces.append(np.column_stack([a, b, b + NUM_SIDES]))
-        faces.append(np.column_stack([a, b + NUM_SIDES, a + NUM_SIDES]))
+    for first_vertex in range(0, last_ring, NUM_SIDES):
+        lower_vertex = first_vertex + side
+        next_lower_vertex = first_vertex + next_side
+        upper_vertex = lower_vertex + NUM_SIDES
+        next_upper_vertex = next_lower_vertex + NUM_SIDES
+        faces.append(np.column_stack([lower_vertex, next_lower_vertex, next_upper_vertex]))
+        faces.append(np.column_stack([lower_vertex, next_upper_vertex, upper_vertex]))
     faces.append(np.column_stack([last_ring + side, last_ring + next_side, top_vertex]))
     if kind == "ellipsoid":
         vertices = vertices / radius * np.asarray(size)
     return Mesh(vertices, np.concatenate(faces).astype(np.int32))
 
 
-def triangulate(vertices: Float, counts: Int, indices: Int, holes: Int) -> Int32:
+def triangulate(
+    vertices: Float, corner_counts: Int, corner_vertices: Int, excluded_polygons: Int
+) -> Int32:
     """Divide polygons in space into triangles that face to the same side as the polygons.
 
     Convex polygons become fans; of others ears are cut off (Meisters, Polygons have ears, 1975).
@@ -604,40 +644,46 @@ def triangulate(vertices: Float, counts: Int, indices: Int, holes: Int) -> Int32
 
     Args:
         vertices: shape (m, 3).
-        counts: number of corners of each polygon, (polygons,).
-        indices: vertices of all corners, polygon by polygon, (sum of counts,).
-        holes: numbers of polygons that are left out; those out of range are ignored.
+        corner_counts: number of corners of each polygon, (polygons,).
+        corner_vertices: vertices of all corners, polygon by polygon, (sum of counts,).
+        excluded_polygons: numbers of polygons that are left out; those out of range are ignored.
 
     Returns:
         Vertices of each triangle, shape (n, 3).
     """
-    if not len(holes) and (counts == 3).all():
-        return np.asarray(indices.reshape(-1, 3).astype(np.int32))
-    start = np.cumsum(counts) - counts
+    if not len(excluded_polygons) and (corner_counts == 3).all():
+        return np.asarray(corner_vertices.reshape(-1, 3).astype(np.int32))
+    start_of_polygon = np.cumsum(corner_counts) - corner_counts
     triangles = [np.empty((0, 3), dtype=np.int32)]
-    is_polygon = counts >= 3
-    is_polygon[holes[(holes >= 0) & (holes < len(counts))]] = False
-    for num_corners in np.unique(counts[is_polygon]).tolist():
-        first = start[is_polygon & (counts == num_corners)]
-        corners = indices[first[:, None] + np.arange(num_corners)].astype(np.int32)
+    is_polygon = corner_counts >= 3
+    is_polygon[
+        excluded_polygons[(excluded_polygons >= 0) & (excluded_polygons < len(corner_counts))]
+    ] = False
+    for num_corners in np.unique(corner_counts[is_polygon]).tolist():
+        first_corner = start_of_polygon[is_polygon & (corner_counts == num_corners)]
+        polygon_corners = corner_vertices[first_corner[:, None] + np.arange(num_corners)].astype(
+            np.int32
+        )
         if num_corners > 3:
-            is_convex = _are_convex(vertices[corners])
-            for polygon in corners[~is_convex]:
+            is_convex = _are_convex(vertices[polygon_corners])
+            for polygon in polygon_corners[~is_convex]:
                 triangles.append(_cut_ears(vertices[polygon], polygon))
-            corners = corners[is_convex]
+            polygon_corners = polygon_corners[is_convex]
         for k in range(1, num_corners - 1):
-            triangles.append(corners[:, [0, k, k + 1]])
+            triangles.append(polygon_corners[:, [0, k, k + 1]])
     return np.concatenate(triangles)
 
 
 def _are_convex(points: Float) -> Bool:
     """Mark the polygons that turn to one side at all corners; points have shape (n, k, 3)."""
     points = points - points[:, :1]
-    edge = np.roll(points, -1, axis=1) - points
-    turn = np.cross(edge, np.roll(edge, -1, axis=1))
-    normal = np.cross(points, np.roll(points, -1, axis=1)).sum(axis=1)  # Newell's
-    bends = np.einsum("nkc,nc->nk", turn, normal)
-    return np.asarray((bends >= -1e-9 * np.abs(bends).max(axis=1, keepdims=True)).all(axis=1))
+    edges = np.roll(points, -1, axis=1) - points
+    turns = np.cross(edges, np.roll(edges, -1, axis=1))
+    normals = np.cross(points, np.roll(points, -1, axis=1)).sum(axis=1)  # Newell's
+    bend_direction = np.einsum("nkc,nc->nk", turns, normals)
+    return np.asarray(
+        (bend_direction >= -1e-9 * np.abs(bend_direction).max(axis=1, keepdims=True)).all(axis=1)
+    )
 
 
 def _cut_ears(points: Float, corners: Int32) -> Int32:
@@ -654,9 +700,9 @@ def _cut_ears(points: Float, corners: Int32) -> Int32:
     normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
     # projected along the axis along which the polygon's area is largest
     dropped_axis = int(np.abs(normal).argmax())
-    flat = np.delete(points, dropped_axis, axis=1)
+    projected_points = np.delete(points, dropped_axis, axis=1)
     sign = 1.0 if (normal[dropped_axis] > 0) == (dropped_axis != 1) else -1.0
-    remaining = list(range(len(points)))
+    remaining_points = list(range(len(points)))
     triangles = list[list[int]]()
 
     def area(a: Float, b: Float, c: Float) -> Float:
@@ -667,13 +713,19 @@ def _cut_ears(points: Float, corners: Int32) -> Int32:
 
     def ear_at(k: int) -> list[int]:
         """Return the k-th remaining corner between its neighbors."""
-        return [remaining[k - 1], remaining[k], remaining[(k + 1) % len(remaining)]]
+        return [
+            remaining_points[k - 1],
+            remaining_points[k],
+            remaining_points[(k + 1) % len(remaining_points)],
+        ]
 
-    while len(remaining) > 3:
-        for k in range(len(remaining)):
+    while len(remaining_points) > 3:
+        for k in range(len(remaining_points)):
             ear = ear_at(k)
-            a, b, c = flat[ear]
-            remaining_corners = flat[[p for p in remaining if p not in ear]]
+            a, b, c = projected_points[ear]
+            remaining_corners = projected_points[
+                [point for point in remaining_points if point not in ear]
+            ]
             # a slit in the polygon has two corners at one place: those at the ear's don't count
             is_slit = (remaining_corners[:, None] == [a, b, c]).all(axis=2).any(axis=1)
             corner = remaining_corners[~is_slit]
@@ -682,9 +734,9 @@ def _cut_ears(points: Float, corners: Int32) -> Int32:
             if area(a, b, c) > 0 and not holds_corner:
                 break
         else:  # corners on a line, or lines that cross: the flattest ear is cut off
-            ears = [ear_at(k) for k in range(len(remaining))]
-            k = int(np.argmin([abs(area(*flat[ear])) for ear in ears]))
+            ears = [ear_at(k) for k in range(len(remaining_points))]
+            k = int(np.argmin([abs(area(*projected_points[ear])) for ear in ears]))
             ear = ears[k]
         triangles.append(ear)
-        remaining.pop(k)
-    return np.asarray(corners[np.array([*triangles, remaining])])
+        remaining_points.pop(k)
+    return np.asarray(corners[np.array([*triangles, remaining_points])])

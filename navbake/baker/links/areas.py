@@ -236,7 +236,7 @@ def _mark_geoms(
     geoms = np.flatnonzero(is_area_geom).tolist()
     shapes = _collect_geoms(scene, geoms)
     window: Window | None = np.s_[0 : lattice.height], np.s_[0 : lattice.width]
-    is_endless = len(shapes.planes.geom) > 0 or shapes.endless.any()
+    is_endless = len(shapes.planes.geom) > 0 or shapes.is_endless.any()
     if not is_endless:
         window = None if shapes.bounds is None else lattice.window(shapes.bounds)
     if window is None:

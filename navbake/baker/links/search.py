@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import ColumnSource, ShapeSource, cast_columns, tile_shapes
-from navbake.baker.core.components import adjacent_pairs, label_components
+from navbake.baker.core.components import label_components, list_adjacent_pairs
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window, crop_cells
 from navbake.baker.geometry.shapes import Shapes
@@ -317,8 +317,8 @@ class LinkSearch(NamedTuple):
         is_clear = np.ones(len(crossings), dtype=np.bool_)
         for source in geometry.sources:
             occupancy = check_occupancy(
-                source.columns.covering(np.unique(checked_cells)),
-                source.tiles.near_cells(checked_cells),
+                source.columns.columns_at(np.unique(checked_cells)),
+                source.tiles.shapes_near_cells(checked_cells),
                 geometry.footprint,
                 checked_cells,
                 checked_heights,
@@ -341,7 +341,7 @@ class LinkSearch(NamedTuple):
             similar_crossings = similar_crossings[
                 np.argsort(similar_crossings["from_cell"], kind="stable")
             ]
-            pairs = adjacent_pairs(similar_crossings["from_cell"], num_cols)
+            pairs = list_adjacent_pairs(similar_crossings["from_cell"], num_cols)
             is_step = np.ones(pairs.shape[1], dtype=np.bool_)
             for end_heights in (similar_crossings["from_height"], similar_crossings["to_height"]):
                 height_difference = np.abs(end_heights[pairs[1]] - end_heights[pairs[0]])

@@ -462,7 +462,7 @@ def find_changed_geoms(old_shapes: Shapes, new_shapes: Shapes) -> Bool:
     Returns:
         A mask by geom id, shape (ngeom,), bool.
     """
-    is_changed = np.array(old_shapes.endless != new_shapes.endless)
+    is_changed = np.array(old_shapes.is_endless != new_shapes.is_endless)
     _mark_changed_primitives(old_shapes.solids, new_shapes.solids, is_changed)
     _mark_changed_primitives(old_shapes.planes, new_shapes.planes, is_changed)
     old_meshes = _group_triangles_by_geom(old_shapes)

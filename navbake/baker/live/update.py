@@ -131,7 +131,7 @@ def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfi
 
 def _select_boxes(scene: Scene, is_selected_geom: Bool) -> Float:
     """Return the boxes of the marked geoms of a scene: lower corner, upper corner, (n, 6) [m]."""
-    boxes: Float = scene.shapes.boxes[is_selected_geom[scene.shapes.boxed_geoms]]
+    boxes: Float = scene.shapes.boxes[is_selected_geom[scene.shapes.geom_of_box]]
     return boxes
 
 

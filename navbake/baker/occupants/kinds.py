@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navbake.baker.core.components import label_components
 from navbake.baker.core.constants import BUILDING, OBJECT, STRUCTURE, WALL
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
-from navbake.baker.core.windows import differing_pairs
+from navbake.baker.core.windows import list_differing_pairs
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.extents import Extents
 from navbake.baker.scene.names import (
@@ -649,7 +649,7 @@ def find_steps(floors: Floors, floor_geom: Int32, lattice: Lattice) -> FloorStep
     to_index = to_level * num_cells + to_cell
     pairs = [np.stack([from_index, to_index], axis=1)]
     for level_number, level_floor_geom in enumerate(floor_geom):
-        cell_pairs = differing_pairs(level_floor_geom.reshape(lattice.shape)).T
+        cell_pairs = list_differing_pairs(level_floor_geom.reshape(lattice.shape)).T
         has_both_floors = (level_floor_geom[cell_pairs] >= 0).all(axis=1)
         pairs.append(cell_pairs[has_both_floors] + level_number * num_cells)
     cell_pairs = np.concatenate(pairs)

@@ -44,7 +44,7 @@ def find_lost_floors(
     """
     min_area = MIN_LOST_AREA - LIMIT_SLACK
     cell_area = lattice.cell_size**2
-    boxed_geoms = shapes.boxed_geoms
+    boxed_geoms = shapes.geom_of_box
     is_boxed = is_checked[boxed_geoms]
     # an endless geom counts as far as the lattice reaches
     boxes = clip_boxes(lattice, shapes.boxes[is_boxed], 0.0)

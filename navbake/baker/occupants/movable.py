@@ -150,7 +150,7 @@ def find_movable_occupants(
         blocked_squares=inputs.standing.blocked_squares,
         num_blocked_alone=np.zeros(int(inputs.mover_of.max(initial=0)) + 1, dtype=np.int64),
     )
-    boxes = shapes.boxes[is_obstacle_geom[shapes.boxed_geoms]]
+    boxes = shapes.boxes[is_obstacle_geom[shapes.geom_of_box]]
     return update_movable_occupants(nothing, inputs, shapes, is_obstacle_geom, boxes)
 
 
@@ -326,7 +326,7 @@ def _find_movables_over_cells(
     else:
         centers = lattice.positions(*np.divmod(cells, lattice.width))
         columns = index_by_cell(lattice, cells, cast_points(tiled_shapes, cells, centers))
-    no_wall_candidates = np.zeros(len(shapes.endless), dtype=np.bool_)
+    no_wall_candidates = np.zeros(len(shapes.is_endless), dtype=np.bool_)
     movables_by_level = []
     level_ceilings = find_level_ceilings(inputs.floors)
     for level, level_ceiling in zip(inputs.floors.levels, level_ceilings, strict=True):
@@ -377,8 +377,8 @@ def _mark_geoms_near(shapes: Shapes, cells: Int, lattice: Lattice, max_distance:
     boxes = shapes.boxes
     is_near = (boxes[:, 0] <= x_max + margin) & (boxes[:, 3] >= x_min - margin)
     is_near &= (boxes[:, 1] <= y_max + margin) & (boxes[:, 4] >= y_min - margin)
-    is_near_geom = np.zeros(len(shapes.endless), dtype=np.bool_)
-    is_near_geom[shapes.boxed_geoms[is_near]] = True
+    is_near_geom = np.zeros(len(shapes.is_endless), dtype=np.bool_)
+    is_near_geom[shapes.geom_of_box[is_near]] = True
     return is_near_geom
 
 

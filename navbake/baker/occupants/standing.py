@@ -146,7 +146,7 @@ def find_standing_cells(
     if wall_candidates is not None:
         occupants_builders = [OccupantsBuilder(lattice) for _ in floors.levels]
     for chunk in columns.row_chunks():
-        tiled_shapes = chunk.nearby_shapes or tiles.near_rows(chunk.valid_rows)
+        tiled_shapes = chunk.nearby_shapes or tiles.shapes_near_rows(chunk.valid_rows)
         first_cell, end_cell = chunk.valid_rows.cell_range(lattice)
         cells = np.arange(first_cell, end_cell)
         for level_number, level in enumerate(floors.levels):
@@ -170,7 +170,7 @@ def find_standing_cells(
                 )
             if occupants_builders:
                 occupants_builders[level_number].append(level_occupancy, end_cell / num_cells)
-        with clock.part("rooms"):
+        with clock.add_to_stage("rooms"):
             hits = chunk.hits._replace(start=chunk.start[first_cell : end_cell + 1])
             for level_number, level in enumerate(floors.levels):
                 flag_columns(

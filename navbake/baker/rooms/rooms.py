@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.components import (
-    adjacent_pairs,
     count_cells_by_label,
     find_row_runs,
     label_components,
+    list_adjacent_pairs,
 )
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.core.windows import differing_pairs
+from navbake.baker.core.windows import list_differing_pairs
 from navbake.baker.rooms.flags import LevelFlags, MarkedRooms, RoomFlags
 from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.leaves import ClosedLeaf, LeafMarks, mark_leaves
@@ -503,7 +503,9 @@ def find_openings(
         zip(index, floors, occupied, strict=True)
     ):
         is_on_level = (links[:, [0, 2]] == level_number).all(axis=1)
-        neighbor_pairs = differing_pairs(room_of_cell).T  # few: only their heights are compared
+        neighbor_pairs = list_differing_pairs(
+            room_of_cell
+        ).T  # few: only their heights are compared
         height_difference = np.subtract(*floor.ravel()[neighbor_pairs.T])
         is_step = np.abs(height_difference) <= max_step + LIMIT_SLACK
         cell_pairs = np.concatenate([links[is_on_level][:, [1, 3]], neighbor_pairs[is_step]])
@@ -522,7 +524,9 @@ def find_openings(
         keys, key_of_cell = np.unique(
             pair_of_cells[:, None] * lattice_size + cell_pairs, return_inverse=True
         )
-        opening_of_key = label_components(adjacent_pairs(keys, room_of_cell.shape[1]), len(keys))
+        opening_of_key = label_components(
+            list_adjacent_pairs(keys, room_of_cell.shape[1]), len(keys)
+        )
         is_free = ~level_occupied.ravel()[cell_pairs].any(axis=1)
         is_passable = np.zeros(int(opening_of_key.max()) + 1, dtype=np.bool_)
         is_passable[opening_of_key[key_of_cell.reshape(-1, 2)[is_free]]] = True

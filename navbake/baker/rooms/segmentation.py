@@ -21,13 +21,13 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.core.components import (
-    adjacent_pairs,
     count_cells_by_label,
     find_row_runs,
     label_components,
     label_components_2d,
+    list_adjacent_pairs,
 )
-from navbake.baker.core.windows import bounding_window, differing_pairs
+from navbake.baker.core.windows import bounding_window, list_differing_pairs
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.rooms.flags import MIN_OUTDOOR_EDGE, LevelFlags, RoomFlags, mark_edge
 from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH
@@ -385,7 +385,7 @@ class _SpaceGraph:
         # label -> the space that it belongs to after the joins so far
         self._space_of = np.arange(num_labels, dtype=np.int32)
         # the edges between cells of two spaces
-        edge_cells = differing_pairs(label)
+        edge_cells = list_differing_pairs(label)
         spaces = np.sort(label.ravel()[edge_cells].astype(np.int64), axis=0)
         is_contact = (spaces[0] > 0) & may_join[spaces].any(axis=0)
         spaces = spaces[:, is_contact]
@@ -701,7 +701,9 @@ def _find_most_touched_room(component: Int32, room_number: Int32, num_labels: in
     """
     # the cells of areas have no room
     node_of_cell = np.where(room_number > 0, room_number + np.int32(num_labels), component)
-    lower_node, higher_node = np.sort(node_of_cell.ravel()[differing_pairs(node_of_cell)], axis=0)
+    lower_node, higher_node = np.sort(
+        node_of_cell.ravel()[list_differing_pairs(node_of_cell)], axis=0
+    )
     key_base = int(node_of_cell.max(initial=0)) + 1
     is_shared = (lower_node > 0) & (lower_node < num_labels) & (higher_node >= num_labels)
     edge_keys = lower_node[is_shared].astype(np.int64) * key_base + higher_node[is_shared]
@@ -764,7 +766,7 @@ def mark_cavities(
     num_labels = int(segment.max(initial=0)) + 1
     area = count_cells_by_label(segment, num_labels) * cell_size**2
     space_of_cell = np.where(room_number > 0, room_number + num_labels, segment)
-    pairs = space_of_cell.ravel()[differing_pairs(space_of_cell)]
+    pairs = space_of_cell.ravel()[list_differing_pairs(space_of_cell)]
     is_connected = np.zeros(num_labels, dtype=np.bool_)
     is_connected[0] = True
     is_connected[pairs[(pairs > 0).all(axis=0) & (pairs < num_labels)]] = True
@@ -845,7 +847,7 @@ def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
     # nodes are the segments, and behind them the banks
     node_of_cell = np.where(is_bank, bank_of_cell + len(is_outdoors) - 1, segment)
     may_join = np.concatenate([is_outdoors, np.ones(num_banks, dtype=np.bool_)])
-    touching_nodes = node_of_cell.ravel()[differing_pairs(node_of_cell)]
+    touching_nodes = node_of_cell.ravel()[list_differing_pairs(node_of_cell)]
     # the first node of a component is its least
     component = label_components(
         touching_nodes[:, may_join[touching_nodes].all(axis=0)], len(may_join)
@@ -871,7 +873,7 @@ def _measure_edge_extents(segment: Int32, at_edge: Bool, num_labels: int) -> Flo
     edge_cells = np.flatnonzero(at_edge)
     rows, cols = np.divmod(edge_cells, segment.shape[1])
     segment_of = segment[rows, cols]
-    pairs = adjacent_pairs(edge_cells, segment.shape[1])
+    pairs = list_adjacent_pairs(edge_cells, segment.shape[1])
     piece_of_cell = label_components(
         pairs[:, segment_of[pairs[0]] == segment_of[pairs[1]]], len(edge_cells)
     )

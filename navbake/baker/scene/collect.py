@@ -344,7 +344,7 @@ def represent_mesh(
     if mode == "shell":
         return _single_part(vertices, faces, constants.OPEN_SURFACE, "shell")
     split = split_mesh(vertices, faces)
-    return GeomTriangles(vertices, split.faces, split.part, split.closed, split.kind)
+    return GeomTriangles(vertices, split.faces, split.part, split.closed, split.description)
 
 
 def collect_shapes(
@@ -422,11 +422,11 @@ def collect_shapes(
                 geom_triangles = represent_mesh(exact_mesh.vertices, exact_mesh.faces, mode)
             else:
                 geom_triangles = meshes.get(data_id, mode)
-            if mode == "hull" and geom_triangles.kind != "hull":
+            if mode == "hull" and geom_triangles.description != "hull":
                 mesh_name = names[geom].mesh
                 reason = f"mesh {mesh_name!r} of geom {name!r} is flat, so it has no convex hull"
                 warnings.setdefault(mesh_name, f"{reason}: it counts by its triangles")
-        kinds[geom] = geom_triangles.kind
+        kinds[geom] = geom_triangles.description
         if geom not in exact_meshes:
             geom_triangles = _to_world(geom_triangles, data, geom)
         triangles.append((geom, geom_triangles))
@@ -435,7 +435,7 @@ def collect_shapes(
         solids=_collect_solids(model, data, np.array(solids, dtype=np.int32)),
         planes=Planes(plane_ids, data.geom_xpos[plane_ids], data.geom_xmat[plane_ids]),
         meshes=gather_meshes(triangles),
-        endless=endless,
+        is_endless=endless,
     )
     return shapes, kinds, list(warnings.values())
 

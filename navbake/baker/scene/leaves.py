@@ -76,7 +76,7 @@ class DoorCandidate:
 
     def only(self, shapes: Shapes) -> Shapes:
         """Return the shapes of the geoms that belong to this candidate."""
-        return shapes.only(mark_candidate_geoms(len(shapes.endless), [self]))
+        return shapes.only(mark_candidate_geoms(len(shapes.is_endless), [self]))
 
 
 def find_door_candidates(

@@ -56,7 +56,7 @@ def surfaces_alone() -> Iterator[None]:
     See test_rough_ground.py and test_ridges.py; these scenes are as small as a ridge is wide.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(column_sources, "level_rough_ground", lambda columns, *_: columns)
+        patch.setattr(column_sources, "replace_rough_ground_normals", lambda columns, *_: columns)
         patch.setattr(ridges, "RIDGE_WIDTH", 0.0)
         yield
 

@@ -59,7 +59,7 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
     for shapes in (tiles, open_stages(config, StageClock()).tile_index):
         for one, other in zip(join(shapes).hits, whole.hits, strict=True):
             np.testing.assert_array_equal(one, other)
-        some = find(shapes).covering(cells)
+        some = find(shapes).columns_at(cells)
         for cell in cells.tolist():
             one, other = (slice(*of.start[cell : cell + 2].tolist()) for of in (some, whole))
             for a, b in zip(some.hits[1:], whole.hits[1:], strict=True):

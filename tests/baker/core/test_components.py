@@ -8,7 +8,7 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.baker.core.components import adjacent_pairs, label_components, label_components_2d
+from navbake.baker.core.components import label_components, label_components_2d, list_adjacent_pairs
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -28,14 +28,14 @@ def test_parts_of_cells_are_those_of_scipy(seed):
     mask = rng.random(rng.integers(1, 15, 2)) < rng.random()
     cells = np.flatnonzero(mask)
     label, _ = ndimage.label(mask, np.ones((3, 3)))
-    part = label_components(adjacent_pairs(cells, mask.shape[1]), len(cells))
+    part = label_components(list_adjacent_pairs(cells, mask.shape[1]), len(cells))
     np.testing.assert_array_equal(part, label.ravel()[cells] - 1)
 
 
 def test_what_hangs_together_by_nothing_is_by_itself():
     assert label_components(np.empty((2, 0)), 3).tolist() == [0, 1, 2]
     # the last cell of a row and the first of the next don't touch
-    assert adjacent_pairs(np.array([2, 3]), 3).size == 0
+    assert list_adjacent_pairs(np.array([2, 3]), 3).size == 0
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (40, 63)])

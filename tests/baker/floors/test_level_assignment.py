@@ -13,7 +13,7 @@ from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.bake.stages import Stages, bake_stages
 from navbake.baker.bake.warnings import collect_warnings
 from navbake.baker.columns.columns import cast_columns
-from navbake.baker.core.blocks import splice
+from navbake.baker.core.blocks import replace_slices
 from navbake.config.settings import parse_config
 from navbake.runtime.path_finder import PathFinder
 
@@ -58,7 +58,7 @@ def test_treads_without_room_in_their_columns_are_left_out(tmp_path: Path):
     stages = stages_of_xml(tmp_path, two_storeys(under=0.06))
     assert grounds(stages) == [0, 2.8]
     [warning] = [text for text in warnings_of(stages) if "more floors than there are" in text]
-    count = sum(len(patch.cells) for patch in stages.floors.without_level)
+    count = sum(len(patch.cells) for patch in stages.floors.surfaces_without_level)
     assert 0 < count < 40
     assert f"{count} cells of 'tread" in warning
 
@@ -88,11 +88,11 @@ def test_what_a_walk_needs_opens_a_level(tmp_path: Path, size):
     stages = stages_of_xml(tmp_path, world("".join(geoms)))
     if size == 0.5:
         assert grounds(stages) == [0, 4.8]
-        assert 1 < sum(patch.area for patch in stages.floors.without_level) < 2
+        assert 1 < sum(patch.area for patch in stages.floors.surfaces_without_level) < 2
     else:
         assert len(stages.floors.levels) > 2
-        assert stages.floors.without_level == []
-    assert stages.floors.unreached == []
+        assert stages.floors.surfaces_without_level == []
+    assert stages.floors.unreached_floors == []
 
 
 def test_a_level_of_its_own_takes_whole_decks(tmp_path: Path):
@@ -132,7 +132,7 @@ def cast(folder: Path, xml: str) -> Stages:
 
 
 def column(stages: Stages, x: float, y: float) -> list[tuple[float, int]]:
-    columns = stages.floor_columns.covering(np.arange(stages.floor_columns.lattice.width))
+    columns = stages.floor_columns.columns_at(np.arange(stages.floor_columns.lattice.width))
     lattice = columns.lattice
     row, col = (int(i[0]) for i in lattice.rows_cols([[x, y]]))
     first, end = columns.start[[row * lattice.width + col, row * lattice.width + col + 1]]
@@ -151,7 +151,7 @@ def test_line_in_a_common_face_belongs_to_the_eastern_and_northern_geom(tmp_path
     south = box("", 0, 0, 0, 1, 0.45, 0.2)
     north = box("", 0, 0.45, 0, 1, 1, 0.7)
     stages = stages_of_xml(tmp_path, world(south + north))
-    columns = stages.floor_columns.covering(np.arange(100))
+    columns = stages.floor_columns.columns_at(np.arange(100))
     cell = 5 * 10 + 3  # of the row whose centre is at y = 0.45
     first = columns.start[cell]
     end = columns.start[cell + 1]
@@ -177,7 +177,7 @@ def test_seams_of_meshes_are_settled_as_those_of_boxes(tmp_path: Path):
     mesh_stages = bake_stages({"scene": {"path": str(mesh), "up": "z"}})
     settled = []
     for stages in (box_stages, mesh_stages):
-        columns = stages.floor_columns.covering(np.arange(3))
+        columns = stages.floor_columns.columns_at(np.arange(3))
         raw = cast_columns(stages.floor_tile_index)
         settled.append(np.flatnonzero(np.diff(columns.start) != np.diff(raw.start)).tolist())
     assert settled[0] == settled[1] != []
@@ -198,7 +198,7 @@ def test_splice_is_numpys_insert_and_delete():
             wanted += [*old[at:first], *new[start[k] : start[k + 1]]]
             at = last
         wanted += old[at:].tolist()
-        assert splice(old, cuts[:, 0], cuts[:, 1], new, start).tolist() == wanted
+        assert replace_slices(old, cuts[:, 0], cuts[:, 1], new, start).tolist() == wanted
 
 
 def plenum(gap: float) -> str:
@@ -226,7 +226,7 @@ def test_crawl_space_below_is_no_level_and_not_where_one_starts(tmp_path: Path):
     geoms += [box("", x0, y0, -1.6, x1, y1, 2.6) for x0, y0, x1, y1 in sides]
     stages = stages_of_xml(tmp_path, world("".join(geoms)))
     assert grounds(stages) == [0]
-    assert stages.floors.unreached == []
+    assert stages.floors.unreached_floors == []
     assert [round(patch.area) for patch in stages.floors.voids] == [73]
 
 

@@ -83,7 +83,7 @@ class InBands(NamedTuple):
     def row_chunks(self):
         return map(self.columns.select_rows, self.bands)
 
-    def covering(self, cells):
+    def columns_at(self, cells):
         return self.columns
 
 
@@ -118,7 +118,7 @@ def check_regions(regions, step):
                 (i, j) for i in at[a] for j in at[b] if abs(z[i] - z[j]) <= step + LIMIT_SLACK
             ]
     number = label_components(np.array(pairs).T, len(cell))
-    assert np.array_equal(regions.size, np.bincount(number))
+    assert np.array_equal(regions.num_surfaces, np.bincount(number))
     top = np.array([row[3] for row in rows])
     assert np.array_equal(regions.num_uncovered, np.bincount(number, top).astype(int))
     for region in range(regions.num):

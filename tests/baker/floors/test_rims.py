@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from navbake.baker.core.components import adjacent_pairs, label_components
+from navbake.baker.core.components import label_components, list_adjacent_pairs
 from navbake.baker.floors.outline import find_hole_edges, neighbor_cells
 from navbake.baker.floors.region_kernels import RegionEdges
 from navbake.navgrid.lattice import Lattice
@@ -31,7 +31,7 @@ def slow_holes(mask: np.ndarray, cell: np.ndarray, direction: np.ndarray) -> np.
     row, col = np.divmod(cell, mask.shape[1])
     outer = (row + 2) * width + col + 2 + np.array([1, width, -1, -width])[direction]
     cells, where = np.unique(outer, return_inverse=True)
-    first, second = pairs = adjacent_pairs(cells, width)
+    first, second = pairs = list_adjacent_pairs(cells, width)
     low = cells[first]
     high = cells[second]
     at_corner = ~np.isin(high - low, (1, width))

@@ -177,7 +177,7 @@ def test_levels_and_links_of_a_window_are_numbered_anew():
     assert [level.ground for level in window.levels] == [0, 6, 9]
     assert window.links.tolist() == [[0, 0, 1, 1], [1, 4, 2, 5]]
     assert window.tops == patches[1:] and window.enclosed_by_meshes == []
-    assert [part.level for part in window.unreached] == [1]
+    assert [part.level for part in window.unreached_floors] == [1]
     np.testing.assert_array_equal(window.levels[1].floor, floor[:, 1:] + 6)
     nowhere = replace(scene_floors, levels=[replace(level, standable=first) for level in levels])
     with pytest.raises(SceneError, match="no floor lies inside"):

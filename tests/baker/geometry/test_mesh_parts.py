@@ -60,16 +60,16 @@ def test_closed_and_open():
 
 
 def test_kinds():
-    assert split(SOLID).kind == "closed surface"
-    assert split(SHEET).kind == "surface"
-    assert split(SOLID, FAR_AWAY).kind == "partly closed"
+    assert split(SOLID).description == "closed surface"
+    assert split(SHEET).description == "surface"
+    assert split(SOLID, FAR_AWAY).description == "partly closed"
 
 
 def test_closedness_by_index():
-    assert split_mesh(TETRAHEDRON, OUTWARD).kind == "closed surface"
+    assert split_mesh(TETRAHEDRON, OUTWARD).description == "closed surface"
     points = np.concatenate([box().reshape(-1, 3), TETRAHEDRON])
-    assert split_mesh(points, OUTWARD + 36).kind == "closed surface"
-    assert split_mesh(TETRAHEDRON, OUTWARD[:, ::-1]).kind == "surface"
+    assert split_mesh(points, OUTWARD + 36).description == "closed surface"
+    assert split_mesh(TETRAHEDRON, OUTWARD[:, ::-1]).description == "surface"
 
 
 def test_parts_are_numbered_from_one():
@@ -124,11 +124,11 @@ def test_boxes_that_touch_stay_closed():
 
 def test_copies_and_empty_triangles_are_left_out():
     a, b = TETRAHEDRON[0], TETRAHEDRON[1]
-    assert split(SOLID, [[a, b, b]]).kind == "closed surface"
+    assert split(SOLID, [[a, b, b]]).description == "closed surface"
     found = split(SOLID, SOLID[2:3])
-    assert found.kind == "closed surface" and len(found.faces) == 4
+    assert found.description == "closed surface" and len(found.faces) == 4
     found = split(SOLID, np.roll(SOLID, 1, axis=1))
-    assert found.kind == "closed surface" and len(found.faces) == 4
+    assert found.description == "closed surface" and len(found.faces) == 4
 
 
 # ---------------------------------------------------------------- triangles that face in
@@ -139,7 +139,7 @@ def test_one_that_faces_in_is_turned():
         block = box()
         block[faulty] = turned(block[faulty : faulty + 1])[0]
         found = split(block)
-        assert found.kind == "closed surface, 1 turned"
+        assert found.description == "closed surface, 1 turned"
         corners = block.reshape(-1, 3)[found.faces]
         volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum()
         assert volume / 6 == pytest.approx(1)
@@ -148,10 +148,10 @@ def test_one_that_faces_in_is_turned():
 def test_the_larger_side_decides_by_area():
     mostly_in = np.concatenate([SOLID[:1], turned(SOLID[1:])])
     found = split(mostly_in)
-    assert found.kind == "surface"
+    assert found.description == "surface"
     np.testing.assert_array_equal(found.faces, np.arange(12).reshape(-1, 3))  # nothing encloses
     found = split(np.concatenate([turned(SOLID[:1]), SOLID[1:]]))
-    assert found.kind == "closed surface, 1 turned"
+    assert found.description == "closed surface, 1 turned"
 
 
 def test_each_part_is_judged_by_itself():
@@ -166,7 +166,7 @@ def test_a_strip_with_one_side_encloses_nothing():
         + [(i, i % 5 + 1, (i + 2) % 5 + 1) for i in range(1, 6)]
     )
     points = np.random.default_rng(1).uniform(0, 1, (6, 3))
-    assert split_mesh(points, faces).kind == "surface"
+    assert split_mesh(points, faces).description == "surface"
 
 
 # ---------------------------------------------------------------- membranes
@@ -297,7 +297,7 @@ def test_large_meshes(subdivisions):
     ball = np.array(trimesh.creation.icosphere(subdivisions).triangles)
     assert codes(ball) == [True]
     assert codes(ball[1:]) == [False]
-    assert split(ball, ball[1:] + 5).kind == "partly closed"
+    assert split(ball, ball[1:] + 5).description == "partly closed"
 
 
 # ---------------------------------------------------------------- shells, the fast way
@@ -330,7 +330,7 @@ def test_shells_are_what_the_general_way_finds(seed, monkeypatch):
     general = split(soup)
     for name in ("faces", "part", "closed"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(general, name))
-    assert fast.kind == general.kind
+    assert fast.description == general.description
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -374,11 +374,11 @@ def test_a_point_with_many_edges(sides, threads):
     both = np.concatenate([vertices, above])
     with limit_threads(threads):
         found = split_mesh(vertices, faces)
-        assert found.kind == "closed surface"
+        assert found.description == "closed surface"
         assert (found.part == 1).all()
         assert not split_mesh(vertices, faces[1:]).part.any()
         two = split_mesh(both, np.concatenate([faces, faces[:, ::-1] + len(vertices)]))
-    assert two.kind == "closed surface"
+    assert two.description == "closed surface"
     np.testing.assert_array_equal(two.part, np.repeat([1, 2], len(faces)))
 
 

@@ -21,7 +21,7 @@ TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 def is_closed(triangles):
     corners = np.reshape(triangles, (-1, 3))
     split = split_mesh(corners, np.arange(len(corners)).reshape(-1, 3))
-    return split.kind == "closed surface"
+    return split.description == "closed surface"
 
 
 def volume(triangles):

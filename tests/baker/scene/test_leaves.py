@@ -196,7 +196,7 @@ def _hangs_on(model, geom: int, body: int) -> bool:
 def arrays(shapes):
     yield from (getattr(shapes.solids, name) for name in ("geom", "kind", "pos", "mat", "bounds"))
     yield from (shapes.planes.geom, shapes.planes.mat, shapes.triangles.geom)
-    yield from (shapes.triangles.corners, shapes.triangles.closed, shapes.endless)
+    yield from (shapes.triangles.corners, shapes.triangles.closed, shapes.is_endless)
 
 
 @pytest.mark.parametrize("name", ["apartment", "house", "warehouse", "terrain", "clutter"])
