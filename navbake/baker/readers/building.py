@@ -146,15 +146,16 @@ class _BuildingReader:
         self._path = path
         self._parsed_scene = ParsedScene()
         self._levels: Json = content["levels"]
-        system = content.get("coordinate_system", "reference_image")
-        if system not in COORDINATE_SYSTEMS:
+        coordinate_system = content.get("coordinate_system", "reference_image")
+        if coordinate_system not in COORDINATE_SYSTEMS:
             raise SceneError(
-                f"{path} is in {system}: expected {', '.join(COORDINATE_SYSTEMS)}, in which "
+                f"{path} is in {coordinate_system}: expected {', '.join(COORDINATE_SYSTEMS)}, in "
+                "which "
                 "traffic-editor saves as well"
             )
-        self._is_image = system == "reference_image"
+        self._is_image = coordinate_system == "reference_image"
         self._reference_level = content.get("reference_level_name", next(iter(self._levels), ""))
-        self._projection = self._find_projection() if system == "wgs84" else None
+        self._projection = self._find_projection() if coordinate_system == "wgs84" else None
         self._transforms = self._find_transforms()
 
     # ------------------------------------------------------------ places
@@ -172,8 +173,8 @@ class _BuildingReader:
         """
         parameters = self._content.get("parameters") or {}
         with reading(f"`parameters` of {self._path}"):
-            values = {name: value[1] for name, value in parameters.items()}
-        crs_name = values.get("generate_crs")
+            parameter_values = {name: parameter[1] for name, parameter in parameters.items()}
+        crs_name = parameter_values.get("generate_crs")
         if not crs_name:
             raise SceneError(
                 f"{self._path} is in wgs84 without a projection: expected the parameter "
@@ -193,15 +194,15 @@ class _BuildingReader:
                 f"expected a projection in metres as `generate_crs` of {self._path}, such as "
                 f"EPSG:32632, got {crs_name!r}: {reason}"
             ) from error
-        if "suggested_offset_x" in values or "suggested_offset_y" in values:
+        if "suggested_offset_x" in parameter_values or "suggested_offset_y" in parameter_values:
             with reading(f"`parameters` of {self._path}"):
-                x = float(values.get("suggested_offset_x", 0.0))
-                y = float(values.get("suggested_offset_y", 0.0))
+                x = float(parameter_values.get("suggested_offset_x", 0.0))
+                y = float(parameter_values.get("suggested_offset_y", 0.0))
             return Projection(transformer, complex(x, y))
         projection = Projection(transformer, 0j)
         with reading(f"vertices of {self._path}"):
             points = np.concatenate(
-                [np.zeros(0, np.complex128), *(self._points(level) for level in self._levels)]
+                [np.zeros(0, np.complex128), *(self._read_points(level) for level in self._levels)]
             )
             projected = projection.project(points)
         if not len(projected):
@@ -215,28 +216,31 @@ class _BuildingReader:
         return Projection(transformer, complex(x, y))
 
     def _find_transforms(self) -> dict[str, PlanTransform]:
-        """For each level, by name: the transform from its plan to the world."""
+        """Return name of a level -> the transform from its plan to the world."""
         if not self._is_image:
             return dict.fromkeys(self._levels, PlanTransform(1.0 + 0j, 0j))
-        scale = self._meters_per_pixel(self._reference_level)
+        scale = self._measure_pixel(self._reference_level)
         transforms = {self._reference_level: PlanTransform(scale + 0.0j, 0.0j)}
         for level in self._levels:
             if level not in transforms:
                 transforms[level] = self._align_with_reference(level, scale)
         return transforms
 
-    def _points(self, level: str) -> NDArray[np.complex128]:
+    def _read_points(self, level: str) -> NDArray[np.complex128]:
         """The vertices of a level in the file's units, y up, as complex numbers."""
-        rows = self._levels[level].get("vertices") or []
-        points = np.array([complex(row[0], row[1]) for row in rows], dtype=np.complex128)
+        vertex_rows = self._levels[level].get("vertices") or []
+        points = np.array(
+            [complex(vertex_row[0], vertex_row[1]) for vertex_row in vertex_rows],
+            dtype=np.complex128,
+        )
         return points.conj() if self._is_image else points
 
-    def _meters_per_pixel(self, level: str) -> float:
-        """Return the edge of a pixel [m]: the mean over the level's measurements."""
-        points = self._points(level)
+    def _measure_pixel(self, level: str) -> float:
+        """Return the edge of a pixel of a level's plan [m]: the mean of all its measurements."""
+        points = self._read_points(level)
         scales = []
-        for start, end, values in self._levels[level].get("measurements") or []:
-            scales.append(float(values["distance"][1]) / abs(points[start] - points[end]))
+        for start, end, measurement in self._levels[level].get("measurements") or []:
+            scales.append(float(measurement["distance"][1]) / abs(points[start] - points[end]))
         if not scales:
             raise SceneError(
                 f"level {level!r} of {self._path} has no measurement: pixels have no size without "
@@ -253,8 +257,8 @@ class _BuildingReader:
             level: the level's name.
             reference_scale: edge of a pixel of the reference level [m].
         """
-        reference_fiducials = self._fiducials(self._reference_level)
-        level_fiducials = self._fiducials(level)
+        reference_fiducials = self._read_fiducials(self._reference_level)
+        level_fiducials = self._read_fiducials(level)
         shared_names = [name for name in reference_fiducials if name in level_fiducials]
         if len(shared_names) < 2:
             self._warn(
@@ -263,7 +267,7 @@ class _BuildingReader:
                 "as it is"
             )
             has_measurements = bool(self._levels[level].get("measurements"))
-            scale = self._meters_per_pixel(level) if has_measurements else reference_scale
+            scale = self._measure_pixel(level) if has_measurements else reference_scale
             return PlanTransform(scale + 0.0j, 0.0j)
         if len(shared_names) > MAX_FIDUCIALS:
             raise SceneError(
@@ -272,30 +276,33 @@ class _BuildingReader:
             )
         reference_points = np.array([reference_fiducials[name] for name in shared_names])
         level_points = np.array([level_fiducials[name] for name in shared_names])
-        first, second = np.triu_indices(len(shared_names), k=1)  # all pairs
-        reference_lines = reference_points[second] - reference_points[first]
-        level_lines = level_points[second] - level_points[first]
-        turns = level_lines * reference_lines.conj()
-        turn = (turns / abs(turns)).sum().conj()  # the mean rotation between the lines
-        factor = turn / abs(turn) / np.mean(abs(level_lines) / abs(reference_lines))
+        first_point, second_point = np.triu_indices(len(shared_names), k=1)  # all pairs
+        reference_lines = reference_points[second_point] - reference_points[first_point]
+        level_lines = level_points[second_point] - level_points[first_point]
+        relative_rotations = level_lines * reference_lines.conj()
+        # the mean rotation between the lines
+        mean_rotation = (relative_rotations / abs(relative_rotations)).sum().conj()
+        factor = (
+            mean_rotation / abs(mean_rotation) / np.mean(abs(level_lines) / abs(reference_lines))
+        )
         shift = np.mean(reference_points - level_points * factor)
         return PlanTransform(complex(factor * reference_scale), complex(shift * reference_scale))
 
-    def _fiducials(self, level: str) -> dict[str, complex]:
-        rows = self._levels[level].get("fiducials") or []
-        return {name: complex(x, -y) for x, y, name in rows}
+    def _read_fiducials(self, level: str) -> dict[str, complex]:
+        fiducial_rows = self._levels[level].get("fiducials") or []
+        return {name: complex(x, -y) for x, y, name in fiducial_rows}
 
-    def _world_points(self, level: str) -> Float:
+    def _find_world_points(self, level: str) -> Float:
         """World x and y of a level's vertices [m], shape (n, 2)."""
         transform = self._transforms[level]
-        points = self._points(level)
+        points = self._read_points(level)
         if self._projection is not None:
             with reading(f"vertices of level {level!r} in {self._path}"):
                 points = self._projection.project(points)
         points = points * transform.factor + transform.shift
         return np.stack([points.real, points.imag], axis=1)
 
-    def _elevation(self, level: str) -> float:
+    def _read_elevation(self, level: str) -> float:
         return float(self._levels[level].get("elevation", 0.0))
 
     # ------------------------------------------------------------ floors and walls
@@ -303,9 +310,9 @@ class _BuildingReader:
     def read(self) -> ParsedScene:
         """Read all levels and lifts."""
         lifts: Json = self._content.get("lifts") or {}
-        shafts = {name: self._shaft_corners(lift) for name, lift in lifts.items()}
+        shafts = {name: self._find_shaft_corners(lift) for name, lift in lifts.items()}
         for level in self._levels:
-            z = self._elevation(level)
+            z = self._read_elevation(level)
             level_shafts = [
                 shafts[name] for name, lift in lifts.items() if self._passes_through(lift, z)
             ]
@@ -323,20 +330,22 @@ class _BuildingReader:
             z: its elevation [m].
             shafts: for each shaft through the level's floors, its corners, (4, 2) [m].
         """
-        content = self._levels[level]
-        points = self._world_points(level)
-        for number, floor in enumerate(content.get("floors") or [], 1):
-            holes = [points[hole["vertices"]] for hole in content.get("holes") or []]
+        level_content = self._levels[level]
+        points = self._find_world_points(level)
+        for element_number, floor in enumerate(level_content.get("floors") or [], 1):
+            holes = [points[hole["vertices"]] for hole in level_content.get("holes") or []]
             outline = points[[int(vertex) for vertex in floor.get("vertices") or []]]
             if len(outline) >= 3:
-                self._add_floor(f"{level}/floor_{number}", outline, [*holes, *shafts], z)
-        for number, (start, end, *_) in enumerate(content.get("walls") or [], 1):
-            name = f"{level}/wall_{number}"
+                self._add_floor(f"{level}/floor_{element_number}", outline, [*holes, *shafts], z)
+        for element_number, (start, end, *_) in enumerate(level_content.get("walls") or [], 1):
+            name = f"{level}/wall_{element_number}"
             with reading(f"{name} of {self._path}"):
                 self._add_wall(name, points[start], points[end], z)
-        for number, (start, end, values) in enumerate(content.get("doors") or [], 1):
-            with reading(f"door {number} of level {level!r} in {self._path}"):
-                properties = {key: value[1] for key, value in values.items()}
+        for element_number, (start, end, door_values) in enumerate(
+            level_content.get("doors") or [], 1
+        ):
+            with reading(f"door {element_number} of level {level!r} in {self._path}"):
+                properties = {key: door_value[1] for key, door_value in door_values.items()}
                 self._add_door(points[[start, end]], z, properties)
 
     def _warn(self, text: str) -> None:
@@ -373,33 +382,33 @@ class _BuildingReader:
             properties: the door's properties, as the file states them.
         """
         name = str(properties["name"])
-        kind = str(properties["type"])
-        if kind not in SLIDING_DOORS + HINGED_DOORS:
+        door_type = str(properties["type"])
+        if door_type not in SLIDING_DOORS + HINGED_DOORS:
             self._warn(
-                f"door {name!r} of {self._path} is of type {kind!r}, which is not known: it is "
-                f"left out; known are {', '.join(SLIDING_DOORS + HINGED_DOORS)}"
+                f"door {name!r} of {self._path} is of type {door_type!r}, which is not known: it "
+                f"is left out; known are {', '.join(SLIDING_DOORS + HINGED_DOORS)}"
             )
             return
         if properties.get("motion_axis") == "end":
             ends = ends[::-1]
-        to_start = ends[0] - ends[1]  # the x axis of the door's frame
-        length = math.hypot(*to_start)
-        yaw = math.atan2(to_start[1], to_start[0])
+        end_to_start = ends[0] - ends[1]  # the x axis of the door's frame
+        length = math.hypot(*end_to_start)
+        yaw = math.atan2(end_to_start[1], end_to_start[0])
         if length == 0:
             raise SceneError(f"door {name!r} of {self._path} has no width: its vertices coincide")
-        direction = 1 if float(properties.get("motion_direction", 1)) >= 0 else -1
-        for leaf in _find_leaves(name, kind, length, properties):
-            offset = to_start / length * leaf.side * (length - leaf.width) / 2
+        turning_direction = 1 if float(properties.get("motion_direction", 1)) >= 0 else -1
+        for leaf in _find_leaves(name, door_type, length, properties):
+            offset = end_to_start / length * leaf.side * (length - leaf.width) / 2
             middle_x, middle_y = ends.mean(axis=0) + offset
             pose = make_pose((middle_x, middle_y, z + DOOR_GAP + DOOR_HEIGHT / 2), yaw)
             outer_edge = pose[:3, 3] + pose[:3, 0] * leaf.side * leaf.width / 2
-            if kind in SLIDING_DOORS:
+            if door_type in SLIDING_DOORS:
                 axis = pose[:3, 0] * leaf.side
                 limits = (0.0, leaf.width)
                 joint = ParsedJoint(leaf.name, "slide", outer_edge, axis, limits)
             else:
                 max_angle = math.radians(abs(float(properties.get("motion_degrees", 90.0))))
-                axis = np.array([0.0, 0.0, -1.0]) * direction * leaf.side
+                axis = np.array([0.0, 0.0, -1.0]) * turning_direction * leaf.side
                 joint = ParsedJoint(leaf.name, "hinge", outer_edge, axis, (0.0, max_angle))
             half_size = ((leaf.width - DOOR_GAP) / 2, DOOR_THICKNESS / 2, DOOR_HEIGHT / 2)
             self._parsed_scene.bodies[leaf.name] = ParsedBody(leaf.name, "", pose, joint)
@@ -410,13 +419,13 @@ class _BuildingReader:
 
     def _passes_through(self, lift: Json, z: float) -> bool:
         """Return whether a lift's shaft leads through the floors at elevation z [m]."""
-        lowest = lift.get("lowest_floor")
-        highest = lift.get("highest_floor")
-        is_above = not lowest or z >= self._elevation(lowest)
-        is_below = not highest or z <= self._elevation(highest)
+        lowest_level = lift.get("lowest_floor")
+        highest_level = lift.get("highest_floor")
+        is_above = not lowest_level or z >= self._read_elevation(lowest_level)
+        is_below = not highest_level or z <= self._read_elevation(highest_level)
         return bool(lift.get("level_doors")) and is_above and is_below
 
-    def _pose_of_lift(self, lift: Json, z: float) -> Float:
+    def _find_lift_pose(self, lift: Json, z: float) -> Float:
         transform = self._transforms[lift.get("reference_floor_name") or self._reference_level]
         y = -lift["y"] if self._is_image else lift["y"]
         position = complex(lift["x"], y)
@@ -425,23 +434,23 @@ class _BuildingReader:
         position = position * transform.factor + transform.shift
         return make_pose((position.real, position.imag, z), float(lift["yaw"]))
 
-    def _shaft_corners(self, lift: Json) -> Float:
+    def _find_shaft_corners(self, lift: Json) -> Float:
         """The corners of a lift's shaft, shape (4, 2) [m]."""
         half_size = np.array([lift["width"], lift["depth"]]) / 2 + CAR_GAP
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half_size
-        pose = self._pose_of_lift(lift, 0.0)
+        pose = self._find_lift_pose(lift, 0.0)
         return np.asarray(corners @ pose[:2, :2].T + pose[:2, 3])
 
     def _add_lift(self, name: str, lift: Json) -> None:
         """Add a lift's car, where the lift starts: a floor, and walls with openings for doors."""
-        stops = [self._elevation(level) for level in lift.get("level_doors") or {}]
+        stops = [self._read_elevation(level) for level in lift.get("level_doors") or {}]
         if len(stops) < 2:
             reason = f"opens on {len(stops)} levels, expected 2 or more"
             self._warn(f"lift {name!r} of {self._path} {reason}: it is left out")
             return
         first_level = lift.get("initial_floor_name") or next(iter(lift["level_doors"]))
-        z = self._elevation(first_level)
-        pose = self._pose_of_lift(lift, z)
+        z = self._read_elevation(first_level)
+        pose = self._find_lift_pose(lift, z)
         limits = (min(stops) - z, max(stops) - z)
         joint = ParsedJoint(name, "slide", pose[:3, 3], np.array([0.0, 0.0, 1.0]), limits)
         self._parsed_scene.bodies[name] = ParsedBody(name, "", pose, joint)
@@ -454,18 +463,18 @@ class _BuildingReader:
             body=name,
         )
         walls = _find_car_walls((half_width, half_depth), lift.get("doors") or {})
-        for number, wall in enumerate(walls, 1):
+        for wall_number, wall in enumerate(walls, 1):
             self._add_box(
-                f"{name}/wall_{number}",
+                f"{name}/wall_{wall_number}",
                 (*wall.half_size, CAR_HEIGHT / 2),
                 pose @ make_pose((*wall.middle, CAR_HEIGHT / 2)),
                 body=name,
             )
 
 
-def _find_leaves(name: str, kind: str, length: float, properties: Json) -> list[DoorLeaf]:
-    """Find the leaves of a door: one, or one on each side."""
-    if not kind.startswith("double"):
+def _find_leaves(name: str, door_type: str, length: float, properties: Json) -> list[DoorLeaf]:
+    """Return the leaves of a door: a single leaf, or a right and a left leaf."""
+    if not door_type.startswith("double"):
         return [DoorLeaf(name, 1, length)]
     ratio = float(properties.get("right_left_ratio", 1.0))
     right_width = length * ratio / (1 + ratio)
@@ -478,7 +487,7 @@ def _find_leaves(name: str, kind: str, length: float, properties: Json) -> list[
 
 
 def _find_car_walls(half_sizes: tuple[float, float], doors: Json) -> Iterator[CarWall]:
-    """Yield the walls of a lift's car: what the doors leave of its four sides.
+    """Yield the walls of a lift's car: the parts of its four sides without a door.
 
     Args:
         half_sizes: half of the car's size along x and y [m].
@@ -489,29 +498,31 @@ def _find_car_walls(half_sizes: tuple[float, float], doors: Json) -> Iterator[Ca
         # The sides perpendicular to x stand between the other two, so they are shorter.
         half_length = half_sizes[other_axis] - (CAR_WALL_THICKNESS if axis == 0 else 0.0)
         for sign in (-1, 1):
-            gaps = []
+            openings = []
             for door in doors.values():
                 position = (float(door["x"]), float(door["y"]))
                 x_distance = abs(abs(position[0]) - half_sizes[0])
                 y_distance = abs(abs(position[1]) - half_sizes[1])
                 is_on_such_side = (x_distance <= y_distance) == (axis == 0)
                 if is_on_such_side and (position[axis] > 0) == (sign > 0):
-                    middle = position[other_axis]
-                    gaps.append((middle - door["width"] / 2, middle + door["width"] / 2))
-            begin = -half_length
-            for gap_begin, gap_end in [*sorted(gaps), (half_length, half_length)]:
-                if gap_begin - begin > 1e-6:
+                    opening_middle = position[other_axis]
+                    openings.append(
+                        (opening_middle - door["width"] / 2, opening_middle + door["width"] / 2)
+                    )
+            wall_start = -half_length
+            for opening_start, opening_end in [*sorted(openings), (half_length, half_length)]:
+                if opening_start - wall_start > 1e-6:
                     wall_middle = [0.0, 0.0]
                     half_size = [0.0, 0.0]
                     wall_middle[axis] = sign * (half_sizes[axis] - CAR_WALL_THICKNESS / 2)
                     half_size[axis] = CAR_WALL_THICKNESS / 2
-                    wall_middle[other_axis] = (begin + gap_begin) / 2
-                    half_size[other_axis] = (gap_begin - begin) / 2
+                    wall_middle[other_axis] = (wall_start + opening_start) / 2
+                    half_size[other_axis] = (opening_start - wall_start) / 2
                     yield CarWall(
                         middle=(wall_middle[0], wall_middle[1]),
                         half_size=(half_size[0], half_size[1]),
                     )
-                begin = max(begin, gap_end)
+                wall_start = max(wall_start, opening_end)
 
 
 def make_pose(position: ArrayLike, yaw: float = 0.0) -> Float:
@@ -538,40 +549,42 @@ def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
     Returns:
         The slab, a closed mesh; an empty mesh if the polygon has no area.
     """
-    area = shapely.make_valid(shapely.polygons(outline))
+    floor_area = shapely.make_valid(shapely.polygons(outline))
     for hole in holes:
-        area = area.difference(shapely.make_valid(shapely.polygons(hole)))
-    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(area))
+        floor_area = floor_area.difference(shapely.make_valid(shapely.polygons(hole)))
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(floor_area))
     if not len(triangles):
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int32))
-    corners = np.array(
+    triangle_corners = np.array(
         [shapely.get_coordinates(triangle.normalize())[2::-1] for triangle in triangles]
     )
-    points, index = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
-    faces = index.reshape(-1, 3).astype(np.int32)
+    points, point_of_corner = np.unique(
+        triangle_corners.reshape(-1, 2), axis=0, return_inverse=True
+    )
+    faces = point_of_corner.reshape(-1, 3).astype(np.int32)
     first_side = points[faces[:, 1]] - points[faces[:, 0]]
     second_side = points[faces[:, 2]] - points[faces[:, 0]]
-    cross = first_side[:, 0] * second_side[:, 1] - first_side[:, 1] * second_side[:, 0]
-    is_clockwise = cross < 0
+    cross_product = first_side[:, 0] * second_side[:, 1] - first_side[:, 1] * second_side[:, 0]
+    is_clockwise = cross_product < 0
     faces[is_clockwise] = faces[is_clockwise][:, ::-1]
     # An edge of only one triangle is part of the outline: the slab gets a side there.
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    _, first_edge, count = np.unique(
+    _, first_edge, num_triangles = np.unique(
         np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True
     )
-    outline_edges = edges[first_edge[count == 1]]
-    start = outline_edges[:, 0]
-    end = outline_edges[:, 1]
+    outline_edges = edges[first_edge[num_triangles == 1]]
+    start_points = outline_edges[:, 0]
+    end_points = outline_edges[:, 1]
     num_points = np.int32(len(points))  # point i of the top is above point i + num_points
     sides = [
-        np.stack([start, start + num_points, end], 1),
-        np.stack([end, start + num_points, end + num_points], 1),
+        np.stack([start_points, start_points + num_points, end_points], 1),
+        np.stack([end_points, start_points + num_points, end_points + num_points], 1),
     ]
-    bottom = faces[:, ::-1] + num_points
+    bottom_faces = faces[:, ::-1] + num_points
     vertices = np.concatenate(
         [
             np.column_stack([points, np.full(len(points), height)])
             for height in (z, z - FLOOR_THICKNESS)
         ]
     )
-    return Mesh(vertices, np.concatenate([faces, bottom, *sides]).astype(np.int32))
+    return Mesh(vertices, np.concatenate([faces, bottom_faces, *sides]).astype(np.int32))

@@ -122,17 +122,19 @@ def read_named_meshes(
     """
     try:
         meshes = _read_file(path)
-        scale = unit
+        meters_per_unit = unit
         if path.suffix.lower() == ".dae":
-            scale = unit * _read_dae_asset(path).meters_per_unit
+            meters_per_unit = unit * _read_dae_asset(path).meters_per_unit
     except OSError as error:
         raise SceneError(f"cannot read the mesh {path}: {error.strerror or error}") from error
-    return _to_world(meshes, path, up, scale, warnings)
+    return _to_world(meshes, path, up, meters_per_unit, warnings)
 
 
 def is_mesh_scene(scene: object) -> TypeGuard[trimesh.Scene | trimesh.Trimesh]:
     """Return whether an object is a trimesh.Scene or a Trimesh; trimesh is imported only then."""
-    if not any(kind.__module__.partition(".")[0] == "trimesh" for kind in type(scene).__mro__):
+    if not any(
+        base_class.__module__.partition(".")[0] == "trimesh" for base_class in type(scene).__mro__
+    ):
         return False
     return isinstance(scene, trimesh.Scene | trimesh.Trimesh)
 
@@ -165,7 +167,7 @@ def convert_trimesh(
         if not isinstance(scene, trimesh.Scene):
             scene = trimesh.Scene(scene)
         try:
-            meshes = _meshes_of_nodes(scene)
+            meshes = _read_node_meshes(scene)
         except (ValueError, TypeError, KeyError, IndexError) as error:
             reason = " ".join(str(error).split())[:200]
             raise SceneError(f"cannot take the meshes of {path}: {reason}") from error
@@ -193,15 +195,15 @@ def _read_file(path: Path) -> list[NamedMesh]:
     triangles = read_plain(path)
     if triangles is not None:
         return [NamedMesh("", triangles.vertices, triangles.faces)]
-    content = b""
-    source: io.BytesIO | Path = path
+    file_content = b""
+    trimesh_source: io.BytesIO | Path = path
     if suffix in REPAIR_FUNCTIONS:
-        content = REPAIR_FUNCTIONS[suffix](path)
-        source = io.BytesIO(content)
-        if _has_points_alone(content, suffix):
+        file_content = REPAIR_FUNCTIONS[suffix](path)
+        trimesh_source = io.BytesIO(file_content)
+        if _has_only_points(file_content, suffix):
             raise _make_points_error(path)
     elif header is not None and scale_normalized_positions(header):
-        source = io.BytesIO(_replace_gltf_header(path, header))
+        trimesh_source = io.BytesIO(_replace_gltf_header(path, header))
     options: dict[str, Any] = {
         "file_type": suffix[1:],
         "process": False,
@@ -211,14 +213,14 @@ def _read_file(path: Path) -> list[NamedMesh]:
         options["resolver"] = trimesh.resolvers.FilePathResolver(str(path))  # of its buffers
     try:
         with _silence_trimesh():
-            scene = trimesh.load_scene(source, **options)
-            meshes = _meshes_of_nodes(scene)
+            scene = trimesh.load_scene(trimesh_source, **options)
+            meshes = _read_node_meshes(scene)
     except Exception as error:  # trimesh passes on whatever its parsers raise
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        text = f"cannot read the mesh {path}, it is broken or cut off: {reason}"
-        raise SceneError(text) from error
+        error_text = f"cannot read the mesh {path}, it is broken or cut off: {reason}"
+        raise SceneError(error_text) from error
     if suffix == ".ply":
-        _check_ply_counts(content, meshes, path)
+        _check_ply_counts(file_content, meshes, path)
     has_points = any(
         isinstance(geometry, trimesh.PointCloud) for geometry in scene.geometry.values()
     )
@@ -227,7 +229,7 @@ def _read_file(path: Path) -> list[NamedMesh]:
     return meshes
 
 
-def _has_points_alone(content: bytes, suffix: str) -> bool:
+def _has_only_points(content: bytes, suffix: str) -> bool:
     """Return whether a PLY or an OBJ has vertices, but no faces.
 
     Args:
@@ -235,13 +237,13 @@ def _has_points_alone(content: bytes, suffix: str) -> bool:
         suffix: the file's suffix; other files than ``.ply`` and ``.obj`` are not looked at.
     """
     if suffix == ".ply":
-        header, end, _ = content[:MAX_PLY_HEADER].partition(b"end_header")
-        counts = {
+        header, end_marker, _ = content[:MAX_PLY_HEADER].partition(b"end_header")
+        element_counts = {
             element: int(count)
             for element, count in re.findall(rb"(?m)^element (\w+)[ \t]+(\d{1,18})", header)
         }
-        num_faces = counts.get(b"face", 0) + counts.get(b"tristrips", 0)
-        return bool(end) and counts.get(b"vertex", 0) > 0 and num_faces == 0
+        num_faces = element_counts.get(b"face", 0) + element_counts.get(b"tristrips", 0)
+        return bool(end_marker) and element_counts.get(b"vertex", 0) > 0 and num_faces == 0
     if suffix == ".obj":
         has_vertices = re.search(rb"^[ \t]*v[ \t]", content, re.MULTILINE) is not None
         has_faces = re.search(rb"^[ \t]*(?:f|fo|surf)[ \t]", content, re.MULTILINE) is not None
@@ -260,18 +262,18 @@ def _make_points_error(path: Path) -> SceneError:
 def _check_ply_counts(content: bytes, meshes: list[NamedMesh], path: Path) -> None:
     """Raise a SceneError if a PLY is cut off: trimesh found fewer elements than its header says."""
     header = content[:MAX_PLY_HEADER].partition(b"end_header")[0]
-    counts = {
+    element_counts = {
         "vertex": sum(len(mesh.vertices) for mesh in meshes),
         "face": sum(len(mesh.faces) for mesh in meshes),
     }
-    for element, count in counts.items():
-        declared = re.search(rb"element %s (\d{1,18})" % element.encode(), header)
-        if declared and int(declared[1]) > count:
-            expected = f"expected {int(declared[1])} {element} elements"
-            raise SceneError(f"{path} is cut off: {expected}, got {count}")
+    for element, num_elements in element_counts.items():
+        declared_count = re.search(rb"element %s (\d{1,18})" % element.encode(), header)
+        if declared_count and int(declared_count[1]) > num_elements:
+            expected_text = f"expected {int(declared_count[1])} {element} elements"
+            raise SceneError(f"{path} is cut off: {expected_text}, got {num_elements}")
 
 
-def _meshes_of_nodes(scene: trimesh.Scene) -> list[NamedMesh]:
+def _read_node_meshes(scene: trimesh.Scene) -> list[NamedMesh]:
     """Return the nodes' meshes in the file's frame. Lines and points are left out."""
     meshes = []
     for node in scene.graph.nodes_geometry:
@@ -388,12 +390,12 @@ def _to_world(
     meshes: list[NamedMesh],
     path: Path,
     up: Direction,
-    scale: float,
+    meters_per_unit: float,
     warnings: list[str] | None = None,
 ) -> list[NamedMesh]:
     """Transform meshes to the world frame, with unique names; see `read_named_meshes`."""
     stray_meshes = list[NamedMesh]()
-    matrix = scale * rotation_to_z_up(up)
+    matrix = meters_per_unit * rotation_to_z_up(up)
     used_names = {"world"}  # MuJoCo's own body
     world_meshes = []
     for mesh in meshes:
@@ -414,8 +416,8 @@ def _to_world(
     if stray_meshes and not world_meshes:
         check_mesh(stray_meshes[0], path)
     if stray_meshes and warnings is not None:
-        listed = list_first([repr(mesh.name) for mesh in stray_meshes])
-        warning = f"mesh {listed} of {path} left out: it lies beyond {MAX_COORDINATE:g} m"
+        listed_names = list_first([repr(mesh.name) for mesh in stray_meshes])
+        warning = f"mesh {listed_names} of {path} left out: it lies beyond {MAX_COORDINATE:g} m"
         if warning not in warnings:
             warnings.append(warning)
     if not world_meshes:
@@ -453,8 +455,8 @@ def check_mesh(mesh: NamedMesh, path: Path) -> NamedMesh:
     if not np.isfinite(box).all():
         raise SceneError(f"mesh {mesh.name!r} in {path} has coordinates that are no numbers")
     if np.abs(box).max() > MAX_COORDINATE:
-        problem = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
-        raise StrayMeshError(f"mesh {mesh.name!r} in {path} {problem}")
+        problem_text = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
+        raise StrayMeshError(f"mesh {mesh.name!r} in {path} {problem_text}")
     has_area = triangle_areas(mesh.vertices, mesh.faces) > MIN_TRIANGLE_AREA
     if has_area.all():
         return mesh
@@ -488,7 +490,7 @@ def repair_obj(path: Path) -> bytes:
         return text
     lines = text.split(b"\n")
     num_vertices = 0
-    for number, line in enumerate(lines):
+    for line_number, line in enumerate(lines):
         num_vertices += line.startswith(b"v ")
         if line.startswith(b"f "):
             # 1 is the first vertex of the file, -1 the last one before this line. Indices of
@@ -497,9 +499,9 @@ def repair_obj(path: Path) -> bytes:
             indices = [int(word) if re.fullmatch(rb"[-+]?\d{1,18}", word) else 0 for word in words]
             indices = [index + num_vertices + 1 if index < 0 else index for index in indices]
             if min(indices, default=1) <= 0:
-                expected = "expected numbers of vertices, counted from 1"
-                raise SceneError(f"{expected}, in line {number + 1} of {path}")
-            lines[number] = b"f " + " ".join(map(str, indices)).encode()
+                expected_text = "expected numbers of vertices, counted from 1"
+                raise SceneError(f"{expected_text}, in line {line_number + 1} of {path}")
+            lines[line_number] = b"f " + " ".join(map(str, indices)).encode()
     return b"\n".join(lines)
 
 
@@ -512,27 +514,29 @@ def repair_stl(path: Path) -> bytes:
     Raises:
         SceneError: the file is cut off, or no STL.
     """
-    content = path.read_bytes()
-    may_be_text = content.lstrip()[:5].lower() == b"solid"
-    lower_case = content.lower() if may_be_text else b""
+    file_content = path.read_bytes()
+    may_be_text = file_content.lstrip()[:5].lower() == b"solid"
+    lower_case = file_content.lower() if may_be_text else b""
     if b"facet" in lower_case:
         num_starts = len(re.findall(rb"(?m)^[^\S\n]*solid", lower_case))
         num_ends = len(re.findall(rb"(?m)^[^\S\n]*endsolid", lower_case))
         if num_ends < num_starts:
             raise SceneError(f"{path} is cut off: its last solid has no end")
-        return _to_utf8(content)
-    num_triangles = int.from_bytes(content[STL_HEADER - 4 : STL_HEADER], "little")
-    size = STL_HEADER + STL_TRIANGLE * num_triangles
-    if len(content) < max(size, STL_HEADER):
-        expected = f"expected {size} bytes for the {num_triangles} triangles of its header"
-        raise SceneError(f"{path} is cut off or no STL: {expected}, got {len(content)}")
-    return content[:size]
+        return _to_utf8(file_content)
+    num_triangles = int.from_bytes(file_content[STL_HEADER - 4 : STL_HEADER], "little")
+    num_bytes = STL_HEADER + STL_TRIANGLE * num_triangles
+    if len(file_content) < max(num_bytes, STL_HEADER):
+        expected_text = (
+            f"expected {num_bytes} bytes for the {num_triangles} triangles of its header"
+        )
+        raise SceneError(f"{path} is cut off or no STL: {expected_text}, got {len(file_content)}")
+    return file_content[:num_bytes]
 
 
 def repair_ply(path: Path) -> bytes:
     """Read a PLY. Its text form is converted to UTF-8."""
-    content = path.read_bytes()
-    return _to_utf8(content) if b"format ascii" in content[:200] else content
+    file_content = path.read_bytes()
+    return _to_utf8(file_content) if b"format ascii" in file_content[:200] else file_content
 
 
 def _to_utf8(text: bytes) -> bytes:
@@ -575,8 +579,8 @@ def _read_plain_stl(path: Path) -> Triangles | None:
         header = file.read(STL_HEADER)
     num_triangles = int.from_bytes(header[STL_HEADER - 4 :], "little")
     is_text = header.lstrip()[:5].lower() in (b"solid", b"")
-    size = STL_HEADER + STL_TRIANGLE * num_triangles
-    if is_text or not num_triangles or path.stat().st_size < size:
+    num_bytes = STL_HEADER + STL_TRIANGLE * num_triangles
+    if is_text or not num_triangles or path.stat().st_size < num_bytes:
         return None
     triangle_type = np.dtype(
         [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
@@ -600,10 +604,12 @@ def _read_plain_ply(path: Path) -> Triangles | None:
         return None
     byte_order = PLY_FORMATS[header["format"]]
     properties = [line.split()[1:] for line in header["properties"].splitlines()]
-    names = {name for _, name in properties}
-    types = {*(type_name for type_name, _ in properties), header["count"], header["index"]}
-    is_plain = PLY_COORDINATES <= names <= PLY_VERTEX_PROPERTIES
-    is_plain = is_plain and len(names) == len(properties) and types <= PLY_TYPES.keys()
+    property_names = {name for _, name in properties}
+    type_names = {*(type_name for type_name, _ in properties), header["count"], header["index"]}
+    is_plain = PLY_COORDINATES <= property_names <= PLY_VERTEX_PROPERTIES
+    is_plain = (
+        is_plain and len(property_names) == len(properties) and type_names <= PLY_TYPES.keys()
+    )
     if not is_plain:
         return None
     vertex_type = np.dtype(
@@ -615,8 +621,8 @@ def _read_plain_ply(path: Path) -> Triangles | None:
     num_vertices = int(header["vertices"])
     num_faces = int(header["faces"])
     faces_offset = header.end() + num_vertices * vertex_type.itemsize
-    size = faces_offset + num_faces * face_type.itemsize
-    if not num_vertices or not num_faces or path.stat().st_size != size:
+    num_bytes = faces_offset + num_faces * face_type.itemsize
+    if not num_vertices or not num_faces or path.stat().st_size != num_bytes:
         return None
     vertices = np.empty((num_vertices, 3))
     faces = np.empty((num_faces, 3), dtype=np.int32)
@@ -633,9 +639,9 @@ def _read_plain_ply(path: Path) -> Triangles | None:
         faces[first:end] = records["index"]  # an index too large for int32 becomes negative
         # Each polygon begins with its number of corners, which has to be 3.
         np.not_equal(records["count"], 3, out=is_wrong[first:end])
-        low = faces[first:end].min()
-        high = faces[first:end].max()
-        is_wrong[first] |= low < 0 or high >= num_vertices
+        lowest_index = faces[first:end].min()
+        highest_index = faces[first:end].max()
+        is_wrong[first] |= lowest_index < 0 or highest_index >= num_vertices
 
     run_in_chunks(read_vertices, num_vertices, least=MIN_CHUNK)
     run_in_chunks(read_faces, num_faces, least=MIN_CHUNK)
@@ -670,18 +676,18 @@ def check_gltf(path: Path) -> Json:
         SceneError: the file is broken, cut off, or uses a feature that trimesh doesn't read.
     """
     try:
-        content = path.read_bytes()
-        text = content
+        file_content = path.read_bytes()
+        json_text = file_content
         if path.suffix.lower() == ".glb":
-            text = _json_of_glb(content)
-        header = json.loads(text)
+            json_text = _read_glb_json(file_content)
+        header = json.loads(json_text)
         if not isinstance(header, dict):
             raise ValueError("its JSON is no object")
-        problem = next(_find_problems(header, len(content), path.parent), "")
+        problem_text = next(_find_problems(header, len(file_content), path.parent), "")
     except (ValueError, RecursionError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise SceneError(f"broken glTF {path}: {' '.join(str(error).split())[:200]}") from error
-    if problem:
-        raise SceneError(f"cannot read {path}: {problem}")
+    if problem_text:
+        raise SceneError(f"cannot read {path}: {problem_text}")
     return header
 
 
@@ -699,22 +705,22 @@ def scale_normalized_positions(header: Json) -> bool:
         Whether there are such meshes.
     """
     scales = {
-        number: _normalized_scale(header, mesh)
-        for number, mesh in enumerate(header.get("meshes", []))
+        mesh_number: _find_normalized_scale(header, mesh)
+        for mesh_number, mesh in enumerate(header.get("meshes", []))
     }
     nodes = header.get("nodes", [])
-    for number in range(len(nodes)):
-        node = nodes[number]
+    for mesh_number in range(len(nodes)):
+        node = nodes[mesh_number]
         scale = scales.get(node.get("mesh"), 1.0)
         if scale == 1.0:
             continue
-        mesh_node = {"name": node.pop("name", str(number)), "mesh": node.pop("mesh")}
+        mesh_node = {"name": node.pop("name", str(mesh_number)), "mesh": node.pop("mesh")}
         node["children"] = [*node.get("children", []), len(nodes)]
         nodes.append({**mesh_node, "scale": [scale] * 3})
     return any(scale != 1.0 for scale in scales.values())
 
 
-def _normalized_scale(header: Json, mesh: Json) -> float:
+def _find_normalized_scale(header: Json, mesh: Json) -> float:
     """Return the coordinate that the integer 1 stands for in a mesh's normalized positions.
 
     For a mesh whose positions are not normalized, it is 1.
@@ -736,36 +742,40 @@ def _normalized_scale(header: Json, mesh: Json) -> float:
 
 def _replace_gltf_header(path: Path, header: Json) -> bytes:
     """Return the content of a glTF or GLB file, with its JSON replaced by `header`."""
-    text = json.dumps(header).encode()
+    json_text = json.dumps(header).encode()
     if path.suffix.lower() == ".gltf":
-        return text
-    content = path.read_bytes()
-    (json_length,) = struct.unpack_from("<I", content, 12)
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), JSON_CHUNK) + text + content[20 + json_length :]
+        return json_text
+    file_content = path.read_bytes()
+    (json_length,) = struct.unpack_from("<I", file_content, 12)
+    json_text += b" " * (-len(json_text) % 4)
+    chunks = (
+        struct.pack("<II", len(json_text), JSON_CHUNK)
+        + json_text
+        + file_content[20 + json_length :]
+    )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def _json_of_glb(content: bytes) -> bytes:
+def _read_glb_json(file_content: bytes) -> bytes:
     """Return the first chunk of a GLB, its JSON; raise a ValueError if it is broken."""
-    if len(content) < 20 or not content.startswith(b"glTF"):
+    if len(file_content) < 20 or not file_content.startswith(b"glTF"):
         raise ValueError("it has no GLB header")
-    version, length, json_length, kind = struct.unpack_from("<4I", content, 4)
+    version, num_bytes, num_json_bytes, chunk_type = struct.unpack_from("<4I", file_content, 4)
     if version != 2:
         raise ValueError(f"expected version 2, got {version}")
-    if length > len(content):
-        raise ValueError(f"it is cut off: expected {length} bytes, got {len(content)}")
-    if kind != JSON_CHUNK or 20 + json_length > len(content):
+    if num_bytes > len(file_content):
+        raise ValueError(f"it is cut off: expected {num_bytes} bytes, got {len(file_content)}")
+    if chunk_type != JSON_CHUNK or 20 + num_json_bytes > len(file_content):
         raise ValueError("its first chunk is no JSON")
-    return content[20 : 20 + json_length]
+    return file_content[20 : 20 + num_json_bytes]
 
 
-def _find_problems(header: Json, size: int, folder: Path) -> Iterator[str]:
+def _find_problems(header: Json, num_bytes: int, folder: Path) -> Iterator[str]:
     """Yield a message for each feature of a glTF file that trimesh would misread.
 
     Args:
         header: the file's JSON.
-        size: size of the file [bytes].
+        num_bytes: size of the file [bytes].
         folder: the folder that the file is in.
     """
     extensions = header.get("extensionsUsed", [])
@@ -776,7 +786,7 @@ def _find_problems(header: Json, size: int, folder: Path) -> Iterator[str]:
         yield f'it uses {DRACO}: `pip install "navbake[draco]"` reads it'
     accessors = header.get("accessors", [])
     for accessor in accessors:
-        if "bufferView" not in accessor and accessor["count"] > max(size, 10_000_000):
+        if "bufferView" not in accessor and accessor["count"] > max(num_bytes, 10_000_000):
             raise ValueError(f"it claims {accessor['count']} numbers without data")
     for mesh in header.get("meshes", []):
         for primitive in mesh["primitives"]:
@@ -811,12 +821,14 @@ def _find_problems_of_buffer(uri: str, folder: Path) -> Iterator[str]:
     if ".." in Path(unquote(uri)).parts:
         yield f"its buffer {uri[:80]!r} lies outside of its folder: put it beside it"
         return
-    places = [folder / name for name in {uri, uri.strip(), unquote(uri)}]
-    files = [file for file in places if os.path.exists(file)]
-    if not files:
+    candidate_files = [folder / name for name in {uri, uri.strip(), unquote(uri)}]
+    existing_files = [file for file in candidate_files if os.path.exists(file)]
+    if not existing_files:
         yield f"its buffer {uri[:80]!r} is missing"
     # Reading a device would never end.
-    if not all(os.path.isfile(file) and file.stat().st_size <= MAX_BYTES for file in files):
+    if not all(
+        os.path.isfile(file) and file.stat().st_size <= MAX_BYTES for file in existing_files
+    ):
         yield f"its buffer {uri[:80]!r} is no file of {MAX_BYTES >> 20} MiB at most"
 
 

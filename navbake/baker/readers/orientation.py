@@ -99,7 +99,7 @@ class TriangleSample(NamedTuple):
 
 
 def orient_meshes(
-    read: Callable[..., list[NamedMesh]], settings: SceneSettings, warnings: list[str]
+    read_meshes: Callable[..., list[NamedMesh]], settings: SceneSettings, warnings: list[str]
 ) -> list[NamedMesh]:
     """Read the meshes of a file, with the direction up that `scene.up` says.
 
@@ -109,8 +109,8 @@ def orient_meshes(
     a scan that states no axis, it is the direction that `find_orientations` finds.
 
     Args:
-        read: a function with the keyword ``up``, the direction in the file that is up; returns the
-            meshes in the world frame [m].
+        read_meshes: a function with the keyword ``up``, the direction in the file that is up;
+            returns the meshes in the world frame [m].
         settings: `scene.up`, `scene.scan` and `scene.path` are used.
         warnings: the list to which warnings are added, for example if the orientation looks wrong.
 
@@ -121,38 +121,40 @@ def orient_meshes(
     is_auto_without_axis = settings.up == "auto" and file_axis is None
     is_up_searched = settings.up == "level" or (is_auto_without_axis and settings.scan)
     up = (file_axis or "z") if settings.up in ("auto", "level") else settings.up
-    meshes = read(up=up)
+    meshes = read_meshes(up=up)
     if settings.scan:
         meshes = drop_small_pieces(meshes, warnings)
     sample = sample_triangles(meshes)
     orientations, is_clear = find_orientations(sample)
-    best = orientations[0]
+    best_orientation = orientations[0]
     if is_up_searched:
         if not is_clear:
-            opposite = _name_direction(-best.direction)
-            warnings.append(f"{CEILING_WARNING}: `scene.up: {opposite}` turns the mesh over")
-        return _turn_up(meshes, best.direction)
+            opposite_name = _name_direction(-best_orientation.direction)
+            warnings.append(f"{CEILING_WARNING}: `scene.up: {opposite_name}` turns the mesh over")
+        return _turn_up(meshes, best_orientation.direction)
     to_file_frame = rotation_to_z_up(up).T  # from the world frame
-    best_in_file = to_file_frame @ best.direction
+    best_in_file = to_file_frame @ best_orientation.direction
     is_turned = is_auto_without_axis and lies_on_side(meshes, sample)
-    if is_turned and is_clear and abs(best.direction[1]) > MIN_FACING_COSINE:
-        name = _name_direction(best_in_file)
+    if is_turned and is_clear and abs(best_orientation.direction[1]) > MIN_FACING_COSINE:
+        direction_name = _name_direction(best_in_file)
         warnings.append(
-            f"the mesh lies on its side, and is taken with {name} up, as things stand on what "
-            f"faces that way: `scene.up: {name}` silences this, `z` leaves it as it is"
+            f"the mesh lies on its side, and is taken with {direction_name} up, as things stand on "
+            f"what faces that way: `scene.up: {direction_name}` silences this, `z` leaves it as it "
+            "is"
         )
-        return _turn_up(meshes, AXIS_VECTORS.get(name, best.direction))
-    if is_clear and best.direction[2] < -MIN_FACING_COSINE:
+        return _turn_up(meshes, AXIS_VECTORS.get(direction_name, best_orientation.direction))
+    if is_clear and best_orientation.direction[2] < -MIN_FACING_COSINE:
         warnings.append(
             f"this floor may be a ceiling: next to nothing stands on it, and "
-            f"{best.furniture_area:.1f} m² hang from a surface like it above: "
+            f"{best_orientation.furniture_area:.1f} m² hang from a surface like it above: "
             f"`scene.up: {_name_direction(best_in_file)}` turns the mesh over"
         )
     elif settings.up == "auto" and lies_on_side(meshes, sample):
-        axis = _name_direction(np.abs(to_file_frame[:, 1]))
+        axis_name = _name_direction(np.abs(to_file_frame[:, 1]))
         warnings.append(
-            f"the mesh is lowest along {axis}, and most of its surface faces along {axis}: if it "
-            f"lies on its side, set `scene.up` to {axis} ({up} silences this)"
+            f"the mesh is lowest along {axis_name}, and most of its surface faces along "
+            f"{axis_name}: if it lies on its side, set `scene.up` to {axis_name} ({up} silences "
+            "this)"
         )
     return meshes
 
@@ -213,8 +215,8 @@ def is_lowest_along_y(meshes: Collection[NamedMesh]) -> bool:
     Args:
         meshes: the meshes, world frame [m].
     """
-    low, high = bounds_of_meshes(meshes)
-    width, depth, height = np.subtract(high, low)
+    lowest_corner, highest_corner = bounds_of_meshes(meshes)
+    width, depth, height = np.subtract(highest_corner, lowest_corner)
     return bool(depth < min(width, height))
 
 
@@ -297,10 +299,13 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
             Orientation(np.array([0.0, 0.0, 1.0]), floor_area=0.0, furniture_area=0.0)
         )
     orientations.sort(key=_make_sort_key)
-    best = orientations[0]
+    best_orientation = orientations[0]
     other_areas = [CLEAR_RATIO * orientation.furniture_area for orientation in orientations[1:]]
-    needed_area = max([CLEAR_SHARE * best.floor_area, *other_areas])
-    is_clear = best.floor_area >= MIN_FLOOR_AREA and best.furniture_area > needed_area
+    min_furniture_area = max([CLEAR_SHARE * best_orientation.floor_area, *other_areas])
+    is_clear = (
+        best_orientation.floor_area >= MIN_FLOOR_AREA
+        and best_orientation.furniture_area > min_furniture_area
+    )
     return orientations, is_clear
 
 
@@ -311,15 +316,17 @@ def _make_sort_key(orientation: Orientation) -> float:
 
 
 def sample_triangles(meshes: Collection[NamedMesh]) -> TriangleSample:
-    """Sample about `MAX_TRIANGLES` triangles of meshes at most: every n-th one of each mesh."""
+    """Sample every n-th triangle of meshes, about `MAX_TRIANGLES` at most."""
     num_triangles = sum(len(mesh.faces) for mesh in meshes)
-    step = max(1, -(-num_triangles // MAX_TRIANGLES))
-    descriptions = [describe_triangles(mesh.vertices, mesh.faces[::step].copy()) for mesh in meshes]
-    centers, normals, areas = zip(*descriptions, strict=True)
+    sampling_step = max(1, -(-num_triangles // MAX_TRIANGLES))
+    described_triangles = [
+        describe_triangles(mesh.vertices, mesh.faces[::sampling_step].copy()) for mesh in meshes
+    ]
+    centers, normals, areas = zip(*described_triangles, strict=True)
     return TriangleSample(
         center=np.concatenate(centers),
         normal=np.concatenate(normals),
-        area=np.concatenate(areas) * step,
+        area=np.concatenate(areas) * sampling_step,
     )
 
 
@@ -328,9 +335,9 @@ def list_axes() -> Float:
 
     They are a Fibonacci lattice.
     """
-    number = np.arange(NUM_AXES)
-    z = (number + 0.5) / NUM_AXES
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * number
+    axis_number = np.arange(NUM_AXES)
+    z = (axis_number + 0.5) / NUM_AXES
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * axis_number
     radius = np.sqrt(1.0 - z * z)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
 
@@ -356,17 +363,20 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
     facing_area = (np.abs(axes @ axes.T) >= MIN_FACING_COSINE) @ area_of_axis
     directions: list[Float] = []
     for _ in range(MAX_SEARCHED_AXES):
-        start = axes[facing_area.argmax()]
-        direction = start
+        start_axis = axes[facing_area.argmax()]
+        direction = start_axis
         for _ in range(NUM_FITS):
             # The mean direction of the triangles near it: the eigenvector of the largest eigenvalue
             faces_along = np.abs(normal @ direction) >= MIN_FACING_COSINE
             weighted_normals = normal[faces_along] * area[faces_along, None]
             direction = np.linalg.eigh(weighted_normals.T @ normal[faces_along])[1][:, 2]
-        if all(abs(direction @ accepted) < MIN_FACING_COSINE for accepted in directions):
+        if all(
+            abs(direction @ earlier_direction) < MIN_FACING_COSINE
+            for earlier_direction in directions
+        ):
             directions.append(direction)
         is_near = np.abs(axes @ direction) >= MAX_DISTINCT_COSINE
-        is_near |= np.abs(axes @ start) >= MAX_DISTINCT_COSINE
+        is_near |= np.abs(axes @ start_axis) >= MAX_DISTINCT_COSINE
         facing_area[is_near] = 0.0
         if not facing_area.any():
             break
@@ -378,8 +388,8 @@ class _Plane(NamedTuple):
 
     Attributes:
         area: the area of its triangles [m²].
-        net_facing_area: the area of those that face along `normal`, less the area of the others
-            [m²].
+        net_facing_area: the area of its triangles that face along `normal`, less the area of its
+            other triangles [m²].
         center: the triangles' mean centre, (3,) [m].
         normal: the plane's normal, a unit vector, (3,).
         is_member: for each triangle of the sample, whether it is part of the surface, (n,).
@@ -406,27 +416,27 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
     Returns:
         Up to `MAX_PLANES` flat surfaces.
     """
-    remaining = np.flatnonzero(np.abs(sample.normal @ axis) >= MIN_FACING_COSINE)
+    remaining_triangles = np.flatnonzero(np.abs(sample.normal @ axis) >= MIN_FACING_COSINE)
     planes = list[_Plane]()
     slots, slot_of_triangle = np.unique(
-        np.floor(sample.center[remaining] @ axis / PLANE_THICKNESS), return_inverse=True
+        np.floor(sample.center[remaining_triangles] @ axis / PLANE_THICKNESS), return_inverse=True
     )
     for _ in range(MAX_PLANES):
-        if not len(remaining):
+        if not len(remaining_triangles):
             break
-        centers = sample.center[remaining]
-        area = sample.area[remaining]
-        largest_slot = np.bincount(slot_of_triangle, area).argmax()
+        centers = sample.center[remaining_triangles]
+        areas = sample.area[remaining_triangles]
+        largest_slot = np.bincount(slot_of_triangle, areas).argmax()
         center = axis * slots[largest_slot] * PLANE_THICKNESS
         normal = axis
         is_member = np.abs((centers - center) @ axis) <= 2 * PLANE_THICKNESS
         for _ in range(NUM_FITS):
-            total_area = area[is_member].sum()
-            center = area[is_member] @ centers[is_member] / total_area
+            total_area = areas[is_member].sum()
+            center = areas[is_member] @ centers[is_member] / total_area
             offsets = centers[is_member] - center
             # The centres' principal axes, by ascending variance: the first is the plane's normal.
             variances, principal_axes = np.linalg.eigh(
-                (offsets * area[is_member, None]).T @ offsets
+                (offsets * areas[is_member, None]).T @ offsets
             )
             if variances[1] > MIN_PLANE_VARIANCE * total_area:
                 normal = principal_axes[:, 0]
@@ -434,18 +444,18 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
                     normal = -normal
             is_near = np.abs((centers - center) @ normal) <= PLANE_THICKNESS
             is_member = is_near if is_near.any() else is_member
-        signs = np.sign(sample.normal[remaining][is_member] @ normal)
+        signs = np.sign(sample.normal[remaining_triangles][is_member] @ normal)
         is_member_of_sample = np.zeros(len(sample.area), dtype=np.bool_)
-        is_member_of_sample[remaining[is_member]] = True
+        is_member_of_sample[remaining_triangles[is_member]] = True
         planes.append(
             _Plane(
-                area=float(area[is_member].sum()),
-                net_facing_area=float(area[is_member] @ signs),
+                area=float(areas[is_member].sum()),
+                net_facing_area=float(areas[is_member] @ signs),
                 center=center,
                 normal=normal,
                 is_member=is_member_of_sample,
             )
         )
-        remaining = remaining[~is_member]
+        remaining_triangles = remaining_triangles[~is_member]
         slot_of_triangle = slot_of_triangle[~is_member]
     return sorted(planes, key=lambda plane: -plane.area)

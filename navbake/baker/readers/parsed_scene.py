@@ -102,7 +102,7 @@ class ParsedJoint(NamedTuple):
 
 
 class ParsedBody(NamedTuple):
-    """A body that moves, or is fixed to one that does.
+    """A body that moves, or is fixed to a body that moves.
 
     Attributes:
         name: the body's name.
@@ -123,8 +123,8 @@ class ParsedScene:
 
     Attributes:
         geoms: all shapes.
-        bodies: name -> body, for those that move or are fixed to one that does, parents first. All
-            other bodies never move.
+        bodies: name -> body, for bodies that move or are fixed to a body that moves, parents first.
+            All other bodies never move.
         warnings: messages of one line.
         decimals: the number of decimals that coordinates in metres are rounded to; None to keep
             all.
@@ -141,19 +141,21 @@ class ParsedScene:
     empty_bodies: set[str] = field(default_factory=set)
 
 
-def check_count(count: int, path: Path) -> None:
-    """Raise an error if a scene has too many geoms; a few nested instances can make millions.
+def check_count(num_geoms: int, path: Path) -> None:
+    """Raise an error if a scene has too many geoms. Nested instances of models can make millions.
 
     Args:
-        count: the number of geoms, plus that of the models that contain them.
+        num_geoms: the number of geoms, plus that of the models that contain them.
         path: the scene's path, for the error.
 
     Raises:
         SceneError: there are more than `MAX_GEOMS`.
     """
-    if count > MAX_GEOMS:
-        excess = f"more than {MAX_GEOMS:,} pieces and models, each instance counted"
-        raise SceneError(f"{path} has {excess}, the most that navbake reads: bake a part of it")
+    if num_geoms > MAX_GEOMS:
+        excess_text = f"more than {MAX_GEOMS:,} pieces and models, each instance counted"
+        raise SceneError(
+            f"{path} has {excess_text}, the most that navbake reads: bake a part of it"
+        )
 
 
 @contextmanager
@@ -161,7 +163,7 @@ def reading(source_text: str) -> Iterator[None]:
     """Convert errors inside a with statement to SceneErrors that say what was being read.
 
     navbake's own errors, OSError and MemoryError are not converted. Numbers that are too large for
-    numpy's arithmetic make no warning: what comes of them is checked later on.
+    numpy's arithmetic make no warning: results that are not finite are refused later.
 
     Args:
         source_text: what is read, such as ``prim /World of room.usda``.
@@ -214,25 +216,31 @@ class JointTree:
         """Return whether a body is the child of another body, or of the world."""
         return name in self._parents
 
-    def make_bodies(self, fixed: Collection[str] = ()) -> dict[str, ParsedBody]:
-        """Return name -> body, for those that move or are fixed to one that does, parents first.
+    def make_bodies(self, fixed_names: Collection[str] = ()) -> dict[str, ParsedBody]:
+        """Return name -> body, for bodies that move or are fixed to a moving body, parents first.
 
-        A body that was not attached gets a free joint, unless `fixed` names it.
+        A body that was not attached gets a free joint, unless `fixed_names` names it.
 
         Args:
-            fixed: names of bodies that don't move if they are not attached.
+            fixed_names: names of bodies that don't move if they are not attached.
         """
-        zero = np.zeros(3)
+        zero_vector = np.zeros(3)
         for name in self._poses:
             if name not in self._parents:
-                joint = None if name in fixed else ParsedJoint(name, "free", zero, zero)
+                joint = (
+                    None
+                    if name in fixed_names
+                    else ParsedJoint(name, "free", zero_vector, zero_vector)
+                )
                 self._parents[name] = ""
                 self._joints[name] = joint
         bodies: dict[str, ParsedBody] = {}
-        pending = dict.fromkeys(self._poses)
-        while pending:
-            for name in [name for name in pending if self._parents[name] not in pending]:
-                del pending[name]
+        remaining_names = dict.fromkeys(self._poses)
+        while remaining_names:
+            for name in [
+                name for name in remaining_names if self._parents[name] not in remaining_names
+            ]:
+                del remaining_names[name]
                 parent = self._parents[name]
                 joint = self._joints[name]
                 if joint is not None or parent in bodies:
@@ -277,8 +285,8 @@ def build_model(
             geom = geom._replace(kind="mesh", size=(), mesh=tessellate("plane", geom.size))
         if geom.mesh is not None:
             # The vertices of a moving mesh are stored in the frame of its body.
-            pose = _pose_in_body(geom.pose, body)
-            mesh = _join_at_poses([geom.mesh], pose[None], parsed_scene.decimals)
+            pose = _transform_to_body(geom.pose, body)
+            mesh = _join_posed_meshes([geom.mesh], pose[None], parsed_scene.decimals)
             named_mesh = NamedMesh(geom.name, mesh.vertices, mesh.faces, geom.mode)
             if is_beyond_limit(named_mesh.vertices):
                 stray_names.append(geom.name)
@@ -295,11 +303,13 @@ def build_model(
             continue
         geoms.append(geom)
     if stray_names:
-        listed = list_first([repr(name) for name in stray_names], most=5)
-        warnings.append(f"geom {listed} of {path} left out: it lies beyond {MAX_COORDINATE:g} m")
+        listed_names = list_first([repr(name) for name in stray_names], most=5)
+        warnings.append(
+            f"geom {listed_names} of {path} left out: it lies beyond {MAX_COORDINATE:g} m"
+        )
     if stray_names and not geoms:
-        problem = f"all geometry lies beyond {MAX_COORDINATE:g} m, as {stray_names[0]!r}"
-        raise SceneError(f"{problem} of {path}: check its poses and units")
+        problem_text = f"all geometry lies beyond {MAX_COORDINATE:g} m, as {stray_names[0]!r}"
+        raise SceneError(f"{problem_text} of {path}: check its poses and units")
     if not geoms:
         raise SceneError(f"no geometry in {path}: expected at least one mesh or solid")
 
@@ -342,7 +352,7 @@ def _add_body(
     spec_parent: mujoco.MjsBody, body: ParsedBody, bodies: Mapping[str, ParsedBody]
 ) -> mujoco.MjsBody:
     """Add a body and its joint to the parent's body in a spec."""
-    pose = _pose_in_body(body.pose, bodies.get(body.parent))
+    pose = _transform_to_body(body.pose, bodies.get(body.parent))
     spec_body = spec_parent.add_body(name=body.name, pos=pose[:3, 3], quat=_quaternion(pose))
     joint = body.joint
     if joint is None:
@@ -363,7 +373,7 @@ def _set_solid(
     spec: mujoco.MjSpec, spec_geom: mujoco.MjsGeom, geom: ParsedGeom, body: ParsedBody | None
 ) -> None:
     """Set the pose and the size of a spec's geom: a solid, a plane or a height field."""
-    pose = _pose_in_body(geom.pose, body)
+    pose = _transform_to_body(geom.pose, body)
     spec_geom.pos = pose[:3, 3]
     spec_geom.quat = _quaternion(pose)
     if geom.heights is None:
@@ -377,7 +387,7 @@ def _set_solid(
     spec_geom.hfieldname = geom.name
 
 
-def _pose_in_body(pose: Float, body: ParsedBody | None) -> Float:
+def _transform_to_body(pose: Float, body: ParsedBody | None) -> Float:
     """Convert a pose from the world frame to the frame of a body; unchanged if body is None."""
     return pose if body is None else np.asarray(np.linalg.solve(body.pose, pose))
 
@@ -388,7 +398,7 @@ def _quaternion(pose: Float) -> Float:
     return quaternion
 
 
-def _join_at_poses(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -> Mesh:
+def _join_posed_meshes(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -> Mesh:
     """Join meshes, each moved by its pose, to one mesh.
 
     Args:
@@ -435,18 +445,22 @@ def merge_geoms(parsed_scene: ParsedScene, path: Path, warnings: list[str]) -> l
     if len(geoms) <= MERGE_ABOVE:
         return geoms
     groups: dict[tuple[object, ...], list[ParsedGeom]] = {}
-    for number, (geom, group_name) in enumerate(zip(geoms, _find_group_names(geoms), strict=True)):
+    for geom_number, (geom, group_name) in enumerate(
+        zip(geoms, _find_group_names(geoms), strict=True)
+    ):
         is_unmergeable = geom.body in parsed_scene.bodies or geom.kind in ("plane", "hfield")
         is_alone = is_unmergeable or "\0" in group_name
-        key: tuple[object, ...] = (group_name, geom.collides, geom.drawn)
+        group_key: tuple[object, ...] = (group_name, geom.collides, geom.drawn)
         if is_alone:
-            key = (number,)
-        groups.setdefault(key, []).append(geom)
+            group_key = (geom_number,)
+        groups.setdefault(group_key, []).append(geom)
     merged_geoms = []
-    for key, group in groups.items():
-        is_alone = len(key) == 1
+    for group_key, group_geoms in groups.items():
+        is_alone = len(group_key) == 1
         merged_geoms.append(
-            group[0] if is_alone else _merge_group(str(key[0]), group, parsed_scene.decimals)
+            group_geoms[0]
+            if is_alone
+            else _merge_group(str(group_key[0]), group_geoms, parsed_scene.decimals)
         )
     warnings.append(
         f"{path} has {len(geoms)} pieces of geometry: of more than {MERGE_ABOVE}, those that stand "
@@ -461,20 +475,20 @@ def _find_group_names(geoms: Sequence[ParsedGeom]) -> list[str]:
     At first, each geom is a group of its own, named ``body\0number``. Then groups are merged into
     their parents: a geom's is its body, that of ``a/b`` is ``a``.
     """
-    names = [f"{geom.body}\0{number}" for number, geom in enumerate(geoms)]
+    names = [f"{geom.body}\0{geom_number}" for geom_number, geom in enumerate(geoms)]
     distinct_names = set(names)
     while len(distinct_names) > MERGE_DOWN_TO:
-        num_children = Counter(_parent_of(name) for name in distinct_names)
+        num_children = Counter(_parent_name(name) for name in distinct_names)
         num_groups = len(distinct_names)
         merged_parents = set[str]()
-        for parent, count in num_children.most_common():
-            if num_groups <= MERGE_DOWN_TO or (count == 1 and merged_parents):
+        for parent, num_members in num_children.most_common():
+            if num_groups <= MERGE_DOWN_TO or (num_members == 1 and merged_parents):
                 break
             merged_parents.add(parent)
-            num_groups -= count - 1
+            num_groups -= num_members - 1
         if num_groups == len(distinct_names):
             merged_parents = set(num_children)
-        parents = [_parent_of(name) for name in names]
+        parents = [_parent_name(name) for name in names]
         names = [
             parent if parent in merged_parents else name
             for name, parent in zip(names, parents, strict=True)
@@ -483,37 +497,37 @@ def _find_group_names(geoms: Sequence[ParsedGeom]) -> list[str]:
     return names
 
 
-def _parent_of(name: str) -> str:
+def _parent_name(name: str) -> str:
     return name.rpartition("\0" if "\0" in name else "/")[0] or "/"
 
 
-def _merge_group(name: str, group: Sequence[ParsedGeom], decimals: int | None) -> ParsedGeom:
+def _merge_group(name: str, group_geoms: Sequence[ParsedGeom], decimals: int | None) -> ParsedGeom:
     """Merge geoms into one geom, a mesh in the world frame.
 
     Args:
         name: the name of the merged geom and of its body.
-        group: the geoms, which all have the same `collides` and `drawn`.
+        group_geoms: the geoms, which all have the same `collides` and `drawn`.
         decimals: the number of decimals that coordinates are rounded to; None to keep all.
     """
     mesh_of_shape: dict[tuple[object, ...], Mesh] = {}
     meshes = list[Mesh]()
-    for geom in group:
-        shape = (geom.kind, geom.size, geom.mode, id(geom.mesh))
-        if shape not in mesh_of_shape:
+    for geom in group_geoms:
+        shape_key = (geom.kind, geom.size, geom.mode, id(geom.mesh))
+        if shape_key not in mesh_of_shape:
             mesh = geom.mesh or tessellate(geom.kind, geom.size)
             hull = hull_faces(mesh.vertices) if geom.mode == "hull" else None
-            mesh_of_shape[shape] = mesh if hull is None else Mesh(mesh.vertices, hull)
-        meshes.append(mesh_of_shape[shape])
-    poses = np.stack([geom.pose for geom in group])
+            mesh_of_shape[shape_key] = mesh if hull is None else Mesh(mesh.vertices, hull)
+        meshes.append(mesh_of_shape[shape_key])
+    poses = np.stack([geom.pose for geom in group_geoms])
     return ParsedGeom(
         name=name,
         body=name,
         kind="mesh",
         size=(),
         pose=np.eye(4),
-        mesh=_join_at_poses(meshes, poses, decimals),
-        collides=group[0].collides,
-        drawn=group[0].drawn,
+        mesh=_join_posed_meshes(meshes, poses, decimals),
+        collides=group_geoms[0].collides,
+        drawn=group_geoms[0].drawn,
     )
 
 
@@ -554,14 +568,14 @@ def model_of_meshes(
 
 
 def compile_model(
-    path: Path, warnings: list[str], load: Callable[[], mujoco.MjModel], hint: str = ""
+    path: Path, warnings: list[str], load_model: Callable[[], mujoco.MjModel], hint: str = ""
 ) -> mujoco.MjModel:
     """Call a function that compiles a model, and convert MuJoCo's errors to SceneErrors.
 
     Args:
         path: the scene's path, for the error.
         warnings: warnings so far, which the error quotes.
-        load: the function, which returns the model.
+        load_model: the function, which returns the model.
         hint: text to add to the error, unless memory was lacking.
 
     Returns:
@@ -571,7 +585,7 @@ def compile_model(
         SceneError: MuJoCo can't compile the model.
     """
     try:
-        return load()
+        return load_model()
     except (ConfigError, SceneError):
         raise
     except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
@@ -579,8 +593,8 @@ def compile_model(
         messages += [warning.removeprefix(MUJOCO_PREFIX) for warning in warnings]
         messages = messages or [type(error).__name__]
         # without repetitions, in order
-        lines = dict.fromkeys(" ".join(message.split()) for message in messages)
-        reason = "; ".join(line for line in lines if line)
+        distinct_messages = dict.fromkeys(" ".join(message.split()) for message in messages)
+        reason = "; ".join(line for line in distinct_messages if line)
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
         hint = "" if lacked_memory(error) else hint
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
@@ -607,14 +621,14 @@ def compile_spec(spec: mujoco.MjSpec, ground: float | None, warnings: list[str])
         name = unique_name("ground", used_names)
         body = spec.worldbody.add_body(name=name, pos=(0.0, 0.0, ground))
         # It collides with nothing, so that `scene.geoms: auto` depends on the scene's own geoms.
-        plane = mujoco.mjtGeom.mjGEOM_PLANE
-        body.add_geom(name=name, type=plane, size=(0, 0, 1), contype=0, conaffinity=0)
+        plane_type = mujoco.mjtGeom.mjGEOM_PLANE
+        body.add_geom(name=name, type=plane_type, size=(0, 0, 1), contype=0, conaffinity=0)
     # MjSpec uses Python's warnings.
-    with python_warnings.catch_warnings(record=True) as recorded:
+    with python_warnings.catch_warnings(record=True) as recorded_warnings:
         python_warnings.simplefilter("always")
         model = spec.compile()
-    texts = [f"{MUJOCO_PREFIX}{warning.message}" for warning in recorded]
-    warnings.extend(text for text in texts if text not in warnings)
+    warning_texts = [f"{MUJOCO_PREFIX}{warning.message}" for warning in recorded_warnings]
+    warnings.extend(text for text in warning_texts if text not in warnings)
     return model
 
 

@@ -138,7 +138,7 @@ class _WorldReader:
         self._model_folders = settings.model_path
         self._is_strict = settings.strict
         self._exclude = settings.exclude
-        # What is missing, as messages name it -> how often the scene names it
+        # Missing file or model, as messages name it -> how often the scene names it
         self._num_missing: dict[str, int] = {}
         # A place in which a missing file was searched in vain, for the message
         self._searched_places = list[Path]()
@@ -149,7 +149,7 @@ class _WorldReader:
         # Full name of a link -> name of its body; empty if its model is static
         self._body_of_link: dict[str, str] = {}
         self._joints: list[JointOfScope] = []
-        # A mesh, and what is to be told of it where it is used
+        # Key -> the mesh, and the warnings to give where it is used
         self._meshes: dict[MeshKey, tuple[Mesh, list[str]]] = {}
         self._parse = cache(parse_sdf)
         self._find_model = cache(self._search_model)
@@ -161,8 +161,8 @@ class _WorldReader:
         worlds = root.findall("world")
         if len(worlds) > 1:
             self._warn(f"{len(worlds)} worlds in {self._path}: the first one is taken")
-        element = worlds[0] if worlds else root
-        world = Scope(self._find_models, element, element, self._path, None)
+        world_element = worlds[0] if worlds else root
+        world = Scope(self._find_models, world_element, world_element, self._path, None)
         if world.element.find("state/model") is not None:
             self._warn(
                 f"<state> of {self._path} is passed by, as in today's Gazebo; Gazebo classic "
@@ -175,48 +175,57 @@ class _WorldReader:
             self._attach(joint_tree, joint.scope, joint.element)
         self._parsed_scene.bodies = joint_tree.make_bodies()
         if self._num_missing:
-            self._tell_missing()
+            self._warn_missing_files()
         return self._parsed_scene
 
     def _warn(self, text: str) -> None:
         if text not in self._parsed_scene.warnings:
             self._parsed_scene.warnings.append(text)
 
-    def _tell_missing(self) -> None:
+    def _warn_missing_files(self) -> None:
         """Warn of all missing files at once; raise a SceneError if the settings are strict."""
-        listed = ", ".join(
-            item if count == 1 else f"{item} ({count} times)"
-            for item, count in self._num_missing.items()
+        missing_text = ", ".join(
+            missing_name if num_times == 1 else f"{missing_name} ({num_times} times)"
+            for missing_name, num_times in self._num_missing.items()
         )
-        places = [*dict.fromkeys(map(str, self._searched_places))]
-        searched = ", ".join(places[:4]) + (", …" if len(places) > 4 else "")
-        empty_folder = next((place for place in self._searched_places if place.is_dir()), None)
+        searched_names = [*dict.fromkeys(map(str, self._searched_places))]
+        searched_text = ", ".join(searched_names[:4]) + (", …" if len(searched_names) > 4 else "")
+        empty_folder = next(
+            (searched_place for searched_place in self._searched_places if searched_place.is_dir()),
+            None,
+        )
         if empty_folder is not None:
-            searched += f" ({empty_folder} has no {find_model_file(empty_folder).name})"
-        text = f"{self._path} names {listed}, not found in {searched}"
-        advice = (
+            searched_text += f" ({empty_folder} has no {find_model_file(empty_folder).name})"
+        message = f"{self._path} names {missing_text}, not found in {searched_text}"
+        advice_text = (
             "name the folder that holds them by `--model-path`, `scene.model_path` or "
             "GZ_SIM_RESOURCE_PATH"
         )
         if self._is_strict:
-            raise SceneError(f"{text}: {advice} (`scene.strict` and `--strict` refuse them)")
+            raise SceneError(
+                f"{message}: {advice_text} (`scene.strict` and `--strict` refuse them)"
+            )
         if not self._parsed_scene.geoms:
-            raise SceneError(f"{text}: no geometry is left; {advice}")
-        self._warn(f"{text}: left out, as in Gazebo; {advice}, or refuse them by `--strict`")
+            raise SceneError(f"{message}: no geometry is left; {advice_text}")
+        self._warn(
+            f"{message}: left out, as in Gazebo; {advice_text}, or refuse them by `--strict`"
+        )
 
-    def _add_missing(self, item: str, places: list[Path]) -> None:
-        self._num_missing[item] = self._num_missing.get(item, 0) + 1
+    def _record_missing(self, missing_name: str, searched_places: list[Path]) -> None:
+        self._num_missing[missing_name] = self._num_missing.get(missing_name, 0) + 1
         if len(self._num_missing) == 1:
-            self._searched_places = places
+            self._searched_places = searched_places
 
     def _is_excluded_body(self, name: str) -> bool:
         """Return whether `scene.exclude` names a body, or a model that contains it."""
-        parts = name.split("::")
-        names = ["::".join(parts[: number + 1]) for number in range(len(parts))]
+        name_parts = name.split("::")
+        enclosing_names = [
+            "::".join(name_parts[: part_number + 1]) for part_number in range(len(name_parts))
+        ]
         return any(
-            fnmatchcase(each_name, pattern)
+            fnmatchcase(enclosing_name, pattern)
             for pattern in self._exclude.bodies
-            for each_name in names
+            for enclosing_name in enclosing_names
         )
 
     def _is_excluded_geom(self, name: str) -> bool:
@@ -272,17 +281,17 @@ class _WorldReader:
             else:
                 model = root.find("model")
                 if not is_excluded and all(root.find(tag) is None for tag in INCLUDED_TAGS):
-                    itself = ", and is the file itself" if file.samefile(scope.file) else ""
+                    itself_text = ", and is the file itself" if file.samefile(scope.file) else ""
                     self._warn(
                         f"<include> of {uri!r} in {scope.file} is left out: {file} has no "
-                        f"<model>{itself}"
+                        f"<model>{itself_text}"
                     )
                 return file, model
         elif _is_model(uri, SUN_MODEL) or _is_model(uri, GROUND_MODEL):
             return None, None
         elif not is_excluded and full_name not in self._missing_models:
-            places = list(list_sdf_paths(uri, scope.file, self._model_folders))
-            self._add_missing(f"model {uri!r}", places)
+            searched_paths = list(list_sdf_paths(uri, scope.file, self._model_folders))
+            self._record_missing(f"model {uri!r}", searched_paths)
         self._missing_models.add(full_name)
         if is_excluded:
             self._parsed_scene.empty_bodies.add(full_name)
@@ -290,10 +299,10 @@ class _WorldReader:
 
     def _search_model(self, uri: str, file: Path) -> Path | None:
         """Find the file of an included model; None if it isn't there."""
-        for place in list_sdf_paths(uri, file, self._model_folders):
-            candidate = find_model_file(place)
-            if candidate.is_file():
-                return candidate
+        for model_path in list_sdf_paths(uri, file, self._model_folders):
+            model_file = find_model_file(model_path)
+            if model_file.is_file():
+                return model_file
         return None
 
     def _read_models(self, scope: Scope) -> None:
@@ -305,8 +314,8 @@ class _WorldReader:
             elif element.tag == "include":
                 uri = text_of(element, "uri")
                 if _is_model(uri, GROUND_MODEL) and self._find_model(uri, scope.file) is None:
-                    text = "taken as Gazebo's own, endless ground"
-                    self._warn(f"{uri} of {scope.file} not found: {text}")
+                    ground_text = "taken as Gazebo's own, endless ground"
+                    self._warn(f"{uri} of {scope.file} not found: {ground_text}")
                     name = text_of(element, "name") or GROUND_MODEL
                     pose = scope.pose_of_element(element)
                     self._add_geom(ParsedGeom(name, name, "plane", (0.0, 0.0), pose, drawn=False))
@@ -338,32 +347,39 @@ class _WorldReader:
         self._add_to_count()
         self._parsed_scene.geoms.append(geom)
 
-    def _add_shape(self, scope: Scope, element: Element, place: ParsedGeom) -> None:
+    def _add_shape(self, scope: Scope, element: Element, placed_geom: ParsedGeom) -> None:
         """Add the geometry of a ``<collision>`` or a ``<visual>`` to the scene.
 
         Args:
             scope: the model that contains the element.
             element: the ``<collision>`` or ``<visual>``.
-            place: a geom without a shape: its name, body and pose.
+            placed_geom: a geom without a shape: its name, body and pose.
         """
         is_visual = element.tag == "visual"
         geometry = element.find("geometry")
         shape = None if geometry is None else next(iter(geometry), None)
         if geometry is None or shape is None or shape.tag == "empty":
             return
-        where = f"{element.tag} {place.name!r} of {scope.file}"
-        reader = _ShapeReader(geometry, shape, place, where)
-        is_excluded = self._is_excluded_body(place.body) or self._is_excluded_geom(place.name)
+        element_text = f"{element.tag} {placed_geom.name!r} of {scope.file}"
+        reader = _ShapeReader(geometry, shape, placed_geom, element_text)
+        is_excluded = self._is_excluded_body(placed_geom.body) or self._is_excluded_geom(
+            placed_geom.name
+        )
         file = None
         if shape.tag in FILE_SHAPES:
             uri = text_of(shape, "uri")
-            places = list(list_sdf_paths(uri, scope.file, self._model_folders))
-            file = next((each_place for each_place in places if each_place.is_file()), None)
+            candidate_files = list(list_sdf_paths(uri, scope.file, self._model_folders))
+            file = next(
+                (candidate_file for candidate_file in candidate_files if candidate_file.is_file()),
+                None,
+            )
             if file is None:
                 if is_excluded:
-                    self._parsed_scene.empty_bodies.add(place.body)
+                    self._parsed_scene.empty_bodies.add(placed_geom.body)
                 else:
-                    self._add_missing(f"{uri!r} of {element.tag} {place.name!r}", places)
+                    self._record_missing(
+                        f"{uri!r} of {element.tag} {placed_geom.name!r}", candidate_files
+                    )
                 return
         mesh_warnings = list[str]()
         read_mesh = partial(self._read_mesh, warnings=mesh_warnings)
@@ -371,14 +387,14 @@ class _WorldReader:
             geoms = list(reader.read(file, read_mesh, is_visual=is_visual))
         except StrayMeshError as error:
             if is_excluded:
-                self._parsed_scene.empty_bodies.add(place.body)
+                self._parsed_scene.empty_bodies.add(placed_geom.body)
             else:
-                self._warn(f"{where} left out: {error}")
+                self._warn(f"{element_text} left out: {error}")
             return
         except SceneError:
             if not is_excluded:
                 raise
-            self._parsed_scene.empty_bodies.add(place.body)
+            self._parsed_scene.empty_bodies.add(placed_geom.body)
             return
         if not is_excluded:
             for warning in mesh_warnings:
@@ -386,9 +402,11 @@ class _WorldReader:
         for geom in geoms:
             self._add_geom(geom._replace(collides=not is_visual, drawn=is_visual))
         if not geoms:
-            self._warn(f"{where} left out: its <{shape.tag}> is no shape that navbake reads")
+            self._warn(f"{element_text} left out: its <{shape.tag}> is no shape that navbake reads")
 
-    def _read_mesh(self, file: Path, shape: Element, where: str, *, warnings: list[str]) -> Mesh:
+    def _read_mesh(
+        self, file: Path, shape: Element, element_text: str, *, warnings: list[str]
+    ) -> Mesh:
         """Read a mesh, in metres.
 
         The unit that a DAE states is applied, but not its up axis: Gazebo doesn't read it
@@ -397,29 +415,33 @@ class _WorldReader:
         Args:
             file: the mesh's file.
             shape: the ``<mesh>`` element.
-            where: the ``<collision>`` or ``<visual>``, for errors.
+            element_text: the ``<collision>`` or ``<visual>``, for errors.
             warnings: the list to which warnings of the file are added, each time it is used.
         """
         submesh = text_of(shape, "submesh/name")
         is_centered = is_true(text_of(shape, "submesh/center"))
-        key = MeshKey(file, submesh, is_centered)
-        if key not in self._meshes:
+        mesh_key = MeshKey(file, submesh, is_centered)
+        if mesh_key not in self._meshes:
             suffix = file.suffix.lower()
             if suffix not in MESH_SUFFIXES:
                 suffixes = ", ".join(sorted(MESH_SUFFIXES))
-                raise SceneError(f"cannot read {file}, the mesh of {where}: expected {suffixes}")
+                raise SceneError(
+                    f"cannot read {file}, the mesh of {element_text}: expected {suffixes}"
+                )
             up = "y" if suffix in GLTF_SUFFIXES else "z"
             file_warnings = list[str]()
             meshes = read_named_meshes(file, up, warnings=file_warnings)
-            matching = [mesh for mesh in meshes if submesh in ("", mesh.name)]
-            if not matching:
-                listed = ", ".join(sorted(mesh.name for mesh in meshes)[:20])
-                raise SceneError(f"no submesh {submesh!r} in {file}, of {where}: it has {listed}")
-            vertices, faces = join_meshes(matching)
+            matching_meshes = [mesh for mesh in meshes if submesh in ("", mesh.name)]
+            if not matching_meshes:
+                listed_names = ", ".join(sorted(mesh.name for mesh in meshes)[:20])
+                raise SceneError(
+                    f"no submesh {submesh!r} in {file}, of {element_text}: it has {listed_names}"
+                )
+            vertices, faces = join_meshes(matching_meshes)
             if is_centered:
                 vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-            self._meshes[key] = (Mesh(vertices, faces), file_warnings)
-        mesh, file_warnings = self._meshes[key]
+            self._meshes[mesh_key] = (Mesh(vertices, faces), file_warnings)
+        mesh, file_warnings = self._meshes[mesh_key]
         warnings += file_warnings
         return mesh
 
@@ -462,19 +484,19 @@ class _WorldReader:
     def _attach(self, joint_tree: JointTree, scope: Scope, element: Element) -> None:
         """Attach the child of a ``<joint>`` to its parent."""
         name = scope.full_name(str(element.get("name")))
-        where = f"joint {name!r} of {scope.file}"
-        ends = (text_of(element, "parent"), text_of(element, "child"))
-        if any(self._is_in_missing_model(scope.full_name(end)) for end in ends):
-            self._warn(f"{where} is left out: a model that it joins is missing")
+        joint_text = f"joint {name!r} of {scope.file}"
+        end_names = (text_of(element, "parent"), text_of(element, "child"))
+        if any(self._is_in_missing_model(scope.full_name(end_name)) for end_name in end_names):
+            self._warn(f"{joint_text} is left out: a model that it joins is missing")
             return
-        parent = self._find_body(scope, ends[0])
-        child = self._find_body(scope, ends[1])
-        joint = self._read_joint(scope, element, name, where)
+        parent = self._find_body(scope, end_names[0])
+        child = self._find_body(scope, end_names[1])
+        joint = self._read_joint(scope, element, name, joint_text)
         if not child or not joint_tree.attach(parent, child, joint):
-            self._warn(f"{where} is left out: its bodies don't move, or hang on other joints")
+            self._warn(f"{joint_text} is left out: its bodies don't move, or hang on other joints")
 
     def _read_joint(
-        self, scope: Scope, element: Element, name: str, where: str
+        self, scope: Scope, element: Element, name: str, joint_text: str
     ) -> ParsedJoint | None:
         """Read a ``<joint>``.
 
@@ -482,41 +504,45 @@ class _WorldReader:
             scope: the world or model that contains the joint.
             element: the ``<joint>``.
             name: the joint's full name.
-            where: the joint and its file, for messages.
+            joint_text: the joint and its file, for messages.
 
         Returns:
             The joint; None if it is fixed, or of a type that navbake doesn't know.
         """
-        kind = str(element.get("type"))
+        joint_type = str(element.get("type"))
         pose = scope.pose_of(str(element.get("name")))
         axis = element.find("axis")
-        if kind == "ball":
+        if joint_type == "ball":
             return ParsedJoint(name, "ball", pose[:3, 3], np.zeros(3))
-        if kind in (*HINGE_TYPES, "prismatic") and axis is not None:
-            direction = np.array(
-                numbers_of(text_of(axis, "xyz") or "0 0 1", 3, f"<xyz> of {where}")
+        if joint_type in (*HINGE_TYPES, "prismatic") and axis is not None:
+            axis_direction = np.array(
+                numbers_of(text_of(axis, "xyz") or "0 0 1", 3, f"<xyz> of {joint_text}")
             )
             xyz = axis.find("xyz")
             axis_frame = "" if xyz is None else xyz.get("expressed_in", "")
             axis_pose = scope.pose_of(axis_frame) if axis_frame else pose
-            version = _version_of(self._parse(scope.file))
+            version = _read_sdf_version(self._parse(scope.file))
             is_old = version <= LAST_VERSION_WITH_MODEL_AXES
             if is_old or is_true(text_of(axis, "use_parent_model_frame")):
                 axis_pose = scope.pose_of("")
             lower_text = text_of(axis, "limit/lower") or "-1e16"
             upper_text = text_of(axis, "limit/upper") or "1e16"
-            low = numbers_of(lower_text, 1, f"<lower> of {where}")[0]
-            high = numbers_of(upper_text, 1, f"<upper> of {where}")[0]
-            is_limited = low < high and max(-low, high) < MAX_JOINT_LIMIT and kind != "continuous"
+            lower_limit = numbers_of(lower_text, 1, f"<lower> of {joint_text}")[0]
+            upper_limit = numbers_of(upper_text, 1, f"<upper> of {joint_text}")[0]
+            is_limited = (
+                lower_limit < upper_limit
+                and max(-lower_limit, upper_limit) < MAX_JOINT_LIMIT
+                and joint_type != "continuous"
+            )
             return ParsedJoint(
                 name=name,
-                kind="hinge" if kind in HINGE_TYPES else "slide",
+                kind="hinge" if joint_type in HINGE_TYPES else "slide",
                 anchor=pose[:3, 3],
-                axis=axis_pose[:3, :3] @ direction,
-                limits=(low, high) if is_limited else None,
+                axis=axis_pose[:3, :3] @ axis_direction,
+                limits=(lower_limit, upper_limit) if is_limited else None,
             )
-        if kind != "fixed":
-            self._warn(f"{where} is taken as fixed: its type is {kind}")
+        if joint_type != "fixed":
+            self._warn(f"{joint_text} is taken as fixed: its type is {joint_type}")
         return None
 
 
@@ -551,51 +577,58 @@ class _ShapeReader(NamedTuple):
         Raises:
             SceneError: the shape is broken.
         """
-        kind = self.shape.tag
-        if kind in SOLID_SIZES:
-            stated_size = SOLID_SIZES[kind]
-            values = self._numbers(stated_size.element, stated_size.num_values)
-            return [self._geom(kind, tuple(value * stated_size.factor for value in values))]
-        if kind in ("cylinder", "capsule", "cone"):
+        shape_tag = self.shape.tag
+        if shape_tag in SOLID_SIZES:
+            stated_size = SOLID_SIZES[shape_tag]
+            stated_values = self._numbers(stated_size.element, stated_size.num_values)
+            return [
+                self._geom(
+                    shape_tag,
+                    tuple(stated_value * stated_size.factor for stated_value in stated_values),
+                )
+            ]
+        if shape_tag in ("cylinder", "capsule", "cone"):
             size = (self._number("radius"), self._number("length") / 2)
-            if kind == "cone":  # MuJoCo has no cones
+            if shape_tag == "cone":  # MuJoCo has no cones
                 return [self._geom("mesh")._replace(mesh=tessellate("cone", size))]
-            return [self._geom(kind, size)]
-        if kind == "plane":
+            return [self._geom(shape_tag, size)]
+        if shape_tag == "plane":
             return [self._read_plane(is_visual=is_visual)]
-        if kind == "polyline":
+        if shape_tag == "polyline":
             return self._read_polylines()
         if file is None:
             return []
-        if kind == "mesh":
+        if shape_tag == "mesh":
             mesh = read_mesh(file, self.shape, self.where)
             scale = np.diag([*self._numbers("scale", 3, [1.0, 1.0, 1.0]), 1.0])
             return [self._geom("mesh")._replace(mesh=mesh, pose=self.place.pose @ scale)]
-        if kind == "image":
+        if shape_tag == "image":
             return self._read_image(file)
         height_field = read_height_field(file, self._numbers("size", 3, [1.0, 1.0, 1.0]))
         position = np.add(self._numbers("pos", 3, [0.0, 0.0, 0.0]), [0.0, 0.0, height_field.lowest])
         geom = self._geom("hfield", height_field.size, position)
         return [geom._replace(heights=height_field.heights)]
 
-    def _numbers(self, key: str, count: int, default: list[float] | None = None) -> list[float]:
+    def _numbers(
+        self, key: str, num_values: int, default: list[float] | None = None
+    ) -> list[float]:
         if default is not None and self.shape.find(key) is None:
             return default
-        return numbers_of(text_of(self.shape, key), count, f"<{key}> of {self.where}")
+        return numbers_of(text_of(self.shape, key), num_values, f"<{key}> of {self.where}")
 
     def _number(self, key: str, default: float | None = None) -> float:
         return self._numbers(key, 1, None if default is None else [default])[0]
 
     def _geom(
         self,
-        kind: str,
+        geom_type: str,
         size: tuple[float, ...] = (),
         position: Float | tuple[float, float, float] | None = None,
     ) -> ParsedGeom:
         """Make a geom of the ``<collision>`` or ``<visual>`` that is read.
 
         Args:
-            kind: one of `GEOM_TYPES`.
+            geom_type: one of `GEOM_TYPES`.
             size: the size as MuJoCo states it [m].
             position: where the geom's centre is, in the frame of the ``<collision>`` or
                 ``<visual>``, (3,) [m]; at its origin if None.
@@ -603,15 +636,17 @@ class _ShapeReader(NamedTuple):
         pose = self.place.pose.copy()
         if position is not None:
             pose[:3, 3] += pose[:3, :3] @ np.asarray(position)
-        return self.place._replace(kind=kind, size=size, pose=pose)
+        return self.place._replace(kind=geom_type, size=size, pose=pose)
 
     def _read_plane(self, *, is_visual: bool) -> ParsedGeom:
         normal = np.array(self._numbers("normal", 3, [0.0, 0.0, 1.0]))
         pose = self.place.pose.copy()
         pose[:3, :3] = pose[:3, :3] @ rotation_to_z_up(normal).T
         # A plane that collides is endless; only one that is drawn has a size.
-        sides = self._numbers("size", 2, [0.0, 0.0]) if is_visual else [0.0, 0.0]
-        return self.place._replace(kind="plane", size=(sides[0] / 2, sides[1] / 2), pose=pose)
+        side_lengths = self._numbers("size", 2, [0.0, 0.0]) if is_visual else [0.0, 0.0]
+        return self.place._replace(
+            kind="plane", size=(side_lengths[0] / 2, side_lengths[1] / 2), pose=pose
+        )
 
     def _read_polylines(self) -> list[ParsedGeom]:
         height = self._number("height", 1.0)
@@ -653,7 +688,7 @@ def parse_sdf(file: Path) -> Element:
     return root
 
 
-def _version_of(root: Element) -> tuple[int, ...]:
+def _read_sdf_version(root: Element) -> tuple[int, ...]:
     """Return the version of SDF that a file states; (2,), later than all, if it states none."""
     return parse_sdf_version(root.get("version")) or (2,)
 

@@ -511,7 +511,7 @@ class _StageReader:
         frames = UsdGeom.XformCache(self._time)
         for prim in self._joints:
             self._attach(joint_tree, prim, frames)
-        self._parsed_scene.bodies = joint_tree.make_bodies(fixed=self._kinematic_bodies)
+        self._parsed_scene.bodies = joint_tree.make_bodies(fixed_names=self._kinematic_bodies)
 
     def _attach(self, joint_tree: JointTree, prim: Usd.Prim, frames: UsdGeom.XformCache) -> None:
         """Attach one of the two bodies that a joint's prim connects to the other one."""

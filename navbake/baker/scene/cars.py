@@ -62,15 +62,15 @@ def find_lift_joints(
         The ids of the joints, ascending.
     """
     names = all_names(model).bodies
-    is_lift = (model.jnt_type == SLIDE) & np.asarray(model.jnt_limited, dtype=np.bool_)
-    is_lift &= model.body_jntnum[model.jnt_bodyid] == 1
-    is_lift &= np.abs(data.xaxis[:, 2]) > MIN_VERTICAL_COSINE
-    joints = list[int]()
-    for joint in np.flatnonzero(is_lift).tolist():
+    is_lift_joint = (model.jnt_type == SLIDE) & np.asarray(model.jnt_limited, dtype=np.bool_)
+    is_lift_joint &= model.body_jntnum[model.jnt_bodyid] == 1
+    is_lift_joint &= np.abs(data.xaxis[:, 2]) > MIN_VERTICAL_COSINE
+    joint_ids = list[int]()
+    for joint in np.flatnonzero(is_lift_joint).tolist():
         name = names[int(model.jnt_bodyid[joint])]
         if any(fnmatchcase(name, pattern) for pattern in patterns):
-            joints.append(joint)
-    return joints
+            joint_ids.append(joint)
+    return joint_ids
 
 
 def measure_car(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> CarFloor | None:
@@ -85,22 +85,22 @@ def measure_car(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> CarFl
         The floor; None if the body has none that is large enough.
     """
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
-    cell = np.repeat(np.arange(lattice.width * lattice.height), np.diff(columns.start))
+    cell_of_hit = np.repeat(np.arange(lattice.width * lattice.height), np.diff(columns.start))
     # The headroom above a hit is the distance to the next hit of its vertical column.
-    is_last = np.append(cell, -1)[1:] != cell
+    is_last = np.append(cell_of_hit, -1)[1:] != cell_of_hit
     headroom = np.where(is_last, np.inf, np.append(columns.z, np.inf)[1:] - columns.z)
     is_floor = columns.normal[:, 2] >= agent_limits(agent).min_up
     is_floor &= headroom >= agent.height - LIMIT_SLACK
-    heights, counts = np.unique(np.round(columns.z[is_floor], 3), return_counts=True)
+    heights, height_counts = np.unique(np.round(columns.z[is_floor], 3), return_counts=True)
     # The floor is the lowest large surface; the car's roof may be another one.
-    is_large = 2 * counts >= counts.max(initial=0)
+    is_large = 2 * height_counts >= height_counts.max(initial=0)
     height = heights[is_large].min(initial=np.inf)
     is_floor &= np.abs(columns.z - height) <= FLOOR_FLATNESS
     if np.count_nonzero(is_floor) * lattice.cell_size**2 < MIN_CAR_AREA:
         return None
     return CarFloor(
-        cells=cell[is_floor],
-        outline=cell,
+        cells=cell_of_hit[is_floor],
+        outline=cell_of_hit,
         height=float(columns.z[is_floor].max()),
         geom=int(np.bincount(columns.geom[is_floor]).argmax()),
     )
@@ -118,7 +118,7 @@ def find_cars(
 
     Args:
         model: the model.
-        data: its pose.
+        data: the model's pose.
         shapes: the geometry of all geoms that count.
         links: the settings of links.
         agent: the agent that has to fit into a car.
@@ -128,18 +128,18 @@ def find_cars(
         The ids of the bodies, ascending.
     """
     subtree_ends = find_subtree_ends(model)
-    cars = set[int]()
+    car_bodies = set[int]()
     for rule in links:
         if rule.auto != "lift":
             continue
         for joint in find_lift_joints(model, data, rule.patterns or ("*",)):
             body = int(model.jnt_bodyid[joint])
-            body_geoms = mark_geoms_of_bodies(model, body, int(subtree_ends[body]))
-            body_shapes = shapes.only(body_geoms)
+            is_body_geom = mark_geoms_of_bodies(model, body, int(subtree_ends[body]))
+            body_shapes = shapes.only(is_body_geom)
             if body_shapes.bounds is None:
                 continue
             (x_min, y_min), (x_max, y_max) = body_shapes.bounds[:, :2].tolist()
             lattice = Lattice.cover((x_min, y_min, x_max, y_max), cell_size)
             if measure_car(body_shapes, lattice, agent) is not None:
-                cars.add(body)
-    return sorted(cars)
+                car_bodies.add(body)
+    return sorted(car_bodies)

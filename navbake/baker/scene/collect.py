@@ -36,7 +36,11 @@ if TYPE_CHECKING:
 
 MAX_LENGTH = 1e100  # largest position or size: its square has to be finite, too [m]
 NUM_DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
-TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
+TYPE_NAMES = dict(
+    enumerate(
+        ["plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh", "sdf"]
+    )
+)
 # Why a geom doesn't count
 CANT_COLLIDE = "can't collide (contype and conaffinity are 0)"
 COLLIDES_IN_PAIRS = "collides in a <contact><pair> alone (contype and conaffinity are 0)"
@@ -106,12 +110,12 @@ def select_geoms(
     """
     names = all_names(model).geoms
     exclusions, warnings = _find_exclusions(model, settings, left_out_bodies, names)
-    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    any_collides = any(
-        can_collide and not exclusion
-        for can_collide, exclusion in zip(collides, exclusions, strict=True)
+    can_collide = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    any_can_collide = any(
+        collides_itself and not exclusion
+        for collides_itself, exclusion in zip(can_collide, exclusions, strict=True)
     )
-    decisions = _apply_geoms_setting(model, settings.geoms, collides, any_collides)
+    decisions = _apply_geoms_setting(model, settings.geoms, can_collide, any_can_collide)
     for geom, exclusion in enumerate(exclusions):
         if exclusion:
             decisions[geom] = CountDecision(False, exclusion)
@@ -119,31 +123,31 @@ def select_geoms(
         decisions[ground] = CountDecision(True, "added by `scene.ground`")
     mesh_modes, mode_warnings = _find_mesh_modes(model, settings, names)
     warnings += mode_warnings
-    for geom, mode in (file_mesh_modes or {}).items():
+    for geom, mesh_mode in (file_mesh_modes or {}).items():
         if mesh_modes[geom] == "auto":
-            mesh_modes[geom] = mode
+            mesh_modes[geom] = mesh_mode
     surface_names = list[str]()  # of meshes whose hull hides something
     hidden_by_first = ""
     # In MuJoCo, the hull of a mesh collides, but not that of a signed distance field.
-    for geom in np.flatnonzero(collides & (model.geom_type == constants.MESH)).tolist():
+    for geom in np.flatnonzero(can_collide & (model.geom_type == constants.MESH)).tolist():
         if mesh_modes[geom] == "auto" and decisions[geom].counted:
-            hidden = find_hidden(geom)
-            if hidden:
+            hidden_text = find_hidden(geom)
+            if hidden_text:
                 mesh_modes[geom] = "surface"
                 surface_names.append(names[geom].geom)
-                hidden_by_first = hidden_by_first or hidden
+                hidden_by_first = hidden_by_first or hidden_text
             else:
                 mesh_modes[geom] = "hull"
     if surface_names:
-        more = f", and {len(surface_names) - 1} more" if len(surface_names) > 1 else ""
+        num_more_text = f", and {len(surface_names) - 1} more" if len(surface_names) > 1 else ""
         warnings.append(
-            f"mesh geom {surface_names[0]!r}{more} counts by its triangles, because its convex "
-            f"hull hides {hidden_by_first}; MuJoCo collides the hull: set `scene.meshes` to "
+            f"mesh geom {surface_names[0]!r}{num_more_text} counts by its triangles, because its "
+            f"convex hull hides {hidden_by_first}; MuJoCo collides the hull: set `scene.meshes` to "
             "surface or hull to say which"
         )
     selections = [
-        GeomSelection(decision.counted, decision.reason, mode)
-        for decision, mode in zip(decisions, mesh_modes, strict=True)
+        GeomSelection(decision.counted, decision.reason, mesh_mode)
+        for decision, mesh_mode in zip(decisions, mesh_modes, strict=True)
     ]
     return selections, warnings
 
@@ -156,51 +160,58 @@ def _find_mesh_modes(
         mode_of_all: str = settings.meshes
         return [mode_of_all] * len(names), []
     mode_of_pattern = settings.meshes
-    modes: list[str] = []
+    mesh_modes: list[str] = []
     for geom_names in names:
-        matching = [mode for p, mode in mode_of_pattern.items() if _matches_any(p, geom_names)]
-        modes.append(matching[0] if matching else "auto")
+        matching_modes = [
+            mesh_mode
+            for pattern, mesh_mode in mode_of_pattern.items()
+            if _matches_any(pattern, geom_names)
+        ]
+        mesh_modes.append(matching_modes[0] if matching_modes else "auto")
     mesh_geoms = np.flatnonzero(np.isin(model.geom_type, (constants.MESH, constants.SDF)))
     mesh_names = [name for geom in mesh_geoms for name in names[geom]]
-    return modes, _warn_unused("scene.meshes", mode_of_pattern, mesh_names, "no mesh")
+    return mesh_modes, _warn_unused_patterns("scene.meshes", mode_of_pattern, mesh_names, "no mesh")
 
 
 def _apply_geoms_setting(
-    model: mujoco.MjModel, geoms: str, collides: Bool, any_collides: bool
+    model: mujoco.MjModel, geoms_setting: str, can_collide: Bool, any_can_collide: bool
 ) -> list[CountDecision]:
     """Decide for each geom whether `scene.geoms` counts it.
 
     Args:
         model: the model.
-        geoms: the value of `scene.geoms`.
-        collides: for each geom, whether it can collide, (ngeom,).
-        any_collides: whether any geom that isn't excluded can collide.
+        geoms_setting: the value of `scene.geoms`.
+        geom_can_collide: for each geom, whether it can collide, (ngeom,).
+        any_can_collide: whether any geom that isn't excluded can collide.
     """
-    if geoms == "all":
+    if geoms_setting == "all":
         return [CountDecision(True, "all geoms count")] * model.ngeom
-    if geoms == "auto" and not any_collides:
+    if geoms_setting == "auto" and not any_can_collide:
         return [CountDecision(True, "no geom can collide, so all count")] * model.ngeom
-    if geoms != "visual":
-        colliding = CountDecision(True, "can collide")
-        not_colliding = CountDecision(False, CANT_COLLIDE)
-        decisions = [colliding if can_collide else not_colliding for can_collide in collides]
-        pairs = np.concatenate([model.pair_geom1, model.pair_geom2])
-        for geom in np.unique(pairs[~collides[pairs]]).tolist():
+    if geoms_setting != "visual":
+        colliding_decision = CountDecision(True, "can collide")
+        other_decision = CountDecision(False, CANT_COLLIDE)
+        decisions = [
+            colliding_decision if geom_can_collide else other_decision
+            for geom_can_collide in can_collide
+        ]
+        pair_geoms = np.concatenate([model.pair_geom1, model.pair_geom2])
+        for geom in np.unique(pair_geoms[~can_collide[pair_geoms]]).tolist():
             decisions[geom] = CountDecision(False, COLLIDES_IN_PAIRS)
         return decisions
     groups = model.geom_group.tolist()
     bodies = model.geom_bodyid.tolist()
-    drawn = mark_drawn(model)
+    is_drawn = mark_drawn(model)
     visual_groups: dict[int, set[int]] = {}  # body -> groups of its drawn geoms that can't collide
-    for visual_geom in np.flatnonzero(drawn & ~collides & (model.geom_bodyid > 0)).tolist():
+    for visual_geom in np.flatnonzero(is_drawn & ~can_collide & (model.geom_bodyid > 0)).tolist():
         visual_groups.setdefault(bodies[visual_geom], set()).add(groups[visual_geom])
     decisions = []
     for geom, (group, body) in enumerate(zip(groups, bodies, strict=True)):
         if group >= NUM_DRAWN_GROUPS:
             decisions.append(CountDecision(False, f"not drawn (group {group})"))
-        elif not drawn[geom]:
+        elif not is_drawn[geom]:
             decisions.append(CountDecision(False, "not drawn (alpha 0)"))
-        elif collides[geom] and visual_groups.get(body, set()) - {group}:
+        elif can_collide[geom] and visual_groups.get(body, set()) - {group}:
             decisions.append(CountDecision(False, "stands in for its body's visual geoms"))
         else:
             decisions.append(CountDecision(True, "is drawn"))
@@ -208,51 +219,51 @@ def _apply_geoms_setting(
 
 
 def mark_drawn(model: mujoco.MjModel) -> Bool:
-    """Mark the geoms that MuJoCo's viewers draw: opaque in part, in a group that they draw.
+    """Mark the geoms that MuJoCo's viewers draw: not fully transparent, in a group that is drawn.
 
     A geom's opacity is its material's, unless its own colour was set.
     """
     alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
     is_default = (model.geom_rgba == DEFAULT_COLOR).all(axis=1)
-    by_material = (model.geom_matid >= 0) & is_default
-    alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
+    has_material_color = (model.geom_matid >= 0) & is_default
+    alpha[has_material_color] = model.mat_rgba[model.geom_matid[has_material_color], 3]
     is_drawn: Bool = (alpha > 0) & (model.geom_group < NUM_DRAWN_GROUPS)
     return is_drawn
 
 
 def _find_exclusions(
-    model: mujoco.MjModel, settings: SceneSettings, left_out_bodies: Bool, names: list[GeomNames]
+    model: mujoco.MjModel, settings: SceneSettings, is_left_out_body: Bool, names: list[GeomNames]
 ) -> tuple[list[str], list[str]]:
     """Find for each geom why it is excluded, and warn of patterns that match nothing.
 
     A geom is excluded if a pattern matches its name, or the name of its body or of an ancestor of
-    its body; or if such a body is in `left_out_bodies`.
+    its body; or if such a body is in `is_left_out_body`.
 
     Returns:
         A reason for each geom, empty if it isn't excluded; and warnings.
     """
-    exclude = settings.exclude
+    exclusions = settings.exclude
     parents = model.body_parentid.tolist()
     body_reasons = [""] * model.nbody
     body_names = all_names(model).bodies
     for body in range(1, model.nbody):  # parents come before their children
-        pattern = _first_match(exclude.bodies, body_names[body])
+        pattern = _first_match(exclusions.bodies, body_names[body])
         if pattern:
             body_reasons[body] = f"excluded: body {body_names[body]!r} matches {pattern!r}"
         elif body_reasons[parents[body]]:
             body_reasons[body] = body_reasons[parents[body]]
-        elif left_out_bodies[body]:
+        elif is_left_out_body[body]:
             body_reasons[body] = f"excluded: body {body_names[body]!r} can move"
     reasons = [body_reasons[body] for body in model.geom_bodyid.tolist()]
     geom_names = [geom.geom for geom in names]
-    if exclude.geoms:
+    if exclusions.geoms:
         for geom, name in enumerate(geom_names):
-            pattern = _first_match(exclude.geoms, name)
+            pattern = _first_match(exclusions.geoms, name)
             if pattern:
                 reasons[geom] = f"excluded: matches {pattern!r}"
     warnings = [
-        *_warn_unused("scene.exclude.bodies", exclude.bodies, body_names[1:]),
-        *_warn_unused("scene.exclude.geoms", exclude.geoms, geom_names),
+        *_warn_unused_patterns("scene.exclude.bodies", exclusions.bodies, body_names[1:]),
+        *_warn_unused_patterns("scene.exclude.geoms", exclusions.geoms, geom_names),
     ]
     return reasons, warnings
 
@@ -265,29 +276,31 @@ def _first_match(patterns: Iterable[str], name: str) -> str | None:
     return next((pattern for pattern in patterns if fnmatchcase(name, pattern)), None)
 
 
-def _warn_unused(
-    setting: str, patterns: Iterable[str], names: list[str], matches: str = "nothing"
+def _warn_unused_patterns(
+    setting: str, patterns: Iterable[str], names: list[str], matches_text: str = "nothing"
 ) -> list[str]:
-    unmatched = [pattern for pattern in patterns if not _matches_any(pattern, names)]
-    return [warn_unmatched(setting, pattern, names, matches) for pattern in unmatched]
+    unmatched_patterns = [pattern for pattern in patterns if not _matches_any(pattern, names)]
+    return [warn_unmatched(setting, pattern, names, matches_text) for pattern in unmatched_patterns]
 
 
 # ---------------------------------------------------------------- geometry
 
 
-def _single_part(vertices: Float, faces: Int32, closed: int, kind: str) -> GeomTriangles:
-    """Make `GeomTriangles` whose triangles all enclose the same, and are not divided into parts.
+def _make_single_part(
+    vertices: Float, faces: Int32, closed_code: int, shape_kind: str
+) -> GeomTriangles:
+    """Make `GeomTriangles` of one part; all its triangles have the same code of what they enclose.
 
     Args:
         vertices: shape (n, 3) [m].
         faces: indices of vertices, shape (m, 3).
-        closed: OPEN_SURFACE, SOLID or CONVEX_SOLID, for all triangles.
-        kind: what the triangles are, for `GeomReport.shape`.
+        closed_code: OPEN_SURFACE, SOLID or CONVEX_SOLID, for all triangles.
+        shape_kind: the value of `GeomReport.shape`, such as ``hull``.
     """
     num_faces = len(faces)
-    part = np.zeros(num_faces, np.int32)
-    closed_codes = np.full(num_faces, closed, np.uint8)
-    return GeomTriangles(vertices, faces, part, closed_codes, kind)
+    part_of_face = np.zeros(num_faces, np.int32)
+    closed_codes = np.full(num_faces, closed_code, np.uint8)
+    return GeomTriangles(vertices, faces, part_of_face, closed_codes, shape_kind)
 
 
 class MeshTriangles:
@@ -301,31 +314,31 @@ class MeshTriangles:
         self._model = model
         self._triangles: dict[tuple[int, str], GeomTriangles] = {}
 
-    def get(self, mesh: int, mode: str) -> GeomTriangles:
+    def get(self, mesh: int, mesh_mode: str) -> GeomTriangles:
         """Return the triangles that represent a mesh, in the mesh's frame.
 
         Args:
             mesh: the mesh's id.
-            mode: how the mesh is represented, see `represent_mesh`.
+            mesh_mode: how the mesh is represented, see `represent_mesh`.
 
         Raises:
             SceneError: the mesh is broken.
         """
-        if (mesh, mode) not in self._triangles:
+        if (mesh, mesh_mode) not in self._triangles:
             vertices, faces, hull = _mesh_arrays(self._model, mesh)
-            self._triangles[mesh, mode] = represent_mesh(vertices, faces, mode, hull)
-        return self._triangles[mesh, mode]
+            self._triangles[mesh, mesh_mode] = represent_mesh(vertices, faces, mesh_mode, hull)
+        return self._triangles[mesh, mesh_mode]
 
 
 def represent_mesh(
-    vertices: Float, faces: Int | Int32, mode: str, hull: Int32 | None = None
+    vertices: Float, faces: Int | Int32, mesh_mode: str, hull: Int32 | None = None
 ) -> GeomTriangles:
     """Return the triangles that represent a mesh.
 
     Args:
         vertices: shape (n, 3) [m].
         faces: indices of vertices, counter-clockwise from outside, shape (m, 3).
-        mode: ``hull`` for the convex hull, or for the mesh's own triangles if it is flat;
+        mesh_mode: ``hull`` for the convex hull, or for the mesh's own triangles if it is flat;
             ``shell`` for its own triangles, as sheets that enclose nothing; ``surface`` or ``auto``
             for its own triangles, where each closed part is a solid.
         hull: the faces of the convex hull; computed if None.
@@ -333,18 +346,24 @@ def represent_mesh(
     Returns:
         The triangles, in the mesh's frame.
     """
-    if mode == "hull":
+    if mesh_mode == "hull":
         hull = hull_faces(vertices) if hull is None else hull
         if hull is not None:
             # Vertices inside the hull are left out.
             used_vertices, index = np.unique(hull, return_inverse=True)
             faces = index.reshape(hull.shape).astype(np.int32)
-            return _single_part(vertices[used_vertices], faces, constants.CONVEX_SOLID, "hull")
+            return _make_single_part(vertices[used_vertices], faces, constants.CONVEX_SOLID, "hull")
     faces = faces.astype(np.int32, copy=False)
-    if mode == "shell":
-        return _single_part(vertices, faces, constants.OPEN_SURFACE, "shell")
-    split = split_mesh(vertices, faces)
-    return GeomTriangles(vertices, split.faces, split.part, split.closed, split.description)
+    if mesh_mode == "shell":
+        return _make_single_part(vertices, faces, constants.OPEN_SURFACE, "shell")
+    split_triangles = split_mesh(vertices, faces)
+    return GeomTriangles(
+        vertices,
+        split_triangles.faces,
+        split_triangles.part,
+        split_triangles.closed,
+        split_triangles.description,
+    )
 
 
 def collect_shapes(
@@ -373,88 +392,90 @@ def collect_shapes(
     """
     meshes = MeshTriangles(model) if meshes is None else meshes
     names = all_names(model).geoms
-    kinds = dict[int, str]()
+    shape_kinds = dict[int, str]()
     warnings = dict[str, str]()  # mesh name -> warning
-    solids = list[int]()
-    planes = list[int]()
+    solid_ids = list[int]()
+    plane_geoms = list[int]()
     triangles = list[tuple[int, GeomTriangles]]()
-    endless = np.zeros(model.ngeom, dtype=np.bool_)
+    is_endless = np.zeros(model.ngeom, dtype=np.bool_)
     geoms = range(len(selections)) if geom_ids is None else geom_ids
-    ids = np.array([geom for geom in geoms if selections[geom].counted], dtype=np.int64)
-    numbers = np.hstack([data.geom_xpos[ids], data.geom_xmat[ids], model.geom_size[ids]])
-    is_finite = (np.abs(numbers) <= MAX_LENGTH).all(axis=1)  # NaN isn't
+    counted_ids = np.array([geom for geom in geoms if selections[geom].counted], dtype=np.int64)
+    pose_numbers = np.hstack(
+        [data.geom_xpos[counted_ids], data.geom_xmat[counted_ids], model.geom_size[counted_ids]]
+    )
+    is_finite = (np.abs(pose_numbers) <= MAX_LENGTH).all(axis=1)  # NaN isn't
     # Iterating over lists is faster than over arrays.
     geom_rows = zip(
-        ids.tolist(),
-        model.geom_type[ids].tolist(),
-        model.geom_dataid[ids].tolist(),
+        counted_ids.tolist(),
+        model.geom_type[counted_ids].tolist(),
+        model.geom_dataid[counted_ids].tolist(),
         is_finite.tolist(),
         strict=True,
     )
     for geom, geom_type, data_id, has_finite_numbers in geom_rows:
         name = names[geom].geom
         if not has_finite_numbers:
-            problem = f"a pose or size that is no number, or beyond {MAX_LENGTH:g} m"
-            raise SceneError(f"geom {name!r} has {problem}")
+            problem_text = f"a pose or size that is no number, or beyond {MAX_LENGTH:g} m"
+            raise SceneError(f"geom {name!r} has {problem_text}")
         if geom_type in SOLID_TYPES:
-            solids.append(geom)
-            kinds[geom] = "solid"
+            solid_ids.append(geom)
+            shape_kinds[geom] = "solid"
             continue
         if geom_type == constants.PLANE:
             half_sides = model.geom_size[geom, :2]
             if (half_sides <= 0).all():
-                planes.append(geom)
-                kinds[geom] = "half-space"
+                plane_geoms.append(geom)
+                shape_kinds[geom] = "half-space"
                 continue
-            endless[geom] = (half_sides <= 0).any()
-            geom_triangles = _plane_triangles(half_sides, is_strip=bool(endless[geom]))
+            is_endless[geom] = (half_sides <= 0).any()
+            geom_triangles = _plane_triangles(half_sides, is_strip=bool(is_endless[geom]))
         elif geom_type not in (constants.HFIELD, constants.MESH, constants.SDF) or data_id < 0:
             raise SceneError(f"geom {name!r} is broken: it has no shape (type {geom_type})")
         elif geom_type == constants.HFIELD:
-            kinds[geom] = "solid"
+            shape_kinds[geom] = "solid"
             pieces = _height_field_pieces(model, data_id)
             triangles += [(geom, _to_world(piece, data, geom)) for piece in pieces]
             continue
         else:
-            mode = selections[geom].mesh_mode
+            mesh_mode = selections[geom].mesh_mode
             if geom in exact_meshes:
                 exact_mesh = exact_meshes[geom]
-                geom_triangles = represent_mesh(exact_mesh.vertices, exact_mesh.faces, mode)
+                geom_triangles = represent_mesh(exact_mesh.vertices, exact_mesh.faces, mesh_mode)
             else:
-                geom_triangles = meshes.get(data_id, mode)
-            if mode == "hull" and geom_triangles.description != "hull":
+                geom_triangles = meshes.get(data_id, mesh_mode)
+            if mesh_mode == "hull" and geom_triangles.description != "hull":
                 mesh_name = names[geom].mesh
                 reason = f"mesh {mesh_name!r} of geom {name!r} is flat, so it has no convex hull"
                 warnings.setdefault(mesh_name, f"{reason}: it counts by its triangles")
-        kinds[geom] = geom_triangles.description
+        shape_kinds[geom] = geom_triangles.description
         if geom not in exact_meshes:
             geom_triangles = _to_world(geom_triangles, data, geom)
         triangles.append((geom, geom_triangles))
-    plane_ids = np.array(planes, dtype=np.int32)
+    plane_ids = np.array(plane_geoms, dtype=np.int32)
     shapes = Shapes(
-        solids=_collect_solids(model, data, np.array(solids, dtype=np.int32)),
+        solids=_collect_solids(model, data, np.array(solid_ids, dtype=np.int32)),
         planes=Planes(plane_ids, data.geom_xpos[plane_ids], data.geom_xmat[plane_ids]),
         meshes=gather_meshes(triangles),
-        is_endless=endless,
+        is_endless=is_endless,
     )
-    return shapes, kinds, list(warnings.values())
+    return shapes, shape_kinds, list(warnings.values())
 
 
-def _collect_solids(model: mujoco.MjModel, data: mujoco.MjData, ids: Int32) -> Solids:
-    types = model.geom_type[ids]
-    positions = data.geom_xpos[ids]
-    rotations = data.geom_xmat[ids]
-    sizes = model.geom_size[ids]
+def _collect_solids(model: mujoco.MjModel, data: mujoco.MjData, geom_ids: Int32) -> Solids:
+    types = model.geom_type[geom_ids]
+    positions = data.geom_xpos[geom_ids]
+    rotations = data.geom_xmat[geom_ids]
+    sizes = model.geom_size[geom_ids]
     bounds = solid_bounds(types, positions, rotations, sizes)
-    return Solids(ids, types, positions, rotations, sizes, bounds)
+    return Solids(geom_ids, types, positions, rotations, sizes, bounds)
 
 
 def _plane_triangles(half_sides: Float, *, is_strip: bool) -> GeomTriangles:
     """Make the triangles of a rectangular plane, or of a strip, which is endless along x or y."""
     half_sizes = np.where(half_sides > 0, half_sides, ENDLESS_HALF_SIZE)
     mesh = tessellate("plane", half_sizes.tolist())
-    kind = "strip" if is_strip else "rectangle"
-    return _single_part(mesh.vertices, mesh.faces, constants.OPEN_SURFACE, kind)
+    shape_kind = "strip" if is_strip else "rectangle"
+    return _make_single_part(mesh.vertices, mesh.faces, constants.OPEN_SURFACE, shape_kind)
 
 
 def _to_world(triangles: GeomTriangles, data: mujoco.MjData, geom: int) -> GeomTriangles:
@@ -468,18 +489,22 @@ def _height_field_pieces(model: mujoco.MjModel, hfield: int) -> Iterator[GeomTri
     """Make the triangles of a height field as a solid, in its geom's frame, piece by piece."""
     num_rows = int(model.hfield_nrow[hfield])
     num_cols = int(model.hfield_ncol[hfield])
-    first = int(model.hfield_adr[hfield])
-    size = model.hfield_size[hfield]
-    heights = model.hfield_data[first : first + num_rows * num_cols].reshape(num_rows, num_cols)
-    if not (np.isfinite(heights).all() and (np.abs(size) <= MAX_LENGTH).all()):
+    first_height = int(model.hfield_adr[hfield])
+    hfield_size = model.hfield_size[hfield]
+    heights = model.hfield_data[first_height : first_height + num_rows * num_cols].reshape(
+        num_rows, num_cols
+    )
+    if not (np.isfinite(heights).all() and (np.abs(hfield_size) <= MAX_LENGTH).all()):
         name = name_at(model, model.name_hfieldadr[hfield])
-        problem = f"heights or a size that are no numbers, or beyond {MAX_LENGTH:g} m"
-        raise SceneError(f"hfield {name!r} has {problem}")
-    codes_of_faces = dict[int, GeomTriangles]()  # by the id of the faces, which pieces share
-    for vertices, faces in height_field_pieces(heights, size):
-        if id(faces) not in codes_of_faces:
-            codes_of_faces[id(faces)] = _single_part(vertices, faces, constants.SOLID, "solid")
-        yield codes_of_faces[id(faces)]._replace(vertices=vertices)
+        problem_text = f"heights or a size that are no numbers, or beyond {MAX_LENGTH:g} m"
+        raise SceneError(f"hfield {name!r} has {problem_text}")
+    triangles_of_faces = dict[int, GeomTriangles]()  # by the id of the faces, which pieces share
+    for vertices, faces in height_field_pieces(heights, hfield_size):
+        if id(faces) not in triangles_of_faces:
+            triangles_of_faces[id(faces)] = _make_single_part(
+                vertices, faces, constants.SOLID, "solid"
+            )
+        yield triangles_of_faces[id(faces)]._replace(vertices=vertices)
 
 
 def _mesh_arrays(model: mujoco.MjModel, mesh: int) -> tuple[Float, Int32, Int32 | None]:
@@ -494,28 +519,30 @@ def _mesh_arrays(model: mujoco.MjModel, mesh: int) -> tuple[Float, Int32, Int32 
     num_faces = int(model.mesh_facenum[mesh])
     faces = model.mesh_face[first_face : first_face + num_faces]
     name = name_at(model, model.name_meshadr[mesh])
-    hull = _hull_of_mesh(model, mesh, name)
-    for indices in (faces, hull):
-        if indices.size and not 0 <= int(indices.min()) <= int(indices.max()) < len(vertices):
+    hull = _read_hull_faces(model, mesh, name)
+    for vertex_indices in (faces, hull):
+        if vertex_indices.size and not 0 <= int(vertex_indices.min()) <= int(
+            vertex_indices.max()
+        ) < len(vertices):
             raise SceneError(f"mesh {name!r} is broken: faces of missing vertices")
     if not np.isfinite(vertices).all():
         raise SceneError(f"mesh {name!r} has coordinates that are no numbers")
     return vertices, faces, hull if len(hull) else None
 
 
-def _hull_of_mesh(model: mujoco.MjModel, mesh: int, name: str) -> Int32:
+def _read_hull_faces(model: mujoco.MjModel, mesh: int, name: str) -> Int32:
     """Return the faces of a mesh's hull, (n, 3); n = 0 if the model doesn't have the hull.
 
     MuJoCo's `mesh_graph` of a hull with v vertices and m faces contains v, m, two lists of v
     numbers each, a list of v + 3 m numbers, and the faces.
     """
-    graph = int(model.mesh_graphadr[mesh])
-    if graph < 0:
+    graph_start = int(model.mesh_graphadr[mesh])
+    if graph_start < 0:
         return np.empty((0, 3), dtype=np.int32)
-    num_vertices = int(model.mesh_graph[graph])
-    num_faces = int(model.mesh_graph[graph + 1])
-    first = graph + 2 + 3 * (num_vertices + num_faces)
-    corners = np.asarray(model.mesh_graph[first : first + 3 * num_faces])
-    if len(corners) != 3 * num_faces:
+    num_vertices = int(model.mesh_graph[graph_start])
+    num_faces = int(model.mesh_graph[graph_start + 1])
+    first_corner = graph_start + 2 + 3 * (num_vertices + num_faces)
+    corner_indices = np.asarray(model.mesh_graph[first_corner : first_corner + 3 * num_faces])
+    if len(corner_indices) != 3 * num_faces:
         raise SceneError(f"mesh {name!r} is broken: its hull's faces are missing")
-    return corners.reshape(-1, 3)
+    return corner_indices.reshape(-1, 3)

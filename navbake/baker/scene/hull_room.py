@@ -76,7 +76,7 @@ class HullRoomTest:
 
         Room is a free stretch of a vertical line that is at least as long as the agent is high. It
         is inside the hull and outside of closed parts of the mesh. It begins at a surface that
-        faces up, or ends at one that faces down; or the line meets no surface of the mesh at all.
+        faces up, or ends at a surface that faces down; or the line meets no surface of the mesh.
         The lines with room have to cover as much area as a floor needs (`floors.min_area` after
         `floors.shrink`).
 
@@ -95,7 +95,7 @@ class HullRoomTest:
             self._hidden[key] = self._search_hull(geom)
         return self._hidden[key]
 
-    def _box_size(self, geom: int) -> tuple[float, float, float]:
+    def _measure_box(self, geom: int) -> tuple[float, float, float]:
         """The size of a mesh geom's bounding box, x, y and z [m]; 0 if its pose isn't finite."""
         rotation = self.data.geom_xmat[geom].reshape(3, 3)
         if not np.isfinite(rotation).all():
@@ -109,7 +109,7 @@ class HullRoomTest:
         body = int(self.model.geom_bodyid[geom])
         if self.model.body_weldid[body] != 0 or self.model.body_mocapid[body] >= 0:
             return False
-        width, depth, height = self._box_size(geom)
+        width, depth, height = self._measure_box(geom)
         is_wide = width * depth >= MIN_GROUND_AREA - LIMIT_SLACK
         return is_wide and height > self.agent.traversable_floor_height
 
@@ -118,7 +118,7 @@ class HullRoomTest:
 
         It has to be as high as the agent, and as large as a floor, see `find_hidden`.
         """
-        width, depth, height = self._box_size(geom)
+        width, depth, height = self._measure_box(geom)
         floor_width = width - 2 * self.floors.shrink
         floor_depth = depth - 2 * self.floors.shrink
         if min(floor_width, floor_depth) < 0 or height < self.agent.height - LIMIT_SLACK:
@@ -148,7 +148,7 @@ class HullRoomTest:
         if not self._may_hide_ground(geom):
             return ""
         limits = agent_limits(self.agent)
-        is_gentle, top_z = _find_uppermost(mesh_columns, limits)
+        is_gentle, top_z = _find_uppermost_surface(mesh_columns, limits)
         is_ground = is_gentle & ~_mark_tops(is_gentle, top_z, lattice, limits, bounds[0, 2])
         is_ground &= _find_depth(mesh_columns, hull_columns) > limits.step + LIMIT_SLACK
         ground_area = is_ground.sum() * lattice.cell_size**2
@@ -162,18 +162,19 @@ class HullRoomTest:
         return shapes
 
 
-def _mark_room(mesh: Columns, hull: Columns, height: float) -> Bool:
+def _mark_room(mesh: Columns, hull: Columns, min_height: float) -> Bool:
     """Mark the cells on whose vertical line a mesh's hull hides room for an agent.
 
-    See `HullRoomTest.find_hidden`. The hits of a line are sorted by z. For each hit, it is known
-    what room may begin above it, and whether room may end at it. The stretch of the line between
-    two hits is room if room may begin at the lower hit and, where room needs a ceiling, may end at
-    the upper one; it has to be outside of the mesh's closed parts.
+    See `HullRoomTest.find_hidden` for what room is. The hits of a line are sorted by z. For each
+    hit, it is known what room may begin above it, and whether room may end at it. The stretch of
+    the line between two hits is room if room may begin at the lower hit. Where room needs a
+    ceiling, room must also be able to end at the upper hit. The stretch has to be outside of the
+    mesh's closed parts.
 
     Args:
         mesh: the hits of the mesh's surfaces.
         hull: the hits of the hull, on the same lattice.
-        height: the least height of room [m].
+        min_height: the least height of room [m].
 
     Returns:
         For each cell of the lattice, whether there is room, shape (cells,).
@@ -183,32 +184,38 @@ def _mark_room(mesh: Columns, hull: Columns, height: float) -> Bool:
     # faces up, whatever is above it, and ends below one that faces down.
     hull_faces_up = (hull.normal[:, 2] > 0).astype(np.int64)
     mesh_faces_up = (mesh.normal[:, 2] > 0).astype(np.int64)
-    begins = np.concatenate([NEEDS_CEILING * (1 - hull_faces_up), ROOM_OVER_FLOOR * mesh_faces_up])
-    ends = np.concatenate([hull_faces_up, 1 - mesh_faces_up])
+    room_begins = np.concatenate(
+        [NEEDS_CEILING * (1 - hull_faces_up), ROOM_OVER_FLOOR * mesh_faces_up]
+    )
+    room_ends = np.concatenate([hull_faces_up, 1 - mesh_faces_up])
     # How the number of closed parts that the line is in changes at a hit: +1, -1 or 0
-    mesh_depth = np.where(mesh.hits.closed == OPEN_SURFACE, 0, 1 - 2 * mesh_faces_up)
-    depth_changes = np.concatenate([np.zeros_like(hull_faces_up), mesh_depth])
-    cell = np.concatenate([_cells_of_hits(hull), _cells_of_hits(mesh)])
+    mesh_depth_change = np.where(mesh.hits.closed == OPEN_SURFACE, 0, 1 - 2 * mesh_faces_up)
+    closed_part_changes = np.concatenate([np.zeros_like(hull_faces_up), mesh_depth_change])
+    cell_of_hit = np.concatenate([_list_cells_of_hits(hull), _list_cells_of_hits(mesh)])
     z = np.concatenate([hull.z, mesh.z])
-    order = np.lexsort((ends, z, cell))
-    cell = cell[order]
-    z = z[order]
-    begins = begins[order]
-    ends = ends[order]
-    depth = np.cumsum(depth_changes[order])
+    sort_indices = np.lexsort((room_ends, z, cell_of_hit))
+    cell_of_hit = cell_of_hit[sort_indices]
+    z = z[sort_indices]
+    room_begins = room_begins[sort_indices]
+    room_ends = room_ends[sort_indices]
+    num_closed_parts = np.cumsum(closed_part_changes[sort_indices])
     # Each cell starts at depth 0: subtract the depth at the end of the previous cell.
-    depth -= np.concatenate([[0], depth])[np.searchsorted(cell, cell)]
-    is_high_enough = (cell[1:] == cell[:-1]) & (np.diff(z) >= height - LIMIT_SLACK)
-    is_outside = depth[:-1] <= 0
-    is_over_floor = begins[:-1] == ROOM_OVER_FLOOR
-    is_below_ceiling = (begins[:-1] == NEEDS_CEILING) & (ends[1:] >= 1)
+    num_closed_parts -= np.concatenate([[0], num_closed_parts])[
+        np.searchsorted(cell_of_hit, cell_of_hit)
+    ]
+    is_high_enough = (cell_of_hit[1:] == cell_of_hit[:-1]) & (
+        np.diff(z) >= min_height - LIMIT_SLACK
+    )
+    is_outside = num_closed_parts[:-1] <= 0
+    is_over_floor = room_begins[:-1] == ROOM_OVER_FLOOR
+    is_below_ceiling = (room_begins[:-1] == NEEDS_CEILING) & (room_ends[1:] >= 1)
     is_room = is_high_enough & is_outside & (is_over_floor | is_below_ceiling)
     has_room = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
-    has_room[cell[:-1][is_room]] = True
+    has_room[cell_of_hit[:-1][is_room]] = True
     return has_room
 
 
-def _find_uppermost(mesh: Columns, limits: AgentLimits) -> tuple[Bool, Float]:
+def _find_uppermost_surface(mesh: Columns, limits: AgentLimits) -> tuple[Bool, Float]:
     """Find the uppermost surface of a mesh on the vertical line of each cell.
 
     Args:
@@ -222,9 +229,9 @@ def _find_uppermost(mesh: Columns, limits: AgentLimits) -> tuple[Bool, Float]:
     is_gentle = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
     top_z = np.full(len(mesh.start) - 1, np.nan)
     cells = np.flatnonzero(np.diff(mesh.start) > 0)
-    top_hit = mesh.start[cells + 1] - 1
-    is_gentle[cells] = mesh.normal[top_hit, 2] >= limits.min_up
-    top_z[cells] = mesh.z[top_hit]
+    top_hits = mesh.start[cells + 1] - 1
+    is_gentle[cells] = mesh.normal[top_hits, 2] >= limits.min_up
+    top_z[cells] = mesh.z[top_hits]
     return is_gentle, top_z
 
 
@@ -240,20 +247,21 @@ def _find_depth(mesh: Columns, hull: Columns) -> Float:
 
 
 def _mark_tops(
-    is_gentle: Bool, top_z: Float, lattice: Lattice, limits: AgentLimits, lowest: float
+    is_gentle: Bool, top_z: Float, lattice: Lattice, limits: AgentLimits, bottom: float
 ) -> Bool:
     """Mark the cells of surfaces that are tops of a thing, such as the seat of a couch.
 
-    A surface goes on from cell to cell by steps. It is a top where no step leads down from it to
-    the bottom of the mesh, a quarter of its outline drops by more than a step, and it is nowhere
-    wider than `MAX_TOP_WIDTH`. Beside the mesh, the floor is taken to be at the mesh's bottom.
+    A surface consists of neighbouring cells whose heights differ by at most a step. It is a top if
+    it is more than a step above the bottom of the mesh everywhere, a quarter of its outline drops
+    by more than a step, and it is nowhere wider than `MAX_TOP_WIDTH`. Beside the mesh, the floor is
+    taken to be at the mesh's bottom.
 
     Args:
         is_gentle: whether the uppermost surface of each cell is within the agent's slope, (cells,).
         top_z: the height of that surface, NaN for none, (cells,) [m].
         lattice: the cells.
         limits: the agent's limits, of which the step is used.
-        lowest: the height of the mesh's bottom [m].
+        bottom: the height of the mesh's bottom [m].
     """
     surface_of_cell = label_islands(
         first_cells=np.array([0, len(is_gentle)]),
@@ -264,31 +272,35 @@ def _mark_tops(
         steps=np.empty((0, 2), dtype=np.int64),
     ).reshape(lattice.height, lattice.width)
     # a rim of cells beside the mesh
-    surfaces = np.pad(surface_of_cell, 1)
-    height = np.pad(np.nan_to_num(top_z, nan=lowest).reshape(surface_of_cell.shape), 1)
-    height[[0, -1]] = lowest
-    height[:, [0, -1]] = lowest
-    num_sides = np.zeros(surfaces.max() + 1, dtype=np.int64)
-    num_drops = np.zeros(surfaces.max() + 1, dtype=np.int64)
-    for axis, shift in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        is_side = np.roll(surfaces, shift, axis) != surfaces
-        is_drop = is_side & (height - np.roll(height, shift, axis) > limits.step + LIMIT_SLACK)
-        num_sides += np.bincount(surfaces[is_side], minlength=len(num_sides))
-        num_drops += np.bincount(surfaces[is_drop], minlength=len(num_drops))
-    lowest_of_surface = np.full(len(num_sides), np.inf)
-    np.minimum.at(lowest_of_surface, surfaces.ravel(), height.ravel())
-    is_top = num_drops >= MIN_DROP_SHARE * num_sides
-    is_top &= lowest_of_surface > lowest + limits.step + LIMIT_SLACK
+    padded_surfaces = np.pad(surface_of_cell, 1)
+    padded_height = np.pad(np.nan_to_num(top_z, nan=bottom).reshape(surface_of_cell.shape), 1)
+    padded_height[[0, -1]] = bottom
+    padded_height[:, [0, -1]] = bottom
+    num_outline_edges = np.zeros(padded_surfaces.max() + 1, dtype=np.int64)
+    num_drops = np.zeros(padded_surfaces.max() + 1, dtype=np.int64)
+    for axis, roll_shift in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        is_outline_edge = np.roll(padded_surfaces, roll_shift, axis) != padded_surfaces
+        is_drop = is_outline_edge & (
+            padded_height - np.roll(padded_height, roll_shift, axis) > limits.step + LIMIT_SLACK
+        )
+        num_outline_edges += np.bincount(
+            padded_surfaces[is_outline_edge], minlength=len(num_outline_edges)
+        )
+        num_drops += np.bincount(padded_surfaces[is_drop], minlength=len(num_drops))
+    lowest_of_surface = np.full(len(num_outline_edges), np.inf)
+    np.minimum.at(lowest_of_surface, padded_surfaces.ravel(), padded_height.ravel())
+    is_top = num_drops >= MIN_DROP_SHARE * num_outline_edges
+    is_top &= lowest_of_surface > bottom + limits.step + LIMIT_SLACK
     is_top[0] = False  # cells of no surface
     for surface in np.flatnonzero(is_top).tolist():
         # an edge of the surface is half a cell from the centre of its outermost cell
-        distances = ndimage.distance_transform_edt(surfaces == surface)
+        distances = ndimage.distance_transform_edt(padded_surfaces == surface)
         half_width = (distances.max() - 0.5) * lattice.cell_size
         is_top[surface] = 2 * half_width < MAX_TOP_WIDTH
-    marked: Bool = is_top[surface_of_cell.ravel()]
-    return marked
+    is_marked: Bool = is_top[surface_of_cell.ravel()]
+    return is_marked
 
 
-def _cells_of_hits(columns: Columns) -> Int:
+def _list_cells_of_hits(columns: Columns) -> Int:
     """Return the id of the cell of each hit, shape (hits,)."""
     return np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))

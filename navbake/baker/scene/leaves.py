@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 UNLIMITED_HINGE_RANGE = np.pi / 2  # how far a hinge without limits opens [rad]
 UNLIMITED_SLIDE_RANGE = 1.0  # how far a slide without limits opens [m]
-# A leaf that no pattern names is found by its size. The limits, and a tolerance for rounded sizes
-# [m]
+# The limits of the size of a leaf that no pattern names, and a tolerance for rounded sizes [m]
 MIN_HEIGHT = 1.5
 MIN_WIDTH = 0.4
 MAX_WIDTH = 2.5
@@ -83,8 +82,8 @@ def find_door_candidates(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     shapes: Shapes,
-    counted: Bool,
-    movable: Bool,
+    is_counted: Bool,
+    is_movable_body: Bool,
     is_structure_body: Bool,
     named_leaves: Collection[str],
     settings: DoorSettings,
@@ -100,8 +99,8 @@ def find_door_candidates(
         model: the model.
         data: the model's pose.
         shapes: the geometry of all geoms that count.
-        counted: for each geom, whether it counts, (ngeom,).
-        movable: for each body, whether it can move and carries no floor, (nbody,).
+        is_counted: for each geom, whether it counts, (ngeom,).
+        is_movable_body: for each body, whether it can move and carries no floor, (nbody,).
         is_structure_body: for each body, whether it is structure, (nbody,).
         named_leaves: names of the bodies that are leaves of doors, as the scene's file says.
         settings: patterns, and whether leaves are searched for by their shape.
@@ -113,14 +112,14 @@ def find_door_candidates(
         return [], []
     names = all_names(model).bodies
     subtree_ends = find_subtree_ends(model)
-    joint_of_body = _find_single_joints(model)
-    matches = [
+    joint_of_body = _find_only_joints(model)
+    matching_patterns = [
         [pattern for pattern in settings.patterns if fnmatchcase(name, pattern)] for name in names
     ]
-    matches[0] = []  # the world is no door
+    matching_patterns[0] = []  # the world is no door
     is_named = [
         bool(patterns) or name in named_leaves
-        for name, patterns in zip(names, matches, strict=True)
+        for name, patterns in zip(names, matching_patterns, strict=True)
     ]
     is_named[0] = False
     searched_bodies = set[int]()
@@ -128,95 +127,102 @@ def find_door_candidates(
         hung_bodies = [
             body
             for body in joint_of_body
-            if movable[body] and is_structure_body[model.body_parentid[body]]
+            if is_movable_body[body] and is_structure_body[model.body_parentid[body]]
         ]
         # A leaf without a joint stands between other geoms.
-        num_bodies = model.nbody if counted.sum() > 1 else 1
+        num_bodies = model.nbody if is_counted.sum() > 1 else 1
         fixed_bodies = [
             body
             for body in range(1, num_bodies)
-            if body not in joint_of_body and not movable[body : subtree_ends[body]].any()
+            if body not in joint_of_body and not is_movable_body[body : subtree_ends[body]].any()
         ]
         searched_bodies = {body for body in (*hung_bodies, *fixed_bodies) if not is_named[body]}
-    geoms: dict[int, Int] = {}  # body id -> geoms of the body and its descendants that count
+    # body id -> geoms of the body and its descendants that count
+    counted_geoms: dict[int, Int] = {}
     for body in range(1, model.nbody):
         if body in searched_bodies or is_named[body]:
             subtree_geoms = geoms_of_bodies(model, body, int(subtree_ends[body]))
-            geoms[body] = subtree_geoms[counted[subtree_geoms]]
+            counted_geoms[body] = subtree_geoms[is_counted[subtree_geoms]]
     leaf_geoms = _find_leaf_geoms(
-        shapes, model.ngeom, {body: geoms[body] for body in searched_bodies}
+        shapes, model.ngeom, {body: counted_geoms[body] for body in searched_bodies}
     )
     fixed_leaves = {body: geom for body, geom in leaf_geoms.items() if body not in joint_of_body}
     if fixed_leaves:
         # Only structure can be a jamb.
-        structure = shapes.only(is_structure_body[model.geom_bodyid])
-        extents = measure_extents(structure, model.ngeom)
+        structure_shapes = shapes.only(is_structure_body[model.geom_bodyid])
+        extents = measure_extents(structure_shapes, model.ngeom)
         for body, leaf_geom in fixed_leaves.items():
-            if not _stands_between_jambs(leaf_geom, geoms[body], extents):
+            if not _stands_between_jambs(leaf_geom, counted_geoms[body], extents):
                 del leaf_geoms[body]
-    bodies = list[int]()
+    candidate_bodies = list[int]()
     subtree_end = 0  # of the last candidate; its descendants are no candidates
-    for body, body_geoms in geoms.items():
+    for body, body_geoms in counted_geoms.items():
         if body >= subtree_end and len(body_geoms) and (is_named[body] or body in leaf_geoms):
-            bodies.append(body)
+            candidate_bodies.append(body)
             subtree_end = int(subtree_ends[body])
-    name_counts = Counter(names[body] for body in bodies)
+    name_counts = Counter(names[body] for body in candidate_bodies)
     candidates = []
-    for body in bodies:
+    for body in candidate_bodies:
         # Names that aren't UTF-8 may look the same.
         suffix = f" (body {body})" if name_counts[names[body]] > 1 else ""
-        joint = joint_of_body.get(body, -1)
+        joint_id = joint_of_body.get(body, -1)
         candidates.append(
             DoorCandidate(
                 id=names[body] + suffix,
-                joint=None if joint < 0 else joint_name(model, joint),
-                geoms=geoms[body],
-                positions={} if joint < 0 else _find_positions(model, data, joint),
-                joint_id=joint,
+                joint=None if joint_id < 0 else joint_name(model, joint_id),
+                geoms=counted_geoms[body],
+                positions={} if joint_id < 0 else _find_positions(model, data, joint_id),
+                joint_id=joint_id,
                 is_named=is_named[body],
             )
         )
-    used_patterns = {pattern for body in bodies for pattern in matches[body]}
+    used_patterns = {pattern for body in candidate_bodies for pattern in matching_patterns[body]}
     warnings = [
-        _warn_unused_pattern(pattern, names, matches, geoms)
+        _warn_unused_pattern(pattern, names, matching_patterns, counted_geoms)
         for pattern in settings.patterns
         if pattern not in used_patterns
     ]
     return candidates, warnings
 
 
-def _find_single_joints(model: mujoco.MjModel) -> dict[int, int]:
+def _find_only_joints(model: mujoco.MjModel) -> dict[int, int]:
     """Return body id -> joint id, for the bodies whose only joint is a hinge or slide."""
     is_single = np.isin(model.jnt_type, (HINGE, SLIDE))
     is_single &= model.body_jntnum[model.jnt_bodyid] == 1
     return {int(model.jnt_bodyid[joint]): joint for joint in np.flatnonzero(is_single).tolist()}
 
 
-def _find_leaf_geoms(shapes: Shapes, num_geoms: int, geoms: Mapping[int, Int]) -> dict[int, int]:
+def _find_leaf_geoms(
+    shapes: Shapes, num_geoms: int, geoms_of_body: Mapping[int, Int]
+) -> dict[int, int]:
     """Find the bodies whose largest geom is as tall, thin and wide as a door, in the scene's pose.
 
     Args:
         shapes: the geometry of all geoms that count.
         num_geoms: the model's number of geoms.
-        geoms: body id -> ids of the geoms to measure.
+        geoms_of_body: body id -> ids of the geoms to measure.
 
     Returns:
         Body id -> id of its largest geom, for each such body.
     """
-    all_geoms = [geom for body_geoms in geoms.values() for geom in body_geoms]
-    mask = np.isin(np.arange(num_geoms), all_geoms)
-    extents = measure_extents(shapes.only(mask), num_geoms)
+    all_geoms = [
+        largest_geom for body_geoms in geoms_of_body.values() for largest_geom in body_geoms
+    ]
+    is_measured_geom = np.isin(np.arange(num_geoms), all_geoms)
+    extents = measure_extents(shapes.only(is_measured_geom), num_geoms)
     leaf_geoms = {}
-    for body, body_geoms in geoms.items():
+    for body, body_geoms in geoms_of_body.items():
         if not len(body_geoms):
             continue
-        geom = find_largest_side(extents, body_geoms)
-        is_tall = extents.top[geom] - extents.bottom[geom] >= MIN_HEIGHT - SIZE_ROUNDING
-        is_wide = extents.long_side[geom] >= MIN_WIDTH - SIZE_ROUNDING
-        is_too_wide = extents.long_side[geom] > MAX_WIDTH + SIZE_ROUNDING
-        is_thin = extents.short_side[geom] <= MAX_THICKNESS + SIZE_ROUNDING
+        largest_geom = find_largest_side(extents, body_geoms)
+        is_tall = (
+            extents.top[largest_geom] - extents.bottom[largest_geom] >= MIN_HEIGHT - SIZE_ROUNDING
+        )
+        is_wide = extents.long_side[largest_geom] >= MIN_WIDTH - SIZE_ROUNDING
+        is_too_wide = extents.long_side[largest_geom] > MAX_WIDTH + SIZE_ROUNDING
+        is_thin = extents.short_side[largest_geom] <= MAX_THICKNESS + SIZE_ROUNDING
         if is_tall and is_wide and is_thin and not is_too_wide:
-            leaf_geoms[body] = geom
+            leaf_geoms[body] = largest_geom
     return leaf_geoms
 
 
@@ -237,13 +243,13 @@ def _stands_between_jambs(leaf_geom: int, body_geoms: Int, extents: Extents) -> 
     jambs = np.flatnonzero(is_jamb)
     long_axis = extents.long_axis[jambs]
     short_axis = extents.short_axis[jambs]
-    length = extents.long_side[leaf_geom] + 2 * MAX_JAMB_GAP
-    for sign in (-0.5, 0.5):
-        end_offset = sign * length * extents.long_axis[leaf_geom]
-        to_end = extents.center[leaf_geom] + end_offset - extents.center[jambs]
+    distance_between_jambs = extents.long_side[leaf_geom] + 2 * MAX_JAMB_GAP
+    for end_factor in (-0.5, 0.5):
+        end_offset = end_factor * distance_between_jambs * extents.long_axis[leaf_geom]
+        jamb_to_end = extents.center[leaf_geom] + end_offset - extents.center[jambs]
         # The distances of the leaf's end from the jambs' boxes, along each axis of the boxes
-        short_gap = np.abs((to_end * short_axis).sum(axis=1)) - extents.short_side[jambs] / 2
-        long_gap = np.abs((to_end * long_axis).sum(axis=1)) - extents.long_side[jambs] / 2
+        short_gap = np.abs((jamb_to_end * short_axis).sum(axis=1)) - extents.short_side[jambs] / 2
+        long_gap = np.abs((jamb_to_end * long_axis).sum(axis=1)) - extents.long_side[jambs] / 2
         if not (np.maximum(short_gap, long_gap) <= MAX_JAMB_GAP).any():
             return False
     return True
@@ -258,14 +264,16 @@ def _find_positions(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> d
     Returns:
         State (``modelled``, ``open``, ``closed``) -> position [rad or m].
     """
-    low = float(model.jnt_range[joint, 0])
-    high = float(model.jnt_range[joint, 1])
+    range_start = float(model.jnt_range[joint, 0])
+    range_end = float(model.jnt_range[joint, 1])
     if not model.jnt_limited[joint]:
         is_hinge = int(model.jnt_type[joint]) == HINGE
-        low = 0.0
-        high = UNLIMITED_HINGE_RANGE if is_hinge else UNLIMITED_SLIDE_RANGE
-    closed_position = min(max(0.0, low), high)
-    open_position = low if closed_position - low > high - closed_position else high
+        range_start = 0.0
+        range_end = UNLIMITED_HINGE_RANGE if is_hinge else UNLIMITED_SLIDE_RANGE
+    closed_position = min(max(0.0, range_start), range_end)
+    open_position = (
+        range_start if closed_position - range_start > range_end - closed_position else range_end
+    )
     modelled_position = float(data.qpos[model.jnt_qposadr[joint]])
     return {"modelled": modelled_position, "open": open_position, "closed": closed_position}
 
@@ -273,14 +281,14 @@ def _find_positions(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> d
 def find_largest_side(extents: Extents, geoms: Int) -> int:
     """Return the id of the geom with the largest upright face: its longer side times its height.
 
-    If no geom has a finite one, the first geom is returned.
+    If no geom has a finite face, the first geom is returned.
 
     Args:
         extents: bounding boxes of all geoms.
         geoms: ids of the geoms to choose from, shape (n,), n >= 1.
     """
-    area = (extents.long_side * (extents.top - extents.bottom))[geoms]
-    return int(geoms[0] if np.isnan(area).all() else geoms[np.nanargmax(area)])
+    face_areas = (extents.long_side * (extents.top - extents.bottom))[geoms]
+    return int(geoms[0] if np.isnan(face_areas).all() else geoms[np.nanargmax(face_areas)])
 
 
 def mark_candidate_geoms(num_geoms: int, candidates: Sequence[DoorCandidate]) -> Bool:
@@ -290,31 +298,35 @@ def mark_candidate_geoms(num_geoms: int, candidates: Sequence[DoorCandidate]) ->
         num_geoms: the model's number of geoms.
         candidates: the candidates.
     """
-    mask = np.zeros(num_geoms, dtype=np.bool_)
+    is_candidate_geom = np.zeros(num_geoms, dtype=np.bool_)
     for candidate in candidates:
-        mask[candidate.geoms] = True
-    return mask
+        is_candidate_geom[candidate.geoms] = True
+    return is_candidate_geom
 
 
 def _warn_unused_pattern(
-    pattern: str, names: Sequence[str], matches: Sequence[list[str]], geoms: Mapping[int, Int]
+    pattern: str,
+    names: Sequence[str],
+    matching_patterns: Sequence[list[str]],
+    counted_geoms: Mapping[int, Int],
 ) -> str:
     """Make the warning that a pattern matches no candidate, and which bodies it matches instead.
 
     Args:
         pattern: the pattern.
         names: the names of all bodies.
-        matches: for each body, the patterns that match its name.
-        geoms: body id -> geoms that count, for the bodies that were searched.
+        matching_patterns: for each body, the patterns that match its name.
+        counted_geoms: body id -> geoms that count, for the bodies that were searched.
     """
-    matched_bodies = [body for body in geoms if pattern in matches[body]]
+    matched_bodies = [body for body in counted_geoms if pattern in matching_patterns[body]]
     if not matched_bodies:
         return warn_unmatched("doors.patterns", pattern, names[1:], "no body")
-    parts_of_doors = [body for body in matched_bodies if len(geoms[body])]
-    kind = "parts of other doors" if parts_of_doors else "bodies without geoms that count"
-    listed = [names[body] for body in parts_of_doors or matched_bodies]
-    text = f"only {kind}: {', '.join(listed[:MAX_LISTED])}{', …' if listed[MAX_LISTED:] else ''}"
+    bodies_in_doors = [body for body in matched_bodies if len(counted_geoms[body])]
+    body_text = "parts of other doors" if bodies_in_doors else "bodies without geoms that count"
+    listed_names = [names[body] for body in bodies_in_doors or matched_bodies]
+    more = ", …" if len(listed_names) > MAX_LISTED else ""
+    matches_text = f"only {body_text}: {', '.join(listed_names[:MAX_LISTED])}{more}"
     unmatched_names = [
         name for body, name in enumerate(names) if body and body not in matched_bodies
     ]
-    return warn_unmatched("doors.patterns", pattern, unmatched_names, text)
+    return warn_unmatched("doors.patterns", pattern, unmatched_names, matches_text)

@@ -156,11 +156,11 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
         if not path.exists():
             raise SceneError(f"no scene file at {path}")
         if not path.is_file():
-            kind = "folder" if path.is_dir() else "device"
-            raise SceneError(f"expected a scene file, got a {kind} at {path}")
+            path_type = "folder" if path.is_dir() else "device"
+            raise SceneError(f"expected a scene file, got a {path_type} at {path}")
         if suffix in MESH_SUFFIXES:
-            read = partial(read_named_meshes, path, unit=settings.unit, warnings=warnings)
-            meshes = orient_meshes(read, settings, warnings)
+            read_meshes = partial(read_named_meshes, path, unit=settings.unit, warnings=warnings)
+            meshes = orient_meshes(read_meshes, settings, warnings)
             model, exact_meshes = model_of_meshes(meshes, path, ground_height, warnings)
         elif suffix == MJB_SUFFIX:
             model = _load_binary(path, ground_height, warnings)
@@ -189,8 +189,8 @@ def _load_binary(path: Path, ground: float | None, warnings: list[str]) -> mujoc
         raise ConfigError(f"`scene.ground` can't be added to an MJB: {hint}")
     version_hint = f"this is {mujoco_version()}: save it again, or bake its XML"
     hint = f" (an MJB fits only the MuJoCo that wrote it, {version_hint})"
-    load = partial(mujoco.MjModel.from_binary_path, str(path))
-    return compile_model(path, warnings, load, hint)
+    load_file = partial(mujoco.MjModel.from_binary_path, str(path))
+    return compile_model(path, warnings, load_file, hint)
 
 
 class CompileLimits(NamedTuple):
@@ -240,14 +240,14 @@ def load_isolated(
         ConfigError: see `load_model`.
         NavbakeError: the child process does not start.
     """
-    scene = Path(settings.path)
+    scene_path = Path(settings.path)
     with scratch_folder() as folder:
         (folder / JOB_FILE).write_bytes(pickle.dumps((settings, limits)))
-        path = [entry or os.getcwd() for entry in sys.path]
-        command = [sys.executable, "-c", CHILD_CODE.format(path=path), str(folder)]
+        import_path = [import_folder or os.getcwd() for import_folder in sys.path]
+        command = [sys.executable, "-c", CHILD_CODE.format(path=import_path), str(folder)]
         max_seconds = limits.seconds + IMPORT_SECONDS  # except on Windows, the child ends earlier
         try:
-            status = subprocess.run(
+            exit_status = subprocess.run(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -255,18 +255,24 @@ def load_isolated(
                 timeout=max_seconds,
             ).returncode
         except subprocess.TimeoutExpired:
-            status = -ALARM_SIGNAL
-        if status == -ALARM_SIGNAL:
+            exit_status = -ALARM_SIGNAL
+        if exit_status == -ALARM_SIGNAL:
             hint = "make the scene smaller, or give it more time"
-            raise SceneError(f"MuJoCo did not compile {scene} within {limits.seconds:g} s: {hint}")
-        ending = f"({ending_of(status)})"
+            raise SceneError(
+                f"MuJoCo did not compile {scene_path} within {limits.seconds:g} s: {hint}"
+            )
+        exit_text = f"({ending_of(exit_status)})"
         if not (folder / STARTED_FILE).exists():
             hint = f"does {sys.executable!r} find navbake?"
-            raise NavbakeError(f"cannot start a process to compile {scene} in {ending}: {hint}")
+            raise NavbakeError(
+                f"cannot start a process to compile {scene_path} in {exit_text}: {hint}"
+            )
         if not (folder / RESULT_FILE).exists():
-            demand = f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
-            reason = f"the scene asks for {demand}"
-            raise SceneError(f"MuJoCo crashed as it compiled {scene} {ending}: {reason}")
+            demand_text = (
+                f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
+            )
+            reason = f"the scene asks for {demand_text}"
+            raise SceneError(f"MuJoCo crashed as it compiled {scene_path} {exit_text}: {reason}")
         result: CompileResult = pickle.loads((folder / RESULT_FILE).read_bytes())
         warnings += result.warnings
         if result.error is not None:
@@ -322,7 +328,7 @@ def limit_mesh_cache(num_bytes: int) -> None:
 
 
 def find_ground(model: mujoco.MjModel, settings: SceneSettings) -> int | None:
-    """Return the id of the geom that `scene.ground` adds, the last one; None if there is none.
+    """Return the id of the geom that `scene.ground` adds, the model's last; None if there is none.
 
     Args:
         model: the compiled model.
@@ -371,13 +377,15 @@ def _load_mjcf(path: Path, ground: float | None, warnings: list[str]) -> mujoco.
 def _load_urdf(path: Path, settings: SceneSettings, warnings: list[str]) -> mujoco.MjModel:
     """Load a URDF; its meshes are read by `read_named_meshes`, which reads all mesh formats."""
     packages = RosPackages(settings.model_path)
-    text, mesh_files = read_urdf(path, settings.geoms, warnings, packages)
+    urdf_text, mesh_files = read_urdf(path, settings.geoms, warnings, packages)
 
     def build() -> mujoco.MjModel:
-        spec = mujoco.MjSpec.from_string(text)
-        read = cache(lambda key: read_named_meshes(mesh_files[key], warnings=warnings))
+        spec = mujoco.MjSpec.from_string(urdf_text)
+        read_mesh_file = cache(
+            lambda mesh_key: read_named_meshes(mesh_files[mesh_key], warnings=warnings)
+        )
         for mesh in spec.meshes:
-            vertices, faces = join_meshes(read(mesh.file))
+            vertices, faces = join_meshes(read_mesh_file(mesh.file))
             mesh.file = ""
             fill_mesh(mesh, vertices, faces)
         return compile_geometry(spec, settings.ground, warnings)
@@ -386,31 +394,38 @@ def _load_urdf(path: Path, settings: SceneSettings, warnings: list[str]) -> mujo
 
 
 def _drop_missing_textures(spec: mujoco.MjSpec, path: Path, warnings: list[str]) -> None:
-    """Make textures plain, with a warning, if their files are missing; no bake needs them."""
+    """Replace textures whose files are missing by plain ones, with a warning.
+
+    No bake needs textures.
+    """
     missing_files = list[str]()
     folders = [path.parent / spec.texturedir, path.parent]
     for texture in spec.textures:
-        files = [name for name in (texture.file, *texture.cubefiles) if name]
-        missing = [
-            name for name in files if not any((folder / name).is_file() for folder in folders)
+        texture_files = [name for name in (texture.file, *texture.cubefiles) if name]
+        missing_names = [
+            name
+            for name in texture_files
+            if not any((folder / name).is_file() for folder in folders)
         ]
         if spec.strippath:
-            missing = [name for name in missing if not (folders[0] / Path(name).name).is_file()]
-        if missing:
-            missing_files += missing
+            missing_names = [
+                name for name in missing_names if not (folders[0] / Path(name).name).is_file()
+            ]
+        if missing_names:
+            missing_files += missing_names
             texture.file = ""
             texture.cubefiles = [""] * len(texture.cubefiles)
             texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
             texture.width = 1
             texture.height = 1
     if missing_files:
-        listed = list_first([repr(name) for name in missing_files])
-        warnings.append(f"texture {listed} of {path} not found: drawn plain")
+        listed_names = list_first([repr(name) for name in missing_files])
+        warnings.append(f"texture {listed_names} of {path} not found: drawn plain")
 
 
 def read_urdf(
     path: Path,
-    geoms: str = "auto",
+    geoms_setting: str = "auto",
     warnings: list[str] | None = None,
     packages: RosPackages | None = None,
 ) -> tuple[str, dict[str, Path]]:
@@ -420,12 +435,12 @@ def read_urdf(
     fixed joints keep their own bodies and names. MuJoCo would do neither.
 
     A visual with a missing mesh is left out, with a warning, if visuals don't count: because the
-    file discards them, or because the file has collision geometry and `geoms` is neither ``visual``
-    nor ``all``. Otherwise it is an error.
+    file discards them, or because the file has collision geometry and `geoms_setting` is neither
+    ``visual`` nor ``all``. Otherwise it is an error.
 
     Args:
         path: the URDF.
-        geoms: the value of `scene.geoms`.
+        geoms_setting: the value of `scene.geoms`.
         warnings: the list to which warnings are added; None to add none.
         packages: the folders of ROS packages; None for those that ROS's variables list.
 
@@ -439,8 +454,10 @@ def read_urdf(
 
     @cache
     def find_file(name: str) -> Path | None:
-        places = list_mesh_paths(path, name, packages)
-        return next((place for place in places if place.is_file()), None)
+        candidate_paths = list_mesh_paths(path, name, packages)
+        return next(
+            (candidate_path for candidate_path in candidate_paths if candidate_path.is_file()), None
+        )
 
     def find_missing_meshes(element: ElementTree.Element) -> list[str]:
         names = [mesh.get("filename", "") for mesh in element.iter("mesh")]
@@ -448,37 +465,39 @@ def read_urdf(
 
     try:
         root = parse_xml(path.read_bytes())
-        compiler = _urdf_compiler(root)
-        visuals_count = geoms in ("visual", "all") or root.find("link/collision/geometry") is None
+        compiler = _find_urdf_compiler(root)
+        visuals_count = (
+            geoms_setting in ("visual", "all") or root.find("link/collision/geometry") is None
+        )
         if compiler.get("discardvisual") == "true" or not visuals_count:
-            dropped = list[str]()
+            dropped_meshes = list[str]()
             for link in list(root.iter("link")):
                 for visual in link.findall("visual"):
-                    missing = find_missing_meshes(visual)
-                    if missing:
-                        dropped += missing
+                    missing_meshes = find_missing_meshes(visual)
+                    if missing_meshes:
+                        dropped_meshes += missing_meshes
                         link.remove(visual)
-            if dropped and warnings is not None:
+            if dropped_meshes and warnings is not None:
                 reason = "as it is only drawn, and visuals don't count here"
-                listed = list_first([repr(name) for name in dropped])
-                warnings.append(f"mesh {listed} of {path} not found: left out, {reason}")
+                listed_names = list_first([repr(name) for name in dropped_meshes])
+                warnings.append(f"mesh {listed_names} of {path} not found: left out, {reason}")
         missing_names = [*dict.fromkeys(find_missing_meshes(root))]
         if missing_names:
             raise SceneError(_describe_missing_meshes(path, missing_names))
         used_names: set[str] = set()
-        keys: dict[Path, str] = {}
+        mesh_keys: dict[Path, str] = {}
         for mesh in root.iter("mesh"):
             file = find_file(mesh.get("filename", "")) or path
-            if file not in keys:  # MuJoCo names a mesh by the stem of its file
-                keys[file] = f"{unique_name(file.stem, used_names)}.mesh"
-            mesh.set("filename", keys[file])
-        text = ElementTree.tostring(root, encoding="unicode")
-        return text, {key: file for file, key in keys.items()}
+            if file not in mesh_keys:  # MuJoCo names a mesh by the stem of its file
+                mesh_keys[file] = f"{unique_name(file.stem, used_names)}.mesh"
+            mesh.set("filename", mesh_keys[file])
+        urdf_text = ElementTree.tostring(root, encoding="unicode")
+        return urdf_text, {key: file for file, key in mesh_keys.items()}
     except (*XML_ERRORS, RecursionError) as error:
         raise SceneError(f"broken XML in {path}: {error}") from error
 
 
-def _urdf_compiler(root: ElementTree.Element) -> ElementTree.Element:
+def _find_urdf_compiler(root: ElementTree.Element) -> ElementTree.Element:
     """Return a URDF's ``<mujoco><compiler/>``, with navbake's defaults; it is added if missing."""
     mujoco_element = root.find("mujoco")
     if mujoco_element is None:
@@ -495,19 +514,23 @@ def _urdf_compiler(root: ElementTree.Element) -> ElementTree.Element:
 def _describe_missing_meshes(urdf: Path, filenames: list[str]) -> str:
     """Describe where the first of the missing meshes was searched for, and list the others."""
     filename = filenames[0]
-    others = ", ".join(repr(name) for name in filenames[1:])
+    other_names = ", ".join(repr(name) for name in filenames[1:])
     scheme, _, bare_path = filename.rpartition("://")
     folders = Path(bare_path).parts
-    tails = [repr(str(Path(*folders[first:]))) for first in range(1, len(folders))]
-    hint = f"also as {', '.join(tails)}; " if tails else ""
+    shorter_paths = [
+        repr(str(Path(*folders[first_folder:]))) for first_folder in range(1, len(folders))
+    ]
+    hint = f"also as {', '.join(shorter_paths)}; " if shorter_paths else ""
     if scheme == "package" and folders:
         hint += (
             f"name the folder that holds the package {folders[0]!r} by `--model-path`, "
             "`scene.model_path`, ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, or "
         )
-    where = f"not found there, in {urdf.absolute().parent} or in the folders above it"
-    text = f"mesh {filename!r} of {urdf} {where}: {hint}write its path from the URDF's folder"
-    return f"{text}; neither are {others}" if others else text
+    place_text = f"not found there, in {urdf.absolute().parent} or in the folders above it"
+    missing_text = (
+        f"mesh {filename!r} of {urdf} {place_text}: {hint}write its path from the URDF's folder"
+    )
+    return f"{missing_text}; neither are {other_names}" if other_names else missing_text
 
 
 # ---------------------------------------------------------------- scenes in memory
@@ -562,8 +585,8 @@ def load_from_memory(
                 path, warnings, lambda: compile_spec(scene.copy(), ground_height, warnings)
             )
         else:
-            read = partial(convert_trimesh, scene, path, unit=settings.unit)
-            meshes = orient_meshes(read, settings, warnings)
+            read_meshes = partial(convert_trimesh, scene, path, unit=settings.unit)
+            meshes = orient_meshes(read_meshes, settings, warnings)
             model, exact_meshes = model_of_meshes(meshes, path, ground_height, warnings)
     scene_model = SceneModel(model, exact_meshes, find_ground(model, settings), warnings)
     if data is None:
@@ -588,11 +611,13 @@ def check_data(model: mujoco.MjModel, data: object, name: str) -> None:
     """
     if not isinstance(data, mujoco.MjData):
         raise ConfigError(f"expected a mujoco.MjData of {name}, got {type(data).__name__}")
-    text = f"the data is of another model than {name}"
-    for size in POSE_SIZES:
-        expected = getattr(model, size)
-        got = getattr(data.model, size)
-        if got != expected:
-            raise ConfigError(f"{text}: expected {size} = {expected}, got {got}")
+    mismatch_text = f"the data is of another model than {name}"
+    for size_name in POSE_SIZES:
+        model_size = getattr(model, size_name)
+        data_size = getattr(data.model, size_name)
+        if data_size != model_size:
+            raise ConfigError(
+                f"{mismatch_text}: expected {size_name} = {model_size}, got {data_size}"
+            )
     if not np.array_equal(model.jnt_type, data.model.jnt_type):
-        raise ConfigError(f"{text}: its joints differ")
+        raise ConfigError(f"{mismatch_text}: its joints differ")

@@ -50,11 +50,11 @@ def names_at(model: mujoco.MjModel, addresses: Iterable[int]) -> list[str]:
     Returns:
         The names, empty if there is none; bytes that aren't UTF-8 are replaced.
     """
-    store: bytes = model.names  # a copy of all names
+    all_bytes: bytes = model.names  # a copy of all names
     names = []
-    for first in addresses:
-        end = store.find(b"\0", first)
-        names.append(store[first:end].decode("utf-8", errors="replace"))
+    for start in addresses:
+        stop = all_bytes.find(b"\0", start)
+        names.append(all_bytes[start:stop].decode("utf-8", errors="replace"))
     return names
 
 
@@ -134,7 +134,7 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
 
 
 def warn_unmatched(
-    setting: str, pattern: str, names: Iterable[str], matches: str = "nothing"
+    setting: str, pattern: str, names: Iterable[str], matches_text: str = "nothing"
 ) -> str:
     """Return the warning that a pattern matches no name, with similar names as a suggestion.
 
@@ -142,46 +142,46 @@ def warn_unmatched(
         setting: the key of the setting that has the pattern, such as ``doors.patterns``.
         pattern: the pattern.
         names: the names that the user may have meant; empty names are ignored.
-        matches: the end of the sentence ``<pattern> matches ...``, such as ``no body``.
+        matches_text: the end of the sentence ``<pattern> matches ...``, such as ``no body``.
     """
     near_names = find_near(pattern.strip("*"), sorted({name for name in names if name}), most=3)
     hint = f"; near names are {', '.join(near_names)}" if near_names else ""
-    return f"`{setting}` pattern {pattern!r} matches {matches}{hint}"
+    return f"`{setting}` pattern {pattern!r} matches {matches_text}{hint}"
 
 
 def find_subtree_ends(model: mujoco.MjModel) -> Int:
-    """Return for each body where its subtree ends, shape (nbody,).
+    """Return for each body the id after its last descendant, shape (nbody,).
 
-    Bodies are numbered depth first: the body and its descendants are the ids
+    Bodies are numbered depth first: a body and its descendants have the ids
     ``range(body, ends[body])``.
     """
-    ends = list(range(1, model.nbody + 1))
+    subtree_ends = list(range(1, model.nbody + 1))
     parents = model.body_parentid.tolist()
     for body in range(model.nbody - 1, 0, -1):  # children come after their parents
-        ends[parents[body]] = max(ends[parents[body]], ends[body])
-    return np.array(ends, dtype=np.int64)
+        subtree_ends[parents[body]] = max(subtree_ends[parents[body]], subtree_ends[body])
+    return np.array(subtree_ends, dtype=np.int64)
 
 
-def geoms_of_bodies(model: mujoco.MjModel, first: int, end: int) -> Int:
+def geoms_of_bodies(model: mujoco.MjModel, first_body: int, end_body: int) -> Int:
     """Return the ids of the geoms of the bodies ``range(first, end)``, ascending.
 
     Args:
         model: the model.
-        first: id of the first body.
-        end: id of the last body, plus 1.
+        first_body: id of the first body.
+        end_body: id of the last body, plus 1.
     """
-    low, high = np.searchsorted(model.geom_bodyid, [first, end])
-    return np.arange(low, high, dtype=np.int64)
+    first_geom, end_geom = np.searchsorted(model.geom_bodyid, [first_body, end_body])
+    return np.arange(first_geom, end_geom, dtype=np.int64)
 
 
-def mark_geoms_of_bodies(model: mujoco.MjModel, first: int, end: int) -> Bool:
+def mark_geoms_of_bodies(model: mujoco.MjModel, first_body: int, end_body: int) -> Bool:
     """Return a mask of the geoms of the bodies ``range(first, end)``, shape (ngeom,).
 
     Args:
         model: the model.
-        first: id of the first body.
-        end: id of the last body, plus 1.
+        first_body: id of the first body.
+        end_body: id of the last body, plus 1.
     """
-    mask = np.zeros(model.ngeom, dtype=np.bool_)
-    mask[geoms_of_bodies(model, first, end)] = True
-    return mask
+    is_geom_of_bodies = np.zeros(model.ngeom, dtype=np.bool_)
+    is_geom_of_bodies[geoms_of_bodies(model, first_body, end_body)] = True
+    return is_geom_of_bodies

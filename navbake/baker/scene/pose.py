@@ -1,4 +1,4 @@
-"""Poses compiled models by keyframes, joint values or joint positions, after checking these."""
+"""Poses compiled models by keyframes, joint values of the settings, or all joint positions."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -50,17 +50,19 @@ def pose_model(model: mujoco.MjModel, settings: SceneSettings) -> mujoco.MjData:
             keyframe = _find_keyframe(model, keyframe, settings)
         if keyframe is not None:
             mujoco.mj_resetDataKeyframe(model, data, keyframe)
-        for name, value in settings.joints.items():
+        for name, setting_value in settings.joints.items():
             joint = _find_joint(model, name, settings)
-            expected = JOINT_VALUES[int(model.jnt_type[joint])]
-            values = np.atleast_1d(np.asarray(value, dtype=np.float64))
-            where = f"at `scene.joints.{name}`"
-            if len(values) != int(expected[0]):
-                raise ConfigError(f"expected {expected} {where}, got {len(values)}")
-            if len(values) >= 4 and not values[-4:].any():
-                raise ConfigError(f"expected a quaternion that is not 0 {where}")
-            address = int(model.jnt_qposadr[joint])
-            data.qpos[address : address + len(values)] = values
+            expected_text = JOINT_VALUES[int(model.jnt_type[joint])]
+            joint_values = np.atleast_1d(np.asarray(setting_value, dtype=np.float64))
+            setting_text = f"at `scene.joints.{name}`"
+            if len(joint_values) != int(expected_text[0]):
+                raise ConfigError(
+                    f"expected {expected_text} {setting_text}, got {len(joint_values)}"
+                )
+            if len(joint_values) >= 4 and not joint_values[-4:].any():
+                raise ConfigError(f"expected a quaternion that is not 0 {setting_text}")
+            qpos_address = int(model.jnt_qposadr[joint])
+            data.qpos[qpos_address : qpos_address + len(joint_values)] = joint_values
         mujoco.mj_kinematics(model, data)
     return data
 
@@ -78,30 +80,33 @@ def _find_joint(model: mujoco.MjModel, name: str, settings: SceneSettings) -> in
 def _check_name(
     model: mujoco.MjModel,
     name: str,
-    kind: str,
-    setting: str,
+    object_kind: str,
+    setting_key: str,
     addresses: Int32,
     settings: SceneSettings,
 ) -> None:
-    """Raise a ConfigError unless a model has a keyframe or joint of some name.
+    """Raise a ConfigError unless a model has a keyframe or joint with the given name.
 
     Args:
         model: the model.
-        name: the name.
-        kind: ``keyframe`` or ``joint``, for the error.
-        setting: the key of the setting that states the name, for the error.
+        name: the name of the keyframe or joint.
+        object_kind: ``keyframe`` or ``joint``, for the error.
+        setting_key: the key of the setting that states the name, for the error.
         addresses: the addresses of the names of all keyframes or joints.
         settings: errors name `scene.path`.
     """
     names = [model_name for model_name in names_at(model, addresses.tolist()) if model_name]
     if name not in names:
-        listed = list_first(names, 20) or "none with a name"
-        raise ConfigError(f"no {kind} {name!r} for `scene.{setting}`: {settings.path} has {listed}")
+        listed_names = list_first(names, 20) or "none with a name"
+        raise ConfigError(
+            f"no {object_kind} {name!r} for `scene.{setting_key}`: {settings.path} has "
+            f"{listed_names}"
+        )
 
 
 @contextmanager
 def _raise_scene_errors(action: str) -> Iterator[None]:
-    """Convert MuJoCo's errors inside a with statement to SceneErrors: it cannot do the action."""
+    """Convert MuJoCo's errors inside a with statement to SceneErrors: MuJoCo cannot do `action`."""
     try:
         yield
     except (mujoco.FatalError, mujoco.UnexpectedError, ValueError) as error:
@@ -117,17 +122,18 @@ def warn_out_of_range(model: mujoco.MjModel, settings: SceneSettings) -> list[st
         settings: `scene.joints` is used; the model has all joints that it names.
     """
     warnings = []
-    for name, value in settings.joints.items():
+    for name, setting_value in settings.joints.items():
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-        low = float(model.jnt_range[joint, 0])
-        high = float(model.jnt_range[joint, 1])
-        position = float(np.ravel(value)[0])
-        is_within = low - RANGE_SLACK <= position <= high + RANGE_SLACK
-        kind = int(model.jnt_type[joint])
-        if kind in JOINT_UNITS and model.jnt_limited[joint] and not is_within:
+        range_start = float(model.jnt_range[joint, 0])
+        range_end = float(model.jnt_range[joint, 1])
+        position = float(np.ravel(setting_value)[0])
+        is_within = range_start - RANGE_SLACK <= position <= range_end + RANGE_SLACK
+        joint_type = int(model.jnt_type[joint])
+        if joint_type in JOINT_UNITS and model.jnt_limited[joint] and not is_within:
             warnings.append(
-                f"joint {name!r} ranges from {low:.6g} to {high:.6g} {JOINT_UNITS[kind]}, got "
-                f"{position:.6g} at `scene.joints.{name}`: it is posed there anyway"
+                f"joint {name!r} ranges from {range_start:.6g} to {range_end:.6g} "
+                f"{JOINT_UNITS[joint_type]}, got {position:.6g} at `scene.joints.{name}`: it is "
+                "posed there anyway"
             )
     return warnings
 
@@ -142,34 +148,34 @@ def data_of_qpos(model: mujoco.MjModel, qpos: ArrayLike) -> mujoco.MjData:
     Raises:
         ConfigError: `qpos` has a different shape, or contains something that is no number.
     """
-    expected = f"expected {model.nq} joint positions (nq)"
+    expected_text = f"expected {model.nq} joint positions (nq)"
     try:
-        positions = np.asarray(qpos, dtype=np.float64)
+        joint_positions = np.asarray(qpos, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{expected}, got {qpos!r}") from error
-    if positions.shape != (model.nq,):
-        raise ConfigError(f"{expected}, got {positions.shape}")
+        raise ConfigError(f"{expected_text}, got {qpos!r}") from error
+    if joint_positions.shape != (model.nq,):
+        raise ConfigError(f"{expected_text}, got {joint_positions.shape}")
     data = mujoco.MjData(model)
-    data.qpos[:] = positions
+    data.qpos[:] = joint_positions
     mujoco.mj_kinematics(model, data)
     return data
 
 
 def data_with_joints(
-    model: mujoco.MjModel, data: mujoco.MjData, positions: Mapping[int, float]
+    model: mujoco.MjModel, data: mujoco.MjData, joint_positions: Mapping[int, float]
 ) -> mujoco.MjData:
     """Return a copy of a model's data with some joints moved, and the poses of geoms computed.
 
     Args:
         model: the model.
         data: the model's data, which is not changed.
-        positions: id of a hinge or slide -> its new position [rad or m].
+        joint_positions: id of a hinge or slide -> its new position [rad or m].
     """
     copied_data = mujoco.MjData(model)
     copied_data.qpos[:] = data.qpos
     copied_data.mocap_pos[:] = data.mocap_pos
     copied_data.mocap_quat[:] = data.mocap_quat
-    for joint, position in positions.items():
+    for joint, position in joint_positions.items():
         copied_data.qpos[model.jnt_qposadr[joint]] = position
     mujoco.mj_kinematics(model, copied_data)
     return copied_data

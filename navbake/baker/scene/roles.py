@@ -66,8 +66,8 @@ def find_movable_bodies(model: mujoco.MjModel) -> Bool:
     A body can move if it or one of its ancestors has a joint or is a mocap body.
     """
     is_mocap = model.body_mocapid[model.body_rootid] >= 0
-    movable: Bool = (model.body_weldid != 0) | is_mocap
-    return movable
+    is_movable_body: Bool = (model.body_weldid != 0) | is_mocap
+    return is_movable_body
 
 
 def mark_structure(roles: NDArray[np.uint8]) -> Bool:
@@ -80,75 +80,75 @@ def find_roles(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     shapes: Shapes,
-    counted: Bool,
+    is_counted: Bool,
     named_leaves: Collection[str],
     config: BakeConfig,
 ) -> SceneRoles:
     """Find the role of each geom that counts: structure, movable, or a leaf of a door.
 
     Bodies that `floors.movable` names, cars of lifts, and the descendants of both carry floors:
-    they are structure though they move. If no geom would be structure, all bodies are, where they
-    stand.
+    they are structure though they move. If no geom would be structure, all bodies count as
+    structure in their present pose.
 
     Args:
         model: the model.
         data: the model's pose.
         shapes: the geometry of all geoms that count.
-        counted: for each geom, whether it counts, (ngeom,).
+        is_counted: for each geom, whether it counts, (ngeom,).
         named_leaves: names of the bodies that are leaves of doors, as the scene's file says.
         config: all settings.
 
     Returns:
         The roles of geoms and bodies, and warnings.
     """
-    movable = find_movable_bodies(model)
+    is_movable_body = find_movable_bodies(model)
     subtree_ends = find_subtree_ends(model)
     names = all_names(model).bodies
     warnings = list[str]()
     for pattern in config.floors.movable:
         bodies = [body for body in range(1, model.nbody) if fnmatchcase(names[body], pattern)]
         for body in bodies:
-            movable[body : subtree_ends[body]] = False
+            is_movable_body[body : subtree_ends[body]] = False
         if not bodies:
             warnings.append(warn_unmatched("floors.movable", pattern, names[1:], "no body"))
-    cars = find_cars(model, data, shapes, config.links, config.agent, config.grid.cell_size)
-    for body in cars:
-        movable[body : subtree_ends[body]] = False
+    car_bodies = find_cars(model, data, shapes, config.links, config.agent, config.grid.cell_size)
+    for body in car_bodies:
+        is_movable_body[body : subtree_ends[body]] = False
 
     def find_leaves(is_structure_body: Bool) -> tuple[list[DoorCandidate], list[str]]:
         return find_door_candidates(
             model,
             data,
             shapes=shapes,
-            counted=counted,
-            movable=movable,
+            is_counted=is_counted,
+            is_movable_body=is_movable_body,
             is_structure_body=is_structure_body,
             named_leaves=named_leaves,
             settings=config.doors,
         )
 
-    is_structure_body = ~movable
+    is_structure_body = ~is_movable_body
     leaves, pattern_warnings = find_leaves(is_structure_body)
-    roles = assign_roles(model, counted, movable, is_structure_body, leaves)
+    roles = assign_roles(model, is_counted, is_movable_body, is_structure_body, leaves)
     if not mark_structure(roles).any():
         warnings.append(
             "all bodies can move or look like doors, so that nothing stands: floors, walls and "
             "rooms are made of all of them in the baked pose; `floors.movable` names those that "
             "stand"
         )
-        is_structure_body = np.ones_like(movable)
+        is_structure_body = np.ones_like(is_movable_body)
         leaves, pattern_warnings = find_leaves(is_structure_body)
-        roles = assign_roles(model, counted, movable, is_structure_body, leaves)
+        roles = assign_roles(model, is_counted, is_movable_body, is_structure_body, leaves)
     if not mark_structure(roles).any():
         leaves = []
-        roles = assign_roles(model, counted, movable, is_structure_body, leaves)
+        roles = assign_roles(model, is_counted, is_movable_body, is_structure_body, leaves)
     return SceneRoles(
         roles=roles,
-        movable=movable,
+        movable=is_movable_body,
         is_structure_body=is_structure_body,
-        mover_of_body=_find_movers(model, movable),
+        mover_of_body=_find_movers(model, is_movable_body),
         leaves=leaves,
-        cars=cars,
+        cars=car_bodies,
         pattern_warnings=pattern_warnings,
         warnings=warnings,
     )
@@ -156,8 +156,8 @@ def find_roles(
 
 def assign_roles(
     model: mujoco.MjModel,
-    counted: Bool,
-    movable: Bool,
+    is_counted: Bool,
+    is_movable_body: Bool,
     is_structure_body: Bool,
     leaves: Sequence[DoorCandidate],
 ) -> NDArray[np.uint8]:
@@ -165,8 +165,8 @@ def assign_roles(
 
     Args:
         model: the model.
-        counted: for each geom, whether it counts, (ngeom,).
-        movable: for each body, whether it can move and carries no floor, (nbody,).
+        is_counted: for each geom, whether it counts, (ngeom,).
+        is_movable_body: for each body, whether it can move and carries no floor, (nbody,).
         is_structure_body: for each body, whether it is structure, (nbody,).
         leaves: the door candidates.
 
@@ -174,47 +174,47 @@ def assign_roles(
         The role of each geom, shape (ngeom,), uint8.
     """
     body_roles = np.where(is_structure_body, STATIC_STRUCTURE, MOVABLE)
-    body_roles[find_movable_bodies(model) & ~movable] = MOVING_STRUCTURE
+    body_roles[find_movable_bodies(model) & ~is_movable_body] = MOVING_STRUCTURE
     roles: NDArray[np.uint8] = body_roles[model.geom_bodyid].astype(np.uint8)
     roles[mark_candidate_geoms(model.ngeom, leaves)] = LEAF
-    roles[~counted] = LEFT_OUT
+    roles[~is_counted] = LEFT_OUT
     return roles
 
 
-def _find_movers(model: mujoco.MjModel, movable: Bool) -> Int:
+def _find_movers(model: mujoco.MjModel, is_movable_body: Bool) -> Int:
     """Find the topmost movable ancestor of each movable body, see `SceneRoles.mover_of_body`."""
     movers = np.arange(model.nbody)
     for body, parent in enumerate(model.body_parentid.tolist()):  # parents come first
-        if movable[body] and movable[parent]:
+        if is_movable_body[body] and is_movable_body[parent]:
             movers[body] = movers[parent]
     return movers
 
 
 def find_actuated_bodies(model: mujoco.MjModel) -> set[int]:
     """Return the ids of the bodies that actuators move: by joints, sites, tendons, or directly."""
-    bodies = set[int]()
-    kinds = model.actuator_trntype.tolist()
-    targets = model.actuator_trnid[:, 0].tolist()
-    for kind, target in zip(kinds, targets, strict=True):
-        if kind in (JOINT, JOINT_IN_PARENT):
-            bodies.add(int(model.jnt_bodyid[target]))
-        elif kind in (SLIDER_CRANK, SITE):
-            bodies.add(int(model.site_bodyid[target]))
-        elif kind == BODY:
-            bodies.add(target)
-        elif kind == TENDON:
-            bodies |= _find_bodies_of_tendon(model, target)
-    return bodies
+    body_ids = set[int]()
+    transmission_types = model.actuator_trntype.tolist()
+    target_ids = model.actuator_trnid[:, 0].tolist()
+    for transmission_type, target_id in zip(transmission_types, target_ids, strict=True):
+        if transmission_type in (JOINT, JOINT_IN_PARENT):
+            body_ids.add(int(model.jnt_bodyid[target_id]))
+        elif transmission_type in (SLIDER_CRANK, SITE):
+            body_ids.add(int(model.site_bodyid[target_id]))
+        elif transmission_type == BODY:
+            body_ids.add(target_id)
+        elif transmission_type == TENDON:
+            body_ids |= _find_bodies_of_tendon(model, target_id)
+    return body_ids
 
 
 def _find_bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
     """Return the ids of the bodies whose joints or sites a tendon runs over."""
-    bodies = set[int]()
-    first = int(model.tendon_adr[tendon])
-    for wrap in range(first, first + int(model.tendon_num[tendon])):
-        wrapped = int(model.wrap_objid[wrap])
+    body_ids = set[int]()
+    first_wrap = int(model.tendon_adr[tendon])
+    for wrap in range(first_wrap, first_wrap + int(model.tendon_num[tendon])):
+        wrapped_id = int(model.wrap_objid[wrap])
         if model.wrap_type[wrap] == WRAP_JOINT:
-            bodies.add(int(model.jnt_bodyid[wrapped]))
+            body_ids.add(int(model.jnt_bodyid[wrapped_id]))
         elif model.wrap_type[wrap] == WRAP_SITE:
-            bodies.add(int(model.site_bodyid[wrapped]))
-    return bodies
+            body_ids.add(int(model.site_bodyid[wrapped_id]))
+    return body_ids

@@ -176,7 +176,7 @@ class CountedGeoms(NamedTuple):
         shape_kinds: geom id -> `GeomReport.shape`, for the geoms that count.
         roles: the roles of geoms and bodies.
         warnings: messages of one line.
-        sky_warnings: the one of them that names skies that are left out, if any.
+        sky_warnings: those of `warnings` that name skies that are left out, at most one.
     """
 
     selections: list[GeomSelection]
@@ -297,19 +297,19 @@ def _count_geoms(
     counted_geoms = _count_geoms_without(no_bodies, scene_model, hull_room, config)
     if config.scene.exclude.movable:
         roles = counted_geoms.roles
-        left_out_bodies = roles.movable.copy()
-        left_out_bodies[scene_model.model.geom_bodyid[roles.roles == LEAF]] = False
-        counted_geoms = _count_geoms_without(left_out_bodies, scene_model, hull_room, config)
+        is_left_out_body = roles.movable.copy()
+        is_left_out_body[scene_model.model.geom_bodyid[roles.roles == LEAF]] = False
+        counted_geoms = _count_geoms_without(is_left_out_body, scene_model, hull_room, config)
     return counted_geoms
 
 
 def _count_geoms_without(
-    left_out_bodies: Bool, scene_model: SceneModel, hull_room: HullRoomTest, config: BakeConfig
+    is_left_out_body: Bool, scene_model: SceneModel, hull_room: HullRoomTest, config: BakeConfig
 ) -> CountedGeoms:
     """Select the geoms that count, and find their roles.
 
     Args:
-        left_out_bodies: for each body, whether its geoms are left out, (nbody,).
+        is_left_out_body: for each body, whether its geoms are left out, (nbody,).
         scene_model: the compiled model.
         hull_room: tells what the hull of a mesh hides; it also has the model and its pose.
         config: all settings.
@@ -321,7 +321,7 @@ def _count_geoms_without(
         model,
         config.scene,
         find_hidden=hull_room.find_hidden,
-        left_out_bodies=left_out_bodies,
+        left_out_bodies=is_left_out_body,
         ground=scene_model.ground,
         file_mesh_modes={geom: mesh.mode for geom, mesh in exact_meshes.items()},
     )
@@ -335,7 +335,7 @@ def _count_geoms_without(
         model,
         data,
         shapes=shapes,
-        counted=np.array([selection.counted for selection in selections], dtype=np.bool_),
+        is_counted=np.array([selection.counted for selection in selections], dtype=np.bool_),
         named_leaves=scene_model.named_leaves,
         config=config,
     )
@@ -359,13 +359,13 @@ def _leave_out_skies(
 
     Their entries in `selections`, one for each geom, are changed.
     """
-    counted = np.array([selection.counted for selection in selections], dtype=np.bool_)
-    skies = find_skies(model, data, counted, min_room=agent.height)
-    for geom in skies:
+    is_counted = np.array([selection.counted for selection in selections], dtype=np.bool_)
+    sky_geoms = find_skies(model, data, is_counted, min_room=agent.height)
+    for geom in sky_geoms:
         selections[geom] = selections[geom]._replace(counted=False, reason="encloses everything")
-    if not skies:
+    if not sky_geoms:
         return []
-    names = ", ".join(repr(all_names(model).geoms[geom].geom) for geom in skies)
+    names = ", ".join(repr(all_names(model).geoms[geom].geom) for geom in sky_geoms)
     return [
         f"left out, because everything else lies inside of this solid, as under a sky: {names}; "
         f"`scene.geoms: all` counts it, `scene.exclude.geoms` silences this"
@@ -381,12 +381,12 @@ def _check_any_counts(
         raise SceneError(f"{settings.path} has no geoms: nothing to bake")
     if not any(selection.counted for selection in scene_geoms):
         reasons = "; ".join(sorted({selection.reason for selection in scene_geoms})[:3])
-        problem = f"none of the {len(scene_geoms)} geoms of {settings.path} counts"
-        raise SceneError(f"{problem} (`scene.geoms` is {settings.geoms}): {reasons}")
+        problem_text = f"none of the {len(scene_geoms)} geoms of {settings.path} counts"
+        raise SceneError(f"{problem_text} (`scene.geoms` is {settings.geoms}): {reasons}")
 
 
 def _report_geoms(model: mujoco.MjModel, counted_geoms: CountedGeoms) -> list[GeomReport]:
-    types = model.geom_type.tolist()
+    geom_types = model.geom_type.tolist()
     roles = counted_geoms.roles.roles
     reports = []
     for geom, names in enumerate(all_names(model).geoms):
@@ -396,7 +396,7 @@ def _report_geoms(model: mujoco.MjModel, counted_geoms: CountedGeoms) -> list[Ge
                 id=geom,
                 name=names.geom,
                 body=names.body,
-                type=TYPE_NAMES.get(types[geom], "unknown"),
+                type=TYPE_NAMES.get(geom_types[geom], "unknown"),
                 counted=selection.counted,
                 shape=counted_geoms.shape_kinds.get(geom, ""),
                 reason=selection.reason,
@@ -412,18 +412,18 @@ def _report_geoms(model: mujoco.MjModel, counted_geoms: CountedGeoms) -> list[Ge
 def _warn_unused_geometry(model: mujoco.MjModel) -> list[str]:
     """Warn of geometry that can't be baked: flexes and skins."""
     warnings = []
-    for kind, addresses in (("flex", model.name_flexadr), ("skin", model.name_skinadr)):
+    for object_type, addresses in (("flex", model.name_flexadr), ("skin", model.name_skinadr)):
         if len(addresses):
             names = [
-                name_at(model, address) or f"{kind} {number}"
-                for number, address in enumerate(addresses)
+                name_at(model, address) or f"{object_type} {object_id}"
+                for object_id, address in enumerate(addresses)
             ]
-            warnings.append(f"{kind} can't be baked and is left out: {', '.join(names)}")
+            warnings.append(f"{object_type} can't be baked and is left out: {', '.join(names)}")
     return warnings
 
 
 def _warn_lost_objects(model: mujoco.MjModel) -> list[str]:
-    """Warn of OBJ files with several objects: MuJoCo takes the faces of the first alone."""
+    """Warn of OBJ files with several objects: MuJoCo only takes the faces of the first object."""
     warnings = []
     for mesh, address in enumerate(model.mesh_pathadr.tolist()):
         if address < 0:
@@ -439,22 +439,22 @@ def _warn_lost_objects(model: mujoco.MjModel) -> list[str]:
         has_face[faces.ravel()] = True
         if has_face.all():
             continue
-        lost = vertices[~has_face]
-        extent = np.ptp(lost, axis=0)
+        lost_vertices = vertices[~has_face]
+        extent = np.ptp(lost_vertices, axis=0)
         if np.count_nonzero(extent) < 2:  # spare points, and no object
             continue
-        size = " x ".join(f"{side:.3g}" for side in extent)
+        size_text = " x ".join(f"{side:.3g}" for side in extent)
         name = name_at(model, int(model.name_meshadr[mesh])) or Path(path).stem
         warnings.append(
-            f"mesh {name!r}: {len(lost)} of {len(vertices)} vertices have no face, and span {size} "
-            f"m: of an OBJ with several objects, MuJoCo takes the faces of the first alone; join "
-            f"the objects of {path}, or write a file for each"
+            f"mesh {name!r}: {len(lost_vertices)} of {len(vertices)} vertices have no face, and "
+            f"span {size_text} m: of an OBJ with several objects, MuJoCo takes the faces of the "
+            f"first alone; join the objects of {path}, or write a file for each"
         )
     return warnings
 
 
 def _warn_unused_settings(settings: SceneSettings, exact_meshes: dict[int, NamedMesh]) -> list[str]:
-    """Warn of settings that do nothing, as they are for scene files of other kinds.
+    """Warn of settings that have no effect because they are for scene files of other formats.
 
     `scene.up` and `scene.unit` are for mesh files and USD stages; other scenes state their own axes
     and units. `scene.strict` and `scene.model_path` are for files that name others.
@@ -500,14 +500,14 @@ def _warn_size(
         if suffix in STAGE_SUFFIXES:
             hint = "check its metersPerUnit, or set `scene.unit` (1 takes metres)"
         if is_mesh_file:
-            unit = "the metres that one unit of it is, as 1000 for kilometres"
-            hint = f"set `scene.unit` to {unit} (1 silences this)"
-        kind = "mesh" if is_mesh_file else "scene"
-        return [f"the {kind} is only {width:.6g} m large: {hint}"]
+            unit_text = "the metres that one unit of it is, as 1000 for kilometres"
+            hint = f"set `scene.unit` to {unit_text} (1 silences this)"
+        scene_type = "mesh" if is_mesh_file else "scene"
+        return [f"the {scene_type} is only {width:.6g} m large: {hint}"]
     if is_mesh_file and (height > MAX_MESH_HEIGHT or width > MAX_MESH_WIDTH):
-        size = f"{height:.6g} m high" if height > MAX_MESH_HEIGHT else f"{width:.6g} m large"
+        size_text = f"{height:.6g} m high" if height > MAX_MESH_HEIGHT else f"{width:.6g} m large"
         hint = "if it is in centimetres, set `scene.unit` to 0.01, in millimetres to 0.001"
-        return [f"the mesh is {size}: {hint} (1 silences this)"]
+        return [f"the mesh is {size_text}: {hint} (1 silences this)"]
     return []
 
 
@@ -568,21 +568,21 @@ def start_digest(
     if names is None:
         names = digest_names(model)
     digest = names.geom_hash.copy()
-    pending = bytearray()
-    for number, array in enumerate(_digested_arrays(model, data, exact_meshes, names)):
-        pending += f"{number} {array.dtype.str} {array.shape}\n".encode()
+    pending_bytes = bytearray()
+    for array_number, array in enumerate(_digested_arrays(model, data, exact_meshes, names)):
+        pending_bytes += f"{array_number} {array.dtype.str} {array.shape}\n".encode()
         if array.nbytes > LARGE_ARRAY:
-            digest.update(pending)
+            digest.update(pending_bytes)
             digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
-            pending = bytearray()
+            pending_bytes = bytearray()
         else:
-            pending += array.tobytes()
+            pending_bytes += array.tobytes()
 
     def finish() -> str:
-        digest.update(pending)
+        digest.update(pending_bytes)
         return str(digest.hexdigest())
 
-    return run_beside(finish) if len(pending) > MIN_THREAD_BYTES else finish
+    return run_beside(finish) if len(pending_bytes) > MIN_THREAD_BYTES else finish
 
 
 def _digested_arrays(

@@ -1,4 +1,4 @@
-"""Finds skies: solids around everything else in a scene, which are there for looks.
+"""Finds skies: solids around everything else in a scene, which only serve as a background.
 
 Does not import mujoco.
 """
@@ -16,15 +16,15 @@ from navbake.types import Bool, Float
 if TYPE_CHECKING:
     import mujoco
 
-# What lies inside of a sky covers at least this area, seen from above; what lies inside of a
-# smaller solid is hidden in a thing [m²]
+# The geoms inside of a sky cover at least this area, seen from above [m²]: geoms inside of a
+# smaller solid are hidden in a thing
 MIN_INNER_AREA = 4.0
 # MuJoCo's types from sphere to box; capsule, ellipsoid and cylinder lie between them
 SOLID_TYPES = range(constants.SPHERE, constants.BOX + 1)
 
 
 def find_skies(
-    model: mujoco.MjModel, data: mujoco.MjData, counted: Bool, min_room: float
+    model: mujoco.MjModel, data: mujoco.MjData, is_counted: Bool, min_room: float
 ) -> list[int]:
     """Find the skies of a scene: solids that enclose all other geoms, and room for an agent.
 
@@ -35,38 +35,57 @@ def find_skies(
     Args:
         model: the model.
         data: its pose.
-        counted: which geoms count, shape (ngeom,).
+        is_counted: for each geom, whether it counts, shape (ngeom,), bool.
         min_room: the least distance from the lowest of the enclosed geoms' tops to the solid's top
             [m].
 
     Returns:
         The ids of the geoms, the largest first.
     """
-    low, high = geom_boxes(model, data)
-    body = model.geom_bodyid
-    stands = counted & (model.body_weldid[body] == 0) & (model.body_mocapid[body] < 0)
-    if (stands & (model.geom_type == constants.PLANE)).any():
+    lowest_corners, highest_corners = geom_boxes(model, data)
+    body_of_geom = model.geom_bodyid
+    can_stand = (
+        is_counted & (model.body_weldid[body_of_geom] == 0) & (model.body_mocapid[body_of_geom] < 0)
+    )
+    if (can_stand & (model.geom_type == constants.PLANE)).any():
         return []
-    is_finite = stands & (model.geom_type != constants.PLANE)
-    is_finite &= np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
-    others = np.flatnonzero(is_finite)
+    is_finite = can_stand & (model.geom_type != constants.PLANE)
+    is_finite &= np.isfinite(lowest_corners).all(axis=1) & np.isfinite(highest_corners).all(axis=1)
+    remaining_geoms = np.flatnonzero(is_finite)
     skies = list[int]()
-    while len(others) > 1:
-        largest = int(others[np.argmax((high[others] - low[others]).prod(axis=1))])
-        inner = others[others != largest]
-        if model.geom_type[largest] not in SOLID_TYPES:
+    while len(remaining_geoms) > 1:
+        largest_geom = int(
+            remaining_geoms[
+                np.argmax(
+                    (highest_corners[remaining_geoms] - lowest_corners[remaining_geoms]).prod(
+                        axis=1
+                    )
+                )
+            ]
+        )
+        inner_geoms = remaining_geoms[remaining_geoms != largest_geom]
+        if model.geom_type[largest_geom] not in SOLID_TYPES:
             break
-        if (low[inner] < low[largest]).any() or (high[inner] > high[largest]).any():
+        if (lowest_corners[inner_geoms] < lowest_corners[largest_geom]).any() or (
+            highest_corners[inner_geoms] > highest_corners[largest_geom]
+        ).any():
             break
-        if high[largest, 2] - high[inner, 2].min() < min_room:
+        if highest_corners[largest_geom, 2] - highest_corners[inner_geoms, 2].min() < min_room:
             break
-        inner_width, inner_depth = (high[inner].max(axis=0) - low[inner].min(axis=0))[:2]
+        inner_width, inner_depth = (
+            highest_corners[inner_geoms].max(axis=0) - lowest_corners[inner_geoms].min(axis=0)
+        )[:2]
         if inner_width * inner_depth < MIN_INNER_AREA:
             break
-        if not _encloses(model, data, largest, _box_corners(low[inner], high[inner])):
+        if not _encloses(
+            model,
+            data,
+            largest_geom,
+            _list_box_corners(lowest_corners[inner_geoms], highest_corners[inner_geoms]),
+        ):
             break
-        skies.append(largest)
-        others = inner
+        skies.append(largest_geom)
+        remaining_geoms = inner_geoms
     return skies
 
 
@@ -80,27 +99,27 @@ def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Float, Float
         return center - half_size, center + half_size
 
 
-def _box_corners(low: Float, high: Float) -> Float:
+def _list_box_corners(lowest_corners: Float, highest_corners: Float) -> Float:
     """Return the eight corners of each box, shape (8 n, 3)."""
     takes_high = np.array(list(np.ndindex(2, 2, 2)), dtype=np.bool_)
-    corners: Float = np.where(takes_high, high[:, None], low[:, None])
+    corners: Float = np.where(takes_high, highest_corners[:, None], lowest_corners[:, None])
     return corners.reshape(-1, 3)
 
 
 def _encloses(model: mujoco.MjModel, data: mujoco.MjData, geom: int, points: Float) -> bool:
     """Return whether all points, shape (n, 3), world frame, lie inside a solid geom."""
     rotation = data.geom_xmat[geom].reshape(3, 3)
-    local = (points - data.geom_xpos[geom]) @ rotation
+    local_points = (points - data.geom_xpos[geom]) @ rotation
     size = model.geom_size[geom] + TOUCH_DEPTH
     geom_type = int(model.geom_type[geom])
     if geom_type == constants.BOX:
-        return bool((np.abs(local) <= size).all())
+        return bool((np.abs(local_points) <= size).all())
     if geom_type == constants.ELLIPSOID:
-        return bool((((local / size) ** 2).sum(axis=1) <= 1.0).all())
-    radius = np.hypot(local[:, 0], local[:, 1])
-    beyond = np.abs(local[:, 2])
+        return bool((((local_points / size) ** 2).sum(axis=1) <= 1.0).all())
+    radius = np.hypot(local_points[:, 0], local_points[:, 1])
+    distance_along_axis = np.abs(local_points[:, 2])
     if geom_type == constants.CYLINDER:
-        return bool(((radius <= size[0]) & (beyond <= size[1])).all())
+        return bool(((radius <= size[0]) & (distance_along_axis <= size[1])).all())
     if geom_type == constants.CAPSULE:
-        beyond = np.maximum(beyond - size[1], 0.0)
-    return bool((np.hypot(radius, beyond) <= size[0]).all())
+        distance_along_axis = np.maximum(distance_along_axis - size[1], 0.0)
+    return bool((np.hypot(radius, distance_along_axis) <= size[0]).all())
