@@ -16,7 +16,7 @@ import time
 from contextlib import suppress
 from types import FrameType
 
-# the process ends so long after a signal, whatever it still does [s]
+# after a signal, the process ends at the latest after this time, whatever it still does [s]
 SIGNAL_TIMEOUT = 1.5
 GARBAGE_THRESHOLD = 200_000
 """Python collects garbage after this many new objects.
@@ -46,14 +46,14 @@ def main() -> None:
     # numba makes hundreds of messages that nobody sees: colouring them takes a tenth of the time
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     try:
-        _handle_signals()
-        from navbake.cli.main import main as run  # now that Ctrl-C is expected
+        _install_signal_handlers()
+        from navbake.cli.main import main as run_command_line  # now that Ctrl-C is expected
 
-        run()
+        run_command_line()
     except BaseException as error:
         _is_ending = True
-        is_done = isinstance(error, SystemExit) and error.code in (None, 0)
-        if _exit_status is not None and not (is_done and _exit_status == 128 + signal.SIGINT):
+        has_succeeded = isinstance(error, SystemExit) and error.code in (None, 0)
+        if _exit_status is not None and not (has_succeeded and _exit_status == 128 + signal.SIGINT):
             sys.exit(_exit_status)
         raise
     finally:
@@ -64,18 +64,18 @@ def main() -> None:
         gc.freeze()
 
 
-def _handle_signals() -> None:
+def _install_signal_handlers() -> None:
     """Set up the handlers of Ctrl-C and SIGTERM, and the thread that watches both."""
     # where Ctrl-C is ignored already (for example in the background of a script), it stays so
-    for number, default in (
+    for signal_number, default_handler in (
         (signal.SIGINT, signal.default_int_handler),
         (signal.SIGTERM, signal.SIG_DFL),
     ):
-        if signal.getsignal(number) is default:
-            signal.signal(number, _handle_signal)
+        if signal.getsignal(signal_number) is default_handler:
+            signal.signal(signal_number, _handle_signal)
             # Python calls it last. Without it, a signal while Python frees its modules would end
             # the process as if it had failed.
-            atexit.register(signal.signal, number, signal.SIG_IGN)
+            atexit.register(signal.signal, signal_number, signal.SIG_IGN)
     receiver, sender = socket.socketpair()
     sender.setblocking(False)
     signal.set_wakeup_fd(sender.detach(), warn_on_full_buffer=False)
@@ -83,11 +83,11 @@ def _handle_signals() -> None:
     threading.Thread(target=_watch_signals, args=(receiver,), name="signals", daemon=True).start()
 
 
-def _handle_signal(number: int, frame: FrameType | None) -> None:
-    """Raise an exception for the first signal, unless the process ends by itself already."""
+def _handle_signal(signal_number: int, stack_frame: FrameType | None) -> None:
+    """Raise SystemExit for the first signal; do nothing if the process is ending already."""
     global _exit_status
     if _exit_status is None and not _is_ending:
-        _exit_status = 128 + number
+        _exit_status = 128 + signal_number
         raise SystemExit(_exit_status)
 
 
@@ -106,14 +106,14 @@ def _watch_signals(receiver: socket.socket) -> None:
     Args:
         receiver: the socket that receives the number of each signal when it arrives.
     """
-    number = 0
-    while number not in (signal.SIGINT, signal.SIGTERM):
-        number = receiver.recv(1)[0]
-    exit_status = 128 + number
-    end = time.monotonic() + SIGNAL_TIMEOUT
+    signal_number = 0
+    while signal_number not in (signal.SIGINT, signal.SIGTERM):
+        signal_number = receiver.recv(1)[0]
+    exit_status = 128 + signal_number
+    deadline = time.monotonic() + SIGNAL_TIMEOUT
     is_interrupted_again = False
-    while not is_interrupted_again and (remaining := end - time.monotonic()) > 0:
-        receiver.settimeout(remaining)
+    while not is_interrupted_again and (remaining_time := deadline - time.monotonic()) > 0:
+        receiver.settimeout(remaining_time)
         with suppress(TimeoutError):
             is_interrupted_again = receiver.recv(1)[0] == signal.SIGINT
     os._exit(exit_status)

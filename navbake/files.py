@@ -35,7 +35,7 @@ LOG = logging.getLogger("navbake")
 TEMPORARY_NAME = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-scratch-\w{8}")
 # where there are no locks, an older temporary file is a leftover: no write takes a day [s]
 LEFTOVER_AGE = 86400.0
-cleaned_folders: set[Path] = set()  # whose leftovers this process has removed
+cleaned_folders: set[Path] = set()  # folders from which this process has removed leftovers
 
 
 def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> None:
@@ -84,87 +84,89 @@ def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
                     for file in reversed(changing):
                         file.put_aside()
             for file in new_files:
-                os.replace(file.temporary, file.target)
+                os.replace(file.temporary_path, file.target_path)
         except BaseException:
             for file in new_files:
                 file.restore()
             raise
         for file in new_files:
-            LOG.debug("wrote %s, %d bytes", file.path, os.path.getsize(file.target))
+            LOG.debug("wrote %s, %d bytes", file.path, os.path.getsize(file.target_path))
 
 
 @dataclass
 class _NewFile:
-    """A file that is written under a temporary name, and the one that it replaces."""
+    """A file that is written under a temporary name first, and the file that it will replace."""
 
-    path: Path  #: The path that was asked for.
-    target: Path  #: The same without links.
-    temporary: Path  #: The temporary name.
-    is_first: bool  #: Whether there was no such file before.
-    aside: Path | None = None  #: Where the file that was there is meanwhile.
-    descriptor: int | None = None  #: Of that file, to hold a lock on it.
+    path: Path  #: The path that the caller passed.
+    target_path: Path  #: The same path with all links resolved.
+    temporary_path: Path  #: The path under which the content is written first.
+    is_new: bool  #: Whether no file was at the target path before.
+    aside_path: Path | None = None  #: Where the old file lies until all new files are in place.
+    aside_descriptor: int | None = None  #: A descriptor of the old file, which holds its lock.
 
     def changes_target(self) -> bool:
-        """Whether there is a file of other content."""
+        """Whether a file with different content is at the target path."""
         try:
-            return not self.is_first and not filecmp.cmp(self.temporary, self.target, shallow=False)
+            return not self.is_new and not filecmp.cmp(
+                self.temporary_path, self.target_path, shallow=False
+            )
         except OSError:  # it can't be read
             return True
 
     def put_aside(self) -> None:
-        """Rename the file that was there to a temporary name."""
-        aside = _make_temporary_name(self.target.parent)
+        """Rename the old file to a temporary name."""
+        aside_path = _make_temporary_name(self.target_path.parent)
         if fcntl is not None:
             with suppress(OSError):  # it can't be read
-                self.descriptor = os.open(self.target, os.O_RDONLY)
-                hold_lock(self.descriptor, self.target)
-        os.replace(self.target, aside)
-        self.aside = aside
+                self.aside_descriptor = os.open(self.target_path, os.O_RDONLY)
+                hold_lock(self.aside_descriptor, self.target_path)
+        os.replace(self.target_path, aside_path)
+        self.aside_path = aside_path
 
     def restore(self) -> None:
-        """Put back what was there, as far as possible."""
+        """Put the old file back, or remove the new one if there was none, as far as possible."""
         with suppress(OSError):
-            if self.aside is not None:
-                os.replace(self.aside, self.target)
-            elif self.is_first and not self.temporary.exists():
-                self.target.unlink()
+            if self.aside_path is not None:
+                os.replace(self.aside_path, self.target_path)
+            elif self.is_new and not self.temporary_path.exists():
+                self.target_path.unlink()
 
     def clear(self) -> None:
-        """Remove what is left under temporary names."""
-        self.temporary.unlink(missing_ok=True)
-        if self.aside is not None:
-            self.aside.unlink(missing_ok=True)
-        if self.descriptor is not None:
-            os.close(self.descriptor)
+        """Remove the files that still have temporary names."""
+        self.temporary_path.unlink(missing_ok=True)
+        if self.aside_path is not None:
+            self.aside_path.unlink(missing_ok=True)
+        if self.aside_descriptor is not None:
+            os.close(self.aside_descriptor)
 
 
 @contextmanager
 def _write_temporary(data: bytes | Iterable[bytes], path: Path) -> Iterator[_NewFile]:
     """Write a file under a temporary name; it is removed at the end if it still has that name."""
-    target = Path(os.path.realpath(path))
-    _remove_leftovers_once(target.parent)
+    target_path = Path(os.path.realpath(path))
+    _remove_leftovers_once(target_path.parent)
     with ExitStack() as stack:
-        file, temporary = create_temporary(target.parent)
-        new_file = _NewFile(path, target, temporary, is_first=not target.exists())
+        open_file, temporary_path = create_temporary(target_path.parent)
+        new_file = _NewFile(path, target_path, temporary_path, is_new=not target_path.exists())
         stack.callback(new_file.clear)
         if fcntl is not None:  # the lock is held until the last copy of the descriptor is closed
-            stack.callback(os.close, os.dup(file.fileno()))
-        with file:
-            if not new_file.is_first:
-                _copy_mode(target, temporary)
-            file.writelines([data] if isinstance(data, bytes) else data)
+            stack.callback(os.close, os.dup(open_file.fileno()))
+        with open_file:
+            if not new_file.is_new:
+                _copy_mode(target_path, temporary_path)
+            open_file.writelines([data] if isinstance(data, bytes) else data)
         yield new_file
 
 
 def _copy_mode(source: Path, target: Path) -> None:
     """Give a file the mode of another one, and its owner and group if this user may."""
-    status = source.stat()
+    source_status = source.stat()
     if hasattr(os, "chown"):  # not on Windows
-        for user_id, group_id in ((status.st_uid, -1), (-1, status.st_gid)):
+        for user_id, group_id in ((source_status.st_uid, -1), (-1, source_status.st_gid)):
             with suppress(OSError):
                 os.chown(target, user_id, group_id)
     with suppress(OSError):  # of a file system without modes
-        target.chmod(stat.S_IMODE(status.st_mode))
+        target.chmod(stat.S_IMODE(source_status.st_mode))
 
 
 def _make_temporary_name(folder: Path) -> Path:
@@ -176,10 +178,10 @@ def create_temporary(folder: Path) -> tuple[BinaryIO, Path]:
     while True:
         path = _make_temporary_name(folder)
         with ExitStack() as stack:
-            file = stack.enter_context(open(path, "x+b"))
-            if hold_lock(file.fileno(), path):
+            open_file = stack.enter_context(open(path, "x+b"))
+            if hold_lock(open_file.fileno(), path):
                 stack.pop_all()
-                return file, path
+                return open_file, path
 
 
 def hold_lock(descriptor: int, path: str | PathLike[str]) -> bool:
@@ -221,11 +223,11 @@ def encode_csv(rows: Iterable[Iterable[Any]]) -> bytes:
     Text that a spreadsheet would evaluate as a formula gets an apostrophe in front, and control
     characters are escaped. Source: OWASP, "CSV Injection".
     """
-    text = io.StringIO()
+    csv_text = io.StringIO()
     # with other line ends, csv doesn't quote names that contain them
-    writer = csv.writer(text, lineterminator="\r\n")
+    writer = csv.writer(csv_text, lineterminator="\r\n")
     writer.writerows([_to_csv_cell(cell) for cell in row] for row in rows)
-    return text.getvalue().encode()
+    return csv_text.getvalue().encode()
 
 
 def _to_csv_cell(cell: object) -> object:
@@ -237,9 +239,9 @@ def _to_csv_cell(cell: object) -> object:
 
 
 def check_writable(path: str | PathLike[str]) -> None:
-    """Raise an OSError if `write_whole` couldn't write a path.
+    """Raise an OSError if `write_whole` can't write a path.
 
-    Call it before the work that makes the content.
+    Call it before a long computation whose result is to be written there.
     """
     if _is_replaceable(path):
         with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
@@ -281,32 +283,32 @@ def _remove_leftovers_once(folder: Path) -> None:
         remove_leftovers(folder)
 
 
-def remove_leftovers(folder: Path, age: float = LEFTOVER_AGE) -> None:
+def remove_leftovers(folder: Path, min_age: float = LEFTOVER_AGE) -> None:
     """Remove the temporary files and folders that this user's killed processes left in a folder.
 
     What a living process holds stays, see `hold_lock`. Errors are ignored.
 
     Args:
         folder: The folder.
-        age: Where there are no locks, remove only what has not changed for this long [s]. 0 is safe
-            only if no other process writes there.
+        min_age: Where there are no locks, remove only what has not changed for this long [s]. 0 is
+            safe only if no other process writes there.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if TEMPORARY_NAME.fullmatch(entry.name):
                 with suppress(OSError):  # another process has removed it
-                    _remove_leftover(entry.path, entry.stat(follow_symlinks=False), age)
+                    _remove_leftover(entry.path, entry.stat(follow_symlinks=False), min_age)
 
 
-def _remove_leftover(path: str, status: os.stat_result, age: float) -> None:
+def _remove_leftover(path: str, file_status: os.stat_result, min_age: float) -> None:
     """Remove a temporary file or folder if it is a leftover, as `remove_leftovers` does."""
     is_hidden = os.path.basename(path).startswith(".")
-    is_file = is_hidden and stat.S_ISREG(status.st_mode)
-    is_folder = not is_hidden and stat.S_ISDIR(status.st_mode)
-    is_of_user = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+    is_file = is_hidden and stat.S_ISREG(file_status.st_mode)
+    is_folder = not is_hidden and stat.S_ISDIR(file_status.st_mode)
+    is_of_user = not hasattr(os, "getuid") or file_status.st_uid == os.getuid()
     if not is_of_user or not (is_file or is_folder):
         return
-    is_leftover = time.time() - status.st_mtime >= age
+    is_leftover = time.time() - file_status.st_mtime >= min_age
     with ExitStack() as stack:
         if fcntl is not None:
             try:
@@ -358,10 +360,10 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
     except OSError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE):  # too many open files, in any folder
             raise
-        into = "" if parent is None else f" into {parent}"
+        folder_text = "" if parent is None else f" into {parent}"
         hint = "free space, or set TMPDIR to a folder that has room"
         raise NavbakeError(
-            f"cannot write temporary files{into}: {error.strerror}: {hint}",
+            f"cannot write temporary files{folder_text}: {error.strerror}: {hint}",
             path=None if parent is None else str(parent),
             hint=hint,
         ) from error

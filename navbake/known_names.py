@@ -16,7 +16,7 @@ MIN_SIMILARITY = 0.85  # of two names, by `difflib`: 1 for equal ones
 def check_choice(
     value: str, choices: Collection[str], name: str, error: type[NavbakeError]
 ) -> None:
-    """Check that the value of an argument or option is one of the words that it may be.
+    """Raise an error unless the value of an argument or option is one of the allowed words.
 
     Args:
         value: The value that a user passes.
@@ -37,8 +37,8 @@ def check_choice(
         )
 
 
-def find_near(name: object, candidates: Iterable[str], most: int = 1) -> list[str]:
-    """Return the known names that were probably meant; often none.
+def find_similar_names(name: object, candidates: Iterable[str], max_names: int = 1) -> list[str]:
+    """Return the known names that a user who wrote an unknown name probably meant; often none.
 
     A known name counts if it differs from the name by one edit (a character too many or too few, a
     wrong one, or two swapped); a long name may differ by more edits. It also counts if it has all
@@ -47,86 +47,99 @@ def find_near(name: object, candidates: Iterable[str], most: int = 1) -> list[st
     Args:
         name: The name that is not known.
         candidates: The known names.
-        most: The largest number of names to return.
+        max_names: The largest number of names to return.
 
     Returns:
         The known names, the most similar ones first.
     """
     # reversed: where names differ only in their capitals, the first one shall stay in the mapping
-    names = reversed(list(dict.fromkeys(candidates)))
-    by_folded = {candidate.casefold(): candidate for candidate in names}
-    folded = str(name).casefold()
-    close = get_close_matches(folded, by_folded, n=most, cutoff=MIN_SIMILARITY)
-    close += [candidate for candidate in by_folded if _is_one_edit(folded, candidate)]
-    words = _words(folded)
-    with_all_words = [candidate for candidate in by_folded if words and words <= _words(candidate)]
-    with_all_words.sort(key=len)
-    nearest = dict.fromkeys([*close, *with_all_words])  # each once, in this order
-    return [by_folded[candidate] for candidate in nearest][:most]
+    reversed_candidates = reversed(list(dict.fromkeys(candidates)))
+    original_by_folded = {candidate.casefold(): candidate for candidate in reversed_candidates}
+    folded_name = str(name).casefold()
+    close_names = get_close_matches(
+        folded_name, original_by_folded, n=max_names, cutoff=MIN_SIMILARITY
+    )
+    close_names += [
+        candidate for candidate in original_by_folded if _is_one_edit(folded_name, candidate)
+    ]
+    name_words = _split_into_words(folded_name)
+    names_with_all_words = [
+        candidate
+        for candidate in original_by_folded
+        if name_words and name_words <= _split_into_words(candidate)
+    ]
+    names_with_all_words.sort(key=len)
+    near_names = dict.fromkeys([*close_names, *names_with_all_words])  # each once, in this order
+    return [original_by_folded[candidate] for candidate in near_names][:max_names]
 
 
 def suggest(
-    name: object, candidates: Iterable[str], limit: int = MAX_LISTED, owner: str = "it"
+    name: object, candidates: Iterable[str], max_listed: int = MAX_LISTED, owner: str = "it"
 ) -> str:
     """Write a hint for a name that is not known, such as ``did you mean 'hall'? it has hall``.
 
     Args:
         name: The name that is not known.
         candidates: The known names.
-        limit: The largest number of known names to list.
+        max_listed: The largest number of known names to list.
         owner: What has the known names, such as ``the grid``; the subject of the last sentence.
     """
     names = list(dict.fromkeys(candidates))
-    folded = str(name).casefold()
-    near = find_near(name, names)
-    if not near:
-        near = [candidate for candidate in names if _is_two_edits(folded, candidate.casefold())]
-    question = f"did you mean {near[0]!r}? " if near else ""
-    more = f", and {len(names) - limit} more" if len(names) > limit else ""
-    return f"{question}{owner} has {', '.join(names[:limit]) or 'none'}{more}"
+    folded_name = str(name).casefold()
+    near_names = find_similar_names(name, names)
+    if not near_names:
+        near_names = [
+            candidate for candidate in names if _is_two_edits(folded_name, candidate.casefold())
+        ]
+    question = f"did you mean {near_names[0]!r}? " if near_names else ""
+    more_text = f", and {len(names) - max_listed} more" if len(names) > max_listed else ""
+    return f"{question}{owner} has {', '.join(names[:max_listed]) or 'none'}{more_text}"
 
 
-def list_first(names: Sequence[str], most: int = 1) -> str:
+def list_first(names: Sequence[str], max_names: int = 1) -> str:
     """List the first names, and count the others, such as ``a, b and 3 more``.
 
     Args:
         names: The names.
-        most: The largest number of names to list.
+        max_names: The largest number of names to list.
     """
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    more_text = f" and {len(names) - max_names} more" if len(names) > max_names else ""
+    return ", ".join(names[:max_names]) + more_text
 
 
-def _is_one_edit(first: str, second: str) -> bool:
+def _is_one_edit(first_name: str, second_name: str) -> bool:
     """Whether one edit turns a name into another; False for names of two characters or fewer."""
-    if min(len(first), len(second)) < 3 or abs(len(first) - len(second)) > 1:
+    if min(len(first_name), len(second_name)) < 3 or abs(len(first_name) - len(second_name)) > 1:
         return False
     num_equal = 0
-    while num_equal < min(len(first), len(second)) and first[num_equal] == second[num_equal]:
+    while (
+        num_equal < min(len(first_name), len(second_name))
+        and first_name[num_equal] == second_name[num_equal]
+    ):
         num_equal += 1
-    first_rest = first[num_equal:]
-    second_rest = second[num_equal:]
-    is_replaced = first_rest[1:] == second_rest[1:]
-    is_added = first_rest[1:] == second_rest or first_rest == second_rest[1:]
-    is_swapped = first_rest[:2] == second_rest[1::-1] and first_rest[2:] == second_rest[2:]
+    first_tail = first_name[num_equal:]
+    second_tail = second_name[num_equal:]
+    is_replaced = first_tail[1:] == second_tail[1:]
+    is_added = first_tail[1:] == second_tail or first_tail == second_tail[1:]
+    is_swapped = first_tail[:2] == second_tail[1::-1] and first_tail[2:] == second_tail[2:]
     return is_replaced or is_added or is_swapped
 
 
-def _is_two_edits(first: str, second: str) -> bool:
-    """Whether two edits turn a name into another, one of which removes a character.
+def _is_two_edits(first_name: str, second_name: str) -> bool:
+    """Whether two edits turn one name into the other, where one edit removes a character.
 
     False if a name has fewer than four characters.
     """
-    if min(len(first), len(second)) < 4:
+    if min(len(first_name), len(second_name)) < 4:
         return False
-    for shortened, whole_name in ((first, second), (second, first)):
-        for k in range(len(shortened)):
-            if _is_one_edit(shortened[:k] + shortened[k + 1 :], whole_name):
+    for shortened, whole_name in ((first_name, second_name), (second_name, first_name)):
+        for i in range(len(shortened)):
+            if _is_one_edit(shortened[:i] + shortened[i + 1 :], whole_name):
                 return True
     return False
 
 
-def _words(name: str) -> set[str]:
+def _split_into_words(name: str) -> set[str]:
     """Return the words of a name, in the singular."""
     words = re.findall(r"[^\W_]+", name)
     return {f"{word[:-3]}y" if word.endswith("ies") else word.removesuffix("s") for word in words}

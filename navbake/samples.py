@@ -17,7 +17,7 @@ _FOLDERS = (_PACKAGE / "sample_files", _PACKAGE.parent / "configs")
 
 def names() -> list[str]:
     """Return the names of the samples: apartment, clutter, house, terrain, tower and warehouse."""
-    return sorted(file.stem for file in _folder().glob("*.yaml"))
+    return sorted(file.stem for file in _find_samples_folder().glob("*.yaml"))
 
 
 def path(name: str) -> Path:
@@ -32,23 +32,23 @@ def path(name: str) -> Path:
     if name not in names():
         hint = suggest(name, names())
         raise ConfigError(f"no sample {name!r}: {hint}", value=name, hint=hint)
-    return _folder() / f"{name}.yaml"
+    return _find_samples_folder() / f"{name}.yaml"
 
 
 def find(scene: str | PathLike[str]) -> Path:
-    """Return the path of the settings of a sample; any other path is returned as it is.
+    """Return the path of a sample's settings; the path of another scene is returned unchanged.
 
     Args:
         scene: The name of a sample, or a path. If there is a file with the name, it is a path. Else
             the name stands for ``NAME.yaml`` in the current folder, or if that doesn't exist, for
             the settings of the installed sample.
     """
-    as_path = Path(scene)
-    is_name = not as_path.suffix and as_path.name == str(scene)
-    if not is_name or as_path.exists() or as_path.name not in names():
-        return as_path
-    local_settings = Path(f"{as_path.name}.yaml")
-    return local_settings if local_settings.exists() else path(as_path.name)
+    scene_path = Path(scene)
+    is_name = not scene_path.suffix and scene_path.name == str(scene)
+    if not is_name or scene_path.exists() or scene_path.name not in names():
+        return scene_path
+    local_settings = Path(f"{scene_path.name}.yaml")
+    return local_settings if local_settings.exists() else path(scene_path.name)
 
 
 def copy(name: str, folder: Path | str = ".") -> list[Path]:
@@ -66,32 +66,43 @@ def copy(name: str, folder: Path | str = ".") -> list[Path]:
         ConfigError: There is no such sample, a file cannot be written, or a file is there already
             with different content.
     """
-    settings = path(name)
-    target = Path(folder)
-    scenes = _folder() / "scenes"
-    scene_files = sorted(scenes.glob(f"{name}.*"))
-    mjcf_files = [file for file in scene_files if file.suffix == ".xml"]
-    mjcf = "".join(file.read_text(encoding="utf-8") for file in mjcf_files)
-    assets = [file for file in sorted((scenes / "assets").iterdir()) if file.name in mjcf]
-    sources = [settings, *scene_files, *assets]
-    copies = {source: target / source.relative_to(settings.parent) for source in sources}
-    contents = {source: source.read_bytes() for source in sources}
+    settings_path = path(name)
+    target_folder = Path(folder)
+    scenes_folder = _find_samples_folder() / "scenes"
+    scene_files = sorted(scenes_folder.glob(f"{name}.*"))
+    mjcf_files = [error_path for error_path in scene_files if error_path.suffix == ".xml"]
+    mjcf_text = "".join(error_path.read_text(encoding="utf-8") for error_path in mjcf_files)
+    asset_files = [
+        error_path
+        for error_path in sorted((scenes_folder / "assets").iterdir())
+        if error_path.name in mjcf_text
+    ]
+    source_files = [settings_path, *scene_files, *asset_files]
+    copy_of_source = {
+        source_file: target_folder / source_file.relative_to(settings_path.parent)
+        for source_file in source_files
+    }
+    contents = {source_file: source_file.read_bytes() for source_file in source_files}
     try:
-        for source, copied in copies.items():
-            if copied.exists() and copied.read_bytes() != contents[source]:
+        for source_file, copied_file in copy_of_source.items():
+            if copied_file.exists() and copied_file.read_bytes() != contents[source_file]:
                 hint = "move it, or copy elsewhere"
-                raise ConfigError(f"another {copied} is there: {hint}", path=str(copied), hint=hint)
-        for source, copied in copies.items():
-            if not copied.exists():
-                copied.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(contents[source], copied)
+                raise ConfigError(
+                    f"another {copied_file} is there: {hint}", path=str(copied_file), hint=hint
+                )
+        for source_file, copied_file in copy_of_source.items():
+            if not copied_file.exists():
+                copied_file.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(contents[source_file], copied_file)
     except OSError as error:
-        file = str(error.filename or target)
-        raise ConfigError(f"cannot write {file}: {error.strerror}", path=file) from error
-    return list(copies.values())
+        error_path = str(error.filename or target_folder)
+        raise ConfigError(
+            f"cannot write {error_path}: {error.strerror}", path=error_path
+        ) from error
+    return list(copy_of_source.values())
 
 
-def _folder() -> Path:
+def _find_samples_folder() -> Path:
     """Return the folder of the samples."""
     for folder in _FOLDERS:
         if folder.is_dir():

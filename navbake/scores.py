@@ -208,15 +208,15 @@ def bootstrap(
     Returns:
         The mean and the interval.
     """
-    numbers = np.asarray(values, dtype=np.float64).ravel()
-    numbers = numbers[~np.isnan(numbers)]
-    count = len(numbers)
+    known_values = np.asarray(values, dtype=np.float64).ravel()
+    known_values = known_values[~np.isnan(known_values)]
+    count = len(known_values)
     if not count:
         return Interval(math.nan, math.nan, math.nan, 0)
     rng = np.random.default_rng(seed)
-    means = [numbers[rng.integers(count, size=count)].mean() for _ in range(samples)]
+    means = [known_values[rng.integers(count, size=count)].mean() for _ in range(samples)]
     low, high = np.quantile(means, [(1 - certainty) / 2, (1 + certainty) / 2])
-    return Interval(float(numbers.mean()), float(low), float(high), count)
+    return Interval(float(known_values.mean()), float(low), float(high), count)
 
 
 class Measures:
@@ -244,8 +244,8 @@ class Measures:
         goals = episode.goals
         in_order = episode.task == "sequence"
         # successive episodes often have the same goals: the search keeps the stops of the last ones
-        find = functools.partial(find_stops, finder, goals, in_order=in_order)
-        stops = finder.search.cached_result("stops", (goals, in_order), find)
+        find_stops_of_goals = functools.partial(find_stops, finder, goals, in_order=in_order)
+        stops = finder.search.cached_result("stops", (goals, in_order), find_stops_of_goals)
         if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
         self._stops = stops
@@ -287,9 +287,9 @@ class Measures:
         Raises:
             QueryError: a position is not finite, or in no cell.
         """
-        points = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
-        self._distances += self._add_distances(points, "position")
-        self._positions += list(points)
+        new_positions = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+        self._distances += self._add_distances(new_positions, "position")
+        self._positions += list(new_positions)
         if times is not None:
             self._times += [float(time) for time in times]
 
@@ -308,36 +308,38 @@ class Measures:
         """
         flat = self.finder.search.flat
         episode_id = self.episode.id
-        not_finite = np.flatnonzero(~np.isfinite(points).all(axis=1))
-        if len(not_finite):
-            place = f"{label} {not_finite[0]} of episode {episode_id!r}"
+        nonfinite_rows = np.flatnonzero(~np.isfinite(points).all(axis=1))
+        if len(nonfinite_rows):
+            place = f"{label} {nonfinite_rows[0]} of episode {episode_id!r}"
             raise QueryError(f"expected finite numbers at {place}")
         cells = flat.cells_at(points)
         if (cells < 0).any():
-            number = int(np.argmax(cells < 0))
-            coordinates = ", ".join(f"{value:g}" for value in points[number])
-            place = f"{label} {number} of episode {episode_id!r}, {coordinates}"
+            row = int(np.argmax(cells < 0))
+            coordinates = ", ".join(f"{value:g}" for value in points[row])
+            place = f"{label} {row} of episode {episode_id!r}, {coordinates}"
             raise QueryError(f"{place}, lies beside the grid")
-        fields = self._stops.distance_fields
+        distance_fields = self._stops.distance_fields
         distances_after_stop = self._stops.lengths_after
-        if not fields:
+        if not distance_fields:
             return [math.nan] * len(points)
         free_cell_distances = np.zeros(len(points))  # to the nearest free cell [m]
-        blocked = np.flatnonzero(~flat.free[cells])
-        if len(blocked):
-            positions, nearest = snap_to_cells(
-                flat, flat.free, points[blocked], max_distance=MAX_SNAP
+        blocked_points = np.flatnonzero(~flat.free[cells])
+        if len(blocked_points):
+            positions, nearest_cells = snap_to_cells(
+                flat, flat.free, points[blocked_points], max_distance=MAX_SNAP
             )
-            is_near = nearest >= 0
-            cells[blocked] = np.where(is_near, nearest, cells[blocked])
-            offsets = np.linalg.norm(positions - points[blocked], axis=1)
-            free_cell_distances[blocked] = np.where(is_near, offsets, math.inf)
+            is_near = nearest_cells >= 0
+            cells[blocked_points] = np.where(is_near, nearest_cells, cells[blocked_points])
+            offsets = np.linalg.norm(positions - points[blocked_points], axis=1)
+            free_cell_distances[blocked_points] = np.where(is_near, offsets, math.inf)
         distances = []
-        for cell, offset in zip(cells.tolist(), free_cell_distances.tolist(), strict=True):
-            stop_distance = float(fields[self._num_reached][cell]) + offset
-            while stop_distance <= self.radius and self._num_reached < len(fields) - 1:
+        for cell, offset_from_cell in zip(
+            cells.tolist(), free_cell_distances.tolist(), strict=True
+        ):
+            stop_distance = float(distance_fields[self._num_reached][cell]) + offset_from_cell
+            while stop_distance <= self.radius and self._num_reached < len(distance_fields) - 1:
                 self._num_reached += 1
-                stop_distance = float(fields[self._num_reached][cell]) + offset
+                stop_distance = float(distance_fields[self._num_reached][cell]) + offset_from_cell
             distances.append(stop_distance + distances_after_stop[self._num_reached])
         return distances
 
@@ -352,25 +354,27 @@ class Measures:
             shortest path [m]. A measure that has no meaning for the episode is NaN.
         """
         positions = np.array(self._positions)
-        places = self._stops.places
+        stop_positions = self._stops.places
         length = np.array(path_length(positions))
         distance = np.array(self.distance)
         shortest = np.array(self.shortest)
         coverage = math.nan if self.share is None else self._coverage(positions)
         goal_distances = self._goal_distances(positions, coverage)
-        succeeded = success(np.array(goal_distances[-1]), self.radius, stopped)
-        ever_near = success(np.array(np.min(goal_distances)), self.radius, True)
-        reference = self.episode.path if places else ()
-        if places and not reference:
-            reference = plan_path_through(self.finder, self.episode.start, places).get("path", ())
+        success_score = success(np.array(goal_distances[-1]), self.radius, stopped)
+        oracle_score = success(np.array(np.min(goal_distances)), self.radius, True)
+        reference_path = self.episode.path if stop_positions else ()
+        if stop_positions and not reference_path:
+            reference_path = plan_path_through(self.finder, self.episode.start, stop_positions).get(
+                "path", ()
+            )
         times = self._times
         measures = {
-            "success": succeeded,
-            "spl": spl(succeeded, shortest, length) if places else math.nan,
+            "success": success_score,
+            "spl": spl(success_score, shortest, length) if stop_positions else math.nan,
             "soft_spl": soft_spl(distance, shortest, length),
             "distance": distance,
-            "oracle_success": ever_near,
-            "ndtw": ndtw(positions, reference, self.threshold),
+            "oracle_success": oracle_score,
+            "ndtw": ndtw(positions, reference_path, self.threshold),
             "length": length,
             "collisions": self._count_collisions(positions),
             "time": times[-1] - times[0] if times else math.nan,
@@ -403,9 +407,9 @@ class Measures:
         ends = positions[1:]
         flat = self.finder.search.flat
         is_free = flat.free[flat.cells_at(starts)]
-        arrived = self.finder.try_step(starts[is_free], ends[is_free], slide=False)
-        misses = np.abs(arrived - ends[is_free])[:, :2].max(axis=1, initial=0.0)
-        return int((~is_free).sum() + (misses > ARRIVAL_TOLERANCE).sum())
+        arrival_positions = self.finder.try_step(starts[is_free], ends[is_free], slide=False)
+        arrival_errors = np.abs(arrival_positions - ends[is_free])[:, :2].max(axis=1, initial=0.0)
+        return int((~is_free).sum() + (arrival_errors > ARRIVAL_TOLERANCE).sum())
 
     def _coverage(self, positions: Float) -> float:
         """Return the share of the start's island that the agent has covered, by area.
@@ -421,14 +425,16 @@ class Measures:
         cells = cells[(island_of_cell[cells] == island) & (island > 0)]
         if not len(cells):
             return 0.0
-        distance = search.lengths_from(cells)
-        covered = np.flatnonzero((distance <= self.radius) & (island_of_cell == island))
-        cell_size = flat.layout.cell_size[flat.level_of(covered)]
+        distance_of_cell = search.lengths_from(cells)
+        covered_cells = np.flatnonzero(
+            (distance_of_cell <= self.radius) & (island_of_cell == island)
+        )
+        cell_size = flat.layout.cell_size[flat.level_of(covered_cells)]
         return float((cell_size**2).sum() / search.islands.areas[island])
 
 
 class Trajectory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where an agent was in one episode."""
+    """The positions of an agent in one episode; `score_set` scores it."""
 
     episode: str  #: The episode's id.
     positions: Sequence[tuple[float, float, float]]  #: World x, y, z [m]; may be empty.
@@ -455,44 +461,43 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
         FormatError: the file is neither of the two, or it holds no trajectory.
     """
     if not os.fspath(path).lower().endswith(".npz"):
-        packed, name = read_bytes(path)
-        lines = [line for line in unpack(packed, name).splitlines() if line.strip()]
+        content, name = read_bytes(path)
+        lines = [line for line in unpack(content, name).splitlines() if line.strip()]
         if not lines:
             raise FormatError(f"expected trajectories in {name}, got none")
         return [
-            decode(line, Trajectory, f"{name}, line {number}")
-            for number, line in enumerate(lines, 1)
+            decode(line, Trajectory, f"{name}, line {index}") for index, line in enumerate(lines, 1)
         ]
     expected = "arrays episode (k), start (k + 1) and positions (n, 3)"
     with open_archive(os.fspath(path), expected) as archive:
         episode_ids = archive.read("episode", archive.top)
-        start = archive.read("start", archive.top)
+        start_rows = archive.read("start", archive.top)
         positions = archive.read("positions", archive.top)
-        stop = archive.read("stop", archive.top) if "stop" in archive else None
+        stop_flags = archive.read("stop", archive.top) if "stop" in archive else None
         times = archive.read("times", archive.top) if "times" in archive else None
-        shapes_fit = (
-            start.shape == (len(episode_ids) + 1,)
+        have_matching_shapes = (
+            start_rows.shape == (len(episode_ids) + 1,)
             and positions.ndim == 2
             and positions.shape[1] == 3
-            and (stop is None or stop.shape == episode_ids.shape)
+            and (stop_flags is None or stop_flags.shape == episode_ids.shape)
             and (times is None or times.shape == positions.shape[:1])
         )
         if not len(episode_ids):
             raise ValueError("no trajectories")
-        if not shapes_fit or start[0] != 0 or start[-1] != len(positions):
+        if not have_matching_shapes or start_rows[0] != 0 or start_rows[-1] != len(positions):
             raise ValueError("arrays of other shapes")
-        if (np.diff(start) < 0).any():
+        if (np.diff(start_rows) < 0).any():
             raise ValueError("arrays of other shapes")
         trajectories = []
-        for number, (first, end) in enumerate(pairwise(start.tolist())):
+        for index, (begin, end) in enumerate(pairwise(start_rows.tolist())):
             trajectory_times = None
             if times is not None:
-                trajectory_times = times[first:end].astype(np.float64).tolist()
+                trajectory_times = times[begin:end].astype(np.float64).tolist()
             trajectories.append(
                 Trajectory(
-                    episode=str(episode_ids[number]),
-                    positions=positions[first:end].astype(np.float64).tolist(),
-                    stop=stop is None or bool(stop[number]),
+                    episode=str(episode_ids[index]),
+                    positions=positions[begin:end].astype(np.float64).tolist(),
+                    stop=stop_flags is None or bool(stop_flags[index]),
                     times=trajectory_times,
                 )
             )
@@ -534,16 +539,19 @@ def score_set(
             raise QueryError(f"expected one trajectory of episode {trajectory.episode!r}, got two")
         by_id[trajectory.episode] = trajectory
     episodes = [episode for episode in content.episodes if episode.id in by_id]
-    if unknown := by_id.keys() - {episode.id for episode in episodes}:
-        raise QueryError(f"the set has no episode {min(unknown)!r} as a trajectory has")
+    if unknown_ids := by_id.keys() - {episode.id for episode in episodes}:
+        raise QueryError(f"the set has no episode {min(unknown_ids)!r} as a trajectory has")
     num_missing = len(content) - len(episodes)
     if num_missing and not partial:
-        first = next(episode.id for episode in content.episodes if episode.id not in by_id)
-        missing = f"{num_missing} of {len(content)} episodes have no trajectory"
-        hint = "or score a part of the set (--partial, partial=True)"
-        raise QueryError(
-            f"{missing}, as {first!r}: a run that failed counts as an empty one, {hint}"
+        first_missing_id = next(
+            episode.id for episode in content.episodes if episode.id not in by_id
         )
+        missing_text = f"{num_missing} of {len(content)} episodes have no trajectory"
+        hint = (
+            "a run that failed counts as an empty one, or score a part of the set (--partial, "
+            "partial=True)"
+        )
+        raise QueryError(f"{missing_text}, as {first_missing_id!r}: {hint}")
     if not isinstance(grids, Sequence):
         grids = [grids]
     finders = dict(_make_finder(grid, content, force=force) for grid in grids)
@@ -555,8 +563,8 @@ def score_set(
         times = trajectory.times
         if times is not None and len(times) != len(trajectory.positions):
             raise QueryError(f"expected a time for each position of episode {episode.id!r}")
-        measured_episode = Measures(finders[episode.scene], episode, threshold=threshold)
-        measured_episode.steps(np.array(trajectory.positions, dtype=np.float64), times)
+        measures = Measures(finders[episode.scene], episode, threshold=threshold)
+        measures.steps(np.array(trajectory.positions, dtype=np.float64), times)
         rows.append(
             {
                 "episode": episode.id,
@@ -564,7 +572,7 @@ def score_set(
                 "room": episode.room,
                 "split": episode.split,
                 "ratio": episode.ratio,
-                **measured_episode.scores(stopped=trajectory.stop),
+                **measures.scores(stopped=trajectory.stop),
             }
         )
     return rows
@@ -573,13 +581,13 @@ def score_set(
 def _make_finder(grid: NavGrid, content: EpisodeSet, *, force: bool) -> tuple[str, PathFinder]:
     """Return a grid's scene, and a PathFinder on the grid for the set's agent."""
     header_agent = content.header.agent
-    name = None if header_agent is None else header_agent.name or None
+    agent_name = None if header_agent is None else header_agent.name or None
     radius = None if header_agent is None else header_agent.radius
-    agent = choose_agent(grid, name, radius)
+    agent = choose_agent(grid, agent_name, radius)
     if not force:
         grid = fit_grid(grid, agent)
         content.check_grid(grid)
-    return scene_of(grid), PathFinder(grid, agent=agent.without_sizes() if name else None)
+    return scene_of(grid), PathFinder(grid, agent=agent.without_sizes() if agent_name else None)
 
 
 def summarize(
@@ -609,12 +617,14 @@ def summarize(
         for row in rows:
             groups.setdefault("all" if by == "all" else str(row[by]), []).append(row)
     summaries = []
-    for name, members in groups.items():
+    for name, group_rows in groups.items():
         means = {}
         for measure in MEAN_FIELDS:
-            values = np.array([row[measure] for row in members], dtype=float)
-            means[measure] = bootstrap(np.where(np.isinf(values), np.nan, values), seed=seed)
-        summaries.append({"group": name, "episodes": len(members), **means})
+            measured_values = np.array([row[measure] for row in group_rows], dtype=float)
+            means[measure] = bootstrap(
+                np.where(np.isinf(measured_values), np.nan, measured_values), seed=seed
+            )
+        summaries.append({"group": name, "episodes": len(group_rows), **means})
     return summaries
 
 
@@ -622,16 +632,22 @@ def _group_by_class(
     rows: Sequence[Mapping[str, object]], by: str
 ) -> dict[str, list[Mapping[str, object]]]:
     """Group rows by the class of their distance or ratio; rows without one are in ``-``."""
-    edges = (0.0, *CLASS_EDGES["distance"]) if by == "distance" else CLASS_EDGES["ratio"]
+    class_edges = (0.0, *CLASS_EDGES["distance"]) if by == "distance" else CLASS_EDGES["ratio"]
     unit = " m" if by == "distance" else ""
-    classes = [f"{low:g} to {high:g}{unit}" for low, high in pairwise(edges)]
-    names = ["-", *classes, f"{edges[-1]:g} and more{unit}"]
+    class_ranges = [f"{low:g} to {high:g}{unit}" for low, high in pairwise(class_edges)]
+    class_names = ["-", *class_ranges, f"{class_edges[-1]:g} and more{unit}"]
     measure = "shortest" if by == "distance" else by
-    values = np.array([math.nan if row[measure] is None else row[measure] for row in rows], float)
-    class_of_row = np.searchsorted(edges, values, side="right") * ~np.isnan(values)
+    class_values = np.array(
+        [math.nan if row[measure] is None else row[measure] for row in rows], float
+    )
+    class_of_row = np.searchsorted(class_edges, class_values, side="right") * ~np.isnan(
+        class_values
+    )
     groups: dict[str, list[Mapping[str, object]]] = {}
-    for number in np.unique(class_of_row).tolist():
-        groups[names[number]] = [
-            row for row, row_class in zip(rows, class_of_row, strict=True) if row_class == number
+    for class_index in np.unique(class_of_row).tolist():
+        groups[class_names[class_index]] = [
+            row
+            for row, row_class in zip(rows, class_of_row, strict=True)
+            if row_class == class_index
         ]
     return groups

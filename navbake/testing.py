@@ -70,8 +70,8 @@ def assert_sound(grid: NavGrid | str | PathLike[str], *, remarks: bool = True) -
 
 def _list_findings(heading: str, lines: list[str]) -> str:
     """Write a message: a heading, the first lines, and the number of lines that were left out."""
-    message = [heading, *lines[:MAX_LISTED]]
+    message_lines = [heading, *lines[:MAX_LISTED]]
     num_more = len(lines) - MAX_LISTED
     if num_more > 0:
-        message.append(f"and {num_more} more")
-    return "\n".join(message)
+        message_lines.append(f"and {num_more} more")
+    return "\n".join(message_lines)

@@ -22,13 +22,13 @@ from navbake.errors import ConfigError, NavbakeError
 
 Result = TypeVar("Result")
 
-LEAST_CELLS = 4096  # work on fewer cells is not worth a call on another thread
+LEAST_CELLS = 4096  # fewest cells in a chunk: for fewer, a call on another thread takes longer
 CHUNKS_PER_THREAD = 8  # enough to balance the threads
 # `_limit.count`: the most threads on which the kernels run that the present Python thread starts
 _limit = threading.local()
 _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
-_baking_threads: list[int] = []  # the thread of each `baking` statement that is entered
+_baking_threads: list[int] = []  # ids of the threads that are inside of a `with baking()` block
 _was_forked_midway = False  # whether another thread was baking as this process was forked
 
 
@@ -73,8 +73,8 @@ def run_in_chunks(
         finally:
             deque(chunks, maxlen=0)  # after an error, no further chunk begins
             # cancel calls that have not begun: they would find no chunk
-            begun = [future for future in futures if not future.cancel()]
-            for future in begun:
+            begun_futures = [future for future in futures if not future.cancel()]
+            for future in begun_futures:
                 future.result()
 
 
@@ -167,12 +167,12 @@ def baking() -> Iterator[None]:
         NavbakeError: This process was forked while another thread was baking.
     """
     _check_fork()
-    thread = threading.get_ident()
-    _baking_threads.append(thread)
+    thread_id = threading.get_ident()
+    _baking_threads.append(thread_id)
     try:
         yield
     finally:
-        _baking_threads.remove(thread)
+        _baking_threads.remove(thread_id)
 
 
 def _check_fork() -> None:
@@ -195,48 +195,51 @@ def _get_pool() -> ThreadPoolExecutor:
     """
     with _pool_lock:
         if _pool is None:
-            starts = SimpleQueue[BaseException | None]()
-            _thread.start_new_thread(_start_pool, (starts,))
-            error = starts.get()
-            if error is not None:
-                raise error
+            error_queue = SimpleQueue[BaseException | None]()
+            _thread.start_new_thread(_start_pool, (error_queue,))
+            start_error = error_queue.get()
+            if start_error is not None:
+                raise start_error
         assert _pool is not None
         return _pool
 
 
-def _start_pool(starts: SimpleQueue[BaseException | None]) -> None:
+def _start_pool(error_queue: SimpleQueue[BaseException | None]) -> None:
     """Start the pool with all its threads.
 
     Args:
-        starts: gets None at the end, or the error if the system starts no further thread.
+        error_queue: gets None at the end, or the error if the system starts no further thread.
     """
     global _pool
     max_threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-    pool = ThreadPoolExecutor(max_threads, "navbake")
+    new_pool = ThreadPoolExecutor(max_threads, "navbake")
     are_started = threading.Event()
     try:
         for _ in range(max_threads):
-            pool.submit(are_started.wait)  # while all threads wait, the pool starts another one
+            new_pool.submit(are_started.wait)  # while all threads wait, the pool starts another one
     except RuntimeError as error:
-        starts.put(error)
+        error_queue.put(error)
     else:
-        _pool = pool
-        starts.put(None)
+        _pool = new_pool
+        error_queue.put(None)
     finally:
         are_started.set()
 
 
 def _adapt_to_fork() -> None:
-    """Make a forked process start a new pool: it has no threads, and its lock may be locked.
+    """Prepare a process that was just forked: it will start a new pool with a new lock.
 
-    Also find out whether it can bake, see `baking`.
+    It has no threads but the one that forked it, and a copied lock may be locked for ever. Also
+    note whether another thread was baking: then this process can't bake, see `baking`.
     """
     global _pool, _pool_lock, _was_forked_midway
     _pool = None
     _pool_lock = threading.Lock()
-    own_entries = [thread for thread in _baking_threads if thread == threading.get_ident()]
-    _was_forked_midway |= len(own_entries) < len(_baking_threads)
-    _baking_threads[:] = own_entries
+    entries_of_this_thread = [
+        thread for thread in _baking_threads if thread == threading.get_ident()
+    ]
+    _was_forked_midway |= len(entries_of_this_thread) < len(_baking_threads)
+    _baking_threads[:] = entries_of_this_thread
 
 
 if hasattr(os, "register_at_fork"):

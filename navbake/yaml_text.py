@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # it loads numpy
 
 # settings whose keys are names, which may contain dots
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))
-MAX_REPEATED_VALUES = 100_000  # that all aliases of a file may stand for
+MAX_REPEATED_VALUES = 100_000  # most values that all aliases of a file together may stand for
 MERGE_KEY = "<<"  # of YAML 1.1; YAML 1.2 has none
 MAX_PROBLEM = 200  # characters of a message of PyYAML, which repeats long tags and names
 # PyYAML raises these for a value that doesn't fit its explicit tag, such as ``!!bool maybe``
@@ -67,23 +67,28 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
             self._sizes[anchor] = self._num_values - num_values_before
         return node
 
-    def _repeat(self, anchor: str, mark: yaml.Mark) -> None:
-        """Count the values that an alias repeats."""
+    def _repeat(self, anchor: str, alias_mark: yaml.Mark) -> None:
+        """Count the values that an alias repeats; raise an error if they are too many.
+
+        Args:
+            anchor: the name of the anchor that the alias refers to.
+            alias_mark: the alias's position in the text.
+        """
         if anchor not in self._sizes:
-            text = f"the alias *{anchor} stands in its own value"
-            raise yaml.MarkedYAMLError(problem=text, problem_mark=mark)
+            problem = f"the alias *{anchor} stands in its own value"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=alias_mark)
         self._num_values += self._sizes[anchor]
         self._num_repeated += self._sizes[anchor]
         if self._num_repeated > MAX_REPEATED_VALUES:
-            text = f"aliases repeat more than {MAX_REPEATED_VALUES:,} values"
-            raise yaml.MarkedYAMLError(problem=text, problem_mark=mark)
+            problem = f"aliases repeat more than {MAX_REPEATED_VALUES:,} values"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=alias_mark)
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Refuse the keys ``<<`` of YAML 1.1, whose merging can grow without bound."""
         for key_node, _ in node.value:
             if key_node.value == MERGE_KEY and key_node.style not in ("'", '"'):
-                text = f"`{MERGE_KEY}` merges keys in YAML 1.1 alone: write the keys themselves"
-                raise yaml.constructor.ConstructorError(None, None, text, key_node.start_mark)
+                problem = f"`{MERGE_KEY}` merges keys in YAML 1.1 alone: write the keys themselves"
+                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         keys = set()
@@ -92,8 +97,8 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
             if not isinstance(key, Hashable):
                 continue
             if key in keys:
-                text = f"the key {key!r} stands here a second time"
-                raise yaml.constructor.ConstructorError(None, None, text, key_node.start_mark)
+                problem = f"the key {key!r} stands here a second time"
+                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
             keys.add(key)
         mapping: dict[Hashable, Any] = super().construct_mapping(node, deep)
         return mapping
@@ -192,36 +197,36 @@ def apply_overrides(settings: Mapping[str, Any], overrides: Sequence[str]) -> di
         ConfigError: An override has no key, no YAML as its value, or a key below a value that is no
             mapping.
     """
-    changed = dict(settings)
+    changed_settings = dict(settings)
     for override in overrides:
-        *sections, last = override_key(override)
+        *sections, last_key = split_override_key(override)
         value = parse_yaml(override.partition("=")[2], f"--set {override}")
-        target = changed
+        section_target = changed_settings
         for depth, section in enumerate(sections):
-            inner = target.get(section)
-            if inner is not None and not isinstance(inner, Mapping):
+            section_values = section_target.get(section)
+            if section_values is not None and not isinstance(section_values, Mapping):
                 key = ".".join(sections[: depth + 1])
                 message = f"`{key}` is no mapping, so there is no key for --set {override}"
-                raise ConfigError(message, key=key, value=inner, expected="a mapping")
-            target[section] = dict(inner or {})
-            target = target[section]
-        target[last] = value
-    return changed
+                raise ConfigError(message, key=key, value=section_values, expected="a mapping")
+            section_target[section] = dict(section_values or {})
+            section_target = section_target[section]
+        section_target[last_key] = value
+    return changed_settings
 
 
-def override_key(override: str) -> tuple[str, ...]:
+def split_override_key(override: str) -> tuple[str, ...]:
     """Return the parts of the key of ``a.b=value``, split at its dots.
 
     The name of a joint or a mesh, which may contain dots, is one part.
     """
-    dotted, equals, _ = override.partition("=")
-    parts = tuple(part.strip() for part in dotted.split("."))
+    dotted_key, equals, _ = override.partition("=")
+    parts = tuple(part.strip() for part in dotted_key.split("."))
     if not equals or not all(parts):
         expected = "KEY=VALUE with a dotted key"
         raise ConfigError(
             f"expected {expected}, got --set {override}", value=override, expected=expected
         )
-    for names in MAPPINGS_OF_NAMES:
-        if parts[: len(names)] == names and len(parts) > len(names):
-            return *names, ".".join(parts[len(names) :])
+    for section_names in MAPPINGS_OF_NAMES:
+        if parts[: len(section_names)] == section_names and len(parts) > len(section_names):
+            return *section_names, ".".join(parts[len(section_names) :])
     return parts

@@ -135,7 +135,7 @@ def test_without_locks_a_leftover_is_removed_a_day_later(tmp_path, monkeypatch, 
     with scratch_folder(tmp_path):
         assert temporary_files(tmp_path)[0] == new.name
     assert sorted(path.name for path in tmp_path.iterdir()) == [new.name, "a"]
-    remove_leftovers(tmp_path, age=0)
+    remove_leftovers(tmp_path, min_age=0)
     assert not new.exists()
 
 
@@ -174,7 +174,7 @@ def test_what_a_living_writer_has_stays_and_what_a_killed_one_left_goes(tmp_path
         (temporary,) = temporary_files(tmp_path)
         os.utime(tmp_path / temporary, (0, 0))  # its age says nothing
         write_whole(b"now", tmp_path / "b")
-        remove_leftovers(tmp_path, age=0)
+        remove_leftovers(tmp_path, min_age=0)
         assert temporary_files(tmp_path) == [temporary]
         if ends == "killed":
             child.kill()

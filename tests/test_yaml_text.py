@@ -9,7 +9,7 @@ import pytest
 
 from command_line import run_command
 from navbake.baker.readers.building import read_building
-from navbake.batch.scenes import read_shared
+from navbake.batch.scenes import read_shared_settings
 from navbake.config.settings import SceneSettings, load_config
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.nav2 import read_nav2
@@ -33,7 +33,7 @@ BOMBS = {
 }
 READERS = {
     "settings": load_config,
-    "shared settings": read_shared,
+    "shared settings": read_shared_settings,
     "a building": lambda path: read_building(path, SceneSettings(path=path)),
     "a graph of routes": lambda path: read_routes(path, "rmf"),
     "a map": read_nav2,

@@ -48,7 +48,7 @@ class Slice(NamedTuple):
 
 
 @contextmanager
-def only_batch(folder: Path, batch_slice: Slice | None = None) -> Iterator[None]:
+def lock_batch(folder: Path, batch_slice: Slice | None = None) -> Iterator[None]:
     """Hold the lock of an output folder within the with statement; make the folder if need be.
 
     A whole batch excludes all others. A slice excludes whole batches and other runs of the same
@@ -63,25 +63,25 @@ def only_batch(folder: Path, batch_slice: Slice | None = None) -> Iterator[None]
     """
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
-    name = INDEX_NAME if batch_slice is None else batch_slice.index_name
-    for name_in_folder in (LOCK_NAME, name, TABLE_NAME):
+    index_name = INDEX_NAME if batch_slice is None else batch_slice.index_name
+    for name_in_folder in (LOCK_NAME, index_name, TABLE_NAME):
         store.check_inside(folder, folder / name_in_folder)
     slice_locks: list[str] = []  # names of the files
     with ExitStack() as stack:
 
-        def hold(name: str) -> filelock.BaseFileLock:
-            lock = filelock.FileLock(folder / name, timeout=LOCK_TIMEOUT if batch_slice else 0)
+        def acquire_lock(lock_name: str) -> filelock.BaseFileLock:
+            lock = filelock.FileLock(folder / lock_name, timeout=LOCK_TIMEOUT if batch_slice else 0)
             return stack.enter_context(lock.acquire())
 
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            batch_lock = hold(LOCK_NAME)
+            batch_lock = acquire_lock(LOCK_NAME)
             if batch_slice is None:
                 slice_locks = [*filter(SLICE_LOCK_PATTERN.fullmatch, os.listdir(folder))]
                 for name_in_folder in slice_locks:
-                    hold(name_in_folder)
+                    acquire_lock(name_in_folder)
             else:
-                hold(f".navbake-batch-{batch_slice.number}-of-{batch_slice.total}.lock")
+                acquire_lock(f".navbake-batch-{batch_slice.number}-of-{batch_slice.total}.lock")
                 batch_lock.release()
         except filelock.Timeout:
             raise NavbakeError(
@@ -90,7 +90,7 @@ def only_batch(folder: Path, batch_slice: Slice | None = None) -> Iterator[None]
         except NotImplementedError:  # a file system without locks
             pass
         except OSError as error:
-            raise store.write_error(f"into {folder}", error) from error
+            raise store.make_write_error(f"into {folder}", error) from error
         yield
         store.remove_files(folder, slice_locks)
 
@@ -121,13 +121,13 @@ class LineFile:
                     if file.read() != b"\n":  # the last line was truncated
                         os.write(self._file, b"\n")
         except OSError as error:
-            raise store.write_error(destination, error) from error
+            raise store.make_write_error(destination, error) from error
 
     def add(self, line: Mapping[str, Any]) -> None:
         try:
-            write_all(self._file, encode_line(line))
+            write_all(self._file, encode_json_line(line))
         except OSError as error:
-            raise store.write_error(self._destination, error) from error
+            raise store.make_write_error(self._destination, error) from error
 
     def close(self) -> None:
         with suppress(OSError):
@@ -153,13 +153,13 @@ def write_index(
     row_of_scene = {row["id"]: row for row in rows}
     if batch_slice is not None:
         store.write_file(
-            folder, batch_slice.index_name, b"".join(map(encode_line, row_of_scene.values()))
+            folder, batch_slice.index_name, b"".join(map(encode_json_line, row_of_scene.values()))
         )
         return
     slice_names = find_slice_indexes(folder)
     existing_rows = merge_rows(folder, (*slice_names, INDEX_NAME))
     row_of_scene |= {id: row for id, row in existing_rows.items() if id not in row_of_scene}
-    store.write_file(folder, INDEX_NAME, b"".join(map(encode_line, row_of_scene.values())))
+    store.write_file(folder, INDEX_NAME, b"".join(map(encode_json_line, row_of_scene.values())))
     if has_table:
         store.write_file(folder, TABLE_NAME, encode_rows(row_of_scene.values()))
     else:
@@ -172,7 +172,7 @@ def find_slice_indexes(folder: store.Folder) -> list[str]:
 
     They are sorted by the number of slices, then by the slice's number.
     """
-    names = store.sizes_below(folder) if isinstance(folder, str) else os.listdir(folder)
+    names = store.list_file_sizes(folder) if isinstance(folder, str) else os.listdir(folder)
     matches = [match for match in map(SLICE_INDEX_PATTERN.fullmatch, names) if match]
     return [match[0] for match in sorted(matches, key=lambda match: (int(match[2]), int(match[1])))]
 
@@ -208,7 +208,7 @@ def merge_rows(folder: store.Folder, names: Iterable[str]) -> dict[str, SceneRow
     return rows
 
 
-def encode_line(row: Mapping[str, Any]) -> bytes:
+def encode_json_line(row: Mapping[str, Any]) -> bytes:
     """Return a JSON object as a line with its line end."""
     return json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
@@ -235,42 +235,63 @@ def encode_rows(rows: Iterable[SceneRow]) -> bytes:
     except (pyarrow.ArrowException, ArithmeticError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
         raise NavbakeError(f"a row of the index doesn't fit into {TABLE_NAME}: {reason}") from error
-    file = io.BytesIO()
-    parquet.write_table(table, file, compression="zstd")
-    return file.getvalue()
+    parquet_file = io.BytesIO()
+    parquet.write_table(table, parquet_file, compression="zstd")
+    return parquet_file.getvalue()
 
 
 def _schema(pyarrow: ModuleType) -> object:
     """Return the pyarrow.Schema: names and types of the columns, in the order of docs/batch.md."""
-    text = pyarrow.string()
-    texts = pyarrow.list_(pyarrow.string())
-    number = pyarrow.float64()
-    count = pyarrow.int32()
-    large_count = pyarrow.int64()
-    file = pyarrow.struct([("path", text), ("size", large_count), ("sha256", text)])
-    counts = pyarrow.struct([(measure, pyarrow.list_(large_count)) for measure in MEASURE_CLASSES])
+    text_type = pyarrow.string()
+    texts_type = pyarrow.list_(pyarrow.string())
+    number_type = pyarrow.float64()
+    count_type = pyarrow.int32()
+    large_count_type = pyarrow.int64()
+    file_type = pyarrow.struct(
+        [("path", text_type), ("size", large_count_type), ("sha256", text_type)]
+    )
+    counts_type = pyarrow.struct(
+        [(measure, pyarrow.list_(large_count_type)) for measure in MEASURE_CLASSES]
+    )
     return pyarrow.schema(
         [
-            *(("id", text), ("source", text), ("status", text), ("how", text), ("error", text)),
-            *(("levels", count), ("cells", large_count), ("free_area", number)),
-            *(("rooms", count), ("doors", count), ("episodes", counts)),
-            *(("warnings", texts), ("audit", texts)),
-            *(("seconds", number), ("stages", pyarrow.map_(text, number)), ("ended", text)),
-            *(("scene_digest", text), ("settings_digest", text), ("version", text), ("key", text)),
-            *(("inputs", pyarrow.list_(file)), ("files", pyarrow.list_(file))),
+            *(
+                ("id", text_type),
+                ("source", text_type),
+                ("status", text_type),
+                ("how", text_type),
+                ("error", text_type),
+            ),
+            *(("levels", count_type), ("cells", large_count_type), ("free_area", number_type)),
+            *(("rooms", count_type), ("doors", count_type), ("episodes", counts_type)),
+            *(("warnings", texts_type), ("audit", texts_type)),
+            *(
+                ("seconds", number_type),
+                ("stages", pyarrow.map_(text_type, number_type)),
+                ("ended", text_type),
+            ),
+            *(
+                ("scene_digest", text_type),
+                ("settings_digest", text_type),
+                ("version", text_type),
+                ("key", text_type),
+            ),
+            *(("inputs", pyarrow.list_(file_type)), ("files", pyarrow.list_(file_type))),
         ]
     )
 
 
 def _to_table_row(row: SceneRow) -> Json:
     """Return a row for the table: its mappings become lists, as the schema has them."""
-    cells: Json = dict(row)
+    table_row: Json = dict(row)
     stages = row.get("stages")
     if isinstance(stages, Mapping):
-        cells["stages"] = [*stages.items()]
+        table_row["stages"] = [*stages.items()]
     elif stages is not None:  # pyarrow ends the process where such a list has nulls
         raise TypeError("expected an object as `stages`")
     for key in ("inputs", "files"):
-        if isinstance(cells.get(key), Mapping):
-            cells[key] = [{"path": path, **(state or {})} for path, state in cells[key].items()]
-    return cells
+        if isinstance(table_row.get(key), Mapping):
+            table_row[key] = [
+                {"path": path, **(state or {})} for path, state in table_row[key].items()
+            ]
+    return table_row

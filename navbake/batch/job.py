@@ -32,7 +32,7 @@ from navbake.batch.products import (
     make_product,
 )
 from navbake.batch.scene_row import FileState, SceneRecord, SceneRow
-from navbake.batch.scenes import Job, merge_settings, room_outlines_file
+from navbake.batch.scenes import Job, find_room_outlines_path, merge_settings
 from navbake.config.settings import (
     BakeConfig,
     load_config,
@@ -94,8 +94,8 @@ class Plan(NamedTuple):
         """
         settings = [self.settings, apply_overrides({}, self.overrides)]
         settings += [] if job.list else [job.settings]
-        names = [job.list or job.source, *map(room_outlines_file, settings)]
-        return [name for name in names if name]
+        paths = [job.list or job.source, *map(find_room_outlines_path, settings)]
+        return [path for path in paths if path]
 
 
 class BatchScene(NamedTuple):
@@ -148,10 +148,10 @@ def open_scene(plan: Plan, job: Job, *, copy_all: bool) -> Iterator[BatchScene]:
                     mirror.ensure_local(path)
             yield scene
         except (NavbakeError, OSError) as error:
-            translated = mirror.translate_paths(str(error))
-            if store.find_disk_full_error(error) or translated == str(error):
+            translated_message = mirror.translate_paths(str(error))
+            if store.find_disk_full_error(error) or translated_message == str(error):
                 raise
-            raise NavbakeError(translated) from error
+            raise NavbakeError(translated_message) from error
 
 
 def _describe_scene(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> BatchScene:
@@ -162,24 +162,26 @@ def _describe_scene(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Bat
         config: the scene's settings.
         mirror: holds the copies of files on stores.
     """
-    home = config.inputs[0].parent
-    name = config.inputs[0].name  # part of the key, because the grid states it
+    scene_folder = config.inputs[0].parent
+    scene_name = config.inputs[0].name  # part of the key, because the grid states it
     inputs: dict[str, FileState] = {}
     file_rows: list[list[Any]] = []  # for each file: its path or URL, then the values of its state
-    for config_input in config.inputs:  # the scene is the first
-        for path in find_inputs(config_input, mirror, folders=config.scene.model_path):
+    for input_path in config.inputs:  # the scene is the first
+        for path in find_inputs(input_path, mirror, folders=config.scene.model_path):
             if mirror.has(path):
                 url = mirror.url_of(path)
                 state = mirror.describe(path)
                 inputs[_index_path(plan, url or path)] = state
-                shown_path = store.without_secrets(url) if url else _relative_path(path, home)
+                shown_path = (
+                    store.without_secrets(url) if url else _relative_path(path, scene_folder)
+                )
                 file_rows.append([shown_path, *state.values()])
     settings = config.model_dump(
         mode="json", exclude={"output": True, "scene": {"path", "model_path"}}
     )
     scene_facts = {
         "settings": settings,
-        "scene": name,
+        "scene": scene_name,
         "version": __version__,
         "files": sorted(file_rows),
     }
@@ -187,22 +189,24 @@ def _describe_scene(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Bat
         **scene_facts,
         "settings": {**settings, "scene": {**settings["scene"], "id": ""}},
         # parts of a mesh scene may be named after its file
-        "scene": name if scene_suffix(name) in MESH_SUFFIXES else scene_suffix(name),
-        "files": sorted(["" if path == name else path, *state] for path, *state in file_rows),
+        "scene": scene_name
+        if scene_suffix(scene_name) in MESH_SUFFIXES
+        else scene_suffix(scene_name),
+        "files": sorted(["" if path == scene_name else path, *state] for path, *state in file_rows),
     }
     return BatchScene(
         config=config,
         inputs=inputs,
-        key=_digest({**scene_facts, "products": list(plan.products)}),
-        content_digest=_digest(unnamed_facts),
-        settings_digest=_digest(settings),
+        key=_digest_json({**scene_facts, "products": list(plan.products)}),
+        content_digest=_digest_json(unnamed_facts),
+        settings_digest=_digest_json(settings),
     )
 
 
-def _digest(value: Json) -> str:
+def _digest_json(json_object: Json) -> str:
     """Return the sha256 of a JSON object, whatever the order of its keys."""
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    json_text = json.dumps(json_object, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(json_text.encode()).hexdigest()
 
 
 class Inspection(NamedTuple):
@@ -304,17 +308,19 @@ def check_record(
 
 def _describe_changes(plan: Plan, record: Json, scene: Inspection) -> str:
     """Return the parts of a scene's key that changed since its record, as text for a reason."""
-    values = {
+    current_values = {
         "version": __version__,
         "products": [*plan.products],
         "settings": scene.settings_digest,
     }
-    changes = [name for name, value in values.items() if record.get(name, value) != value]
+    change_texts = [
+        name for name, value in current_values.items() if record.get(name, value) != value
+    ]
     paths = sorted({*record["inputs"], *scene.inputs})
     changed_paths = [path for path in paths if record["inputs"].get(path) != scene.inputs.get(path)]
     if changed_paths:
-        changes.append(f"files: {' '.join(Path(path).name for path in changed_paths)}")
-    return ", ".join(changes) or "files"
+        change_texts.append(f"files: {' '.join(Path(path).name for path in changed_paths)}")
+    return ", ".join(change_texts) or "files"
 
 
 def read_record(folder: store.Folder) -> Json:
@@ -351,7 +357,7 @@ def remove_made_files(folder: store.Folder) -> None:
     # the grid first, since a scene with a grid counts as done; the record last, since it names them
     store.remove_files(folder, [GRID_NAME, *sorted(made_names), RECORD_NAME])
     if isinstance(folder, Path):
-        remove_leftovers(folder, age=0)
+        remove_leftovers(folder, min_age=0)
 
 
 # ---------------------------------------------------------------- the bake
@@ -382,7 +388,7 @@ def bake_scene(plan: Plan, job: Job) -> SceneRow:
         if disk_full_error is not None:
             folder_name = store.without_secrets(os.fspath(plan.scene_folder(job)))
             row = begin_row(plan, job, NOT_BAKED)
-            row["error"] = str(store.write_error(f"into {folder_name}", disk_full_error))
+            row["error"] = str(store.make_write_error(f"into {folder_name}", disk_full_error))
         return row
 
 
@@ -411,8 +417,8 @@ def record_failure(plan: Plan, job: Job, how: str, reason: str, seconds: float) 
 
 def current_time() -> str:
     """Return the current time in UTC as ISO 8601, in milliseconds."""
-    now = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-    return now.replace("+00:00", "Z")
+    iso_time = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+    return iso_time.replace("+00:00", "Z")
 
 
 def prepare_worker(products: Iterable[str], thumbnail: bool) -> None:
@@ -503,10 +509,10 @@ def _copy_twin(plan: Plan, job: Job, scene: BatchScene) -> NavGrid | None:
     if not job.twin:
         return None
     try:
-        folder = plan.scene_folder(job._replace(id=job.twin))
-        if read_record(folder).get("content") != scene.content_digest:
+        twin_folder = plan.scene_folder(job._replace(id=job.twin))
+        if read_record(twin_folder).get("content") != scene.content_digest:
             return None
-        grid = read_navgrid(store.read_file(store.join(folder, GRID_NAME)))
+        grid = read_navgrid(store.read_file(store.join(twin_folder, GRID_NAME)))
     except NavbakeError:
         return None
     stated_path = grid.navbake.get("settings", {}).get("scene", {}).get("path", "")
@@ -533,20 +539,20 @@ def _write_products(
         Three fields of the scene's row: `warnings`, those of the products only; `episodes`, if
             there are any; and `files`, without the thumbnail.
     """
-    fields: SceneRow = {"warnings": []}
-    with scratch_folder() as folder:
+    row_fields: SceneRow = {"warnings": []}
+    with scratch_folder() as scratch:
         for product in plan.products:
-            product_fields = make_product(product, grid, config, folder)
-            fields["warnings"] += product_fields.get("warnings", [])
+            product_fields = make_product(product, grid, config, scratch)
+            row_fields["warnings"] += product_fields.get("warnings", [])
             for measure, counts in product_fields.get("episodes", {}).items():
-                sums = fields.setdefault("episodes", {}).get(measure, [0] * len(counts))
-                fields["episodes"][measure] = [a + b for a, b in zip(sums, counts, strict=True)]
-        write_navgrid(grid, folder / GRID_NAME)
-        made_names = sorted(os.listdir(folder))
-        fields["files"] = {name: store.describe_file(folder / name) for name in made_names}
+                sums = row_fields.setdefault("episodes", {}).get(measure, [0] * len(counts))
+                row_fields["episodes"][measure] = [a + b for a, b in zip(sums, counts, strict=True)]
+        write_navgrid(grid, scratch / GRID_NAME)
+        made_names = sorted(os.listdir(scratch))
+        row_fields["files"] = {name: store.describe_file(scratch / name) for name in made_names}
         if plan.thumbnail:
-            write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL_NAME)
-        other_names = [name for name in os.listdir(folder) if name != GRID_NAME]
+            write_bytes(notebook.draw_thumbnail(grid), scratch / THUMBNAIL_NAME)
+        other_names = [name for name in os.listdir(scratch) if name != GRID_NAME]
         # an existing file of such a name is the user's until it is replaced
         is_local = isinstance(scene_folder, Path)
         new_names = [
@@ -557,8 +563,8 @@ def _write_products(
         if new_names:
             write_record(scene_folder, {"files": {}, "more": new_names})
         for name in (*other_names, GRID_NAME):
-            store.write_file(scene_folder, name, (folder / name).read_bytes())
-    return fields
+            store.write_file(scene_folder, name, (scratch / name).read_bytes())
+    return row_fields
 
 
 def _end_times(seconds: float) -> SceneRow:

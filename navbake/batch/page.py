@@ -28,19 +28,19 @@ from navbake.errors import NavbakeError, count_of, printable
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import write_bytes
 from navbake.types import Json
-from navbake.views.layers import nice_step
+from navbake.views.layers import round_up_step
 from navbake.views.notebook import draw_thumbnail
-from navbake.views.page import make_page, to_text
+from navbake.views.page import compress_to_text, make_page
 
 PAGE_NAME = "index.html"
 PICTURE_POLICY = "'self' file: data:"  # thumbnails are beside the page
 MIN_WRITE_INTERVAL = 15.0  # shortest time between two writes of a running batch's page [s]
 MAX_WRITE_SHARE = 0.01  # largest share of the batch's time that goes into writing its page
 
-STATUSES = (OK, FAILED, NOT_BAKED)
-CHARTS = ("free_area", "cells", "rooms", "seconds")
+SHOWN_STATUSES = (OK, FAILED, NOT_BAKED)
+CHART_KEYS = ("free_area", "cells", "rooms", "seconds")
 # keys of a row that the page's data has unchanged
-ROW_KEYS = ("id", "status", "source", "version", "ended", "levels", "doors", *CHARTS)
+ROW_KEYS = ("id", "status", "source", "version", "ended", "levels", "doors", *CHART_KEYS)
 NUM_BINS = 24  # approximate number of a chart's bars
 # If the maximum is more than this many times the median, bars have equal ratios, not equal widths.
 SKEWED_RATIO = 20
@@ -59,7 +59,10 @@ PATH_OR_NAME = re.compile(r"[/\\\d]|\.[a-zA-Z]\w{1,4}$")
 
 
 def write_page(
-    folder: store.Folder, path: Path | None = None, *, progress: tuple[int, int] | None = None
+    folder: store.Folder,
+    path: Path | None = None,
+    *,
+    progress: tuple[int, int] | None = None,
 ) -> None:
     """Write the page of a batch, whole or not at all.
 
@@ -68,21 +71,26 @@ def write_page(
         path: the file to write; None for `PAGE_NAME` in the folder.
         progress: of a running batch, the number of scenes that ended, and of all scenes.
     """
-    base = "."
+    relative_folder = "."
     if path is not None:
         try:  # links of the file system stay unresolved, since browsers don't resolve them either
-            base = os.path.relpath(folder, path.parent).replace(os.sep, "/")
+            relative_folder = os.path.relpath(folder, path.parent).replace(os.sep, "/")
         except ValueError:  # another drive on Windows
-            base = Path(folder).absolute().as_posix()
-    name = (
+            relative_folder = Path(folder).absolute().as_posix()
+    folder_name = (
         folder.resolve() if isinstance(folder, Path) else Path(store.without_secrets(folder))
     ).name
     content = describe_batch(read_index(folder).values(), _find_thumbnails(folder))
     # of a name that isn't UTF-8, browsers expect the bytes
-    content |= {"made": current_time(), "progress": progress, "base": quote(os.fsencode(base))}
-    title = f"Batch {printable(name)}: {count_of(len(content['scenes']), 'scene')}"
-    packed = to_text(json.dumps(content).encode())  # in ASCII: names may not be UTF-8
-    page = make_page(title, {"packed": packed}, "navbake.batch", "page", PICTURE_POLICY)
+    content |= {
+        "made": current_time(),
+        "progress": progress,
+        "base": quote(os.fsencode(relative_folder)),
+    }
+    title = f"Batch {printable(folder_name)}: {count_of(len(content['scenes']), 'scene')}"
+    # in ASCII: names may not be UTF-8
+    packed_content = compress_to_text(json.dumps(content).encode())
+    page = make_page(title, {"packed": packed_content}, "navbake.batch", "page", PICTURE_POLICY)
     if path is None:
         store.write_file(folder, PAGE_NAME, page)
     else:
@@ -96,7 +104,7 @@ def _find_thumbnails(folder: store.Folder) -> Callable[[str], bool]:
     """
     if isinstance(folder, Path):
         return lambda id: os.path.isfile(folder / id / THUMBNAIL_NAME)
-    sizes = store.sizes_below(folder)
+    sizes = store.list_file_sizes(folder)
     return lambda id: f"{id}/{THUMBNAIL_NAME}" in sizes
 
 
@@ -115,10 +123,10 @@ def draw_thumbnails(folder: store.Folder, show_progress: Callable[[float], None]
     """
     has_thumbnail = _find_thumbnails(folder)
     num_failed = 0
-    done_ids = [id for id, row in read_index(folder).items() if row.get("status") == OK]
-    missing_ids = [id for id in done_ids if not has_thumbnail(id)]
-    for number, id in enumerate(missing_ids):
-        show_progress(number / len(missing_ids))
+    baked_ids = [id for id, row in read_index(folder).items() if row.get("status") == OK]
+    missing_ids = [id for id in baked_ids if not has_thumbnail(id)]
+    for index, id in enumerate(missing_ids):
+        show_progress(index / len(missing_ids))
         scene_folder = store.as_folder(store.join(folder, id))
         try:
             store.check_inside(folder, scene_folder)
@@ -132,7 +140,7 @@ def draw_thumbnails(folder: store.Folder, show_progress: Callable[[float], None]
             disk_full_error = store.find_disk_full_error(error)
             if disk_full_error is not None:
                 destination = f"thumbnails into {store.without_secrets(os.fspath(folder))}"
-                raise store.write_error(destination, disk_full_error) from error
+                raise store.make_write_error(destination, disk_full_error) from error
             num_failed += 1
     return num_failed
 
@@ -152,13 +160,15 @@ class LivePage:
 
     def refresh(self, num_ended: int) -> None:
         """Write the page if enough time has passed; `num_ended` scenes have ended."""
-        begin = time.monotonic()
-        if begin < self._next_write:
+        begin_time = time.monotonic()
+        if begin_time < self._next_write:
             return
         with suppress(NavbakeError):  # raised at the end, if it can't be written then
             write_page(self._folder, progress=(num_ended, self._num_scenes))
-        end = time.monotonic()
-        self._next_write = end + max(MIN_WRITE_INTERVAL, (end - begin) / MAX_WRITE_SHARE)
+        end_time = time.monotonic()
+        self._next_write = end_time + max(
+            MIN_WRITE_INTERVAL, (end_time - begin_time) / MAX_WRITE_SHARE
+        )
 
 
 def describe_batch(rows: Iterable[Mapping[str, Any]], has_thumbnail: Callable[[str], bool]) -> Json:
@@ -174,12 +184,12 @@ def describe_batch(rows: Iterable[Mapping[str, Any]], has_thumbnail: Callable[[s
         - ``scenes``: a list with an object for each scene;
         - ``work``: see `measure_work` [s];
         - ``groups``: for ``status`` and each kind of `GROUPED_TEXTS`: text -> name of its group;
-        - ``edges``: for each chart of `CHARTS`: the edges of its bars, ascending;
+        - ``edges``: for each chart of `CHART_KEYS`: the edges of its bars, ascending;
         - ``classes``: for each measure of episodes: the lower edges of its classes.
     """
     scenes: list[Json] = []
     for row in rows:
-        if row.get("status") in STATUSES:
+        if row.get("status") in SHOWN_STATUSES:
             scene: Json = {key: row.get(key) for key in ROW_KEYS}
             failure = ": ".join(filter(None, (row.get("how"), row.get("error"))))
             scene["failures"] = [failure] if row["status"] == FAILED else []
@@ -192,14 +202,14 @@ def describe_batch(rows: Iterable[Mapping[str, Any]], has_thumbnail: Callable[[s
         "work": round(measure_work(scenes), 3),
         "scenes": scenes,
         "classes": MEASURE_CLASSES,
-        "groups": {"status": {status: status for status in STATUSES}}
+        "groups": {"status": {status: status for status in SHOWN_STATUSES}}
         | {
             kind: _group_texts(text for scene in scenes for text in scene[kind])
             for kind in GROUPED_TEXTS
         },
         "edges": {
             key: _histogram_edges([scene[key] for scene in scenes if scene[key] is not None])
-            for key in CHARTS
+            for key in CHART_KEYS
         },
     }
 
@@ -210,17 +220,17 @@ def measure_work(scenes: Iterable[Json]) -> float:
     Args:
         scenes: objects with the keys ``seconds`` and ``ended`` of `SceneRow`, which may be None.
     """
-    work = 0.0
+    work_seconds = 0.0
     covered_until = -math.inf
-    spans = []  # begin and end of each scene
+    work_spans = []  # begin and end of each scene
     for scene in scenes:
         if scene["ended"] and scene["seconds"]:
             end = datetime.fromisoformat(scene["ended"].replace("Z", "+00:00")).timestamp()
-            spans.append((end - scene["seconds"], end))
-    for begin, end in sorted(spans):
-        work += max(0.0, end - max(begin, covered_until))
+            work_spans.append((end - scene["seconds"], end))
+    for begin, end in sorted(work_spans):
+        work_seconds += max(0.0, end - max(begin, covered_until))
         covered_until = max(covered_until, end)
-    return work
+    return work_seconds
 
 
 def _histogram_edges(values: Sequence[float]) -> list[float]:
@@ -234,19 +244,21 @@ def _histogram_edges(values: Sequence[float]) -> list[float]:
     highest = float(max(values))
     if lowest > 0 and highest > SKEWED_RATIO * float(np.median(values)):
         return [*np.geomspace(lowest, highest, NUM_BINS + 1).tolist()[:-1], highest]
-    width = nice_step((highest - lowest or abs(highest) or 1) / (NUM_BINS - 4))
+    bar_width = round_up_step((highest - lowest or abs(highest) or 1) / (NUM_BINS - 4))
     if all(float(value).is_integer() for value in values):
-        width = max(width, 1.0)
-    first = math.floor(lowest / width + 1e-9)
-    last = max(math.floor(highest / width + 1e-9), first) + 1
-    return [round(number * width, 12) for number in range(first, last + 1)]
+        bar_width = max(bar_width, 1.0)
+    first_multiple = math.floor(lowest / bar_width + 1e-9)
+    last_multiple = max(math.floor(highest / bar_width + 1e-9), first_multiple) + 1
+    return [round(number * bar_width, 12) for number in range(first_multiple, last_multiple + 1)]
 
 
 def _group_texts(texts: Iterable[str]) -> dict[str, str]:
     """Group texts by `fold_text`: text -> name of its group, or the text if it is alone in it."""
     group_of_text = {text: fold_text(text) for text in texts}
-    count = Counter(group_of_text.values())
-    return {text: group if count[group] > 1 else text for text, group in group_of_text.items()}
+    count_of_group = Counter(group_of_text.values())
+    return {
+        text: group if count_of_group[group] > 1 else text for text, group in group_of_text.items()
+    }
 
 
 def fold_text(text: str) -> str:
@@ -260,7 +272,7 @@ def fold_text(text: str) -> str:
         if match["word"] is None:
             return match["setting"] or "…"
         word = match["word"].rstrip(".!?")
-        folded = "#" if NUMBER.fullmatch(word) else "…" if PATH_OR_NAME.search(word) else word
-        return folded + match["word"][len(word) :]
+        placeholder = "#" if NUMBER.fullmatch(word) else "…" if PATH_OR_NAME.search(word) else word
+        return placeholder + match["word"][len(word) :]
 
     return FOLDED_PART.sub(replace, THOUSANDS.sub("", text))

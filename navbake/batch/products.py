@@ -72,17 +72,21 @@ def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
         ConfigError: a kind is unknown, or its values are wrong.
         MissingDependencyError: an extra that a product needs isn't installed.
     """
-    unknown_kind = (0, -1, f"one of {', '.join(usage for *_, usage in PRODUCT_KINDS.values())}")
+    unknown_kind = (
+        0,
+        -1,
+        f"one of {', '.join(product_form for *_, product_form in PRODUCT_KINDS.values())}",
+    )
     products = set()
     for text in texts:
         kind, *values = text.split(":")
-        min_values, max_values, usage = PRODUCT_KINDS.get(kind, unknown_kind)
+        min_values, max_values, product_form = PRODUCT_KINDS.get(kind, unknown_kind)
         if not min_values <= len(values) <= max_values:
-            raise ConfigError(f"expected {usage} to make, got {text!r}")
+            raise ConfigError(f"expected {product_form} to make, got {text!r}")
         products.add(":".join((kind, *_check_values(kind, values, text))))
-    pictures = sorted(product for product in products if product.startswith("picture"))
-    if len(pictures) > 1:
-        got = ", ".join(pictures)
+    picture_products = sorted(product for product in products if product.startswith("picture"))
+    if len(picture_products) > 1:
+        got = ", ".join(picture_products)
         raise ConfigError(f"expected one picture, with all its layers, to make, got {got}")
     return tuple(sorted(products))
 
@@ -102,24 +106,24 @@ def _check_values(kind: str, values: list[str], text: str) -> list[str]:
             raise MissingDependencyError('pictures need matplotlib: pip install "navbake[plot]"')
         return values
     if kind == "episodes":
-        task, sampler, *numbers = [*values, *("point", "uniform", "100", "0")[len(values) :]]
+        task, sampler, *count_and_seed = [*values, *("point", "uniform", "100", "0")[len(values) :]]
         make_task(task), make_rules(sampler)
-        if not all(number.isdecimal() for number in numbers) or int(numbers[0]) < 1:
+        if not all(number.isdecimal() for number in count_and_seed) or int(count_and_seed[0]) < 1:
             raise ConfigError(f"expected a count >= 1 and a seed >= 0, got {text!r} to make")
-        return [task, sampler, *(str(int(number)) for number in numbers)]
-    ending = (values[1:] or ["binvox"]) if kind == "voxels" else []
+        return [task, sampler, *(str(int(number)) for number in count_and_seed)]
+    voxel_ending = (values[1:] or ["binvox"]) if kind == "voxels" else []
     try:
-        metres = [float(value) for value in (values[:1] if ending else values)]
+        lengths = [float(value) for value in (values[:1] if voxel_ending else values)]
     except ValueError:
-        metres = [math.nan]
-    if not all(math.isfinite(number) and number >= 0 for number in metres):
+        lengths = [math.nan]
+    if not all(math.isfinite(number) and number >= 0 for number in lengths):
         raise ConfigError(f"expected numbers >= 0 [m] after the colons, got {text!r} to make")
-    if ending and metres[0] == 0:
+    if voxel_ending and lengths[0] == 0:
         raise ConfigError(f"expected an edge of voxels > 0 [m], got {text!r} to make")
-    if ending and f".{ending[0]}" not in VOXEL_SUFFIXES:
+    if voxel_ending and f".{voxel_ending[0]}" not in VOXEL_SUFFIXES:
         suffixes = ", ".join(suffix[1:] for suffix in VOXEL_SUFFIXES)
         raise ConfigError(f"expected an ending of {suffixes}, got {text!r} to make")
-    return [*(f"{number:.12g}" for number in metres), *ending]
+    return [*(f"{number:.12g}" for number in lengths), *voxel_ending]
 
 
 def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) -> Json:
@@ -137,17 +141,17 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
     kind, *values = product.split(":")
     if kind == "inflated":
         clearance = float(values[1]) if len(values) > 1 else None
-        inflated = grid.inflate(float(values[0]), clearance)
-        write_navgrid(inflated, folder / f"inflated-{'-'.join(values)}.json.gz")
+        inflated_grid = grid.inflate(float(values[0]), clearance)
+        write_navgrid(inflated_grid, folder / f"inflated-{'-'.join(values)}.json.gz")
     elif kind == "nav2":
         radius = float(values[0]) if values else None
         grid.to_nav2(folder / f"{'-'.join(('nav2', *values))}.yaml", radius=radius)
     elif kind == "voxels":
         edge, ending = values
-        made = voxelizer.Voxelizer(config).create(
+        voxel_grid = voxelizer.Voxelizer(config).create(
             res=float(edge), align=f".{ending}" in OCTREE_SUFFIXES
         )
-        write_voxels(made, folder / f"voxels-{edge}.{ending}")
+        write_voxels(voxel_grid, folder / f"voxels-{edge}.{ending}")
     elif kind == "picture":
         plot.plot_grid(grid, folder / PICTURE_NAME, layers=tuple(values) or PICTURE_LAYERS)
     elif kind == "report":
@@ -179,15 +183,15 @@ def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
     )
     path = folder / f"episodes-{'-'.join(values)}.jsonl"
     write_episodes(EpisodeSet(episode_set.header, episodes), path)
-    counts = {}
+    class_counts = {}
     for measure, edges in MEASURE_CLASSES.items():
-        measures = [episode.measures[measure] for episode in episodes]
-        numbers = [value for value in measures if value is not None]
-        counts[measure] = np.histogram(numbers, [*edges, np.inf])[0].tolist()
-    return {"episodes": counts}
+        episode_values = [episode.measures[measure] for episode in episodes]
+        known_values = [value for value in episode_values if value is not None]
+        class_counts[measure] = np.histogram(known_values, [*edges, np.inf])[0].tolist()
+    return {"episodes": class_counts}
 
 
-def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
+def merge_episode_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
     """Merge the sets of episodes of several scenes, in order.
 
     Args:
@@ -200,33 +204,33 @@ def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
         NavbakeError: the sets are for agents of different sizes, or two scenes have the same id.
     """
     headers = list[Header]()
-    pieces = list[bytes]()
+    encoded_episodes = list[bytes]()
     for id, content in sets:
-        head, _, episodes = content.partition(b"\n")
-        header = decode(head, Header, f"the episodes of {id}")
+        encoded_header, _, episodes = content.partition(b"\n")
+        header = decode(encoded_header, Header, f"the episodes of {id}")
         grids = [msgspec.structs.replace(grid, file=f"{id}/{GRID_NAME}") for grid in header.grids]
         headers.append(msgspec.structs.replace(header, grids=tuple(grids)))
-        pieces.append(episodes)
+        encoded_episodes.append(episodes)
     grids = [grid for header in headers for grid in header.grids]
     count_of_scene = Counter(grid.scene for grid in grids)
-    repeated = [scene for scene, count in count_of_scene.items() if count > 1]
+    repeated_scenes = [scene for scene, count in count_of_scene.items() if count > 1]
     id_of_agent = {header.agent: id for header, (id, _) in zip(headers, sets, strict=True)}
-    reason = f"two scenes are called {repeated[0]!r}:" if repeated else ""
+    reason = f"two scenes are called {repeated_scenes[0]!r}:" if repeated_scenes else ""
     if len(id_of_agent) > 1:
-        sizes = [
+        size_texts = [
             f"{agent.radius:g} x {agent.height:g} m in {id!r}"
             for agent, id in id_of_agent.items()
             if agent
         ]
         remedy = "`--set agent.radius=… --set agent.height=…` gives all scenes one, or"
-        reason = reason or f"agents differ in size ({' and '.join(sizes[:2])}): {remedy}"
+        reason = reason or f"agents differ in size ({' and '.join(size_texts[:2])}): {remedy}"
     if reason:
         raise NavbakeError(f"the scenes' episodes are no set, as {reason} use those of each scene")
     rejected = sum((Counter(header.rejected) for header in headers), Counter[str]())
-    merged = msgspec.structs.replace(
+    merged_header = msgspec.structs.replace(
         headers[0],
         grids=tuple(grids),
         sampler=headers[0].sampler | {"count": sum(h.sampler["count"] for h in headers)},
         rejected=dict(sorted(rejected.items())),
     )
-    return [msgspec.json.encode(merged), b"\n", *pieces]
+    return [msgspec.json.encode(merged_header), b"\n", *encoded_episodes]

@@ -45,7 +45,7 @@ from navbake.batch.job import (
     record_failure,
     write_record,
 )
-from navbake.batch.products import RECORD_NAME, merge_sets
+from navbake.batch.products import RECORD_NAME, merge_episode_sets
 from navbake.batch.scene_row import FileState, SceneRow
 from navbake.batch.scenes import Job, check_settings
 from navbake.batch.workers import DONE, RETRIED, JobEnd, JobLimits, Workers
@@ -62,14 +62,14 @@ LEAST_INSPECTION_SECONDS = 60.0
 UNLOGGED_KEYS = ("key", "inputs", "files", "ended")  # keys of a row that the log leaves out
 SHARD_PATTERN = re.compile(r"shard-\d{6,}\.tar")
 TIME_KEYS = ("seconds", "stages", "ended")  # keys of a row that differ in each run
-# reasons of `preview` for scenes that would not be baked
-DONE_BEFORE = "done"
-BROKEN_BEFORE = "broken"
+# reasons of `preview_batch` for scenes that would not be baked
+ALREADY_DONE = "done"
+BROKEN = "broken"
 PERCENTILES = (50, 90, 100)  # of the cost of scenes: the median, the 90th, and the maximum
 
 
 Executor: TypeAlias = Callable[..., Generator[JobEnd, None, None]]
-"""Runs jobs elsewhere than in this machine's `Workers`, as `workers.do_on_ray` does.
+"""Runs jobs elsewhere than in this machine's `Workers`, as `workers.run_on_ray` does.
 
 It is called with the jobs, the function that does a job, the largest number of jobs at once (None:
 it decides), and by keyword with `limits`, `prepare` and `on_event`; it yields the end of each job.
@@ -150,14 +150,14 @@ def run_batch(
     if batch_slice is not None:
         jobs = jobs[batch_slice.number - 1 :: batch_slice.total]
     with ExitStack() as stack:
-        lines: index.LineFile | None = None
+        index_file: index.LineFile | None = None
         if isinstance(plan.folder, Path):
-            stack.enter_context(index.only_batch(plan.folder, batch_slice))
-            lines = index.LineFile(
+            stack.enter_context(index.lock_batch(plan.folder, batch_slice))
+            index_file = index.LineFile(
                 plan.folder / (batch_slice.index_name if batch_slice else index.INDEX_NAME),
                 f"into {plan.folder}",
             )
-            stack.callback(lines.close)
+            stack.callback(index_file.close)
         rows: dict[str, SceneRow] = {}  # scene's id -> row
         if only_merge:  # scenes that slices baked, or that failed there
             batch_ids = {job.id for job in jobs}
@@ -168,89 +168,97 @@ def run_batch(
                 if id in batch_ids and row.get("status") in (OK, FAILED)
             }
         inspector = Inspector(plan, (workers or 1) if executor is None else None, limits)
-        checks = check_records(plan, [job for job in jobs if job.id not in rows], inspector)
-        rows |= {row["id"]: row for row, _ in checks if row is not None}
-        remaining = [] if only_merge else [job for job in jobs if job.id not in rows]
+        record_checks = check_records(plan, [job for job in jobs if job.id not in rows], inspector)
+        rows |= {row["id"]: row for row, _ in record_checks if row is not None}
+        remaining_jobs = [] if only_merge else [job for job in jobs if job.id not in rows]
         result = BatchResult(skipped=len(rows))
         num_failed = 0
         if only_merge:
             result.skipped = sum(row["status"] == OK for row in rows.values())
 
-        def report_job_event(jobs: Sequence[Job], event: str, end: JobEnd) -> None:
-            values: Json = {"id": jobs[end.number].id}
+        def report_job_event(jobs: Sequence[Job], event: str, job_end: JobEnd) -> None:
+            values: Json = {"id": jobs[job_end.number].id}
             if event == RETRIED:
-                values["worker"] = end.worker
-                values["seconds"] = round(end.seconds, 3)
-                values["how"] = end.how
-                values["error"] = end.value
+                values["worker"] = job_end.worker
+                values["seconds"] = round(job_end.seconds, 3)
+                values["how"] = job_end.how
+                values["error"] = job_end.value
             on_event(event, values)
 
         try:
-            if remaining:
+            if remaining_jobs:
                 on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
-            twins = find_twins(inspector, jobs, rows) if remaining else {}
-            baked_jobs = [job for job in remaining if job.id not in twins]
-            copied_jobs = [job._replace(twin=twins[job.id]) for job in remaining if job.id in twins]
-            work = partial(bake_scene, plan)
+            twin_of_scene = find_twins(inspector, jobs, rows) if remaining_jobs else {}
+            baked_jobs = [job for job in remaining_jobs if job.id not in twin_of_scene]
+            copied_jobs = [
+                job._replace(twin=twin_of_scene[job.id])
+                for job in remaining_jobs
+                if job.id in twin_of_scene
+            ]
+            bake_job = partial(bake_scene, plan)
             prepare = partial(prepare_worker, plan.products, plan.thumbnail)
             for stage_jobs in filter(None, (baked_jobs, copied_jobs)):
                 on_job_event = partial(report_job_event, stage_jobs)
                 with ExitStack() as stage_stack:
                     if executor is None:
                         count = min(workers or 1, len(stage_jobs))
-                        crew = Workers(work, count, limits=limits, prepare=prepare)
-                        job_ends = stage_stack.enter_context(crew).run(stage_jobs, on_job_event)
+                        worker_crew = Workers(bake_job, count, limits=limits, prepare=prepare)
+                        job_ends = stage_stack.enter_context(worker_crew).run(
+                            stage_jobs, on_job_event
+                        )
                     else:
                         job_ends = executor(
                             stage_jobs,
-                            work,
+                            bake_job,
                             workers,
                             limits=limits,
                             prepare=prepare,
                             on_event=on_job_event,
                         )
                     stage_stack.enter_context(closing(job_ends))
-                    for end in job_ends:
-                        job = stage_jobs[end.number]
-                        row = end.value
-                        if end.how != DONE:
-                            row = record_failure(plan, job, end.how, end.value, end.seconds)
+                    for job_end in job_ends:
+                        job = stage_jobs[job_end.number]
+                        row = job_end.value
+                        if job_end.how != DONE:
+                            row = record_failure(
+                                plan, job, job_end.how, job_end.value, job_end.seconds
+                            )
                         if row["status"] == NOT_BAKED:  # there is no room for other scenes, either
                             result.stopped = row["error"]
                             break
                         rows[job.id] = row
-                        if lines is not None:
-                            lines.add(row)
-                        on_event("scene", {**row, "worker": end.worker})
+                        if index_file is not None:
+                            index_file.add(row)
+                        on_event("scene", {**row, "worker": job_end.worker})
                         num_failed += row["status"] == FAILED
                         if max_failures is not None and num_failed > max_failures:
                             result.stopped = f"{num_failed} scenes failed, more than {max_failures}"
                             break
                 if result.stopped is not None:
                     break
-        except store.FullError as error:
+        except store.DiskFullError as error:
             result.stopped = str(error)
         finally:
-            for job in remaining:
+            for job in remaining_jobs:
                 # a killed worker may leave files; on a store, the next run removes them
                 if job.id not in rows and isinstance(plan.folder, Path):
                     with suppress(NavbakeError):
-                        remove_leftovers(Path(plan.scene_folder(job)), age=0)
+                        remove_leftovers(Path(plan.scene_folder(job)), min_age=0)
             result.rows = [rows.get(job.id) or begin_row(plan, job, NOT_BAKED) for job in jobs]
             try:
                 index.write_index(plan.folder, result.rows, plan.has_table, batch_slice)
-            except store.FullError as error:
+            except store.DiskFullError as error:
                 result.stopped = result.stopped or str(error)
         if result.stopped is None and batch_slice is None:
             try:
-                write_sets(plan, result.rows)
+                write_episode_sets(plan, result.rows)
                 write_shards(plan.folder, result.rows, shards)
             except NavbakeError as error:
                 result.stopped = str(error)
         return result
 
 
-def write_sets(plan: Plan, rows: Sequence[SceneRow]) -> None:
+def write_episode_sets(plan: Plan, rows: Sequence[SceneRow]) -> None:
     """Merge the scenes' sets of episodes, and write one file for each product of that kind.
 
     Args:
@@ -258,15 +266,17 @@ def write_sets(plan: Plan, rows: Sequence[SceneRow]) -> None:
         rows: the rows of the batch's scenes.
 
     Raises:
-        NavbakeError: the sets can't be merged, see `products.merge_sets`, or written.
+        NavbakeError: the sets can't be merged, see `products.merge_episode_sets`, or written.
     """
     for product in plan.products:
         kind, *values = product.split(":")
         name = f"episodes-{'-'.join(values)}.jsonl"
         ids = [row["id"] for row in rows if name in row.get("files", ())]
         if kind == "episodes" and ids:
-            sets = [(id, store.read_file(store.join(plan.folder, f"{id}/{name}"))) for id in ids]
-            store.write_file(plan.folder, name, merge_sets(sets))
+            episode_sets = [
+                (id, store.read_file(store.join(plan.folder, f"{id}/{name}"))) for id in ids
+            ]
+            store.write_file(plan.folder, name, merge_episode_sets(episode_sets))
 
 
 def write_shards(folder: store.Folder, rows: Sequence[SceneRow], count: int | None) -> None:
@@ -285,17 +295,17 @@ def write_shards(folder: store.Folder, rows: Sequence[SceneRow], count: int | No
     num_scenes = len(packed_rows)
     num_shards = min(count or 0, num_scenes)
     names = [f"shard-{number:06}.tar" for number in range(num_shards)]
-    earlier_names = {*filter(SHARD_PATTERN.fullmatch, read_record(folder).get("files", ()))}
+    previous_names = {*filter(SHARD_PATTERN.fullmatch, read_record(folder).get("files", ()))}
     if names:
-        write_record(folder, {"files": dict.fromkeys(sorted({*earlier_names, *names}))})
+        write_record(folder, {"files": dict.fromkeys(sorted({*previous_names, *names}))})
     for number, name in enumerate(names):
-        begin = num_scenes * number // num_shards
-        end = num_scenes * (number + 1) // num_shards
-        store.write_file(folder, name, _encode_shard(folder, packed_rows[begin:end]))
-    store.remove_files(folder, sorted(earlier_names - {*names}))
+        first_scene = num_scenes * number // num_shards
+        end_scene = num_scenes * (number + 1) // num_shards
+        store.write_file(folder, name, _encode_shard(folder, packed_rows[first_scene:end_scene]))
+    store.remove_files(folder, sorted(previous_names - {*names}))
     if names:
         write_record(folder, {"files": dict.fromkeys(names)})
-    elif earlier_names:
+    elif previous_names:
         store.remove_files(folder, [RECORD_NAME])
 
 
@@ -308,15 +318,15 @@ def _encode_shard(folder: store.Folder, rows: Sequence[SceneRow]) -> Iterator[by
                 f"{key}.{name}", store.read_file(store.join(folder, f"{row['id']}/{name}"))
             )
         timeless_row = {name: value for name, value in row.items() if name not in TIME_KEYS}
-        yield from _encode_member(f"{key}.json", index.encode_line(timeless_row))
+        yield from _encode_member(f"{key}.json", index.encode_json_line(timeless_row))
     yield bytes(2 * tarfile.BLOCKSIZE)
 
 
 def _encode_member(name: str, content: bytes) -> Iterator[bytes]:
     """Yield a member of a tar file in pieces: its header, its content, and the padding."""
-    info = tarfile.TarInfo(name)
-    info.size = len(content)
-    yield info.tobuf(tarfile.PAX_FORMAT)
+    tar_header = tarfile.TarInfo(name)
+    tar_header.size = len(content)
+    yield tar_header.tobuf(tarfile.PAX_FORMAT)
     yield content
     yield bytes(-len(content) % tarfile.BLOCKSIZE)
 
@@ -347,8 +357,8 @@ class Inspector:
         groups: list[tuple[Job, ...]] = []
         groups += [(job,) for job in new_jobs if not store.is_url(job.source)]
         jobs_on_stores = [job for job in new_jobs if store.is_url(job.source)]
-        for first in range(0, len(jobs_on_stores), MAX_RECORD_READS):
-            groups.append(tuple(jobs_on_stores[first : first + MAX_RECORD_READS]))
+        for begin in range(0, len(jobs_on_stores), MAX_RECORD_READS):
+            groups.append(tuple(jobs_on_stores[begin : begin + MAX_RECORD_READS]))
         failed_groups = self._inspect_groups(groups)
         # one scene of such a group is the reason; the others have no fault
         failed_jobs = [job for group in failed_groups for job in group]
@@ -360,16 +370,16 @@ class Inspector:
         failed_groups = []
         if not groups:
             return []
-        work = partial(inspect_scenes, self._plan)
-        crew = Workers(work, min(self._workers, len(groups)), limits=self._limits)
-        with crew, closing(crew.run(groups)) as ends:
-            for end in ends:
-                group = groups[end.number]
-                if end.how == DONE:
-                    for job, inspection in zip(group, end.value, strict=True):
+        inspect_group = partial(inspect_scenes, self._plan)
+        worker_crew = Workers(inspect_group, min(self._workers, len(groups)), limits=self._limits)
+        with worker_crew, closing(worker_crew.run(groups)) as group_ends:
+            for group_end in group_ends:
+                group = groups[group_end.number]
+                if group_end.how == DONE:
+                    for job, inspection in zip(group, group_end.value, strict=True):
                         self._inspections[job.id] = inspection
                 elif len(group) == 1:
-                    self._inspections[group[0].id] = make_broken_inspection(end.value)
+                    self._inspections[group[0].id] = make_broken_inspection(group_end.value)
                 else:
                     failed_groups.append(group)
         return failed_groups
@@ -389,23 +399,25 @@ def check_records(
         For each scene, in order: the row of a scene that is done, and ``""``; for another, None,
         and the reason to bake it, see `job.find_record` and `job.check_record`.
     """
-    sizes = store.sizes_below(plan.folder) if isinstance(plan.folder, str) else None
+    sizes = store.list_file_sizes(plan.folder) if isinstance(plan.folder, str) else None
     with ThreadPoolExecutor(MAX_RECORD_READS) as pool:  # stores respond slowly
         records = [*pool.map(partial(find_record, plan, sizes=sizes), jobs)]
     recorded_jobs = [
         job for job, (record, _) in zip(jobs, records, strict=True) if record is not None
     ]
     inspections = iter(inspector.inspect(recorded_jobs))
-    checks: list[tuple[SceneRow | None, str]] = []
-    for job, (record, why) in zip(jobs, records, strict=True):
+    record_checks: list[tuple[SceneRow | None, str]] = []
+    for job, (record, reason) in zip(jobs, records, strict=True):
         if record is None:
-            checks.append((None, why))
+            record_checks.append((None, reason))
         else:
-            checks.append(check_record(plan, job, record, next(inspections)))
-    return checks
+            record_checks.append(check_record(plan, job, record, next(inspections)))
+    return record_checks
 
 
-def find_twins(inspector: Inspector, jobs: Sequence[Job], done: Container[str]) -> dict[str, str]:
+def find_twins(
+    inspector: Inspector, jobs: Sequence[Job], done_ids: Container[str]
+) -> dict[str, str]:
     """Find the scenes that needn't be baked because another scene of the batch is equal.
 
     Scenes on stores are compared only with scenes of the same URL, because their content isn't on
@@ -414,7 +426,7 @@ def find_twins(inspector: Inspector, jobs: Sequence[Job], done: Container[str]) 
     Args:
         inspector: inspects the scenes of equal size.
         jobs: the scenes.
-        done: ids of the scenes that are done; none of them is a key of the result.
+        done_ids: ids of the scenes that are done; none of them is a key of the result.
 
     Returns:
         For each scene that can be copied, by its id: the id of its twin. The twin is an equal scene
@@ -422,24 +434,24 @@ def find_twins(inspector: Inspector, jobs: Sequence[Job], done: Container[str]) 
     """
     # Only files of the same size can be equal. Scenes that are done come first.
     jobs_by_size = defaultdict[str | int, list[Job]](list)
-    for job in sorted(jobs, key=lambda job: job.id not in done):
+    for job in sorted(jobs, key=lambda job: job.id not in done_ids):
         with suppress(OSError):
             is_local = not store.is_url(job.source)
             size_or_url = os.path.getsize(job.source) if is_local else job.source
             jobs_by_size[size_or_url].append(job)
     groups = [
-        group for group in jobs_by_size.values() if len(group) > 1 and group[-1].id not in done
+        group for group in jobs_by_size.values() if len(group) > 1 and group[-1].id not in done_ids
     ]
-    candidates = [job for group in groups for job in group]
+    candidate_jobs = [job for group in groups for job in group]
     # a scene without a digest can't be read: its own bake will fail, and say why
-    digests = [inspection.content_digest for inspection in inspector.inspect(candidates)]
+    digests = [inspection.content_digest for inspection in inspector.inspect(candidate_jobs)]
     id_of_digest: dict[str, str] = {}
-    twins: dict[str, str] = {}
-    for job, digest in zip(candidates, digests, strict=True):
-        twin = id_of_digest.setdefault(digest or job.id, job.id)
-        if twin != job.id and job.id not in done:
-            twins[job.id] = twin
-    return twins
+    twin_of_scene: dict[str, str] = {}
+    for job, digest in zip(candidate_jobs, digests, strict=True):
+        twin_id = id_of_digest.setdefault(digest or job.id, job.id)
+        if twin_id != job.id and job.id not in done_ids:
+            twin_of_scene[job.id] = twin_id
+    return twin_of_scene
 
 
 def describe_event(event: str, values: Json) -> Json:
@@ -466,7 +478,7 @@ def describe_event(event: str, values: Json) -> Json:
 # ---------------------------------------------------------------- before and after a run
 
 
-def preview(
+def preview_batch(
     plan: Plan,
     jobs: Sequence[Job],
     *,
@@ -493,39 +505,39 @@ def preview(
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
     inspector = Inspector(plan, workers, limits)
-    checks = check_records(plan, jobs, inspector)
-    done = {row["id"]: row for row, _ in checks if row is not None}
+    record_checks = check_records(plan, jobs, inspector)
+    done_rows = {row["id"]: row for row, _ in record_checks if row is not None}
     inspections = dict(zip([job.id for job in jobs], inspector.inspect(jobs), strict=True))
-    twins = find_twins(inspector, jobs, done)
+    twin_of_scene = find_twins(inspector, jobs, done_rows)
     failed_ids = {
         id for id, row in index.read_index(plan.folder).items() if row.get("status") == FAILED
     }
 
     def measure_inputs(job: Job) -> tuple[int, str]:
         """Return the size of a scene's files [bytes], and why it can't be read, or ``""``."""
-        if job.id in done:
-            return _sum_sizes(done[job.id].get("inputs")), ""
+        if job.id in done_rows:
+            return _sum_sizes(done_rows[job.id].get("inputs")), ""
         inspection = inspections[job.id]
         if inspection.error:
-            return 0, f"{BROKEN_BEFORE}: {inspection.error}"
+            return 0, f"{BROKEN}: {inspection.error}"
         if not inspection.inputs:
             source = store.without_secrets(job.source)
-            return 0, f"{BROKEN_BEFORE}: no scene file {source}"
+            return 0, f"{BROKEN}: no scene file {source}"
         return _sum_sizes(inspection.inputs), ""
 
     previews = []
-    for job, (row, why) in zip(jobs, checks, strict=True):
-        num_bytes, broken = measure_inputs(job)
+    for job, (row, reason) in zip(jobs, record_checks, strict=True):
+        num_input_bytes, broken_text = measure_inputs(job)
         if row is not None:
-            why = DONE_BEFORE
-        elif broken:
-            why = broken
-        elif job.id in twins:
-            why = f"equal to {twins[job.id]}"
-        elif why == NOT_RECORDED and job.id in failed_ids:
-            why = "failed before"
+            reason = ALREADY_DONE
+        elif broken_text:
+            reason = broken_text
+        elif job.id in twin_of_scene:
+            reason = f"equal to {twin_of_scene[job.id]}"
+        elif reason == NOT_RECORDED and job.id in failed_ids:
+            reason = "failed before"
         source = begin_row(plan, job, "")["source"]
-        previews.append({"id": job.id, "source": source, "why": why, "bytes": num_bytes})
+        previews.append({"id": job.id, "source": source, "why": reason, "bytes": num_input_bytes})
     return previews
 
 
@@ -539,14 +551,16 @@ def measure_cost(rows: Iterable[SceneRow]) -> Json | None:
     done_rows = [row for row in rows if row.get("status") == OK]
     if not done_rows:
         return None
-    quantities: dict[str, list[float]] = {
+    values_of_quantity: dict[str, list[float]] = {
         "seconds": [row.get("seconds", 0.0) for row in done_rows],
         "bytes": [_sum_sizes(row.get("files")) for row in done_rows],
     }
     cost: Json = {"scenes": len(done_rows)}
-    for name, values in quantities.items():
-        median, p90, maximum = np.percentile(values, PERCENTILES, method="inverted_cdf").tolist()
-        cost[name] = {"sum": sum(values), "median": median, "p90": p90, "max": maximum}
+    for name, values in values_of_quantity.items():
+        median, percentile_90, maximum = np.percentile(
+            values, PERCENTILES, method="inverted_cdf"
+        ).tolist()
+        cost[name] = {"sum": sum(values), "median": median, "p90": percentile_90, "max": maximum}
     return cost
 
 

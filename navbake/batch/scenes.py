@@ -25,7 +25,7 @@ from navbake.errors import ConfigError, shorten
 from navbake.files import can_be_path
 from navbake.formats.source import import_extra, unpack
 from navbake.types import Json
-from navbake.yaml_text import apply_overrides, decode_yaml, override_key
+from navbake.yaml_text import apply_overrides, decode_yaml, split_override_key
 
 LIST_SUFFIXES = (".txt", ".csv", ".jsonl", ".parquet")
 SCENE_KEYS = ("scene", "config")  # keys of which a row of a list has exactly one
@@ -33,8 +33,8 @@ TEXT_COLUMNS = ("id", *SCENE_KEYS)  # columns of a CSV whose values stay text, s
 UNIQUE_SCENE_KEYS = ("path", "id")  # settings of the section `scene` that scenes can't share
 LINE_END = re.compile(r"\r\n?|\n")
 # characters that some file system forbids or drops, and names that begin with a dot
-UNPORTABLE = re.compile(r'[\\:*?"<>|]|^[.\s]|[.\s]$')
-RESERVED_NAMES = re.compile(
+UNPORTABLE_PATTERN = re.compile(r'[\\:*?"<>|]|^[.\s]|[.\s]$')
+RESERVED_NAME_PATTERN = re.compile(
     r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?"
     r"|index-\d+-of-\d+\.jsonl|shard-\d+\.tar"
 )
@@ -88,10 +88,14 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_ROW_COLUMN
             and URLs aren't looked for: a missing one fails later, by itself.
         NavbakeError: a list can't be read, or a dependency for it is not installed.
     """
-    listed = [entry for source in sources for entry in _expand(store.plain_path(source), columns)]
-    if not listed:
+    named_jobs = [
+        entry
+        for source in sources
+        for entry in _list_scenes_of(store.strip_file_scheme(source), columns)
+    ]
+    if not named_jobs:
         raise ConfigError("expected at least one scene, got none")
-    for job in listed:
+    for job in named_jobs:
         if not can_be_path(job.source):
             raise ConfigError(
                 f"expected a path, got {shorten(repr(job.source))} at {job.place}: no file can "
@@ -101,31 +105,31 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_ROW_COLUMN
                 place=job.place,
             )
     jobs = []
-    for name, job in zip(_choose_ids(listed), listed, strict=True):
-        check_id(name, job.place)
+    for scene_id, job in zip(_choose_ids(named_jobs), named_jobs, strict=True):
+        check_id(scene_id, job.place)
         job_settings = (
-            merge(job.settings, id_as_settings(name), job.place) if job.id else job.settings
+            merge(job.settings, make_id_settings(scene_id), job.place) if job.id else job.settings
         )
-        jobs.append(job._replace(id=name, settings=job_settings))
-    job_of_id: dict[str, Job] = {}  # by the id as file systems compare it
+        jobs.append(job._replace(id=scene_id, settings=job_settings))
+    job_of_folded_id: dict[str, Job] = {}  # by the id as file systems compare it
     for job in jobs:
-        earlier = job_of_id.setdefault(fold_name(job.id), job)
-        if earlier is job:
+        earlier_job = job_of_folded_id.setdefault(fold_for_comparison(job.id), job)
+        if earlier_job is job:
             continue
-        if (earlier.id, earlier.source) == (job.id, job.source):
+        if (earlier_job.id, earlier_job.source) == (job.id, job.source):
             raise ConfigError(
-                f"expected each scene once, got {shorten(job.source)} at {earlier.place} and at "
-                f"{job.place}: name it once, or give each an `id` of its own in a list"
+                f"expected each scene once, got {shorten(job.source)} at {earlier_job.place} and "
+                f"at {job.place}: name it once, or give each an `id` of its own in a list"
             )
-        first = f"{shorten(repr(earlier.id))} at {earlier.place}"
-        second = f"{shorten(repr(job.id))} at {job.place}"
+        first_text = f"{shorten(repr(earlier_job.id))} at {earlier_job.place}"
+        second_text = f"{shorten(repr(job.id))} at {job.place}"
         raise ConfigError(
-            f"expected unique ids, got {first} and {second}: give each an `id` of its own"
+            f"expected unique ids, got {first_text} and {second_text}: give each an `id` of its own"
         )
     return jobs
 
 
-def check_id(name: str, place: str) -> None:
+def check_id(scene_id: str, place: str) -> None:
     r"""Check that an id can be a folder in the output folder on any operating system.
 
     Args:
@@ -137,19 +141,21 @@ def check_id(name: str, place: str) -> None:
             with one; is longer than `MAX_ID_PART`; has one of ``\:*?"<>|`` or an unprintable
             character; or is a name that Windows reserves or navbake writes.
     """
-    for part in name.split("/"):
-        is_fit = part.isprintable() and 0 < len(part.encode()) <= MAX_ID_PART
-        if not is_fit or UNPORTABLE.search(part) or RESERVED_NAMES.fullmatch(part):
-            wanted = "that can be the name of a folder on any system, or several between slashes"
+    for part in scene_id.split("/"):
+        is_valid = part.isprintable() and 0 < len(part.encode()) <= MAX_ID_PART
+        if not is_valid or UNPORTABLE_PATTERN.search(part) or RESERVED_NAME_PATTERN.fullmatch(part):
+            expected_text = (
+                "that can be the name of a folder on any system, or several between slashes"
+            )
         elif PRODUCT_FILE_PATTERN.fullmatch(part.casefold()):
-            wanted = f"without names of files that navbake writes, as {part}"
+            expected_text = f"without names of files that navbake writes, as {part}"
         else:
             continue
-        got = f"got {shorten(repr(name))} at {place}: give it another `id`"
-        raise ConfigError(f"expected an id {wanted}, {got}")
+        actual_text = f"got {shorten(repr(scene_id))} at {place}: give it another `id`"
+        raise ConfigError(f"expected an id {expected_text}, {actual_text}")
 
 
-def fold_name(name: str) -> str:
+def fold_for_comparison(name: str) -> str:
     """Return a form that is equal for all names that some file system takes for the same name.
 
     This is the canonical caseless matching of Unicode.
@@ -162,45 +168,47 @@ def _choose_ids(jobs: list[Job]) -> list[str]:
 
     The end of a path has as many folders as it takes to differ from the other ids.
     """
-    paths = [_path_parts(job.source) for job in jobs]
+    parts_of_paths = [_split_path(job.source) for job in jobs]
     num_parts = [1] * len(jobs)  # how many parts of its path each id has
     while True:
-        names = []
-        for job, parts, count in zip(jobs, paths, num_parts, strict=True):
-            names.append(job.id or "/".join(parts[-count:]))
-        count_of_name = Counter(map(fold_name, names))
-        is_longest = True
-        for index, (job, parts, name) in enumerate(zip(jobs, paths, names, strict=True)):
-            is_repeated = count_of_name[fold_name(name)] > 1
-            if not job.id and is_repeated and num_parts[index] < len(parts):
-                num_parts[index] += 1
-                is_longest = False
-        if is_longest:
-            return names
+        scene_ids = []
+        for job, parts, num_used in zip(jobs, parts_of_paths, num_parts, strict=True):
+            scene_ids.append(job.id or "/".join(parts[-num_used:]))
+        count_of_name = Counter(map(fold_for_comparison, scene_ids))
+        are_ids_final = True
+        for i, (job, parts, scene_id) in enumerate(
+            zip(jobs, parts_of_paths, scene_ids, strict=True)
+        ):
+            is_repeated = count_of_name[fold_for_comparison(scene_id)] > 1
+            if not job.id and is_repeated and num_parts[i] < len(parts):
+                num_parts[i] += 1
+                are_ids_final = False
+        if are_ids_final:
+            return scene_ids
 
 
-def _path_parts(source: str) -> tuple[str, ...]:
+def _split_path(source: str) -> tuple[str, ...]:
     """Return the parts of a path or URL that an id may have: no root or host, and no ending."""
     if store.is_url(source):
-        path = PurePosixPath(
+        url_path = PurePosixPath(
             "/", store.without_secrets(source).partition("://")[2].rpartition("@")[2]
         )
-        return path.with_suffix("").parts[1:] if path.name else ("",)
+        return url_path.with_suffix("").parts[1:] if url_path.name else ("",)
     return Path(os.path.splitext(os.path.abspath(source))[0]).parts[1:]
 
 
-def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
+def _list_scenes_of(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
     """Yield the scenes that a source names, see `list_jobs`."""
-    name = store.without_secrets(source)
-    is_pattern = glob.has_magic(name) and not os.path.exists(source)
+    shown_source = store.without_secrets(source)
+    is_pattern = glob.has_magic(shown_source) and not os.path.exists(source)
     if not store.is_url(source) and not is_pattern and not os.path.exists(source):
-        settings = str(samples.find(source))
-        hint = "" if settings == source else f"; the settings of that name are {settings}"
+        sample_path = str(samples.find(source))
+        hint = "" if sample_path == source else f"; the settings of that name are {sample_path}"
         raise ConfigError(f"{EXPECTED_SCENE} {source}: there is no such file{hint}")
-    if _list_ending(name) in LIST_SUFFIXES:
+    if _list_ending(shown_source) in LIST_SUFFIXES:
         yield from _read_list(source, columns)
     elif source.endswith("/") or os.path.isdir(source):
-        folder = name.rstrip("/")
+        folder = shown_source.rstrip("/")
         raise ConfigError(
             f"{EXPECTED_SCENE} the folder {folder}: name its files, as '{folder}/*.xml'"
         )
@@ -212,11 +220,11 @@ def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
             matches = sorted(glob.glob(source, recursive=True))
             paths = [path for path in matches if os.path.isfile(path) or not os.path.exists(path)]
         if not paths:
-            raise ConfigError(f"expected files that match {name}, got none")
+            raise ConfigError(f"expected files that match {shown_source}, got none")
         for path in paths:
             yield Job("", path, {}, store.without_secrets(path))
     else:
-        yield Job("", source, {}, name)
+        yield Job("", source, {}, shown_source)
 
 
 # ---------------------------------------------------------------- lists
@@ -229,23 +237,23 @@ def _list_ending(name: str) -> str:
 
 def _read_list(source: str, columns: Mapping[str, str]) -> list[Job]:
     """Read the scenes of a list; for `columns` see `list_jobs`."""
-    name = store.without_secrets(source)
-    readers = {
+    list_name = store.without_secrets(source)
+    reader_of_ending = {
         ".txt": _read_text_rows,
         ".csv": _read_csv_rows,
         ".jsonl": _read_json_rows,
         ".parquet": _read_parquet_rows,
     }
     content = store.read_file(source)
-    content = unpack(content, name) if name.lower().endswith(".gz") else content
-    read_rows = readers[_list_ending(name)]
+    content = unpack(content, list_name) if list_name.lower().endswith(".gz") else content
+    read_rows = reader_of_ending[_list_ending(list_name)]
     list_url = source if store.is_url(source) else ""
     jobs = []
-    for place, row in read_rows(content, name, {*SCENE_KEYS, *columns.values()}):
+    for place, row in read_rows(content, list_name, {*SCENE_KEYS, *columns.values()}):
         job = _make_job(_select_columns(row, columns, place), store.parent(source), place)
         jobs.append(job._replace(list=list_url))
     if not jobs:
-        raise ConfigError(f"expected at least one scene in {name}, got none")
+        raise ConfigError(f"expected at least one scene in {list_name}, got none")
     return jobs
 
 
@@ -268,8 +276,10 @@ def _select_columns(row: Json, columns: Mapping[str, str], place: str) -> Json:
             for field in column.split("."):
                 value = value.get(field) if isinstance(value, Mapping) else None
         if value is None and key in SCENE_KEYS:
-            present = ", ".join(map(repr, row))
-            raise ConfigError(f"expected a column {column!r} at {place}, got {shorten(present)}")
+            present_columns = ", ".join(map(repr, row))
+            raise ConfigError(
+                f"expected a column {column!r} at {place}, got {shorten(present_columns)}"
+            )
         selected[key] = value
     return selected if columns else row
 
@@ -286,63 +296,76 @@ def _make_job(row: Json, folder: store.Folder, place: str) -> Job:
         ConfigError: the row names no scene or several, or has a wrong id or an unknown setting.
     """
     row = _without_empty_values(row)
-    sources = [row.pop(key) for key in SCENE_KEYS if key in row]
-    if len(sources) != 1 or not isinstance(sources[0], str):
-        hint = "; --column scene=NAME names the column that has it" if not sources and row else ""
+    scene_sources = [row.pop(key) for key in SCENE_KEYS if key in row]
+    if len(scene_sources) != 1 or not isinstance(scene_sources[0], str):
+        hint = (
+            "; --column scene=NAME names the column that has it"
+            if not scene_sources and row
+            else ""
+        )
         if {"rooms", "walls", "objects"} <= row.keys():  # it lacks the shapes of its objects
             hint = "; a house of ProcTHOR only names the assets in it: list an MJCF of it"
         raise ConfigError(f"expected a path as `scene` or as `config` at {place}{hint}")
-    name = row.pop("id", None)
-    nested = row.pop("settings", {})
-    if not isinstance(nested, dict):
-        raise ConfigError(f"expected an object as `settings` at {place}, got {show_value(nested)}")
-    if isinstance(name, bool) or not isinstance(name, str | int | None):
-        actual = show_value(name)
+    scene_id = row.pop("id", None)
+    nested_settings = row.pop("settings", {})
+    if not isinstance(nested_settings, dict):
+        raise ConfigError(
+            f"expected an object as `settings` at {place}, got {show_value(nested_settings)}"
+        )
+    if isinstance(scene_id, bool) or not isinstance(scene_id, str | int | None):
+        actual = show_value(scene_id)
         raise ConfigError(f"expected text or a whole number as `id` at {place}, got {actual}")
-    settings = nest_settings([*nested.items(), *row.items()], folder, place)
-    check_shared(settings, place)
+    settings = nest_settings([*nested_settings.items(), *row.items()], folder, place)
+    check_selects_no_scene(settings, place)
     for key in settings.keys() - BakeConfig.model_fields:
         expected = "`id`, `scene`, `config` or a setting such as `agent.radius`"
         raise ConfigError(f"expected {expected}, got `{shorten(key)}` at {place}")
-    unknown = find_unknown_key(settings, SECTIONS)
-    if unknown is not None:
-        raise ConfigError(f"{unknown} at {place}")
-    return Job("" if name is None else str(name), store.join(folder, sources[0]), settings, place)
+    unknown_key = find_unknown_key(settings, SECTIONS)
+    if unknown_key is not None:
+        raise ConfigError(f"{unknown_key} at {place}")
+    return Job(
+        "" if scene_id is None else str(scene_id),
+        store.join(folder, scene_sources[0]),
+        settings,
+        place,
+    )
 
 
 def _without_empty_values(row: Mapping[str, Any]) -> Json:
     """Return a row, and the objects in it, without None, NaN, empty texts and empty objects."""
-    result = {}
+    kept_values = {}
     for key, value in row.items():
         new_value = _without_empty_values(value) if isinstance(value, Mapping) else value
         is_nan = new_value != new_value
         if new_value not in (None, "", {}) and not is_nan:
-            result[key] = new_value
-    return result
+            kept_values[key] = new_value
+    return kept_values
 
 
 Rows: TypeAlias = Iterator[tuple[str, Json]]
 """The rows of a list. Each is a pair: its place, such as ``list.csv, line 3``, and its values."""
 
 
-def _split_lines(content: bytes, name: str) -> list[str]:
-    """Decode a list and split it into lines; `name` is the list's name, for errors."""
+def _split_lines(content: bytes, list_name: str) -> list[str]:
+    """Decode a list and split it into lines; `list_name` is the list's name, for errors."""
     try:
         return LINE_END.split(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
-        number = 1 + len(LINE_END.findall(error.object[: error.start].decode()))
-        raise ConfigError(f"expected UTF-8 in {name}, line {number}: {error.reason}") from error
+        line_number = 1 + len(LINE_END.findall(error.object[: error.start].decode()))
+        raise ConfigError(
+            f"expected UTF-8 in {list_name}, line {line_number}: {error.reason}"
+        ) from error
 
 
-def _read_text_rows(content: bytes, name: str, scene_columns: set[str]) -> Rows:
-    for number, line in enumerate(_split_lines(content, name), 1):
+def _read_text_rows(content: bytes, list_name: str, scene_columns: set[str]) -> Rows:
+    for line_number, line in enumerate(_split_lines(content, list_name), 1):
         if line.strip() and not line.strip().startswith("#"):
-            yield f"{name}, line {number}", {"scene": line.strip()}
+            yield f"{list_name}, line {line_number}", {"scene": line.strip()}
 
 
-def _read_json_rows(content: bytes, name: str, scene_columns: set[str]) -> Rows:
-    for number, line in enumerate(_split_lines(content, name), 1):
-        place = f"{name}, line {number}"
+def _read_json_rows(content: bytes, list_name: str, scene_columns: set[str]) -> Rows:
+    for line_number, line in enumerate(_split_lines(content, list_name), 1):
+        place = f"{list_name}, line {line_number}"
         if not line.strip():
             continue
         try:
@@ -354,23 +377,23 @@ def _read_json_rows(content: bytes, name: str, scene_columns: set[str]) -> Rows:
         yield place, row
 
 
-def _read_csv_rows(content: bytes, name: str, scene_columns: set[str]) -> Rows:
+def _read_csv_rows(content: bytes, list_name: str, scene_columns: set[str]) -> Rows:
     """Read the rows of a CSV; the place of a row that spans several lines is its first line.
 
     Args:
         content: the file's content.
-        name: the file's name, for errors.
+        list_name: the file's name, for errors.
         scene_columns: names of columns that may have the scene.
 
     Raises:
         ConfigError: the file is broken, or has none of `scene_columns`.
     """
-    text = (f"{line}\n" for line in _split_lines(content, name))
-    lines = csv.reader(text, strict=True, skipinitialspace=True)
+    text_lines = (f"{line}\n" for line in _split_lines(content, list_name))
+    csv_rows = csv.reader(text_lines, strict=True, skipinitialspace=True)
     columns: list[str] = []
-    place = f"{name}, line 1"
+    place = f"{list_name}, line 1"
     try:
-        for values in lines:
+        for values in csv_rows:
             if values and not columns:
                 columns = values
                 if not {*columns} & scene_columns:
@@ -387,7 +410,7 @@ def _read_csv_rows(content: bytes, name: str, scene_columns: set[str]) -> Rows:
                     if text_value:
                         row[key] = text_value if key in TEXT_COLUMNS else _parse_cell(text_value)
                 yield place, row
-            place = f"{name}, line {lines.line_num + 1}"
+            place = f"{list_name}, line {csv_rows.line_num + 1}"
     except csv.Error as error:
         raise ConfigError(f"broken CSV at {place}: {error}") from error
 
@@ -400,51 +423,53 @@ def _parse_cell(text: str) -> Any:
         return text
 
 
-def _read_parquet_rows(content: bytes, name: str, scene_columns: set[str]) -> Rows:
+def _read_parquet_rows(content: bytes, file_name: str, scene_columns: set[str]) -> Rows:
     parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
     try:
         rows = parquet.read_table(io.BytesIO(content)).to_pylist()
     except Exception as error:  # pyarrow raises many types
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise ConfigError(f"broken Parquet in {name}: {reason}") from error
-    for number, row in enumerate(rows, 1):
+        raise ConfigError(f"broken Parquet in {file_name}: {reason}") from error
+    for row_number, row in enumerate(rows, 1):
         # a column that pandas adds
-        without_index = {
+        row_without_index = {
             key: value for key, value in row.items() if not key.startswith("__index_level_")
         }
-        yield f"{name}, row {number}", without_index
+        yield f"{file_name}, row {row_number}", row_without_index
 
 
 # ---------------------------------------------------------------- settings
 
 
-def read_shared(path: str | os.PathLike[str]) -> Json:
+def read_shared_settings(path: str | os.PathLike[str]) -> Json:
     """Read the settings that all scenes share from a YAML file; its path may be a URL.
 
     Raises a NavbakeError if the file can't be read. Raises a ConfigError if it is broken, is no
     mapping, or selects a scene.
     """
-    text = store.plain_path(os.fspath(path))
+    plain_name = store.strip_file_scheme(os.fspath(path))
     settings = nest_settings(
-        _read_mapping(text).items(), store.parent(text), store.without_secrets(text)
+        _read_mapping(plain_name).items(),
+        store.parent(plain_name),
+        store.without_secrets(plain_name),
     )
-    check_shared(settings, store.without_secrets(text))
+    check_selects_no_scene(settings, store.without_secrets(plain_name))
     return settings
 
 
-def check_shared(settings: Mapping[str, Any], place: str) -> None:
+def check_selects_no_scene(settings: Mapping[str, Any], place: str) -> None:
     """Raise a ConfigError, which names `place`, if settings select a scene."""
-    scene = {} if settings.get("scene") is None else settings["scene"]
+    scene_settings = {} if settings.get("scene") is None else settings["scene"]
     hint = "the batch's sources name the scenes"
-    if not isinstance(scene, Mapping):
-        got = f"got {show_value(scene)}: {hint}"
+    if not isinstance(scene_settings, Mapping):
+        got = f"got {show_value(scene_settings)}: {hint}"
         raise ConfigError(f"expected settings as `scene` in {place}, {got}")
     for key in UNIQUE_SCENE_KEYS:
-        if key in scene:
+        if key in scene_settings:
             raise ConfigError(f"expected no `scene.{key}` in {place}: {hint}")
 
 
-def check_settings(sources: Iterable[str], shared: Json, overrides: Sequence[str]) -> None:
+def check_settings(sources: Iterable[str], shared_settings: Json, overrides: Sequence[str]) -> None:
     """Check the shared settings and the overrides before any scene is baked.
 
     A file of room outlines must exist. It isn't checked if it is on a store, or if its path is
@@ -452,26 +477,28 @@ def check_settings(sources: Iterable[str], shared: Json, overrides: Sequence[str
 
     Args:
         sources: the paths of the scenes, or of their settings.
-        shared: the settings that all scenes share.
+        shared_settings: the settings that all scenes share.
         overrides: settings as ``a.b=value``.
 
     Raises:
         ConfigError: a setting is wrong, or selects a scene.
     """
     for override in overrides:
-        key = override_key(override)
-        if key[0] == "scene" and (len(key) == 1 or key[1] in UNIQUE_SCENE_KEYS):
+        key_parts = split_override_key(override)
+        if key_parts[0] == "scene" and (len(key_parts) == 1 or key_parts[1] in UNIQUE_SCENE_KEYS):
             raise ConfigError(f"expected no --set {override}: the batch's sources name the scenes")
-    outlines = room_outlines_file(apply_overrides(shared, overrides))
-    is_relative = outlines and not os.path.isabs(outlines) and any(map(is_settings, sources))
-    if is_relative or store.is_url(outlines):
+    outlines_path = find_room_outlines_path(apply_overrides(shared_settings, overrides))
+    is_relative = (
+        outlines_path and not os.path.isabs(outlines_path) and any(map(is_settings, sources))
+    )
+    if is_relative or store.is_url(outlines_path):
         overrides = [*overrides, "rooms.polygons=[]"]
-    merge_settings(Job("scene", "scene.xml", {}, "the batch"), shared, overrides)
+    merge_settings(Job("scene", "scene.xml", {}, "the batch"), shared_settings, overrides)
 
 
 def merge_settings(
     job: Job,
-    shared: Json,
+    shared_settings: Json,
     overrides: Sequence[str],
     fetch: Callable[[str], Path] = Path,
 ) -> BakeConfig:
@@ -483,7 +510,7 @@ def merge_settings(
 
     Args:
         job: the scene.
-        shared: the settings that all scenes share.
+        shared_settings: the settings that all scenes share.
         overrides: settings as ``a.b=value``.
         fetch: returns the local path of a file; it copies a file that is on a store.
 
@@ -494,23 +521,25 @@ def merge_settings(
         ConfigError: a setting is wrong.
     """
     place = f"the settings of {job.place}"
-    own_settings: Mapping[str, Any] = {"scene": {"path": job.source}}
-    outlines = room_outlines_file(apply_overrides({}, overrides))
+    scene_settings: Mapping[str, Any] = {"scene": {"path": job.source}}
+    outlines_path = find_room_outlines_path(apply_overrides({}, overrides))
     if is_settings(job.source):
         folder = store.parent(job.source)
-        own_settings = _map_paths(_read_mapping(job.source), lambda name: store.join(folder, name))
-        outlines = outlines and store.join(folder, outlines)
-    settings = dict(id_as_settings(job.id))
-    for layer in (shared, own_settings, job.settings):
-        settings = merge(settings, layer, place)
-    settings = _map_paths(settings, lambda name: str(fetch(name)))
-    if outlines:  # quoted as in JSON, any path is valid YAML
-        quoted_path = json.dumps(str(fetch(outlines)), ensure_ascii=False)
+        scene_settings = _replace_paths(
+            _read_mapping(job.source), lambda name: store.join(folder, name)
+        )
+        outlines_path = outlines_path and store.join(folder, outlines_path)
+    settings = dict(make_id_settings(job.id))
+    for overriding_settings in (shared_settings, scene_settings, job.settings):
+        settings = merge(settings, overriding_settings, place)
+    settings = _replace_paths(settings, lambda name: str(fetch(name)))
+    if outlines_path:  # quoted as in JSON, any path is valid YAML
+        quoted_path = json.dumps(str(fetch(outlines_path)), ensure_ascii=False)
         overrides = [*overrides, f"rooms.polygons={quoted_path}"]
     return parse_config(settings, place, overrides)
 
 
-def id_as_settings(name: str) -> Json:
+def make_id_settings(name: str) -> Json:
     """Return settings whose `scene.id` is a scene's id, with ``_`` in place of slashes."""
     return {"scene": {"id": name.replace("/", "_")}}
 
@@ -528,53 +557,60 @@ def nest_settings(
     Raises:
         ConfigError: a key is no valid key, or continues below a key that has a value.
     """
-    nested: dict[str, Any] = {}
+    nested_settings: dict[str, Any] = {}
     for key, value in settings:
         try:
-            sections = override_key(f"{key.replace('=', '..')}=")
+            key_parts = split_override_key(f"{key.replace('=', '..')}=")
         except ConfigError as error:
             message = f"expected a setting such as `agent.radius`, got `{shorten(key)}` at {place}"
             raise ConfigError(message) from error
-        for section in reversed(sections):
+        for section in reversed(key_parts):
             value = {section: value}
-        nested = merge(nested, value, place)
+        nested_settings = merge(nested_settings, value, place)
 
-    def resolve(name: str) -> str:
+    def resolve_path(name: str) -> str:
         path = store.join(folder, name)
         return path if store.is_url(path) else os.path.abspath(path)
 
-    return _map_paths(nested, resolve)
+    return _replace_paths(nested_settings, resolve_path)
 
 
-def room_outlines_file(settings: Mapping[str, Any]) -> str | None:
+def find_room_outlines_path(settings: Mapping[str, Any]) -> str | None:
     """Return the path of the file of room outlines (`rooms.polygons`); None if it isn't a path."""
-    rooms = settings.get("rooms")
-    name = rooms.get("polygons") if isinstance(rooms, Mapping) else None
-    return name if isinstance(name, str) else None
+    room_settings = settings.get("rooms")
+    outlines_path = room_settings.get("polygons") if isinstance(room_settings, Mapping) else None
+    return outlines_path if isinstance(outlines_path, str) else None
 
 
 def _read_mapping(path: str) -> Mapping[str, Any]:
     """Read settings from a YAML file; {} if it is empty."""
-    value = decode_yaml(store.read_file(path), store.without_secrets(path))
-    name = store.without_secrets(path)
-    if value is None:
+    yaml_content = decode_yaml(store.read_file(path), store.without_secrets(path))
+    shown_path = store.without_secrets(path)
+    if yaml_content is None:
         return {}
-    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise ConfigError(f"expected a mapping of settings in {name}")
-    return value
+    if not isinstance(yaml_content, Mapping) or not all(
+        isinstance(key, str) for key in yaml_content
+    ):
+        raise ConfigError(f"expected a mapping of settings in {shown_path}")
+    return yaml_content
 
 
-def _map_paths(settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """Return settings in which `change` has replaced each path.
+def _replace_paths(
+    settings: Mapping[str, Any], change_path: Callable[[str], str]
+) -> dict[str, Any]:
+    """Return settings in which `change_path` has replaced each path.
 
     Paths are those of the scene and of files with room outlines, areas and links.
     """
-    changed = dict(settings)
+    changed_settings = dict(settings)
     for key in ("areas", "links"):
-        if isinstance(changed.get(key), str):
-            changed[key] = change(changed[key])
+        if isinstance(changed_settings.get(key), str):
+            changed_settings[key] = change_path(changed_settings[key])
     for section, key in (("scene", "path"), ("rooms", "polygons")):
-        inner = settings.get(section)
-        if isinstance(inner, Mapping) and isinstance(inner.get(key), str):
-            changed[section] = {**inner, key: change(inner[key])}
-    return changed
+        section_settings = settings.get(section)
+        if isinstance(section_settings, Mapping) and isinstance(section_settings.get(key), str):
+            changed_settings[section] = {
+                **section_settings,
+                key: change_path(section_settings[key]),
+            }
+    return changed_settings

@@ -47,10 +47,10 @@ FULL_DISK_REMEDIES = {
 }
 
 
-_hosts: set[str] = set()  # allowed hosts in lower case, see `allow_hosts`
+_allowed_hosts: set[str] = set()  # allowed hosts in lower case, see `allow_hosts`
 
 
-class FullError(NavbakeError):
+class DiskFullError(NavbakeError):
     """Raised when an output folder has no room for more files."""
 
 
@@ -74,16 +74,16 @@ def _is_web(url: str) -> bool:
     return is_url(url) and url.partition("://")[0].lower() in WEB_SCHEMES
 
 
-def plain_path(path: str) -> str:
+def strip_file_scheme(path: str) -> str:
     """Return the path in a URL such as ``file:///a/b``; other paths and URLs stay as they are."""
-    match = URL_PATTERN.match(path)
-    return match[2] if match is not None and match[1].lower() in LOCAL_SCHEMES else path
+    url_match = URL_PATTERN.match(path)
+    return url_match[2] if url_match is not None and url_match[1].lower() in LOCAL_SCHEMES else path
 
 
 def as_folder(path: str | os.PathLike[str]) -> Folder:
     """Return a folder: a URL without a slash at its end, or a Path if it is on this machine."""
-    text = plain_path(os.fspath(path))
-    return text.rstrip("/") if is_url(text) else Path(text)
+    plain_name = strip_file_scheme(os.fspath(path))
+    return plain_name.rstrip("/") if is_url(plain_name) else Path(plain_name)
 
 
 def parent(path: str) -> Folder:
@@ -98,7 +98,7 @@ def join(folder: Folder, name: str) -> str:
 
     Raises a ConfigError if the name leads out of the folder's store.
     """
-    name = plain_path(name)
+    name = strip_file_scheme(name)
     if is_url(name) or os.path.isabs(name):
         return name
     if isinstance(folder, Path):
@@ -116,14 +116,16 @@ def without_secrets(url: str) -> str:
 
     On the web, the user is left out, too. A path stays as it is.
     """
-    match = URL_PATTERN.match(url)
-    if match is None:
+    url_match = URL_PATTERN.match(url)
+    if url_match is None:
         return url
     authority, slash, path = _without_query(url).partition("://")[2].partition("/")
-    user, at, host = authority.rpartition("@")
+    user, at_sign, host = authority.rpartition("@")
     # on the web, the user may be a secret token
-    user = "" if match[1].lower() in WEB_SCHEMES or not at else f"{user.partition(':')[0]}@"
-    return f"{match[1]}://{user}{host}{slash}{path}"
+    user = (
+        "" if url_match[1].lower() in WEB_SCHEMES or not at_sign else f"{user.partition(':')[0]}@"
+    )
+    return f"{url_match[1]}://{user}{host}{slash}{path}"
 
 
 def _without_query(url: str) -> str:
@@ -132,7 +134,7 @@ def _without_query(url: str) -> str:
 
 def allow_hosts(hosts: Iterable[str]) -> None:
     """Allow lists, settings and redirects on the web to lead to these hosts, in this process."""
-    _hosts.update(map(str.lower, hosts))
+    _allowed_hosts.update(map(str.lower, hosts))
 
 
 def check_host(url: str, trusted_urls: Iterable[str]) -> None:
@@ -145,17 +147,17 @@ def check_host(url: str, trusted_urls: Iterable[str]) -> None:
     Raises:
         NavbakeError: the URL is on the web, and on a host that isn't allowed.
     """
-    host = _host(url)
-    hosts = {*map(_host, trusted_urls), *_hosts}
-    if _is_web(url) and host not in hosts:
-        expected = " or ".join(sorted(filter(None, hosts))) or "no host"
+    url_host = _find_web_host(url)
+    allowed_hosts = {*map(_find_web_host, trusted_urls), *_allowed_hosts}
+    if _is_web(url) and url_host not in allowed_hosts:
+        expected = " or ".join(sorted(filter(None, allowed_hosts))) or "no host"
         raise NavbakeError(
             f"expected a file of {expected}, got "
-            f"{without_secrets(url)}: --allow-hosts {host} lets lists and redirects lead there"
+            f"{without_secrets(url)}: --allow-hosts {url_host} lets lists and redirects lead there"
         )
 
 
-def _host(url: str) -> str:
+def _find_web_host(url: str) -> str:
     return (urlsplit(url).hostname or "") if _is_web(url) else ""
 
 
@@ -183,18 +185,18 @@ def _web_client_options() -> Json:
 def check_inside(folder: Folder, path: Folder) -> None:
     """Raise a NavbakeError if a path in a local output folder is a link that leads out of it."""
     if isinstance(folder, Path):
-        real = Path(os.path.realpath(path))
-        if not real.is_relative_to(os.path.realpath(folder)):
-            got = f"got a link to {real}: remove it, or choose another folder"
-            raise NavbakeError(f"expected {path} in the output folder {folder}, {got}")
+        real_path = Path(os.path.realpath(path))
+        if not real_path.is_relative_to(os.path.realpath(folder)):
+            actual_text = f"got a link to {real_path}: remove it, or choose another folder"
+            raise NavbakeError(f"expected {path} in the output folder {folder}, {actual_text}")
 
 
 def read_file(path: str | Path) -> bytes:
     """Read a whole file; raises a NavbakeError if it can't be read."""
-    with _errors_naming_file("read", path):
+    with _name_file_in_errors("read", path):
         if isinstance(path, str) and is_url(path):
-            filesystem, inner = _open_store(path)
-            return bytes(filesystem.cat_file(inner))
+            filesystem, store_path = _open_store(path)
+            return bytes(filesystem.cat_file(store_path))
         check_regular(path)
         return Path(path).read_bytes()
 
@@ -205,7 +207,7 @@ def write_file(folder: Folder, name: str, content: bytes | Iterable[bytes]) -> N
     Raises a FullError if the folder has no room, and a NavbakeError if the file can't be written
     for another reason.
     """
-    with _errors_naming_file("write", folder):
+    with _name_file_in_errors("write", folder):
         if isinstance(folder, Path):
             check_inside(folder, folder / name)
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -232,7 +234,7 @@ def write_file(folder: Folder, name: str, content: bytes | Iterable[bytes]) -> N
 
 def remove_files(folder: Folder, names: Iterable[str]) -> None:
     """Remove files from a folder, in the given order; missing files are skipped."""
-    with _errors_naming_file("write", folder):
+    with _name_file_in_errors("write", folder):
         for name in names:
             with suppress(FileNotFoundError, NotADirectoryError):
                 if isinstance(folder, Path):
@@ -242,20 +244,23 @@ def remove_files(folder: Folder, names: Iterable[str]) -> None:
                     filesystem.rm_file(path)
 
 
-def sizes_below(folder: str) -> dict[str, int]:
+def list_file_sizes(folder: str) -> dict[str, int]:
     """List the files in a folder of a store and its subfolders: path -> size [bytes].
 
     The paths are relative to the folder.
     """
-    with _errors_naming_file("list", folder):
+    with _name_file_in_errors("list", folder):
         filesystem, path = _open_store(folder)
         filesystem.invalidate_cache()  # another process may have written since the last listing
         try:
-            infos = filesystem.find(path, detail=True)
+            store_entries = filesystem.find(path, detail=True)
         except FileNotFoundError:
             return {}
-        start = len(path.rstrip("/"))
-        return {name[start:].lstrip("/"): info["size"] for name, info in infos.items()}
+        folder_length = len(path.rstrip("/"))
+        return {
+            name[folder_length:].lstrip("/"): store_entry["size"]
+            for name, store_entry in store_entries.items()
+        }
 
 
 def match_files(pattern: str) -> list[str]:
@@ -264,17 +269,23 @@ def match_files(pattern: str) -> list[str]:
     If a file has exactly the pattern as its name, only this file is returned. Hidden files, whose
     names begin with a dot, are left out.
     """
-    with _errors_naming_file("list", pattern):
+    with _name_file_in_errors("list", pattern):
         filesystem, path = _open_store(pattern)
         if filesystem.exists(path):
             return [pattern]
-        is_hidden = re.compile(r"/\.").search
-        infos = filesystem.glob(path, detail=True)
-        names = sorted(name for name, info in infos.items() if info["type"] == "file")
+        find_hidden_part = re.compile(r"/\.").search
+        store_entries = filesystem.glob(path, detail=True)
+        store_paths = sorted(
+            name for name, store_entry in store_entries.items() if store_entry["type"] == "file"
+        )
         store_path = path.lstrip("/")  # fsspec's paths have no scheme, and often no host
-        root = pattern.removesuffix(store_path)
-        urls = [root + name.lstrip("/") for name in names if not is_hidden(name)]
-        return urls if pattern.endswith(store_path) else [*map(filesystem.unstrip_protocol, names)]
+        url_prefix = pattern.removesuffix(store_path)
+        urls = [url_prefix + name.lstrip("/") for name in store_paths if not find_hidden_part(name)]
+        return (
+            urls
+            if pattern.endswith(store_path)
+            else [*map(filesystem.unstrip_protocol, store_paths)]
+        )
 
 
 @lru_cache(maxsize=1 << 16)
@@ -292,9 +303,9 @@ def _digest(path: str, size: int, modified_ns: int) -> str:
 
 def describe_file(path: Path) -> FileState:
     """Return the size and the sha256 of a local file."""
-    status = os.stat(path)
-    digest = _digest(str(path), status.st_size, status.st_mtime_ns)
-    return {"size": status.st_size, "sha256": digest}
+    file_status = os.stat(path)
+    digest = _digest(str(path), file_status.st_size, file_status.st_mtime_ns)
+    return {"size": file_status.st_size, "sha256": digest}
 
 
 # ---------------------------------------------------------------- scenes of stores
@@ -332,9 +343,9 @@ class Mirror(ExitStack):
     def url_of(self, path: Path) -> str | None:
         """Return the URL of a path in the folder; None for a path outside of it."""
         path = Path(os.path.abspath(path))
-        for ancestor in (path, *path.parents) if self._urls else ():
-            if ancestor in self._urls:
-                return "/".join([self._urls[ancestor], *path.relative_to(ancestor).parts])
+        for ancestor_path in (path, *path.parents) if self._urls else ():
+            if ancestor_path in self._urls:
+                return "/".join([self._urls[ancestor_path], *path.relative_to(ancestor_path).parts])
         return None
 
     def has(self, path: Path) -> bool:
@@ -363,12 +374,16 @@ class Mirror(ExitStack):
     def describe(self, path: Path) -> FileState:
         """Return the size and a fingerprint of a file: the store's tag, or else its sha256."""
         entry = self._find_entry(path) or {}
-        values = {key.lower(): value for key, value in entry.items() if value not in (None, "")}
-        tag = next((f"{key}:{values[key]}" for key in VERSION_KEYS if key in values), None)
-        if tag is None or values.get("size") is None:
+        entry_values = {
+            key.lower(): value for key, value in entry.items() if value not in (None, "")
+        }
+        version_tag = next(
+            (f"{key}:{entry_values[key]}" for key in VERSION_KEYS if key in entry_values), None
+        )
+        if version_tag is None or entry_values.get("size") is None:
             self.ensure_local(path)
             return describe_file(path)
-        return {"size": values["size"], "tag": tag}
+        return {"size": entry_values["size"], "tag": version_tag}
 
     def translate_paths(self, text: str) -> str:
         """Replace the mirror's local paths in a text by the URLs of the files on their stores."""
@@ -389,7 +404,7 @@ class Mirror(ExitStack):
 
         Except on the web, the file's whole folder is listed, and the listing is kept.
         """
-        with _errors_naming_file("read", url):
+        with _name_file_in_errors("read", url):
             filesystem, path = _open_store(url)
             folder, _, name = path.rpartition("/")
             entry: Mapping[str, Any] | None = None
@@ -422,7 +437,7 @@ def find_disk_full_error(error: BaseException | None) -> OSError | None:
     return None
 
 
-def write_error(destination: str, error: OSError) -> NavbakeError:
+def make_write_error(destination: str, error: OSError) -> NavbakeError:
     """Return the error to raise for a failed write; a FullError if there is no room.
 
     Args:
@@ -433,7 +448,7 @@ def write_error(destination: str, error: OSError) -> NavbakeError:
     message = f"cannot write {destination}: {reason}"
     if error.errno in FULL_DISK_REMEDIES:
         remedy = FULL_DISK_REMEDIES[error.errno]
-        return FullError(f"{message}: {remedy} and run the same command again")
+        return DiskFullError(f"{message}: {remedy} and run the same command again")
     return NavbakeError(message)
 
 
@@ -451,7 +466,7 @@ def _open_store(url: str) -> tuple[Any, str]:
 
 
 @contextmanager
-def _errors_naming_file(action: str, path: Folder) -> Iterator[None]:
+def _name_file_in_errors(action: str, path: Folder) -> Iterator[None]:
     """Turn errors of the with statement into NavbakeErrors that name the file, without passwords.
 
     Args:
@@ -459,12 +474,12 @@ def _errors_naming_file(action: str, path: Folder) -> Iterator[None]:
         path: the file or folder.
 
     Raises:
-        FullError: there is no room to write.
+        DiskFullError: there is no room to write.
         MissingFileError: the file is missing.
         MissingDependencyError: fsspec needs a package that isn't installed.
         NavbakeError: another error; NavbakeErrors and MemoryErrors stay as they are.
     """
-    name = without_secrets(str(path))
+    shown_path = without_secrets(str(path))
     try:
         yield
     except (NavbakeError, MemoryError):
@@ -472,19 +487,21 @@ def _errors_naming_file(action: str, path: Folder) -> Iterator[None]:
     except Exception as error:  # stores' libraries raise many types
         disk_full_error = find_disk_full_error(error) if action == "write" else None
         if action == "write" and not is_url(path) and isinstance(error, OSError):
-            raise write_error(f"into {name}", error) from error
+            raise make_write_error(f"into {shown_path}", error) from error
         if disk_full_error is not None:
-            raise write_error(f"into {name}", disk_full_error) from error
+            raise make_write_error(f"into {shown_path}", disk_full_error) from error
         # if the URL has a password, the store's error may contain it, and isn't shown
-        cause = None if name != str(path) else error
+        shown_cause = None if shown_path != str(path) else error
         if isinstance(error, FileNotFoundError):
-            raise MissingFileError(f"cannot {action} {name}: there is no such file") from cause
-        if cause is None:
+            raise MissingFileError(
+                f"cannot {action} {shown_path}: there is no such file"
+            ) from shown_cause
+        if shown_cause is None:
             reason = type(error).__name__
         else:
-            text = " ".join(str(error).split()) or type(error).__name__
-            text = URL_IN_TEXT.sub(lambda match: without_secrets(match[0]), text)
-            reason = printable(text[:400])
+            error_text = " ".join(str(error).split()) or type(error).__name__
+            error_text = URL_IN_TEXT.sub(lambda match: without_secrets(match[0]), error_text)
+            reason = printable(error_text[:400])
         # an ImportError of fsspec names the missing package
         error_type = MissingDependencyError if isinstance(error, ImportError) else NavbakeError
-        raise error_type(f"cannot {action} {name}: {reason}") from cause
+        raise error_type(f"cannot {action} {shown_path}: {reason}") from shown_cause

@@ -120,7 +120,7 @@ class Workers:
         self._closing.close()
 
     def run(
-        self, jobs: Sequence[Any], on_event: OnJobEvent = lambda event, end: None
+        self, jobs: Sequence[Any], on_event: OnJobEvent = lambda event, job_end: None
     ) -> Generator[JobEnd, None, None]:
         """Run picklable jobs, and yield the end of each as it ends.
 
@@ -134,25 +134,25 @@ class Workers:
         num_failures = [0] * len(jobs)
         num_broken_pools = 0  # in a row
         is_isolated = False  # whether each job has a process of its own
-        waiting = deque(range(len(jobs)))
-        to_retry = deque[int]()
-        while waiting:
-            for end in self._run_in_pool(jobs, waiting, is_isolated, on_event):
+        waiting_numbers = deque(range(len(jobs)))
+        failed_numbers = deque[int]()
+        while waiting_numbers:
+            for job_end in self._run_in_pool(jobs, waiting_numbers, is_isolated, on_event):
                 num_broken_pools = 0
-                if end.how != DONE and (is_isolated or end.how == TOO_LONG):
-                    num_failures[end.number] += 1
-                if end.how == DONE or num_failures[end.number] > self._limits.retries:
-                    yield end
+                if job_end.how != DONE and (is_isolated or job_end.how == TOO_LONG):
+                    num_failures[job_end.number] += 1
+                if job_end.how == DONE or num_failures[job_end.number] > self._limits.retries:
+                    yield job_end
                 else:
-                    on_event(RETRIED, end)
-                    to_retry.append(end.number)
-            if waiting or to_retry or is_isolated:
+                    on_event(RETRIED, job_end)
+                    failed_numbers.append(job_end.number)
+            if waiting_numbers or failed_numbers or is_isolated:
                 self._stop_pool()
-            if waiting:  # the pool broke
+            if waiting_numbers:  # the pool broke
                 num_broken_pools += 1
             else:
-                waiting = to_retry
-                to_retry = deque()
+                waiting_numbers = failed_numbers
+                failed_numbers = deque()
                 is_isolated = True
             if num_broken_pools == MAX_BROKEN_POOLS:
                 reason = self._last_stderr_line(None)
@@ -176,14 +176,18 @@ class Workers:
         )
 
     def _run_in_pool(
-        self, jobs: Sequence[Any], waiting: deque[int], is_isolated: bool, on_event: OnJobEvent
+        self,
+        jobs: Sequence[Any],
+        waiting_numbers: deque[int],
+        is_isolated: bool,
+        on_event: OnJobEvent,
     ) -> Iterator[JobEnd]:
         """Run the waiting jobs in a pool until all have ended, or the pool breaks.
 
         Args:
             jobs: all jobs.
-            waiting: the indices of the jobs to run. They are taken out when they are submitted; if
-                the pool breaks, unfinished jobs are put back.
+            waiting_numbers: the indices of the jobs to run. They are taken out when they are
+                submitted; if the pool breaks, unfinished jobs are put back.
             is_isolated: whether each job gets a new process.
             on_event: is called when a job begins.
 
@@ -191,42 +195,42 @@ class Workers:
             The end of each job that ended.
         """
         if self._pool is None:
-            self._pool = self._start_pool(len(waiting), is_isolated)
+            self._pool = self._start_pool(len(waiting_numbers), is_isolated)
         job_numbers: dict[Future[Any], int] = {}  # of submitted jobs
         begin_times: dict[Future[Any], float] = {}  # by the pool's clock [s]
-        limit = self._limits.seconds
-        seconds = None if limit == float("inf") else limit
+        time_limit = self._limits.seconds
+        timeout = None if time_limit == float("inf") else time_limit
         # While this process was suspended, its workers were, too: these jobs took no longer.
-        suspended: set[Future[Any]] = set()
-        while waiting or job_numbers:
-            while waiting and len(job_numbers) < JOBS_PER_WORKER * self._count:
-                arguments = (self._work, jobs[waiting[0]], is_isolated, self._limits.memory)
+        suspended_jobs: set[Future[Any]] = set()
+        while waiting_numbers or job_numbers:
+            while waiting_numbers and len(job_numbers) < JOBS_PER_WORKER * self._count:
+                arguments = (self._work, jobs[waiting_numbers[0]], is_isolated, self._limits.memory)
                 try:
-                    with _ctrl_c_blocked():  # the first job starts the workers
+                    with _block_ctrl_c():  # the first job starts the workers
                         future: Future[Any] = self._pool.schedule(
-                            _run_job, arguments, timeout=seconds
+                            _run_job, arguments, timeout=timeout
                         )
                 except RuntimeError:  # the pool is broken
-                    waiting.extendleft(job_numbers.values())
+                    waiting_numbers.extendleft(job_numbers.values())
                     return
-                job_numbers[future] = waiting.popleft()
+                job_numbers[future] = waiting_numbers.popleft()
             wait_begin = time.time()  # the pool's clock
-            ended, _ = wait(job_numbers, POLL_INTERVAL, FIRST_COMPLETED)
+            ended_jobs, _ = wait(job_numbers, POLL_INTERVAL, FIRST_COMPLETED)
             if time.time() - wait_begin > POLL_INTERVAL + MAX_OVERSLEEP:
-                suspended.update(job_numbers)
+                suspended_jobs.update(job_numbers)
             for future in job_numbers.keys() - begin_times.keys():
-                if future.running() or future in ended:
+                if future.running() or future in ended_jobs:
                     begin_times[future] = wait_begin
                     on_event(SCENE_BEGUN, JobEnd(job_numbers[future], "", ""))
-            for future in ended:
+            for future in ended_jobs:
                 number = job_numbers.pop(future)
                 duration = time.time() - begin_times.pop(future)
                 error = future.exception()
                 if isinstance(error, BrokenProcessPool):
-                    waiting.extendleft([number, *job_numbers.values()])
+                    waiting_numbers.extendleft([number, *job_numbers.values()])
                     return
-                if isinstance(error, TimeoutError) and future in suspended:
-                    waiting.append(number)
+                if isinstance(error, TimeoutError) and future in suspended_jobs:
+                    waiting_numbers.append(number)
                 elif error is None:
                     worker, how, value = future.result()
                     yield JobEnd(number, how, value, duration, worker)
@@ -269,7 +273,7 @@ class Workers:
 
 
 @contextmanager
-def _ctrl_c_blocked() -> Iterator[None]:
+def _block_ctrl_c() -> Iterator[None]:
     """Block Ctrl-C within the with statement; processes and threads started there keep it blocked.
 
     Without it, Ctrl-C prints the traceback of each worker that is still importing modules.
@@ -355,7 +359,7 @@ def _run_job(
 # ---------------------------------------------------------------- on a Ray cluster
 
 
-def do_on_ray(
+def run_on_ray(
     jobs: Sequence[Any],
     work: Callable[[Any], Any],
     count: int | None,
@@ -364,7 +368,7 @@ def do_on_ray(
     probe_file: Path | None = None,
     limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
     prepare: Callable[[], None] | None = None,
-    on_event: OnJobEvent = lambda event, end: None,
+    on_event: OnJobEvent = lambda event, job_end: None,
 ) -> Generator[JobEnd, None, None]:
     """Run jobs on a Ray cluster; yield the end of each job as it ends, as `Workers.run` does.
 
@@ -386,7 +390,7 @@ def do_on_ray(
     if not jobs:
         return
     probe_path = None if probe_file is None else os.path.abspath(probe_file)
-    enter_node = partial(_enter_node, os.getcwd(), probe_path, __version__)
+    enter_node = partial(_check_and_enter_node, os.getcwd(), probe_path, __version__)
     make_workers = partial(Workers, work, 1, limits=limits, prepare=prepare)
     with _ray_connection(address, min(count or os.cpu_count() or 1, len(jobs))) as ray:
         remote_options = {
@@ -414,39 +418,39 @@ def do_on_ray(
             for task in ended_tasks:
                 number = job_numbers.pop(task)
                 try:
-                    end, failed_attempts = ray.get(task)
+                    job_end, failed_attempts = ray.get(task)
                 except ray.exceptions.RayTaskError as error:
                     raise NavbakeError(_last_line(error.cause or error)) from error
                 except ray.exceptions.RayError as error:
                     reason = f"it was lost {MAX_RAY_RETRIES + 1} times, as {_last_line(error)}"
-                    end = JobEnd(number, CRASHED, reason)
+                    job_end = JobEnd(number, CRASHED, reason)
                     failed_attempts = []
                 for attempt in failed_attempts:
                     on_event(RETRIED, attempt)
-                yield end
+                yield job_end
 
 
-def _enter_node(folder: str, probe_path: str | None, version: str) -> None:
+def _check_and_enter_node(folder: str, probe_path: str | None, version: str) -> None:
     """Change to the batch's current folder on a node of the cluster.
 
     Args:
         folder: the folder, absolute.
-        probe_path: a file that the node must see, see `do_on_ray`.
+        probe_path: a file that the node must see, see `run_on_ray`.
         version: navbake's version where the batch was started.
 
     Raises:
         NavbakeError: the node has another version of navbake, or doesn't see the folder or file.
     """
-    why = None
+    problem = None
     if version != __version__:
-        why = f"it has navbake {__version__}, and the batch is one of {version}"
+        problem = f"it has navbake {__version__}, and the batch is one of {version}"
     elif not os.path.isdir(folder):
-        why = f"it lacks {folder}: run the batch in a folder that all nodes have"
+        problem = f"it lacks {folder}: run the batch in a folder that all nodes have"
     elif probe_path is not None and not os.path.exists(probe_path):
-        why = f"it lacks {probe_path}: write into a folder that all nodes share"
-    if why is not None:
+        problem = f"it lacks {probe_path}: write into a folder that all nodes share"
+    if problem is not None:
         node = socket.gethostname()
-        raise NavbakeError(printable(f"no worker can work on node {node}: {why}"))
+        raise NavbakeError(printable(f"no worker can work on node {node}: {problem}"))
     os.chdir(folder)
 
 
@@ -491,7 +495,7 @@ def _ray_connection(address: str | None, num_cpus: int) -> Iterator[Any]:
     If this process has a connection already, it is used, and stays open.
 
     Args:
-        address: see `do_on_ray`.
+        address: see `run_on_ray`.
         num_cpus: number of CPUs of a cluster that is started here.
 
     Raises:
@@ -507,7 +511,7 @@ def _ray_connection(address: str | None, num_cpus: int) -> Iterator[Any]:
         yield ray
         return
     _check_reachable(address)
-    handler = signal.getsignal(signal.SIGTERM)
+    previous_handler = signal.getsignal(signal.SIGTERM)
     with scratch_folder(Path("/tmp")) if is_started_here else nullcontext() as folder:
         local_options = {
             "num_cpus": num_cpus,
@@ -527,7 +531,9 @@ def _ray_connection(address: str | None, num_cpus: int) -> Iterator[Any]:
             raise NavbakeError(f"cannot {action}: {' '.join(str(error).split())[:300]}") from error
         finally:
             if threading.current_thread() is threading.main_thread():
-                signal.signal(signal.SIGTERM, handler)  # Ray's handler ends this process at once
+                signal.signal(
+                    signal.SIGTERM, previous_handler
+                )  # Ray's handler ends this process at once
         try:
             yield ray
         finally:
@@ -547,8 +553,8 @@ def _check_reachable(address: str) -> None:
         with socket.create_connection((host.strip("[]"), int(port)), CONNECTION_TIMEOUT):
             pass
     except (OSError, OverflowError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise NavbakeError(f"cannot connect to a Ray cluster at {address}: {why}") from error
+        reason = getattr(error, "strerror", None) or str(error)
+        raise NavbakeError(f"cannot connect to a Ray cluster at {address}: {reason}") from error
 
 
 def _last_line(error: BaseException) -> str:

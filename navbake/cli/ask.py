@@ -41,7 +41,7 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     ]
     nonempty_tables = [table for table in tables_of_file if table.rows]
     made_by = [(name.replace("_", " "), value) for name, value in facts["made_by"].items()]
-    summary = [("type", facts["type"]), *tables.summarize(facts), *made_by]
+    summary = [("type", facts["type"]), *tables.list_grid_facts(facts), *made_by]
     print_tables(tables.make_table(("", ""), summary), tables.level_table(facts), *nonempty_tables)
     print_warnings(content.warnings)
 

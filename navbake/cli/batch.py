@@ -153,7 +153,7 @@ def batch(
     sizes = options.override_sizes(scene_options.radius, scene_options.cell_size)
     plan = job.Plan(
         folder=store.as_folder(product_options.output),
-        settings={} if config is None else scenes.read_shared(config),
+        settings={} if config is None else scenes.read_shared_settings(config),
         overrides=(*(scene_options.overrides or ()), *sizes),
         products=products.parse_products(product_options.make or []),
         thumbnail=product_options.has_page,
@@ -166,7 +166,7 @@ def batch(
     if run_options.preview:
         if batch_slice is not None:
             jobs = jobs[batch_slice.number - 1 :: batch_slice.total]
-        previews = run.preview(plan, jobs, workers=worker_options.count, limits=limits)
+        previews = run.preview_batch(plan, jobs, workers=worker_options.count, limits=limits)
         _print_preview(plan, previews, run_options.as_json)
         return
     with ExitStack() as stack:
@@ -239,7 +239,7 @@ def _ray_executor(worker_options: WorkerOptions, folder: store.Folder) -> run.Ex
         return None
     # nodes of the cluster check that they see the lock file, and so the output folder
     probe_file = folder / index.LOCK_NAME if isinstance(folder, Path) else None
-    return partial(workers.do_on_ray, address=worker_options.ray_address, probe_file=probe_file)
+    return partial(workers.run_on_ray, address=worker_options.ray_address, probe_file=probe_file)
 
 
 def _written_names(batch_slice: index.Slice | None, product_options: ProductOptions) -> list[str]:
@@ -268,7 +268,7 @@ def _print_preview(plan: job.Plan, previews: list[Json], as_json: bool) -> None:
 
     Args:
         plan: the batch's options.
-        previews: see `run.preview`.
+        previews: see `run.preview_batch`.
         as_json: whether to print JSON.
     """
     if as_json:
@@ -285,7 +285,7 @@ def _print_preview(plan: job.Plan, previews: list[Json], as_json: bool) -> None:
         size = filesize.decimal(sum(scene["bytes"] for scene in scenes_of_reason))
         names = _name_scenes(reason, scenes_of_reason)
         say(f"{reason}: {count_of(len(scenes_of_reason), 'scene')}, {size}{names}")
-    not_baked = (run.DONE_BEFORE, run.BROKEN_BEFORE)
+    not_baked = (run.ALREADY_DONE, run.BROKEN)
     num_baked = sum(
         len(scenes_of_reason)
         for reason, scenes_of_reason in scenes_by_reason.items()
@@ -310,9 +310,9 @@ def _name_scenes(reason: str, scenes_of_reason: list[Json]) -> str:
 
     Args:
         reason: the reason.
-        scenes_of_reason: the scenes with this reason, see `run.preview`.
+        scenes_of_reason: the scenes with this reason, see `run.preview_batch`.
     """
-    if reason == run.DONE_BEFORE:
+    if reason == run.ALREADY_DONE:
         return ""
     names = []
     for scene in scenes_of_reason[:MAX_LISTED_SCENES]:
@@ -476,7 +476,7 @@ def draw_missing_thumbnails(folder: store.Folder) -> None:
     try:
         with printing.progress_bars("page", VERBOSITY.quiet) as show:
             num_missing = page.draw_thumbnails(folder, lambda share: show("thumbnails", share))
-    except store.FullError as error:
+    except store.DiskFullError as error:
         print_warnings([str(error)])
     else:
         if num_missing:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from navbake.errors import printable
 from navbake.lazy import lazy
-from navbake.views.tables import Table, cell_facts, make_table
+from navbake.views.tables import Table, list_cell_facts, make_table
 
 if TYPE_CHECKING:
     from navbake.types import Json
@@ -131,7 +131,7 @@ def cell_table(facts: Json) -> Table:
     """
     blocked = "no floor here" if facts["floor"] is None else "blocked"
     verdict = "an agent can stand here" if facts["free"] else blocked
-    values = {"verdict": verdict, "blocked by": facts["blockers"], **cell_facts(facts)}
+    values = {"verdict": verdict, "blocked by": facts["blockers"], **list_cell_facts(facts)}
     rows = []
     for name, value in values.items():
         rows.append((name, ", ".join(value) or "-" if isinstance(value, list) else value))

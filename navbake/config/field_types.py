@@ -25,9 +25,9 @@ from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 
 from navbake.errors import ConfigError, FormatError, shorten
 from navbake.files import can_be_path, check_regular
-from navbake.known_names import find_near
+from navbake.known_names import find_similar_names
 from navbake.navgrid.lattice import find_outline_fault
-from navbake.yaml_text import override_key
+from navbake.yaml_text import split_override_key
 
 
 def expected_error(text: str, **details: str) -> PydanticCustomError:
@@ -309,7 +309,7 @@ def make_config_error(
 def _origin_of(location: Location, source: str, overrides: Sequence[str]) -> str:
     """Return the last override that sets the value at a location or a part of it, else `source`."""
     for override in reversed(overrides):
-        key = override_key(override)
+        key = split_override_key(override)
         if key[: len(location)] == location[: len(key)]:
             return f"--set {override}"
     return source
@@ -385,8 +385,8 @@ def _describe_unknown_key(location: Location, sections: Sections) -> Fault:
     for name in reversed(list(sections)):
         if name not in ENTRY_SECTIONS:
             keys_elsewhere |= _keys_of(sections, name)
-    near_keys = [keys_of_section[name] for name in find_near(unknown, keys_of_section)]
-    near_keys += [keys_elsewhere[name] for name in find_near(unknown, keys_elsewhere)]
+    near_keys = [keys_of_section[name] for name in find_similar_names(unknown, keys_of_section)]
+    near_keys += [keys_elsewhere[name] for name in find_similar_names(unknown, keys_elsewhere)]
     same_setting = KEYS_OF_OTHER_TOOLS.get(unknown, "")
     if same_setting and section in ("", same_setting.rpartition(".")[0]):
         near_keys = [same_setting]

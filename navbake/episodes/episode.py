@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from navbake.errors import QueryError, count_of
-from navbake.known_names import find_near, suggest
+from navbake.known_names import find_similar_names, suggest
 from navbake.navgrid import links
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.blocking import find_agent
@@ -49,7 +49,7 @@ def check_word(value: str, words: Collection[str], name: str) -> None:
     """
     if value not in words:
         beginnings = [word for word in words if str(value).startswith(word)]
-        near = find_near(value, words) or beginnings
+        near = find_similar_names(value, words) or beginnings
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ValueError(f"expected one of {', '.join(words)} as {name}, got {value!r}{hint}")
 

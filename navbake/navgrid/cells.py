@@ -426,7 +426,7 @@ def values_at(
         names = [*LAYERS]
         for level_grid in grid.levels:
             names += level_grid.attributes
-        hint = suggest(layer, names, limit=len(names))
+        hint = suggest(layer, names, max_listed=len(names))
         raise QueryError(
             f"no layer {layer!r} in {grid.scene_id!r}: {hint}", key="layer", value=layer, hint=hint
         )

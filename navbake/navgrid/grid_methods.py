@@ -863,9 +863,9 @@ class GridMethods:
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: a line of facts, and a picture of each level."""
-        from navbake.views.notebook import show_html
+        from navbake.views.notebook import render_html
 
-        return show_html(self._as_grid())
+        return render_html(self._as_grid())
 
     def _repr_png_(self) -> bytes:
         """Return one picture of all levels as PNG, for programs that show no HTML."""

@@ -18,7 +18,7 @@ from navbake.types import Float, Int, Int32, Json
 from navbake.views.tables import Table, make_table
 
 # key of a file's metadata -> its key in the result of `describe`
-MADE_BY = {
+MADE_BY_KEYS = {
     "version": "navbake",
     "mujoco": "mujoco",
     "sceneDigest": "scene_digest",
@@ -57,16 +57,18 @@ def describe(grid: NavGrid) -> Json:
     metadata = {**grid.metadata, **grid.navbake}
     islands = find_islands(grid)
     levels = []
-    for name, level, island in zip(grid.level_names, grid.levels, islands, strict=True):
-        levels.append(_describe_level(name, level, island))
+    for name, level, island_of_cell in zip(grid.level_names, grid.levels, islands, strict=True):
+        levels.append(_describe_level(name, level, island_of_cell))
     return {
         "type": type(grid).__name__,
         "scene_id": grid.scene_id,
         "cell_size": grid.levels[0].lattice.cell_size,
         "agent": {name: metadata[key] for key, name in AGENT_KEYS.items() if key in metadata},
-        "made_by": {name: metadata[key] for key, name in MADE_BY.items() if key in grid.navbake},
+        "made_by": {
+            name: metadata[key] for key, name in MADE_BY_KEYS.items() if key in grid.navbake
+        },
         "levels": levels,
-        "num_islands": max(int(island.max(initial=0)) for island in islands),
+        "num_islands": max(int(island_of_cell.max(initial=0)) for island_of_cell in islands),
         "num_steps": len(grid.step_array),
         "links": [link.to_json() for link in grid.links],
         "areas": _describe_areas(grid),
@@ -77,25 +79,25 @@ def describe(grid: NavGrid) -> Json:
     }
 
 
-def _describe_level(name: str, level: SceneGrid2D, island: Int32) -> Json:
+def _describe_level(name: str, level: SceneGrid2D, island_of_cell: Int32) -> Json:
     """Summarise a level, see `describe`.
 
     Args:
         name: the level's name.
         level: the level.
-        island: the number of each cell's island, 0 for none, shape (height, width).
+        island_of_cell: the number of each cell's island, 0 for none, shape (height, width).
     """
     cell_area = level.lattice.cell_size**2
-    floor = level.floor[np.isfinite(level.floor)]
-    island_sizes = np.bincount(island.ravel())[1:]
+    floor_heights = level.floor[np.isfinite(level.floor)]
+    island_sizes = np.bincount(island_of_cell.ravel())[1:]
     return {
         "name": name,
         "width": level.width,
         "height": level.height,
         "ground": _round_to_millionth(level.ground),
-        "floor_min": _round_to_millionth(floor.min()) if floor.size else None,
-        "floor_max": _round_to_millionth(floor.max()) if floor.size else None,
-        "floor_area": _round_to_millionth(floor.size * cell_area),
+        "floor_min": _round_to_millionth(floor_heights.min()) if floor_heights.size else None,
+        "floor_max": _round_to_millionth(floor_heights.max()) if floor_heights.size else None,
+        "floor_area": _round_to_millionth(floor_heights.size * cell_area),
         "free_area": _round_to_millionth(np.count_nonzero(level.free) * cell_area),
         "num_islands": int(np.count_nonzero(island_sizes)),
         "largest_island_area": _round_to_millionth(island_sizes.max(initial=0) * cell_area),
@@ -109,22 +111,22 @@ def _describe_areas(grid: NavGrid) -> list[Json]:
         np.bincount(level.area_index.ravel(), minlength=256) * level.lattice.cell_size**2
         for level in grid.levels
     ]
-    sizes = np.sum(sizes_of_levels, axis=0)
+    area_sizes = np.sum(sizes_of_levels, axis=0)
     return [
-        {**area.to_json(), "m2": _round_to_millionth(sizes[number])}
-        for number, area in enumerate(grid.areas, start=1)
+        {**area.to_json(), "m2": _round_to_millionth(area_sizes[area_number])}
+        for area_number, area in enumerate(grid.areas, start=1)
     ]
 
 
 def _list_inflations(grid: NavGrid) -> list[Json]:
     """List the inflations in a grid's metadata; entries that `inflate` hasn't made are left out."""
-    entries = grid.metadata.get("inflation")
-    if not isinstance(entries, list):
+    inflations = grid.metadata.get("inflation")
+    if not isinstance(inflations, list):
         return []
     return [
-        {key: entry[key] for key in INFLATION_KEYS}
-        for entry in entries
-        if isinstance(entry, dict) and entry.keys() >= set(INFLATION_KEYS)
+        {key: inflation[key] for key in INFLATION_KEYS}
+        for inflation in inflations
+        if isinstance(inflation, dict) and inflation.keys() >= set(INFLATION_KEYS)
     ]
 
 
@@ -162,8 +164,8 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         x0, y0, x1, y1 = grid.levels[level or 0].lattice.bounds
         span = f"it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
         raise QueryError(f"{x:g}, {y:g} lies beside level {level or 0}: {span}")
-    number, row, col = place.cell
-    level_grid = grid.levels[number]
+    level_number, row, col = place.cell
+    level_grid = grid.levels[level_number]
     cell = row * level_grid.width + col
     user_data = level_grid.user_data.get(cell, {})
     occupants = {kind: sorted(names_in(user_data, kind)) for kind in NAME_KEYS}
@@ -173,7 +175,7 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         blockers = sorted(names_in(user_data, "blockers"))
         blockers = blockers or sorted(set().union(*occupants.values()))
     return {
-        "level": number,
+        "level": level_number,
         "row": row,
         "col": col,
         "cell": cell,
@@ -182,13 +184,13 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         "free": place.free,
         "occupied": place.occupied,
         "weight": place.weight if place.free else None,
-        "room": _describe_room(grid, number, int(level_grid.room_index[row, col])),
+        "room": _describe_room(grid, level_number, int(level_grid.room_index[row, col])),
         "island": place.island,
         "area": place.area,
         "links": [
             link.name
             for link in grid.links
-            if any((stop.level, stop.cell) == (number, cell) for stop in link.stops)
+            if any((stop.level, stop.cell) == (level_number, cell) for stop in link.stops)
         ],
         **occupants,
         "blockers": blockers,
@@ -294,19 +296,19 @@ def _find_stairs(grid: NavGrid) -> Iterator[Connection]:
     Steps from touching cells between the same two levels make one stair. Within one level, they
     make a steep ramp.
     """
-    num_of_kind = {STAIR: 0, STEEP_RAMP: 0}
+    count_of_kind = {STAIR: 0, STEEP_RAMP: 0}
     # each row is a step: level and cell of one end, level and cell of the other end
     groups = group_steps(grid, grid.step_array)
     for steps in sorted(groups, key=lambda steps: bool(steps[0, 0] == steps[0, 2])):
         first_level = int(steps[0, 0])
         second_level = int(steps[0, 2])
         kind = STEEP_RAMP if first_level == second_level else STAIR
-        num_of_kind[kind] += 1
+        count_of_kind[kind] += 1
         stops = (
             _mean_position(grid, first_level, steps[:, 1]),
             _mean_position(grid, second_level, steps[:, 3]),
         )
-        yield Connection(f"{kind} {num_of_kind[kind]}", kind, stops, None, len(steps))
+        yield Connection(f"{kind} {count_of_kind[kind]}", kind, stops, None, len(steps))
 
 
 def _mean_position(grid: NavGrid, level: int, cells: Int) -> StopPoint:
@@ -331,16 +333,18 @@ def arc_between(start: Float, end: Float) -> Float:
     """
     displacement = end - start
     bulge_direction = np.array([0.0, 0.0, 1.0])
-    horizontal = float(np.hypot(displacement[0], displacement[1]))
-    if abs(displacement[2]) > horizontal:
-        if horizontal > 1e-6:
-            bulge_direction = np.array([-displacement[1], displacement[0], 0.0]) / horizontal
+    horizontal_length = float(np.hypot(displacement[0], displacement[1]))
+    if abs(displacement[2]) > horizontal_length:
+        if horizontal_length > 1e-6:
+            bulge_direction = np.array([-displacement[1], displacement[0], 0.0]) / horizontal_length
         else:
             bulge_direction = np.array([0.0, -1.0, 0.0])
-    t = np.linspace(0.0, 1.0, NUM_ARC_POINTS)[:, None]
+    fraction = np.linspace(0.0, 1.0, NUM_ARC_POINTS)[:, None]
     # 4 t (1 - t) is a parabola: 0 at both ends, 1 in the middle
-    bulge = 4 * t * (1 - t) * ARC_BULGE * np.linalg.norm(displacement) * bulge_direction
-    arc: Float = start + t * displacement + bulge
+    offsets = (
+        4 * fraction * (1 - fraction) * ARC_BULGE * np.linalg.norm(displacement) * bulge_direction
+    )
+    arc: Float = start + fraction * displacement + offsets
     return arc
 
 
@@ -358,7 +362,7 @@ def describe_area(area: Area) -> str:
     return f"{area.name}: {', '.join(facts)}" if facts else area.name
 
 
-def stair_table(grid: NavGrid) -> Table:
+def make_stair_table(grid: NavGrid) -> Table:
     """Make a table with a row for each stair and each steep ramp, see `Connection`."""
     rows = []
     for connection in find_connections(grid):

@@ -16,7 +16,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Float, Int, Json
 from navbake.views.notebook import encode_png
-from navbake.views.page import pack, show_table
+from navbake.views.page import describe_table, pack_json
 from navbake.views.tables import make_table
 
 # most cells of a level that a page holds; of a larger level it has only each n-th row and column
@@ -61,45 +61,54 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
     """
     pairs = match_levels(first, second)
     levels = [
-        compare_levels(first.levels[i], second.levels[j], level_numbers=(i, j)) for i, j in pairs
+        compare_levels(
+            first.levels[first_number],
+            second.levels[second_number],
+            level_numbers=(first_number, second_number),
+        )
+        for first_number, second_number in pairs
     ]
-    level_names = [(first.level_names[i], second.level_names[j]) for i, j in pairs]
+    level_names = [
+        (first.level_names[first_number], second.level_names[second_number])
+        for first_number, second_number in pairs
+    ]
     num_changes = len(CHANGE_KINDS)
-    counts = [
-        np.bincount(level.change.ravel(), minlength=num_changes)[:num_changes] for level in levels
+    change_counts = [
+        np.bincount(level.change_of_cell.ravel(), minlength=num_changes)[:num_changes]
+        for level in levels
     ]
     changed_cells = [
-        (*names_of_level, *count.tolist())
-        for names_of_level, count in zip(level_names, counts, strict=True)
+        (*names_of_level, *change_count.tolist())
+        for names_of_level, change_count in zip(level_names, change_counts, strict=True)
     ]
     unmatched_levels = [
         (ONLY_IN_FIRST, name, "")
-        for number, name in enumerate(first.level_names)
-        if number not in [pair[0] for pair in pairs]
+        for level_number, name in enumerate(first.level_names)
+        if level_number not in [pair[0] for pair in pairs]
     ]
     unmatched_levels += [
         (ONLY_IN_SECOND, "", name)
-        for number, name in enumerate(second.level_names)
-        if number not in [pair[1] for pair in pairs]
+        for level_number, name in enumerate(second.level_names)
+        if level_number not in [pair[1] for pair in pairs]
     ]
-    doors = list_differences(
+    door_rows = list_differences(
         {door.id: door.state for door in first.doors},
         {door.id: door.state for door in second.doors},
     )
-    settings = list_differences(settings_of(first), settings_of(second))
-    columns = ("what", *names)
+    setting_rows = list_differences(read_settings(first), read_settings(second))
+    headings = ("what", *names)
     tables = {
         "Cells that changed": make_table(
             (*names, *CHANGE_KINDS), changed_cells, numbers=CHANGE_KINDS
         ),
-        "Levels that only one has": make_table(columns, unmatched_levels),
-        "Rooms that changed": make_table(columns, list_changed_rooms(first, second, levels)),
-        "Doors that changed": make_table(columns, doors),
-        "Settings that changed": make_table(columns, settings),
+        "Levels that only one has": make_table(headings, unmatched_levels),
+        "Rooms that changed": make_table(headings, list_changed_rooms(first, second, levels)),
+        "Doors that changed": make_table(headings, door_rows),
+        "Settings that changed": make_table(headings, setting_rows),
     }
     free_before = _free_area(first)
     free_after = _free_area(second)
-    num_changed = sum(int(count.sum()) for count in counts)
+    num_changed = sum(int(change_count.sum()) for change_count in change_counts)
     return {
         "name": "difference",
         "facts": [
@@ -116,7 +125,7 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
             _show_level(level, names_of_level)
             for level, names_of_level in zip(levels, level_names, strict=True)
         ],
-        "tables": [show_table(title, table) for title, table in tables.items() if table.rows],
+        "tables": [describe_table(title, table) for title, table in tables.items() if table.rows],
     }
 
 
@@ -148,15 +157,17 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
     """
     extent = describe_extent(" / ".join(dict.fromkeys(names)), level.lattice)
     stride = extent["every"]
-    change = level.change[::stride, ::stride]
+    change_of_cell = level.change_of_cell[::stride, ::stride]
     palette = np.array([rgb_of(color) for color in CHANGE_COLORS.values()], dtype=np.uint8)
     legend = [
-        entry for number, entry in enumerate(CHANGE_COLORS.items()) if (change == number).any()
+        entry
+        for kind_index, entry in enumerate(CHANGE_COLORS.items())
+        if (change_of_cell == kind_index).any()
     ]
     layer = {
         "name": "changes",
         "title": "",
-        "png": png_url(palette[change]),
+        "png": png_url(palette[change_of_cell]),
         "legend": legend,
         "scale": None,
         "labels": [],
@@ -165,8 +176,8 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
     }
     return {
         **extent,
-        "of": [[0, level.first], [1, level.second]],
-        "cells": pack({"change": change.ravel()}),
+        "of": [[0, level.first_number], [1, level.second_number]],
+        "cells": pack_json({"change": change_of_cell.ravel()}),
         "kinds": list(CHANGE_COLORS),
         "layers": [layer],
         "marks": [],
@@ -185,14 +196,14 @@ def describe_extent(name: str, lattice: Lattice) -> Json:
         ``yMax``, world x and y of the upper left corner [m]; and ``every``: a page shows each
         ``every``-th row and column, so that it shows at most `MAX_PAGE_CELLS` cells.
     """
-    every = 1
-    while -(-lattice.height // every) * -(-lattice.width // every) > MAX_PAGE_CELLS:
-        every += 1
+    stride = 1
+    while -(-lattice.height // stride) * -(-lattice.width // stride) > MAX_PAGE_CELLS:
+        stride += 1
     return {
         "name": name,
         "width": lattice.width,
         "height": lattice.height,
-        "every": every,
+        "every": stride,
         "cellSize": lattice.cell_size,
         "xMin": lattice.x_min,
         "yMax": lattice.y_max,
@@ -211,8 +222,8 @@ def png_url(rgb: NDArray[np.uint8]) -> str:
 class RoomMatch(NamedTuple):
     """A room of the first level, and the room of the second level that corresponds to it."""
 
-    first: int  # index of the first level's room
-    second: int  # index of the second level's room
+    first_room: int  # index of the first level's room
+    second_room: int  # index of the second level's room
     overlap: float  # intersection over union of their cells, 0 to 1
 
 
@@ -220,18 +231,18 @@ class LevelDifference(NamedTuple):
     """How a level of the first grid and a level of the second differ.
 
     Attributes:
-        first: number of the first grid's level.
-        second: number of the second grid's level.
+        first_number: number of the first grid's level.
+        second_number: number of the second grid's level.
         lattice: the lattice of the first level, extended to cover both levels.
-        change: the kind of change of each cell of `lattice`, as an index into `CHANGE_COLORS`,
-            shape (height, width).
+        change_of_cell: the kind of change of each cell of `lattice`, as an index into
+            `CHANGE_COLORS`, shape (height, width).
         rooms: the rooms that are in both levels.
     """
 
-    first: int
-    second: int
+    first_number: int
+    second_number: int
     lattice: Lattice
-    change: NDArray[np.uint8]
+    change_of_cell: NDArray[np.uint8]
     rooms: list[RoomMatch]
 
 
@@ -249,19 +260,22 @@ def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
         For each pair of levels, their numbers in the first and in the second grid; ascending.
     """
     candidates = []
-    for i, first_level in enumerate(first.levels):
-        for j, second_level in enumerate(second.levels):
-            cover = _cover_both(first_level.lattice, second_level.lattice)
+    for first_number, first_level in enumerate(first.levels):
+        for second_number, second_level in enumerate(second.levels):
+            covering_lattice = _cover_both(first_level.lattice, second_level.lattice)
             num_cells = first_level.free.size + second_level.free.size
             max_cells = max(MIN_COVER_LIMIT, MAX_COVER_FACTOR * num_cells)
-            gap = abs(first_level.ground - second_level.ground)
-            if gap <= MAX_GROUND_GAP and cover.width * cover.height <= max_cells:
-                candidates.append((gap, i, j))
-    pairs: dict[int, int] = {}
-    for _, i, j in sorted(candidates):
-        if i not in pairs and j not in pairs.values():
-            pairs[i] = j
-    return sorted(pairs.items())
+            ground_gap = abs(first_level.ground - second_level.ground)
+            if (
+                ground_gap <= MAX_GROUND_GAP
+                and covering_lattice.width * covering_lattice.height <= max_cells
+            ):
+                candidates.append((ground_gap, first_number, second_number))
+    second_of_first: dict[int, int] = {}
+    for _, first_number, second_number in sorted(candidates):
+        if first_number not in second_of_first and second_number not in second_of_first.values():
+            second_of_first[first_number] = second_number
+    return sorted(second_of_first.items())
 
 
 def compare_levels(
@@ -280,104 +294,116 @@ def compare_levels(
     lattice = _cover_both(first.lattice, second.lattice)
     before = _resample(first, lattice)
     after = _resample(second, lattice)
-    in_both = before.inside & after.inside
+    in_both = before.is_inside & after.is_inside
     rooms = _match_rooms(before.room, after.room)
     # whether a room of the first level (row) is the same as one of the second level (column)
-    num_rooms = (int(before.room.max(initial=0)) + 1, int(after.room.max(initial=0)) + 1)
-    is_same_room = np.zeros(num_rooms, bool)
+    table_shape = (int(before.room.max(initial=0)) + 1, int(after.room.max(initial=0)) + 1)
+    is_same_room = np.zeros(table_shape, bool)
     is_same_room[0, 0] = True
     for match in rooms:
-        is_same_room[match.first, match.second] = True
-    no_floor_before = np.isnan(before.floor)
-    no_floor_after = np.isnan(after.floor)
-    same_floor = np.isclose(
-        before.floor, after.floor, rtol=0, atol=MAX_SAME_FLOOR_GAP, equal_nan=True
+        is_same_room[match.first_room, match.second_room] = True
+    had_no_floor = np.isnan(before.floor_height)
+    has_no_floor = np.isnan(after.floor_height)
+    is_same_floor = np.isclose(
+        before.floor_height, after.floor_height, rtol=0, atol=MAX_SAME_FLOOR_GAP, equal_nan=True
     )
     # conditions of the kinds in `CHANGE_COLORS`; a cell's kind is the first whose condition holds
     conditions = [
-        after.free & ~before.free & before.inside,
-        before.free & ~after.free & after.inside,
-        ~same_floor & in_both,
+        after.is_free & ~before.is_free & before.is_inside,
+        before.is_free & ~after.is_free & after.is_inside,
+        ~is_same_floor & in_both,
         ~is_same_room[before.room, after.room] & in_both,
         (before.weight != after.weight) & in_both,
-        ~after.inside & (before.free | ~no_floor_before),
-        ~before.inside & (after.free | ~no_floor_after),
-        before.free,
-        ~no_floor_before,
+        ~after.is_inside & (before.is_free | ~had_no_floor),
+        ~before.is_inside & (after.is_free | ~has_no_floor),
+        before.is_free,
+        ~had_no_floor,
     ]
-    change = np.select(conditions, list(range(len(conditions))), len(conditions))
+    kind_of_cell = np.select(conditions, list(range(len(conditions))), len(conditions))
     first_number, second_number = level_numbers
-    return LevelDifference(first_number, second_number, lattice, change.astype(np.uint8), rooms)
+    return LevelDifference(
+        first_number, second_number, lattice, kind_of_cell.astype(np.uint8), rooms
+    )
 
 
 class ResampledLevel(NamedTuple):
     """The values of a level at the centres of a lattice's cells; arrays of the lattice's shape."""
 
-    inside: Bool  # whether the level has a cell there; if not, it is taken as blocked, no floor
-    free: Bool  # whether the level's cell is free
-    floor: Float  # world z of the floor [m], NaN for none
+    is_inside: Bool  # whether the level has a cell there; if not, it is taken as blocked, no floor
+    is_free: Bool  # whether the level's cell is free
+    floor_height: Float  # world z of the floor [m], NaN for none
     room: Int  # index of the room, 0 for none
     weight: Float  # cost of the cell; inf outside
 
 
 def _resample(level: SceneGrid2D, lattice: Lattice) -> ResampledLevel:
     """Read a level's values at the centres of a lattice's cells."""
-    source = level.lattice
-    rows = np.floor((source.y_max - lattice.center_y()) / source.cell_size).astype(np.int64)
-    cols = np.floor((lattice.center_x() - source.x_min) / source.cell_size).astype(np.int64)
-    has_row = (rows >= 0) & (rows < source.height)
-    has_col = (cols >= 0) & (cols < source.width)
-    inside = has_row[:, None] & has_col
-    cells = np.ix_(np.clip(rows, 0, source.height - 1), np.clip(cols, 0, source.width - 1))
+    level_lattice = level.lattice
+    level_rows = np.floor(
+        (level_lattice.y_max - lattice.center_y()) / level_lattice.cell_size
+    ).astype(np.int64)
+    level_cols = np.floor(
+        (lattice.center_x() - level_lattice.x_min) / level_lattice.cell_size
+    ).astype(np.int64)
+    has_row = (level_rows >= 0) & (level_rows < level_lattice.height)
+    has_col = (level_cols >= 0) & (level_cols < level_lattice.width)
+    is_inside = has_row[:, None] & has_col
+    cells = np.ix_(
+        np.clip(level_rows, 0, level_lattice.height - 1),
+        np.clip(level_cols, 0, level_lattice.width - 1),
+    )
     return ResampledLevel(
-        inside=inside,
-        free=level.free[cells] & inside,
-        floor=np.where(inside, level.floor[cells], np.nan),
-        room=np.where(inside, level.room_index[cells].astype(np.int64), 0),
-        weight=np.where(inside, level.weights[cells].astype(np.float64), np.inf),
+        is_inside=is_inside,
+        is_free=level.free[cells] & is_inside,
+        floor_height=np.where(is_inside, level.floor[cells], np.nan),
+        room=np.where(is_inside, level.room_index[cells].astype(np.int64), 0),
+        weight=np.where(is_inside, level.weights[cells].astype(np.float64), np.inf),
     )
 
 
-def _cover_both(lattice: Lattice, second: Lattice) -> Lattice:
+def _cover_both(first: Lattice, second: Lattice) -> Lattice:
     """Extend a lattice by whole cells so that it covers a second one, too."""
-    size = lattice.cell_size
+    cell_size = first.cell_size
     # by how many cells the second lattice extends beyond each side; rounding errors don't count
-    beyond = (np.array(lattice.bounds) - second.bounds) * (1, 1, -1, -1) / size - 1e-6
-    west, south, east, north = np.ceil(beyond).clip(min=0).astype(np.int64).tolist()
+    excess_cells = (np.array(first.bounds) - second.bounds) * (1, 1, -1, -1) / cell_size - 1e-6
+    west, south, east, north = np.ceil(excess_cells).clip(min=0).astype(np.int64).tolist()
     return Lattice(
-        lattice.x_min - west * size,
-        lattice.y_max + north * size,
-        size,
-        lattice.width + west + east,
-        lattice.height + south + north,
+        first.x_min - west * cell_size,
+        first.y_max + north * cell_size,
+        cell_size,
+        first.width + west + east,
+        first.height + south + north,
     )
 
 
-def _match_rooms(first: Int, second: Int) -> list[RoomMatch]:
+def _match_rooms(first_rooms: Int, second_rooms: Int) -> list[RoomMatch]:
     """Pair rooms of two levels that are each other's best overlap.
 
     Args:
-        first: the index of the first level's room at each cell, 0 for none.
-        second: the index of the second level's room at each cell, the same shape.
+        first_rooms: the index of the first level's room at each cell, 0 for none.
+        second_rooms: the index of the second level's room at each cell, the same shape.
     """
-    # each column of `pairs` has room indices of both levels; `common`: the number of such cells
-    pairs, common = np.unique(np.stack([first.ravel(), second.ravel()]), axis=1, return_counts=True)
-    first_sizes = np.bincount(first.ravel())
-    second_sizes = np.bincount(second.ravel())
-    union = first_sizes[pairs[0]] + second_sizes[pairs[1]] - common
-    overlap = common / union
+    # each column of `room_pairs` has a room index of each level, and `common_sizes` the number of
+    # cells with both
+    room_pairs, common_sizes = np.unique(
+        np.stack([first_rooms.ravel(), second_rooms.ravel()]), axis=1, return_counts=True
+    )
+    first_sizes = np.bincount(first_rooms.ravel())
+    second_sizes = np.bincount(second_rooms.ravel())
+    union_sizes = first_sizes[room_pairs[0]] + second_sizes[room_pairs[1]] - common_sizes
+    overlaps = common_sizes / union_sizes
     # sorted so that the largest overlap is last, and of equal overlaps the lowest room indices
-    order = np.lexsort((-pairs[1], -pairs[0], overlap)).tolist()
+    sort_indices = np.lexsort((-room_pairs[1], -room_pairs[0], overlaps)).tolist()
     matches = [
-        RoomMatch(int(pairs[0, k]), int(pairs[1, k]), float(overlap[k]))
-        for k in order
-        if pairs[:, k].all()
+        RoomMatch(int(room_pairs[0, i]), int(room_pairs[1, i]), float(overlaps[i]))
+        for i in sort_indices
+        if room_pairs[:, i].all()
     ]
     # of a room's matches, the last remains, which has the largest overlap
-    best_of_first = {match.first: match for match in matches}
-    best_of_second = {match.second: match for match in matches}
+    best_of_first = {match.first_room: match for match in matches}
+    best_of_second = {match.second_room: match for match in matches}
     return sorted(
-        match for match in best_of_first.values() if best_of_second[match.second] == match
+        match for match in best_of_first.values() if best_of_second[match.second_room] == match
     )
 
 
@@ -400,8 +426,8 @@ def list_changed_rooms(
     rows = []
     for level in levels:
         for match in level.rooms:
-            before = first_rooms.pop((level.first, match.first), None)
-            after = second_rooms.pop((level.second, match.second), None)
+            before = first_rooms.pop((level.first_number, match.first_room), None)
+            after = second_rooms.pop((level.second_number, match.second_room), None)
             if before is None or after is None:
                 continue
             changes = []
@@ -416,7 +442,7 @@ def list_changed_rooms(
     return rows
 
 
-def settings_of(grid: NavGrid) -> dict[str, str]:
+def read_settings(grid: NavGrid) -> dict[str, str]:
     """Return a grid's settings: path, such as ``settings.agent.radius`` -> value as text.
 
     The scene's digest, the agent's radius, the inflations and the cells' size are among them.
@@ -446,21 +472,21 @@ def list_differences(first: Mapping[str, str], second: Mapping[str, str]) -> lis
     return [(key, first.get(key, ""), second.get(key, "")) for key in keys]
 
 
-def flatten(json: object, path: str = "") -> dict[str, str]:
+def flatten(json_value: object, path: str = "") -> dict[str, str]:
     """Flatten nested JSON objects into one mapping.
 
     Args:
-        json: an object, a list or a scalar. A list without objects becomes one text.
-        path: the path of `json` itself; the paths of its entries begin with it.
+        json_value: an object, a list or a scalar. A list without objects becomes one text.
+        path: the path of `json_value` itself; the paths of its entries begin with it.
 
     Returns:
         Path, such as ``scene.sites.0`` -> value as text; null is left out.
     """
-    if isinstance(json, list) and any(isinstance(entry, dict) for entry in json):
-        json = dict(enumerate(json))
-    if not isinstance(json, dict):
-        return {} if json is None else {path: str(json)}
-    flat: dict[str, str] = {}
-    for key, entry in json.items():
-        flat |= flatten(entry, f"{path}.{key}" if path else str(key))
-    return flat
+    if isinstance(json_value, list) and any(isinstance(entry, dict) for entry in json_value):
+        json_value = dict(enumerate(json_value))
+    if not isinstance(json_value, dict):
+        return {} if json_value is None else {path: str(json_value)}
+    flat_entries: dict[str, str] = {}
+    for key, entry in json_value.items():
+        flat_entries |= flatten(entry, f"{path}.{key}" if path else str(key))
+    return flat_entries

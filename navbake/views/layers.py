@@ -86,9 +86,12 @@ class ColorScale(NamedTuple):
 
         The shape is (count, 3).
         """
-        positions = np.linspace(0.0, len(self.colors) - 1, count)
-        rgb = np.array([colors.rgb_of(color) for color in self.colors], dtype=np.float64)
-        channels = [np.interp(positions, np.arange(len(rgb)), channel) for channel in rgb.T]
+        bar_positions = np.linspace(0.0, len(self.colors) - 1, count)
+        rgb_of_colors = np.array([colors.rgb_of(color) for color in self.colors], dtype=np.float64)
+        channels = [
+            np.interp(bar_positions, np.arange(len(rgb_of_colors)), channel)
+            for channel in rgb_of_colors.T
+        ]
         return np.round(np.stack(channels, axis=1)).astype(np.uint8)
 
     def color(self, values: Reals) -> NDArray[np.uint8]:
@@ -150,33 +153,33 @@ class Panel(NamedTuple):
 
 
 def make_panel(
-    grid: NavGrid, layer: str, number: int, *, findings: Sequence[Finding] | None = None
+    grid: NavGrid, layer: str, level_number: int, *, findings: Sequence[Finding] | None = None
 ) -> Panel:
     """Make the panel of a level's layer; `paint` turns it into colours.
 
     Args:
         grid: a grid of one or several levels.
         layer: one of `LAYERS`, or `DISAGREEMENTS`.
-        number: the number of the level, 0 is the lowest.
+        level_number: the number of the level, 0 is the lowest.
         findings: the findings of a verification, which `DISAGREEMENTS` needs.
 
     Raises:
         QueryError: there is no such layer or level, or there are no findings for `DISAGREEMENTS`.
     """
-    check_level(number, len(grid.levels))
+    check_level(level_number, len(grid.levels))
     if layer == DISAGREEMENTS:
         if findings is None:
             raise QueryError(f"the layer {layer} shows what a verification found: pass findings")
-        panel = _show_disagreements(grid, number, findings)
+        panel = _show_disagreements(grid, level_number, findings)
     elif layer not in LAYERS:
         raise QueryError(f"expected one of {', '.join(LAYERS)} as layer, got {layer!r}")
     else:
-        panel = LAYERS[layer](grid, number)
+        panel = LAYERS[layer](grid, level_number)
     title = panel.title
     if panel.scale is not None and len(panel.scale.ticks) == 1:
         title = f"{title}: {panel.scale.ticks[0].text}"
     if len(grid.levels) > 1:
-        title = f"{grid.level_names[number]}: {title}"
+        title = f"{grid.level_names[level_number]}: {title}"
     return panel._replace(title=title)
 
 
@@ -188,14 +191,16 @@ def paint(panel: Panel) -> NDArray[np.uint8]:
     painted = panel.scale.color(panel.values[has_value])
     if panel.relief:
         shading = relief_shading(panel.values, panel.relief)[has_value][:, None]
-        share = np.where(shading > 0, shading * MAX_LIGHT, -shading * MAX_SHADE)
-        painted = np.round(painted * (1 - share) + (shading > 0) * 255 * share).astype(np.uint8)
+        mixed_fraction = np.where(shading > 0, shading * MAX_LIGHT, -shading * MAX_SHADE)
+        painted = np.round(
+            painted * (1 - mixed_fraction) + (shading > 0) * 255 * mixed_fraction
+        ).astype(np.uint8)
     rgb = panel.rgb.copy()
     rgb[has_value] = painted
     return rgb
 
 
-def relief_shading(heights: Reals, step: float) -> NDArray[np.float32]:
+def relief_shading(heights: Reals, full_height_step: float) -> NDArray[np.float32]:
     """Compute the relief shading of floors, -1 (shaded) to 1 (lit), shape (height, width).
 
     The light comes from the upper left of the map. A cell whose floor is higher than its upper and
@@ -204,13 +209,13 @@ def relief_shading(heights: Reals, step: float) -> NDArray[np.float32]:
     Args:
         heights: z of each cell's floor [m], shape (height, width); not finite where there is none.
             Neighbours without a floor don't count.
-        step: the difference of z at which the shading has 3/4 of its full strength [m].
+        full_height_step: the difference of z at which the shading has 3/4 of its full strength [m].
     """
-    finite = np.where(np.isfinite(heights), heights, np.nan)
-    outside = np.float32(np.nan)
-    rise_down = np.nan_to_num(np.diff(finite, axis=0, prepend=outside))
-    rise_right = np.nan_to_num(np.diff(finite, axis=1, prepend=outside))
-    shading: NDArray[np.float32] = np.tanh((rise_down + rise_right) / np.float32(step))
+    finite_heights = np.where(np.isfinite(heights), heights, np.nan)
+    no_height = np.float32(np.nan)
+    rise_down = np.nan_to_num(np.diff(finite_heights, axis=0, prepend=no_height))
+    rise_right = np.nan_to_num(np.diff(finite_heights, axis=1, prepend=no_height))
+    shading: NDArray[np.float32] = np.tanh((rise_down + rise_right) / np.float32(full_height_step))
     return shading
 
 
@@ -229,11 +234,14 @@ def linear_scale(values: Reals, label: str, *, dark_high: bool = False) -> Color
     high = float(values.max()) if values.size else MIN_RANGE
     ticks = [(low, f"{low:g}")]
     if high > low:
-        step = nice_step((high - low) / MAX_TICKS)
-        digits = max(0, -math.floor(math.log10(step) + 1e-9))
-        first = math.ceil(low / step - 1e-9)
-        last = math.floor(high / step + 1e-9)
-        ticks = [(n * step, f"{n * step + 0.0:.{digits}f}") for n in range(first, last + 1)]
+        step = round_up_step((high - low) / MAX_TICKS)
+        num_decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+        first_multiple = math.ceil(low / step - 1e-9)
+        last_multiple = math.floor(high / step + 1e-9)
+        ticks = [
+            (multiple * step, f"{multiple * step + 0.0:.{num_decimals}f}")
+            for multiple in range(first_multiple, last_multiple + 1)
+        ]
     margin = max(0.0, MIN_RANGE - (high - low)) / 2
     if dark_high:
         high += 2 * margin
@@ -245,10 +253,17 @@ def linear_scale(values: Reals, label: str, *, dark_high: bool = False) -> Color
     return ColorScale(label, (low, high), (0.0, 1.0), bar_ticks, bar_colors)
 
 
-def nice_step(minimum: float) -> float:
+def round_up_step(minimum: float) -> float:
     """Return the smallest number, at least `minimum`, that is 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(minimum))
-    return next((n * power for n in (1, 2, 5) if n * power >= minimum * (1 - 1e-9)), 10 * power)
+    power_of_ten = 10.0 ** math.floor(math.log10(minimum))
+    return next(
+        (
+            factor * power_of_ten
+            for factor in (1, 2, 5)
+            if factor * power_of_ten >= minimum * (1 - 1e-9)
+        ),
+        10 * power_of_ten,
+    )
 
 
 def height_scale(heights: Reals, label: str) -> ColorScale:
@@ -268,19 +283,19 @@ def height_scale(heights: Reals, label: str) -> ColorScale:
     low = float(heights.min())
     high = float(heights.max())
     step = max(HEIGHT_STEP, (high - low) / MAX_HEIGHTS)
-    counts = np.bincount(np.round((heights - low) / step).astype(np.int64))
-    steps = np.flatnonzero(counts)
-    distances = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(steps)))])
+    num_cells = np.bincount(np.round((heights - low) / step).astype(np.int64))
+    height_indices = np.flatnonzero(num_cells)
+    bar_distances = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(height_indices)))])
     # flat floors look flat: a few centimetres are a part of the scale, not all of it
-    scale_length = max(float(distances[-1]), MIN_SCALE_LENGTH)
-    positions = 0.5 + (distances - distances[-1] / 2) / scale_length
-    values = low + steps * step
-    order = np.argsort(-counts[steps], kind="stable").tolist()
+    scale_length = max(float(bar_distances[-1]), MIN_SCALE_LENGTH)
+    positions = 0.5 + (bar_distances - bar_distances[-1] / 2) / scale_length
+    values = low + height_indices * step
+    indices_by_count = np.argsort(-num_cells[height_indices], kind="stable").tolist()
     ticks: list[Tick] = []
-    for number in [order[0], 0, len(steps) - 1, *order]:
-        position = float(positions[number])
+    for index in [indices_by_count[0], 0, len(height_indices) - 1, *indices_by_count]:
+        position = float(positions[index])
         if all(abs(position - tick.position) >= TICK_GAP for tick in ticks[:MAX_TICKS]):
-            ticks.append(Tick(position, f"{values[number] + 0.0:.2f}"))
+            ticks.append(Tick(position, f"{values[index] + 0.0:.2f}"))
     if positions[0] > 0:
         positions = np.concatenate([[0.0], positions, [1.0]])
         values = np.concatenate([[low - step], values, [values[-1] + step]])
@@ -298,55 +313,63 @@ def _paint_occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
         The colour of each cell, shape (height, width, 3); and the legend, whose first entry is that
         of free cells.
     """
-    kind = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1)).astype(np.uint8)
-    occurs = np.bincount(kind.ravel(), minlength=len(OCCUPANCY_COLORS)) > 0
-    legend = [entry for n, entry in enumerate(OCCUPANCY_COLORS.items()) if n == 0 or occurs[n]]
+    color_index = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1)).astype(
+        np.uint8
+    )
+    is_in_level = np.bincount(color_index.ravel(), minlength=len(OCCUPANCY_COLORS)) > 0
+    legend = [
+        entry
+        for color_number, entry in enumerate(OCCUPANCY_COLORS.items())
+        if color_number == 0 or is_in_level[color_number]
+    ]
     palette = np.array(
         [colors.rgb_of(color) for color in OCCUPANCY_COLORS.values()], dtype=np.uint8
     )
-    return palette[kind], tuple(legend)
+    return palette[color_index], tuple(legend)
 
 
-def _show_occupancy(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
+def _show_occupancy(grid: NavGrid, level_number: int) -> Panel:
+    level = grid.levels[level_number]
     area = np.count_nonzero(level.free) * level.lattice.cell_size**2
     rgb, legend = _paint_occupancy(level)
-    lines = find_door_lines(grid, number)
+    lines = find_door_lines(grid, level_number)
     return Panel(f"occupancy, {area:.1f} m² free", rgb, legend=legend, doors=lines)
 
 
-def _show_floor(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
+def _show_floor(grid: NavGrid, level_number: int) -> Panel:
+    level = grid.levels[level_number]
     rgb = np.full((*level.shape, 3), colors.rgb_of(colors.NO_FLOOR), dtype=np.uint8)
-    metres = level.floor_height * np.float32(level.unit)
-    scale = height_scale(metres[np.isfinite(metres)], "z [m]")
-    legend = (("no floor", colors.NO_FLOOR),) if np.isnan(metres).any() else ()
+    floor_z = level.floor_height * np.float32(level.unit)
+    scale = height_scale(floor_z[np.isfinite(floor_z)], "z [m]")
+    legend = (("no floor", colors.NO_FLOOR),) if np.isnan(floor_z).any() else ()
     step = max(RELIEF_STEP, RELIEF_SLOPE * level.lattice.cell_size)
-    return Panel("floor height [m]", rgb, metres, scale, legend, relief=step)
+    return Panel("floor height [m]", rgb, floor_z, scale, legend, relief=step)
 
 
-def _show_clearance(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
-    stored = level.attributes.get("clearance")
-    values = measure_clearance(level) if stored is None else stored * level.unit
-    values = np.where(level.free, values, np.nan).astype(np.float32)
-    scale = linear_scale(values[np.isfinite(values)], "to the nearest obstacle [m]")
+def _show_clearance(grid: NavGrid, level_number: int) -> Panel:
+    level = grid.levels[level_number]
+    stored_clearance = level.attributes.get("clearance")
+    clearances = (
+        measure_clearance(level) if stored_clearance is None else stored_clearance * level.unit
+    )
+    clearances = np.where(level.free, clearances, np.nan).astype(np.float32)
+    scale = linear_scale(clearances[np.isfinite(clearances)], "to the nearest obstacle [m]")
     rgb, legend = _paint_occupancy(level)
-    return Panel("clearance [m]", rgb, values, scale, legend[1:])
+    return Panel("clearance [m]", rgb, clearances, scale, legend[1:])
 
 
-def _show_weights(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
-    values = np.where(level.free, level.weights, np.nan).astype(np.float32)
-    scale = linear_scale(values[np.isfinite(values)], "cost of a cell", dark_high=True)
-    values[level.weights == 1] = np.nan  # cells of cost 1 have the colour of free cells
+def _show_weights(grid: NavGrid, level_number: int) -> Panel:
+    level = grid.levels[level_number]
+    costs = np.where(level.free, level.weights, np.nan).astype(np.float32)
+    scale = linear_scale(costs[np.isfinite(costs)], "cost of a cell", dark_high=True)
+    costs[level.weights == 1] = np.nan  # cells of cost 1 have the colour of free cells
     rgb, legend = _paint_occupancy(level)
-    return Panel("weights", rgb, values, scale, (("cost 1", colors.FREE), *legend[1:]))
+    return Panel("weights", rgb, costs, scale, (("cost 1", colors.FREE), *legend[1:]))
 
 
-def _show_islands(grid: NavGrid, number: int) -> Panel:
+def _show_islands(grid: NavGrid, level_number: int) -> Panel:
     islands = islands_of(grid)
-    level = grid.levels[number]
+    level = grid.levels[level_number]
     num_islands = max(int(labels.max(initial=0)) for labels in islands)
     max_gap = math.ceil(colors.MAX_NEIGHBOR_GAP / level.lattice.cell_size)  # [cells]
     # an island may span several levels, and has one colour on all of them
@@ -354,63 +377,65 @@ def _show_islands(grid: NavGrid, number: int) -> Panel:
     palette = np.array([colors.rgb_of(color) for color in colors.ROOMS], dtype=np.uint8)
     color_of_island = colors.choose_colors(num_islands, neighbours, len(palette))
     rgb, legend = _paint_occupancy(level)
-    rgb[level.free] = palette[color_of_island[islands[number][level.free]]]
+    rgb[level.free] = palette[color_of_island[islands[level_number][level.free]]]
     return Panel("islands", rgb, legend=legend[1:])
 
 
-def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
+def paint_rooms(grid: NavGrid, level_number: int) -> NDArray[np.uint8]:
     """Paint the cells of a level in the colours of their rooms, and doors; blocked cells darker.
 
     Args:
         grid: a grid of one or several levels.
-        number: the number of the level, 0 is the lowest.
+        level_number: the number of the level, 0 is the lowest.
 
     Returns:
         The colour of each cell, shape (height, width, 3).
     """
-    level = grid.levels[number]
-    rooms = colors.color_rooms(grid, number)
+    level = grid.levels[level_number]
+    rooms = colors.color_rooms(grid, level_number)
     palette = np.stack([colors.darken_rooms(rooms), rooms], axis=1).reshape(-1, 3)
     # cells with the index 0 are in no room
     palette[0] = colors.rgb_of(colors.OCCUPIED)
     palette[1] = colors.rgb_of(colors.FREE)
     rgb = palette.take(level.room_index.astype(np.uint32) * 2 + level.free, axis=0)
     rgb[np.isnan(level.floor_height)] = colors.rgb_of(colors.NO_FLOOR)
-    _paint_doors(rgb, grid, number)
+    _paint_doors(rgb, grid, level_number)
     return rgb
 
 
-def _paint_doors(rgb: NDArray[np.uint8], grid: NavGrid, number: int) -> None:
-    rgb[mark_door_cells(grid, number, in_current_state=False)] = colors.rgb_of(colors.DOORWAY)
-    rgb[mark_door_cells(grid, number, in_current_state=True)] = colors.rgb_of(colors.DOOR)
+def _paint_doors(rgb: NDArray[np.uint8], grid: NavGrid, level_number: int) -> None:
+    rgb[mark_door_cells(grid, level_number, in_current_state=False)] = colors.rgb_of(colors.DOORWAY)
+    rgb[mark_door_cells(grid, level_number, in_current_state=True)] = colors.rgb_of(colors.DOOR)
 
 
-def _show_rooms(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
-    index = level.room_index
+def _show_rooms(grid: NavGrid, level_number: int) -> Panel:
+    level = grid.levels[level_number]
+    room_index = level.room_index
     free = level.free
     no_floor = np.isnan(level.floor_height)
-    doors = mark_door_cells(grid, number, in_current_state=True)
-    doorways = mark_door_cells(grid, number, in_current_state=False)
-    outdoors = [room.index for room in grid.rooms if room.level == number and room.outdoors]
-    entries = {
-        ("outdoors", colors.OUTDOORS): np.isin(index, outdoors),
-        ("occupied, no room", colors.OCCUPIED): (index == 0) & ~free & ~no_floor,
+    doors = mark_door_cells(grid, level_number, in_current_state=True)
+    doorways = mark_door_cells(grid, level_number, in_current_state=False)
+    outdoors = [room.index for room in grid.rooms if room.level == level_number and room.outdoors]
+    cells_of_entry = {
+        ("outdoors", colors.OUTDOORS): np.isin(room_index, outdoors),
+        ("occupied, no room", colors.OCCUPIED): (room_index == 0) & ~free & ~no_floor,
         ("no floor", colors.NO_FLOOR): no_floor,
-        ("free, no room", colors.FREE): (index == 0) & free,
-        ("greyer: occupied in a room", colors.ROOM_LEGEND): (index > 0) & ~free,
+        ("free, no room", colors.FREE): (room_index == 0) & free,
+        ("greyer: occupied in a room", colors.ROOM_LEGEND): (room_index > 0) & ~free,
         ("door", colors.DOOR): doors,
         ("doorway", colors.DOORWAY): doorways & ~doors,
     }
-    legend = tuple(entry for entry, cells in entries.items() if cells.any())
+    legend = tuple(entry for entry, cells in cells_of_entry.items() if cells.any())
     names = [
-        RegionName(room.index, room.name, f"{number}:{room.index}")
+        RegionName(room.index, room.name, f"{level_number}:{room.index}")
         for room in grid.rooms
-        if room.level == number
+        if room.level == level_number
     ]
-    labels = _label_regions(level, index, names)
-    lines = find_door_lines(grid, number)
-    return Panel("rooms", paint_rooms(grid, number), legend=legend, labels=labels, doors=lines)
+    labels = _label_regions(level, room_index, names)
+    lines = find_door_lines(grid, level_number)
+    return Panel(
+        "rooms", paint_rooms(grid, level_number), legend=legend, labels=labels, doors=lines
+    )
 
 
 class RegionName(NamedTuple):
@@ -422,7 +447,7 @@ class RegionName(NamedTuple):
 
 
 def _label_regions(
-    level: SceneGrid2D, index: NDArray[np.integer], names: Iterable[RegionName]
+    level: SceneGrid2D, region_index: NDArray[np.integer], names: Iterable[RegionName]
 ) -> tuple[Label, ...]:
     """Place the names of rooms or areas on the map of a level.
 
@@ -431,40 +456,42 @@ def _label_regions(
 
     Args:
         level: the level.
-        index: the index of each cell's room or area, 0 for none, shape (height, width).
+        region_index: the index of each cell's room or area, 0 for none, shape (height, width).
         names: the names to place; those without cells are left out.
     """
     from scipy import ndimage  # takes longer to load than most pictures to draw
 
-    def ends_of_run(line: NDArray[np.bool_], position: int) -> list[int]:
+    def ends_of_run(is_in_line: NDArray[np.bool_], position: int) -> list[int]:
         """Return the first and the last index of the run of True in a line around a position."""
-        runs = ndimage.label(line)[0]
-        ends: list[int] = np.flatnonzero(runs == runs[position])[[0, -1]].tolist()
-        return ends
+        run_labels = ndimage.label(is_in_line)[0]
+        run_ends: list[int] = np.flatnonzero(run_labels == run_labels[position])[[0, -1]].tolist()
+        return run_ends
 
     labels = []
-    boxes = dict(enumerate(ndimage.find_objects(index.astype(np.int32)), 1))
+    slices_of_region = dict(enumerate(ndimage.find_objects(region_index.astype(np.int32)), 1))
     for region in names:
-        box = boxes.get(region.number)
-        if box is None:
+        cell_slices = slices_of_region.get(region.number)
+        if cell_slices is None:
             continue
-        mask = index[box] == region.number
-        stride = max(1, -(-max(mask.shape) // MAX_SAMPLES))
-        mask = mask[::stride, ::stride]
-        sample_size = level.lattice.cell_size * stride
-        distance = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-        row, col = divmod(int(np.argmax(distance)), distance.shape[1])
-        first, last = ends_of_run(mask[row], col)
-        top, bottom = ends_of_run(mask[:, (first + last) // 2], row)
-        middle_col = box[1].start + (first + last) / 2 * stride
-        x, y = level.lattice.positions(box[0].start + row * stride, middle_col).tolist()
-        half_height = min(row - top, bottom - row)  # the name's middle is in this row
+        is_region = region_index[cell_slices] == region.number
+        sampling_stride = max(1, -(-max(is_region.shape) // MAX_SAMPLES))
+        is_region = is_region[::sampling_stride, ::sampling_stride]
+        sample_size = level.lattice.cell_size * sampling_stride
+        edge_distance = ndimage.distance_transform_edt(np.pad(is_region, 1))[1:-1, 1:-1]
+        row, col = divmod(int(np.argmax(edge_distance)), edge_distance.shape[1])
+        first_col, last_col = ends_of_run(is_region[row], col)
+        top_row, bottom_row = ends_of_run(is_region[:, (first_col + last_col) // 2], row)
+        middle_col = cell_slices[1].start + (first_col + last_col) / 2 * sampling_stride
+        x, y = level.lattice.positions(
+            cell_slices[0].start + row * sampling_stride, middle_col
+        ).tolist()
+        half_height = min(row - top_row, bottom_row - row)  # the name's middle is in this row
         label = Label(
             text=region.name or region.fallback,
             fallback=region.fallback,
             x=x,
             y=y,
-            width=(last - first + 1) * sample_size,
+            width=(last_col - first_col + 1) * sample_size,
             height=(2 * half_height + 1) * sample_size,
             number=region.number,
         )
@@ -476,25 +503,25 @@ def _label_point(text: str, fallback: str, x: float, y: float, number: int) -> L
     return Label(text, fallback, x, y, width=0.0, height=0.0, number=number)
 
 
-def _show_doors(grid: NavGrid, number: int) -> Panel:
-    rgb, legend = _paint_occupancy(grid.levels[number])
+def _show_doors(grid: NavGrid, level_number: int) -> Panel:
+    rgb, legend = _paint_occupancy(grid.levels[level_number])
     legend = (("door", colors.DOOR), ("doorway", colors.DOORWAY), *legend)
-    lines = find_door_lines(grid, number)
+    lines = find_door_lines(grid, level_number)
     labels = []
     for door_number, line in enumerate(lines, 1):
         width = f"{line.width:.1f} m"
         x, y = line.middle
         labels.append(_label_point(f"{line.id} {width}", width, x, y, door_number))
-    _paint_doors(rgb, grid, number)
+    _paint_doors(rgb, grid, level_number)
     return Panel("doors", rgb, legend=legend, labels=tuple(labels), doors=lines)
 
 
-def _show_links(grid: NavGrid, number: int) -> Panel:
-    rgb, legend = _paint_occupancy(grid.levels[number])
+def _show_links(grid: NavGrid, level_number: int) -> Panel:
+    rgb, legend = _paint_occupancy(grid.levels[level_number])
     # each step in both directions: level and cell of its start, level and cell of its end
     steps = np.concatenate([grid.step_array, grid.step_array[:, [2, 3, 0, 1]]])
-    steps = steps[steps[:, 0] == number]
-    direction = np.sign(steps[:, 2] - number)
+    steps = steps[steps[:, 0] == level_number]
+    direction = np.sign(steps[:, 2] - level_number)
     step_colors = (
         ("leads up", colors.LINK_UP, 1),
         ("leads down", colors.LINK_DOWN, -1),
@@ -508,52 +535,56 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
         legend = (("link", colors.LINK), *legend)
     connections = find_connections(grid)
     labels = []
-    for key, connection in enumerate(connections, 1):
-        stop = next((stop for stop in connection.stops if stop.level == number), None)
+    for connection_number, connection in enumerate(connections, 1):
+        stop = next((stop for stop in connection.stops if stop.level == level_number), None)
         if stop is not None:
-            labels.append(_label_point(connection.label(), str(key), stop.x, stop.y, key))
+            labels.append(
+                _label_point(
+                    connection.label(), str(connection_number), stop.x, stop.y, connection_number
+                )
+            )
     return Panel("links", rgb, legend=legend, labels=tuple(labels), connections=tuple(connections))
 
 
-def _show_areas(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
+def _show_areas(grid: NavGrid, level_number: int) -> Panel:
+    level = grid.levels[level_number]
     names = []
     rgb, legend = _paint_occupancy(level)
-    entries = []
-    for index, area in enumerate(grid.areas, 1):
-        color = colors.ROOMS[index % len(colors.ROOMS)]
+    area_entries = []
+    for area_number, area in enumerate(grid.areas, 1):
+        color = colors.ROOMS[area_number % len(colors.ROOMS)]
         if math.isinf(area.cost):
             color = colors.KEEP_OUT
-        in_area = level.area_index == index
-        tint = np.array(colors.rgb_of(color), dtype=np.uint8)
-        rgb[in_area & level.free] = tint
-        rgb[in_area & ~level.free] = colors.darken_rooms(tint)
+        in_area = level.area_index == area_number
+        area_rgb = np.array(colors.rgb_of(color), dtype=np.uint8)
+        rgb[in_area & level.free] = area_rgb
+        rgb[in_area & ~level.free] = colors.darken_rooms(area_rgb)
         if in_area.any():
-            entries.append((describe_area(area), color))
-        names.append(RegionName(index, area.name, str(index)))
+            area_entries.append((describe_area(area), color))
+        names.append(RegionName(area_number, area.name, str(area_number)))
     labels = _label_regions(level, level.area_index, names)
-    return Panel("areas", rgb, legend=(*entries, *legend), labels=labels)
+    return Panel("areas", rgb, legend=(*area_entries, *legend), labels=labels)
 
 
-def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding]) -> Panel:
+def _show_disagreements(grid: NavGrid, level_number: int, findings: Sequence[Finding]) -> Panel:
     """Make the panel of the cells where grid and scene disagree, coloured by kind of finding."""
-    level = grid.levels[number]
+    level = grid.levels[level_number]
     rgb, legend = _paint_occupancy(level)
-    color_of_kind = colors_of_kinds(finding.kind for finding in findings)
-    on_level = [finding for finding in findings if finding.level == number]
-    for finding in on_level:
+    color_of_kind = choose_kind_colors(finding.kind for finding in findings)
+    level_findings = [finding for finding in findings if finding.level == level_number]
+    for finding in level_findings:
         row, col = finding.cell or level.lattice.rows_cols(finding.position)
         if 0 <= row < level.height and 0 <= col < level.width:
             rgb[row, col] = colors.rgb_of(color_of_kind[finding.kind])
-    title = count_of(len(on_level), "disagreement")
+    title = count_of(len(level_findings), "disagreement")
     return Panel(title, rgb, legend=(*color_of_kind.items(), *legend))
 
 
-def colors_of_kinds(kinds: Iterable[str]) -> dict[str, str]:
+def choose_kind_colors(kinds: Iterable[str]) -> dict[str, str]:
     """Choose colours: kind of mark -> colour; if there are many kinds, some share a colour."""
     return {
-        kind: colors.MARKS[number % len(colors.MARKS)]
-        for number, kind in enumerate(sorted(set(kinds)))
+        kind: colors.MARKS[index % len(colors.MARKS)]
+        for index, kind in enumerate(sorted(set(kinds)))
     }
 
 

@@ -26,34 +26,36 @@ THUMBNAIL_SIDE = 240  # longest side of a thumbnail [pixels]
 THUMBNAIL_COLORS = 64
 
 
-def show_html(grid: NavGrid) -> str:
+def render_html(grid: NavGrid) -> str:
     """Make the HTML that notebooks show for a grid: a line of facts, then a picture of each level.
 
     The lowest level comes first. Colours are those of `paint_rooms`. The HTML contains the
     pictures; their longer side has at most `LEVEL_SIDE` pixels. Names are escaped. The same grid
     gives the same text.
     """
-    scale = _scale_for(grid, LEVEL_SIDE)
+    pixel_scale = _scale_for(grid, LEVEL_SIDE)
     num_rooms = [
         int(np.count_nonzero(np.bincount(level.room_index.ravel())[1:])) for level in grid.levels
     ]
     areas = [np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels]
     figures = []
-    for number, level in enumerate(grid.levels[:MAX_LEVELS]):
-        picture = b64encode(encode_png(_draw_level(grid, number, scale))).decode("ascii")
-        name = _shorten_name(grid.level_names[number])
+    for level_number, level in enumerate(grid.levels[:MAX_LEVELS]):
+        picture = b64encode(encode_png(_draw_level(grid, level_number, pixel_scale))).decode(
+            "ascii"
+        )
+        name = _shorten_name(grid.level_names[level_number])
         figures.append(
             f'<figure style="margin:0"><img style="image-rendering:pixelated" alt="{name}" '
             f'src="data:image/png;base64,{picture}"><figcaption><b>{name}</b>: '
             f"{level.width} × {level.height} cells, ground {level.ground:.2f} m, "
-            f"{count_of(num_rooms[number], 'room')}, {areas[number]:.1f} m² free"
+            f"{count_of(num_rooms[level_number], 'room')}, {areas[level_number]:.1f} m² free"
             "</figcaption></figure>"
         )
-    count = len(grid.levels)
-    if count > MAX_LEVELS:
-        figures.append(f"and {count - MAX_LEVELS} more")
+    num_levels = len(grid.levels)
+    if num_levels > MAX_LEVELS:
+        figures.append(f"and {num_levels - MAX_LEVELS} more")
     summary = (
-        f"{count_of(count, 'level')}, cells of {grid.levels[0].lattice.cell_size:g} m, "
+        f"{count_of(num_levels, 'level')}, cells of {grid.levels[0].lattice.cell_size:g} m, "
         f"{count_of(sum(num_rooms), 'room')}, {sum(areas):.1f} m² free, "
         f"agent {grid.agent_height:g} m high, {grid.describe_radius()}"
     )
@@ -75,15 +77,17 @@ def draw_voxels(grid: VoxelGrid) -> bytes:
     At each x, y, the colour shows the topmost occupied voxel: the higher, the lighter. Where all
     voxels are empty, it is white.
     """
-    filled = grid.occupied
+    is_filled = grid.occupied
     num_z = grid.shape[2]
-    top = num_z - np.argmax(filled[:, :, ::-1], axis=2)
-    shade = np.where(filled.any(axis=2), 40 + 170 * top // num_z, 255).astype(np.uint8)
-    longest = max(shade.shape)
-    image = Image.fromarray(shade.T[::-1]).reduce(-(-longest // PICTURE_SIDE))
-    pixels = max(PICTURE_SIDE // longest, 1)
-    size = (image.width * pixels, image.height * pixels)
-    return encode_png(image.resize(size, Image.Resampling.NEAREST))
+    top_heights = num_z - np.argmax(is_filled[:, :, ::-1], axis=2)
+    gray_values = np.where(is_filled.any(axis=2), 40 + 170 * top_heights // num_z, 255).astype(
+        np.uint8
+    )
+    longest_side = max(gray_values.shape)
+    image = Image.fromarray(gray_values.T[::-1]).reduce(-(-longest_side // PICTURE_SIDE))
+    pixels_per_voxel = max(PICTURE_SIDE // longest_side, 1)
+    picture_size = (image.width * pixels_per_voxel, image.height * pixels_per_voxel)
+    return encode_png(image.resize(picture_size, Image.Resampling.NEAREST))
 
 
 def draw_path(path: Path) -> bytes | None:
@@ -106,19 +110,19 @@ def draw_thumbnail(grid: NavGrid) -> bytes:
     return encode_png(image)
 
 
-def draw_levels(grid: NavGrid, side: int, path: Path | None = None) -> Image.Image:
+def draw_levels(grid: NavGrid, max_side: int, path: Path | None = None) -> Image.Image:
     """Draw all levels as one picture: in rows from the upper left, the lowest level first.
 
     Args:
         grid: a grid of one or several levels.
-        side: the longest side of the picture [pixels].
+        max_side: the longest side of the picture [pixels].
         path: a path to draw, with a dot at its start; None for none.
     """
     count = min(len(grid.levels), MAX_LEVELS)
     columns = math.ceil(math.sqrt(count))
     # a gap of one hundredth between levels
-    gap = max(side // 100, 1) if count > 1 else 0
-    scale = _scale_for(grid, (side - (columns - 1) * gap) // columns)
+    gap = max(max_side // 100, 1) if count > 1 else 0
+    scale = _scale_for(grid, (max_side - (columns - 1) * gap) // columns)
     levels = [_draw_level(grid, number, scale, path) for number in range(count)]
     width = max(level.width for level in levels) + gap
     height = max(level.height for level in levels) + gap
@@ -138,35 +142,35 @@ def encode_png(image: Image.Image) -> bytes:
     return content.getvalue()
 
 
-def _scale_for(grid: NavGrid, side: int) -> tuple[int, int]:
+def _scale_for(grid: NavGrid, max_side: int) -> tuple[int, int]:
     """Choose one scale for the pictures of all levels, so that these can be compared.
 
     Args:
         grid: a grid of one or several levels.
-        side: the longest side of a level's picture [pixels].
+        max_side: the longest side of a level's picture [pixels].
 
     Returns:
         How many pixels one cell takes along x and y, and how many cells one pixel shows. One of the
         numbers is 1; whole numbers keep all cells square and of the same size.
     """
-    longest = max(max(level.shape) for level in grid.levels)
-    return max(side // longest, 1), -(-longest // side)
+    longest_side = max(max(level.shape) for level in grid.levels)
+    return max(max_side // longest_side, 1), -(-longest_side // max_side)
 
 
 def _draw_level(
-    grid: NavGrid, number: int, scale: tuple[int, int], path: Path | None = None
+    grid: NavGrid, level_number: int, scale: tuple[int, int], path: Path | None = None
 ) -> Image.Image:
     """Draw a level, and the part of a path that is on it.
 
     Args:
         grid: a grid of one or several levels.
-        number: the number of the level.
+        level_number: the number of the level.
         scale: see `_scale_for`; a pixel that shows several cells has their mean colour.
         path: the path; None for none.
     """
     pixels_per_cell, cells_per_pixel = scale
-    lattice = grid.levels[number].lattice
-    image = Image.fromarray(paint_rooms(grid, number)).reduce(cells_per_pixel)
+    lattice = grid.levels[level_number].lattice
+    image = Image.fromarray(paint_rooms(grid, level_number)).reduce(cells_per_pixel)
     size = (image.width * pixels_per_cell, image.height * pixels_per_cell)
     image = image.resize(size, Image.Resampling.NEAREST)
     if path is None:
@@ -177,9 +181,9 @@ def _draw_level(
     pixels = (shares * (image.width, -image.height)).tolist()
     for color, width in (("white", 5), (ROUTE, 3)):
         for k in range(len(pixels) - 1):
-            if path.levels[k] == path.levels[k + 1] == number:
+            if path.levels[k] == path.levels[k + 1] == level_number:
                 pencil.line([*pixels[k], *pixels[k + 1]], fill=color, width=width)
-    if path.levels[0] == number:
+    if path.levels[0] == level_number:
         pencil.circle(pixels[0], 5, fill=ROUTE, outline="white")
     return image
 

@@ -40,19 +40,21 @@ def make_page(
         The HTML, UTF-8.
     """
 
-    def read(package: str, name: str) -> str:
-        return resources.files(package).joinpath(name).read_text(encoding="utf-8").strip()
+    def read(package: str, file_name: str) -> str:
+        return resources.files(package).joinpath(file_name).read_text(encoding="utf-8").strip()
 
     style = read(__package__, "page.css")
-    code = f"{read(__package__, 'kit.js')}\n{read(package, f'{name}.js')}"
-    hashes = [b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, code)]
+    script = f"{read(__package__, 'kit.js')}\n{read(package, f'{name}.js')}"
+    hashes = [
+        b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script)
+    ]
     content_json = orjson.dumps({"title": title, **content}, option=orjson.OPT_SERIALIZE_NUMPY)
     page = Template(read(__package__, "page.html")).substitute(
         PICTURES=pictures,
         STYLE=style,
         STYLE_HASH=f"sha256-{hashes[0]}",
         BODY=read(package, f"{name}.html"),
-        SCRIPT=code,
+        SCRIPT=script,
         SCRIPT_HASH=f"sha256-{hashes[1]}",
         TITLE=html.escape(title),
         # a "<" could end the element that holds the content
@@ -61,7 +63,7 @@ def make_page(
     return page.encode("utf-8")
 
 
-def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
+def describe_table(title: str, table: Table, *, folded: bool = False) -> Json:
     """Describe a table for a page, without the columns that are empty in all rows.
 
     Args:
@@ -83,11 +85,11 @@ def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
     }
 
 
-def pack(content: Json) -> str:
-    """Compress JSON, which may contain numpy arrays, into text, see `to_text`."""
-    return to_text(orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY))
+def pack_json(json_content: Json) -> str:
+    """Compress JSON, which may contain numpy arrays, into text, see `compress_to_text`."""
+    return compress_to_text(orjson.dumps(json_content, option=orjson.OPT_SERIALIZE_NUMPY))
 
 
-def to_text(content: bytes) -> str:
+def compress_to_text(json_bytes: bytes) -> str:
     """Compress JSON (UTF-8) into text: zlib, then base64; ``unpack`` in ``kit.js`` undoes this."""
-    return b64encode(zlib.compress(content, COMPRESSION_LEVEL)).decode("ascii")
+    return b64encode(zlib.compress(json_bytes, COMPRESSION_LEVEL)).decode("ascii")

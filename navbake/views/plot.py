@@ -23,7 +23,7 @@ from navbake.navgrid.colors import DOOR, DOORWAY, LINK, ROUTE
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.views.describe import Connection
-from navbake.views.layers import Label, Panel, colors_of_kinds, make_panel, paint
+from navbake.views.layers import Label, Panel, choose_kind_colors, make_panel, paint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,8 +97,8 @@ def plot_grid(grid: NavGrid, path: str | PathLike[str], **options: Any) -> Path:
         The path.
     """
     path = Path(path)
-    form = "svg" if path.name.lower().endswith(".svg") else "png"
-    write_bytes(render_picture(grid, form, **options), path)
+    picture_format = "svg" if path.name.lower().endswith(".svg") else "png"
+    write_bytes(render_picture(grid, picture_format, **options), path)
     return path
 
 
@@ -161,74 +161,78 @@ def render_picture(
     check_level(level, len(grid.levels))
     if not layers:
         raise QueryError("expected at least one layer to draw, got none")
-    numbers = list(range(len(grid.levels))) if level is None else [level]
-    panel_levels = [number for number in numbers for _ in layers]
-    panels = [make_panel(grid, layer, number) for number in numbers for layer in layers]
-    color_of_kind = colors_of_kinds(kind for *_, kind in marks)
-    bounds = np.array([grid.levels[number].lattice.bounds for number in numbers])
-    view = (*bounds[:, :2].min(axis=0).tolist(), *bounds[:, 2:].max(axis=0).tolist())
-    texts = [grid.scene_id or "", *color_of_kind, *(panel.title for panel in panels)]
-    texts += [label.text for panel in panels for label in panel.labels]
-    families, missing = find_fonts("".join(texts))
+    level_numbers = list(range(len(grid.levels))) if level is None else [level]
+    panel_levels = [level_number for level_number in level_numbers for _ in layers]
+    panels = [
+        make_panel(grid, layer, level_number) for level_number in level_numbers for layer in layers
+    ]
+    color_of_kind = choose_kind_colors(kind for *_, kind in marks)
+    bounds = np.array([grid.levels[level_number].lattice.bounds for level_number in level_numbers])
+    view_bounds = (*bounds[:, :2].min(axis=0).tolist(), *bounds[:, 2:].max(axis=0).tolist())
+    drawn_texts = [grid.scene_id or "", *color_of_kind, *(panel.title for panel in panels)]
+    drawn_texts += [label.text for panel in panels for label in panel.labels]
+    font_families, missing_letters = choose_fonts("".join(drawn_texts))
     settings: dict[Any, object] = {
         "svg.hashsalt": "navbake",  # else ids in an SVG are hashes with a random salt
         "svg.fonttype": "path",  # letters are shapes, in case a viewer lacks the fonts
         "text.parse_math": False,  # no name is markup
-        "font.family": families,
+        "font.family": font_families,
         "text.color": TEXT_COLOR,
     }
     with rc_context(settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
         figure = Figure(facecolor="white", dpi=DPI)
         FigureCanvasAgg(figure)
-        axes = add_axes(figure, view, panels, len(layers))
-        name = grid.scene_id or "grid"
+        axes = add_axes(figure, view_bounds, panels, len(layers))
+        heading_text = grid.scene_id or "grid"
         if grid.inflated_radius:
-            name = f"{name}, {grid.describe_radius()}"
-        heading = wrap(name, figure.get_figwidth())
+            heading_text = f"{heading_text}, {grid.describe_radius()}"
+        heading = wrap_text(heading_text, figure.get_figwidth())
         figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
-        for ax, number, panel in zip(axes, panel_levels, panels, strict=True):
-            _draw_panel(ax, panel, grid.levels[number].lattice.bounds)
+        for ax, level_number, panel in zip(axes, panel_levels, panels, strict=True):
+            _draw_panel(ax, panel, grid.levels[level_number].lattice.bounds)
             if route is not None:
-                _draw_route(ax, route, number)
+                _draw_route(ax, route, level_number)
             for mark_level, x, y, kind in marks:
-                if mark_level in (number, -1):
+                if mark_level in (level_number, -1):
                     color = color_of_kind[kind]
                     ax.plot(x, y, "s", markerfacecolor="none", color=color, markersize=5, mew=1.2)
         legend = _draw_legend(figure, panels, color_of_kind, route is not None)
         # names fit rooms: the layout must be known before they are written
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
-        key = _write_all_names(axes, panels, missing)
-        facts = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
-        text = wrap("   ".join([facts, *key]), figure.get_figwidth() * 1.2, lines=99)
-        legend.set_title(text, FontProperties(size=LEGEND_POINTS))
+        key_entries = _write_all_names(axes, panels, missing_letters)
+        facts_text = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
+        legend_text = wrap_text(
+            "   ".join([facts_text, *key_entries]), figure.get_figwidth() * 1.2, max_lines=99
+        )
+        legend.set_title(legend_text, FontProperties(size=LEGEND_POINTS))
         axes_of_levels = {
-            number: ax
-            for ax, number, panel in zip(axes, panel_levels, panels, strict=True)
+            level_number: ax
+            for ax, level_number, panel in zip(axes, panel_levels, panels, strict=True)
             if panel.connections
         }
         _draw_connections(figure, axes_of_levels, panels)
-        content = io.BytesIO()
+        picture_file = io.BytesIO()
         # the lines of the key hang below the figure, which is extended by them
-        bottom = min(0.0, legend.get_window_extent().y0 / DPI - LINE_HEIGHT / 2)
+        bottom_edge = min(0.0, legend.get_window_extent().y0 / DPI - LINE_HEIGHT / 2)
         figure.savefig(
-            content,
+            picture_file,
             format=form,
             metadata={"Software": None} if form == "png" else {"Creator": None, "Date": None},
-            bbox_inches=Bbox(np.array([(0.0, bottom), figure.get_size_inches()])),
+            bbox_inches=Bbox(np.array([(0.0, bottom_edge), figure.get_size_inches()])),
         )
-    return content.getvalue()
+    return picture_file.getvalue()
 
 
-def _draw_route(ax: PanelAxes, route: Route, number: int) -> None:
+def _draw_route(ax: PanelAxes, route: Route, level_number: int) -> None:
     """Draw the parts of a path that are on a level, and both of its ends."""
-    x, y = np.where(route.levels == number, route.positions[:, :2].T, np.nan)
-    ax.plot(x, y, **_line_style("path, from o to x"), solid_joinstyle="round")
-    for end, marker in ((0, "o"), (-1, "X")):
+    x, y = np.where(route.levels == level_number, route.positions[:, :2].T, np.nan)
+    ax.plot(x, y, **_make_line_style("path, from o to x"), solid_joinstyle="round")
+    for end_index, marker in ((0, "o"), (-1, "X")):
         ax.plot(
-            x[end],
-            y[end],
+            x[end_index],
+            y[end_index],
             marker,
             clip_on=False,
             color=ROUTE,
@@ -238,14 +242,15 @@ def _draw_route(ax: PanelAxes, route: Route, number: int) -> None:
 
 
 def _write_all_names(
-    axes: Sequence[PanelAxes], panels: Sequence[Panel], missing: set[str]
+    axes: Sequence[PanelAxes], panels: Sequence[Panel], missing_letters: set[str]
 ) -> list[str]:
     """Write the names of all panels on their maps.
 
     Args:
         axes: the axes of the panels.
         panels: the panels.
-        missing: letters that no font has; a name with such a letter is replaced by its fallback.
+        missing_letters: letters that no font has; a name with such a letter is replaced by its
+            fallback.
 
     Returns:
         The entries of the key, such as ``3: kitchen``, for numbers that stand for names.
@@ -253,60 +258,61 @@ def _write_all_names(
     entries: dict[str, None] = {}
     for ax, panel in zip(axes, panels, strict=True):
         labels = [
-            label._replace(text=label.fallback) if missing & set(label.text) else label
+            label._replace(text=label.fallback) if missing_letters & set(label.text) else label
             for label in panel.labels
         ]
         entries |= dict.fromkeys(write_names(ax, labels))
-    key = list(entries)[:MAX_KEY_ENTRIES]
+    shown_entries = list(entries)[:MAX_KEY_ENTRIES]
     if len(entries) > MAX_KEY_ENTRIES:
-        key.append(f"and {len(entries) - MAX_KEY_ENTRIES} more")
+        shown_entries.append(f"and {len(entries) - MAX_KEY_ENTRIES} more")
     # with no-break spaces, the lines of the key break between entries only
-    return [entry.replace(" ", "\N{NO-BREAK SPACE}") for entry in key]
+    return [entry.replace(" ", "\N{NO-BREAK SPACE}") for entry in shown_entries]
 
 
-def find_fonts(text: str) -> tuple[list[str], set[str]]:
+def choose_fonts(text: str) -> tuple[list[str], set[str]]:
     """Return the families of installed fonts for a text, and the letters that no font has."""
     from matplotlib import font_manager
 
-    families = [FONT]
-    missing = {letter for letter in drawable(text) if letter > "~"}
+    font_families = [FONT]
+    missing_letters = {letter for letter in escape_undrawable(text) if letter > "~"}
     # Last Resort fonts are left out: for every letter they have just a box
     fonts = [
         font for font in font_manager.fontManager.ttflist if not font.name.startswith("Last Resort")
     ]
     for font in sorted(fonts, key=lambda font: (font.name != FONT, font.name, font.fname)):
-        if not missing:
+        if not missing_letters:
             break
         try:
-            letters = {*map(chr, font_manager.get_font(font.fname).get_charmap())}
+            font_letters = {*map(chr, font_manager.get_font(font.fname).get_charmap())}
         except (OSError, RuntimeError):  # matplotlib's list names a font that was removed
             continue
-        if missing & letters and font.name not in families:
-            families.append(font.name)
-        missing -= letters
-    return families, missing
+        if missing_letters & font_letters and font.name not in font_families:
+            font_families.append(font.name)
+        missing_letters -= font_letters
+    return font_families, missing_letters
 
 
-def wrap(text: str, width: float, lines: int = 3) -> str:
-    """Break a text into at most `lines` lines of a width [inches]; cut off what doesn't fit."""
-    letters = max(int(width * LETTERS_PER_INCH), 8)
-    return textwrap.fill(drawable(text), letters, max_lines=lines, placeholder="…")
+def wrap_text(text: str, width: float, max_lines: int = 3) -> str:
+    """Break a text into at most `max_lines` lines of a width [inches]; cut off what doesn't fit."""
+    max_letters = max(int(width * LETTERS_PER_INCH), 8)
+    return textwrap.fill(escape_undrawable(text), max_letters, max_lines=max_lines, placeholder="…")
 
 
-def drawable(text: str) -> str:
+def escape_undrawable(text: str) -> str:
     """Escape the characters of a text that can't be drawn; all kinds of spaces can be.
 
     `str.isprintable` counts no space but the ASCII one as printable.
     """
     is_space = [unicodedata.category(letter) == "Zs" for letter in text]
     return "".join(
-        letter if drawn else printable(letter) for letter, drawn in zip(text, is_space, strict=True)
+        letter if is_drawn else printable(letter)
+        for letter, is_drawn in zip(text, is_space, strict=True)
     )
 
 
 def add_axes(
     figure: Figure,
-    view: tuple[float, float, float, float],
+    view_bounds: tuple[float, float, float, float],
     panels: Sequence[Panel],
     num_layers: int,
 ) -> list[PanelAxes]:
@@ -316,40 +322,42 @@ def add_axes(
 
     Args:
         figure: an empty figure.
-        view: the rectangle that all panels show, world x_min, y_min, x_max, y_max [m].
+        view_bounds: the rectangle that all panels show, world x_min, y_min, x_max, y_max [m].
         panels: the panels, level by level; of each level, layer by layer.
         num_layers: the number of layers of a level.
 
     Returns:
         The axes of the panels.
     """
-    extent = np.array([view[2] - view[0], view[3] - view[1]])
+    extent = np.array([view_bounds[2] - view_bounds[0], view_bounds[3] - view_bounds[1]])
     extent = np.maximum(extent, max(extent.max() / MAX_ASPECT, 1e-3))
     width, height = extent  # of a map [m]
-    middle = np.array(view).reshape(2, 2).mean(axis=0)
+    view_middle = np.array(view_bounds).reshape(2, 2).mean(axis=0)
     # a row holds the layers of a level, or, of one layer, all levels
-    per_group = num_layers if num_layers > 1 else len(panels)
-    columns = 1 if width > WIDE_ASPECT * height else min(per_group, MAX_MAPS_PER_ROW)
-    rows_of_group = math.ceil(per_group / columns)
-    rows = rows_of_group * (len(panels) // per_group)
-    max_map_width = MAX_WIDTH / columns - MARGIN_X
-    max_map_height = min(MAX_MAP_HEIGHT, (MAX_HEIGHT - 1.0) / rows - MARGIN_Y)
+    panels_per_group = num_layers if num_layers > 1 else len(panels)
+    num_columns = 1 if width > WIDE_ASPECT * height else min(panels_per_group, MAX_MAPS_PER_ROW)
+    rows_per_group = math.ceil(panels_per_group / num_columns)
+    num_rows = rows_per_group * (len(panels) // panels_per_group)
+    max_map_width = MAX_WIDTH / num_columns - MARGIN_X
+    max_map_height = min(MAX_MAP_HEIGHT, (MAX_HEIGHT - 1.0) / num_rows - MARGIN_Y)
     map_width, map_height = extent * min(max_map_width / width, max_map_height / height)  # [inch]
-    figure_width = min(max(columns * (map_width + MARGIN_X), MIN_WIDTH), MAX_WIDTH)
-    figure.set_size_inches(figure_width, rows * (map_height + MARGIN_Y) + 1.0)
+    figure_width = min(max(num_columns * (map_width + MARGIN_X), MIN_WIDTH), MAX_WIDTH)
+    figure.set_size_inches(figure_width, num_rows * (map_height + MARGIN_Y) + 1.0)
     figure.set_layout_engine("compressed", w_pad=0.05, h_pad=0.05)
-    grid = figure.subplots(rows, columns, squeeze=False)
-    x_min, y_min = middle - extent / 2
-    x_max, y_max = middle + extent / 2
+    axes_grid = figure.subplots(num_rows, num_columns, squeeze=False)
+    x_min, y_min = view_middle - extent / 2
+    x_max, y_max = view_middle + extent / 2
     axes: list[PanelAxes] = []
-    for number in range(len(panels)):
-        row, column = divmod(number % per_group, columns)
-        ax = grid[number // per_group * rows_of_group + row, column]
+    for panel_index in range(len(panels)):
+        row_in_group, column_index = divmod(panel_index % panels_per_group, num_columns)
+        ax = axes_grid[
+            panel_index // panels_per_group * rows_per_group + row_in_group, column_index
+        ]
         ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal")
-        ax.title_width = figure_width / columns - 0.5
+        ax.title_width = figure_width / num_columns - 0.5
         ax.min_pixels_per_metre = 0.9 * map_width * DPI / width
         axes.append(ax)
-    for ax in {*grid.flat} - {*axes}:
+    for ax in {*axes_grid.flat} - {*axes}:
         ax.remove()
     return axes
 
@@ -359,7 +367,7 @@ def _draw_panel(ax: PanelAxes, panel: Panel, bounds: tuple[float, float, float, 
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap
 
-    ax.set_title(wrap(panel.title, ax.title_width), loc="left", fontsize=TITLE_POINTS, pad=5)
+    ax.set_title(wrap_text(panel.title, ax.title_width), loc="left", fontsize=TITLE_POINTS, pad=5)
     ax.tick_params(
         labelsize=TICK_POINTS,
         length=2.5,
@@ -379,34 +387,43 @@ def _draw_panel(ax: PanelAxes, panel: Panel, bounds: tuple[float, float, float, 
     ax.imshow(image, extent=(x_min, x_max, y_min, y_max), interpolation=interpolation)
     ax.set(xlim=x_limits, ylim=y_limits)
     if panel.scale is not None and len(panel.scale.ticks) > 1:
-        colors = ScalarMappable(cmap=ListedColormap(panel.scale.bar(256) / 255))
+        color_mappable = ScalarMappable(cmap=ListedColormap(panel.scale.bar(256) / 255))
         figure = ax.get_figure()
         assert figure is not None
-        bar = figure.colorbar(colors, ax=ax, fraction=0.05, pad=0.02, aspect=30)
-        numbers = [tick.text.replace("-", "\N{MINUS SIGN}") for tick in panel.scale.ticks]
-        bar.set_ticks([tick.position for tick in panel.scale.ticks], labels=numbers)
-        bar.ax.tick_params(labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT_COLOR, pad=2)
-        bar.outline.set_visible(False)
+        color_bar = figure.colorbar(color_mappable, ax=ax, fraction=0.05, pad=0.02, aspect=30)
+        tick_texts = [tick.text.replace("-", "\N{MINUS SIGN}") for tick in panel.scale.ticks]
+        color_bar.set_ticks([tick.position for tick in panel.scale.ticks], labels=tick_texts)
+        color_bar.ax.tick_params(
+            labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT_COLOR, pad=2
+        )
+        color_bar.outline.set_visible(False)
     for door in panel.doors:
         x = (door.start[0], door.end[0])
         y = (door.start[1], door.end[1])
-        ax.plot(x, y, **_line_style(_door_line(door.state)), solid_capstyle="butt")
+        ax.plot(x, y, **_make_line_style(_find_door_line_kind(door.state)), solid_capstyle="butt")
 
 
-def _line_style(name: str) -> dict[str, Any]:
+def _make_line_style(line_kind: str) -> dict[str, Any]:
     """Return matplotlib's arguments for a line of a kind in `LINE_STROKES`."""
     from matplotlib.patheffects import Stroke
 
-    strokes = [Stroke(linewidth=width, foreground=color) for color, width in LINE_STROKES[name]]
-    return {"path_effects": strokes, "linewidth": max(width for _, width in LINE_STROKES[name])}
+    strokes = [
+        Stroke(linewidth=width, foreground=color) for color, width in LINE_STROKES[line_kind]
+    ]
+    return {
+        "path_effects": strokes,
+        "linewidth": max(width for _, width in LINE_STROKES[line_kind]),
+    }
 
 
-def _draw_connections(figure: Figure, axes: dict[int, PanelAxes], panels: Sequence[Panel]) -> None:
+def _draw_connections(
+    figure: Figure, axes_of_level: dict[int, PanelAxes], panels: Sequence[Panel]
+) -> None:
     """Draw links and stairs from stop to stop, also from the map of one level to another.
 
     Args:
         figure: the figure.
-        axes: number of a level -> its axes.
+        axes_of_level: number of a level -> its axes.
         panels: the panels; those of links have the connections.
     """
     from matplotlib.patches import ConnectionPatch
@@ -414,23 +431,23 @@ def _draw_connections(figure: Figure, axes: dict[int, PanelAxes], panels: Sequen
     # each panel of links has the connections of all levels
     connections = next((panel.connections for panel in panels if panel.connections), ())
     for connection in connections:
-        name = _connection_line(connection)
-        color = LINE_STROKES[name][1][0]
+        line_kind = _find_connection_line_kind(connection)
+        color = LINE_STROKES[line_kind][1][0]
         marked_stops = connection.stops[:1] if connection.one_way else connection.stops
         for stop in marked_stops:
-            if stop.level in axes and connection.link is not None:
-                axes[stop.level].plot(
+            if stop.level in axes_of_level and connection.link is not None:
+                axes_of_level[stop.level].plot(
                     stop.x, stop.y, "o", color=color, markeredgecolor="white", markersize=6
                 )
         for start, end in itertools.pairwise(connection.stops):
-            if start.level not in axes or end.level not in axes:
+            if start.level not in axes_of_level or end.level not in axes_of_level:
                 continue
             curvature = 0.15 if start.level != end.level else 0
             arc = ConnectionPatch(
                 (start.x, start.y),
                 (end.x, end.y),
-                coordsA=axes[start.level].transData,
-                coordsB=axes[end.level].transData,
+                coordsA=axes_of_level[start.level].transData,
+                coordsB=axes_of_level[end.level].transData,
                 arrowstyle="-|>" if connection.one_way else "-",
                 mutation_scale=7,
                 connectionstyle=f"arc3,rad={curvature}",
@@ -438,19 +455,19 @@ def _draw_connections(figure: Figure, axes: dict[int, PanelAxes], panels: Sequen
                 shrinkB=0,
                 color=color,
                 alpha=0.9,
-                **_line_style(name),
+                **_make_line_style(line_kind),
             )
             figure.add_artist(arc)
 
 
-def _connection_line(connection: Connection) -> str:
+def _find_connection_line_kind(connection: Connection) -> str:
     """Return the kind of line of a link or stair in `LINE_STROKES`."""
     if connection.link is None:
         return "stairs"
     return "link, closed" if connection.is_closed else "link"
 
 
-def _door_line(state: str) -> str:
+def _find_door_line_kind(state: str) -> str:
     """Return the kind of line of a door in `LINE_STROKES`."""
     return "door, closed" if state == "closed" else "door, open"
 
@@ -473,69 +490,87 @@ def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
     from matplotlib.patheffects import withStroke
     from matplotlib.transforms import Bbox
 
-    to_pixels = ax.transData
-    frame = ax.get_window_extent()
-    pixels_per_metre = frame.width / np.ptp(ax.get_xlim())
-    points = [to_pixels.transform((label.x, label.y)) for label in labels if not label.width]
-    occupied = [Bbox([point - POINT_HALF_SIDE, point + POINT_HALF_SIDE]) for point in points]
+    data_to_pixels = ax.transData
+    map_frame = ax.get_window_extent()
+    pixels_per_metre = map_frame.width / np.ptp(ax.get_xlim())
+    point_pixels = [
+        data_to_pixels.transform((label.x, label.y)) for label in labels if not label.width
+    ]
+    occupied_boxes = [
+        Bbox([point - POINT_HALF_SIDE, point + POINT_HALF_SIDE]) for point in point_pixels
+    ]
     for label in sorted(labels, key=lambda label: -label.width * label.height):
-        full_name = drawable(label.text)
+        full_name = escape_undrawable(label.text)
         is_point = not label.width
         name = full_name
         if len(full_name) > MAX_LETTERS:
             name = f"{full_name[:MAX_LETTERS]}…"
-        middle = to_pixels.transform((label.x, label.y))
-        available = np.array([np.inf, np.inf])
+        middle = data_to_pixels.transform((label.x, label.y))
+        available_pixels = np.array([np.inf, np.inf])
         if not is_point:
-            available = np.array([label.width, label.height]) * pixels_per_metre
-        sizes = NAME_POINTS[-1:] if is_point else NAME_POINTS
-        candidates = [(text, size) for size in sizes for text in _line_breaks(name)]
-        candidates += [(str(label.number), size) for size in NUMBER_POINTS]
-        written = ax.text(label.x, label.y, "", ha="center", va="center", linespacing=1.05)
-        for text, size in candidates:
-            written.set(text=text, fontsize=size)
-            extent = np.array(written.get_window_extent().size)
-            half = extent / 2 + 3
+            available_pixels = np.array([label.width, label.height]) * pixels_per_metre
+        font_sizes = NAME_POINTS[-1:] if is_point else NAME_POINTS
+        candidates = [
+            (text, font_size) for font_size in font_sizes for text in _list_line_breaks(name)
+        ]
+        candidates += [(str(label.number), font_size) for font_size in NUMBER_POINTS]
+        text_artist = ax.text(label.x, label.y, "", ha="center", va="center", linespacing=1.05)
+        for text, font_size in candidates:
+            text_artist.set(text=text, fontsize=font_size)
+            text_extent = np.array(text_artist.get_window_extent().size)
+            half_extent = text_extent / 2 + 3
             # above, below, to the right or to the left of a point
             directions = [(0, 1), (0, -1), (1, 0), (-1, 0)] if is_point else [(0, 0)]
-            offset = half + POINT_HALF_SIDE + 1
-            boxes = []
+            offset = half_extent + POINT_HALF_SIDE + 1
+            candidate_boxes = []
             for direction in directions:
                 # moved so that it lies on the map
-                center = np.clip(middle + direction * offset, frame.p0 + half, frame.p1 - half)
-                boxes.append(Bbox([center - half, center + half]))
-            free_boxes = [box for box in boxes if not any(map(box.overlaps, occupied))]
-            fits = (extent <= available).all() and (2 * half <= frame.size).all()
+                center = np.clip(
+                    middle + direction * offset,
+                    map_frame.p0 + half_extent,
+                    map_frame.p1 - half_extent,
+                )
+                candidate_boxes.append(Bbox([center - half_extent, center + half_extent]))
+            free_boxes = [
+                box for box in candidate_boxes if not any(map(box.overlaps, occupied_boxes))
+            ]
+            fits = (text_extent <= available_pixels).all() and (
+                2 * half_extent <= map_frame.size
+            ).all()
             if free_boxes and fits:
                 break
         else:
-            written.remove()
+            text_artist.remove()
             continue
         box = free_boxes[0]
-        occupied.append(box)
-        x, y = to_pixels.inverted().transform((box.p0 + box.p1) / 2)
-        written.set_position((x, y))
+        occupied_boxes.append(box)
+        x, y = data_to_pixels.inverted().transform((box.p0 + box.p1) / 2)
+        text_artist.set_position((x, y))
         if is_point:  # it may lie over anything
-            written.set_bbox({"facecolor": "white", "alpha": 0.85, "pad": 1, "edgecolor": "none"})
+            text_artist.set_bbox(
+                {"facecolor": "white", "alpha": 0.85, "pad": 1, "edgecolor": "none"}
+            )
         else:
-            written.set_path_effects([withStroke(linewidth=2, foreground="white", alpha=0.65)])
+            text_artist.set_path_effects([withStroke(linewidth=2, foreground="white", alpha=0.65)])
         if text == str(label.number):
             yield f"{label.number}: {full_name}"
 
 
-def _line_breaks(text: str) -> list[str]:
+def _list_line_breaks(text: str) -> list[str]:
     """Return a text in one line and, if it has a space, ``_`` or ``-``, broken into two lines."""
     separators = " " if " " in text.strip() else "_-"
-    breaks = [index for index, letter in enumerate(text) if letter in separators and index > 0]
-    if not breaks:
+    break_indices = [
+        index for index, letter in enumerate(text) if letter in separators and index > 0
+    ]
+    if not break_indices:
         return [text]
-    middle_break = min(breaks, key=lambda index: abs(index - len(text) / 2))
+    middle_break = min(break_indices, key=lambda index: abs(index - len(text) / 2))
     first_line = f"{text[:middle_break]}{text[middle_break].strip()}"
     return [text, f"{first_line}\n{text[middle_break + 1 :]}"]
 
 
 def _draw_legend(
-    figure: Figure, panels: Sequence[Panel], color_of_kind: dict[str, str], with_route: bool
+    figure: Figure, panels: Sequence[Panel], color_of_kind: dict[str, str], has_route: bool
 ) -> Legend:
     """Add the legend of colours and lines below the maps, and make the figure higher for it.
 
@@ -543,7 +578,7 @@ def _draw_legend(
         figure: the figure.
         panels: the panels.
         color_of_kind: kind of mark -> its colour.
-        with_route: whether a path is drawn.
+        has_route: whether a path is drawn.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -551,31 +586,37 @@ def _draw_legend(
     color_of_meaning: dict[str, str] = {}
     for panel in panels:
         color_of_meaning |= dict(panel.legend)
-    lines = {_door_line(door.state) for panel in panels for door in panel.doors}
-    lines |= {_connection_line(connection) for panel in panels for connection in panel.connections}
-    if lines:  # doors and links are explained by their lines
+    line_kinds = {_find_door_line_kind(door.state) for panel in panels for door in panel.doors}
+    line_kinds |= {
+        _find_connection_line_kind(connection)
+        for panel in panels
+        for connection in panel.connections
+    }
+    if line_kinds:  # doors and links are explained by their lines
         color_of_meaning = {
             meaning: color
             for meaning, color in color_of_meaning.items()
             if color not in (DOOR, DOORWAY, LINK)
         }
-    if with_route:
-        lines.add("path, from o to x")
+    if has_route:
+        line_kinds.add("path, from o to x")
     entries: list[Patch | Line2D] = [
-        Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=drawable(meaning))
+        Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=escape_undrawable(meaning))
         for meaning, color in (color_of_meaning | color_of_kind).items()
     ]
     entries += [
-        Line2D([], [], label=name, **_line_style(name)) for name in LINE_STROKES if name in lines
+        Line2D([], [], label=line_kind, **_make_line_style(line_kind))
+        for line_kind in LINE_STROKES
+        if line_kind in line_kinds
     ]
     entry_letters = max((len(str(entry.get_label())) for entry in entries), default=1) + 6
     max_columns = max(int(figure.get_figwidth() * LETTERS_PER_INCH / entry_letters), 1)
-    columns = min(max_columns, max(len(entries), 1))
-    rows = -(-len(entries) // columns)
-    figure.set_figheight(figure.get_figheight() + LINE_HEIGHT * rows)
+    num_columns = min(max_columns, max(len(entries), 1))
+    num_rows = -(-len(entries) // num_columns)
+    figure.set_figheight(figure.get_figheight() + LINE_HEIGHT * num_rows)
     return figure.legend(
         handles=entries,
-        ncols=columns,
+        ncols=num_columns,
         loc="outside lower left",
         frameon=False,
         borderpad=0,

@@ -20,11 +20,11 @@ from navbake.navgrid.islands import islands_of, measure_clearance
 from navbake.navgrid.user_data import NAME_KEYS, UserData, names_in
 from navbake.types import Int, Json
 from navbake.views import tables
-from navbake.views.describe import describe, stair_table
+from navbake.views.describe import describe, make_stair_table
 from navbake.views.difference import describe_changes, describe_extent, flatten, png_url
 from navbake.views.layers import LAYERS, make_panel, paint
-from navbake.views.page import make_page, pack, show_table
-from navbake.views.tables import Table, make_table, summarize
+from navbake.views.page import describe_table, make_page, pack_json
+from navbake.views.tables import Table, list_grid_facts, make_table
 
 if TYPE_CHECKING:
     from navbake.auditor.facts import AuditReport
@@ -127,10 +127,10 @@ def render_report(
     titles = _number_duplicates(
         [printable(name) for name in names or [grid.scene_id or "grid" for grid in grids]]
     )
-    sheets = list(map(_describe_grid, grids, titles, audits, verifications))
+    sheet_list = list(map(_describe_grid, grids, titles, audits, verifications))
     if num_grids == 2:
-        sheets.append(describe_changes(grids[0], grids[1], titles))
-    return make_page(", ".join(titles), {"sheets": sheets}, "navbake.views", "report")
+        sheet_list.append(describe_changes(grids[0], grids[1], titles))
+    return make_page(", ".join(titles), {"sheets": sheet_list}, "navbake.views", "report")
 
 
 def _number_duplicates(names: Sequence[str]) -> list[str]:
@@ -167,20 +167,20 @@ class ListedFinding(NamedTuple):
 
 
 def _describe_grid(
-    grid: NavGrid, name: str, audit: AuditReport | None, verification: Json | None
+    grid: NavGrid, name: str, audit_report: AuditReport | None, verification: Json | None
 ) -> Json:
     """Return the sheet of a grid as JSON: its facts, warnings, maps and tables."""
     facts = describe(grid)
-    marks: list[Json] = []
+    map_marks: list[Json] = []
     remark_tables: dict[str, Table] = {}
-    if audit is not None:
+    if audit_report is not None:
         remarks = [
             ListedFinding(remark.check, remark.level, remark.place, remark.severity, remark.text)
-            for remark in audit.remarks
+            for remark in audit_report.remarks
         ]
-        nothing = f"{len(audit.checks)} checks, nothing to say"
-        marks += _mark_remarks("audit", remarks)
-        remark_tables["Audit"] = _list_remarks("how bad", remarks, nothing)
+        no_remarks_text = f"{len(audit_report.checks)} checks, nothing to say"
+        map_marks += _list_marks("audit", remarks)
+        remark_tables["Audit"] = _tabulate_remarks("how bad", remarks, no_remarks_text)
     if verification is not None:
         _check_verification(grid, verification)
         remarks = [
@@ -193,17 +193,21 @@ def _describe_grid(
             )
             for finding in verification["findings"]
         ]
-        sample = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
+        sample_text = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
         verdict = "agrees" if verification["ok"] else "disagrees"
-        marks += _mark_remarks("verify", remarks)
-        remark_tables[f"Verification: {verdict}, {sample}"] = _list_remarks("geom", remarks, sample)
+        map_marks += _list_marks("verify", remarks)
+        remark_tables[f"Verification: {verdict}, {sample_text}"] = _tabulate_remarks(
+            "geom", remarks, sample_text
+        )
     levels = []
-    for number in range(len(grid.levels)):
-        level_marks = [mark for mark in marks if mark["level"] in (number, None)]
+    for level_number in range(len(grid.levels)):
+        level_marks = [mark for mark in map_marks if mark["level"] in (level_number, None)]
         rooms = {
-            str(room.index): room.name or room.id for room in grid.rooms if room.level == number
+            str(room.index): room.name or room.id
+            for room in grid.rooms
+            if room.level == level_number
         }
-        levels.append({**describe_map(grid, number), "marks": level_marks, "rooms": rooms})
+        levels.append({**describe_map(grid, level_number), "marks": level_marks, "rooms": rooms})
     timings = [
         (key.removesuffix("Millis"), f"{value:.1f}")
         for key, value in grid.timings.items()
@@ -214,7 +218,7 @@ def _describe_grid(
         "Levels": tables.level_table(facts),
         "Rooms": tables.room_table(grid.rooms, grid.level_names),
         "Doors": tables.door_table(grid.doors, grid.level_names),
-        "Stairs and steep ramps": stair_table(grid),
+        "Stairs and steep ramps": make_stair_table(grid),
         "Links": tables.link_table(grid.links, grid.level_names),
         "Areas": tables.area_table(facts["areas"]),
         "Agents": tables.agent_table(facts["agents"]),
@@ -228,7 +232,7 @@ def _describe_grid(
     return {
         "name": name,
         "facts": [
-            *summarize(facts),
+            *list_grid_facts(facts),
             ("rooms", str(len(grid.rooms))),
             ("levels", str(len(levels))),
             ("cells", f"{num_cells:,}"),
@@ -237,14 +241,14 @@ def _describe_grid(
         "warnings": facts["warnings"],
         "levels": levels,
         "tables": [
-            show_table(title, table, folded=title in FOLDED_TABLES)
+            describe_table(title, table, folded=title in FOLDED_TABLES)
             for title, table in named_tables.items()
             if table.rows
         ],
     }
 
 
-def _mark_remarks(source: str, remarks: Sequence[ListedFinding]) -> list[Json]:
+def _list_marks(source: str, remarks: Sequence[ListedFinding]) -> list[Json]:
     """Return a mark on the map for each remark that has a position.
 
     Args:
@@ -264,7 +268,9 @@ def _mark_remarks(source: str, remarks: Sequence[ListedFinding]) -> list[Json]:
     ]
 
 
-def _list_remarks(detail_heading: str, remarks: Sequence[ListedFinding], empty_text: str) -> Table:
+def _tabulate_remarks(
+    detail_heading: str, remarks: Sequence[ListedFinding], empty_text: str
+) -> Table:
     """Make a table of remarks.
 
     Args:
@@ -276,8 +282,8 @@ def _list_remarks(detail_heading: str, remarks: Sequence[ListedFinding], empty_t
     for remark in remarks:
         position = ", ".join(f"{coordinate:.2f}" for coordinate in remark.position or ())
         rows.append((remark.kind, remark.level, position, remark.detail, remark.text))
-    columns = ("kind", "level", "x, y, z [m]", detail_heading, "what")
-    return make_table(columns, rows or [("none", None, "", "", empty_text)])
+    headings = ("kind", "level", "x, y, z [m]", detail_heading, "what")
+    return make_table(headings, rows or [("none", None, "", "", empty_text)])
 
 
 def _check_verification(grid: NavGrid, verification: Json) -> None:
@@ -298,39 +304,45 @@ def _check_verification(grid: NavGrid, verification: Json) -> None:
             )
 
 
-def describe_map(grid: NavGrid, number: int) -> Json:
+def describe_map(grid: NavGrid, level_number: int) -> Json:
     """Describe the map of a level: where it lies in the world, its layers, and its cells.
 
     Args:
         grid: a grid of one or several levels.
-        number: the number of the level, 0 is the lowest.
+        level_number: the number of the level, 0 is the lowest.
 
     Returns:
-        JSON. ``cells`` is compressed by `pack`. For each property of cells, such as ``floor``, it
-        has a list with the value of each cell, row by row; null where there is none. The property
-        ``names`` is an index into the list ``nameLists``, -1 for none. An entry of that list has
-        the names of a cell's occupants and blockers, by the keys in `NAME_KINDS`.
+        JSON. ``cells`` is compressed by `pack_json`. For each property of cells, such as ``floor``,
+        it has a list with the value of each cell, row by row; null where there is none. The
+        property ``names`` is an index into the list ``nameLists``, -1 for none. An entry of that
+        list has the names of a cell's occupants and blockers, by the keys in `NAME_KINDS`.
     """
-    level = grid.levels[number]
-    extent = describe_extent(grid.level_names[number], level.lattice)
-    names, name_lists = _number_names(level)
+    level = grid.levels[level_number]
+    extent = describe_extent(grid.level_names[level_number], level.lattice)
+    names, name_lists = _collect_name_lists(level)
     layers: dict[str, NDArray[np.generic]] = {
         "floor": np.round(level.floor, DECIMALS),
         "clearance": np.round(np.where(level.free, measure_clearance(level), np.nan), DECIMALS),
         "weight": np.where(level.free, level.weights, np.nan),
         "room": level.room_index,
-        "island": islands_of(grid)[number],
+        "island": islands_of(grid)[level_number],
         "names": names,
     }
-    every = extent["every"]
-    cells = {key: layer[::every, ::every].ravel() for key, layer in layers.items()}
+    stride = extent["every"]
+    cells = {key: layer[::stride, ::stride].ravel() for key, layer in layers.items()}
     drawn_layers = [
-        _draw_layer(grid, number, layer, every) for layer in LAYERS if layer != "area" or grid.areas
+        _draw_layer(grid, level_number, layer, stride)
+        for layer in LAYERS
+        if layer != "area" or grid.areas
     ]
-    return {**extent, "cells": pack({**cells, "nameLists": name_lists}), "layers": drawn_layers}
+    return {
+        **extent,
+        "cells": pack_json({**cells, "nameLists": name_lists}),
+        "layers": drawn_layers,
+    }
 
 
-def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
+def _collect_name_lists(level: SceneGrid2D) -> tuple[Int, list[Json]]:
     """Collect the different sets of names that the cells of a level have.
 
     Returns:
@@ -338,54 +350,56 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
         (height, width); and the list: names by the keys in `NAME_KINDS`.
     """
     # JSON of a cell's user data, which most cells share -> index of its names
-    numbers_by_entry: dict[bytes, int] = {}
+    index_of_entry: dict[bytes, int] = {}
     name_lists: list[Json] = []
 
-    def number_of(entry: Json) -> int:
-        key = orjson.dumps(entry, default=str)
-        if key not in numbers_by_entry:
-            names = {kind: sorted(names_in(entry, kind)) for kind in NAME_KINDS}
+    def find_list_index(cell_data: Json) -> int:
+        encoded_data = orjson.dumps(cell_data, default=str)
+        if encoded_data not in index_of_entry:
+            names = {kind: sorted(names_in(cell_data, kind)) for kind in NAME_KINDS}
             names = {kind: names_of_kind for kind, names_of_kind in names.items() if names_of_kind}
-            numbers_by_entry[key] = len(name_lists) if names else NO_NAMES
+            index_of_entry[encoded_data] = len(name_lists) if names else NO_NAMES
             if names:
                 name_lists.append(names)
-        return numbers_by_entry[key]
+        return index_of_entry[encoded_data]
 
-    numbers = np.full(level.height * level.width, NO_NAMES, dtype=np.int64)
-    cells, entry_of_cell, entries = UserData.of(level.user_data).shared_entries()
-    numbers[cells] = np.array([number_of(entry) for entry in entries], np.int64)[entry_of_cell]
-    return numbers.reshape(level.shape), name_lists
+    list_indices = np.full(level.height * level.width, NO_NAMES, dtype=np.int64)
+    cells, entry_of_cell, entry_list = UserData.of(level.user_data).shared_entries()
+    list_indices[cells] = np.array(
+        [find_list_index(cell_data) for cell_data in entry_list], np.int64
+    )[entry_of_cell]
+    return list_indices.reshape(level.shape), name_lists
 
 
-def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
-    """Describe a layer of a level as JSON; its picture has each `every`-th row and column."""
-    panel = make_panel(grid, layer, number)
-    scale = None
-    rooms = []
+def _draw_layer(grid: NavGrid, level_number: int, layer: str, stride: int) -> Json:
+    """Describe a layer of a level as JSON; its picture has each `stride`-th row and column."""
+    panel = make_panel(grid, layer, level_number)
+    scale_json = None
+    room_entries = []
     if layer == "rooms":
-        rgb = color_rooms(grid, number)
+        rgb = color_rooms(grid, level_number)
         for room in grid.rooms:
-            if room.level == number and not room.outdoors and room.index < len(rgb):
-                rooms.append((room.name or room.id, f"#{bytes(rgb[room.index]).hex()}"))
+            if room.level == level_number and not room.outdoors and room.index < len(rgb):
+                room_entries.append((room.name or room.id, f"#{bytes(rgb[room.index]).hex()}"))
     if panel.scale is not None:
-        scale = {
+        scale_json = {
             "label": panel.scale.label,
             "colors": [f"#{bytes(color).hex()}" for color in panel.scale.bar(NUM_BAR_COLORS)],
             "ticks": [tick._asdict() for tick in panel.scale.ticks],
         }
     return {
         "name": layer,
-        "title": panel.title.removeprefix(f"{grid.level_names[number]}: "),
-        "png": png_url(paint(panel)[::every, ::every]),
-        "legend": [*rooms, *panel.legend],
-        "scale": scale,
+        "title": panel.title.removeprefix(f"{grid.level_names[level_number]}: "),
+        "png": png_url(paint(panel)[::stride, ::stride]),
+        "legend": [*room_entries, *panel.legend],
+        "scale": scale_json,
         "labels": [label._asdict() for label in panel.labels],
         "doors": [door._asdict() for door in panel.doors],
         "ways": [
             {
                 # in order; null for a stop on another level
                 "stops": [
-                    [x, y] if level == number else None for level, x, y, _ in connection.stops
+                    [x, y] if level == level_number else None for level, x, y, _ in connection.stops
                 ],
                 "link": connection.link is not None,
                 "closed": connection.is_closed,

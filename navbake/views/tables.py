@@ -43,9 +43,9 @@ class Table(NamedTuple):
 
     def without_empty_columns(self) -> Table:
         """Return the table without the columns that are empty in all rows."""
-        columns = [i for i in range(len(self.headings)) if any(row[i] for row in self.rows)]
-        rows = [[row[i] for i in columns] for row in self.rows]
-        return self._replace(headings=[self.headings[i] for i in columns], rows=rows)
+        column_indices = [i for i in range(len(self.headings)) if any(row[i] for row in self.rows)]
+        rows = [[row[i] for i in column_indices] for row in self.rows]
+        return self._replace(headings=[self.headings[i] for i in column_indices], rows=rows)
 
 
 def make_table(
@@ -66,22 +66,25 @@ def make_table(
     return Table(headings, cells, frozenset(numbers), gap)
 
 
-def summarize(facts: Json) -> list[tuple[str, str]]:
+def list_grid_facts(facts: Json) -> list[tuple[str, str]]:
     """List the main facts about a grid as pairs of a name and a text.
 
     Args:
         facts: what `navbake.views.describe.describe` returns.
     """
-    inflated = "{radius}, clearance {clearance} ({mode})"
-    agent = {  # its sizes [m], and the largest slope [deg]
+    inflation_format = "{radius}, clearance {clearance} ({mode})"
+    agent_rows = {  # its sizes [m], and the largest slope [deg]
         f"agent {name.replace('_', ' ')} {'[deg]' if 'slope' in name else '[m]'}": str(value)
         for name, value in facts["agent"].items()
     }
     return [
         ("scene", facts["scene_id"] or "not named"),
         ("cell size [m]", f"{facts['cell_size']:g}"),
-        *agent.items(),
-        *(("inflated to [m]", inflated.format_map(entry)) for entry in facts["inflated"]),
+        *agent_rows.items(),
+        *(
+            ("inflated to [m]", inflation_format.format_map(inflation))
+            for inflation in facts["inflated"]
+        ),
         ("islands", str(facts["num_islands"])),
         ("steps", str(facts["num_steps"])),
         *((key, str(len(facts[key]))) for key in ("links", "areas", "agents") if facts[key]),
@@ -95,16 +98,20 @@ def level_table(facts: Json) -> Table:
     Args:
         facts: what `navbake.views.describe.describe` returns.
     """
-    columns = dict(LEVEL_COLUMNS)
+    format_of_column = dict(LEVEL_COLUMNS)
     if any(level["num_rooms"] for level in facts["levels"]):
-        columns["rooms"] = "{num_rooms}"
+        format_of_column["rooms"] = "{num_rooms}"
     rows = []
     for index, level in enumerate(facts["levels"]):
         has_floor = level["floor_min"] is not None
-        floor = "{floor_min:.3f} to {floor_max:.3f}".format_map(level) if has_floor else "none"
-        level_facts = {**level, "index": index, "floor": floor}
-        rows.append([text.format_map(level_facts) for text in columns.values()])
-    return make_table(tuple(columns), rows, numbers=columns.keys() - {"name"}, gap=1)
+        floor_text = "{floor_min:.3f} to {floor_max:.3f}".format_map(level) if has_floor else "none"
+        level_facts = {**level, "index": index, "floor": floor_text}
+        rows.append(
+            [cell_format.format_map(level_facts) for cell_format in format_of_column.values()]
+        )
+    return make_table(
+        tuple(format_of_column), rows, numbers=format_of_column.keys() - {"name"}, gap=1
+    )
 
 
 def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
@@ -116,10 +123,10 @@ def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
     """
     rows = []
     for room in rooms:
-        opens_to = []
+        neighbour_texts = []
         for neighbour in room.neighbours:
             opening = neighbour.door or ("steps" if neighbour.kind == "link" else "")
-            opens_to.append(f"{neighbour.room} ({opening})" if opening else neighbour.room)
+            neighbour_texts.append(f"{neighbour.room} ({opening})" if opening else neighbour.room)
         source = room.source or ""
         if room.outdoors:
             source += ", outdoors"
@@ -132,7 +139,7 @@ def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
                 f"{room.area:.2f}",
                 _position_text(room.centroid),
                 source,
-                ", ".join(opens_to),
+                ", ".join(neighbour_texts),
             )
         )
     headings = ("id", "name", "level", "index", "m2", "centroid x y z m", "from", "opens to")
@@ -149,16 +156,16 @@ def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
     has_joints = any(door.joint != door.id for door in doors)
     rows = []
     for door in doors:
-        joint = (door.joint or "none") if has_joints else ""
+        joint_text = (door.joint or "none") if has_joints else ""
         level_names = ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else ""
         # a body that the user declared a door may stand anywhere, and join no rooms
-        rooms = [room or "outside" for room in door.rooms] if any(door.rooms) else ["nothing"]
+        room_names = [room or "outside" for room in door.rooms] if any(door.rooms) else ["nothing"]
         # the pose in which a door was modelled may be that of another state
-        is_between = door.state == "modelled" and {"open", "closed"} <= set(door.states)
-        equal_state = door.like or ("half-open" if is_between else None)
+        is_half_open = door.state == "modelled" and {"open", "closed"} <= set(door.states)
+        equal_state = door.like or ("half-open" if is_half_open else None)
         state = f"{door.state} ({equal_state})" if equal_state else door.state
         states = ", ".join(door.states)
-        rows.append((door.id, joint, level_names, " - ".join(rooms), state, states))
+        rows.append((door.id, joint_text, level_names, " - ".join(room_names), state, states))
     headings = ("door", "joint", "level", "joins", "is", "can be")
     return make_table(headings, rows).without_empty_columns()
 
@@ -216,11 +223,14 @@ def agent_table(agents: Mapping[str, Json]) -> Table:
     Args:
         agents: ``agents`` of what `navbake.views.describe.describe` returns.
     """
-    keys = {"radius": "radius m", "height": "height m", "step": "step m", "speed": "m/s"}
+    heading_of_key = {"radius": "radius m", "height": "height m", "step": "step m", "speed": "m/s"}
     rows = [
-        (name, *(_number_text(agent.get(key)) for key in keys)) for name, agent in agents.items()
+        (name, *(_number_text(agent.get(key)) for key in heading_of_key))
+        for name, agent in agents.items()
     ]
-    return make_table(("agent", *keys.values()), rows, keys.values()).without_empty_columns()
+    return make_table(
+        ("agent", *heading_of_key.values()), rows, heading_of_key.values()
+    ).without_empty_columns()
 
 
 def _position_text(position: Iterable[float]) -> str:
@@ -235,7 +245,7 @@ def _agents_text(agents: Iterable[str] | None) -> str:
     return "" if agents is None else ", ".join(agents) or "nobody"
 
 
-def cell_facts(facts: Json) -> dict[str, str | list[str]]:
+def list_cell_facts(facts: Json) -> dict[str, str | list[str]]:
     """Return facts of a cell for a table: name of a fact -> its text, or a list of names.
 
     Args:

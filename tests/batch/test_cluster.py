@@ -19,7 +19,7 @@ from batch_scenes import write_scenes, wrong_rows
 from navbake.batch.job import Plan
 from navbake.batch.run import run_batch
 from navbake.batch.scenes import list_jobs
-from navbake.batch.workers import CRASHED, DONE, TOO_LONG, JobLimits, do_on_ray
+from navbake.batch.workers import CRASHED, DONE, TOO_LONG, JobLimits, run_on_ray
 from project_paths import ROOT
 from ray_cluster import VARIABLES, two_nodes
 
@@ -80,7 +80,7 @@ def test_jobs_fail_as_on_one_machine_and_a_task_that_is_lost_is_done_again(tmp_p
         ("raise", "bad value"),
         ("double", 2),
     ]
-    done = do_on_ray(jobs, crew_jobs.work, 2, address="local", limits=JobLimits(5.0))
+    done = run_on_ray(jobs, crew_jobs.work, 2, address="local", limits=JobLimits(5.0))
     ended = dict(enumerate(sorted(done)))
     assert [ended[k].value for k in (1, 6)] == [2, 4] and ended[0].how == DONE
     assert ended[2][1:3] == (CRASHED, "its process ended by SIGSEGV")
@@ -88,7 +88,7 @@ def test_jobs_fail_as_on_one_machine_and_a_task_that_is_lost_is_done_again(tmp_p
     assert ended[5][1:3] == (CRASHED, "ValueError: bad value")
     assert ended[4].how == CRASHED
     assert ended[4].value.startswith("it was lost 4 times, as ")
-    assert [*do_on_ray([], crew_jobs.work, None, address="local")] == []
+    assert [*run_on_ray([], crew_jobs.work, None, address="local")] == []
 
 
 def test_ctrl_c_ends_the_cluster_that_the_batch_started(tmp_path):

@@ -30,7 +30,7 @@ from navbake.batch.page import (
 from navbake.batch.products import GRID_NAME, THUMBNAIL_NAME
 from navbake.batch.run import run_batch
 from navbake.batch.scenes import list_jobs
-from navbake.batch.store import read_file, remove_files, sizes_below
+from navbake.batch.store import list_file_sizes, read_file, remove_files
 from report_pages import check_policy, content_of_batch, content_of_page
 
 OK = {
@@ -156,10 +156,10 @@ def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
     assert shown["base"] == "."
     remove_files(store, ["index.html"])
     LivePage(store, 2).refresh(1)
-    assert "index.html" not in sizes_below(store)
+    assert "index.html" not in list_file_sizes(store)
     # what is baked anew without a page has no old thumbnail
     run_batch(Plan(store, {}), jobs, Told())
-    assert not any(Path(name).name == "thumbnail.png" for name in sizes_below(store))
+    assert not any(Path(name).name == "thumbnail.png" for name in list_file_sizes(store))
 
 
 # --- the page of some hundred scenes, in a browser ----------------------------------------------

@@ -24,9 +24,9 @@ from navbake.batch import index as index_module
 from navbake.batch import job as job_module
 from navbake.batch import products, store
 from navbake.batch import run as run_module
-from navbake.batch.index import INDEX_NAME, only_batch, read_index
+from navbake.batch.index import INDEX_NAME, lock_batch, read_index
 from navbake.batch.products import RECORD_NAME
-from navbake.batch.run import preview
+from navbake.batch.run import preview_batch
 from navbake.batch.scenes import list_jobs
 from navbake.batch.workers import JobLimits
 from navbake.config.settings import load_config
@@ -525,7 +525,7 @@ def test_an_index_that_somebody_removes_is_written_whole_at_the_end(scenes, monk
 def test_two_batches_never_write_into_one_folder(scenes, here):
     Path("out").mkdir()
     with (
-        only_batch(Path("out")),
+        lock_batch(Path("out")),
         pytest.raises(NavbakeError, match="another batch writes into out"),
     ):
         run(*ALL)
@@ -724,7 +724,7 @@ def test_scenes_are_read_by_workers_alone(scenes, monkeypatch):
     monkeypatch.setattr(job_module, "open_scene", open_nothing)
     Path("again.xml").write_bytes((scenes / "first.xml").read_bytes())
     plan = job_module.Plan(Path("out").absolute(), SETTINGS)
-    whys = [row["why"] for row in preview(plan, list_jobs(["scenes/first.xml", "again.xml"]))]
+    whys = [row["why"] for row in preview_batch(plan, list_jobs(["scenes/first.xml", "again.xml"]))]
     assert whys == ["new", "equal to first"]
 
 
@@ -735,5 +735,5 @@ def test_a_scene_that_is_endless_to_read_is_told(scenes, monkeypatch):
     (scenes / "endless.xml").write_text("<mujoco/>")
     jobs = list_jobs(["scenes/endless.xml", "scenes/first.xml"])
     plan = job_module.Plan(Path("out").absolute(), SETTINGS)
-    rows = preview(plan, jobs, limits=JobLimits(seconds=2.0))
+    rows = preview_batch(plan, jobs, limits=JobLimits(seconds=2.0))
     assert [row["why"] for row in rows] == ["broken: it took more than 20 s", "new"]

@@ -10,11 +10,11 @@ import pytest
 
 from navbake.batch.scenes import (
     Job,
-    id_as_settings,
     list_jobs,
+    make_id_settings,
     merge_settings,
     nest_settings,
-    read_shared,
+    read_shared_settings,
 )
 from navbake.config.keywords import merge
 from navbake.errors import ConfigError
@@ -137,7 +137,7 @@ def test_lists_of_any_system_are_read(folder, end, mark):
         (folder / name).write_bytes((mark + end.join([*lines, ""])).encode())
         jobs = list_jobs([name])
         assert [(job.id, job.source) for job in jobs] == [("a", "a.xml"), ("b", "b.xml")]
-        assert all(not job.settings or job.settings == id_as_settings(job.id) for job in jobs)
+        assert all(not job.settings or job.settings == make_id_settings(job.id) for job in jobs)
         assert jobs[1].place == f"{name}, line {len(lines)}"
 
 
@@ -219,7 +219,7 @@ def test_a_scene_has_the_settings_of_the_batch_its_own_and_those_of_its_row(fold
     )
     row = nest_settings([("agent.traversable_floor_height", 0.1)], Path(), "here")
     job = Job("own", "a/own.yaml", row, "here")
-    config = merge_settings(job, read_shared("all.yaml"), ["agent.max_slope=30"])
+    config = merge_settings(job, read_shared_settings("all.yaml"), ["agent.max_slope=30"])
     assert str(config.scene.path) == "a/hall.xml" and config.scene.id == "own"
     assert config.agent.model_dump() == {
         **{"height": 2.0, "radius": 0.2, "traversable_floor_height": 0.1, "max_slope": 30.0}
@@ -230,7 +230,7 @@ def test_a_scene_has_the_settings_of_the_batch_its_own_and_those_of_its_row(fold
         merge_settings(job, {}, [])
     (folder / "all.yaml").write_text("scene: {id: a}\n")
     with pytest.raises(ConfigError, match=r"expected no `scene.id` in all.yaml"):
-        read_shared("all.yaml")
+        read_shared_settings("all.yaml")
 
 
 def test_settings_are_laid_over_each_other_section_by_section():
@@ -273,9 +273,9 @@ def test_a_short_form_stays_until_another_value_replaces_it(folder):
 def test_shared_settings_name_no_scene_in_any_form(folder, scene):
     (folder / "all.yaml").write_text(f"scene: {scene}\n")
     with pytest.raises(ConfigError, match=r"expected settings as `scene` in all\.yaml, got .*nam"):
-        read_shared("all.yaml")
+        read_shared_settings("all.yaml")
     (folder / "all.yaml").write_text("scene:\n")
-    assert read_shared("all.yaml") == {"scene": None}
+    assert read_shared_settings("all.yaml") == {"scene": None}
 
 
 def test_an_id_of_a_row_is_that_of_the_grid(folder):

@@ -22,7 +22,7 @@ from command_line import run_command
 from navbake import samples
 from navbake.batch import index as index_module
 from navbake.batch import job as job_module
-from navbake.batch.index import INDEX_NAME, Slice, only_batch, read_index
+from navbake.batch.index import INDEX_NAME, Slice, lock_batch, read_index
 from navbake.batch.job import MESH_CACHE_SIZE, prepare_worker
 from navbake.batch.products import RECORD_NAME
 from navbake.batch.run import measure_cost
@@ -169,11 +169,11 @@ def test_slices_write_into_a_store():
 def test_slices_run_beside_each_other_and_not_beside_the_whole(monkeypatch):
     monkeypatch.setattr(index_module, "LOCK_TIMEOUT", 0.1)
     with (
-        only_batch(Path("out")),
+        lock_batch(Path("out")),
         pytest.raises(NavbakeError, match="another batch writes into out"),
     ):
         run(out="out", batch_slice=Slice(1, 2))
-    with only_batch(Path("out"), Slice(1, 2)):
+    with lock_batch(Path("out"), Slice(1, 2)):
         run(out="out", batch_slice=Slice(2, 2))
         with pytest.raises(NavbakeError, match="another batch writes into out"):
             run(out="out")

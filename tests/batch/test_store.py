@@ -17,15 +17,15 @@ from batch_scenes import CHEST, draw_room
 from navbake.batch import store
 from navbake.batch.index import INDEX_NAME
 from navbake.batch.products import RECORD_NAME
-from navbake.batch.scenes import list_jobs, read_shared
+from navbake.batch.scenes import list_jobs, read_shared_settings
 from navbake.batch.store import (
     Mirror,
     as_folder,
     is_url,
     join,
-    plain_path,
+    list_file_sizes,
     read_file,
-    sizes_below,
+    strip_file_scheme,
     without_secrets,
     write_file,
 )
@@ -135,7 +135,7 @@ def grids(folder):
 
 
 def grids_at(url):
-    return {name: read_file(f"{url}/{name}") for name in sizes_below(url) if is_product(name)}
+    return {name: read_file(f"{url}/{name}") for name in list_file_sizes(url) if is_product(name)}
 
 
 def is_product(name):
@@ -166,7 +166,7 @@ def test_scenes_on_a_store_give_the_bytes_of_local_ones(rooms):
     assert row["source"] == "memory://s/rooms/mjcf/room.xml"
     shared = {"shared/chest.obj", "shared/sub/lid.obj", "mjcf/floor.part", "mjcf/room.xml"}
     assert set(row["inputs"]) == {f"memory://s/rooms/{name}" for name in shared}
-    assert {name for name in sizes_below("memory://b/c") if "/" not in name} == {INDEX_NAME}
+    assert {name for name in list_file_sizes("memory://b/c") if "/" not in name} == {INDEX_NAME}
 
 
 def test_lists_patterns_and_settings_may_be_on_a_store(rooms, memory):
@@ -179,9 +179,11 @@ def test_lists_patterns_and_settings_may_be_on_a_store(rooms, memory):
     text = "".join(json.dumps(line) + "\n" for line in lines)
     Path("rooms/list.jsonl").write_text(text)
     upload(Path("rooms"), memory, "/s/rooms")
-    names, near = run("rooms/list.jsonl", settings={**read_shared("rooms/all.yaml"), **SETTINGS})
+    names, near = run(
+        "rooms/list.jsonl", settings={**read_shared_settings("rooms/all.yaml"), **SETTINGS}
+    )
     assert names == ["a", "b", "plain"] and near.count("ok") == 3, near.rows
-    shared = {**read_shared("memory://s/rooms/all.yaml"), **SETTINGS}
+    shared = {**read_shared_settings("memory://s/rooms/all.yaml"), **SETTINGS}
     assert shared["rooms"] == {"polygons": "memory://s/rooms/plan.geojson"}
     names, _result = run("memory://s/rooms/list.jsonl", out="remote", settings=shared)
     assert names == ["a", "b", "plain"] and grids("remote") == grids("out")
@@ -273,7 +275,7 @@ def test_what_is_done_is_known_by_what_the_store_says(rooms, memory, monkeypatch
         assert run(*sources, out=out, products=["nav2"])[0] == expected, name
         assert run(*sources, out=out, products=["nav2"])[0] == []
     assert run(*sources, out=out)[0] == ["room", "arm", "plain", "set"]
-    names = sizes_below(out) if is_url(out) else map(str, Path(out).rglob("*"))
+    names = list_file_sizes(out) if is_url(out) else map(str, Path(out).rglob("*"))
     assert not [name for name in names if "nav2" in name]
 
 
@@ -321,9 +323,9 @@ def test_what_a_killed_upload_left_on_a_store_is_removed(memory, monkeypatch, la
         patch.setattr(store, "write_file", write_until)
         with pytest.raises(KeyboardInterrupt):
             run("a.xml", out="memory://out", products=["nav2"])
-    assert len([name for name in sizes_below("memory://out") if "nav2" in name]) == 2
+    assert len([name for name in list_file_sizes("memory://out") if "nav2" in name]) == 2
     assert run("a.xml", out="memory://out")[0] == ["a"]
-    assert {*sizes_below("memory://out")} == {INDEX_NAME, f"a/{RECORD_NAME}", "a/grid.json.gz"}
+    assert {*list_file_sizes("memory://out")} == {INDEX_NAME, f"a/{RECORD_NAME}", "a/grid.json.gz"}
 
 
 def test_a_new_file_here_is_noticed_where_the_grids_are_on_a_store(rooms):
@@ -359,7 +361,7 @@ def test_a_scene_that_fails_leaves_nothing_and_is_told_by_its_url(rooms, memory,
     assert [row["status"] for row in result.rows] == ["ok", "failed", "failed"]
     assert result.rows[1]["error"].startswith("broken XML in memory://s/rooms/bad.xml: ")
     assert result.rows[2]["error"] == "cannot read memory://s/rooms/no.xml: there is no such file"
-    assert {n for n in sizes_below("memory://out") if n.startswith("bad/")} == {"bad/mine.txt"}
+    assert {n for n in list_file_sizes("memory://out") if n.startswith("bad/")} == {"bad/mine.txt"}
 
     written = []
 
@@ -374,7 +376,7 @@ def test_a_scene_that_fails_leaves_nothing_and_is_told_by_its_url(rooms, memory,
     monkeypatch.setattr(store, "write_file", refuse)
     _, result = run(*sources[:2], out="memory://out", products=["nav2"])
     assert written and result.count("failed") == 2
-    assert {n for n in sizes_below("memory://out") if "/" in n} == {"bad/mine.txt"}
+    assert {n for n in list_file_sizes("memory://out") if "/" in n} == {"bad/mine.txt"}
 
 
 def test_the_grid_is_the_last_product_of_a_scene_and_the_record_after_it(memory, monkeypatch):
@@ -411,7 +413,10 @@ def test_urls_are_told_from_paths():
     assert is_url("s3://a/b") and is_url("memory://a") and is_url("hdfs:///a")
     for path in ("a/b.xml", "C://a", "/a", "file:///a", "local://a", "a:b", Path("s3://a")):
         assert not is_url(path)
-    assert plain_path("file:///a/b c.xml") == "/a/b c.xml" and plain_path("a//b") == "a//b"
+    assert (
+        strip_file_scheme("file:///a/b c.xml") == "/a/b c.xml"
+        and strip_file_scheme("a//b") == "a//b"
+    )
     assert as_folder("s3://a/b/") == "s3://a/b" and as_folder("a/") == Path("a")
 
 
@@ -465,10 +470,14 @@ def test_elsewhere_a_file_is_written_beside_and_moved(memory, monkeypatch):
     write_file("memory://a/b", "c.txt", b"2")
     assert read_file("memory://a/b/c.txt") == b"2"
     assert [Path(one).parent.as_posix() for one, _ in moved] == ["/a/b", "/a/b"]
-    assert list(sizes_below("memory://a")) == ["b/c.txt"]
+    assert list(list_file_sizes("memory://a")) == ["b/c.txt"]
     Path("one.xml").write_text(draw_room(1))
     assert run("one.xml", out="memory://out")[1].count("ok") == 1
-    assert {*sizes_below("memory://out")} == {INDEX_NAME, f"one/{RECORD_NAME}", "one/grid.json.gz"}
+    assert {*list_file_sizes("memory://out")} == {
+        INDEX_NAME,
+        f"one/{RECORD_NAME}",
+        "one/grid.json.gz",
+    }
     assert run("one.xml", out="memory://out")[0] == []
 
 

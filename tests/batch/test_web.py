@@ -20,7 +20,7 @@ FAR = ("other", "away", "yaml")  # rows that lead to another host
 
 @pytest.fixture(autouse=True)
 def only_own_hosts(monkeypatch):
-    monkeypatch.setattr(store, "_hosts", set())
+    monkeypatch.setattr(store, "_allowed_hosts", set())
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 
 from navbake.config.settings import parse_config
 from navbake.errors import ConfigError, FormatError, QueryError
-from navbake.known_names import check_choice, find_near, suggest
+from navbake.known_names import check_choice, find_similar_names, suggest
 
 SCENE = {"scene": {"path": "a.xml"}}
 
@@ -48,9 +48,9 @@ def test_names_are_near_by_slips_words_and_plurals():
         ("kitchen", "Kitchen"),
         ("walls", "wall_1"),
     ):
-        assert find_near(name, known) == [near], name
+        assert find_similar_names(name, known) == [near], name
     for name in ("step", "chair", "so", "", "bath", 7):
-        assert find_near(name, known) == [], name
+        assert find_similar_names(name, known) == [], name
     assert suggest("step", ["state"]) == "it has state"
     assert suggest("Sopha", ["bed", "sofa"]) == "did you mean 'sofa'? it has bed, sofa"
 

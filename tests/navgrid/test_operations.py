@@ -39,7 +39,7 @@ FUNCTIONS = {
     "to_polygons": "formats.shapes:find_shapes",
     "to_geojson": "formats.shapes:to_geojson",
     "to_graph": "formats.graphs:make_graph",
-    "_repr_html_": "views.notebook:show_html",
+    "_repr_html_": "views.notebook:render_html",
     "_repr_png_": "views.notebook:draw_png",
 }
 # these have parameters of several functions, or use another method

@@ -19,7 +19,7 @@ from navbake.views.difference import (
     list_changed_rooms,
     list_differences,
     match_levels,
-    settings_of,
+    read_settings,
 )
 
 NAMES = tuple(CHANGE_COLORS)
@@ -34,7 +34,7 @@ def with_rooms(level, text):
 
 def changes(first, second):
     found = compare_levels(first, second, (0, 0))
-    return [[NAMES[k] for k in row] for row in found.change.tolist()]
+    return [[NAMES[k] for k in row] for row in found.change_of_cell.tolist()]
 
 
 def test_each_change_has_its_name():
@@ -121,7 +121,7 @@ def test_changes_are_those_of_a_loop_over_positions(seed, coarser):
     for row, y in enumerate(found.lattice.center_y().tolist()):
         for col, x in enumerate(found.lattice.center_x().tolist()):
             expected = name_of(look(first, x, y), look(second, x, y))
-            assert NAMES[found.change[row, col]] == expected, (row, col)
+            assert NAMES[found.change_of_cell[row, col]] == expected, (row, col)
 
 
 def test_levels_are_paired_by_their_grounds():
@@ -150,7 +150,7 @@ def test_a_door_in_another_state(doors):
     assert list_differences(*map(states, (first, second))) == [(name, "modelled", "closed")]
     level = compare_levels(first.levels[0], second.levels[0], (0, 0))
     blocked = np.count_nonzero(first.levels[0].free & ~second.levels[0].free)
-    assert np.count_nonzero(level.change == NAMES.index("became blocked")) == blocked
+    assert np.count_nonzero(level.change_of_cell == NAMES.index("became blocked")) == blocked
 
 
 def test_rooms_that_changed_are_listed():
@@ -186,9 +186,9 @@ def test_rooms_that_changed_are_listed():
 def test_settings_that_changed_are_listed(doors):
     grid, _, _ = doors
     other = grid.inflate(0.3)
-    assert list_differences(settings_of(grid), settings_of(grid)) == []
+    assert list_differences(read_settings(grid), read_settings(grid)) == []
     changed = {
-        what: second for what, _, second in list_differences(*map(settings_of, (grid, other)))
+        what: second for what, _, second in list_differences(*map(read_settings, (grid, other)))
     }
     assert changed["inflation.0.radius"] == "0.3"
     assert all(key.startswith("inflation.0.") for key in changed)

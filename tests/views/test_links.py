@@ -11,7 +11,7 @@ import navbake
 from color_vision import VISIONS, contrast, difference
 from navbake.navgrid import colors
 from navbake.navgrid.colors import rgb_of
-from navbake.views.describe import arc_between, find_connections, stair_table
+from navbake.views.describe import arc_between, find_connections, make_stair_table
 from navbake.views.layers import make_panel
 from navbake.views.plot import render_picture
 from navbake.views.report import describe_map, render_report
@@ -48,7 +48,7 @@ def test_the_two_stairs_of_a_house_are_two_rows():
         start, end = stair.stops
         assert {start.level, end.level} == {0, 1}
         assert np.linalg.norm(np.subtract(end.position, start.position)[:2]) < 0.3
-    assert [row[:3] for row in stair_table(house).rows] == [
+    assert [row[:3] for row in make_stair_table(house).rows] == [
         [stair.name, *(house.level_names[stop.level] for stop in stair.stops)]
         for stair in (first, second)
     ]

@@ -27,7 +27,7 @@ from navbake.views.notebook import (
     draw_path,
     draw_png,
     draw_thumbnail,
-    show_html,
+    render_html,
 )
 from project_paths import GOLDEN
 
@@ -62,7 +62,7 @@ def test_a_cell_is_a_square_of_its_colour():
     expected = make_panel(level, "rooms", 0).rgb.repeat(side, axis=0).repeat(side, axis=1)
     np.testing.assert_array_equal(read(draw_png(level)), expected)
     side = LEVEL_SIDE // 3
-    [picture] = pictures_of(show_html(level))
+    [picture] = pictures_of(render_html(level))
     assert picture.shape == (2 * side, 3 * side, 3)
     corners = [picture[0, 0], picture[0, -1], picture[-1, 0]]
     assert [tuple(map(int, rgb)) for rgb in corners] == [
@@ -77,7 +77,7 @@ def test_pictures_are_bounded(shape):
     level = plain(*shape)
     picture = read(draw_png(level))
     assert PICTURE_SIDE / 2 <= max(picture.shape[:2]) <= PICTURE_SIDE
-    [small] = pictures_of(show_html(level))
+    [small] = pictures_of(render_html(level))
     assert LEVEL_SIDE / 2 <= max(small.shape[:2]) <= LEVEL_SIDE
     assert (picture == rgb_of(FREE)).all()
 
@@ -85,7 +85,7 @@ def test_pictures_are_bounded(shape):
 def test_a_thin_wall_is_seen_in_a_large_grid():
     level = plain(4000, 4000)
     level.weights[:, 2001] = np.inf
-    [picture] = pictures_of(show_html(level))
+    [picture] = pictures_of(render_html(level))
     column = picture[:, 2001 // 10]
     mean = np.round(0.9 * np.array(rgb_of(FREE)) + 0.1 * np.array(rgb_of(OCCUPIED)))
     np.testing.assert_allclose(column, np.broadcast_to(mean, column.shape), atol=1)
@@ -93,7 +93,7 @@ def test_a_thin_wall_is_seen_in_a_large_grid():
 
 def test_every_level_is_shown_at_one_scale():
     grid = stairs("##00", "0000", "0000")
-    pictures = pictures_of(show_html(grid))
+    pictures = pictures_of(render_html(grid))
     widths = [level.width for level in grid.levels]
     assert [p.shape[1] / w for p, w in zip(pictures, widths, strict=True)] == [
         LEVEL_SIDE // max(widths)
@@ -103,7 +103,7 @@ def test_every_level_is_shown_at_one_scale():
 
 def test_many_levels_are_counted_and_some_are_shown():
     grid = MultiLevelGrid(grids=[plain(4, 4) for _ in range(MAX_LEVELS + 3)], cell_size=0.05)
-    text = show_html(grid)
+    text = render_html(grid)
     assert len(pictures_of(text)) == MAX_LEVELS
     assert "19 levels" in text and "and 3 more" in text
     assert max(read(draw_png(grid)).shape) <= PICTURE_SIDE
@@ -112,7 +112,7 @@ def test_many_levels_are_counted_and_some_are_shown():
 def test_facts():
     level = level_from("..#\n...")
     level.metadata["sceneId"] = "den"
-    text = show_html(level)
+    text = render_html(level)
     assert "<b>den</b>: 1 level, cells of 0.1 m, 0 rooms, 0.1 m² free" in text
     assert "<b>level 0</b>: 3 × 2 cells, ground 0.00 m, 0 rooms, 0.1 m² free" in text
 
@@ -121,7 +121,7 @@ def test_names_are_escaped_and_cut():
     name = '"><script>alert(1)</script>\x1b[31m'
     level = level_from("...")
     level.metadata |= {"sceneId": name + "x" * 10_000, "navbake": {"levels": [{"name": name}]}}
-    text = show_html(level)
+    text = render_html(level)
     assert "<script" not in text and "\x1b" not in text
     assert "&lt;script&gt;" in text
     assert len(PICTURE.sub("", text)) < 2000
@@ -130,7 +130,7 @@ def test_names_are_escaped_and_cut():
 def test_methods_give_the_same_every_time():
     grid = level_from("..#\n...")
     # the names that notebooks ask for
-    for name, draw in (("_repr_html_", show_html), ("_repr_png_", draw_png)):
+    for name, draw in (("_repr_html_", render_html), ("_repr_png_", draw_png)):
         assert getattr(grid, name)() == draw(grid) == draw(level_from("..#\n..."))
 
 

@@ -322,7 +322,7 @@ def test_maps_are_apart_and_in_the_picture(width, levels, layers):
 
 
 def test_long_titles_wrap_and_end_somewhere():
-    text = plot.wrap("the storey between the ground and the gallery " * 9, 3.0)
+    text = plot.wrap_text("the storey between the ground and the gallery " * 9, 3.0)
     lines = text.split("\n")
     assert len(lines) == 3 and text.endswith("…")
     assert all(len(line) <= 3 * plot.LETTERS_PER_INCH for line in lines)
@@ -335,12 +335,12 @@ def test_long_titles_wrap_and_end_somewhere():
 
 @pytest.mark.parametrize("space", ["\u00a0", "\u202f", "\u3000", "\u2009"])
 def test_spaces_of_all_kinds_are_drawn_as_they_are(space):
-    text = plot.wrap(f"1:{space}hall   2:{space}Salle{space}de{space}bain", 9.0)
+    text = plot.wrap_text(f"1:{space}hall   2:{space}Salle{space}de{space}bain", 9.0)
     assert text == f"1:{space}hall   2:{space}Salle{space}de{space}bain"
-    assert plot.wrap("a\u200b\x07b", 9.0) == r"a\u200b\x07b"
+    assert plot.wrap_text("a\u200b\x07b", 9.0) == r"a\u200b\x07b"
 
 
 def test_letters_that_no_font_has_are_known():
-    families, missing = plot.find_fonts("\u043a\u0443\u0445\u043d\u044f a\U000e0fff")
+    families, missing = plot.choose_fonts("\u043a\u0443\u0445\u043d\u044f a\U000e0fff")
     assert families == [plot.FONT]
     assert missing <= {"\U000e0fff", "\\"}

@@ -303,7 +303,7 @@ def build_model(
             continue
         geoms.append(geom)
     if stray_names:
-        listed_names = list_first([repr(name) for name in stray_names], most=5)
+        listed_names = list_first([repr(name) for name in stray_names], max_names=5)
         warnings.append(
             f"geom {listed_names} of {path} left out: it lies beyond {MAX_COORDINATE:g} m"
         )

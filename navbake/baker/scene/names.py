@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from navbake.baker.core.constants import MESH, SDF
-from navbake.known_names import find_near
+from navbake.known_names import find_similar_names
 from navbake.types import Bool, Int
 
 if TYPE_CHECKING:
@@ -144,7 +144,9 @@ def warn_unmatched(
         names: the names that the user may have meant; empty names are ignored.
         matches_text: the end of the sentence ``<pattern> matches ...``, such as ``no body``.
     """
-    near_names = find_near(pattern.strip("*"), sorted({name for name in names if name}), most=3)
+    near_names = find_similar_names(
+        pattern.strip("*"), sorted({name for name in names if name}), max_names=3
+    )
     hint = f"; near names are {', '.join(near_names)}" if near_names else ""
     return f"`{setting}` pattern {pattern!r} matches {matches_text}{hint}"
 

@@ -29,7 +29,7 @@ from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig, SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.formats.format_table import OCTREE_SUFFIXES
-from navbake.known_names import find_near
+from navbake.known_names import find_similar_names
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_chunks
 from navbake.voxels.grid import (
@@ -470,7 +470,7 @@ def _check_patterns(segments: object) -> dict[str, int]:
         patterns = dict(segments)
     elif isinstance(segments, str) and (
         # a name that is nearly one of ID_KINDS is a typing error
-        set(segments) & set("*?[") or not find_near(segments, ID_KINDS)
+        set(segments) & set("*?[") or not find_similar_names(segments, ID_KINDS)
     ):
         patterns = {segments: 1}
     elif isinstance(segments, Sequence) and not isinstance(segments, str):

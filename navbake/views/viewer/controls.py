@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from navbake.episodes.episode import Episode
 from navbake.runtime.paths import Path
 from navbake.views.layers import DISAGREEMENTS, Panel
-from navbake.views.tables import cell_facts
+from navbake.views.tables import list_cell_facts
 from navbake.views.viewer.view_state import (
     CLICK_TEXTS,
     GOAL_COLOR,
@@ -78,7 +78,7 @@ class Controls:
         self._handles: dict[str, Any] = {}
         gui.reset()
         self._status = gui.add_markdown("", visible=False)
-        gui.add_markdown(_heading(view_state))
+        gui.add_markdown(_format_heading(view_state))
         with gui.add_folder("Layer"):
             self._add_layers(choices, verify)
         with gui.add_folder("Agent"):
@@ -95,45 +95,48 @@ class Controls:
             self._add_picture(choices)
 
     def _add_input(
-        self, name: str, handle: viser.GuiInputHandle[Any], make: Callable[[Any], Change]
+        self,
+        name: str,
+        input_handle: viser.GuiInputHandle[Any],
+        make_change: Callable[[Any], Change],
     ) -> None:
         """Register an input of the panel.
 
         Args:
             name: a name for the input, by which `_handles` has it.
-            handle: the input.
-            make: returns the change of the choices for a value that the user has set.
+            input_handle: the input.
+            make_change: returns the change of the choices for a value that the user has set.
         """
-        self._handles[name] = handle
+        self._handles[name] = input_handle
 
         def on_update(event: viser.GuiEvent[viser.GuiInputHandle[Any]]) -> None:
             # without a client, the program itself has set the input
             if event.client is not None:
-                self._change(make(event.target.value))
+                self._change(make_change(event.target.value))
 
-        handle.on_update(on_update)
+        input_handle.on_update(on_update)
 
     def _add_layers(self, choices: Choices, verify: Callable[[], None]) -> None:
         gui = self._gui
         grid = self._view_state.grid
         layers = self._view_state.layers
-        layer = gui.add_dropdown("Layer", layers, initial_value=choices.layer)
-        self._add_input("layer", layer, _set("layer"))
+        layer_input = gui.add_dropdown("Layer", layers, initial_value=choices.layer)
+        self._add_input("layer", layer_input, _make_setter("layer"))
         if len(grid.levels) > 1:
-            names = [ALL_LEVELS, *_number_duplicates(grid.level_names)]
+            level_names = [ALL_LEVELS, *_number_duplicates(grid.level_names)]
 
             def show_level(name: str) -> Change:
-                number = None if name == ALL_LEVELS else names.index(name) - 1
-                return lambda choices: choices.with_level(grid, number)
+                level_number = None if name == ALL_LEVELS else level_names.index(name) - 1
+                return lambda choices: choices.with_level(grid, level_number)
 
-            shown_level = _level_name(names, choices)
-            level = gui.add_dropdown("Level", names, initial_value=shown_level)
-            self._add_input("level", level, show_level)
+            shown_name = _find_shown_level_name(level_names, choices)
+            level_input = gui.add_dropdown("Level", level_names, initial_value=shown_name)
+            self._add_input("level", level_input, show_level)
         self._handles["legend"] = gui.add_html("")
         hint = "Let MuJoCo and FCL look at a sample of the cells (navbake verify)."
-        button = gui.add_button("Compare with the scene", hint=hint, visible=False)
-        button.on_click(lambda _: verify())
-        self._handles["verify"] = button
+        verify_button = gui.add_button("Compare with the scene", hint=hint, visible=False)
+        verify_button.on_click(lambda _: verify())
+        self._handles["verify"] = verify_button
         self._handles["verified"] = gui.add_markdown("", visible=False)
 
     def _add_agent(self, choices: Choices) -> None:
@@ -144,8 +147,8 @@ class Controls:
         radius, clearance = choices.inflation or (grid.agent_radius, 0.0)
 
         def inflate(_: float) -> Change:
-            sizes = (self._handles["radius"].value, self._handles["clearance"].value)
-            return _set("inflation")(tuple(map(float, sizes)))
+            radius_and_clearance = (self._handles["radius"].value, self._handles["clearance"].value)
+            return _make_setter("inflation")(tuple(map(float, radius_and_clearance)))
 
         def add_slider(name: str, size: float, hint: str) -> None:
             slider = gui.add_slider(
@@ -161,19 +164,19 @@ class Controls:
         add_slider("radius", radius, "Inflate the grid for an agent of this radius.")
         add_slider("clearance", clearance, "Cells so near beyond cost more.")
         hint = "Show the grid as it is in the file, not inflated here."
-        button = gui.add_button("As baked", hint=hint)
-        button.on_click(lambda _: self._change(_set("inflation")(None)))
-        self._handles["as baked"] = button
+        reset_button = gui.add_button("As baked", hint=hint)
+        reset_button.on_click(lambda _: self._change(_make_setter("inflation")(None)))
+        self._handles["as baked"] = reset_button
 
     def _add_click(self, choices: Choices) -> None:
         gui = self._gui
-        click = gui.add_dropdown("A click", CLICK_TEXTS, initial_value=choices.click)
-        self._add_input("click", click, _set("click"))
+        click_input = gui.add_dropdown("A click", CLICK_TEXTS, initial_value=choices.click)
+        self._add_input("click", click_input, _make_setter("click"))
         self._handles["cell"] = gui.add_markdown("")
         self._handles["route"] = gui.add_markdown("")
-        clear = gui.add_button("Clear", visible=False)
-        clear.on_click(lambda _: self._change(Choices.without_clicks))
-        self._handles["clear"] = clear
+        clear_button = gui.add_button("Clear", visible=False)
+        clear_button.on_click(lambda _: self._change(Choices.without_clicks))
+        self._handles["clear"] = clear_button
 
     def _add_doors(self) -> None:
         gui = self._gui
@@ -181,12 +184,12 @@ class Controls:
         if "inflation" in grid.metadata:
             gui.add_markdown(INFLATED_HINT)
             return
-        door_ids = [door.id for door in grid.doors]
-        states = sorted({state for door in grid.doors for state in door.states})
+        all_door_ids = [door.id for door in grid.doors]
+        state_names = sorted({state for door in grid.doors for state in door.states})
 
         def set_state(state: str) -> Change:
-            selected = self._handles["door"].value
-            changed_ids = door_ids if selected == ALL_DOORS else [selected]
+            selected_door = self._handles["door"].value
+            changed_ids = all_door_ids if selected_door == ALL_DOORS else [selected_door]
 
             def change(choices: Choices) -> Choices:
                 if state != AS_BAKED:
@@ -196,37 +199,37 @@ class Controls:
 
             return change
 
-        door = gui.add_dropdown("Door", [ALL_DOORS, *door_ids])
+        door = gui.add_dropdown("Door", [ALL_DOORS, *all_door_ids])
         # to select a door changes no choice, but the page is drawn, and shows the door's state
         self._add_input("door", door, lambda _: lambda choices: choices)
-        state = gui.add_dropdown("State", [AS_BAKED, *states])
+        state = gui.add_dropdown("State", [AS_BAKED, *state_names])
         self._add_input("state", state, set_state)
 
     def _add_episodes(self, choices: Choices) -> None:
-        names = [NO_EPISODE, *list(self._view_state.runs)[:MAX_EPISODES]]
-        shown = choices.episode if choices.episode in names else NO_EPISODE
+        episode_names = [NO_EPISODE, *list(self._view_state.runs)[:MAX_EPISODES]]
+        shown_name = choices.episode if choices.episode in episode_names else NO_EPISODE
 
         def show_episode(name: str) -> Change:
-            return _set("episode")("" if name == NO_EPISODE else name)
+            return _make_setter("episode")("" if name == NO_EPISODE else name)
 
-        episode = self._gui.add_dropdown("Episode", names, initial_value=shown)
-        self._add_input("episode", episode, show_episode)
+        episode_input = self._gui.add_dropdown("Episode", episode_names, initial_value=shown_name)
+        self._add_input("episode", episode_input, show_episode)
         self._handles["task"] = self._gui.add_markdown("")
 
     def _add_picture(self, choices: Choices) -> None:
         gui = self._gui
         self._add_scene(choices)
-        names = _number_duplicates(self._view_state.grid.level_names)
-        if 1 < len(names) <= MAX_CHECKBOXES:
-            for number, name in enumerate(names):
-                checkbox = gui.add_checkbox(name, number in choices.levels)
-                self._add_input(f"level {number}", checkbox, _show_level(number))
-        opacity = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, choices.opacity)
-        self._add_input("opacity", opacity, _set("opacity"))
-        with_names = gui.add_checkbox("Names", choices.with_names)
-        self._add_input("names", with_names, _set("with_names"))
-        dark = gui.add_checkbox("Dark page", bool(choices.dark))
-        self._add_input("dark", dark, _set("dark"))
+        level_names = _number_duplicates(self._view_state.grid.level_names)
+        if 1 < len(level_names) <= MAX_CHECKBOXES:
+            for level_number, name in enumerate(level_names):
+                checkbox = gui.add_checkbox(name, level_number in choices.levels)
+                self._add_input(f"level {level_number}", checkbox, _make_level_switch(level_number))
+        opacity_slider = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, choices.opacity)
+        self._add_input("opacity", opacity_slider, _make_setter("opacity"))
+        names_checkbox = gui.add_checkbox("Names", choices.with_names)
+        self._add_input("names", names_checkbox, _make_setter("with_names"))
+        dark_checkbox = gui.add_checkbox("Dark page", bool(choices.dark))
+        self._add_input("dark", dark_checkbox, _make_setter("dark"))
 
     def _add_scene(self, choices: Choices) -> None:
         """Add the inputs for the scene; without a scene, add nothing."""
@@ -240,9 +243,9 @@ class Controls:
         height = max(lowest, height)
         slider_end = round(highest, 2)
 
-        def cut(height: float) -> Change:
+        def make_cut_change(height: float) -> Change:
             is_at_end = height >= slider_end - CUT_STEP / 2
-            return _set("cut")(None if is_at_end else height)
+            return _make_setter("cut")(None if is_at_end else height)
 
         slider = gui.add_slider(
             "Cut height [m]",
@@ -252,13 +255,13 @@ class Controls:
             initial_value=round(height, 2),
             hint="The scene is drawn up to here, so that one sees into storeys.",
         )
-        self._add_input("cut", slider, cut)
-        with_scene = gui.add_checkbox("Scene", choices.with_scene)
-        self._add_input("scene", with_scene, _set("with_scene"))
+        self._add_input("cut", slider, make_cut_change)
+        scene_checkbox = gui.add_checkbox("Scene", choices.with_scene)
+        self._add_input("scene", scene_checkbox, _make_setter("with_scene"))
         if drawing.has_hidden:
             hint = "What MuJoCo's own viewers hide: the geom groups from 3 on."
-            with_hidden = gui.add_checkbox("Hidden geoms", choices.with_hidden, hint=hint)
-            self._add_input("hidden", with_hidden, _set("with_hidden"))
+            hidden_checkbox = gui.add_checkbox("Hidden geoms", choices.with_hidden, hint=hint)
+            self._add_input("hidden", hidden_checkbox, _make_setter("with_hidden"))
 
     def update(
         self, choices: Choices, route: Path | str | None, inspection: Inspection | None
@@ -272,29 +275,29 @@ class Controls:
         """
         view_state = self._view_state
         handles = self._handles
-        unchanged = replace(choices, doors=(), inflation=None)
-        handles["free"].content = counts_text(
-            view_state.count(choices), view_state.count(unchanged)
+        baked_choices = replace(choices, doors=(), inflation=None)
+        handles["free"].content = describe_free_space(
+            view_state.count(choices), view_state.count(baked_choices)
         )
-        marks = {}
+        color_of_mark = {}
         if choices.start or choices.episode:
-            marks = {"start": START_COLOR, "goal and path": GOAL_COLOR}
+            color_of_mark = {"start": START_COLOR, "goal and path": GOAL_COLOR}
         if "task" in handles:
             run = view_state.runs.get(choices.episode)
-            handles["task"].content = episode_text(run.episode if run else None)
+            handles["task"].content = describe_episode(run.episode if run else None)
             if run is not None and run.trajectory is not None:
-                marks["trajectory"] = TRAJECTORY_COLOR
-        panels = [view_state.panel(choices, number) for number in choices.levels]
-        handles["legend"].content = legend_html(panels, marks)
+                color_of_mark["trajectory"] = TRAJECTORY_COLOR
+        panels = [view_state.panel(choices, level_number) for level_number in choices.levels]
+        handles["legend"].content = render_legend(panels, color_of_mark)
         shows_disagreements = choices.layer == DISAGREEMENTS
         handles["verify"].visible = shows_disagreements
         handles["verified"].visible = shows_disagreements and view_state.report is not None
-        handles["verified"].content = report_text(view_state)
+        handles["verified"].content = describe_report(view_state)
         is_inspecting = choices.click == INSPECT_TEXT
         handles["cell"].visible = is_inspecting
         handles["route"].visible = not is_inspecting
-        handles["cell"].content = cell_text(inspection, choices.inflation)
-        handles["route"].content = route_text(choices, route)
+        handles["cell"].content = describe_inspection(inspection, choices.inflation)
+        handles["route"].content = describe_route(choices, route)
         handles["clear"].visible = any((choices.start, choices.goal, choices.inspected))
         self._update_inputs(choices)
 
@@ -308,21 +311,21 @@ class Controls:
         handles["as baked"].disabled = choices.inflation is None
         handles["dark"].value = bool(choices.dark)
         if "level" in handles:
-            handles["level"].value = _level_name(list(handles["level"].options), choices)
+            handles["level"].value = _find_shown_level_name(list(handles["level"].options), choices)
         if "level 0" in handles:
-            for number in range(len(grid.levels)):
-                handles[f"level {number}"].value = number in choices.levels
+            for level_number in range(len(grid.levels)):
+                handles[f"level {level_number}"].value = level_number in choices.levels
         if "cut" in handles:
-            slider = handles["cut"]
-            cut = slider.max if choices.cut is None else choices.cut
-            slider.value = float(min(max(cut, slider.min), slider.max))
+            cut_slider = handles["cut"]
+            cut_height = cut_slider.max if choices.cut is None else choices.cut
+            cut_slider.value = float(min(max(cut_height, cut_slider.min), cut_slider.max))
         if "state" in handles:
-            states = dict(choices.doors)
-            different_states = set(states.values())
-            if len(states) == len(grid.doors) and len(different_states) == 1:
+            state_of_door = dict(choices.doors)
+            different_states = set(state_of_door.values())
+            if len(state_of_door) == len(grid.doors) and len(different_states) == 1:
                 handles["state"].value = different_states.pop()
             else:
-                handles["state"].value = states.get(handles["door"].value, AS_BAKED)
+                handles["state"].value = state_of_door.get(handles["door"].value, AS_BAKED)
 
     def show_status(self, text: str) -> None:
         """Write a line of Markdown at the top of the panel; an empty text removes it."""
@@ -330,7 +333,7 @@ class Controls:
         self._status.visible = bool(text)
 
 
-def _heading(view_state: ViewState) -> str:
+def _format_heading(view_state: ViewState) -> str:
     """Return the grid's name, its numbers of levels, and the view state's note, as Markdown."""
     grid = view_state.grid
     name = escape_markdown(grid.scene_id or "grid")
@@ -340,27 +343,27 @@ def _heading(view_state: ViewState) -> str:
     return f"**{name}** — {levels}, cells of {cell_size} m\n\n{note}"
 
 
-def _set(field: str) -> Callable[[Any], Change]:
+def _make_setter(field: str) -> Callable[[Any], Change]:
     """Return a function that takes a value and returns the change that sets a field to it."""
     return lambda value: lambda choices: replace(choices, **{field: value})
 
 
-def _show_level(number: int) -> Callable[[bool], Change]:
+def _make_level_switch(level_number: int) -> Callable[[bool], Change]:
     """Return a function that takes a bool and returns the change that shows or hides a level."""
 
-    def make(is_shown: bool) -> Change:
+    def make_change(is_shown: bool) -> Change:
         def change(choices: Choices) -> Choices:
-            levels = set(choices.levels) - {number}
+            levels = set(choices.levels) - {level_number}
             if is_shown:
-                levels.add(number)
+                levels.add(level_number)
             return replace(choices, levels=tuple(sorted(levels)))
 
         return change
 
-    return make
+    return make_change
 
 
-def _level_name(names: list[str], choices: Choices) -> str:
+def _find_shown_level_name(names: list[str], choices: Choices) -> str:
     """Return the name of the shown level; the first name if several levels are shown.
 
     Args:
@@ -370,10 +373,11 @@ def _level_name(names: list[str], choices: Choices) -> str:
     return names[choices.levels[0] + 1] if len(choices.levels) == 1 else names[0]
 
 
-def _number_duplicates(names: list[str]) -> list[str]:
+def _number_duplicates(level_names: list[str]) -> list[str]:
     """Return the names of levels; the level's number is appended to names that occur twice."""
     return [
-        f"{name} ({number})" if names.count(name) > 1 else name for number, name in enumerate(names)
+        f"{name} ({level_number})" if level_names.count(name) > 1 else name
+        for level_number, name in enumerate(level_names)
     ]
 
 
@@ -389,7 +393,7 @@ def escape_markdown(text: object) -> str:
     return MARKDOWN_SIGNS.sub(r"\\\1", " ".join(str(text).split()))
 
 
-def counts_text(shown: FreeSpace, as_baked: FreeSpace) -> str:
+def describe_free_space(shown: FreeSpace, as_baked: FreeSpace) -> str:
     """Describe how much of the shown grid is free.
 
     Args:
@@ -399,15 +403,15 @@ def counts_text(shown: FreeSpace, as_baked: FreeSpace) -> str:
     Returns:
         Markdown.
     """
-    text = f"**{shown.free_cells:,} free cells**, {shown.free_area:,.1f} m²"
+    text = f"**{shown.num_free_cells:,} free cells**, {shown.free_area:,.1f} m²"
     if shown != as_baked:
-        return f"{text} — as baked: {as_baked.free_cells:,}"
-    if not shown.floor_cells:
+        return f"{text} — as baked: {as_baked.num_free_cells:,}"
+    if not shown.num_floor_cells:
         return text
-    return f"{text} — {shown.free_cells / shown.floor_cells:.0%} of the floor"
+    return f"{text} — {shown.num_free_cells / shown.num_floor_cells:.0%} of the floor"
 
 
-def route_text(choices: Choices, route: Path | str | None) -> str:
+def describe_route(choices: Choices, route: Path | str | None) -> str:
     """Describe the path between two clicks.
 
     Args:
@@ -421,9 +425,9 @@ def route_text(choices: Choices, route: Path | str | None) -> str:
         return HINT_GOAL if choices.start is not None and choices.goal is None else HINT_START
     if isinstance(route, str):
         return f"**No path**: {escape_markdown(route)}"
-    length = escape_markdown(f"{route.length:.2f}")
-    cost = escape_markdown(f"{route.cost:.2f}")
-    lines = [f"**{length} m**, cost {cost}"]
+    length_text = escape_markdown(f"{route.length:.2f}")
+    cost_text = escape_markdown(f"{route.cost:.2f}")
+    lines = [f"**{length_text} m**, cost {cost_text}"]
     if route.rooms:
         lines.append(f"Rooms: {_list_names(route.rooms, ' → ')}")
     if route.doors:
@@ -434,7 +438,9 @@ def route_text(choices: Choices, route: Path | str | None) -> str:
     return "\n\n".join(lines)
 
 
-def cell_text(inspection: Inspection | None, inflation: tuple[float, float] | None) -> str:
+def describe_inspection(
+    inspection: Inspection | None, inflation: tuple[float, float] | None
+) -> str:
     """Describe a cell, and why an agent can or can't stand there.
 
     Args:
@@ -456,16 +462,16 @@ def cell_text(inspection: Inspection | None, inflation: tuple[float, float] | No
     elif facts["floor"] is None:
         verdict = "**no floor** here"
     elif inflation is not None and not facts["occupied"]:
-        radius = escape_markdown(f"{inflation[0]:g}")
-        verdict = f"**blocked**: nearer to something than the radius, {radius} m"
-    clicked = [inspection.clicked] if inspection.clicked else []
-    rows = {"clicked": clicked, **cell_facts(facts)}
+        radius_text = escape_markdown(f"{inflation[0]:g}")
+        verdict = f"**blocked**: nearer to something than the radius, {radius_text} m"
+    clicked_names = [inspection.clicked] if inspection.clicked else []
+    rows = {"clicked": clicked_names, **list_cell_facts(facts)}
     lines = ["| | |", "|---|---|", f"| Verdict | {verdict} |"]
-    for key, content in rows.items():
-        is_text = isinstance(content, str)
-        text = escape_markdown(content) if is_text else _list_names(content, ", ")
-        if text:
-            lines.append(f"| {escape_markdown(key)} | {text} |")
+    for key, fact in rows.items():
+        is_text = isinstance(fact, str)
+        fact_text = escape_markdown(fact) if is_text else _list_names(fact, ", ")
+        if fact_text:
+            lines.append(f"| {escape_markdown(key)} | {fact_text} |")
     return "\n".join(lines)
 
 
@@ -474,20 +480,20 @@ def _list_names(names: Sequence[str], separator: str) -> str:
 
     They are in HTML, not between backquotes: there a ``|`` would end a table's cell.
     """
-    listed = names[:MAX_LISTED_NAMES]
-    text = separator.join(f"<code>{escape_markdown(name)}</code>" for name in listed)
-    num_more = len(names) - len(listed)
+    listed_names = names[:MAX_LISTED_NAMES]
+    text = separator.join(f"<code>{escape_markdown(name)}</code>" for name in listed_names)
+    num_more = len(names) - len(listed_names)
     return f"{text} and {num_more} more" if num_more else text
 
 
-def episode_text(episode: Episode | None) -> str:
+def describe_episode(episode: Episode | None) -> str:
     """Describe the task of an episode as Markdown; return an empty text for no episode."""
     if episode is None:
         return ""
     first_goal = episode.goals[0]
-    goal = first_goal.name or first_goal.category or first_goal.room
-    task = f"**{escape_markdown(episode.task)}**"
-    lines = [f"{task} {_list_names([goal], '')}" if goal else task]
+    goal_name = first_goal.name or first_goal.category or first_goal.room
+    task_text = f"**{escape_markdown(episode.task)}**"
+    lines = [f"{task_text} {_list_names([goal_name], '')}" if goal_name else task_text]
     if episode.distance is not None:
         lines.append(f"shortest path {escape_markdown(f'{episode.distance:.2f}')} m")
     if episode.instruction:
@@ -495,47 +501,47 @@ def episode_text(episode: Episode | None) -> str:
     return "\n\n".join(lines)
 
 
-def legend_html(panels: Sequence[Panel], marks: Mapping[str, str] | None = None) -> str:
+def render_legend(panels: Sequence[Panel], color_of_mark: Mapping[str, str] | None = None) -> str:
     """Write the legend of a layer.
 
     Args:
         panels: the panels of the shown levels, the lowest first.
-        marks: meaning of a kind of mark that is drawn -> its colour.
+        color_of_mark: meaning of a kind of mark that is drawn -> its colour.
 
     Returns:
         HTML: the color scales of the highest levels, and the meanings of colours.
     """
     scales = [(panel.title, panel.scale) for panel in panels[::-1] if panel.scale is not None]
-    parts = []
+    html_parts = []
     for title, scale in scales[:MAX_SCALES]:
-        ticks = "".join(
+        ticks_html = "".join(
             f'<span style="position:absolute;left:{100 * tick.position:.1f}%;'
             f'transform:translateX(-{100 * tick.position:.0f}%)">{html.escape(tick.text)}</span>'
             for tick in scale.ticks
         )
         heading = title if len(scales) > 1 else scale.label
-        parts.append(
+        html_parts.append(
             f"<div>{html.escape(heading)}</div>"
             f'<div style="height:10px;border-radius:2px;margin-top:2px;'
             f'background:linear-gradient(to right, {", ".join(scale.colors)})"></div>'
-            f'<div style="position:relative;height:18px">{ticks}</div>'
+            f'<div style="position:relative;height:18px">{ticks_html}</div>'
         )
     color_of_meaning: dict[str, str] = {}
     for panel in panels:
         color_of_meaning |= dict(panel.legend)
-    color_of_meaning |= marks or {}
-    swatches = "".join(
+    color_of_meaning |= color_of_mark or {}
+    swatches_html = "".join(
         f'<span style="display:inline-flex;align-items:center;margin-right:10px">'
         f'<span style="width:11px;height:11px;border-radius:2px;margin-right:5px;'
         f'border:1px solid rgba(128,128,128,.6);background:{color}"></span>'
         f"{html.escape(meaning)}</span>"
         for meaning, color in color_of_meaning.items()
     )
-    body = "".join([*parts, f"<div>{swatches}</div>"])
+    body = "".join([*html_parts, f"<div>{swatches_html}</div>"])
     return f'<div style="font-size:12px;line-height:1.5;padding:2px 12px 6px">{body}</div>'
 
 
-def report_text(view_state: ViewState) -> str:
+def describe_report(view_state: ViewState) -> str:
     """Describe the outcome of the last verification as Markdown; empty if there is none."""
     report = view_state.report
     if report is None:
@@ -544,7 +550,7 @@ def report_text(view_state: ViewState) -> str:
     return f"Grid and scene {verdict}, at {report.checked:,} of {report.num_cells:,} cells."
 
 
-def error_text(error: Exception) -> str:
+def format_error(error: Exception) -> str:
     """Format an error as a line of Markdown."""
     text = " ".join(str(error).split()) or type(error).__name__
     return f"**Error**: {escape_markdown(text)}"

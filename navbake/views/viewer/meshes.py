@@ -171,8 +171,8 @@ class Drawing(NamedTuple):
         textures: MuJoCo's id of a texture -> its picture.
         bounds: lower and upper corner of the scene, world frame [m], shape (2, 3).
         names: the name of each geom by its id, the same as in grids.
-        solid: whether each geom is one convex solid, so that a cut through it can be closed; shape
-            (number of geoms,).
+        is_solid: whether each geom is one convex solid, so that a cut through it can be closed;
+            shape (number of geoms,).
         has_hidden: whether the scene has geoms that are drawn only if the user wants to see them.
         batches: meshes that several geoms show.
     """
@@ -181,7 +181,7 @@ class Drawing(NamedTuple):
     textures: dict[int, Picture]
     bounds: Float
     names: tuple[str, ...]
-    solid: Bool
+    is_solid: Bool
     has_hidden: bool
     batches: tuple[MeshBatch, ...] = ()
 
@@ -189,9 +189,11 @@ class Drawing(NamedTuple):
 class GeomColors(NamedTuple):
     """The colours of a model's n geoms: linear red, green, blue and opacity."""
 
-    plain: NDArray[np.float32]  # colours that include the texture's mean colour, shape (n, 4)
+    with_texture: NDArray[
+        np.float32
+    ]  # colours that include the texture's mean colour, shape (n, 4)
     without_texture: NDArray[np.float32]  # colours to multiply with the texture, shape (n, 4)
-    texture: Int  # MuJoCo's id of the texture that a mesh shows, -1 for none, shape (n,)
+    texture_ids: Int  # MuJoCo's id of the texture that a mesh shows, -1 for none, shape (n,)
 
 
 class Appearance(NamedTuple):
@@ -239,64 +241,73 @@ def draw_scene(
     if data is None:
         data = scene.data
     colors = _find_geom_colors(model)
-    drawn = (colors.plain[:, 3] > 0) & ~np.isin(np.arange(model.ngeom), list(removed))
-    in_shown_groups = drawn & (model.geom_group < NUM_SHOWN_GROUPS)
-    has_hidden = bool(in_shown_groups.any() and (drawn & ~in_shown_groups).any())
+    is_drawn = (colors.with_texture[:, 3] > 0) & ~np.isin(np.arange(model.ngeom), list(removed))
+    is_in_shown_group = is_drawn & (model.geom_group < NUM_SHOWN_GROUPS)
+    has_hidden = bool(is_in_shown_group.any() and (is_drawn & ~is_in_shown_group).any())
     if has_hidden and not with_hidden:
-        drawn = in_shown_groups
+        is_drawn = is_in_shown_group
 
-    is_clear = colors.plain[:, 3] < 1
-    pieces = list(_draw_solids(model, data, drawn, is_clear))
-    pieces += _draw_meshes(scene, data, drawn, colors.texture)
-    bounds = _bounds_of(pieces)
-    planes = np.flatnonzero(drawn & (model.geom_type == PLANE)).tolist()
-    pieces += [_draw_plane(model, data, geom, bounds) for geom in planes]
+    is_clear = colors.with_texture[:, 3] < 1
+    geom_surfaces = list(_draw_solids(model, data, is_drawn, is_clear))
+    geom_surfaces += _draw_meshes(scene, data, is_drawn, colors.texture_ids)
+    bounds = _find_bounds(geom_surfaces)
+    plane_geoms = np.flatnonzero(is_drawn & (model.geom_type == PLANE)).tolist()
+    geom_surfaces += [_draw_plane(model, data, geom, bounds) for geom in plane_geoms]
 
     textures: dict[int, Picture] = {}
     surfaces = []
-    for surface in _merge_alike(pieces, is_clear):
+    for surface in _merge_alike(geom_surfaces, is_clear):
         assert surface.geom is not None
         if surface.texture < 0:
-            surfaces.append(surface._replace(colors=colors.plain[surface.geom]))
+            surfaces.append(surface._replace(colors=colors.with_texture[surface.geom]))
         else:
             textures[surface.texture] = _read_texture(model, surface.texture)
             surfaces.append(surface._replace(colors=colors.without_texture[surface.geom]))
-    in_batches = drawn & (colors.texture < 0)
+    is_in_batch = is_drawn & (colors.texture_ids < 0)
     return Drawing(
         surfaces=tuple(surfaces),
         textures=textures,
-        bounds=_bounds_of(pieces),
+        bounds=_find_bounds(geom_surfaces),
         names=_name_geoms(model),
-        solid=(model.geom_type >= SPHERE) & (model.geom_type <= BOX),
+        is_solid=(model.geom_type >= SPHERE) & (model.geom_type <= BOX),
         has_hidden=has_hidden,
-        batches=tuple(_make_batches(scene, data, in_batches, colors.plain)),
+        batches=tuple(_make_batches(scene, data, is_in_batch, colors.with_texture)),
     )
 
 
-def _merge_alike(pieces: Sequence[Surface], is_clear: Bool) -> Iterator[Surface]:
+def _merge_alike(geom_surfaces: Sequence[Surface], is_clear: Bool) -> Iterator[Surface]:
     """Join the surfaces that have the same appearance.
 
     Args:
-        pieces: surfaces of one geom, or of several that are drawn alike.
+        geom_surfaces: surfaces of one geom, or of several that are drawn alike.
         is_clear: whether each geom is partly transparent, by its id.
     """
-    groups: dict[Appearance, list[Surface]] = {}
-    for piece in pieces:
-        first_geom = piece.face_geoms[0]
-        appearance = Appearance(is_clear[first_geom], piece.is_round, piece.texture)
-        groups.setdefault(appearance, []).append(piece)
-    for appearance in sorted(groups):
-        group = groups[appearance]
+    surfaces_of_appearance: dict[Appearance, list[Surface]] = {}
+    for geom_surface in geom_surfaces:
+        first_geom = geom_surface.face_geoms[0]
+        appearance = Appearance(is_clear[first_geom], geom_surface.is_round, geom_surface.texture)
+        surfaces_of_appearance.setdefault(appearance, []).append(geom_surface)
+    for appearance in sorted(surfaces_of_appearance):
+        alike_surfaces = surfaces_of_appearance[appearance]
         vertices, faces = trimesh.util.append_faces(
-            [piece.vertices for piece in group], [piece.faces for piece in group]
+            [geom_surface.vertices for geom_surface in alike_surfaces],
+            [geom_surface.faces for geom_surface in alike_surfaces],
         )
         uv = None
         if appearance.texture >= 0:
-            uv = np.concatenate([piece.uv for piece in group if piece.uv is not None])
+            uv = np.concatenate(
+                [geom_surface.uv for geom_surface in alike_surfaces if geom_surface.uv is not None]
+            )
         yield Surface(
             vertices=vertices.astype(np.float32),
             faces=faces.astype(np.uint32),
-            geom=np.concatenate([piece.geom for piece in group if piece.geom is not None]),
+            geom=np.concatenate(
+                [
+                    geom_surface.geom
+                    for geom_surface in alike_surfaces
+                    if geom_surface.geom is not None
+                ]
+            ),
             uv=uv,
             texture=appearance.texture,
             is_round=appearance.is_round,
@@ -318,14 +329,14 @@ def _name_geoms(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def _make_batches(
-    scene: Scene, data: mujoco.MjData, drawn: Bool, colors: NDArray[np.float32]
+    scene: Scene, data: mujoco.MjData, is_drawn: Bool, colors: NDArray[np.float32]
 ) -> Iterator[MeshBatch]:
     """Batch the opaque meshes that several geoms show.
 
     A batch is lit once, so its geoms must be tilted alike; they may be rotated about z.
     """
     model = scene.model
-    is_candidate = drawn & (model.geom_type == MESH) & (model.geom_dataid >= 0)
+    is_candidate = is_drawn & (model.geom_type == MESH) & (model.geom_dataid >= 0)
     is_candidate &= colors[:, 3] == 1
     geoms = np.array(
         [geom for geom in np.flatnonzero(is_candidate) if geom not in scene.exact_meshes], np.int64
@@ -333,14 +344,14 @@ def _make_batches(
     if not len(geoms):
         return
     # share of their triangles with which all meshes together are few enough
-    share = MAX_MESH_TRIANGLES / int(model.mesh_facenum[model.geom_dataid[geoms]].sum())
+    triangle_fraction = MAX_MESH_TRIANGLES / int(model.mesh_facenum[model.geom_dataid[geoms]].sum())
     tilts = np.round(data.geom_xmat[geoms, 6:], 2) + 0.0
-    keys = np.column_stack([model.geom_dataid[geoms], colors[geoms], tilts])
-    _, group_ids = np.unique(keys, axis=0, return_inverse=True)
-    for group in range(int(group_ids.max()) + 1):
-        members = geoms[group_ids.ravel() == group]
-        if len(members) >= MIN_BATCH_GEOMS:
-            yield _make_batch(model, data, members, colors[members[0]], share)
+    group_keys = np.column_stack([model.geom_dataid[geoms], colors[geoms], tilts])
+    _, group_ids = np.unique(group_keys, axis=0, return_inverse=True)
+    for group_id in range(int(group_ids.max()) + 1):
+        group_geoms = geoms[group_ids.ravel() == group_id]
+        if len(group_geoms) >= MIN_BATCH_GEOMS:
+            yield _make_batch(model, data, group_geoms, colors[group_geoms[0]], triangle_fraction)
 
 
 def _make_batch(
@@ -348,7 +359,7 @@ def _make_batch(
     data: mujoco.MjData,
     geoms: Int,
     color: NDArray[np.float32],
-    share: float,
+    triangle_fraction: float,
 ) -> MeshBatch:
     """Make a batch of geoms that show one mesh.
 
@@ -357,22 +368,23 @@ def _make_batch(
         data: the data with the pose.
         geoms: the ids of the geoms.
         color: the colour of the geoms: linear red, green, blue and opacity.
-        share: the share of the mesh's triangles to draw from afar; 1 or more to draw all.
+        triangle_fraction: the share of the mesh's triangles to draw from afar; 1 or more to draw
+            all.
     """
     vertices, faces = _mesh_arrays(model, int(model.geom_dataid[geoms[0]]))
     if len(faces) > MAX_BATCH_TRIANGLES:
         vertices, faces = coarsen(vertices, faces, MAX_BATCH_TRIANGLES)
     rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
     positions = data.geom_xpos[geoms].copy()
-    tops = (rotations[:, 2] @ vertices.T).max(axis=1)
+    relative_tops = (rotations[:, 2] @ vertices.T).max(axis=1)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    is_fine = share < 1  # else few triangles, each with edges of its own
+    is_fine = triangle_fraction < 1  # else few triangles, each with edges of its own
     lod: tuple[LodStep, ...] = ()
     if is_fine:
         mesh = graph.smooth_shade(mesh, SHARP_ANGLE, facet_minarea=None)
         lod = (
-            LodStep(LOD_DISTANCE, max(LOD_SHARE, share)),
-            LodStep(2 * LOD_DISTANCE, share),
+            LodStep(LOD_DISTANCE, max(LOD_SHARE, triangle_fraction)),
+            LodStep(2 * LOD_DISTANCE, triangle_fraction),
         )
     surface = Surface(
         mesh.vertices.astype(np.float32),
@@ -386,7 +398,7 @@ def _make_batch(
         geoms=geoms,
         rotations=np.array([to_quaternion(rotation) for rotation in rotations]),
         positions=positions,
-        tops=positions[:, 2] + tops,
+        tops=positions[:, 2] + relative_tops,
         lod=lod,
     )
 
@@ -402,60 +414,62 @@ def _mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> tuple[Float, Faces]:
 
 
 def _draw_solids(
-    model: mujoco.MjModel, data: mujoco.MjData, drawn: Bool, is_clear: Bool
+    model: mujoco.MjModel, data: mujoco.MjData, is_drawn: Bool, is_clear: Bool
 ) -> Iterator[Surface]:
     """Draw boxes, spheres and so on.
 
     Yields:
         For each kind, a surface of all opaque geoms, and one of all transparent geoms.
     """
-    num_round = int(np.isin(model.geom_type[drawn], ROUND_KINDS).sum())
-    corners = next(corners for limit, corners in CIRCLE_CORNERS if num_round <= limit)
-    for (kind, size_entries), clear in product(SIZE_ENTRIES.items(), (False, True)):
-        geoms = np.flatnonzero(drawn & (model.geom_type == kind) & (is_clear == clear))
+    num_round = int(np.isin(model.geom_type[is_drawn], ROUND_KINDS).sum())
+    num_corners = next(num_corners for limit, num_corners in CIRCLE_CORNERS if num_round <= limit)
+    for (kind, size_entries), is_clear_group in product(SIZE_ENTRIES.items(), (False, True)):
+        geoms = np.flatnonzero(is_drawn & (model.geom_type == kind) & (is_clear == is_clear_group))
         if not len(geoms):
             continue
-        unit = _make_unit_solid(kind, corners)
-        local = unit.vertices * model.geom_size[geoms][:, None, size_entries]
+        unit_solid = _make_unit_solid(kind, num_corners)
+        local_vertices = unit_solid.vertices * model.geom_size[geoms][:, None, size_entries]
         if kind == CAPSULE:  # its halves are moved apart
-            local[..., 2] += np.sign(unit.vertices[:, 2]) * model.geom_size[geoms, 1, None]
+            local_vertices[..., 2] += (
+                np.sign(unit_solid.vertices[:, 2]) * model.geom_size[geoms, 1, None]
+            )
         rotations = data.geom_xmat[geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
-        vertices = (local @ rotations + data.geom_xpos[geoms][:, None]).reshape(-1, 3)
-        first_vertices = (np.arange(len(geoms)) * len(unit.vertices))[:, None, None]
+        vertices = (local_vertices @ rotations + data.geom_xpos[geoms][:, None]).reshape(-1, 3)
+        first_vertices = (np.arange(len(geoms)) * len(unit_solid.vertices))[:, None, None]
         yield Surface(
             vertices,
-            (unit.faces + first_vertices).reshape(-1, 3),
-            np.repeat(geoms, len(unit.vertices)).astype(np.int32),
+            (unit_solid.faces + first_vertices).reshape(-1, 3),
+            np.repeat(geoms, len(unit_solid.vertices)).astype(np.int32),
             is_round=kind in ROUND_KINDS,
         )
 
 
-def _make_unit_solid(kind: int, corners: int) -> Trimesh:
+def _make_unit_solid(kind: int, num_corners: int) -> Trimesh:
     """Make the unit solid of a kind of geom: the solid of half-size 1.
 
     That of a capsule is a ball; its halves are moved apart later.
 
     Args:
         kind: the kind of geom, a number of mjtGeom.
-        corners: how many corners a circle has.
+        num_corners: how many corners a circle has.
     """
-    unit: Trimesh
+    unit_solid: Trimesh
     if kind == BOX:
-        unit = creation.box((2, 2, 2))
+        unit_solid = creation.box((2, 2, 2))
     elif kind == CYLINDER:  # its round side and its flat ends are shaded apart
-        cylinder = creation.cylinder(1, 2, corners)
-        unit = graph.smooth_shade(cylinder, SHARP_ANGLE, facet_minarea=None)
+        cylinder = creation.cylinder(1, 2, num_corners)
+        unit_solid = graph.smooth_shade(cylinder, SHARP_ANGLE, facet_minarea=None)
     elif kind == CAPSULE:
-        unit = creation.capsule(2, 1, count=[corners // 2, corners])
+        unit_solid = creation.capsule(2, 1, count=[num_corners // 2, num_corners])
         # a little less than 1, so that the sign of z still says which half a vertex belongs to
-        unit.vertices[:, 2] -= np.sign(unit.vertices[:, 2]) * (1 - 1e-9)
+        unit_solid.vertices[:, 2] -= np.sign(unit_solid.vertices[:, 2]) * (1 - 1e-9)
     else:
-        unit = creation.uv_sphere(count=[corners // 2, corners])
-    return unit
+        unit_solid = creation.uv_sphere(count=[num_corners // 2, num_corners])
+    return unit_solid
 
 
 def _draw_meshes(
-    scene: Scene, data: mujoco.MjData, drawn: Bool, textures: Int
+    scene: Scene, data: mujoco.MjData, is_drawn: Bool, textures: Int
 ) -> Iterator[Surface]:
     """Draw meshes, height fields, and geoms for which the scene has an exact mesh.
 
@@ -465,61 +479,65 @@ def _draw_meshes(
     Args:
         scene: the scene.
         data: the data with the pose.
-        drawn: whether each geom is drawn.
+        is_drawn: whether each geom is drawn.
         textures: the id of each geom's texture, -1 for none.
     """
     model = scene.model
     coarse_meshes: dict[int, tuple[Float, Faces]] = {}
-    mesh_ids = model.geom_dataid[drawn & (model.geom_type >= MESH) & (model.geom_dataid >= 0)]
-    share = MAX_MESH_TRIANGLES / max(int(model.mesh_facenum[mesh_ids].sum()), 1)
-    for geom in np.flatnonzero(drawn).tolist():
+    mesh_ids = model.geom_dataid[is_drawn & (model.geom_type >= MESH) & (model.geom_dataid >= 0)]
+    triangle_fraction = MAX_MESH_TRIANGLES / max(int(model.mesh_facenum[mesh_ids].sum()), 1)
+    for geom in np.flatnonzero(is_drawn).tolist():
         if geom in scene.exact_meshes:  # in the world frame already
             mesh = scene.exact_meshes[geom]
-            yield _geom_surface(geom, np.asarray(mesh.vertices), np.asarray(mesh.faces))
+            yield _make_geom_surface(geom, np.asarray(mesh.vertices), np.asarray(mesh.faces))
             continue
 
         kind = int(model.geom_type[geom])
         data_id = int(model.geom_dataid[geom])
-        texture = int(textures[geom])
-        uv = None
+        texture_id = int(textures[geom])
+        texture_positions = None
         vertices: Float
         faces: Faces
         if kind == HFIELD:
-            vertices, faces = _hfield_top(model, data_id)
+            vertices, faces = _make_hfield_top(model, data_id)
         elif kind >= MESH and data_id >= 0:
             vertices, faces = _mesh_arrays(model, data_id)
-            if texture >= 0 and model.mesh_texcoordnum[data_id]:
+            if texture_id >= 0 and model.mesh_texcoordnum[data_id]:
                 # triangles that share a vertex needn't share its position on the texture
-                uv = model.mesh_texcoord[_texcoord_ids(model, data_id)]
+                texture_positions = model.mesh_texcoord[_list_texcoord_ids(model, data_id)]
                 vertices = vertices[faces.ravel()]
                 faces = np.arange(len(vertices)).reshape(-1, 3)
-            elif share < 1:
+            elif triangle_fraction < 1:
                 if data_id not in coarse_meshes:
-                    limit = int(share * len(faces))
-                    coarse_meshes[data_id] = coarsen(vertices, faces, limit)
+                    max_triangles = int(triangle_fraction * len(faces))
+                    coarse_meshes[data_id] = coarsen(vertices, faces, max_triangles)
                 vertices, faces = coarse_meshes[data_id]
         else:
             continue
-        world = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        surface = _geom_surface(geom, world, faces)
-        yield surface if uv is None else surface._replace(uv=uv, texture=texture)
+        world_vertices = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        surface = _make_geom_surface(geom, world_vertices, faces)
+        yield (
+            surface
+            if texture_positions is None
+            else surface._replace(uv=texture_positions, texture=texture_id)
+        )
 
 
-def _hfield_top(model: mujoco.MjModel, hfield_id: int) -> tuple[Float, Int]:
+def _make_hfield_top(model: mujoco.MjModel, hfield_id: int) -> tuple[Float, Int]:
     """Return the vertices and triangles of a height field's upper side, in its own frame [m]."""
-    rows = int(model.hfield_nrow[hfield_id])
-    cols = int(model.hfield_ncol[hfield_id])
-    heights = model.hfield_data[int(model.hfield_adr[hfield_id]) :][: rows * cols]
-    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
-    unit = np.stack([x.ravel(), y.ravel(), heights.astype(np.float64)], axis=1)
-    first_corners = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
-    rectangles = first_corners[:, None] + np.array([0, 1, cols + 1, cols])
-    return unit * model.hfield_size[hfield_id, :3], rectangles[:, RECTANGLE_TRIANGLES].reshape(
-        -1, 3
-    )
+    num_rows = int(model.hfield_nrow[hfield_id])
+    num_cols = int(model.hfield_ncol[hfield_id])
+    heights = model.hfield_data[int(model.hfield_adr[hfield_id]) :][: num_rows * num_cols]
+    y, x = np.meshgrid(np.linspace(-1, 1, num_rows), np.linspace(-1, 1, num_cols), indexing="ij")
+    unit_vertices = np.stack([x.ravel(), y.ravel(), heights.astype(np.float64)], axis=1)
+    first_corners = (np.arange(num_rows - 1)[:, None] * num_cols + np.arange(num_cols - 1)).ravel()
+    rectangles = first_corners[:, None] + np.array([0, 1, num_cols + 1, num_cols])
+    return unit_vertices * model.hfield_size[hfield_id, :3], rectangles[
+        :, RECTANGLE_TRIANGLES
+    ].reshape(-1, 3)
 
 
-def _texcoord_ids(model: mujoco.MjModel, mesh_id: int) -> NDArray[np.int32]:
+def _list_texcoord_ids(model: mujoco.MjModel, mesh_id: int) -> NDArray[np.int32]:
     """Return an index into `model.mesh_texcoord` for each corner of a mesh's triangles, (3 n,)."""
     mesh = model.mesh(mesh_id)
     first_face = int(mesh.faceadr[0])
@@ -543,19 +561,19 @@ def coarsen(vertices: Float, faces: Faces, max_triangles: int) -> tuple[Float, F
     Returns:
         Vertices and triangles of the coarse mesh.
     """
-    longest = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
-    unit = (vertices - vertices.min(axis=0)) / longest
-    for steps in (64, 48, 32, 24, 16, 12, 8, 6, 4):
-        lattice_cells = np.round(unit * steps).astype(np.int64)
-        first_vertices, cluster = trimesh.grouping.unique_rows(lattice_cells)
-        mesh = trimesh.Trimesh(vertices[first_vertices], cluster[faces], process=False)
+    longest_side = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+    unit_vertices = (vertices - vertices.min(axis=0)) / longest_side
+    for num_lattice_cells in (64, 48, 32, 24, 16, 12, 8, 6, 4):
+        lattice_cells = np.round(unit_vertices * num_lattice_cells).astype(np.int64)
+        first_vertices, cluster_of_vertex = trimesh.grouping.unique_rows(lattice_cells)
+        mesh = trimesh.Trimesh(vertices[first_vertices], cluster_of_vertex[faces], process=False)
         mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
         if len(mesh.faces) <= max_triangles:
             break
     return mesh.vertices, mesh.faces
 
 
-def _geom_surface(geom: int, vertices: Float, faces: Faces) -> Surface:
+def _make_geom_surface(geom: int, vertices: Float, faces: Faces) -> Surface:
     return Surface(vertices, faces, np.full(len(vertices), geom, np.int32))
 
 
@@ -570,24 +588,24 @@ def _draw_plane(model: mujoco.MjModel, data: mujoco.MjData, geom: int, bounds: F
     """
     rotation = data.geom_xmat[geom].reshape(3, 3)
     position = data.geom_xpos[geom]
-    middle = ((bounds.mean(axis=0) - position) @ rotation)[:2]
+    rectangle_middle = ((bounds.mean(axis=0) - position) @ rotation)[:2]
     endless_half_size = PLANE_MARGIN * max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1.0)
     half_size = model.geom_size[geom, :2]
     is_endless = half_size <= 0
-    middle = np.where(is_endless, middle, 0.0)
+    rectangle_middle = np.where(is_endless, rectangle_middle, 0.0)
     half_size = np.where(is_endless, endless_half_size, half_size)
-    corners = middle + half_size * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-    return _geom_surface(geom, corners @ rotation[:, :2].T + position, RECTANGLE_TRIANGLES)
+    corners = rectangle_middle + half_size * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    return _make_geom_surface(geom, corners @ rotation[:, :2].T + position, RECTANGLE_TRIANGLES)
 
 
-def _bounds_of(pieces: Sequence[Surface]) -> Float:
+def _find_bounds(surfaces: Sequence[Surface]) -> Float:
     """Return the lower and upper corner of surfaces [m], shape (2, 3).
 
     Without surfaces, they are those of a cube round the origin.
     """
-    if not pieces:
+    if not surfaces:
         return np.array([[-1.0, -1, -1], [1, 1, 1]])
-    vertices = np.concatenate([piece.vertices for piece in pieces])
+    vertices = np.concatenate([piece.vertices for piece in surfaces])
     return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
 
 
@@ -597,33 +615,35 @@ def _find_geom_colors(model: mujoco.MjModel) -> GeomColors:
     A geom has its own colour, if that isn't MuJoCo's default; else the colour of its material.
     """
     rgba = np.array(model.geom_rgba, dtype=np.float32).reshape(-1, 4)
-    material = np.array(model.geom_matid, dtype=np.int64)
-    has_material_color = (material >= 0) & (rgba == DEFAULT_RGBA).all(axis=1)
-    texture = np.full(len(rgba), -1, dtype=np.int64)
+    material_ids = np.array(model.geom_matid, dtype=np.int64)
+    has_material_color = (material_ids >= 0) & (rgba == DEFAULT_RGBA).all(axis=1)
+    texture_ids = np.full(len(rgba), -1, dtype=np.int64)
     if model.nmat:
-        rgba[has_material_color] = model.mat_rgba[material[has_material_color]]
-        by_role = np.asarray(model.mat_texid).reshape(model.nmat, -1)
-        rgb_texture = by_role[:, RGB_ROLE]
-        material_texture = np.where(rgb_texture >= 0, rgb_texture, by_role[:, RGBA_ROLE])
-        texture = np.where(material >= 0, material_texture[material], -1)
+        rgba[has_material_color] = model.mat_rgba[material_ids[has_material_color]]
+        texture_of_role = np.asarray(model.mat_texid).reshape(model.nmat, -1)
+        rgb_texture = texture_of_role[:, RGB_ROLE]
+        material_texture = np.where(rgb_texture >= 0, rgb_texture, texture_of_role[:, RGBA_ROLE])
+        texture_ids = np.where(material_ids >= 0, material_texture[material_ids], -1)
     without_texture = _to_linear_rgba(rgba)
     plain = without_texture.copy()
-    for texture_id in np.unique(texture[texture >= 0]).tolist():
-        mean = _read_texture(model, texture_id)[..., :3].mean(axis=(0, 1)) / 255
-        plain[texture == texture_id, :3] *= _to_linear_rgba(mean)
-    is_flat = np.isin(texture, np.flatnonzero(np.asarray(model.tex_type) == TEXTURE_2D))
-    return GeomColors(plain, without_texture, np.where(is_flat, texture, -1))
+    for texture_id in np.unique(texture_ids[texture_ids >= 0]).tolist():
+        mean_color = _read_texture(model, texture_id)[..., :3].mean(axis=(0, 1)) / 255
+        plain[texture_ids == texture_id, :3] *= _to_linear_rgba(mean_color)
+    is_2d = np.isin(texture_ids, np.flatnonzero(np.asarray(model.tex_type) == TEXTURE_2D))
+    return GeomColors(plain, without_texture, np.where(is_2d, texture_ids, -1))
 
 
-def _read_texture(model: mujoco.MjModel, texture: int) -> Picture:
+def _read_texture(model: mujoco.MjModel, texture_id: int) -> Picture:
     """Return the picture of a texture, shape (height, width, 3 or 4), the upper row first."""
-    height = model.tex_height[texture]
-    width = model.tex_width[texture]
-    channels = model.tex_nchannel[texture]
-    first = int(model.tex_adr[texture])
-    size = int(height) * int(width) * int(channels)
-    picture = np.asarray(model.tex_data[first : first + size]).reshape(height, width, channels)
-    return np.repeat(picture, 3, axis=2) if channels == 1 else picture
+    height = model.tex_height[texture_id]
+    width = model.tex_width[texture_id]
+    num_channels = model.tex_nchannel[texture_id]
+    first_byte = int(model.tex_adr[texture_id])
+    num_bytes = int(height) * int(width) * int(num_channels)
+    picture = np.asarray(model.tex_data[first_byte : first_byte + num_bytes]).reshape(
+        height, width, num_channels
+    )
+    return np.repeat(picture, 3, axis=2) if num_channels == 1 else picture
 
 
 def _to_linear_rgba(color: Reals) -> NDArray[np.float32]:
@@ -655,7 +675,7 @@ def cut_drawing(drawing: Drawing, height: float) -> tuple[Surface, ...]:
         if (surface.vertices[:, 2] <= height).all():
             surfaces.append(surface)
             continue
-        for cut in (_cut_surface(surface, height), _make_caps(surface, height, drawing.solid)):
+        for cut in (_cut_surface(surface, height), _make_caps(surface, height, drawing.is_solid)):
             if len(cut.faces):
                 surfaces.append(cut)
     return tuple(surfaces)
@@ -669,7 +689,7 @@ def _cut_surface(surface: Surface, height: float) -> Surface:
     faces = surface.faces[normals.any(axis=1)].astype(np.int64)
     # trimesh interpolates `uv` at new vertices. So geom, colour and position on the texture of each
     # vertex are passed as `uv`. Geom and colour are the same at all corners of a triangle.
-    attributes = [
+    vertex_attributes = [
         attribute
         for attribute in (surface.geom, surface.colors, surface.uv)
         if attribute is not None
@@ -679,7 +699,7 @@ def _cut_surface(surface: Surface, height: float) -> Surface:
         faces,
         plane_normal=[0, 0, -1],
         plane_origin=[0, 0, height + CUT_TOLERANCE],
-        uv=np.column_stack(attributes),
+        uv=np.column_stack(vertex_attributes),
     )
     vertices[:, 2] = np.minimum(vertices[:, 2], height)
     cut_attributes = cut_attributes.astype(np.float32)
@@ -692,7 +712,7 @@ def _cut_surface(surface: Surface, height: float) -> Surface:
     )
 
 
-def _make_caps(surface: Surface, height: float, solid: Bool) -> Surface:
+def _make_caps(surface: Surface, height: float, is_solid: Bool) -> Surface:
     """Make the caps that close cut solids, darker than the solids.
 
     The section of a convex solid is convex: its cap is a fan of triangles round its middle.
@@ -700,23 +720,31 @@ def _make_caps(surface: Surface, height: float, solid: Bool) -> Surface:
     Args:
         surface: a surface, not yet cut.
         height: world z of the cut [m].
-        solid: whether each geom is a convex solid, see `Drawing.solid`.
+        is_solid: whether each geom is a convex solid, see `Drawing.solid`.
     """
     assert surface.geom is not None and surface.colors is not None
-    solid_faces = surface.faces[solid[surface.face_geoms]]
+    solid_faces = surface.faces[is_solid[surface.face_geoms]]
     mesh = trimesh.Trimesh(surface.vertices, solid_faces, process=False)
-    lines, cut_faces = intersections.mesh_plane(mesh, [0, 0, 1], [0, 0, height], return_faces=True)
+    cut_lines, cut_faces = intersections.mesh_plane(
+        mesh, [0, 0, 1], [0, 0, height], return_faces=True
+    )
     first_vertices = solid_faces[cut_faces, 0]
-    geoms, group = np.unique(surface.geom[first_vertices], return_inverse=True)
-    sums = [np.bincount(group, lines[:, :, axis].mean(axis=1)) for axis in range(3)]
-    middle = (np.stack(sums) / np.bincount(group)).T[group]
-    vertices = np.concatenate([lines, middle[:, None]], axis=1).reshape(-1, 3).astype(np.float32)
-    shade = np.array([CAP_SHADE, CAP_SHADE, CAP_SHADE, 1], dtype=np.float32)
+    geoms, group_of_line = np.unique(surface.geom[first_vertices], return_inverse=True)
+    position_sums = [
+        np.bincount(group_of_line, cut_lines[:, :, axis].mean(axis=1)) for axis in range(3)
+    ]
+    group_middles = (np.stack(position_sums) / np.bincount(group_of_line)).T[group_of_line]
+    vertices = (
+        np.concatenate([cut_lines, group_middles[:, None]], axis=1)
+        .reshape(-1, 3)
+        .astype(np.float32)
+    )
+    shade_factors = np.array([CAP_SHADE, CAP_SHADE, CAP_SHADE, 1], dtype=np.float32)
     return Surface(
         vertices,
         np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3),
-        np.repeat(geoms[group], 3).astype(np.int32),
-        np.repeat(surface.colors[first_vertices] * shade, 3, axis=0),
+        np.repeat(geoms[group_of_line], 3).astype(np.int32),
+        np.repeat(surface.colors[first_vertices] * shade_factors, 3, axis=0),
     )
 
 
@@ -740,40 +768,44 @@ def make_floor_surface(
     """
     floor = level.floor.astype(np.float64)
     cell_size = level.lattice.cell_size
-    shown = ~np.isnan(floor) if with_holes else np.ones(level.shape, np.bool_)
-    heights = np.where(np.isnan(floor), level.ground, floor)
-    labels = shown.astype(np.int32)
-    height_span = float(np.ptp(heights))
+    is_shown = ~np.isnan(floor) if with_holes else np.ones(level.shape, np.bool_)
+    cell_heights = np.where(np.isnan(floor), level.ground, floor)
+    labels = is_shown.astype(np.int32)
+    height_span = float(np.ptp(cell_heights))
     flatness = FLAT_TOLERANCE
     while True:
-        _, row, col, z = cover_with_quads(labels, heights, flatness, MAX_RISE * cell_size, OVERLAP)
-        if len(row) <= max_rectangles or flatness > height_span:
+        _, corner_rows, corner_cols, z = cover_with_quads(
+            labels, cell_heights, flatness, MAX_RISE * cell_size, OVERLAP
+        )
+        if len(corner_rows) <= max_rectangles or flatness > height_span:
             break
         flatness *= 2
-    x = level.lattice.x_min + col * cell_size
-    y = level.lattice.y_max - row * cell_size
-    first_corners = (np.arange(len(row)) * 4)[:, None, None]
-    uv = np.stack([col / level.width, row / level.height], axis=-1).reshape(-1, 2)
+    x = level.lattice.x_min + corner_cols * cell_size
+    y = level.lattice.y_max - corner_rows * cell_size
+    first_corners = (np.arange(len(corner_rows)) * 4)[:, None, None]
+    texture_positions = np.stack(
+        [corner_cols / level.width, corner_rows / level.height], axis=-1
+    ).reshape(-1, 2)
     return Surface(
         np.stack([x, y, z + LAYER_LIFT + flatness], axis=-1).reshape(-1, 3).astype(np.float32),
         (RECTANGLE_TRIANGLES + first_corners).reshape(-1, 3).astype(np.uint32),
-        uv=uv.astype(np.float32),
+        uv=texture_positions.astype(np.float32),
         texture=0,
     )
 
 
-def draw_overlay(floor_surface: Surface, rgb: Picture, opacity: float = 1.0) -> bytes:
+def draw_overlay(floor_surface: Surface, cell_colors: Picture, opacity: float = 1.0) -> bytes:
     """Draw a layer of a level on its floor.
 
     Args:
         floor_surface: the surface of the level, see `make_floor_surface`.
-        rgb: the colour of each cell, shape (height, width, 3).
+        cell_colors: the colour of each cell, shape (height, width, 3).
         opacity: the opacity of the layer, 0 to 1.
 
     Returns:
         The triangles as GLB.
     """
-    picture = Image.fromarray(rgb)
+    picture = Image.fromarray(cell_colors)
     picture = picture.reduce(-(-max(picture.size) // MAX_SIDE))
     return make_glb([floor_surface._replace(opacity=opacity)], {0: np.asarray(picture)})
 
@@ -824,12 +856,14 @@ def _split_vertices(surface: Surface) -> Surface:
     )
 
 
-def make_glb(surfaces: Sequence[Surface], pictures: Mapping[int, Picture] | None = None) -> bytes:
+def make_glb(
+    surfaces: Sequence[Surface], picture_of_texture: Mapping[int, Picture] | None = None
+) -> bytes:
     """Write surfaces in their colours, without light, as binary glTF.
 
     Args:
         surfaces: the surfaces; those without triangles are left out.
-        pictures: id of a texture, see `Surface.texture` -> its picture.
+        picture_of_texture: id of a texture, see `Surface.texture` -> its picture.
 
     Returns:
         The triangles as GLB.
@@ -843,8 +877,8 @@ def make_glb(surfaces: Sequence[Surface], pictures: Mapping[int, Picture] | None
         is_clear = surface.opacity < 1
         attributes = {"POSITION": buffer.add_positions(surface.vertices)}
         if surface.colors is not None:
-            steps = np.round(np.clip(surface.colors, 0, 1) * 65535).astype(np.uint16)
-            attributes["COLOR_0"] = buffer.add_vectors(steps, normalized=True)
+            integer_colors = np.round(np.clip(surface.colors, 0, 1) * 65535).astype(np.uint16)
+            attributes["COLOR_0"] = buffer.add_vectors(integer_colors, normalized=True)
             is_clear |= bool((surface.colors[:, 3] < 1).any())
         shading: Json = {"baseColorFactor": [1.0, 1.0, 1.0, surface.opacity]}
         if surface.uv is not None:
@@ -873,11 +907,11 @@ def make_glb(surfaces: Sequence[Surface], pictures: Mapping[int, Picture] | None
     document["images"] = []
     document["textures"] = []
     for index, texture in enumerate(textures):
-        content = io.BytesIO()
+        png_file = io.BytesIO()
         # packed fast rather than small: the page is on this machine
-        Image.fromarray((pictures or {})[texture]).save(content, "PNG", compress_level=1)
-        view = buffer.add_bytes(content.getvalue())
-        document["images"].append({"bufferView": view, "mimeType": "image/png"})
+        Image.fromarray((picture_of_texture or {})[texture]).save(png_file, "PNG", compress_level=1)
+        buffer_view = buffer.add_bytes(png_file.getvalue())
+        document["images"].append({"bufferView": buffer_view, "mimeType": "image/png"})
         document["textures"].append({"source": index, "sampler": 0})
         sampler = {"magFilter": NEAREST, "minFilter": MIPMAPS, "wrapS": CLAMP, "wrapT": CLAMP}
         document["samplers"] = [sampler]
@@ -919,7 +953,7 @@ class PickCandidate(NamedTuple):
     height: float  # of the floor, or of the level's ground, world z [m]
 
 
-def pick(
+def pick_cell(
     grid: NavGrid, ray: ViewRay, surfaces: Sequence[Surface], levels: Collection[int]
 ) -> Pick | None:
     """Find the cell under a click.
@@ -942,24 +976,26 @@ def pick(
         return None
     x, y, z = hit.position
     candidates = []
-    for number in sorted(levels):
-        place = place_at(grid, (x, y), number)
+    for level_number in sorted(levels):
+        place = place_at(grid, (x, y), level_number)
         if place is None:
             continue
-        height = grid.levels[number].ground if place.floor is None else place.floor
+        floor_height = grid.levels[level_number].ground if place.floor is None else place.floor
         candidates.append(
             PickCandidate(
                 without_floor=place.floor is None,
-                is_above=z - height < -FLOOR_TOLERANCE,
-                distance=abs(z - height),
+                is_above=z - floor_height < -FLOOR_TOLERANCE,
+                distance=abs(z - floor_height),
                 cell=place.cell,
-                height=height,
+                height=floor_height,
             )
         )
     if not candidates:
         return None
-    best = min(candidates)
-    return Pick(best.cell, (x, y, best.height), None if hit.geom < 0 else hit.geom)
+    best_candidate = min(candidates)
+    return Pick(
+        best_candidate.cell, (x, y, best_candidate.height), None if hit.geom < 0 else hit.geom
+    )
 
 
 def _cast_ray(ray: ViewRay, surfaces: Sequence[Surface]) -> Hit | None:
@@ -979,14 +1015,14 @@ def _cast_ray(ray: ViewRay, surfaces: Sequence[Surface]) -> Hit | None:
         with np.errstate(divide="ignore", invalid="ignore"):
             distances = ((corners[:, 0] - origin) * normals).sum(axis=1) / (normals @ direction)
             points = origin + distances[:, None] * direction
-            shares = trimesh.triangles.points_to_barycentric(corners, points)
-            is_met = (shares >= -1e-9).all(axis=1)
+            barycentric = trimesh.triangles.points_to_barycentric(corners, points)
+            is_met = (barycentric >= -1e-9).all(axis=1)
             is_met &= (distances > 0) & (distances <= nearest_distance)
-            met = np.flatnonzero(is_met)
-        if len(met):
-            nearest = met[np.argmin(distances[met])]
-            nearest_distance = float(distances[nearest])
-            nearest_geom = int(surface.face_geoms[nearest])
+            met_triangles = np.flatnonzero(is_met)
+        if len(met_triangles):
+            nearest_triangle = met_triangles[np.argmin(distances[met_triangles])]
+            nearest_distance = float(distances[nearest_triangle])
+            nearest_geom = int(surface.face_geoms[nearest_triangle])
     if not np.isfinite(nearest_distance):
         return None
     x, y, z = (origin + nearest_distance * direction).tolist()

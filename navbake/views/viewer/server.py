@@ -137,15 +137,15 @@ class PageServer(AbstractContextManager["PageServer"]):
         self._loop = asyncio.get_running_loop()
         self._closing = asyncio.Event()
         try:
-            server = await asyncio.start_server(
+            page_server = await asyncio.start_server(
                 self._answer, host or None, port, limit=MAX_HEAD_SIZE
             )
         except Exception as error:
             port_future.set_exception(error)
             return
-        port_future.set_result(server.sockets[0].getsockname()[1])
+        port_future.set_result(page_server.sockets[0].getsockname()[1])
         await self._closing.wait()
-        server.close()
+        page_server.close()
 
     def close(self) -> None:
         """Stop the server, and free the port."""
@@ -172,15 +172,19 @@ class PageServer(AbstractContextManager["PageServer"]):
             headers: The headers of the request.
             is_page: Whether it asks for the page itself.
         """
-        hosts = headers.get_all("Host", [])
-        origins = headers.get_all("Origin", [])
-        if len(hosts) != 1 or len(origins) > 1 or not self._is_own_host(hosts[0]):
+        host_headers = headers.get_all("Host", [])
+        origin_headers = headers.get_all("Origin", [])
+        if (
+            len(host_headers) != 1
+            or len(origin_headers) > 1
+            or not self._is_own_host(host_headers[0])
+        ):
             return False
-        if origins:
-            return origins[0] in {f"http://{hosts[0]}", *self._allowed_origins}
+        if origin_headers:
+            return origin_headers[0] in {f"http://{host_headers[0]}", *self._allowed_origins}
         follows_link = is_page and headers.get_all("Sec-Fetch-Dest") == ["document"]
-        sites = headers.get_all("Sec-Fetch-Site", [])
-        return follows_link or all(site in OWN_SITES for site in sites)
+        fetch_sites = headers.get_all("Sec-Fetch-Site", [])
+        return follows_link or all(site in OWN_SITES for site in fetch_sites)
 
     def _is_own_host(self, host: str) -> bool:
         """Return whether a header Host is the page's own address, or the host of an allowed origin.
@@ -190,15 +194,15 @@ class PageServer(AbstractContextManager["PageServer"]):
         """
         if host in {urlsplit(origin).netloc for origin in self._allowed_origins}:
             return True
-        parts = HOST_PATTERN.fullmatch(host.lower())
-        if parts is None or int(parts[3] or 80) != self.port:
+        host_match = HOST_PATTERN.fullmatch(host.lower())
+        if host_match is None or int(host_match[3] or 80) != self.port:
             return False
-        name = parts[1] or parts[2]
-        if name in self._host_names or not self._listens_everywhere:
-            return name in self._host_names
+        host_name = host_match[1] or host_match[2]
+        if host_name in self._host_names or not self._listens_everywhere:
+            return host_name in self._host_names
         # A numeric address is this machine's, but anybody can make a name point to it.
         try:
-            ip_address(name)
+            ip_address(host_name)
         except ValueError:  # it is a name
             return False
         return True
@@ -209,10 +213,10 @@ class PageServer(AbstractContextManager["PageServer"]):
         viser's server takes only one request on each connection, so that one check is enough.
         """
         try:
-            head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_TIMEOUT)
-            request, _, lines = head.partition(b"\r\n")
-            headers = BytesHeaderParser().parsebytes(lines)
-            is_page = bool(PAGE_REQUEST.match(request)) and "Upgrade" not in headers
+            request_head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_TIMEOUT)
+            request_line, _, header_lines = request_head.partition(b"\r\n")
+            headers = BytesHeaderParser().parsebytes(header_lines)
+            is_page = bool(PAGE_REQUEST.match(request_line)) and "Upgrade" not in headers
             if not self.is_allowed(headers, is_page=is_page):
                 writer.write(FORBIDDEN_RESPONSE)
             elif is_page:
@@ -220,16 +224,16 @@ class PageServer(AbstractContextManager["PageServer"]):
                 page = self._viser_page.replace(VISER_TITLE, title + DARK_MODE_SCRIPT, 1)
                 writer.write(PAGE_RESPONSE + b"Content-Length: %d\r\n\r\n" % len(page) + page)
                 await writer.drain()
-            elif request.startswith(b"GET /dark "):
+            elif request_line.startswith(b"GET /dark "):
                 self.on_dark()
                 writer.write(NO_CONTENT_RESPONSE)
             else:
                 viser_reader, viser_writer = await asyncio.open_connection(*self._viser_address)
-                viser_writer.write(head)
+                viser_writer.write(request_head)
                 try:
-                    answer = await viser_reader.readuntil(b"\r\n\r\n")
-                    status_line, _, lines = answer.partition(b"\r\n")
-                    writer.write(status_line + b"\r\n" + FRAME_HEADER + lines)
+                    response_head = await viser_reader.readuntil(b"\r\n\r\n")
+                    status_line, _, header_lines = response_head.partition(b"\r\n")
+                    writer.write(status_line + b"\r\n" + FRAME_HEADER + header_lines)
                     await asyncio.gather(
                         _forward(reader, viser_writer), _forward(viser_reader, writer)
                     )
@@ -244,14 +248,14 @@ class PageServer(AbstractContextManager["PageServer"]):
 async def _forward(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Write all that a reader receives, until the reader or the writer is closed."""
     try:
-        while data := await reader.read(CHUNK_SIZE):
-            writer.write(data)
+        while chunk := await reader.read(CHUNK_SIZE):
+            writer.write(chunk)
             await writer.drain()
     finally:
         writer.close()
 
 
-def check_origin(text: str) -> str:
+def check_origin(origin: str) -> str:
     """Check that a text is an origin in the form that browsers send: ``https://a.org:8443``.
 
     Returns:
@@ -260,7 +264,10 @@ def check_origin(text: str) -> str:
     Raises:
         NavbakeError: it isn't an origin.
     """
-    parts = urlsplit(text)
-    if parts.scheme not in ("http", "https") or f"{parts.scheme}://{parts.netloc}" != text:
-        raise NavbakeError(f"expected an origin like https://example.org:8443, got {text!r}")
-    return text
+    url_parts = urlsplit(origin)
+    if (
+        url_parts.scheme not in ("http", "https")
+        or f"{url_parts.scheme}://{url_parts.netloc}" != origin
+    ):
+        raise NavbakeError(f"expected an origin like https://example.org:8443, got {origin!r}")
+    return origin

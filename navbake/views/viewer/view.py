@@ -29,7 +29,7 @@ from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.scores import Trajectory, read_trajectories
 from navbake.types import Float
-from navbake.views.viewer.controls import Change, Controls, error_text
+from navbake.views.viewer.controls import Change, Controls, format_error
 from navbake.views.viewer.meshes import Reals, ViewRay
 from navbake.views.viewer.server import HOST, PORT, PageServer
 from navbake.views.viewer.view_state import (
@@ -120,15 +120,15 @@ def find_camera(bounds: Float, aspect: float) -> Float:
     middle = bounds.mean(axis=0)
     # directions from the box to the camera, and up on the page
     to_camera = np.array([0.0, -math.cos(CAMERA_ELEVATION), math.sin(CAMERA_ELEVATION)])
-    up = np.array([0.0, math.sin(CAMERA_ELEVATION), math.cos(CAMERA_ELEVATION)])
+    up_direction = np.array([0.0, math.sin(CAMERA_ELEVATION), math.cos(CAMERA_ELEVATION)])
     corners = np.array(list(product(*bounds.T))) - middle
-    slope = math.tan(FIELD_OF_VIEW / 2)
+    half_view_slope = math.tan(FIELD_OF_VIEW / 2)
     # the distance at which each corner is at the side, and at the top or bottom, of the page
-    horizontal = np.abs(corners[:, 0]) / (slope * aspect)
-    vertical = np.abs(corners @ up) / slope
-    distance = (np.maximum(horizontal, vertical) + corners @ to_camera).max()
-    camera: Float = middle + max(float(distance), 1.0) * CAMERA_MARGIN * to_camera
-    return camera
+    horizontal_distances = np.abs(corners[:, 0]) / (half_view_slope * aspect)
+    vertical_distances = np.abs(corners @ up_direction) / half_view_slope
+    distance = (np.maximum(horizontal_distances, vertical_distances) + corners @ to_camera).max()
+    camera_position: Float = middle + max(float(distance), 1.0) * CAMERA_MARGIN * to_camera
+    return camera_position
 
 
 class Viewer(AbstractContextManager["Viewer"]):
@@ -229,15 +229,17 @@ class Viewer(AbstractContextManager["Viewer"]):
         camera.look_at = bounds.mean(axis=0)
         camera.position = position
 
-        def fit(camera: viser.CameraHandle) -> None:
+        def fit_camera(client_camera: viser.CameraHandle) -> None:
             """Move a client's camera away if its page is narrow and it is where it began."""
-            if camera.aspect < USUAL_ASPECT and np.allclose(camera.position, position, atol=0.01):
-                camera.position = find_camera(bounds, camera.aspect)
-                camera.look_at = bounds.mean(axis=0)
+            if client_camera.aspect < USUAL_ASPECT and np.allclose(
+                client_camera.position, position, atol=0.01
+            ):
+                client_camera.position = find_camera(bounds, client_camera.aspect)
+                client_camera.look_at = bounds.mean(axis=0)
 
         def on_connect(client: viser.ClientHandle) -> None:
-            fit(client.camera)
-            client.camera.on_update(fit)
+            fit_camera(client.camera)
+            client.camera.on_update(fit_camera)
 
         self._server.on_client_connect(on_connect)
 
@@ -295,7 +297,7 @@ class Viewer(AbstractContextManager["Viewer"]):
                 except Exception as error:
                     if not isinstance(error, NavbakeError):
                         LOG.exception("the viewer failed")
-                    self._controls.show_status(error_text(error))
+                    self._controls.show_status(format_error(error))
             changes = [self._changes.get()]
             while not self._changes.empty():
                 changes.append(self._changes.get())
@@ -331,25 +333,29 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._controls.show_status("Drawing the scene…")
         self._server.flush()
         self._replace_glb("/scene", self._view_state.scene_glb(choices))
-        batches = self._view_state.batches(choices)
-        self._replace_nodes("/batches", scene_key, lambda: map(self._add_batch, batches))
+        visible_batches = self._view_state.batches(choices)
+        self._replace_nodes("/batches", scene_key, lambda: map(self._add_batch, visible_batches))
         self._scene_key = scene_key
         self._controls.show_status("")
 
     def _draw_grid(self, choices: Choices) -> None:
         """Draw the shown levels with their names and the arcs of links."""
         view_state = self._view_state
-        for number in range(len(view_state.grid.levels)):
-            overlay = view_state.overlay(choices, number) if number in choices.levels else b""
-            self._replace_glb(f"/grid/{number}", overlay)
+        for level_number in range(len(view_state.grid.levels)):
+            overlay = (
+                view_state.overlay(choices, level_number) if level_number in choices.levels else b""
+            )
+            self._replace_glb(f"/grid/{level_number}", overlay)
         names = view_state.names(choices)
         self._replace_nodes("/names", names, lambda: map(self._add_name, names))
         arcs = view_state.arcs(choices)
-        stops = [Mark(arc.points[end], arc.color) for arc in arcs for end in (0, -1)]
+        stop_marks = [Mark(arc.points[end], arc.color) for arc in arcs for end in (0, -1)]
         lines = [Line(arc.points, arc.color) for arc in arcs]
         radius = self._mark_radius() / 2
         self._replace_nodes(
-            "/links", id(arcs), lambda: self._add_marks_and_lines("/links", stops, lines, radius)
+            "/links",
+            id(arcs),
+            lambda: self._add_marks_and_lines("/links", stop_marks, lines, radius),
         )
 
     def _draw_route(self, choices: Choices, route: Route | str | None) -> None:
@@ -397,8 +403,8 @@ class Viewer(AbstractContextManager["Viewer"]):
             corners = inspection.highlighted.reshape(-1, 3)
             outline = inspection.outline.tobytes()
             # the pole is seen where furniture hides the cell
-            pole = inspection.outline[:4].mean(axis=0) + CELL_POLE
-            lines = [Line(inspection.outline, HIGHLIGHT_COLOR), Line(pole, HIGHLIGHT_COLOR)]
+            pole_ends = inspection.outline[:4].mean(axis=0) + CELL_POLE
+            lines = [Line(inspection.outline, HIGHLIGHT_COLOR), Line(pole_ends, HIGHLIGHT_COLOR)]
         self._replace_nodes("/lit", corners.tobytes(), lambda: self._add_highlight(corners))
         self._replace_nodes(
             "/cell", outline, lambda: self._add_marks_and_lines("/cell", [], lines, radius=0)
@@ -411,38 +417,38 @@ class Viewer(AbstractContextManager["Viewer"]):
         return float(np.clip(radius, MIN_MARK_RADIUS, MAX_MARK_RADIUS))
 
     def _replace_nodes(
-        self, name: str, key: object, make: Callable[[], Iterable[viser.SceneNodeHandle]]
+        self, name: str, key: object, add_nodes: Callable[[], Iterable[viser.SceneNodeHandle]]
     ) -> None:
         """Replace the nodes under a name if the key has changed.
 
         Args:
             name: the name.
             key: a value that changes whenever the nodes must change.
-            make: adds the new nodes to the scene.
+            add_nodes: adds the new nodes to the scene.
         """
-        shown = self._shown.get(name, ShownNodes(None, []))
-        if shown.key != key:
-            for node in shown.nodes:
+        shown_nodes = self._shown.get(name, ShownNodes(None, []))
+        if shown_nodes.key != key:
+            for node in shown_nodes.nodes:
                 node.remove()
-            self._shown[name] = ShownNodes(key, list(make()))
+            self._shown[name] = ShownNodes(key, list(add_nodes()))
 
     def _replace_glb(self, name: str, content: bytes) -> None:
         """Replace the node of a GLB under a name if its content has changed.
 
         If the content is empty, the node is removed.
         """
-        shown: Any = self._shown.get(name, ShownNodes(b"", []))
-        if content and shown.nodes and content is not shown.key:
+        shown_nodes: Any = self._shown.get(name, ShownNodes(b"", []))
+        if content and shown_nodes.nodes and content is not shown_nodes.key:
             # the node stays, so that nothing flickers
-            shown.nodes[0].glb_data = content
-            self._shown[name] = ShownNodes(content, shown.nodes)
+            shown_nodes.nodes[0].glb_data = content
+            self._shown[name] = ShownNodes(content, shown_nodes.nodes)
             return
 
-        def make() -> Iterator[viser.SceneNodeHandle]:
+        def add_glb() -> Iterator[viser.SceneNodeHandle]:
             if content:
                 yield self._scene.add_glb(name, content, **NO_SHADOWS)
 
-        self._replace_nodes(name, content, make)
+        self._replace_nodes(name, content, add_glb)
 
     def _add_batch(self, visible: VisibleBatch) -> viser.SceneNodeHandle:
         """Add the mesh of a batch at the pose of each of its geoms that is drawn."""
@@ -483,22 +489,22 @@ class Viewer(AbstractContextManager["Viewer"]):
         Yields:
             The nodes.
         """
-        for number, mark in enumerate(marks):
+        for index, mark in enumerate(marks):
             x, y, z = mark.position
             yield self._scene.add_icosphere(
-                f"{name}/{number}",
+                f"{name}/{index}",
                 radius,
                 rgb_of(mark.color),
                 position=(x, y, z + radius),
                 **NO_SHADOWS,
             )
-        for number, line in enumerate(lines):
+        for index, line in enumerate(lines):
             if len(line.positions) < 2:
                 continue
-            lifted = line.positions + np.array([0, 0, PATH_LIFT])
+            lifted_positions = line.positions + np.array([0, 0, PATH_LIFT])
             yield self._scene.add_line_segments(
-                f"{name}/line {number}",
-                np.stack([lifted[:-1], lifted[1:]], axis=1).astype(np.float32),
+                f"{name}/line {index}",
+                np.stack([lifted_positions[:-1], lifted_positions[1:]], axis=1).astype(np.float32),
                 rgb_of(line.color),
                 thickness=PATH_WIDTH,
                 thickness_units="screen",
@@ -661,12 +667,12 @@ def watch_grid(
     Returns:
         A watch whose `read` reads both again.
     """
-    paths = [Path(path) for path in (grid, scene) if path is not None]
+    watched_paths = [Path(path) for path in (grid, scene) if path is not None]
     return Watch(
         lambda: make_view_state(
             grid, scene, force=force, episodes=episodes, trajectories=trajectories
         ),
-        lambda: find_watched_files(paths),
+        lambda: find_watched_files(watched_paths),
     )
 
 
@@ -713,10 +719,10 @@ class Watch:
         True is returned once for each change, and only when the files are the same as at the
         previous call: then no program writes into them any more.
         """
-        current = _read_states(self._reported)
-        is_stable = current == self._previous
-        self._previous = current
-        if not is_stable or current == self._reported:
+        current_states = _read_states(self._reported)
+        is_stable = current_states == self._previous
+        self._previous = current_states
+        if not is_stable or current_states == self._reported:
             return False
         self._reported = _read_states(self._list_files())
         self._previous = self._reported
@@ -725,9 +731,9 @@ class Watch:
 
 def _read_states(files: Iterable[Path]) -> dict[Path, FileState | None]:
     """Read the states of files: path -> state, None for a missing file."""
-    states: dict[Path, FileState | None] = dict.fromkeys(files)
-    for path in states:
+    state_of_file: dict[Path, FileState | None] = dict.fromkeys(files)
+    for path in state_of_file:
         with suppress(OSError, ValueError):  # ValueError: a name with a NUL
-            status = os.stat(path)
-            states[path] = FileState(status.st_mtime_ns, status.st_size)
-    return states
+            file_status = os.stat(path)
+            state_of_file[path] = FileState(file_status.st_mtime_ns, file_status.st_size)
+    return state_of_file

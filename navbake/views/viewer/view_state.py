@@ -102,14 +102,14 @@ class Choices:
     inspected: Pick | None = None
     episode: str = ""
 
-    def with_level(self, grid: NavGrid, number: int | None) -> Choices:
+    def with_level(self, grid: NavGrid, level_number: int | None) -> Choices:
         """Return the choices with one level or all levels shown; the scene is cut above them.
 
         Args:
             grid: the grid of the page.
-            number: the number of the level; None for all.
+            level_number: the number of the level; None for all.
         """
-        levels = tuple(range(len(grid.levels))) if number is None else (number,)
+        levels = tuple(range(len(grid.levels))) if level_number is None else (level_number,)
         return replace(self, levels=levels, cut=grid.levels[levels[-1]].ground + CUT_HEIGHT)
 
     def with_door(self, grid: NavGrid, door_ids: Sequence[str], state: str) -> Choices:
@@ -121,8 +121,10 @@ class Choices:
             state: the state, such as ``closed``.
         """
         grid_states = {door.id: door.state for door in grid.doors}
-        changed = [door.id for door in grid.doors if door.id in door_ids and state in door.states]
-        states = {**dict(self.doors), **dict.fromkeys(changed, state)}
+        changed_ids = [
+            door.id for door in grid.doors if door.id in door_ids and state in door.states
+        ]
+        states = {**dict(self.doors), **dict.fromkeys(changed_ids, state)}
         return replace(self, doors=tuple(sorted(states.items() - grid_states.items())))
 
     def with_dark_system(self) -> Choices:
@@ -169,22 +171,22 @@ def transfer_choices(choices: Choices, grid: NavGrid) -> Choices:
 
     all_levels = tuple(range(len(grid.levels)))
     door_states = {(door.id, state) for door in grid.doors for state in door.states}
-    start = find_again(choices.start)
+    new_start = find_again(choices.start)
     return replace(
         choices,
         levels=tuple(level for level in choices.levels if level in all_levels) or all_levels,
         doors=tuple(door for door in choices.doors if door in door_states),
         inspected=find_again(choices.inspected),
-        start=start,
-        goal=find_again(choices.goal) if start else None,
+        start=new_start,
+        goal=find_again(choices.goal) if new_start else None,
     )
 
 
 class FreeSpace(NamedTuple):
     """How many cells of some levels are free and have a floor, and how large the free area is."""
 
-    free_cells: int  # number of free cells
-    floor_cells: int  # number of cells with a floor
+    num_free_cells: int  # number of free cells
+    num_floor_cells: int  # number of cells with a floor
     free_area: float  # [m²]
 
 
@@ -269,7 +271,7 @@ class Inspection(NamedTuple):
     outline: Float
 
 
-def cached_by(*fields: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+def cache_results_by(*fields: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Make a decorator of `ViewState` methods that caches their last `NUM_CACHED` results.
 
     Args:
@@ -281,14 +283,14 @@ def cached_by(*fields: str) -> Callable[[Callable[..., Result]], Callable[..., R
 
     def decorate(method: Callable[..., Result]) -> Callable[..., Result]:
         @wraps(method)
-        def call(view_state: ViewState, choices: Choices, *number: int) -> Result:
-            results = view_state.cache.setdefault((method.__name__, *number), {})
+        def call(view_state: ViewState, choices: Choices, *level_number: int) -> Result:
+            results = view_state.cache.setdefault((method.__name__, *level_number), {})
             key = tuple(getattr(choices, field) for field in fields)
             # the entry moves to the end of the dict: the first is the one not used for longest
             if key in results:
                 result: Result = results.pop(key)
             else:
-                result = method(view_state, choices, *number)
+                result = method(view_state, choices, *level_number)
             results[key] = result
             while len(results) > NUM_CACHED:
                 del results[next(iter(results))]
@@ -310,8 +312,8 @@ class ViewState:
         runs: episodes and trajectories that can be shown.
         report: the report of the last verification; None before the first.
         floor_surfaces: for each level, the surface that its layers are drawn on.
-        cache: results of methods that `cached_by` decorates: method (and level) -> fields of the
-            choices -> result.
+        cache: results of methods that `cache_results_by` decorates: method (and level) -> fields of
+            the choices -> result.
     """
 
     def __init__(
@@ -357,7 +359,7 @@ class ViewState:
         high = corners[:, 2:].max(axis=0)
         return np.array([[*low, min(grounds)], [*high, max(grounds) + CUT_HEIGHT]])
 
-    @cached_by("doors", "inflation")
+    @cache_results_by("doors", "inflation")
     def shown_grid(self, choices: Choices) -> NavGrid:
         """Return the grid with the chosen states of doors and the chosen inflation."""
         grid = self.grid
@@ -370,13 +372,17 @@ class ViewState:
 
     def count(self, choices: Choices) -> FreeSpace:
         """Count the free cells of the shown levels."""
-        levels = [self.shown_grid(choices).levels[number] for number in choices.levels]
-        free = sum(int(np.count_nonzero(level.free)) for level in levels)
-        with_floor = sum(int(np.count_nonzero(~np.isnan(level.floor_height))) for level in levels)
-        return FreeSpace(free, with_floor, free * self.grid.levels[0].lattice.cell_size ** 2)
+        levels = [self.shown_grid(choices).levels[level_number] for level_number in choices.levels]
+        num_free = sum(int(np.count_nonzero(level.free)) for level in levels)
+        num_with_floor = sum(
+            int(np.count_nonzero(~np.isnan(level.floor_height))) for level in levels
+        )
+        return FreeSpace(
+            num_free, num_with_floor, num_free * self.grid.levels[0].lattice.cell_size ** 2
+        )
 
-    @cached_by("doors", "inflation", "layer")
-    def panel(self, choices: Choices, number: int) -> Panel:
+    @cache_results_by("doors", "inflation", "layer")
+    def panel(self, choices: Choices, level_number: int) -> Panel:
         """Make the panel of a level's chosen layer.
 
         If the layer shows disagreements and there is no verification yet, it is the panel of the
@@ -384,13 +390,13 @@ class ViewState:
 
         Args:
             choices: the user's choices.
-            number: the number of the level.
+            level_number: the number of the level.
         """
         layer = choices.layer
         findings = None if self.report is None else self.report.findings
         if layer == DISAGREEMENTS and findings is None:
             layer = "occupancy"
-        panel = make_panel(self.shown_grid(choices), layer, number, findings=findings)
+        panel = make_panel(self.shown_grid(choices), layer, level_number, findings=findings)
         rgb = panel.rgb.copy()
         is_free = (rgb == colors.rgb_of(colors.FREE)).all(axis=-1)
         rgb[is_free] = colors.rgb_of(FREE_TINT)
@@ -400,19 +406,19 @@ class ViewState:
         )
         return panel._replace(rgb=rgb, legend=legend)
 
-    @cached_by("doors", "inflation", "layer", "opacity")
-    def overlay(self, choices: Choices, number: int) -> bytes:
+    @cache_results_by("doors", "inflation", "layer", "opacity")
+    def overlay(self, choices: Choices, level_number: int) -> bytes:
         """Draw the chosen layer of a level on its floor.
 
         Args:
             choices: the user's choices.
-            number: the number of the level.
+            level_number: the number of the level.
 
         Returns:
             The triangles as GLB.
         """
-        rgb = paint(self.panel(choices, number))
-        return meshes.draw_overlay(self.floor_surfaces[number], rgb, choices.opacity)
+        rgb = paint(self.panel(choices, level_number))
+        return meshes.draw_overlay(self.floor_surfaces[level_number], rgb, choices.opacity)
 
     def names(self, choices: Choices) -> list[NameLabel]:
         """List the names to write on the shown levels: level by level, largest rooms first.
@@ -423,27 +429,27 @@ class ViewState:
         if not choices.with_names:
             return []
         candidates = []
-        for number in choices.levels:
-            for label in self.panel(choices, number).labels:
+        for level_number in choices.levels:
+            for label in self.panel(choices, level_number).labels:
                 floors = self._floors_at(label, choices.levels)
-                z = floors.get(number, self.grid.levels[number].ground)
-                is_covered = any(
-                    level > number and floor > z + self.grid.max_step
+                z = floors.get(level_number, self.grid.levels[level_number].ground)
+                is_hidden = any(
+                    level > level_number and floor > z + self.grid.max_step
                     for level, floor in floors.items()
                 )
-                if is_covered:
+                if is_hidden:
                     continue
-                height = POINT_NAME_HEIGHT
+                letter_height = POINT_NAME_HEIGHT
                 if label.width:
-                    height = label.width / (LETTER_WIDTH * len(label.text))
+                    letter_height = label.width / (LETTER_WIDTH * len(label.text))
                 name = NameLabel(
-                    label.text, (label.x, label.y, z + NAME_LIFT), min(NAME_HEIGHT, height)
+                    label.text, (label.x, label.y, z + NAME_LIFT), min(NAME_HEIGHT, letter_height)
                 )
-                candidates.append((-label.width, number, name))
-        names: dict[int, list[NameLabel]] = {number: [] for number in choices.levels}
-        for _, number, name in sorted(candidates)[:MAX_NAMES]:
-            if not any(_overlaps(name, earlier) for earlier in names[number]):
-                names[number].append(name)
+                candidates.append((-label.width, level_number, name))
+        names: dict[int, list[NameLabel]] = {level_number: [] for level_number in choices.levels}
+        for _, level_number, name in sorted(candidates)[:MAX_NAMES]:
+            if not any(_overlaps(name, earlier_name) for earlier_name in names[level_number]):
+                names[level_number].append(name)
         return [name for names_of_level in names.values() for name in names_of_level]
 
     def _floors_at(self, label: Label, levels: Sequence[int]) -> dict[int, float]:
@@ -458,7 +464,7 @@ class ViewState:
                 floors[level] = place.floor
         return floors
 
-    @cached_by("levels", "layer")
+    @cache_results_by("levels", "layer")
     def arcs(self, choices: Choices) -> list[ColoredArc]:
         """List the arcs of links and stairs between stops on shown levels.
 
@@ -477,7 +483,7 @@ class ViewState:
                     arcs.append(ColoredArc(points, color))
         return arcs
 
-    @cached_by("doors", "with_hidden")
+    @cache_results_by("doors", "with_hidden")
     def drawing(self, choices: Choices) -> Drawing | None:
         """Return the whole scene as triangles, with the chosen states of doors.
 
@@ -489,15 +495,15 @@ class ViewState:
             return meshes.draw_scene(self.scene, with_hidden=choices.with_hidden)
         from navbake.verifier.source import pose_doors  # loads MuJoCo, which moves the doors
 
-        posed = pose_doors(self.scene, self.grid.with_doors(dict(choices.doors)))
+        posed_scene = pose_doors(self.scene, self.grid.with_doors(dict(choices.doors)))
         return meshes.draw_scene(
             self.scene,
-            data=posed.data,
-            removed=posed.removed,
+            data=posed_scene.data,
+            removed=posed_scene.removed,
             with_hidden=choices.with_hidden,
         )
 
-    @cached_by("doors", "with_hidden", "with_scene", "cut")
+    @cache_results_by("doors", "with_hidden", "with_scene", "cut")
     def surfaces(self, choices: Choices) -> tuple[Surface, ...]:
         """Return the triangles of the scene that are drawn: those below the chosen cut."""
         drawing = self.drawing(choices) if choices.with_scene else None
@@ -507,7 +513,7 @@ class ViewState:
             return drawing.surfaces
         return meshes.cut_drawing(drawing, choices.cut)
 
-    @cached_by("doors", "with_hidden", "with_scene", "cut")
+    @cache_results_by("doors", "with_hidden", "with_scene", "cut")
     def scene_glb(self, choices: Choices) -> bytes:
         """Return the drawn scene as GLB, without the geoms that `batches` draws; may be empty."""
         surfaces = self.surfaces(choices)
@@ -516,9 +522,9 @@ class ViewState:
             return b""
         batch_geoms = [batch.geoms[batch.is_below(choices.cut)] for batch in drawing.batches]
         if batch_geoms:
-            in_batches = np.concatenate(batch_geoms)
+            batch_geom_ids = np.concatenate(batch_geoms)
             surfaces = tuple(
-                surface._replace(faces=surface.faces[~np.isin(surface.face_geoms, in_batches)])
+                surface._replace(faces=surface.faces[~np.isin(surface.face_geoms, batch_geom_ids)])
                 for surface in surfaces
             )
         return meshes.draw_surfaces(surfaces, drawing.textures)
@@ -538,16 +544,18 @@ class ViewState:
             choices: the choices before the click.
             ray: the ray from the camera through the click.
         """
-        floors = [self.floor_surfaces[number] for number in choices.levels]
-        clicked = meshes.pick(self.grid, ray, [*self.surfaces(choices), *floors], choices.levels)
-        return choices.with_click(clicked)
+        level_surfaces = [self.floor_surfaces[number] for number in choices.levels]
+        clicked_cell = meshes.pick_cell(
+            self.grid, ray, [*self.surfaces(choices), *level_surfaces], choices.levels
+        )
+        return choices.with_click(clicked_cell)
 
-    @cached_by("doors", "inflation")
+    @cache_results_by("doors", "inflation")
     def finder(self, choices: Choices) -> PathFinder:
         """Return a path finder on the shown grid."""
         return PathFinder(self.shown_grid(choices))
 
-    @cached_by("doors", "inflation", "start", "goal")
+    @cache_results_by("doors", "inflation", "start", "goal")
     def route(self, choices: Choices) -> Path | str | None:
         """Find the path from the clicked start to the clicked goal.
 
@@ -564,7 +572,7 @@ class ViewState:
         except QueryError as error:
             return str(error)
 
-    @cached_by("doors", "inflation", "episode")
+    @cache_results_by("doors", "inflation", "episode")
     def episode_path(self, choices: Choices) -> Float:
         """Return the path of the chosen episode: world x, y, z [m], shape (n, 3).
 
@@ -586,24 +594,32 @@ class ViewState:
 
     def inspect(self, choices: Choices) -> Inspection | None:
         """Describe the inspected cell; return None if there is none."""
-        picked = choices.inspected
-        if picked is None or choices.click != INSPECT_TEXT:
+        inspected_cell = choices.inspected
+        if inspected_cell is None or choices.click != INSPECT_TEXT:
             return None
-        x, y, z = picked.position
-        facts = self.shown_grid(choices).describe_cell(x, y, picked.cell.level)
-        clicked = None
-        highlighted = np.empty((0, 3, 3), np.float32)
+        x, y, z = inspected_cell.position
+        facts = self.shown_grid(choices).describe_cell(x, y, inspected_cell.cell.level)
+        clicked_name = None
+        highlighted_triangles = np.empty((0, 3, 3), np.float32)
         drawing = self.drawing(choices)
         if drawing is not None:
-            clicked = None if picked.geom is None else drawing.names[picked.geom]
-            geoms = [geom for geom, name in enumerate(drawing.names) if name in facts["blockers"]]
-            in_cell = [*facts["objects"], *facts["walls"], *facts["doors"]]
-            if not geoms and picked.geom is not None and clicked in in_cell:
-                geoms = [picked.geom]
-            highlighted = triangles_of(self.surfaces(choices), geoms)
+            clicked_name = (
+                None if inspected_cell.geom is None else drawing.names[inspected_cell.geom]
+            )
+            blocking_geoms = [
+                geom for geom, name in enumerate(drawing.names) if name in facts["blockers"]
+            ]
+            names_in_cell = [*facts["objects"], *facts["walls"], *facts["doors"]]
+            if (
+                not blocking_geoms
+                and inspected_cell.geom is not None
+                and clicked_name in names_in_cell
+            ):
+                blocking_geoms = [inspected_cell.geom]
+            highlighted_triangles = select_triangles(self.surfaces(choices), blocking_geoms)
         half_side = self.grid.levels[0].lattice.cell_size / 2
         outline = np.array([*facts["center"], z]) + half_side * CELL_OUTLINE
-        return Inspection(facts, clicked, highlighted, outline)
+        return Inspection(facts, clicked_name, highlighted_triangles, outline)
 
     def verify(self) -> None:
         """Compare a sample of the grid's cells with the scene, and keep the report.
@@ -620,16 +636,16 @@ class ViewState:
         self.cache.clear()
 
 
-def _overlaps(first: NameLabel, second: NameLabel) -> bool:
+def _overlaps(first_name: NameLabel, second_name: NameLabel) -> bool:
     """Whether two names overlap, seen from above."""
-    x = abs(first.position[0] - second.position[0])
-    y = abs(first.position[1] - second.position[1])
-    mean_width = (first.width + second.width) / 2
-    mean_height = (first.height + second.height) / 2
-    return x < mean_width and y < mean_height
+    x_distance = abs(first_name.position[0] - second_name.position[0])
+    y_distance = abs(first_name.position[1] - second_name.position[1])
+    mean_width = (first_name.width + second_name.width) / 2
+    mean_height = (first_name.height + second_name.height) / 2
+    return x_distance < mean_width and y_distance < mean_height
 
 
-def goal_position(goal: Goal) -> tuple[float, float, float] | None:
+def find_goal_position(goal: Goal) -> tuple[float, float, float] | None:
     """Return the position of a goal, or else of its first view point: world x, y, z [m].
 
     It is None if the goal has neither.
@@ -640,15 +656,15 @@ def goal_position(goal: Goal) -> tuple[float, float, float] | None:
 
 
 def list_goal_positions(episode: Episode) -> list[tuple[float, float, float]]:
-    """List the positions of an episode's goals, world x, y, z [m]; see `goal_position`.
+    """List the positions of an episode's goals, world x, y, z [m]; see `find_goal_position`.
 
     Goals without a position are left out.
     """
-    positions = [goal_position(goal) for goal in episode.goals]
+    positions = [find_goal_position(goal) for goal in episode.goals]
     return [position for position in positions if position is not None]
 
 
-def triangles_of(surfaces: Sequence[Surface], geoms: Sequence[int]) -> NDArray[np.float32]:
+def select_triangles(surfaces: Sequence[Surface], geoms: Sequence[int]) -> NDArray[np.float32]:
     """Select the triangles of some geoms.
 
     Args:

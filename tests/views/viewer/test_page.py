@@ -16,7 +16,7 @@ from browser import (
     strangers_of,
     wait_until,
 )
-from navbake.views.viewer.controls import HINT_GOAL, cell_text, escape_markdown
+from navbake.views.viewer.controls import HINT_GOAL, describe_inspection, escape_markdown
 from navbake.views.viewer.server import PageServer
 from navbake.views.viewer.view_state import Inspection
 from viewer_page import ViewerPage, run_view
@@ -168,7 +168,7 @@ def test_names_from_files_do_not_run():
     inspection = Inspection(facts, NASTY[0], highlighted=nothing, outline=nothing)
     server = PageServer(port=0)
     try:
-        server.viser.gui.add_markdown(cell_text(inspection, None))
+        server.viser.gui.add_markdown(describe_inspection(inspection, None))
         server.viser.gui.add_markdown(f"**{escape_markdown(NASTY[1])}** shown")
         with open_browser(900, 640) as driver:
             driver.get(server.url)

@@ -25,8 +25,8 @@ from navbake.views.viewer.view_state import (
     ViewState,
     first_choices,
     list_runs,
+    select_triangles,
     transfer_choices,
-    triangles_of,
 )
 from project_paths import GOLDEN
 from viewer_scenes import ROOM, room_view_state
@@ -61,24 +61,24 @@ def test_the_radius_frees_what_inflate_frees(room, chosen):
         free, _, area = counts = room.count(now)
         assert free == np.count_nonzero(expected.free)
         assert area == pytest.approx(free * 0.01)
-        assert f"{free:,} free cells" in texts.counts_text(counts, room.count(chosen))
+        assert f"{free:,} free cells" in texts.describe_free_space(counts, room.count(chosen))
         np.testing.assert_array_equal(room.shown_grid(now).weights, expected.weights)
 
 
 def test_a_path_follows_two_clicks(room, chosen):
     now = replace(chosen, click=ROUTE_TEXT)
-    assert texts.route_text(now, room.route(now)) == texts.HINT_START
+    assert texts.describe_route(now, room.route(now)) == texts.HINT_START
     now = now.with_click(at(room, -1.5, -1.0))
-    assert texts.route_text(now, room.route(now)) == texts.HINT_GOAL
+    assert texts.describe_route(now, room.route(now)) == texts.HINT_GOAL
     now = now.with_click(at(room, 1.5, -1.0))
     route = room.route(now)
     expected = navbake.PathFinder(room.grid).find_path((-1.5, -1.0), (1.5, -1.0))
     np.testing.assert_array_equal(route.positions, expected.positions)
-    assert f"{expected.length:.2f}".replace(".", "\\.") in texts.route_text(now, route)
+    assert f"{expected.length:.2f}".replace(".", "\\.") in texts.describe_route(now, route)
     # too wide for the opening: the reason is the finder's
     wide = replace(now, inflation=(0.9, 0.0))
     assert isinstance(room.route(wide), str)
-    assert "No path" in texts.route_text(wide, room.route(wide))
+    assert "No path" in texts.describe_route(wide, room.route(wide))
     # the third click begins again
     again = now.with_click(at(room, 0.5, 1.3))
     assert again.goal is None and again.start.position[0] == 0.5
@@ -88,16 +88,18 @@ def test_a_cell_tells_what_blocks_it_and_that_is_lit(room, chosen):
     inspection = room.inspect(replace(chosen, inspected=at(room, 1.02, 0.52, geom=4)))
     assert inspection.facts.items() >= room.grid.describe_cell(1.02, 0.52, 0).items()
     assert inspection.clicked == "table"
-    text = texts.cell_text(inspection, None)
+    text = texts.describe_inspection(inspection, None)
     assert "**blocked** by <code>table</code>" in text
     corners = inspection.highlighted.reshape(-1, 3)
     np.testing.assert_allclose(corners.min(axis=0), [0.7, 0.2, 0], atol=0.02)
     np.testing.assert_allclose(corners.max(axis=0), [1.3, 0.8, 0.7], atol=0.02)
     free = room.inspect(replace(chosen, inspected=at(room, -1.5, 1.0)))
-    assert "**free**" in texts.cell_text(free, None) and not len(free.highlighted)
+    assert "**free**" in texts.describe_inspection(free, None) and not len(free.highlighted)
     near = replace(chosen, inspected=at(room, 0.15, -0.5), inflation=(0.3, 0.0))
-    assert "nearer to something than the radius" in texts.cell_text(room.inspect(near), (0.3, 0.0))
-    assert texts.cell_text(room.inspect(chosen), None) == texts.HINT_INSPECT
+    assert "nearer to something than the radius" in texts.describe_inspection(
+        room.inspect(near), (0.3, 0.0)
+    )
+    assert texts.describe_inspection(room.inspect(chosen), None) == texts.HINT_INSPECT
 
 
 def test_what_is_lit_obeys_the_cut_and_goes_with_the_mode(room, chosen):
@@ -146,7 +148,7 @@ def test_episodes_and_trajectories_of_the_scene_are_listed():
     assert list(runs) == [each.id for each in episodes.episodes]
     assert runs[own.id] == (own, ran)
     assert list_runs(grid, None, [other]) == {"another": (None, other)}
-    assert f"{own.distance:.2f}".replace(".", "\\.") in texts.episode_text(own)
+    assert f"{own.distance:.2f}".replace(".", "\\.") in texts.describe_episode(own)
 
 
 def test_an_episode_without_a_path_has_a_shortest_one():
@@ -188,7 +190,7 @@ def test_a_verification_fills_its_layer(room, chosen):
     view_state = ViewState(room.grid, room.scene, room.config)
     view_state.verify()
     assert view_state.report.ok
-    assert "agree" in texts.report_text(view_state)
+    assert "agree" in texts.describe_report(view_state)
     assert view_state.panel(replace(chosen, layer=DISAGREEMENTS), 0).rgb.shape[2] == 3
     with pytest.raises(QueryError, match="no scene"):
         ViewState(room.grid).verify()
@@ -218,7 +220,7 @@ def test_doors_move_in_grid_and_scene():
 
     def places(drawing):
         geoms = [g for g, name in enumerate(drawing.names) if name == door.id]
-        return triangles_of(drawing.surfaces, geoms)
+        return select_triangles(drawing.surfaces, geoms)
 
     assert len(places(before)) and len(places(after)) and not len(places(without))
     if door.like != "closed":
@@ -263,5 +265,5 @@ def test_names_from_files_are_text_on_the_page():
     assert texts.escape_markdown("a_b *c* <img src=x>") == r"a\_b \*c\* \<img src=x\>"
     assert texts.escape_markdown("&lt; a\r\n\r b") == r"\&lt; a b"
     panel = Panel("room", np.zeros((1, 1, 3), np.uint8), legend=(("<b>bold</b>", "#ffffff"),))
-    legend = texts.legend_html([panel])
+    legend = texts.render_legend([panel])
     assert "<b>" not in legend
