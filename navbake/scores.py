@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from navbake.episodes.episode import CLASS_EDGES, Episode, EpisodeSet, choose_agent, scene_of
 from navbake.episodes.formats import decode
-from navbake.episodes.goals import MAX_SNAP, find_stops, plan_path_through
+from navbake.episodes.goals import MAX_SNAP_DISTANCE, find_stops, plan_path_through
 from navbake.errors import FormatError, QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
@@ -326,7 +326,7 @@ class Measures:
         blocked_points = np.flatnonzero(~flat.free[cells])
         if len(blocked_points):
             positions, nearest_cells = snap_to_cells(
-                flat, flat.free, points[blocked_points], max_distance=MAX_SNAP
+                flat, flat.free, points[blocked_points], max_distance=MAX_SNAP_DISTANCE
             )
             is_near = nearest_cells >= 0
             cells[blocked_points] = np.where(is_near, nearest_cells, cells[blocked_points])

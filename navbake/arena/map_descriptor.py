@@ -24,9 +24,9 @@ from navbake.navgrid.lattice import CELL_SLACK, Lattice, num_cells
 from navbake.types import Bool, Float, Int
 from navbake.voxels.grid import finite_array
 
-ARENA = (20, 15)  # rows and columns of the format's arena
-SQUARE = 0.1  # edge of its squares [m]
-PADDING = np.array([1, 1], dtype=np.uint8)  # before and after the bits of part 1
+ARENA_SHAPE = (20, 15)  # rows and columns of the format's arena
+SQUARE_EDGE = 0.1  # edge of its squares [m]
+PADDING_BITS = np.array([1, 1], dtype=np.uint8)  # before and after the bits of part 1
 MAX_SQUARES = 10**8  # of a map
 END_SLACK = 1e-6  # a ray that ends this near to a square's side ends in the square behind it [m]
 # a ray is parallel to an axis if the other component of its unit vector is at most this
@@ -63,7 +63,7 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
     # the format goes from the bottom row up, arrays from the top row down
     explored_bits = is_explored[::-1].ravel()
     obstacle_bits = is_obstacle[::-1].ravel()
-    part1 = _to_hex(np.concatenate([PADDING, explored_bits, PADDING]))
+    part1 = _to_hex(np.concatenate([PADDING_BITS, explored_bits, PADDING_BITS]))
     part2 = _to_hex(obstacle_bits[explored_bits])
     return part1, part2
 
@@ -73,7 +73,7 @@ def _to_hex(bits: NDArray[Any]) -> str:
     return np.packbits(bits.astype(np.uint8)).tobytes().hex().upper()
 
 
-def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, Bool]:
+def decode(part1: str, part2: str, shape: Sequence[int] = ARENA_SHAPE) -> tuple[Bool, Bool]:
     """Decode a map; the inverse of `encode`.
 
     Lower-case letters are accepted. Part 2 may be padded with 0s to a whole hex digit only, instead
@@ -102,13 +102,13 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
             expected=f"{expected_digits} digits in part 1 for {rows} × {cols} squares",
             actual=f"{num_digits}",
         )
-    for name, pair in (("first", bits[:2]), ("last", bits[num_bits - 2 : num_bits])):
-        if not pair.all():
+    for name, bit_pair in (("first", bits[:2]), ("last", bits[num_bits - 2 : num_bits])):
+        if not bit_pair.all():
             raise _make_part_error(
                 "part 1",
                 part1,
                 expected=f"the {name} two bits of part 1 to be 11",
-                actual=f"{pair[0]}{pair[1]}",
+                actual=f"{bit_pair[0]}{bit_pair[1]}",
             )
     if bits[num_bits:].any():
         raise _make_part_error(
@@ -117,12 +117,12 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
     explored = bits[2 : num_bits - 2].astype(np.bool_)
     num_explored = int(explored.sum())
     obstacle_bits, num_digits = _from_hex(part2, "part 2")
-    least_digits = -(-num_explored // 4)
+    min_digits = -(-num_explored // 4)
     full_digits = 2 * -(-num_explored // 8)  # up to a full byte
-    if num_digits not in (least_digits, full_digits):
+    if num_digits not in (min_digits, full_digits):
         digits = f"{full_digits}"
-        if least_digits != full_digits:
-            digits += f" (or {least_digits})"
+        if min_digits != full_digits:
+            digits += f" (or {min_digits})"
         squares = f"the {num_explored} squares that part 1 has explored"
         comparison = "more" if num_digits > full_digits else "fewer"
         raise _make_part_error(
@@ -153,8 +153,8 @@ def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
     """Draw a map as text: ``?`` for unexplored, ``.`` for free, ``#`` for obstacles.
 
     Args:
-        explored: See `encode`.
-        obstacles: See `encode`.
+        explored: Shape (rows, cols), row 0 at the top, true for explored squares.
+        obstacles: Of the same shape, true for squares with an obstacle; ignored where unexplored.
 
     Returns:
         A line for each row, the top row first.
@@ -165,19 +165,19 @@ def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
     return "\n".join("".join(row) for row in marks)
 
 
-def _as_flags(values: ArrayLike, name: str) -> Bool:
+def _as_flags(array: ArrayLike, name: str) -> Bool:
     """Check an array of a map, and convert it to bool; `name` is its name in messages."""
     try:
-        flags = np.asarray(values)
+        flags = np.asarray(array)
     except ValueError:  # rows of several lengths
         flags = np.empty(0)
     if flags.dtype.kind not in "biuf":
         raise _make_part_error(
-            name, values, expected=f"{name} of true and false", actual=f"dtype {flags.dtype}"
+            name, array, expected=f"{name} of true and false", actual=f"dtype {flags.dtype}"
         )
     if flags.ndim != 2 or 0 in flags.shape:
         raise _make_part_error(
-            name, values, expected=f"{name} of shape (rows, cols)", actual=f"{flags.shape}"
+            name, array, expected=f"{name} of shape (rows, cols)", actual=f"{flags.shape}"
         )
     return np.asarray(flags != 0)
 
@@ -189,7 +189,9 @@ def check_shape(shape: Sequence[int]) -> tuple[int, int]:
         FormatError: The shape is not two whole numbers >= 1, or has more than 100,000,000 squares.
     """
     sizes = list(shape) if np.iterable(shape) else [shape]
-    if len(sizes) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in sizes):
+    if len(sizes) != 2 or not all(
+        isinstance(size, int | np.integer) and size >= 1 for size in sizes
+    ):
         raise _make_part_error(
             "shape", shape, expected="a shape (rows, cols), each >= 1", actual=f"{sizes}"
         )
@@ -212,13 +214,13 @@ def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
             actual=f"{text!r}",
         )
     digits = text.strip()
-    unexpected = digits.strip(hexdigits)
-    if unexpected:
+    unexpected_text = digits.strip(hexdigits)
+    if unexpected_text:
         raise _make_part_error(
-            name, text, expected=f"hexadecimal digits in {name}", actual=f"{unexpected[0]!r}"
+            name, text, expected=f"hexadecimal digits in {name}", actual=f"{unexpected_text[0]!r}"
         )
-    data = bytes.fromhex(digits + "0" * (len(digits) % 2))
-    return np.unpackbits(np.frombuffer(data, dtype=np.uint8)), len(digits)
+    content = bytes.fromhex(digits + "0" * (len(digits) % 2))
+    return np.unpackbits(np.frombuffer(content, dtype=np.uint8)), len(digits)
 
 
 def _make_argument_error(key: str, value: object, *, expected: str, actual: str) -> QueryError:
@@ -258,7 +260,7 @@ def check_squares(square: float, corner: ArrayLike) -> Float:
 def place_squares(
     level: SceneGrid2D,
     *,
-    square: float = SQUARE,
+    square: float = SQUARE_EDGE,
     corner: ArrayLike | None = None,
     shape: Sequence[int] | None = None,
 ) -> Lattice:
@@ -343,7 +345,9 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
     lattice = level.lattice
     is_occupied = np.pad(level.occupancy != 0, 1, constant_values=True)  # one cell around the level
     # a summed-area table (Crow 1984): the sum over any rectangle from its four corners
-    sums = np.pad(is_occupied.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    summed_occupied = np.pad(
+        is_occupied.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0))
+    )
 
     def cell_ranges(offset: float, num_squares: int, num_cells: int) -> tuple[Int, Int]:
         """Return the cells that each square overlaps along an axis: the first, and the one after.
@@ -361,8 +365,8 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
     cols, end_cols = cell_ranges(squares.x_min - lattice.x_min, squares.width, lattice.width)
     rows = rows[:, None]
     end_rows = end_rows[:, None]
-    num_occupied: Int = sums[end_rows, end_cols] - sums[rows, end_cols]
-    num_occupied = num_occupied - sums[end_rows, cols] + sums[rows, cols]
+    num_occupied: Int = summed_occupied[end_rows, end_cols] - summed_occupied[rows, end_cols]
+    num_occupied = num_occupied - summed_occupied[end_rows, cols] + summed_occupied[rows, cols]
     return num_occupied > 0
 
 
@@ -386,9 +390,9 @@ class ExploredMap:
 
     def __init__(
         self,
-        shape: Sequence[int] = ARENA,
+        shape: Sequence[int] = ARENA_SHAPE,
         *,
-        square: float = SQUARE,
+        square: float = SQUARE_EDGE,
         corner: Sequence[float] = (0.0, 0.0),
     ) -> None:
         """Make an unexplored map.
@@ -413,9 +417,9 @@ class ExploredMap:
         cls,
         part1: str,
         part2: str,
-        shape: Sequence[int] = ARENA,
+        shape: Sequence[int] = ARENA_SHAPE,
         *,
-        square: float = SQUARE,
+        square: float = SQUARE_EDGE,
         corner: Sequence[float] = (0.0, 0.0),
     ) -> ExploredMap:
         """Make the map that a map descriptor describes: which squares are explored, and obstacles.
@@ -486,10 +490,12 @@ class ExploredMap:
         is_passed = np.zeros_like(self.explored)
         is_hit = np.zeros_like(self.explored)
         is_measured = ~np.isnan(lengths)
-        for angle, length in zip(directions[is_measured], lengths[is_measured], strict=True):
-            hits = length < max_range
-            rows, cols, distances = self._trace(x, y, angle, min(length, max_range), hits)
-            is_end = hits & (distances >= length - END_SLACK)
+        for angle, ray_length in zip(directions[is_measured], lengths[is_measured], strict=True):
+            ends_at_obstacle = ray_length < max_range
+            rows, cols, distances = self._trace(
+                x, y, angle, min(ray_length, max_range), ends_at_obstacle
+            )
+            is_end = ends_at_obstacle & (distances >= ray_length - END_SLACK)
             is_passed[rows[~is_end], cols[~is_end]] = True
             is_hit[rows[is_end], cols[is_end]] = True
         self.explored |= is_passed | is_hit
@@ -554,7 +560,7 @@ class ExploredMap:
         )
 
     def _trace(
-        self, x: float, y: float, angle: float, length: float, with_end: bool
+        self, x: float, y: float, angle: float, length: float, includes_end: bool
     ) -> tuple[Int, Int, Float]:
         """Trace a ray through the squares.
 
@@ -563,34 +569,42 @@ class ExploredMap:
             y: World y of the ray's start [m].
             angle: Direction of the ray [rad].
             length: Length of the ray [m].
-            with_end: Whether the last square must be the one that contains the ray's end, or
+            includes_end: Whether the last square must be the one that contains the ray's end, or
                 begins there; its distance is then the ray's length or more.
 
         Returns:
             Rows and columns of the squares, nearest first, and the distances where the ray enters
             them [m].
         """
-        size = self.lattice.cell_size
+        square_size = self.lattice.cell_size
         num_squares = (self.lattice.width, self.lattice.height)
         # in squares from here on, along columns and rows; rows run against y
-        start = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / size
+        start_position = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / square_size
         direction = np.array([np.cos(angle), -np.sin(angle)])
-        end = (length + (2 * END_SLACK if with_end else 0.0)) / size
-        crossings = [np.array([0.0, end])]  # of the ray and the sides of squares, along the ray
-        for coordinate, slope, count in zip(start, direction, num_squares, strict=True):
-            if abs(slope) > PARALLEL_TOLERANCE:
+        ray_end = (length + (2 * END_SLACK if includes_end else 0.0)) / square_size
+        crossings = [np.array([0.0, ray_end])]  # of the ray and the sides of squares, along the ray
+        for coordinate, component, num_sides in zip(
+            start_position, direction, num_squares, strict=True
+        ):
+            if abs(component) > PARALLEL_TOLERANCE:
                 # sides in the arena only: a ray that leaves it never returns
-                low, high = np.sort([coordinate, coordinate + slope * end]).clip(-1.0, count + 1.0)
-                sides = np.arange(np.ceil(low), np.floor(high) + 1)
-                crossings.append((sides - coordinate) / slope)
-        t = np.unique(np.concatenate(crossings).clip(0.0, end))
-        t = t[np.append(True, np.diff(t) > END_SLACK / size / 2)]
-        distances = t[:-1] * size
+                low_side, high_side = np.sort([coordinate, coordinate + component * ray_end]).clip(
+                    -1.0, num_sides + 1.0
+                )
+                sides = np.arange(np.ceil(low_side), np.floor(high_side) + 1)
+                crossings.append((sides - coordinate) / component)
+        crossing_distances = np.unique(np.concatenate(crossings).clip(0.0, ray_end))
+        crossing_distances = crossing_distances[
+            np.append(True, np.diff(crossing_distances) > END_SLACK / square_size / 2)
+        ]
+        distances = crossing_distances[:-1] * square_size
         # a piece between two crossings lies in the square of its middle
-        middles = (t[:-1] + t[1:]) / 2
-        positions = (start[:, None] + direction[:, None] * middles).clip(-1.0, 2.0**31)
+        middle_distances = (crossing_distances[:-1] + crossing_distances[1:]) / 2
+        positions = (start_position[:, None] + direction[:, None] * middle_distances).clip(
+            -1.0, 2.0**31
+        )
         cols, rows = np.floor(positions).astype(np.int64)
-        if with_end and len(distances):
+        if includes_end and len(distances):
             is_last = (rows == rows[-1]) & (cols == cols[-1])
             distances = np.where(is_last, np.maximum(distances, length), distances)
         is_inside = self.lattice.holds(rows, cols)
@@ -611,18 +625,18 @@ def _check_rays(angles: ArrayLike, max_range: float) -> Float:
     return directions
 
 
-def _as_numbers(values: ArrayLike, name: str) -> Float:
+def _as_numbers(array: ArrayLike, name: str) -> Float:
     """Return numbers as an array, shape (n,), float64; a QueryError calls them by `name`."""
     try:
-        numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
+        numbers = np.atleast_1d(np.asarray(array, dtype=np.float64))
     except (TypeError, ValueError):
         numbers = np.empty((0, 0))
     if numbers.ndim != 1:
         expected = f"{name} of shape (n,)"
         raise QueryError(
-            f"expected {expected}, got {values!r}"[:200],
+            f"expected {expected}, got {array!r}"[:200],
             key=name.partition(" ")[0],
-            value=values,
+            value=array,
             expected=expected,
         )
     return numbers

@@ -14,7 +14,7 @@ from os import PathLike
 import numpy as np
 
 from navbake.auditor import cells as cell_checks
-from navbake.auditor.cells import pairs_across
+from navbake.auditor.cells import find_differing_pairs
 from navbake.auditor.facts import (
     ERROR,
     REMARK,
@@ -43,109 +43,111 @@ MIN_ROOM_AREA = 1.0  # floors with less area than this need no way out [m²]
 
 def check_lattices(facts: Facts) -> Iterator[Finding]:
     """Finds: levels whose corner is not at finite coordinates, or whose cells have no size."""
-    for number, level in enumerate(facts.levels):
+    for level_number, level in enumerate(facts.levels):
         lattice = level.lattice
         if not 0 < lattice.cell_size < math.inf:
             text = f"its cells have a size of {lattice.cell_size:g} m"
-            yield Finding(ERROR, number, None, text)
+            yield Finding(ERROR, level_number, None, text)
         if not all(map(math.isfinite, (lattice.x_min, lattice.y_max, level.ground))):
-            yield Finding(ERROR, number, None, "its corner is at no place")
+            yield Finding(ERROR, level_number, None, "its corner is at no place")
 
 
 def check_order(facts: Facts) -> Iterator[Finding]:
     """Finds: levels that are out of order, are not aligned with the lowest, or appear twice."""
-    first = facts.levels[0].lattice
-    for number, level in enumerate(facts.levels[1:], start=1):
-        below = facts.levels[number - 1]
+    lowest_lattice = facts.levels[0].lattice
+    for level_number, level in enumerate(facts.levels[1:], start=1):
+        level_below = facts.levels[level_number - 1]
         lattice = level.lattice
-        if level.ground < below.ground:
+        if level.ground < level_below.ground:
             text = f"its ground, {level.ground:.2f} m, is below that of the level before"
-            yield Finding(ERROR, number, None, text)
-        num_cols = (lattice.x_min - first.x_min) / first.cell_size
-        num_rows = (first.y_max - lattice.y_max) / first.cell_size
-        offset = max(abs(num_cols - round(num_cols)), abs(num_rows - round(num_rows)))
-        size_differs = abs(lattice.cell_size / first.cell_size - 1) > 1e-6
-        if offset > ALIGNMENT_TOLERANCE or size_differs:
-            text = f"its cells lie {offset:.3f} of a cell beside those of the lowest level"
-            yield Finding(ERROR, number, None, text)
+            yield Finding(ERROR, level_number, None, text)
+        col_offset = (lattice.x_min - lowest_lattice.x_min) / lowest_lattice.cell_size
+        row_offset = (lowest_lattice.y_max - lattice.y_max) / lowest_lattice.cell_size
+        misalignment = max(abs(col_offset - round(col_offset)), abs(row_offset - round(row_offset)))
+        has_other_cell_size = abs(lattice.cell_size / lowest_lattice.cell_size - 1) > 1e-6
+        if misalignment > ALIGNMENT_TOLERANCE or has_other_cell_size:
+            text = f"its cells lie {misalignment:.3f} of a cell beside those of the lowest level"
+            yield Finding(ERROR, level_number, None, text)
         has_floors_of_below = np.array_equal(
-            facts.floors[number], facts.floors[number - 1], equal_nan=True
+            facts.floors[level_number], facts.floors[level_number - 1], equal_nan=True
         )
-        if has_floors_of_below and lattice == below.lattice:
+        if has_floors_of_below and lattice == level_below.lattice:
             text = "its floors are those of the level before, cell by cell"
-            yield Finding(ERROR, number, None, text)
+            yield Finding(ERROR, level_number, None, text)
 
 
 def check_boxes(facts: Facts) -> Iterator[Finding]:
     """Finds: free cells of a level that lie outside of its box, or in the box of a lower level."""
     boxes = [level.bbox_yup for level in facts.levels]
-    for number, box in enumerate(boxes):
+    for level_number, box in enumerate(boxes):
         if box is None:
             continue
-        free = facts.free[number]
-        floor = facts.floors[number]
-        outside = free & ~_in_box(facts, number, box)
-        for other_number, other_floor in enumerate(facts.floors):
+        is_free = facts.free[level_number]
+        floor_heights = facts.floors[level_number]
+        is_outside = is_free & ~_mark_cells_in_box(facts, level_number, box)
+        for other_level_number, other_floor in enumerate(facts.floors):
             # where levels interleave, no boxes are right
-            heights = other_floor[facts.free[other_number] & ~np.isnan(other_floor)]
-            if outside.any() and other_number != number and len(heights):
-                outside &= ~((floor >= heights.min()) & (floor <= heights.max()))
-        if outside.any():
-            text = f"{int(outside.sum())} free cells lie outside of its box (`bbox`)"
-            yield Finding(ERROR, number, facts.first_place(number, outside), text)
-        in_lower_boxes = np.zeros_like(free)
-        for lower_box in boxes[:number]:
+            heights = other_floor[facts.free[other_level_number] & ~np.isnan(other_floor)]
+            if is_outside.any() and other_level_number != level_number and len(heights):
+                is_outside &= ~((floor_heights >= heights.min()) & (floor_heights <= heights.max()))
+        if is_outside.any():
+            text = f"{int(is_outside.sum())} free cells lie outside of its box (`bbox`)"
+            yield Finding(ERROR, level_number, facts.first_place(level_number, is_outside), text)
+        is_in_lower_box = np.zeros_like(is_free)
+        for lower_box in boxes[:level_number]:
             if lower_box is not None:
-                in_lower_boxes |= free & _in_box(facts, number, lower_box)
+                is_in_lower_box |= is_free & _mark_cells_in_box(facts, level_number, lower_box)
         # where levels interleave, some cells have to lie in two boxes
-        if number and in_lower_boxes.sum() > MAX_IN_LOWER_BOXES * free.sum():
-            count = int(in_lower_boxes.sum())
-            text = f"{count} free cells lie in the box of a lower level, too"
-            yield Finding(REMARK, number, facts.first_place(number, in_lower_boxes), text)
+        if level_number and is_in_lower_box.sum() > MAX_IN_LOWER_BOXES * is_free.sum():
+            num_cells = int(is_in_lower_box.sum())
+            text = f"{num_cells} free cells lie in the box of a lower level, too"
+            yield Finding(
+                REMARK, level_number, facts.first_place(level_number, is_in_lower_box), text
+            )
 
 
-def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bool:
+def _mark_cells_in_box(facts: Facts, level_number: int, box: tuple[tuple[float, ...], ...]) -> Bool:
     """Mark the cells of a level whose centres, on the floor, are in a box of the file (y up)."""
-    level = facts.levels[number]
-    floor = facts.floors[number]
+    level = facts.levels[level_number]
+    floor = facts.floors[level_number]
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
     z = np.where(np.isnan(floor), level.ground, floor)
     centers_yup = np.stack([x, z, -y], axis=-1)
-    low, high = np.array(box) * level.unit
+    low_corner, high_corner = np.array(box) * level.unit
     slack = np.array([BOX_SLACK, 1e-6, BOX_SLACK])
-    is_inside = (centers_yup >= low - slack) & (centers_yup <= high + slack)
+    is_inside = (centers_yup >= low_corner - slack) & (centers_yup <= high_corner + slack)
     return np.asarray(is_inside.all(axis=-1))
 
 
 def check_links(facts: Facts) -> Iterator[Finding]:
     """Finds: steps to cells that don't exist, have no floor, are too far away, or too high."""
     links = facts.grid.step_array
-    starts = _link_ends(facts, links[:, :2])
-    ends = _link_ends(facts, links[:, 2:])
-    limit = _max_link_rise(facts)
-    rise = np.abs(starts - ends)[:, 2]
-    length = np.hypot(*(starts - ends)[:, :2].T)
-    is_far = length > MAX_LINK_LENGTH * facts.levels[0].lattice.cell_size
+    starts = _find_step_positions(facts, links[:, :2])
+    ends = _find_step_positions(facts, links[:, 2:])
+    max_rise = _find_max_step_rise(facts)
+    rises = np.abs(starts - ends)[:, 2]
+    lengths = np.hypot(*(starts - ends)[:, :2].T)
+    is_too_far = lengths > MAX_LINK_LENGTH * facts.levels[0].lattice.cell_size
     for is_wrong, destination in (
-        (np.isnan(rise), "to cells without a floor"),
-        (is_far, "to cells that aren't neighbours"),
-        (rise > limit, f"up by more than {limit:.2f} m"),
+        (np.isnan(rises), "to cells without a floor"),
+        (is_too_far, "to cells that aren't neighbours"),
+        (rises > max_rise, f"up by more than {max_rise:.2f} m"),
     ):
         if not is_wrong.any():
             continue
-        worst = int(np.nanargmax(np.where(is_wrong, np.nan_to_num(rise), -1.0)))
-        x, y, z = starts[worst].tolist()
-        number = int(links[worst, 0])
+        worst_link = int(np.nanargmax(np.where(is_wrong, np.nan_to_num(rises), -1.0)))
+        x, y, z = starts[worst_link].tolist()
+        level_number = int(links[worst_link, 0])
         if np.isnan(z):
-            z = facts.levels[number].ground
-        count = int(is_wrong.sum())
-        text = f"{count_of(count, 'link')} lead{'s' if count == 1 else ''} {destination}"
+            z = facts.levels[level_number].ground
+        num_wrong = int(is_wrong.sum())
+        text = f"{count_of(num_wrong, 'link')} lead{'s' if num_wrong == 1 else ''} {destination}"
         if destination.startswith("up"):
-            text += f": {rise[worst]:.2f} m"
-        yield Finding(ERROR, number, (x, y, z), text)
+            text += f": {rises[worst_link]:.2f} m"
+        yield Finding(ERROR, level_number, (x, y, z), text)
 
 
-def _link_ends(facts: Facts, level_cells: Int) -> Float:
+def _find_step_positions(facts: Facts, level_cells: Int) -> Float:
     """Return world x, y and floor z [m] of cells.
 
     Args:
@@ -156,16 +158,16 @@ def _link_ends(facts: Facts, level_cells: Int) -> Float:
         The positions, shape (n, 3); z is NaN for a cell without a floor.
     """
     positions = np.full((len(level_cells), 3), np.nan)
-    level, cell = level_cells.T
-    for number, grid in enumerate(facts.levels):
-        on_level = level == number
-        rows, cols = np.divmod(cell[on_level], grid.width)
-        positions[on_level, :2] = grid.lattice.positions(rows, cols).reshape(-1, 2)
-        positions[on_level, 2] = facts.floors[number][rows, cols]
+    level_of_cell, cell_ids = level_cells.T
+    for level_number, level_grid in enumerate(facts.levels):
+        is_on_level = level_of_cell == level_number
+        rows, cols = np.divmod(cell_ids[is_on_level], level_grid.width)
+        positions[is_on_level, :2] = level_grid.lattice.positions(rows, cols).reshape(-1, 2)
+        positions[is_on_level, 2] = facts.floors[level_number][rows, cols]
     return positions
 
 
-def _max_link_rise(facts: Facts) -> float:
+def _find_max_step_rise(facts: Facts) -> float:
     """Return how far a step of `step_array` may lead up or down [m].
 
     It is the agent's highest step; or its sum with the rise of the steepest ramp over a cell, if
@@ -179,8 +181,8 @@ def _max_link_rise(facts: Facts) -> float:
         and 0 <= baked_slope < 90
     ):
         max_slope = baked_slope
-    ramp = facts.levels[0].lattice.cell_size * math.tan(math.radians(max_slope))
-    return facts.step_limit + (ramp if ramp > facts.step_limit else 0.0)
+    ramp_rise = facts.levels[0].lattice.cell_size * math.tan(math.radians(max_slope))
+    return facts.step_limit + (ramp_rise if ramp_rise > facts.step_limit else 0.0)
 
 
 def check_missing_links(facts: Facts) -> Iterator[Finding]:
@@ -192,15 +194,15 @@ def check_missing_links(facts: Facts) -> Iterator[Finding]:
         return  # files of other programs know no links
     for lower, upper in itertools.combinations(range(len(facts.levels)), 2):
         rows, cols = np.nonzero(facts.free[upper])
-        unlinked = _mark_unlinked(facts, lower, upper, rows, cols)
-        if unlinked.any():
-            first = int(np.argmax(unlinked))
-            count = int(unlinked.sum())
-            verb = "has" if count == 1 else "have"
-            cells = count_of(count, "free cell")
-            text = f"{cells} a step away from level {lower} {verb} no link to it, "
+        is_unlinked = _mark_unlinked(facts, lower, upper, rows, cols)
+        if is_unlinked.any():
+            first_index = int(np.argmax(is_unlinked))
+            num_unlinked = int(is_unlinked.sum())
+            verb = "has" if num_unlinked == 1 else "have"
+            cells_text = count_of(num_unlinked, "free cell")
+            text = f"{cells_text} a step away from level {lower} {verb} no link to it, "
             text += "and nothing else leads there"
-            place = facts.place(upper, int(rows[first]), int(cols[first]))
+            place = facts.place(upper, int(rows[first_index]), int(cols[first_index]))
             yield Finding(ERROR, upper, place, text)
 
 
@@ -223,17 +225,19 @@ def _mark_unlinked(facts: Facts, lower: int, upper: int, rows: Int, cols: Int) -
     lattice = facts.levels[lower].lattice
     positions = facts.levels[upper].lattice.positions(rows, cols)
     lower_rows, lower_cols = lattice.rows_cols(positions)
-    unlinked = np.zeros(len(rows), dtype=np.bool_)
-    for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-        row = lower_rows + down
-        col = lower_cols + right
-        inside = lattice.holds(row, col)
-        row = np.where(inside, row, 0)
-        col = np.where(inside, col, 0)
-        rise = np.abs(facts.floors[lower][row, col] - facts.floors[upper][rows, cols])
-        is_walk = inside & facts.free[lower][row, col] & (rise <= facts.step_limit)
-        unlinked |= is_walk & (facts.islands[lower][row, col] != facts.islands[upper][rows, cols])
-    return unlinked
+    is_unlinked = np.zeros(len(rows), dtype=np.bool_)
+    for row_offset, col_offset in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+        row = lower_rows + row_offset
+        col = lower_cols + col_offset
+        is_inside = lattice.holds(row, col)
+        row = np.where(is_inside, row, 0)
+        col = np.where(is_inside, col, 0)
+        rises = np.abs(facts.floors[lower][row, col] - facts.floors[upper][rows, cols])
+        is_walkable = is_inside & facts.free[lower][row, col] & (rises <= facts.step_limit)
+        is_unlinked |= is_walkable & (
+            facts.islands[lower][row, col] != facts.islands[upper][rows, cols]
+        )
+    return is_unlinked
 
 
 def check_agent(facts: Facts) -> Iterator[Finding]:
@@ -244,19 +248,20 @@ def check_agent(facts: Facts) -> Iterator[Finding]:
     grid = facts.grid
     agent_settings = facts.settings.get("agent", {})
     problems = find_wrong_sizes(grid)
-    for key, size, name, default in (
+    for key, stated_size, setting_name, default_size in (
         ("agentHeight", grid.agent_height, "height", 1.14),
         ("agentRadius", grid.agent_radius, "radius", 0.05),
         ("traversableFloorHeight", grid.max_step, "traversable_floor_height", 0.25),
     ):
         if key in problems:
-            yield Finding(ERROR, None, None, f"{problems[key]}: it counts as {size:g} m")
+            yield Finding(ERROR, None, None, f"{problems[key]}: it counts as {stated_size:g} m")
             continue
         if not facts.settings or not isinstance(agent_settings, dict):
             continue
-        baked = agent_settings.get(name, default)
-        if type(baked) in (int, float) and not math.isclose(size, baked):
-            text = f"`{key}` is {size:g} m, but its settings say that it was baked for {baked:g} m"
+        baked_size = agent_settings.get(setting_name, default_size)
+        if type(baked_size) in (int, float) and not math.isclose(stated_size, baked_size):
+            stated = f"`{key}` is {stated_size:g} m"
+            text = f"{stated}, but its settings say that it was baked for {baked_size:g} m"
             yield Finding(ERROR, None, None, text)
     if "step" in problems:
         yield Finding(ERROR, None, None, problems["step"])
@@ -267,35 +272,36 @@ def check_agent(facts: Facts) -> Iterator[Finding]:
 
 def check_room_table(facts: Facts) -> Iterator[Finding]:
     """Finds: contradictions between the table of rooms and the rooms of the cells."""
-    table = facts.grid.stated_rooms
-    if table is None:
+    room_table = facts.grid.stated_rooms
+    if room_table is None:
         return
-    described = {(room.level, room.index) for room in table}
-    for number, level in enumerate(facts.levels):
+    described_rooms = {(room.level, room.index) for room in room_table}
+    for level_number, level in enumerate(facts.levels):
         num_cells = np.bincount(level.room_index.ravel())
         centers = find_room_centers(level)
-        for index in centers:
-            if (number, index) not in described:
-                text = f"{num_cells[index]} cells are in room {index}, which no entry describes"
-                place = facts.first_place(number, level.room_index == index)
-                yield Finding(ERROR, number, place, text)
-        for room in table:
-            if room.level != number:
+        for room_number in centers:
+            if (level_number, room_number) not in described_rooms:
+                text = f"{num_cells[room_number]} cells are in room {room_number}"
+                text += ", which no entry describes"
+                place = facts.first_place(level_number, level.room_index == room_number)
+                yield Finding(ERROR, level_number, place, text)
+        for room in room_table:
+            if room.level != level_number:
                 continue
             name = repr(room.name or room.id)
             center = centers.get(room.index)
             if center is None:
-                yield Finding(ERROR, number, room.centroid, f"room {name} has no cells")
+                yield Finding(ERROR, level_number, room.centroid, f"room {name} has no cells")
                 continue
             area = num_cells[room.index] * level.lattice.cell_size**2
             num_axes = 3 if level.uses_cell_floors else 2  # else its z isn't that of the floors
-            offset = math.dist(center[:num_axes], room.centroid[:num_axes])
+            center_offset = math.dist(center[:num_axes], room.centroid[:num_axes])
             if abs(area - room.area) > AREA_TOLERANCE * max(area, room.area):
                 text = f"room {name} has {area:.2f} m², not {room.area:.2f}"
-                yield Finding(ERROR, number, room.centroid, text)
-            elif offset > CENTER_TOLERANCE * level.lattice.cell_size:
-                text = f"room {name} lies {offset:.2f} m from where its entry says"
-                yield Finding(ERROR, number, center, text)
+                yield Finding(ERROR, level_number, room.centroid, text)
+            elif center_offset > CENTER_TOLERANCE * level.lattice.cell_size:
+                text = f"room {name} lies {center_offset:.2f} m from where its entry says"
+                yield Finding(ERROR, level_number, center, text)
 
 
 def find_room_centers(level: SceneGrid2D) -> dict[int, Vector3]:
@@ -307,50 +313,59 @@ def find_room_centers(level: SceneGrid2D) -> dict[int, Vector3]:
     Returns:
         Index of a room -> world x, y, z [m], rounded to micrometres as in the table of rooms.
     """
-    rooms, room_of_cell, num_cells = np.unique(
+    room_indices, room_of_cell, num_cells = np.unique(
         level.room_index, return_inverse=True, return_counts=True
     )
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
     z = np.where(np.isnan(level.floor), level.ground, level.floor)
-    means = [np.bincount(room_of_cell.ravel(), axis.ravel()) / num_cells for axis in (x, y, z)]
-    centers = (np.round(means, 6) + 0.0).T.tolist()  # no -0.0
+    mean_coordinates = [
+        np.bincount(room_of_cell.ravel(), axis.ravel()) / num_cells for axis in (x, y, z)
+    ]
+    centers = (np.round(mean_coordinates, 6) + 0.0).T.tolist()  # no -0.0
     return {
         room: (center[0], center[1], center[2])
-        for room, center in zip(rooms.tolist(), centers, strict=True)
+        for room, center in zip(room_indices.tolist(), centers, strict=True)
         if room
     }
 
 
 def check_rooms_without_way_out(facts: Facts) -> Iterator[Finding]:
     """Finds: rooms that nothing leads out of, even with all doors open."""
-    names = {(room.level, room.index): room.name or room.id for room in facts.rooms or ()}
-    for number, level in enumerate(facts.levels):
+    name_of_room = {
+        (room_of_cell.level, room_of_cell.index): room_of_cell.name or room_of_cell.id
+        for room_of_cell in facts.rooms or ()
+    }
+    for level_number, level in enumerate(facts.levels):
         room_index = level.room_index
-        passable = facts.passable[number]
+        is_passable = facts.passable[level_number]
         has_exit = np.zeros(int(room_index.max()) + 1, dtype=np.bool_)
-        num_cells = np.bincount(room_index[passable], minlength=len(has_exit))
+        num_cells = np.bincount(room_index[is_passable], minlength=len(has_exit))
         if np.count_nonzero(num_cells) < 2:
             continue  # there is nothing to lead to
         # cells connect if they are at most a step apart, or if a step of `step_array` joins them
-        room = room_index.ravel()
-        can_pass = passable.ravel()
-        floor = facts.floors[number].ravel()
-        for cells, offset in pairs_across(room_index, 1):
+        room_of_cell = room_index.ravel()
+        is_passable_cell = is_passable.ravel()
+        floor = facts.floors[level_number].ravel()
+        for cells, offset in find_differing_pairs(room_index, 1):
             neighbors = cells + offset
             with np.errstate(invalid="ignore"):
                 is_connected = ~(np.abs(floor[cells] - floor[neighbors]) > facts.step_limit)
-            is_connected &= can_pass[cells] & can_pass[neighbors]
-            has_exit[room[cells[is_connected]]] = True
-            has_exit[room[neighbors[is_connected]]] = True
+            is_connected &= is_passable_cell[cells] & is_passable_cell[neighbors]
+            has_exit[room_of_cell[cells[is_connected]]] = True
+            has_exit[room_of_cell[neighbors[is_connected]]] = True
         for link_ends in (facts.links[:, :2], facts.links[:, 2:]):
-            has_exit[room[link_ends[link_ends[:, 0] == number, 1]]] = True
-        area = num_cells * level.lattice.cell_size**2
-        for index in np.flatnonzero(~has_exit & (area >= MIN_ROOM_AREA)).tolist():
-            if index:
-                name = repr(names[number, index]) if (number, index) in names else str(index)
-                text = f"nothing leads out of room {name} ({area[index]:.1f} m²)"
-                place = facts.first_place(number, (room_index == index) & passable)
-                yield Finding(REMARK, number, place, text)
+            has_exit[room_of_cell[link_ends[link_ends[:, 0] == level_number, 1]]] = True
+        room_areas = num_cells * level.lattice.cell_size**2
+        for room_number in np.flatnonzero(~has_exit & (room_areas >= MIN_ROOM_AREA)).tolist():
+            if room_number:
+                name = (
+                    repr(name_of_room[level_number, room_number])
+                    if (level_number, room_number) in name_of_room
+                    else str(room_number)
+                )
+                text = f"nothing leads out of room {name} ({room_areas[room_number]:.1f} m²)"
+                place = facts.first_place(level_number, (room_index == room_number) & is_passable)
+                yield Finding(REMARK, level_number, place, text)
 
 
 def check_doors(facts: Facts) -> Iterator[Finding]:
@@ -362,7 +377,7 @@ def check_doors(facts: Facts) -> Iterator[Finding]:
     doors = facts.grid.doors
     door_cells = facts.cells_of([(door, door.state) for door in doors])
     for door in doors:
-        level, place = _middle_of_door(facts, door)
+        level, place = _find_door_middle(facts, door)
         rooms = [room for room in door.rooms if room is not None]
         if len(rooms) == 2 and rooms[0] == rooms[1]:
             text = f"door {door.id!r} joins room {rooms[0]!r} to itself"
@@ -378,23 +393,23 @@ def check_doors(facts: Facts) -> Iterator[Finding]:
             yield Finding(ERROR, level, place, text)
         if num_occupied:
             verb = "is" if num_occupied == 1 else "are"
-            cells_are = f"{count_of(num_occupied, 'cell')} {verb}"
-            text = f"door {door.id!r} {state}, but {cells_are} occupied"
+            occupied_text = f"{count_of(num_occupied, 'cell')} {verb}"
+            text = f"door {door.id!r} {state}, but {occupied_text} occupied"
             text += " that it blocks in other states only"
             yield Finding(ERROR, level, place, text)
 
 
-def _middle_of_door(facts: Facts, door: Door) -> tuple[int | None, Vector3 | None]:
+def _find_door_middle(facts: Facts, door: Door) -> tuple[int | None, Vector3 | None]:
     """Return the level and the position of a door; both are None if it has no cells.
 
     It is the middle one of the door's cells, in the first state in which it has any.
     """
     for state in door.cells:
-        for number, door_cells in enumerate(door.cells_in(state, len(facts.levels))):
+        for level_number, door_cells in enumerate(door.cells_in(state, len(facts.levels))):
             if len(door_cells):
-                middle = int(door_cells[len(door_cells) // 2])
-                row, col = divmod(middle, facts.levels[number].width)
-                return number, facts.place(number, row, col)
+                middle_cell = int(door_cells[len(door_cells) // 2])
+                row, col = divmod(middle_cell, facts.levels[level_number].width)
+                return level_number, facts.place(level_number, row, col)
     return None, None
 
 
@@ -418,14 +433,16 @@ def _count_wrong_cells(facts: Facts, door: Door, door_cells: list[Bool]) -> tupl
     present_cells = door.cells_in(door.state, num_levels)
     num_open = 0
     num_occupied = 0
-    for number, level in enumerate(facts.levels):
-        occupied = level.occupancy.ravel() != 0
-        present = present_cells[number]
-        in_any_state = np.concatenate([by_level[number] for by_level in cells_by_state])
-        absent = np.setdiff1d(in_any_state, present)
-        absent = absent[~door_cells[number].ravel()[absent]]
-        num_open += int(np.count_nonzero(~occupied[present]))
-        num_occupied += int(np.count_nonzero(occupied[absent]))
+    for level_number, level in enumerate(facts.levels):
+        is_occupied = level.occupancy.ravel() != 0
+        present_level_cells = present_cells[level_number]
+        cells_of_any_state = np.concatenate(
+            [cells_by_level[level_number] for cells_by_level in cells_by_state]
+        )
+        absent_cells = np.setdiff1d(cells_of_any_state, present_level_cells)
+        absent_cells = absent_cells[~door_cells[level_number].ravel()[absent_cells]]
+        num_open += int(np.count_nonzero(~is_occupied[present_level_cells]))
+        num_occupied += int(np.count_nonzero(is_occupied[absent_cells]))
     return num_open, num_occupied
 
 
@@ -438,27 +455,30 @@ def check_named_links(facts: Facts) -> Iterator[Finding]:
     links = facts.grid.links
     agents = facts.grid.agents
     islands = facts.islands_without_links if links else []
-    num_cells = np.bincount(np.concatenate([[0], *(island.ravel() for island in islands)]))
-    area = num_cells * facts.levels[0].lattice.cell_size ** 2
+    num_cells = np.bincount(
+        np.concatenate([[0], *(island_number.ravel() for island_number in islands)])
+    )
+    island_areas = num_cells * facts.levels[0].lattice.cell_size ** 2
     for link in links:
         label = f"{link.kind} {link.name!r}"
         for stop in link.stops:
             row, col = divmod(stop.cell, facts.levels[stop.level].width)
             place = facts.place(stop.level, row, col)
-            island = int(islands[stop.level][row, col])
+            island_number = int(islands[stop.level][row, col])
             if not facts.free[stop.level][row, col]:
                 is_door = bool(facts.passable[stop.level][row, col])
                 may_be_meant = is_door or facts.inflation_reach is not None
-                cause = "a door blocks" if is_door else "blocked is"
+                problem = "a door blocks" if is_door else "blocked is"
                 severity = REMARK if may_be_meant else ERROR
-                yield Finding(severity, stop.level, place, f"{cause} a stop of {label}")
-            elif area[island] < MIN_ROOM_AREA:
-                text = f"{label} leads to {area[island]:.2f} m² of floor, and nothing else does"
+                yield Finding(severity, stop.level, place, f"{problem} a stop of {label}")
+            elif island_areas[island_number] < MIN_ROOM_AREA:
+                text = f"{label} leads to {island_areas[island_number]:.2f} m² of floor"
+                text += ", and nothing else does"
                 yield Finding(REMARK, stop.level, place, text)
         if link.kind == "lift" and len({stop.level for stop in link.stops}) == 1:
-            first = link.stops[0]
+            first_stop = link.stops[0]
             text = f"all {count_of(len(link.stops), 'stop')} of {label} are on one level"
-            yield Finding(REMARK, first.level, first.position, text)
+            yield Finding(REMARK, first_stop.level, first_stop.position, text)
         for name in sorted(set(link.agents or ()) - set(agents)):
             text = f"{label} is for agent {name!r}, whom the grid doesn't list"
             yield Finding(ERROR, None, None, text)
@@ -472,8 +492,8 @@ def check_areas(facts: Facts) -> Iterator[Finding]:
         return
     num_cells = np.zeros(256, dtype=np.int64)
     for number, level in enumerate(facts.levels):
-        layer = level.attributes.get("area", np.zeros(1, dtype=np.uint8))
-        is_unlisted = (layer < 0) | (layer > len(areas))
+        area_layer = level.attributes.get("area", np.zeros(1, dtype=np.uint8))
+        is_unlisted = (area_layer < 0) | (area_layer > len(areas))
         text = "in an area that the table doesn't list"
         yield from facts.error_on_cells(number, is_unlisted, text)
         num_cells += np.bincount(level.area_index.ravel(), minlength=256)
@@ -512,18 +532,20 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Finding]]]] = {
 """What a check looks for -> the `check` of its remarks, and its function."""
 
 
-def run_check(check: Callable[[Facts], Iterator[Finding]], facts: Facts) -> Iterator[Finding]:
+def run_check(
+    check_function: Callable[[Facts], Iterator[Finding]], facts: Facts
+) -> Iterator[Finding]:
     """Run a check, and report metadata that it can't read as an error.
 
     Args:
-        check: one of the functions of `CHECKS`.
+        check_function: one of the functions of `CHECKS`.
         facts: the facts about the grid.
 
     Yields:
         The findings of the check. If it raises a FormatError, the last finding is that error.
     """
     try:
-        yield from check(facts)
+        yield from check_function(facts)
     except FormatError as error:
         yield Finding(ERROR, None, None, str(error))
 
@@ -546,12 +568,12 @@ def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
         ...     print(remark)
     """
     if isinstance(grid, GridBase):
-        content: GridBase = grid
+        nav_grid: GridBase = grid
     elif isinstance(grid, str | PathLike):
-        content = read_navgrid(grid)
+        nav_grid = read_navgrid(grid)
     else:
         raise FormatError(f"expected a grid or the path of its file, got {describe_type(grid)}")
-    facts = Facts(content)
+    facts = Facts(nav_grid)
     remarks = []
     for name, check in CHECKS.values():
         for finding in run_check(check, facts):
@@ -560,4 +582,4 @@ def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
                 place = None  # the grid's corner may have infinite coordinates
             remarks.append(Remark(name, finding.severity, finding.level, place, finding.text))
     remarks.sort(key=lambda remark: remark.severity != ERROR)
-    return AuditReport(content.scene_id, remarks, list(CHECKS))
+    return AuditReport(nav_grid.scene_id, remarks, list(CHECKS))

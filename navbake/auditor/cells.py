@@ -26,7 +26,7 @@ from navbake.navgrid.grid import GridBase
 from navbake.types import Bool, Float, Int
 
 MIN_CELLS = 100  # grids and levels with fewer cells may have any share of free cells
-FEW_FREE = 0.01  # with a smaller share of free cells, hardly any cell of a level is free
+MIN_FREE_FRACTION = 0.01  # with a smaller share of free cells, hardly any cell of a level is free
 CLEARANCE_TOLERANCE = 1e-3  # largest error of a stored clearance [m]
 MAX_ISLAND_NUMBER = 65_535  # stands for this island and all smaller ones: the layer is uint16
 MAX_FLOOR_HEIGHT = 10_000.0  # floors farther from z = 0 must be in a wrong unit [m]
@@ -35,7 +35,7 @@ MIN_FLOOR_AREA = 1.0
 # share of a patch's outline that jumps: from the first share on, a patch is reported; from the
 # second on, it is an error (a corner of it may touch a wall)
 MIN_JUMP_SHARE = 0.5
-NEARLY_ALL = 0.75
+ERROR_JUMP_SHARE = 0.75
 MAX_PATCHES = 10  # number of patches that are reported one by one
 MIN_CUT_OFF_AREA = 1.0  # gaps between islands are reported if both islands are larger [m²]
 MAX_GAP_CELLS = 3  # more blocked cells between two islands are a thin wall
@@ -44,9 +44,9 @@ MAX_GAPS = 10  # number of gaps that are reported, those at the largest islands 
 
 def check_all_free(facts: Facts) -> Iterator[Finding]:
     """Finds: a grid whose cells are all free, without even a wall."""
-    total = sum(free.size for free in facts.free)
-    if total >= MIN_CELLS and all(free.all() for free in facts.free):
-        text = f"all {total} cells are free: nothing stands on the floor, and it ends nowhere"
+    num_cells = sum(is_free.size for is_free in facts.free)
+    if num_cells >= MIN_CELLS and all(is_free.all() for is_free in facts.free):
+        text = f"all {num_cells} cells are free: nothing stands on the floor, and it ends nowhere"
         yield Finding(REMARK, None, None, text)
 
 
@@ -56,58 +56,60 @@ def check_empty_levels(facts: Facts) -> Iterator[Finding]:
     Missing free cells are a remark only if the grid is inflated: the inflation may have closed all.
     """
     severity = ERROR
-    inflated = ""
+    inflation_text = ""
     if facts.inflation_reach is not None:
         severity = REMARK
-        inflated = f", inflated by {facts.inflation_reach:g} m"
-    if not any(free.any() for free in facts.free):
-        yield Finding(severity, None, None, f"no cell is free, on any level{inflated}")
+        inflation_text = f", inflated by {facts.inflation_reach:g} m"
+    if not any(is_free.any() for is_free in facts.free):
+        yield Finding(severity, None, None, f"no cell is free, on any level{inflation_text}")
         return
-    for number, free in enumerate(facts.free):
-        if free.any():
+    for level_number, is_free in enumerate(facts.free):
+        if is_free.any():
             continue
-        num_floors = np.count_nonzero(~np.isnan(facts.floors[number]))
+        num_floors = np.count_nonzero(~np.isnan(facts.floors[level_number]))
         if num_floors:
-            text = f"none of its {num_floors} cells with a floor is free{inflated}"
-            yield Finding(severity, number, None, text)
+            text = f"none of its {num_floors} cells with a floor is free{inflation_text}"
+            yield Finding(severity, level_number, None, text)
         else:
-            yield Finding(ERROR, number, None, "no floor")
+            yield Finding(ERROR, level_number, None, "no floor")
 
 
 def check_free_share(facts: Facts) -> Iterator[Finding]:
     """Finds: levels where hardly any cell is free, such as a black map with a few specks."""
-    for number, (level, free) in enumerate(zip(facts.levels, facts.free, strict=True)):
-        is_floor = free | ~np.isnan(facts.floors[number])
-        total = np.count_nonzero(is_floor) if level.uses_cell_floors else free.size
-        num_free = np.count_nonzero(free)
-        if total >= MIN_CELLS and 0 < num_free < FEW_FREE * total:
-            text = f"only {num_free} of {total} cells are free"
-            yield Finding(REMARK, number, facts.first_place(number, free), text)
+    for level_number, (level, is_free) in enumerate(zip(facts.levels, facts.free, strict=True)):
+        is_floor = is_free | ~np.isnan(facts.floors[level_number])
+        num_floor_cells = np.count_nonzero(is_floor) if level.uses_cell_floors else is_free.size
+        num_free = np.count_nonzero(is_free)
+        if num_floor_cells >= MIN_CELLS and 0 < num_free < MIN_FREE_FRACTION * num_floor_cells:
+            text = f"only {num_free} of {num_floor_cells} cells are free"
+            yield Finding(REMARK, level_number, facts.first_place(level_number, is_free), text)
 
 
 def check_weights(facts: Facts) -> Iterator[Finding]:
     """Finds: cells whose weight contradicts their occupancy, or is NaN or negative."""
-    reach = facts.inflation_reach
-    for number, level in enumerate(facts.levels):
+    inflation_reach = facts.inflation_reach
+    for level_number, level in enumerate(facts.levels):
         weights = level.weights
-        occupied = level.occupancy != 0
-        free = facts.free[number]
+        is_occupied = level.occupancy != 0
+        is_free = facts.free[level_number]
         is_no_cost = np.isnan(weights) | (weights < 0)
-        yield from facts.error_on_cells(number, is_no_cost, "a weight that is no cost")
+        yield from facts.error_on_cells(level_number, is_no_cost, "a weight that is no cost")
         if "occupancy" not in level.attributes:
             continue
-        opened_by_inflation = (reach is not None) & (level.solid == 0)
-        free_but_occupied = free & occupied & ~opened_by_inflation
-        yield from facts.error_on_cells(number, free_but_occupied, "free by weight, but occupied")
-        blocked = ~free & ~is_no_cost & ~occupied
+        may_be_opened = (inflation_reach is not None) & (level.solid == 0)
+        is_free_but_occupied = is_free & is_occupied & ~may_be_opened
+        yield from facts.error_on_cells(
+            level_number, is_free_but_occupied, "free by weight, but occupied"
+        )
+        is_blocked = ~is_free & ~is_no_cost & ~is_occupied
         text = "blocked by weight, but not occupied"
-        if reach is not None and blocked.any():
-            blocked &= ~mark_cells_inflation_may_block(facts.grid, number, reach)
-            text += f", and nothing that an inflation avoids is within {reach:g} m"
-        yield from facts.error_on_cells(number, blocked, text)
+        if inflation_reach is not None and is_blocked.any():
+            is_blocked &= ~mark_cells_inflation_may_block(facts.grid, level_number, inflation_reach)
+            text += f", and nothing that an inflation avoids is within {inflation_reach:g} m"
+        yield from facts.error_on_cells(level_number, is_blocked, text)
 
 
-def mark_cells_inflation_may_block(grid: GridBase, number: int, max_distance: float) -> Bool:
+def mark_cells_inflation_may_block(grid: GridBase, level_number: int, max_distance: float) -> Bool:
     """Mark the cells of a level that an inflation may have blocked.
 
     A cell is marked if there is a reason in a square around it: an occupied cell, a cell without a
@@ -117,32 +119,32 @@ def mark_cells_inflation_may_block(grid: GridBase, number: int, max_distance: fl
 
     Args:
         grid: the grid.
-        number: the level's index.
+        level_number: the level's index.
         max_distance: how far from a cell's centre an inflation looks for reasons [m].
 
     Returns:
         A mask of the cells, shape (height, width).
     """
-    level = grid.levels[number]
+    level = grid.levels[level_number]
     floor = level.floor
     has_floor = ~np.isnan(floor)
     is_avoided = (level.occupancy != 0) | ~has_floor
     if has_floor.any():
-        lowest = floor[has_floor].min() - grid.agent_height
-        highest = floor[has_floor].max() + grid.agent_height
+        lowest_z = floor[has_floor].min() - grid.agent_height
+        highest_z = floor[has_floor].max() + grid.agent_height
         for neighbor in grid.levels:
             if neighbor is level:
                 continue
-            is_near = (neighbor.floor > lowest) & (neighbor.floor < highest)
+            is_near = (neighbor.floor > lowest_z) & (neighbor.floor < highest_z)
             positions = neighbor.lattice.positions(*np.nonzero(is_near))
             rows, cols = level.lattice.rows_cols(positions)
-            inside = level.lattice.holds(rows, cols)
-            is_avoided[rows[inside], cols[inside]] = True
+            is_inside = level.lattice.holds(rows, cols)
+            is_avoided[rows[is_inside], cols[is_inside]] = True
     num_cells = min(math.ceil(max_distance / level.lattice.cell_size) + 1, max(level.shape))
-    size = 2 * num_cells + 1
-    has_reason: Bool = maximum_filter(is_avoided, size, mode="constant", cval=True)
-    highest_near = maximum_filter(np.where(has_floor, floor, -np.inf), size)
-    lowest_near = minimum_filter(np.where(has_floor, floor, np.inf), size)
+    window_size = 2 * num_cells + 1
+    has_reason: Bool = maximum_filter(is_avoided, window_size, mode="constant", cval=True)
+    highest_near = maximum_filter(np.where(has_floor, floor, -np.inf), window_size)
+    lowest_near = minimum_filter(np.where(has_floor, floor, np.inf), window_size)
     with np.errstate(invalid="ignore"):  # where there is no floor
         has_reason |= highest_near - floor > grid.max_step
         has_reason |= floor - lowest_near > grid.max_step
@@ -161,32 +163,32 @@ def check_layers(facts: Facts) -> Iterator[Finding]:
     """Finds: stored `island` and `clearance` layers that differ from the computed ones."""
     if not facts.grid.navbake:
         return  # in files of other programs, these layers may mean anything
-    for number, level in enumerate(facts.levels):
-        stored_island = level.attributes.get("island")
-        if stored_island is not None:
-            wrong = stored_island != np.minimum(facts.islands[number], MAX_ISLAND_NUMBER)
+    for level_number, level in enumerate(facts.levels):
+        stored_islands = level.attributes.get("island")
+        if stored_islands is not None:
+            is_wrong = stored_islands != np.minimum(facts.islands[level_number], MAX_ISLAND_NUMBER)
             text = "a number in the layer `island` that isn't what is connected"
-            yield from facts.error_on_cells(number, wrong, text)
+            yield from facts.error_on_cells(level_number, is_wrong, text)
         stored_clearance = level.attributes.get("clearance")
         if stored_clearance is not None:
             # between the centres of cells, less half a cell; nothing outside the grid is free
-            padded = np.pad(level.free_for_point, 1)
-            num_cells = distance_transform_edt(padded)[1:-1, 1:-1] - 0.5
+            padded_mask = np.pad(level.free_for_point, 1)
+            num_cells = distance_transform_edt(padded_mask)[1:-1, 1:-1] - 0.5
             clearance = np.where(level.free, num_cells * level.lattice.cell_size, 0.0)
-            wrong = np.abs(stored_clearance * level.unit - clearance) > CLEARANCE_TOLERANCE
-            yield from facts.error_on_cells(number, wrong, "a wrong `clearance`")
+            is_wrong = np.abs(stored_clearance * level.unit - clearance) > CLEARANCE_TOLERANCE
+            yield from facts.error_on_cells(level_number, is_wrong, "a wrong `clearance`")
 
 
 def check_floors(facts: Facts) -> Iterator[Finding]:
     """Finds: free cells without a floor, or with one that is absurdly high or low."""
-    for number, level in enumerate(facts.levels):
+    for level_number, level in enumerate(facts.levels):
         if level.uses_cell_floors:
-            floor = facts.floors[number]
-            without_floor = facts.free[number] & np.isnan(floor)
-            yield from facts.error_on_cells(number, without_floor, "free without a floor")
+            floor = facts.floors[level_number]
+            is_without_floor = facts.free[level_number] & np.isnan(floor)
+            yield from facts.error_on_cells(level_number, is_without_floor, "free without a floor")
             is_far = np.abs(floor) > MAX_FLOOR_HEIGHT  # False for NaN
             text = f"farther than {MAX_FLOOR_HEIGHT:g} m from 0"
-            yield from facts.error_on_cells(number, is_far, text)
+            yield from facts.error_on_cells(level_number, is_far, text)
 
 
 class _Patch(NamedTuple):
@@ -208,15 +210,17 @@ def check_jumps(facts: Facts) -> Iterator[Finding]:
     for patch in patches[:MAX_PATCHES]:
         # the level that has most of it, and a cell in its middle
         cells_of_levels = [np.flatnonzero(island == patch.island) for island in facts.islands]
-        number = max(range(len(cells_of_levels)), key=lambda level: len(cells_of_levels[level]))
-        cells = cells_of_levels[number]
-        row, col = divmod(int(cells[len(cells) // 2]), facts.levels[number].width)
+        level_number = max(
+            range(len(cells_of_levels)), key=lambda level: len(cells_of_levels[level])
+        )
+        cells = cells_of_levels[level_number]
+        row, col = divmod(int(cells[len(cells) // 2]), facts.levels[level_number].width)
         severity = REMARK if patch.is_remark else ERROR
-        yield Finding(severity, number, facts.place(number, row, col), patch.text)
-    remaining = patches[MAX_PATCHES:]
-    if remaining:
-        severity = REMARK if remaining[0].is_remark else ERROR
-        text = f"{len(remaining)} more patches of floor jump"
+        yield Finding(severity, level_number, facts.place(level_number, row, col), patch.text)
+    unreported_patches = patches[MAX_PATCHES:]
+    if unreported_patches:
+        severity = REMARK if unreported_patches[0].is_remark else ERROR
+        text = f"{len(unreported_patches)} more patches of floor jump"
         yield Finding(severity, None, None, text)
 
 
@@ -227,48 +231,52 @@ def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
     if not isinstance(min_area, int | float):
         min_area = MIN_FLOOR_AREA
     islands = facts.islands
-    num_islands = max((int(island.max(initial=0)) for island in islands), default=0) + 1
+    num_islands = (
+        max((int(level_islands.max(initial=0)) for level_islands in islands), default=0) + 1
+    )
     num_cells = np.zeros(num_islands, dtype=np.int64)
     num_edges = np.zeros(num_islands, dtype=np.int64)  # cells' edges in each outline
-    jumps = {"above": _Jumps.none(num_islands), "below": _Jumps.none(num_islands)}
-    for number, island in enumerate(islands):
-        num_cells += np.bincount(island.ravel(), minlength=num_islands)
-        padded = np.pad(island, 1)  # beyond the edge is no island
-        for first, second in (ABOVE_AND_BELOW, LEFT_AND_RIGHT):
-            differs = padded[first] != padded[second]
-            num_edges += np.bincount(padded[first][differs], minlength=num_islands)
-            num_edges += np.bincount(padded[second][differs], minlength=num_islands)
+    jumps_by_direction = {"above": _Jumps.none(num_islands), "below": _Jumps.none(num_islands)}
+    for level_number, level_islands in enumerate(islands):
+        num_cells += np.bincount(level_islands.ravel(), minlength=num_islands)
+        padded_islands = np.pad(level_islands, 1)  # beyond the edge is no island
+        for first_slices, second_slices in (ABOVE_AND_BELOW, LEFT_AND_RIGHT):
+            differs = padded_islands[first_slices] != padded_islands[second_slices]
+            num_edges += np.bincount(padded_islands[first_slices][differs], minlength=num_islands)
+            num_edges += np.bincount(padded_islands[second_slices][differs], minlength=num_islands)
         # free neighbours are on two islands only where they lie more than a step apart
-        flat_island = island.ravel()
-        floor = facts.floors[number].ravel()
-        for cells, offset in pairs_across(island, 1):
+        flat_island = level_islands.ravel()
+        floor = facts.floors[level_number].ravel()
+        for cells, offset in find_differing_pairs(level_islands, 1):
             cells = cells[(flat_island[cells] > 0) & (flat_island[cells + offset] > 0)]
-            drop = floor[cells] - floor[cells + offset]
-            jumps["above"].add(flat_island[cells + offset], -drop)
-            jumps["below"].add(flat_island[cells + offset], drop)
-            jumps["above"].add(flat_island[cells], drop)
-            jumps["below"].add(flat_island[cells], -drop)
+            drops = floor[cells] - floor[cells + offset]
+            jumps_by_direction["above"].add(flat_island[cells + offset], -drops)
+            jumps_by_direction["below"].add(flat_island[cells + offset], drops)
+            jumps_by_direction["above"].add(flat_island[cells], drops)
+            jumps_by_direction["below"].add(flat_island[cells], -drops)
     num_cells[0] = 0
-    area = num_cells * facts.levels[0].lattice.cell_size ** 2
-    for direction, jump in jumps.items():
-        share = jump.num_edges / np.maximum(num_edges, 1)
-        share[0] = 0.0
-        for patch in np.flatnonzero(share >= MIN_JUMP_SHARE).tolist():
-            is_nearly_all = share[patch] >= NEARLY_ALL
-            height = jump.total[patch] / jump.num_edges[patch]
-            surroundings = "all" if is_nearly_all else "most of what is"
-            size = f"{area[patch]:.3g} m² of floor ({count_of(int(num_cells[patch]), 'cell')})"
-            text = f"{size} lies {height:.2f} m {direction} {surroundings} round it, and no step "
-            text += "leads there"
-            is_error = is_nearly_all and area[patch] < min_area
-            yield _Patch(not is_error, -area[patch], patch, text)
+    island_areas = num_cells * facts.levels[0].lattice.cell_size ** 2
+    for direction, island_jumps in jumps_by_direction.items():
+        jump_fraction = island_jumps.num_edges / np.maximum(num_edges, 1)
+        jump_fraction[0] = 0.0
+        for patch in np.flatnonzero(jump_fraction >= MIN_JUMP_SHARE).tolist():
+            is_nearly_all = jump_fraction[patch] >= ERROR_JUMP_SHARE
+            mean_height = island_jumps.total_height[patch] / island_jumps.num_edges[patch]
+            surroundings_text = "all" if is_nearly_all else "most of what is"
+            size_text = (
+                f"{island_areas[patch]:.3g} m² of floor ({count_of(int(num_cells[patch]), 'cell')})"
+            )
+            text = f"{size_text} lies {mean_height:.2f} m {direction} {surroundings_text} round it"
+            text += ", and no step leads there"
+            is_error = is_nearly_all and island_areas[patch] < min_area
+            yield _Patch(not is_error, -island_areas[patch], patch, text)
 
 
 class _Jumps(NamedTuple):
     """Jumps at the outlines of all islands, up or down; arrays are indexed by the island."""
 
     num_edges: Float  # number of cells' edges in the outline with a jump
-    total: Float  # sum of the heights of these jumps [m]
+    total_height: Float  # sum of the heights of these jumps [m]
 
     @classmethod
     def none(cls, num_islands: int) -> _Jumps:
@@ -284,12 +292,14 @@ class _Jumps(NamedTuple):
                 ignored.
         """
         is_jump = heights > 0
-        jumping = islands[is_jump]
-        self.num_edges[:] += np.bincount(jumping, minlength=len(self.num_edges))
-        self.total[:] += np.bincount(jumping, heights[is_jump], minlength=len(self.total))
+        jumping_islands = islands[is_jump]
+        self.num_edges[:] += np.bincount(jumping_islands, minlength=len(self.num_edges))
+        self.total_height[:] += np.bincount(
+            jumping_islands, heights[is_jump], minlength=len(self.total_height)
+        )
 
 
-def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
+def find_differing_pairs(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
     """Yield pairs of cells side by side, then pairs above each other, whose values differ.
 
     Args:
@@ -301,10 +311,10 @@ def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
         an id to get the pair's second cell.
     """
     width = values.shape[1]
-    differs_right = values[:, :-gap] != values[:, gap:]
-    differs_below = values[:-gap] != values[gap:]
-    for differs, offset in ((differs_right, gap), (differs_below, gap * width)):
-        rows, cols = np.nonzero(differs)  # few differ, so the caller's work on them is short
+    is_right_different = values[:, :-gap] != values[:, gap:]
+    is_below_different = values[:-gap] != values[gap:]
+    for is_different, offset in ((is_right_different, gap), (is_below_different, gap * width)):
+        rows, cols = np.nonzero(is_different)  # few differ, so the caller's work on them is short
         yield rows * width + cols, offset
 
 
@@ -327,51 +337,70 @@ def check_cut_off(facts: Facts) -> Iterator[Finding]:
     for gap in gaps[:MAX_GAPS]:
         level = facts.levels[gap.level]
         row, col = divmod(gap.cells[len(gap.cells) // 2], level.width)
-        width = len(gap.cells) * level.lattice.cell_size
-        text = f"a gap {width:.2f} m wide is blocked by one cell, and cuts off {gap.area:.1f} m²"
+        gap_width = len(gap.cells) * level.lattice.cell_size
+        text = (
+            f"a gap {gap_width:.2f} m wide is blocked by one cell, and cuts off {gap.area:.1f} m²"
+        )
         yield Finding(REMARK, gap.level, facts.place(gap.level, row, col), text)
 
 
 def _find_gaps(facts: Facts) -> Iterator[_Gap]:
     """Yield the gaps of at most `MAX_GAP_CELLS` blocked cells between two large islands."""
     islands = facts.open_islands
-    num_islands = max((int(island.max(initial=0)) for island in islands), default=0) + 1
+    num_islands = (
+        max((int(island_of_cell.max(initial=0)) for island_of_cell in islands), default=0) + 1
+    )
     if num_islands < 3:
         return
-    counts = [np.bincount(island.ravel(), minlength=num_islands) for island in islands]
-    area = np.sum(counts, axis=0) * facts.levels[0].lattice.cell_size ** 2
-    for number, level_islands in enumerate(islands):
-        occupied = facts.levels[number].occupancy.ravel() != 0
-        floor = facts.floors[number].ravel()
-        island = level_islands.ravel()
+    num_cells_of_levels = [
+        np.bincount(island_of_cell.ravel(), minlength=num_islands) for island_of_cell in islands
+    ]
+    island_areas = np.sum(num_cells_of_levels, axis=0) * facts.levels[0].lattice.cell_size ** 2
+    for level_number, level_islands in enumerate(islands):
+        is_occupied = facts.levels[level_number].occupancy.ravel() != 0
+        floor_heights = facts.floors[level_number].ravel()
+        island_of_cell = level_islands.ravel()
         cells_between: dict[tuple[int, ...], set[int]] = {}  # both islands -> cells
-        for cells, offset in pairs_across(level_islands, 2):
-            middle = cells + offset // 2
-            beyond = cells + offset
-            is_gap = (island[cells] > 0) & (island[middle] == 0) & (island[beyond] > 0)
-            is_gap &= ~np.isnan(floor[middle])
+        for cells, offset in find_differing_pairs(level_islands, 2):
+            middle_cells = cells + offset // 2
+            cells_beyond = cells + offset
+            is_gap = (
+                (island_of_cell[cells] > 0)
+                & (island_of_cell[middle_cells] == 0)
+                & (island_of_cell[cells_beyond] > 0)
+            )
+            is_gap &= ~np.isnan(floor_heights[middle_cells])
             with np.errstate(invalid="ignore"):
-                is_gap &= ~(np.abs(floor[cells] - floor[beyond]) > facts.step_limit)
-            pairs = np.sort(np.stack([island[cells], island[beyond]], axis=1)[is_gap], axis=1)
-            for pair, cell in zip(pairs.tolist(), middle[is_gap].tolist(), strict=True):
-                cells_between.setdefault(tuple(pair), set()).add(cell)
-        for pair, between in cells_between.items():
-            gap_cells = {cell for cell in between if not occupied[cell]} or between
-            smaller_area = min(area[list(pair)])
+                is_gap &= ~(
+                    np.abs(floor_heights[cells] - floor_heights[cells_beyond]) > facts.step_limit
+                )
+            island_pairs = np.sort(
+                np.stack([island_of_cell[cells], island_of_cell[cells_beyond]], axis=1)[is_gap],
+                axis=1,
+            )
+            for island_pair, cell in zip(
+                island_pairs.tolist(), middle_cells[is_gap].tolist(), strict=True
+            ):
+                cells_between.setdefault(tuple(island_pair), set()).add(cell)
+        for island_pair, blocked_cells in cells_between.items():
+            gap_cells = {cell for cell in blocked_cells if not is_occupied[cell]} or blocked_cells
+            smaller_area = min(island_areas[list(island_pair)])
             if len(gap_cells) <= MAX_GAP_CELLS and smaller_area >= MIN_CUT_OFF_AREA:
-                yield _Gap(smaller_area, number, sorted(gap_cells))
+                yield _Gap(smaller_area, level_number, sorted(gap_cells))
 
 
 def check_unreached_levels(facts: Facts) -> Iterator[Finding]:
     """Finds: levels that no steps connect with the level that has the most free cells."""
     num_levels = len(facts.levels)
-    num_free = [int(free.sum()) for free in facts.free]
+    num_free = [int(is_free.sum()) for is_free in facts.free]
     linked_levels = tuple(facts.links[:, ::2].T)
-    ones = np.ones(len(facts.links))
-    graph = coo_array((ones, linked_levels), (num_levels, num_levels))
-    _, group = connected_components(graph, directed=False)
-    for number in np.flatnonzero(group != group[np.argmax(num_free)]).tolist():
-        if num_free[number]:  # else `check_empty_levels` reports it
-            area = num_free[number] * facts.levels[number].lattice.cell_size ** 2
-            place = facts.first_place(number, facts.free[number])
-            yield Finding(REMARK, number, place, f"no link leads to its {area:.1f} m²")
+    edge_values = np.ones(len(facts.links))
+    graph = coo_array((edge_values, linked_levels), (num_levels, num_levels))
+    _, group_of_level = connected_components(graph, directed=False)
+    for level_number in np.flatnonzero(
+        group_of_level != group_of_level[np.argmax(num_free)]
+    ).tolist():
+        if num_free[level_number]:  # else `check_empty_levels` reports it
+            area = num_free[level_number] * facts.levels[level_number].lattice.cell_size ** 2
+            place = facts.first_place(level_number, facts.free[level_number])
+            yield Finding(REMARK, level_number, place, f"no link leads to its {area:.1f} m²")

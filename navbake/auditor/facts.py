@@ -94,7 +94,7 @@ class AuditReport:
 
 
 def number_islands(
-    masks: list[Bool],
+    masks_of_levels: list[Bool],
     floors: list[Float],
     step_limit: float,
     links: Int,
@@ -106,7 +106,7 @@ def number_islands(
     lie more than a step apart.
 
     Args:
-        masks: the marked cells of each level, shape (height, width).
+        masks_of_levels: the marked cells of each level, shape (height, width).
         floors: the floor of each cell of each level, shape (height, width) [m]; NaN for none.
         step_limit: how far the floors of connected neighbours may lie apart [m].
         links: links that connect both ways: level and cell of both ends, shape (n, 4).
@@ -117,53 +117,69 @@ def number_islands(
         The island of each cell of each level, numbered from 1 by descending size; 0 for unmarked
         cells. Among islands of equal size, the one with the lowest level and cell id comes first.
     """
-    labels = list[Int32]()
+    labels_of_levels = list[Int32]()
     num_labels = 1
-    for mask, floor in zip(masks, floors, strict=True):
-        level_labels, count = _label_walkable(mask, floor, step_limit)
-        level_labels[mask] += num_labels - 1
-        labels.append(level_labels)
-        num_labels += count
+    for is_marked, floor in zip(masks_of_levels, floors, strict=True):
+        level_labels, num_level_labels = _label_walkable(is_marked, floor, step_limit)
+        level_labels[is_marked] += num_labels - 1
+        labels_of_levels.append(level_labels)
+        num_labels += num_level_labels
     connections = [links, links[:, [2, 3, 0, 1]]]
     if one_way_links is not None:
         connections.append(one_way_links)
     level_cells = np.concatenate(connections).T
-    ends = np.zeros((2, level_cells.shape[1]), dtype=np.int64)
-    for end, (level, cell) in zip(ends, (level_cells[:2], level_cells[2:]), strict=True):
-        for number, level_labels in enumerate(labels):
-            on_level = level == number
-            end[on_level] = level_labels.ravel()[cell[on_level]]
-    ends = ends[:, (ends > 0).all(axis=0)]  # a blocked end connects nothing
-    graph = coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(num_labels, num_labels))
-    num_groups, group = connected_components(graph, connection="strong")
+    labels_of_ends = np.zeros((2, level_cells.shape[1]), dtype=np.int64)
+    for end_labels, (level_of_end, cell_ids) in zip(
+        labels_of_ends, (level_cells[:2], level_cells[2:]), strict=True
+    ):
+        for level_number, level_labels in enumerate(labels_of_levels):
+            is_on_level = level_of_end == level_number
+            end_labels[is_on_level] = level_labels.ravel()[cell_ids[is_on_level]]
+    labels_of_ends = labels_of_ends[
+        :, (labels_of_ends > 0).all(axis=0)
+    ]  # a blocked end connects nothing
+    graph = coo_array(
+        (np.ones(labels_of_ends.shape[1]), tuple(labels_of_ends)), shape=(num_labels, num_labels)
+    )
+    num_groups, group_of_label = connected_components(graph, connection="strong")
     # groups are numbered by their first labels
-    first_label = np.unique(group, return_index=True)[1]
-    group = np.argsort(np.argsort(first_label))[group]
-    sizes = [np.bincount(group[part.ravel()], minlength=num_groups) for part in labels]
-    size = np.sum(sizes, axis=0)
-    island = np.zeros(num_groups, dtype=np.int32)  # group 0, the unmarked cells, stays 0
-    island[1 + np.argsort(-size[1:], kind="stable")] = np.arange(1, num_groups)
-    return [island[group][level_labels] for level_labels in labels]
+    first_label = np.unique(group_of_label, return_index=True)[1]
+    group_of_label = np.argsort(np.argsort(first_label))[group_of_label]
+    group_sizes_of_levels = [
+        np.bincount(group_of_label[part.ravel()], minlength=num_groups) for part in labels_of_levels
+    ]
+    group_sizes = np.sum(group_sizes_of_levels, axis=0)
+    island_of_group = np.zeros(num_groups, dtype=np.int32)  # group 0, the unmarked cells, stays 0
+    island_of_group[1 + np.argsort(-group_sizes[1:], kind="stable")] = np.arange(1, num_groups)
+    return [island_of_group[group_of_label][level_labels] for level_labels in labels_of_levels]
 
 
-def _label_walkable(mask: Bool, floor: Float, step_limit: float) -> tuple[Int32, int]:
-    """Label a level's marked cells by what steps connect; return the labels and their count."""
-    pairs = []  # masks: a cell and its lower neighbour, or its right one, are both marked
-    is_step = []  # masks: the floors of both are at most a step apart
-    for cells, neighbors in (ABOVE_AND_BELOW, LEFT_AND_RIGHT):
-        pairs.append(mask[cells] & mask[neighbors])
+def _label_walkable(is_marked: Bool, floor: Float, step_limit: float) -> tuple[Int32, int]:
+    """Label the connected components of a level's marked cells; return the labels and their number.
+
+    Cells that share an edge are connected unless their floors lie more than a step apart.
+    """
+    are_both_marked = []  # masks: a cell and its lower neighbour, or its right one, are both marked
+    is_within_step = []  # masks: the floors of both are at most a step apart
+    for cell_slices, neighbor_slices in (ABOVE_AND_BELOW, LEFT_AND_RIGHT):
+        are_both_marked.append(is_marked[cell_slices] & is_marked[neighbor_slices])
         with np.errstate(invalid="ignore"):  # another check reports infinite floors
-            is_step.append(~(np.abs(floor[cells] - floor[neighbors]) > step_limit))
-    if all((step | ~pair).all() for pair, step in zip(pairs, is_step, strict=True)):
-        labels, count = label(mask, output=np.int32)
-        return np.ascontiguousarray(labels), count
+            is_within_step.append(
+                ~(np.abs(floor[cell_slices] - floor[neighbor_slices]) > step_limit)
+            )
+    if all(
+        (within_step | ~both_marked).all()
+        for both_marked, within_step in zip(are_both_marked, is_within_step, strict=True)
+    ):
+        labels, num_labels = label(is_marked, output=np.int32)
+        return np.ascontiguousarray(labels), num_labels
     # an array with an entry for each cell, and one between neighbours for the passage between them
-    passages = np.zeros(2 * np.array(mask.shape) - 1, dtype=np.bool_)
-    passages[::2, ::2] = mask
-    passages[1::2, ::2] = pairs[0] & is_step[0]
-    passages[::2, 1::2] = pairs[1] & is_step[1]
-    labels, count = label(passages, output=np.int32)
-    return np.ascontiguousarray(labels[::2, ::2]), count
+    is_passage = np.zeros(2 * np.array(is_marked.shape) - 1, dtype=np.bool_)
+    is_passage[::2, ::2] = is_marked
+    is_passage[1::2, ::2] = are_both_marked[0] & is_within_step[0]
+    is_passage[::2, 1::2] = are_both_marked[1] & is_within_step[1]
+    labels, num_labels = label(is_passage, output=np.int32)
+    return np.ascontiguousarray(labels[::2, ::2]), num_labels
 
 
 def read_inflations(grid: GridBase) -> tuple[list[Json], str | None]:
@@ -181,22 +197,29 @@ def read_inflations(grid: GridBase) -> tuple[list[Json], str | None]:
         return [], f"`inflation` is {entries!r}, expected a list of what was done"
     inflations = list[Json]()
     problem = None
-    for number, entry in enumerate(entries):
-        has_mode = isinstance(entry, dict) and entry.get("mode") in INFLATION_MODES
-        fields = entry if has_mode else {}
-        lengths = {"radius": fields.get("radius"), "clearance": fields.get("clearance", 0)}
+    for index, inflation_entry in enumerate(entries):
+        has_mode = (
+            isinstance(inflation_entry, dict) and inflation_entry.get("mode") in INFLATION_MODES
+        )
+        entry_fields = inflation_entry if has_mode else {}
+        lengths = {
+            "radius": entry_fields.get("radius"),
+            "clearance": entry_fields.get("clearance", 0),
+        }
         if all(is_within(length, 0, MAX_INFLATION) for length in lengths.values()):
-            inflations.append({"mode": fields["mode"], **lengths})
+            inflations.append({"mode": entry_fields["mode"], **lengths})
         elif problem is None:
-            problem = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
+            problem = (
+                f"`inflation[{index}]` is {inflation_entry!r}, expected its radius [m] and mode"
+            )
     return inflations, problem
 
 
-def is_within(value: object, least: float, most: float) -> bool:
-    """Return whether a value is a number from `least` to `most`; a bool is no number."""
+def is_within(value: object, minimum: float, maximum: float) -> bool:
+    """Return whether a value is a number from `minimum` to `maximum`; a bool is no number."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
-    return least <= value <= most
+    return minimum <= value <= maximum
 
 
 def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
@@ -207,17 +230,17 @@ def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
         the agent's step is at least as high as the agent. Empty if nothing is wrong.
     """
     problems = {}
-    for key, least, expected in (
+    for key, minimum, expected in (
         ("agentHeight", math.ulp(0.0), "> 0"),
         ("agentRadius", 0.0, ">= 0"),
         ("traversableFloorHeight", 0.0, ">= 0"),
     ):
         length = grid.metadata.get(key)
-        if length is not None and not is_within(length, least, MAX_COORDINATE / grid.unit):
+        if length is not None and not is_within(length, minimum, MAX_COORDINATE / grid.unit):
             problems[key] = f"`{key}` is {shorten(repr(length))}, which is no length {expected}"
     if not problems and grid.max_step >= grid.agent_height:
-        steps = f"takes steps of {grid.max_step:g} m"
-        problems["step"] = f"the agent of {grid.agent_height:g} m {steps}"
+        steps_text = f"takes steps of {grid.max_step:g} m"
+        problems["step"] = f"the agent of {grid.agent_height:g} m {steps_text}"
     return problems
 
 
@@ -263,29 +286,33 @@ class Facts:
         self.forbidden_areas: list[int] = []
         with suppress(FormatError):
             self.forbidden_areas = [
-                number for number, area in enumerate(self.grid.areas, 1) if area.bars(None)
+                area_number
+                for area_number, area in enumerate(self.grid.areas, 1)
+                if area.bars(None)
             ]
 
     def _list_passages(self) -> Int:
         """List the `passages`: each pair of stops that an open link leads between."""
         passages = []
         for link in self.grid.links:
-            width = link.width or np.inf
-            if link.state != "open" or width + STEP_SLACK < 2 * self.grid.radius:
+            max_diameter = link.width or np.inf
+            if link.state != "open" or max_diameter + STEP_SLACK < 2 * self.grid.radius:
                 continue
-            for start, end in permutations(range(len(link.stops)), 2):
-                if link.one_way and end < start:
+            for start_index, end_index in permutations(range(len(link.stops)), 2):
+                if link.one_way and end_index < start_index:
                     continue
-                first = link.stops[start]
-                last = link.stops[end]
-                passages.append((first.level, first.cell, last.level, last.cell))
+                first_stop = link.stops[start_index]
+                last_stop = link.stops[end_index]
+                passages.append(
+                    (first_stop.level, first_stop.cell, last_stop.level, last_stop.cell)
+                )
         return np.array(passages, dtype=np.int64).reshape(-1, 4)
 
     @cached_property
     def step_limit(self) -> float:
         """Largest height difference of connected floors [m]: a step, plus float32 rounding."""
-        highest = max(float(np.nanmax(np.abs(floor), initial=0)) for floor in self.floors)
-        rounding = float(np.spacing(np.float32(min(highest, MAX_COORDINATE))))
+        highest_floor = max(float(np.nanmax(np.abs(floor), initial=0)) for floor in self.floors)
+        rounding = float(np.spacing(np.float32(min(highest_floor, MAX_COORDINATE))))
         return self.grid.max_step + STEP_SLACK + rounding
 
     @cached_property
@@ -295,8 +322,10 @@ class Facts:
         That is the largest sum of an inflation's radius and clearance; None without an inflation.
         """
         inflations, _ = read_inflations(self.grid)
-        reaches = [float(entry["radius"] + entry["clearance"]) for entry in inflations]
-        return max(reaches, default=None)
+        reach_of_inflations = [
+            float(inflation["radius"] + inflation["clearance"]) for inflation in inflations
+        ]
+        return max(reach_of_inflations, default=None)
 
     def cells_of(self, doors: list[tuple[Door, str]]) -> list[Bool]:
         """Return for each level a mask of the cells that doors block in the given states."""
@@ -309,9 +338,14 @@ class Facts:
     @cached_property
     def passable(self) -> list[Bool]:
         """For each level, a mask of the cells that are free or that a door blocks in any state."""
-        all_states = [(door, state) for door in self.doors for state in door.cells]
+        all_states = [
+            (is_door_cell, state) for is_door_cell in self.doors for state in is_door_cell.cells
+        ]
         door_cells = self.cells_of(all_states)
-        return [free | door for free, door in zip(self.free, door_cells, strict=True)]
+        return [
+            is_free | is_door_cell
+            for is_free, is_door_cell in zip(self.free, door_cells, strict=True)
+        ]
 
     @cached_property
     def islands(self) -> list[Int32]:
@@ -337,35 +371,37 @@ class Facts:
             ]
         return number_islands(masks, self.floors, self.step_limit, self.links, self.passages)
 
-    def place(self, number: int, row: int, col: int) -> Vector3:
+    def place(self, level_number: int, row: int, col: int) -> Vector3:
         """Return world x, y, z of a cell [m]; z is its floor, or the level's ground without one."""
-        level = self.levels[number]
+        level = self.levels[level_number]
         x, y = level.lattice.positions(row, col).tolist()
-        z = float(self.floors[number][row, col])
+        z = float(self.floors[level_number][row, col])
         return x, y, z if np.isfinite(z) else level.ground
 
-    def first_place(self, number: int, mask: Bool) -> Vector3:
+    def first_place(self, level_number: int, is_marked: Bool) -> Vector3:
         """Return the position of the first marked cell of a level, world x, y and z [m]."""
-        row, col = np.unravel_index(int(np.argmax(mask)), mask.shape)
-        return self.place(number, int(row), int(col))
+        row, col = np.unravel_index(int(np.argmax(is_marked)), is_marked.shape)
+        return self.place(level_number, int(row), int(col))
 
-    def error_on_cells(self, number: int, mask: Bool, predicate: str) -> Iterator[Finding]:
+    def error_on_cells(
+        self, level_number: int, is_wrong: Bool, predicate: str
+    ) -> Iterator[Finding]:
         """Yield one error about all marked cells of a level; nothing if none is marked.
 
         The error is located at the first marked cell.
 
         Args:
-            number: the level's index.
-            mask: the wrong cells, shape (height, width).
+            level_number: the level's index.
+            is_wrong: the wrong cells, shape (height, width).
             predicate: what is wrong, such as ``free by weight``. The message puts "3 cells are"
                 before it, or "3 cells have" if it begins with the article "a".
         """
-        count = int(np.count_nonzero(mask))
-        if not count:
+        num_wrong = int(np.count_nonzero(is_wrong))
+        if not num_wrong:
             return
         if predicate.startswith("a "):
-            verb = "has" if count == 1 else "have"
+            verb = "has" if num_wrong == 1 else "have"
         else:
-            verb = "is" if count == 1 else "are"
-        text = f"{count_of(count, 'cell')} {verb} {predicate}"
-        yield Finding(ERROR, number, self.first_place(number, mask), text)
+            verb = "is" if num_wrong == 1 else "are"
+        text = f"{count_of(num_wrong, 'cell')} {verb} {predicate}"
+        yield Finding(ERROR, level_number, self.first_place(level_number, is_wrong), text)

@@ -18,7 +18,7 @@ from navbake.auditor.facts import ERROR, REMARK, AuditReport, Facts, Finding, Re
 from navbake.errors import count_of
 from navbake.formats.route_files import read_routes
 from navbake.navgrid.grid import NavGrid
-from navbake.routes.graph import FLOOR, Lane, RouteGraph, directed
+from navbake.routes.graph import FLOOR, Lane, RouteGraph, split_two_way_lanes
 from navbake.types import Bool, Float, Vector3
 
 MIN_ISLAND_AREA = 4.0  # larger islands need a node [m²]
@@ -54,7 +54,11 @@ def audit_routes(
         "dead ends": check_dead_ends(graph),
         "islands": check_islands(graph, facts),
     }
-    remarks = [Remark(name, *finding) for name, found in findings.items() for finding in found]
+    remarks = [
+        Remark(check_name, *finding)
+        for check_name, check_findings in findings.items()
+        for finding in check_findings
+    ]
     remarks.sort(key=lambda remark: remark.severity != ERROR)
     return AuditReport(graph.scene_id, remarks, list(findings))
 
@@ -116,60 +120,64 @@ def measure_lane_clearance(
     end = graph.nodes[lane.end]
     level = facts.levels[start.level]
     lattice = level.lattice
-    ends = np.array([start.position, end.position])
+    lane_ends = np.array([start.position, end.position])
     margin = radius + lattice.cell_size
-    lower_left = ends.min(axis=0)[:2] - margin
-    upper_right = ends.max(axis=0)[:2] + margin
-    (bottom, top), (left, right) = lattice.rows_cols(np.array([lower_left, upper_right]))
-    first_row = max(int(top), 0)
-    first_col = max(int(left), 0)
-    window = level.solid[first_row : int(bottom) + 1, first_col : int(right) + 1]
-    rows, cols = np.nonzero(window)
+    lower_left = lane_ends.min(axis=0)[:2] - margin
+    upper_right = lane_ends.max(axis=0)[:2] + margin
+    (bottom_row, top_row), (left_col, right_col) = lattice.rows_cols(
+        np.array([lower_left, upper_right])
+    )
+    first_row = max(int(top_row), 0)
+    first_col = max(int(left_col), 0)
+    is_solid_window = level.solid[first_row : int(bottom_row) + 1, first_col : int(right_col) + 1]
+    rows, cols = np.nonzero(is_solid_window)
     centers = lattice.positions(rows + first_row, cols + first_col)
-    centers = centers[~_has_free_cell_of_other_level(facts, start.level, centers, ends[:, 2])]
+    centers = centers[~_mark_free_on_other_level(facts, start.level, centers, lane_ends[:, 2])]
     if not len(centers):
         return math.inf, start.position
-    distance = measure_distances_to_squares(ends[:, :2], centers, lattice.cell_size / 2)
-    nearest = int(np.argmin(distance))
-    x, y = centers[nearest].tolist()
-    clearance = float(distance[nearest]) if distance[nearest] < radius else math.inf
+    distances = measure_distances_to_squares(lane_ends[:, :2], centers, lattice.cell_size / 2)
+    nearest_index = int(np.argmin(distances))
+    x, y = centers[nearest_index].tolist()
+    clearance = float(distances[nearest_index]) if distances[nearest_index] < radius else math.inf
     return clearance, (x, y, start.position[2])
 
 
-def _has_free_cell_of_other_level(facts: Facts, number: int, positions: Float, z: Float) -> Bool:
+def _mark_free_on_other_level(facts: Facts, lane_level: int, positions: Float, z: Float) -> Bool:
     """Mark positions at which another level has a free cell near the heights of a lane.
 
     Args:
         facts: the facts about the grid.
-        number: the index of the lane's level.
+        lane_level: the index of the lane's level.
         positions: world x, y, shape (n, 2) [m].
         z: the heights of the lane's two ends, shape (2,) [m].
 
     Returns:
         A mask of the positions, shape (n,).
     """
-    is_over = np.zeros(len(positions), dtype=np.bool_)
-    for other_number, level in enumerate(facts.levels):
+    has_free_cell = np.zeros(len(positions), dtype=np.bool_)
+    for level_number, level in enumerate(facts.levels):
         row, col = level.lattice.rows_cols(positions)
-        inside = level.lattice.holds(row, col)
-        if other_number == number or not inside.any():
+        is_inside = level.lattice.holds(row, col)
+        if level_number == lane_level or not is_inside.any():
             continue
-        row = row[inside]
-        col = col[inside]
-        floor = facts.floors[other_number][row, col]
-        height = facts.grid.agent_height
-        is_near = (floor > z.min() - height) & (floor < z.max() + height)  # False for NaN
-        is_over[inside] |= is_near & level.free_for_point[row, col]
-    return is_over
+        row = row[is_inside]
+        col = col[is_inside]
+        floor = facts.floors[level_number][row, col]
+        agent_height = facts.grid.agent_height
+        is_near = (floor > z.min() - agent_height) & (
+            floor < z.max() + agent_height
+        )  # False for NaN
+        has_free_cell[is_inside] |= is_near & level.free_for_point[row, col]
+    return has_free_cell
 
 
-def measure_distances_to_squares(ends: Float, centers: Float, half: float) -> Float:
+def measure_distances_to_squares(ends: Float, centers: Float, half_edge: float) -> Float:
     """Return the distances from a line segment to axis-aligned squares.
 
     Args:
         ends: the ends of the segment, shape (2, 2) [m].
         centers: the centres of the squares, shape (n, 2) [m].
-        half: half of a square's edge [m].
+        half_edge: half of a square's edge [m].
 
     Returns:
         Distances, shape (n,) [m]; 0 where the segment enters the square.
@@ -177,28 +185,28 @@ def measure_distances_to_squares(ends: Float, centers: Float, half: float) -> Fl
     start = ends[0]
     direction = ends[1] - ends[0]
     # the shares of the segment at which it enters and leaves each square's strips along x and y
-    inner_half = half - TOUCH_SLACK
+    inner_half = half_edge - TOUCH_SLACK
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = np.sort(
             [(centers + side - start) / direction for side in (-inner_half, inner_half)], axis=0
         )
     # a segment along an axis is in a strip of the other axis always or never
-    in_strip = np.abs(centers - start) < inner_half
-    always_in = np.where(in_strip, -np.inf, np.inf)
-    enters = np.where(direction == 0, always_in, crossings[0]).max(axis=1)
-    leaves = np.where(direction == 0, -always_in, crossings[1]).min(axis=1)
-    meets = np.maximum(enters, 0.0) <= np.minimum(leaves, 1.0)
+    is_in_strip = np.abs(centers - start) < inner_half
+    enters_always = np.where(is_in_strip, -np.inf, np.inf)
+    entry_fractions = np.where(direction == 0, enters_always, crossings[0]).max(axis=1)
+    exit_fractions = np.where(direction == 0, -enters_always, crossings[1]).min(axis=1)
+    is_met = np.maximum(entry_fractions, 0.0) <= np.minimum(exit_fractions, 1.0)
     # otherwise, the shortest distance is from an end to the square, or from a corner to the segment
     distances = []
     for end in ends:
-        outside = np.maximum(np.abs(centers - end) - half, 0.0)
-        distances.append(np.linalg.norm(outside, axis=1))
-    for corner in half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]):
+        offsets = np.maximum(np.abs(centers - end) - half_edge, 0.0)
+        distances.append(np.linalg.norm(offsets, axis=1))
+    for corner in half_edge * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]):
         to_corner = centers + corner - start
-        share = to_corner @ direction / max(float(direction @ direction), 1e-300)
-        nearest = np.clip(share, 0.0, 1.0)[:, None] * direction
-        distances.append(np.linalg.norm(to_corner - nearest, axis=1))
-    return np.where(meets, 0.0, np.min(distances, axis=0))
+        fractions = to_corner @ direction / max(float(direction @ direction), 1e-300)
+        nearest_points = np.clip(fractions, 0.0, 1.0)[:, None] * direction
+        distances.append(np.linalg.norm(to_corner - nearest_points, axis=1))
+    return np.where(is_met, 0.0, np.min(distances, axis=0))
 
 
 def check_components(graph: RouteGraph) -> Iterator[Finding]:
@@ -207,19 +215,23 @@ def check_components(graph: RouteGraph) -> Iterator[Finding]:
         yield Finding(ERROR, None, None, "the graph has no nodes")
         return
     num_nodes = len(graph.nodes)
-    ends = np.array([(lane.start, lane.end) for lane in directed(graph.lanes)]).reshape(-1, 2)
-    matrix = csr_array((np.ones(len(ends)), tuple(ends.T)), shape=(num_nodes, num_nodes))
-    _, component = connected_components(matrix, directed=False)
-    sizes = np.bincount(component)
+    lane_ends = np.array(
+        [(lane.start, lane.end) for lane in split_two_way_lanes(graph.lanes)]
+    ).reshape(-1, 2)
+    adjacency = csr_array(
+        (np.ones(len(lane_ends)), tuple(lane_ends.T)), shape=(num_nodes, num_nodes)
+    )
+    _, component = connected_components(adjacency, directed=False)
+    component_sizes = np.bincount(component)
     _, first_nodes = np.unique(component, return_index=True)
-    for number in np.argsort(-sizes, kind="stable")[1:].tolist():
-        node = graph.nodes[int(first_nodes[number])]
-        nodes = count_of(int(sizes[number]), "node")
-        text = f"no lane joins {nodes}, {node.name!r} first, with most others"
+    for component_number in np.argsort(-component_sizes, kind="stable")[1:].tolist():
+        node = graph.nodes[int(first_nodes[component_number])]
+        node_count_text = count_of(int(component_sizes[component_number]), "node")
+        text = f"no lane joins {node_count_text}, {node.name!r} first, with most others"
         yield Finding(REMARK, node.level, node.position, text)
-    _, group = connected_components(matrix, connection="strong")
+    _, strong_component = connected_components(adjacency, connection="strong")
     for lane in graph.lanes:
-        if group[lane.start] != group[lane.end]:
+        if strong_component[lane.start] != strong_component[lane.end]:
             start = graph.nodes[lane.start]
             end = graph.nodes[lane.end]
             text = f"no lanes lead back from {end.name!r} to {start.name!r}"
@@ -239,8 +251,8 @@ def check_dead_ends(graph: RouteGraph) -> Iterator[Finding]:
     ]
     if dead_ends:
         names = ", ".join(repr(node.name) for node in dead_ends[:MAX_NAMES])
-        more = ", …" if len(dead_ends) > MAX_NAMES else ""
-        text = f"{count_of(len(dead_ends), 'dead end')}: {names}{more}"
+        ellipsis = ", …" if len(dead_ends) > MAX_NAMES else ""
+        text = f"{count_of(len(dead_ends), 'dead end')}: {names}{ellipsis}"
         yield Finding(REMARK, dead_ends[0].level, dead_ends[0].position, text)
 
 

@@ -241,7 +241,7 @@ def encode_rows(rows: Iterable[SceneRow]) -> bytes:
 
 
 def _schema(pyarrow: ModuleType) -> object:
-    """Return the pyarrow.Schema: names and types of the columns, in the order of docs/batch.md."""
+    """Return the pyarrow.Schema of the index: names and types of its columns, in their order."""
     text_type = pyarrow.string()
     texts_type = pyarrow.list_(pyarrow.string())
     number_type = pyarrow.float64()

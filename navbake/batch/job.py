@@ -65,7 +65,7 @@ RECORD_ONLY_KEYS = ("more", "content", "settings", "products")  # keys of a reco
 
 
 class Plan(NamedTuple):
-    """The options of a batch."""
+    """The options of a batch: where it writes, and what it makes of each scene, how."""
 
     folder: store.Folder  #: The output folder, a Path or a URL.
     settings: Json  #: The settings that all scenes share, by section.
@@ -212,10 +212,10 @@ def _digest_json(json_object: Json) -> str:
 class Inspection(NamedTuple):
     """The input files and digests of a scene; they are found without a bake."""
 
-    inputs: dict[str, FileState]  #: As in `BatchScene`.
-    key: str  #: As in `BatchScene`.
-    content_digest: str  #: As in `BatchScene`.
-    settings_digest: str  #: As in `BatchScene`.
+    inputs: dict[str, FileState]  #: Name of each input file -> its state, as in `BatchScene`.
+    key: str  #: Digest that changes when the grid or a product may change.
+    content_digest: str  #: Digest that scenes with the same cells have in common.
+    settings_digest: str  #: Digest of the settings.
     error: str = ""  #: Why the scene can't be read; the other values are empty then.
 
 

@@ -57,6 +57,6 @@ class SceneRecord(SceneRow, total=False):
     """The record of a finished scene, in its folder: its row, and keys that the index lacks."""
 
     more: list[str]  # names of files in the folder that aren't in `files`, such as the thumbnail
-    content: str  # see `job.BatchScene.content_digest`
-    settings: str  # see `job.BatchScene.settings_digest`
-    products: list[str]  # the batch's products, see `products.parse_products`
+    content: str  # digest that scenes with the same cells have in common
+    settings: str  # digest of the scene's settings
+    products: list[str]  # what the batch made besides the grid, such as ``report``

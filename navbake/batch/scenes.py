@@ -19,7 +19,7 @@ from navbake import samples
 from navbake.batch import store
 from navbake.batch.products import PRODUCT_FILE_PATTERN
 from navbake.config.field_types import find_unknown_key, show_value
-from navbake.config.keywords import merge
+from navbake.config.keywords import overlay_settings
 from navbake.config.settings import SECTIONS, BakeConfig, is_settings, parse_config
 from navbake.errors import ConfigError, shorten
 from navbake.files import can_be_path
@@ -44,7 +44,7 @@ EXPECTED_SCENE = "expected a scene, settings, a list or a pattern, got"
 
 
 class Job(NamedTuple):
-    """One scene of a batch."""
+    """One scene that a batch bakes: where it is, and its own settings."""
 
     #: Unique in the batch; also the scene's folder in the output folder, maybe with slashes. Empty
     #: while `list_jobs` hasn't yet given it one.
@@ -108,7 +108,9 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_ROW_COLUMN
     for scene_id, job in zip(_choose_ids(named_jobs), named_jobs, strict=True):
         check_id(scene_id, job.place)
         job_settings = (
-            merge(job.settings, make_id_settings(scene_id), job.place) if job.id else job.settings
+            overlay_settings(job.settings, make_id_settings(scene_id), job.place)
+            if job.id
+            else job.settings
         )
         jobs.append(job._replace(id=scene_id, settings=job_settings))
     job_of_folded_id: dict[str, Job] = {}  # by the id as file systems compare it
@@ -531,7 +533,7 @@ def merge_settings(
         outlines_path = outlines_path and store.join(folder, outlines_path)
     settings = dict(make_id_settings(job.id))
     for overriding_settings in (shared_settings, scene_settings, job.settings):
-        settings = merge(settings, overriding_settings, place)
+        settings = overlay_settings(settings, overriding_settings, place)
     settings = _replace_paths(settings, lambda name: str(fetch(name)))
     if outlines_path:  # quoted as in JSON, any path is valid YAML
         quoted_path = json.dumps(str(fetch(outlines_path)), ensure_ascii=False)
@@ -566,7 +568,7 @@ def nest_settings(
             raise ConfigError(message) from error
         for section in reversed(key_parts):
             value = {section: value}
-        nested_settings = merge(nested_settings, value, place)
+        nested_settings = overlay_settings(nested_settings, value, place)
 
     def resolve_path(name: str) -> str:
         path = store.join(folder, name)

@@ -71,7 +71,7 @@ class JobLimits(NamedTuple):
 
 
 class JobEnd(NamedTuple):
-    """How a job ended, or one attempt at it."""
+    """The end of a job, or of one attempt at it: whether it was done, and what came of it."""
 
     number: int  #: The job's index in the sequence of jobs.
     how: str  #: ``done``, ``crashed``, ``too long`` or ``too large``; empty if it has just begun.
@@ -305,7 +305,8 @@ def _set_up_worker(
     Args:
         parent_pid: the parent's process id; the worker ends when the parent ends.
         folder: gets the worker's temporary files, and its stderr in a file named by its process id.
-        memory: the limit of memory, see `JobLimits` [GiB]; None for none.
+        memory: how much memory the worker may take beyond what it has at its start [GiB]; None for
+            no limit.
         prepare: is called before the limit is set; may be None.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -435,7 +436,8 @@ def _check_and_enter_node(folder: str, probe_path: str | None, version: str) -> 
 
     Args:
         folder: the folder, absolute.
-        probe_path: a file that the node must see, see `run_on_ray`.
+        probe_path: a file in the output folder; a node that doesn't see it doesn't share the
+            folder. None for no such check.
         version: navbake's version where the batch was started.
 
     Raises:
@@ -495,7 +497,8 @@ def _ray_connection(address: str | None, num_cpus: int) -> Iterator[Any]:
     If this process has a connection already, it is used, and stays open.
 
     Args:
-        address: see `run_on_ray`.
+        address: the cluster's address; ``local`` starts a cluster on this machine; None for
+            ``RAY_ADDRESS``, else ``local``.
         num_cpus: number of CPUs of a cluster that is started here.
 
     Raises:

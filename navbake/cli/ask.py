@@ -99,7 +99,7 @@ def why(
     if as_json:
         print_json(cells)
     else:
-        print_tables(*map(printing.cell_table, cells))
+        print_tables(*map(printing.make_cell_table, cells))
 
 
 def path(

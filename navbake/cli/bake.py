@@ -26,7 +26,13 @@ from navbake.cli.options import (
     flag,
     option,
 )
-from navbake.cli.printing import print_error, print_json, print_warnings, say, say_unless_quiet
+from navbake.cli.printing import (
+    print_error,
+    print_json,
+    print_warnings,
+    say,
+    say_unless_quiet,
+)
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.format_table import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.views.tables import level_table, make_table
@@ -92,8 +98,8 @@ def samples(
 
     if not names:
         for name in sample_files.names():
-            first = sample_files.path(name).read_text(encoding="utf-8").splitlines()[0]
-            say(f"{name:<10} {first.removeprefix('# ')}")
+            first_line = sample_files.path(name).read_text(encoding="utf-8").splitlines()[0]
+            say(f"{name:<10} {first_line.removeprefix('# ')}")
         return
     for name in names:
         settings = sample_files.copy(name, folder)[0]
@@ -208,11 +214,12 @@ def voxelize(
             write_voxels(grid.without_ids(), twin_path, layout=layout)
             say_unless_quiet(twin_path)
     print_warnings(grid.notes[num_notes:])
-    low = _format_corner(grid.bounds[0])
-    high = _format_corner(grid.bounds[1])
-    ids = f", {len(grid.names)} IDs" if grid.is_segmented else ""
-    line = f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m, {low} to {high} m:"
-    say_unless_quiet(f"{line} {grid.occupied.sum()} occupied{ids}")
+    low_corner = _format_corner(grid.bounds[0])
+    high_corner = _format_corner(grid.bounds[1])
+    ids_text = f", {len(grid.names)} IDs" if grid.is_segmented else ""
+    voxels_text = f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m"
+    line = f"{voxels_text}, {low_corner} to {high_corner} m:"
+    say_unless_quiet(f"{line} {grid.occupied.sum()} occupied{ids_text}")
 
 
 def _format_corner(corner: Iterable[float]) -> str:
@@ -287,14 +294,14 @@ def bake(
     """
     is_file = output is not None and not is_folder(output)
     if len(configs) > 1 and is_file:
-        text = f"with several CONFIGs, expected a folder, got {output} (a new one ends in /)"
-        raise BadParameter(text, param_hint="-o")
+        problem = f"with several CONFIGs, expected a folder, got {output} (a new one ends in /)"
+        raise BadParameter(problem, param_hint="-o")
     if is_file and output != str(options.STDOUT) and not Path(output or "").suffix:
-        text = f"expected a name that ends in {', '.join(options.GRID_SUFFIXES)}, got {output}"
-        raise BadParameter(f"{text}: a new folder is written {output}/", param_hint="-o")
+        problem = f"expected a name that ends in {', '.join(options.GRID_SUFFIXES)}, got {output}"
+        raise BadParameter(f"{problem}: a new folder is written {output}/", param_hint="-o")
     options.refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
     if name is not None:
-        fill_file_name(name, "id", Path("stem"))
+        expand_file_name(name, "id", Path("stem"))
     options.refuse_unused(
         ("--isolate-seconds", seconds is not None, isolate, "--isolate"),
         ("--isolate-memory", memory is not None, isolate, "--isolate"),
@@ -313,36 +320,45 @@ def bake(
     overrides += options.override_model_path(model_path)
     overrides += ["scene.strict=true"] * strict
     jobs: list[tuple[Path, BakeConfig]] = []
-    failed: list[Path] = []
+    failed_paths: list[Path] = []
     for path in configs:
-        with _continue_after_errors(path, failed, len(configs)):
+        with _collect_failures(path, failed_paths, len(configs)):
             jobs.append((path, load_config(path, overrides)))
             options.say_if_sample(path)
-    written: set[Path] = set()
-    for (path, config), target in zip(jobs, list_output_files(jobs, output, name), strict=True):
-        with _continue_after_errors(path, failed, len(configs)):
-            if target.resolve() in written:
-                text = f"{target} was written for another scene: give each its own `scene.id`"
-                raise ConfigError(f"{text}, or name files, as by --name '{{parent}}-{{stem}}'")
-            is_settings_output = target == config.output
+    written_paths: set[Path] = set()
+    for (path, config), output_path in zip(
+        jobs, list_output_files(jobs, output, name), strict=True
+    ):
+        with _collect_failures(path, failed_paths, len(configs)):
+            if output_path.resolve() in written_paths:
+                problem = (
+                    f"{output_path} was written for another scene: give each its own `scene.id`"
+                )
+                raise ConfigError(f"{problem}, or name files, as by --name '{{parent}}-{{stem}}'")
+            is_settings_output = output_path == config.output
             inputs = (path, *config.inputs)
             suffixes = () if is_settings_output else options.GRID_SUFFIXES
             may_make_folder = not (is_file or is_settings_output)
-            options.check_output(target, *suffixes, inputs=inputs, may_make_folder=may_make_folder)
-            if not target.name.lower().endswith(options.GRID_SUFFIXES) and target != options.STDOUT:
-                text = (
+            options.check_output(
+                output_path, *suffixes, inputs=inputs, may_make_folder=may_make_folder
+            )
+            if (
+                not output_path.name.lower().endswith(options.GRID_SUFFIXES)
+                and output_path != options.STDOUT
+            ):
+                problem = (
                     f"expected a name that ends in {', '.join(options.GRID_SUFFIXES)} as `output`"
                 )
-                raise ConfigError(f"{text} in {path}, got {target}")
-            _bake_one(config, target, threads, limits, not no_timings)
-            written.add(target.resolve())
-    if failed:
-        print_error(f"{len(failed)} of {len(configs)} failed")
+                raise ConfigError(f"{problem} in {path}, got {output_path}")
+            _bake_and_report(config, output_path, threads, limits, not no_timings)
+            written_paths.add(output_path.resolve())
+    if failed_paths:
+        print_error(f"{len(failed_paths)} of {len(configs)} failed")
         raise Exit(1)
 
 
 @contextmanager
-def _continue_after_errors(path: Path, failed: list[Path], num_configs: int) -> Iterator[None]:
+def _collect_failures(path: Path, failed: list[Path], num_configs: int) -> Iterator[None]:
     """Let a command go on after a NavbakeError in the with statement, if it has several CONFIGs.
 
     The error is printed.
@@ -362,9 +378,9 @@ def _continue_after_errors(path: Path, failed: list[Path], num_configs: int) -> 
         print_error(f"{culprit}{error}")
 
 
-def _bake_one(
+def _bake_and_report(
     config: BakeConfig,
-    target: Path,
+    output_path: Path,
     threads: int | None,
     limits: dict[str, float] | None,
     with_timings: bool,
@@ -373,7 +389,7 @@ def _bake_one(
 
     Args:
         config: the settings.
-        target: the file to write, or stdout.
+        output_path: the file to write, or stdout.
         threads: number of threads; None for the default.
         limits: arguments of `CompileLimits`, to compile the scene in a process of its own; None to
             compile it in this process.
@@ -384,7 +400,7 @@ def _bake_one(
     from navbake.formats.navgrid import encode_files
     from navbake.views.describe import describe
 
-    with printing.progress_bars(str(config.scene.id), printing.VERBOSITY.quiet) as progress:
+    with printing.show_progress_bars(str(config.scene.id), printing.VERBOSITY.quiet) as progress:
         # with --quiet, all warnings follow the bake
         print_hint = None if printing.VERBOSITY.quiet else lambda hint: print_warnings([hint])
         result = run_bake(
@@ -396,17 +412,17 @@ def _bake_one(
         )
     if not with_timings:
         result.grid.timings = {}
-    begin = time.perf_counter()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    (content,) = encode_files(result.grid, target).values()
-    options.write_output(content, target)
-    result.timings["write"] = time.perf_counter() - begin
+    start_time = time.perf_counter()
+    output_path.parent.mkdir(parents=True, exist_ok=True)
+    (content,) = encode_files(result.grid, output_path).values()
+    options.write_output(content, output_path)
+    result.timings["write"] = time.perf_counter() - start_time
     if printing.VERBOSITY.quiet:
         print_warnings(result.warnings)
         return
-    with options.keep_stdout_for(target):
-        if target != options.STDOUT:
-            say(target)
+    with options.keep_stdout_for(output_path):
+        if output_path != options.STDOUT:
+            say(output_path)
         printing.print_tables(level_table(describe(result.grid)))
         for warning in result.warnings:
             say(f"warning: {warning}")
@@ -431,21 +447,21 @@ def list_output_files(
         jobs: the path of each CONFIG, and its settings.
         output: a file, which is the output; or a folder to write into. None for the output that the
             settings name, if `name` is None, too; else for the current folder.
-        name: the name of a file in the folder, see `fill_file_name`; None for the scene's id.
+        name: the name of a file in the folder, see `expand_file_name`; None for the scene's id.
     """
     if output is not None and not is_folder(output):
         return [Path(output) for _ in jobs]
-    targets = []
+    output_paths = []
     for path, config in jobs:
-        filled = fill_file_name(name or "{id}", str(config.scene.id), path.resolve())
-        if not filled:
+        file_name = expand_file_name(name or "{id}", str(config.scene.id), path.resolve())
+        if not file_name:
             raise ConfigError(f"`--name {name}` makes no file name of {path}")
         settings_output = config.output if output is None and name is None else None
-        targets.append(settings_output or Path(output or "") / f"{filled}.grid.json")
-    return targets
+        output_paths.append(settings_output or Path(output or "") / f"{file_name}.grid.json")
+    return output_paths
 
 
-def fill_file_name(name: str, scene_id: str, path: Path) -> str:
+def expand_file_name(name: str, scene_id: str, path: Path) -> str:
     """Fill in the fields of a file's name.
 
     Args:
@@ -457,11 +473,11 @@ def fill_file_name(name: str, scene_id: str, path: Path) -> str:
         BadParameter: the name has another field, is empty, or may lead out of the folder.
     """
     try:
-        filled = name.format(id=scene_id, stem=path.stem, parent=path.parent.name)
+        file_name = name.format(id=scene_id, stem=path.stem, parent=path.parent.name)
     except (AttributeError, LookupError, ValueError) as error:
         message = f"expected fields out of {{id}}, {{stem}}, {{parent}}, got {name}"
         raise BadParameter(message, param_hint="--name") from error
     if not name or Path(name).is_absolute() or ".." in Path(name).parts or name.endswith("/"):
         text = f"expected the name of a file in the folder, got {name!r}"
         raise BadParameter(text, param_hint="--name")
-    return filled
+    return file_name

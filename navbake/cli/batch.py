@@ -25,7 +25,13 @@ from navbake.cli.options import (
     flag,
     option,
 )
-from navbake.cli.printing import VERBOSITY, print_error, print_warnings, say, say_unless_quiet
+from navbake.cli.printing import (
+    VERBOSITY,
+    print_error,
+    print_warnings,
+    say,
+    say_unless_quiet,
+)
 from navbake.errors import NavbakeError, count_of
 from navbake.lazy import lazy
 
@@ -193,7 +199,7 @@ def batch(
         except BaseException as error:
             watch.interrupt(error)
             raise
-        watch.end(result, _written_names(batch_slice, product_options))
+        watch.end(result, _list_written_names(batch_slice, product_options))
     if result.count("failed") or result.stopped:
         raise Exit(1)
 
@@ -224,12 +230,12 @@ def _check_options(
 
 def _check_log(log: Path, jobs: list[scenes.Job], scene_options: SceneOptions, output: str) -> None:
     """Raise an error if the log is an input, or a file that the batch writes."""
-    written = [
+    written_paths = [
         os.path.join(output, name) for name in (index.INDEX_NAME, page.PAGE_NAME, index.TABLE_NAME)
     ]
-    config = [] if scene_options.config is None else [scene_options.config]
+    config_paths = [] if scene_options.config is None else [scene_options.config]
     sources = [listed.source for listed in jobs]
-    inputs = map(Path, [*scene_options.sources, *config, *sources, *written])
+    inputs = map(Path, [*scene_options.sources, *config_paths, *sources, *written_paths])
     options.check_output(log, inputs=inputs, may_make_folder=True, option="--log")
 
 
@@ -242,7 +248,9 @@ def _ray_executor(worker_options: WorkerOptions, folder: store.Folder) -> run.Ex
     return partial(workers.run_on_ray, address=worker_options.ray_address, probe_file=probe_file)
 
 
-def _written_names(batch_slice: index.Slice | None, product_options: ProductOptions) -> list[str]:
+def _list_written_names(
+    batch_slice: index.Slice | None, product_options: ProductOptions
+) -> list[str]:
     """Return the names of the files that a batch writes beside its scenes' folders."""
     names = [index.INDEX_NAME if batch_slice is None else batch_slice.index_name]
     if product_options.parquet:
@@ -282,27 +290,27 @@ def _print_preview(plan: job.Plan, previews: list[Json], as_json: bool) -> None:
             reason = "equal"
         scenes_by_reason.setdefault(reason, []).append(scene)
     for reason, scenes_of_reason in scenes_by_reason.items():
-        size = filesize.decimal(sum(scene["bytes"] for scene in scenes_of_reason))
+        size_text = filesize.decimal(sum(scene["bytes"] for scene in scenes_of_reason))
         names = _name_scenes(reason, scenes_of_reason)
-        say(f"{reason}: {count_of(len(scenes_of_reason), 'scene')}, {size}{names}")
-    not_baked = (run.ALREADY_DONE, run.BROKEN)
+        say(f"{reason}: {count_of(len(scenes_of_reason), 'scene')}, {size_text}{names}")
+    unbaked_reasons = (run.ALREADY_DONE, run.BROKEN)
     num_baked = sum(
         len(scenes_of_reason)
         for reason, scenes_of_reason in scenes_by_reason.items()
-        if reason not in not_baked
+        if reason not in unbaked_reasons
     )
     num_copied = len(scenes_by_reason.get("equal", ()))
     num_baked -= num_copied
-    line = f"{num_baked} of {count_of(len(previews), 'scene')} would be baked"
+    summary = f"{num_baked} of {count_of(len(previews), 'scene')} would be baked"
     if num_copied:
-        line += f", and {num_copied} copied"
+        summary += f", and {num_copied} copied"
     cost = run.measure_cost(index.read_index(plan.folder).values())
     if cost is not None and num_baked > 0:
-        share = num_baked / cost["scenes"]
-        seconds = cost["seconds"]["sum"] * share
-        size = filesize.decimal(int(cost["bytes"]["sum"] * share))
-        line += f", by those done here in about {seconds:.3g} s of a worker, into {size}"
-    say(line)
+        scale_factor = num_baked / cost["scenes"]
+        seconds = cost["seconds"]["sum"] * scale_factor
+        size_text = filesize.decimal(int(cost["bytes"]["sum"] * scale_factor))
+        summary += f", by those done here in about {seconds:.3g} s of a worker, into {size_text}"
+    say(summary)
 
 
 def _name_scenes(reason: str, scenes_of_reason: list[Json]) -> str:
@@ -394,7 +402,7 @@ class _BatchWatch:
             self._page = page.LivePage(self._folder, self._total)
         # on a terminal, lines and a bar would mix
         is_mixed = self._as_json and printing.is_terminal(sys.stdout)
-        bars = printing.progress_bars("batch", VERBOSITY.quiet or is_mixed)
+        bars = printing.show_progress_bars("batch", VERBOSITY.quiet or is_mixed)
         self._show_progress = self._stack.enter_context(bars)
 
     def _refresh(self) -> None:
@@ -451,10 +459,12 @@ class _BatchWatch:
         if result.stopped:
             print_error(f"stopped: {result.stopped}")
         num_warned = sum(bool(row.get("warnings")) for row in result.rows)
-        notes = f", {num_warned} with warnings" if num_warned else ""
-        files = ", ".join(store.without_secrets(os.path.join(self._folder, name)) for name in names)
-        counts = _describe_counts(self._counts)
-        say_unless_quiet(f"{counts}{notes} in {seconds:.1f} s: {files}")
+        warnings_text = f", {num_warned} with warnings" if num_warned else ""
+        files_text = ", ".join(
+            store.without_secrets(os.path.join(self._folder, name)) for name in names
+        )
+        counts_text = _describe_counts(self._counts)
+        say_unless_quiet(f"{counts_text}{warnings_text} in {seconds:.1f} s: {files_text}")
         cost = run.measure_cost(result.rows)
         if cost:
             times = cost["seconds"]
@@ -474,7 +484,7 @@ def _describe_counts(counts: Json) -> str:
 def draw_missing_thumbnails(folder: store.Folder) -> None:
     """Draw the missing thumbnails of a batch's page; print a warning if some can't be drawn."""
     try:
-        with printing.progress_bars("page", VERBOSITY.quiet) as show:
+        with printing.show_progress_bars("page", VERBOSITY.quiet) as show:
             num_missing = page.draw_thumbnails(folder, lambda share: show("thumbnails", share))
     except store.DiskFullError as error:
         print_warnings([str(error)])
@@ -494,11 +504,11 @@ def warm_up() -> None:
     from navbake import compiled  # loads numba
 
     if compiled.cache_folder() is None:
-        lost = "no folder for compiled code can be written, so nothing can be kept"
-        print_warnings([f"{lost}: {compiled.CACHE_REMEDY}"])
+        problem = "no folder for compiled code can be written, so nothing can be kept"
+        print_warnings([f"{problem}: {compiled.CACHE_REMEDY}"])
         return
-    cold = compiled.warm_up()
-    if cold:
-        print_warnings([f"not compiled, or not kept: {', '.join(cold)}"])
+    uncompiled_names = compiled.warm_up()
+    if uncompiled_names:
+        print_warnings([f"not compiled, or not kept: {', '.join(uncompiled_names)}"])
     else:
         say_unless_quiet("compiled: bakes and queries start at once from now on")

@@ -90,9 +90,9 @@ def verify(
         raise BadParameter("expected one of them", param_hint="--sample, --all")
     if output is not None:
         options.check_output(output, ".png", ".svg", inputs=[grid, *([scene] if scene else [])])
-    from navbake.verifier.verify import verify as compare  # loads MuJoCo
+    from navbake.verifier.verify import verify as compare_with_scene  # loads MuJoCo
 
-    report = compare(
+    report = compare_with_scene(
         grid,
         scene,
         sample=None if all_cells else sample,
@@ -111,8 +111,8 @@ def verify(
         marks = [
             (finding.level, *finding.position[:2], finding.kind) for finding in report.findings
         ]
-        content = navbake.load(grid)
-        options.write_picture(content, output, layers=("occupancy",), marks=marks)
+        nav_grid = navbake.load(grid)
+        options.write_picture(nav_grid, output, layers=("occupancy",), marks=marks)
     if not report.ok:
         raise Exit(1)
 
@@ -164,29 +164,29 @@ def audit(
     from navbake.auditor.audit import audit as audit_grid  # loads numpy
 
     if routes_grid is None:
-        content = navbake.load(grid)
-        report = audit_grid(content)
+        nav_grid = navbake.load(grid)
+        report = audit_grid(nav_grid)
     else:
         from navbake.auditor.routes import audit_routes  # loads it too
 
-        content = read_as(routes_grid)
-        report = audit_routes(grid, content, radius=radius)
+        nav_grid = read_as(routes_grid)
+        report = audit_routes(grid, nav_grid, radius=radius)
     with options.keep_stdout_for(output):
         if as_json:
             print_json(report.to_json())
         else:
             for remark in report.remarks:
                 say(remark)
-            errors = count_of(len(report.errors), "error")
-            num_remarks = count_of(len(report.remarks) - len(report.errors), "remark")
-            say(f"{len(report.checks)} checks: {errors}, {num_remarks}")
+            errors_text = count_of(len(report.errors), "error")
+            remarks_text = count_of(len(report.remarks) - len(report.errors), "remark")
+            say(f"{len(report.checks)} checks: {errors_text}, {remarks_text}")
     if output is not None:
         marks = [
             (-1 if remark.level is None else remark.level, *remark.place[:2], remark.check)
             for remark in report.remarks
             if remark.place is not None
         ]
-        options.write_picture(content, output, layers=("occupancy",), marks=marks)
+        options.write_picture(nav_grid, output, layers=("occupancy",), marks=marks)
     if not report.ok:
         raise Exit(1)
 
@@ -200,28 +200,29 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
 
     Example: navbake doctor
     """
-    for name, text in _describe_installation():
-        print(f"{name:<12} {text}")
+    for name, bake_text in _describe_installation():
+        print(f"{name:<12} {bake_text}")
     if no_bake:
         return
     settings = config.load_config(samples.path(CHECKED_SAMPLE))
     seconds_taken = []
     try:
         for _ in range(2):  # the first bake may compile
-            begin = time.perf_counter()
+            start_time = time.perf_counter()
             grid = pipeline.bake(settings)
-            seconds_taken.append(time.perf_counter() - begin)
+            seconds_taken.append(time.perf_counter() - start_time)
     except NavbakeError as error:
         raise NavbakeError(f"the sample {CHECKED_SAMPLE!r} can't be baked: {error}") from error
-    free = sum(int(level.free.sum()) for level in grid.levels)
-    is_usual = (
+    num_free = sum(int(level.free.sum()) for level in grid.levels)
+    speed_text = (
         "as usual"
         if seconds_taken[1] <= USUAL_BAKE_SECONDS
         else f"SLOW: usually below {USUAL_BAKE_SECONDS} s"
     )
-    first, again = seconds_taken
-    text = f"{CHECKED_SAMPLE}: {first:.2f} s, again {again:.2f} s ({is_usual}), {free} free cells"
-    print(f"{'bake':<12} {text}")
+    first_seconds, second_seconds = seconds_taken
+    times_text = f"{first_seconds:.2f} s, again {second_seconds:.2f} s ({speed_text})"
+    bake_text = f"{CHECKED_SAMPLE}: {times_text}, {num_free} free cells"
+    print(f"{'bake':<12} {bake_text}")
 
 
 def _installed_version(package: str) -> str | None:
@@ -238,20 +239,27 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
     Each is a pair of a name and a text.
     """
     # extra -> packages that it needs; "" -> packages that navbake always needs
-    needed: dict[str, list[str]] = {"": []}
-    for line in requires("navbake") or ():
-        match = REQUIREMENT.match(line)
+    packages_of_extra: dict[str, list[str]] = {"": []}
+    for requirement in requires("navbake") or ():
+        match = REQUIREMENT.match(requirement)
         assert match is not None
-        needed.setdefault(match["extra"] or "", []).append(match[1])
+        packages_of_extra.setdefault(match["extra"] or "", []).append(match[1])
     yield "navbake", f"{__version__} in {Path(samples.__file__).parent}"
     yield "python", f"{platform.python_version()} in {sys.executable}"
     yield "system", f"{platform.platform()}, {platform.machine()}"
     yield (
         "packages",
-        ", ".join(f"{name} {_installed_version(name) or 'MISSING'}" for name in needed[""]),
+        ", ".join(
+            f"{name} {_installed_version(name) or 'MISSING'}" for name in packages_of_extra[""]
+        ),
     )
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    yield "cores", f"{os.cpu_count()}, usable {usable}, threads of a bake {threads.num_threads()}"
+    num_usable_cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    )
+    yield (
+        "cores",
+        f"{os.cpu_count()}, usable {num_usable_cores}, threads of a bake {threads.num_threads()}",
+    )
     libraries = ", ".join(filter(find_library, ("EGL", "OSMesa", "GL"))) or "none"
     screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or "none"
     yield "OpenGL", f"libraries {libraries}, display {screen}; the browser of `view` draws by it"
@@ -261,29 +269,39 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
             f"NO FOLDER CAN BE WRITTEN: each process compiles anew; {compiled.CACHE_REMEDY}",
         )
     else:
-        entries = [entry for group in compiled.read_list() for entry in group]
-        warm = len(entries) - len(compiled.list_uncompiled(entries))
-        files = [path for path in folder.rglob("*.nb?") if path.is_file()]
-        state = f"{warm} of {len(entries)} functions are compiled"
-        yield "compiled", f"{folder}, {_megabytes(files)} MB: {state}"
-        used = {Path(kernel.stats.cache_path).parent for kernel in compiled.KERNELS}
-        unused = [path for path in files if path.parent.parent not in used]
+        kernel_entries = [entry for group in compiled.read_list() for entry in group]
+        num_compiled = len(kernel_entries) - len(compiled.list_uncompiled(kernel_entries))
+        compiled_files = [path for path in folder.rglob("*.nb?") if path.is_file()]
+        state_text = f"{num_compiled} of {len(kernel_entries)} functions are compiled"
+        yield "compiled", f"{folder}, {_format_megabytes(compiled_files)} MB: {state_text}"
+        used_folders = {Path(kernel.stats.cache_path).parent for kernel in compiled.KERNELS}
+        unused = [path for path in compiled_files if path.parent.parent not in used_folders]
         if unused:
             folders = len({path.parent.parent for path in unused})
-            yield "", f"{_megabytes(unused)} MB in {folders} folders are of other sources: not used"
-    needed.pop("")
+            yield (
+                "",
+                f"{_format_megabytes(unused)} MB in {folders} folders are of other sources: "
+                "not used",
+            )
+    packages_of_extra.pop("")
     for extra in ("test", "bench", "docs", "tensors-test"):  # of developers
-        needed.pop(extra, None)
-    for extra, packages in sorted(needed.items()):
+        packages_of_extra.pop(extra, None)
+    for extra, packages in sorted(packages_of_extra.items()):
         version_of_package = {name: _installed_version(name) for name in packages}
-        installed = ", ".join(
-            f"{name} {number}" for name, number in version_of_package.items() if number
+        installed_text = ", ".join(
+            f"{name} {version_text}"
+            for name, version_text in version_of_package.items()
+            if version_text
         )
-        missing = ", ".join(name for name, number in version_of_package.items() if not number)
-        install_hint = f'missing {missing}: pip install "navbake[{extra}]"' if missing else ""
-        yield f"[{extra}]", "; ".join(filter(None, [installed, install_hint]))
+        missing_text = ", ".join(
+            name for name, version_text in version_of_package.items() if not version_text
+        )
+        install_hint = (
+            f'missing {missing_text}: pip install "navbake[{extra}]"' if missing_text else ""
+        )
+        yield f"[{extra}]", "; ".join(filter(None, [installed_text, install_hint]))
 
 
-def _megabytes(files: list[Path]) -> str:
+def _format_megabytes(files: list[Path]) -> str:
     """Return the total size of files [MB] as text."""
     return f"{sum(path.stat().st_size for path in files) / 1e6:.1f}"

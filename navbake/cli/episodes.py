@@ -70,16 +70,17 @@ def episodes(
             patterns = convert(read_yaml(categories), dict[str, list[str] | str])
         except ValidationError as error:
             raise ConfigError(f"cannot read {categories}: {error}") from error
-        kind = "rooms" if "room" in (task, of) else "objects"
-        task_fields[kind] = {
-            label: [v] if isinstance(v, str) else v for label, v in patterns.items()
+        field_name = "rooms" if "room" in (task, of) else "objects"
+        task_fields[field_name] = {
+            label: [pattern] if isinstance(pattern, str) else pattern
+            for label, pattern in patterns.items()
         }
     rules: dict[str, Any] = options.read_pairs(rule, "--rule", "KEY=VALUE")
     if "edges" in rules:
         rules["edges"] = rules["edges"].split(",")
     shares = options.read_pairs(split, "--split", "NAME=SHARE")
     count = total or (per_scene or 100) * len(grids)
-    content = sets.make_episodes(
+    episode_set = sets.make_episodes(
         [navbake.load(grid) for grid in grids],
         sets.make_task(task, radius=reach, length=length, of=of, share=share, **task_fields),
         sets.make_rules(sampler, **rules),
@@ -92,14 +93,14 @@ def episodes(
         splits=sets.make_splits(shares, split_by),
         files=[_relative_path(grid, output.parent) for grid in grids],
     )
-    sets.write_episodes(content, output)
-    rejected_draws = content.header.rejected
+    sets.write_episodes(episode_set, output)
+    rejected_draws = episode_set.header.rejected
     num_rejected = sum(rejected_draws.values())
-    say_unless_quiet(f"{output}: {len(content)} episodes, {num_rejected} draws refused")
-    for reason, number in rejected_draws.items():
-        say_unless_quiet(f"  {number:>8} {reason}")
-    if len(content) < count:
-        say(f"only {len(content)} of {count}: the rules refuse the rest")
+    say_unless_quiet(f"{output}: {len(episode_set)} episodes, {num_rejected} draws refused")
+    for reason, num_draws in rejected_draws.items():
+        say_unless_quiet(f"  {num_draws:>8} {reason}")
+    if len(episode_set) < count:
+        say(f"only {len(episode_set)} of {count}: the rules refuse the rest")
 
 
 def _relative_path(path: Path, folder: Path) -> str:
@@ -121,19 +122,23 @@ def find_grids(content: EpisodeSet, folder: Path) -> list[Path]:
         QueryError: a grid is not there.
     """
     paths = []
-    for entry in content.header.grids:
-        parts = PurePosixPath(entry.file or "grid.json.gz").parts
-        names = [Path(*parts[first:]) for first in range(len(parts))]
-        names.append(Path(entry.scene, parts[-1]))
-        files = [folder / name for name in names if ".." not in name.parts]
-        existing = [file for file in files if file.is_file()]
-        if not existing:
-            raise QueryError(f"no grid of {entry.scene!r} in {folder}: expected {files[-1]}")
-        paths.append(existing[0])
+    for grid_entry in content.header.grids:
+        path_parts = PurePosixPath(grid_entry.file or "grid.json.gz").parts
+        candidate_names = [Path(*path_parts[index:]) for index in range(len(path_parts))]
+        candidate_names.append(Path(grid_entry.scene, path_parts[-1]))
+        candidate_paths = [folder / name for name in candidate_names if ".." not in name.parts]
+        existing_paths = [file for file in candidate_paths if file.is_file()]
+        if not existing_paths:
+            raise QueryError(
+                f"no grid of {grid_entry.scene!r} in {folder}: expected {candidate_paths[-1]}"
+            )
+        paths.append(existing_paths[0])
     return paths
 
 
-def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, str]) -> None:
+def convert_episode_set(
+    source: Path, output: Path, form: str | None, scenes: dict[str, str]
+) -> None:
     """Convert a set of episodes to another format, and print which data the new file lacks.
 
     Args:
@@ -145,13 +150,13 @@ def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, 
     from navbake.episodes import read_episodes, write_episodes  # loads numpy
 
     options.check_output(output, inputs=[source])
-    content = read_episodes(source, scenes)
-    scene_names = {episode.scene for episode in content.episodes}
+    episode_set = read_episodes(source, scenes)
+    scene_names = {episode.scene for episode in episode_set.episodes}
     if scenes and scene_names.isdisjoint(scenes):  # other scenes may be in other files
         name = min(scenes)
-        fault = f"--scene {name}={scenes[name]} fits no scene of {source}"
-        raise ConfigError(f"{fault}: {suggest(name, sorted(scene_names))}")
-    missing_data = write_episodes(content, output, form, scenes)
+        problem = f"--scene {name}={scenes[name]} fits no scene of {source}"
+        raise ConfigError(f"{problem}: {suggest(name, sorted(scene_names))}")
+    missing_data = write_episodes(episode_set, output, form, scenes)
     say_unless_quiet(output)
     if missing_data:
         say(f"{output} doesn't hold: {', '.join(missing_data)}")
@@ -186,9 +191,9 @@ def score(
 
     episode_set = read_episodes(content)
     if not grids:
-        names = [entry.file for entry in episode_set.header.grids if entry.file]
-        beside = {name: content.parent / name for name in names}
-        grids = [path if path.exists() else Path(name) for name, path in beside.items()]
+        file_names = [entry.file for entry in episode_set.header.grids if entry.file]
+        path_of_name = {name: content.parent / name for name in file_names}
+        grids = [path if path.exists() else Path(name) for name, path in path_of_name.items()]
     elif len(grids) == 1 and grids[0].is_dir():
         grids = find_grids(episode_set, grids[0])
     if not grids:
@@ -201,15 +206,21 @@ def score(
     with options.keep_stdout_for(output):
         if as_json:
             facts = [
-                group | {k: group[k]._asdict() for k in scores.MEAN_FIELDS} for group in groups
+                group | {measure: group[measure]._asdict() for measure in scores.MEAN_FIELDS}
+                for group in groups
             ]
             print_json(msgspec.json.decode(msgspec.json.encode(facts)))  # null for NaN
         else:
             for group in groups:
                 say(f"{group['group']}: {group['episodes']} episodes")
-                measured = [(key, group[key]) for key in scores.MEAN_FIELDS if group[key].known]
-                cells = [(k, f"{v.mean:.3f}", f"{v.low:.3f} to {v.high:.3f}") for k, v in measured]
+                interval_of_measure = [
+                    (key, group[key]) for key in scores.MEAN_FIELDS if group[key].known
+                ]
+                cells = [
+                    (measure, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
+                    for measure, interval in interval_of_measure
+                ]
                 print_tables(make_table(("measure", "mean", "95 %"), cells))
     if output is not None:
-        heads = list(rows[0]) if rows else ["episode"]
-        options.write_output(encode_csv([heads, *(row.values() for row in rows)]), output)
+        headings = list(rows[0]) if rows else ["episode"]
+        options.write_output(encode_csv([headings, *(row.values() for row in rows)]), output)

@@ -10,7 +10,7 @@ from typer import Argument, BadParameter, Option
 
 import navbake
 from navbake.cli import options
-from navbake.cli.episodes import SET_FORMATS, convert_set
+from navbake.cli.episodes import SET_FORMATS, convert_episode_set
 from navbake.cli.options import (
     GRID_SUFFIXES,
     LEVEL_OPTION,
@@ -121,17 +121,17 @@ def convert(
         for key, value in format_options.items()
         if value not in (None, []) and value is not False
     }
-    names = source.name.lower(), output.name.lower()
+    lower_case_names = source.name.lower(), output.name.lower()
     if (
         to in SET_FORMATS
-        or names[0].endswith(".csv")
-        or any(n.endswith(EPISODE_ONLY_SUFFIXES) for n in names)
+        or lower_case_names[0].endswith(".csv")
+        or any(name.endswith(EPISODE_ONLY_SUFFIXES) for name in lower_case_names)
     ):
         options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given_options))
-        convert_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
+        convert_episode_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
     options.refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
-    if origin in ROUTE_FORMAT_NAMES or names[0].endswith(ROUTE_ONLY_SUFFIXES):
+    if origin in ROUTE_FORMAT_NAMES or lower_case_names[0].endswith(ROUTE_ONLY_SUFFIXES):
         options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given_options))
         _convert_routes(source, output, origin, to)
         return
@@ -153,24 +153,24 @@ def convert(
     options.check_output(output, inputs=inputs)
     level_file = source.with_name(f"{source.stem}_0{source.suffix}") if source.name else source
     if not source.exists() and level_file.is_file():
-        missing = f"cannot read {source}: No such file or directory"
-        raise FormatError(f"{missing}, but {level_file} is there: each level has a file of its own")
+        problem = f"cannot read {source}: No such file or directory"
+        raise FormatError(f"{problem}, but {level_file} is there: each level has a file of its own")
     inputs += list_files(source, reader)
     grid = read_with(reader, source, **read_options)
     if route:
-        inflated = grid if radius is None else grid.inflate(radius)
-        given_options["route"] = [_plan_route(inflated, text) for text in route]
-    target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
-    files = encode_with(writer, grid, target, **given_options)
+        inflated_grid = grid if radius is None else grid.inflate(radius)
+        given_options["route"] = [_plan_route(inflated_grid, text) for text in route]
+    target_path = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
+    content_of_path = encode_with(writer, grid, target_path, **given_options)
     if output == STDOUT:
-        if len(files) > 1:
-            raise BadParameter(f"{writer.name} is {len(files)} files", param_hint="OUT")
-        (content,) = files.values()
+        if len(content_of_path) > 1:
+            raise BadParameter(f"{writer.name} is {len(content_of_path)} files", param_hint="OUT")
+        (content,) = content_of_path.values()
         options.write_output(content, output)
         return
-    for path in files:
+    for path in content_of_path:
         options.check_output(path, inputs=inputs)
-    for path in write_files(files):
+    for path in write_files(content_of_path):
         say_unless_quiet(path)
 
 
@@ -226,15 +226,21 @@ def _plan_route(grid: NavGrid, text: str) -> Route:
     Raises:
         QueryError: there is no path.
     """
-    start, _, end = text.partition(" ")
-    origin = options.position_of_place(grid, options.parse_place(start, "--route"), "--route")
-    goal: str | list[float] = end.strip()
-    if not str(goal).startswith(("room:", "object:")):
-        goal = options.position_of_place(grid, options.parse_place(str(goal), "--route"), "--route")
+    start_text, _, goal_text = text.partition(" ")
+    start_position = options.position_of_place(
+        grid, options.parse_place(start_text, "--route"), "--route"
+    )
+    goal_place: str | list[float] = goal_text.strip()
+    if not str(goal_place).startswith(("room:", "object:")):
+        goal_place = options.position_of_place(
+            grid, options.parse_place(str(goal_place), "--route"), "--route"
+        )
     finder = navbake.PathFinder(grid)
-    path = finder.find_path(origin, goal)
+    path = finder.find_path(start_position, goal_place)
     if path is None:
-        raise QueryError(f"no path for --route {text!r}: {finder.why_not(origin, goal)}")
+        raise QueryError(
+            f"no path for --route {text!r}: {finder.why_not(start_position, goal_place)}"
+        )
     return path
 
 
@@ -313,44 +319,46 @@ def inflate(
     # check the arguments before reading the grid, which takes seconds
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     options.check_output(output, *GRID_SUFFIXES, inputs=[grid])
-    before = navbake.load(grid)
-    earlier_radius = before.inflated_radius if mode == "exact" else 0.0
-    if earlier_radius > radius:
+    grid_before = navbake.load(grid)
+    previous_radius = grid_before.inflated_radius if mode == "exact" else 0.0
+    if previous_radius > radius:
         remedy = "inflate the grid as it was baked"
-        print_warnings([f"{grid} stays inflated for {earlier_radius:g} m: {remedy}"])
-    after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
-    (content,) = encode_files(after, output).values()
+        print_warnings([f"{grid} stays inflated for {previous_radius:g} m: {remedy}"])
+    grid_after = grid_before.inflate(
+        radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges
+    )
+    (content,) = encode_files(grid_after, output).values()
     options.write_output(content, output)
-    areas = [
+    free_areas = [
         sum(int(level.free.sum()) * level.lattice.cell_size**2 for level in content.levels)
-        for content in (before, after)
+        for content in (grid_before, grid_after)
     ]
-    share = f" ({areas[1] / areas[0]:.1%})" if areas[0] else ""
+    share_text = f" ({free_areas[1] / free_areas[0]:.1%})" if free_areas[0] else ""
     if mode == "exact":
-        _warn_of_closed_connections(Search(before), Search(after), radius)
+        _warn_of_closed_connections(Search(grid_before), Search(grid_after), radius)
     with options.keep_stdout_for(output):
-        line = f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share}"
-        total_radius = max(radius, earlier_radius)
-        say_unless_quiet(f"{line} for an agent of radius {total_radius:g} m ({mode})")
+        summary = f"{output}: {free_areas[1]:.2f} of {free_areas[0]:.2f} m² free{share_text}"
+        total_radius = max(radius, previous_radius)
+        say_unless_quiet(f"{summary} for an agent of radius {total_radius:g} m ({mode})")
 
 
-def _warn_of_closed_connections(before: Search, after: Search, radius: float) -> None:
+def _warn_of_closed_connections(search_before: Search, search_after: Search, radius: float) -> None:
     """Print a warning that names what no agent can pass any more after an inflation.
 
     Args:
-        before: a search on the grid before the inflation.
-        after: a search on the inflated grid.
+        search_before: a search on the grid before the inflation.
+        search_after: a search on the inflated grid.
         radius: the radius of the inflation, for the warning [m].
     """
     from navbake.runtime.passage import find_lost_connections  # loads numpy
 
-    closed = find_lost_connections(before, after)
-    if closed:
-        names = ", ".join(name for name, _ in closed)
-        num_before = before.islands.count
-        were = "was" if num_before == 1 else "were"
-        islands = f"{after.islands.count} islands where there {were} {num_before}"
-        print_warnings([f"a radius of {radius:g} m closes {names}: {islands}"])
+    lost_connections = find_lost_connections(search_before, search_after)
+    if lost_connections:
+        names = ", ".join(name for name, _ in lost_connections)
+        num_before = search_before.islands.count
+        verb = "was" if num_before == 1 else "were"
+        islands_text = f"{search_after.islands.count} islands where there {verb} {num_before}"
+        print_warnings([f"a radius of {radius:g} m closes {names}: {islands_text}"])
 
 
 def routes(
@@ -370,16 +378,16 @@ def routes(
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
     _find_format(output, to, ("--to", "-o"), writing=True, formats=ROUTE_FORMATS)
     options.check_output(output, inputs=[grid])
-    content = navbake.load(grid)
-    route_agent = find_agent(content, agent)
+    nav_grid = navbake.load(grid)
+    route_agent = find_agent(nav_grid, agent)
     if radius is not None:
         route_agent = replace(route_agent or Agent(""), radius=radius)
-    graph = make_routes(content, route_agent)
+    graph = make_routes(nav_grid, route_agent)
     graph = graph if level is None else graph.on_level(level)
     options.write_output(encode_routes(graph, output, to), output)
     if output != STDOUT:
-        size = f"{len(graph.nodes)} nodes, {len(graph.lanes)} lanes"
-        say_unless_quiet(f"{output}: {size} for a radius of {graph.radius:g} m")
+        size_text = f"{len(graph.nodes)} nodes, {len(graph.lanes)} lanes"
+        say_unless_quiet(f"{output}: {size_text} for a radius of {graph.radius:g} m")
 
 
 routes.__doc__ = "\n\n".join(
@@ -426,14 +434,14 @@ def map_descriptor(
     shape = None if rows is None or cols is None else (rows, cols)
     if decode is not None:
         part1, part2 = decode
-        explored_cells, filled = descriptor.decode(part1, part2, shape or descriptor.ARENA)
+        explored_cells, filled = descriptor.decode(part1, part2, shape or descriptor.ARENA_SHAPE)
     else:
         assert grid is not None
         levels = navbake.load(grid).levels
         number = level or 0
         if number >= len(levels):
             raise ConfigError(f"no level {number} in {grid}: it has {len(levels)}, counted from 0")
-        edge = descriptor.SQUARE if square is None else square
+        edge = descriptor.SQUARE_EDGE if square is None else square
         squares = descriptor.place_squares(levels[number], square=edge, corner=corner, shape=shape)
         filled = descriptor.find_obstacles(levels[number], squares)
         explored_cells = np.ones_like(filled) if explored is None else read_npy(explored)

@@ -53,12 +53,12 @@ def plot(
 
     for layer in layers or ():
         if layer not in LAYERS:
-            text = f"expected one of {', '.join(LAYERS)}, got {layer}"
-            raise BadParameter(text, param_hint="--layer")
+            problem = f"expected one of {', '.join(LAYERS)}, got {layer}"
+            raise BadParameter(problem, param_hint="--layer")
     options.check_output(output, ".png", ".svg", inputs=[grid])
-    content = navbake.load(grid)
+    nav_grid = navbake.load(grid)
     layer_names = tuple(layers or DEFAULT_LAYERS)
-    options.write_picture(content, output, level=level, layers=layer_names)
+    options.write_picture(nav_grid, output, level=level, layers=layer_names)
     if output != STDOUT:
         say_unless_quiet(output)
 
@@ -95,17 +95,17 @@ def report(
         from navbake.batch.page import PAGE_NAME, write_page
 
         if len(grids) > 1 or not os.path.isfile(grids[0] / INDEX_NAME):
-            listed = ", ".join(map(str, grids))
+            listed_paths = ", ".join(map(str, grids))
             raise ConfigError(
-                f"expected grids, or one folder of a batch with {INDEX_NAME}, got {listed}"
+                f"expected grids, or one folder of a batch with {INDEX_NAME}, got {listed_paths}"
             )
-        html = grids[0] / PAGE_NAME if output is None else output
-        if html == STDOUT:
+        page_path = grids[0] / PAGE_NAME if output is None else output
+        if page_path == STDOUT:
             raise BadParameter("expected a file: the page of a batch has links", param_hint="-o")
-        options.check_output(html, ".html", ".htm", inputs=[grids[0] / INDEX_NAME])
+        options.check_output(page_path, ".html", ".htm", inputs=[grids[0] / INDEX_NAME])
         draw_missing_thumbnails(grids[0])
         write_page(grids[0], output)
-        say_unless_quiet(html)
+        say_unless_quiet(page_path)
         return
     if output is None:
         raise BadParameter("expected a page to write", param_hint="-o")
@@ -114,14 +114,14 @@ def report(
         raise BadParameter(message, param_hint="--verify")
     options.check_output(output, ".html", ".htm", inputs=[*grids, *(verifications or ())])
     reports = [read_verification(path) for path in verifications or ()]
-    contents = [navbake.load(path) for path in grids]
-    page = render_report(
-        contents,
+    nav_grids = [navbake.load(path) for path in grids]
+    page_content = render_report(
+        nav_grids,
         names=[GRID_ENDING.sub("", path.name) or path.name for path in grids],
-        audits=[audit(content) for content in contents] if with_audit else None,
+        audits=[audit(content) for content in nav_grids] if with_audit else None,
         verifications=reports or None,
     )
-    options.write_output(page, output)
+    options.write_output(page_content, output)
     if output != STDOUT:
         say_unless_quiet(output)
 
@@ -167,12 +167,14 @@ def view(
         from navbake.baker.scene.scene import load_scene, load_scene_file
 
         config = load_config(source, overrides or [])
-        with printing.progress_bars(str(config.scene.id), printing.VERBOSITY.quiet) as progress:
+        with printing.show_progress_bars(
+            str(config.scene.id), printing.VERBOSITY.quiet
+        ) as progress:
             scene_model = load_scene_file(config.scene)
             grid = run_bake(config, progress=progress, scene_model=scene_model).grid
         print_warnings(list(grid.warnings))
-        baked = load_scene(config, scene_model=scene_model)
-        return ViewState(grid, baked, config)
+        loaded_scene = load_scene(config, scene_model=scene_model)
+        return ViewState(grid, loaded_scene, config)
 
     is_grid = source.name.lower().endswith(GRID_SUFFIXES)
     options.refuse_unused(

@@ -54,13 +54,13 @@ class _CommandGroups(TyperGroup):
     """The command `navbake`: its help lists the commands in groups."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        width = max(map(len, self.commands))
+        name_width = max(map(len, self.commands))
         for title, group in COMMANDS.items():
             names = [function.__name__.replace("_", "-") for function in group]
             with formatter.section(title):
-                texts = [self.commands[name].get_short_help_str(100) for name in names]
-                padded = [name.ljust(width) for name in names]
-                formatter.write_dl([*zip(padded, texts, strict=True)])
+                help_texts = [self.commands[name].get_short_help_str(100) for name in names]
+                padded_names = [name.ljust(name_width) for name in names]
+                formatter.write_dl([*zip(padded_names, help_texts, strict=True)])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find a command by its name or alias; for an unknown name, the error has a hint."""

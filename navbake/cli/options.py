@@ -190,11 +190,11 @@ def check_output(
     if suffixes and not path.name.lower().endswith(suffixes):
         endings = ", ".join(suffixes)
         raise BadParameter(f"expected a name that ends in {endings}, got {path}", param_hint=option)
-    probe = path
-    while may_make_folder and not os.path.exists(probe.parent):
-        probe = probe.parent
+    probe_path = path
+    while may_make_folder and not os.path.exists(probe_path.parent):
+        probe_path = probe_path.parent
     try:
-        files.check_writable(probe)
+        files.check_writable(probe_path)
     except OSError as error:
         raise ConfigError(f"cannot write {path}: {error.strerror}") from error
 
@@ -209,8 +209,8 @@ def write_picture(grid: NavGrid, output: Path, **content: Any) -> None:
     """
     from navbake.views.plot import render_picture  # loads numpy
 
-    form = "svg" if output.name.lower().endswith(".svg") else "png"
-    write_output(render_picture(grid, form, **content), output)
+    picture_format = "svg" if output.name.lower().endswith(".svg") else "png"
+    write_output(render_picture(grid, picture_format, **content), output)
 
 
 def write_output(content: bytes, output: Path) -> None:
@@ -263,12 +263,14 @@ class NavbakeCommand(TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        words = [part for word in args for part in word.split("=", 1)]
+        option_words = [word_part for word in args for word_part in word.split("=", 1)]
         try:
             return list(super().parse_args(ctx, args))
         except BadParameter as error:
             for name in error.param.opts if error.param else ():
-                value = words[words.index(name) + 1] if name in words[:-1] else ""
+                value = (
+                    option_words[option_words.index(name) + 1] if name in option_words[:-1] else ""
+                )
                 if value not in error.message:
                     error.message += f", got {value!r}"
             raise
@@ -293,31 +295,35 @@ def prepare_command(command: Callable[..., None]) -> Callable[..., None]:
     the dataclass's fields become options, and the command receives the dataclass.
     """
     # `get_type_hints` of Python 3.10 would hide the options whose default is None
-    hints = inspect.get_annotations(command, eval_str=True)
-    groups: dict[str, Any] = {
-        name: hint for name, hint in hints.items() if dataclasses.is_dataclass(hint)
+    type_hints = inspect.get_annotations(command, eval_str=True)
+    option_groups: dict[str, Any] = {
+        name: hint for name, hint in type_hints.items() if dataclasses.is_dataclass(hint)
     }
 
     @wraps(command)
-    def run(quiet: bool, verbose: bool, **values: object) -> None:
+    def run_command(quiet: bool, verbose: bool, **values: object) -> None:
         if quiet and verbose:
             raise BadParameter("expected one of them", param_hint="--quiet, --verbose")
-        for name, group in groups.items():
-            fields = {field.name: values.pop(field.name) for field in dataclasses.fields(group)}
-            values[name] = group(**fields)
+        for name, group in option_groups.items():
+            field_values = {
+                field.name: values.pop(field.name) for field in dataclasses.fields(group)
+            }
+            values[name] = group(**field_values)
         with use_verbosity(quiet=quiet, verbose=verbose):
             command(**values)
 
     parameters = []
     for parameter in inspect.signature(command).parameters.values():
-        if parameter.name in groups:
-            parameters += _parameters_of(groups[parameter.name])
+        if parameter.name in option_groups:
+            parameters += _parameters_of(option_groups[parameter.name])
         else:
-            parameters.append(_keyword(parameter.name, parameter.default, hints[parameter.name]))
+            parameters.append(
+                _keyword(parameter.name, parameter.default, type_hints[parameter.name])
+            )
     parameters.append(_keyword("quiet", QUIET_OPTION, bool))
     parameters.append(_keyword("verbose", VERBOSE_OPTION, bool))
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    return run
+    run_command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return run_command
 
 
 def _parameters_of(group: Any) -> list[inspect.Parameter]:
@@ -356,16 +362,16 @@ def parse_place(text: str, option: str) -> TypedPlace:
     Raises:
         BadParameter: the text has another form, or a number is not finite.
     """
-    match = PLACE_PATTERN.fullmatch(text)
-    if not match:
+    place_match = PLACE_PATTERN.fullmatch(text)
+    if not place_match:
         name = text if text.isidentifier() else "NAME"
         hint = f"; a room is written room:{name}" if option != "--at" else ""
         message = f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}{hint}"
         raise BadParameter(message, param_hint=option)
-    x = float(match[1])
-    y = float(match[2])
-    z = None if match[3] is None else float(match[3])
-    level = None if match[4] is None else int(match[4])
+    x = float(place_match[1])
+    y = float(place_match[2])
+    z = None if place_match[3] is None else float(place_match[3])
+    level = None if place_match[4] is None else int(place_match[4])
     if not all(map(math.isfinite, (x, y, z or 0.0))):
         raise BadParameter(f"expected finite numbers, got {text!r}", param_hint=option)
     return TypedPlace(x or 0.0, y or 0.0, z, level)  # no -0.0
@@ -397,15 +403,15 @@ def position_of_place(grid: NavGrid, place: TypedPlace, option: str) -> list[flo
     if level is None and len(grid.levels) == 1:
         return [x, y]
     floors = {}
-    for number in range(len(grid.levels)) if level is None else [level]:
-        cell = grid.at((x, y), number)
+    for level_number in range(len(grid.levels)) if level is None else [level]:
+        cell = grid.at((x, y), level_number)
         if cell and cell.floor is not None:
-            floors[number] = cell.floor
+            floors[level_number] = cell.floor
     if level is None and not floors:
         raise BadParameter(f"no level has a floor at {x:g}, {y:g}", param_hint=option)
     if level is None and len(floors) > 1:
         got = f"{x:g},{y:g}, where {len(floors)} levels have a floor"
-        hint = " or ".join(f"{x:g},{y:g},L{number}" for number in floors)
+        hint = " or ".join(f"{x:g},{y:g},L{level_number}" for level_number in floors)
         message = f"expected a place with a level or z, got {got}: write {hint}"
         raise BadParameter(message, param_hint=option)
     if level is None:

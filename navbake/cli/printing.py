@@ -46,8 +46,8 @@ def use_verbosity(*, quiet: bool, verbose: bool) -> Iterator[None]:
         record.args = ()
         return record.levelno < logging.WARNING
 
-    begin = time.perf_counter()
-    level = LOG.level
+    start_time = time.perf_counter()
+    level_before = LOG.level
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("navbake: %(message)s"))
     handler.addFilter(is_for_the_terminal)
@@ -56,9 +56,9 @@ def use_verbosity(*, quiet: bool, verbose: bool) -> Iterator[None]:
     try:
         yield
     finally:
-        LOG.debug("%.2f s in all", time.perf_counter() - begin)
+        LOG.debug("%.2f s in all", time.perf_counter() - start_time)
         LOG.removeHandler(handler)
-        LOG.setLevel(level)
+        LOG.setLevel(level_before)
 
 
 def print_json_line(value: object) -> None:
@@ -71,15 +71,22 @@ def print_json(value: object) -> None:
 
     Raises a ValueError for NaN and infinity, which JSON doesn't have.
     """
-    text = json.dumps(
+    json_text = json.dumps(
         value,
         indent=2,
         ensure_ascii=False,
         allow_nan=False,
-        default=lambda array: array.tolist(),
+        default=lambda numpy_array: numpy_array.tolist(),
     )
     # JSON escapes characters below a space, but not all control characters
-    print("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
+    print(
+        "".join(
+            character
+            if character.isprintable() or character == "\n"
+            else json.dumps(character)[1:-1]
+            for character in json_text
+        )
+    )
 
 
 def say(text: object) -> None:
@@ -120,25 +127,25 @@ def print_tables(*tables: Table) -> None:
     """Print tables on stdout, at most as wide as the terminal."""
     width = shutil.get_terminal_size().columns if is_terminal(sys.stdout) else None
     for index, table in enumerate(tables):
-        print("\n" * (index > 0) + "\n".join(table_lines(table, width)))
+        print("\n" * (index > 0) + "\n".join(lay_out_table(table, width)))
 
 
-def cell_table(facts: Json) -> Table:
+def make_cell_table(facts: Json) -> Table:
     """Return a table with a row for each fact of a cell.
 
     Args:
         facts: what `navbake.views.describe.describe_cell` returns.
     """
-    blocked = "no floor here" if facts["floor"] is None else "blocked"
-    verdict = "an agent can stand here" if facts["free"] else blocked
-    values = {"verdict": verdict, "blocked by": facts["blockers"], **list_cell_facts(facts)}
+    blocked_text = "no floor here" if facts["floor"] is None else "blocked"
+    verdict = "an agent can stand here" if facts["free"] else blocked_text
+    text_of_fact = {"verdict": verdict, "blocked by": facts["blockers"], **list_cell_facts(facts)}
     rows = []
-    for name, value in values.items():
+    for name, value in text_of_fact.items():
         rows.append((name, ", ".join(value) or "-" if isinstance(value, list) else value))
     return make_table(("", ""), rows)
 
 
-def table_lines(table: Table, width: int | None = None) -> list[str]:
+def lay_out_table(table: Table, width: int | None = None) -> list[str]:
     """Lay out a table as lines of text.
 
     Args:
@@ -147,34 +154,43 @@ def table_lines(table: Table, width: int | None = None) -> list[str]:
             width.
     """
     text_rows = [table.headings, *table.rows] if any(table.headings) else table.rows
-    widths = [max(map(text_width, column)) for column in zip(*text_rows, strict=True)]
+    column_widths = [
+        max(map(measure_text_width, column)) for column in zip(*text_rows, strict=True)
+    ]
     is_number = [heading in table.numbers for heading in table.headings]
-    if width is not None and sum(widths) + table.gap * (len(widths) - 1) > width:
-        form = {"pad_edge": False, "padding": (0, table.gap, 0, 0)}
+    if width is not None and sum(column_widths) + table.gap * (len(column_widths) - 1) > width:
+        column_options = {"pad_edge": False, "padding": (0, table.gap, 0, 0)}
         has_headings = text_rows is not table.rows
-        wrapped = rich_table.Table(box=None, show_header=has_headings, **form)
-        for heading, right in zip(table.headings, is_number, strict=True):
-            side = "right" if right else "left"
-            wrapped.add_column(heading, justify=side, overflow="fold", no_wrap=right)
+        wrapped_table = rich_table.Table(box=None, show_header=has_headings, **column_options)
+        for heading, is_right_aligned in zip(table.headings, is_number, strict=True):
+            alignment = "right" if is_right_aligned else "left"
+            wrapped_table.add_column(
+                heading, justify=alignment, overflow="fold", no_wrap=is_right_aligned
+            )
         for row in table.rows:
-            wrapped.add_row(*row)
-        plain = {"color_system": None, "markup": False, "highlight": False, "emoji": False}
-        screen = rich_console.Console(width=width, **plain)
-        with screen.capture() as captured:
-            screen.print(wrapped)
-        return [line.rstrip() for line in captured.get().splitlines()]
+            wrapped_table.add_row(*row)
+        plain_options = {"color_system": None, "markup": False, "highlight": False, "emoji": False}
+        console = rich_console.Console(width=width, **plain_options)
+        with console.capture() as captured_text:
+            console.print(wrapped_table)
+        return [line.rstrip() for line in captured_text.get().splitlines()]
     lines = []
     for row in text_rows:
-        blanks = [" " * (most - text_width(cell)) for cell, most in zip(row, widths, strict=True)]
+        padding_texts = [
+            " " * (column_width - measure_text_width(cell))
+            for cell, column_width in zip(row, column_widths, strict=True)
+        ]
         cells = [
-            blank + cell if right else cell + blank
-            for cell, blank, right in zip(row, blanks, is_number, strict=True)
+            padding_text + cell if is_right_aligned else cell + padding_text
+            for cell, padding_text, is_right_aligned in zip(
+                row, padding_texts, is_number, strict=True
+            )
         ]
         lines.append((" " * table.gap).join(cells).rstrip())
     return lines
 
 
-def text_width(text: str) -> int:
+def measure_text_width(text: str) -> int:
     """Return how many columns of a terminal a text takes; a Chinese character takes two."""
     if text.isascii():
         return len(text)
@@ -184,7 +200,7 @@ def text_width(text: str) -> int:
 
 
 @contextmanager
-def progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..., None]]:
+def show_progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..., None]]:
     """Show progress bars on stderr, if that is a terminal; other output appears above them.
 
     Args:
@@ -198,24 +214,26 @@ def progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..., No
     if hidden or not is_terminal(sys.stderr):
         yield lambda name, share, note="": None
         return
-    screen = rich_console.Console(stderr=True, markup=False, highlight=False, emoji=False)
-    text = rich_progress.TextColumn(f"{printable(title)} {{task.description}}", markup=False)
+    console = rich_console.Console(stderr=True, markup=False, highlight=False, emoji=False)
+    title_column = rich_progress.TextColumn(
+        f"{printable(title)} {{task.description}}", markup=False
+    )
     note_column = rich_progress.TextColumn("{task.fields[note]}", markup=False)
-    tasks: dict[str, Any] = {}
+    task_of_name: dict[str, Any] = {}
     with rich_progress.Progress(
-        text,
+        title_column,
         rich_progress.BarColumn(),
         note_column,
         rich_progress.TimeElapsedColumn(),
         rich_progress.TimeRemainingColumn(),
-        console=screen,
+        console=console,
         transient=True,
         redirect_stdout=False,  # stdout may be a pipe
-    ) as bars:
+    ) as progress:
 
-        def show(name: str, share: float, note: str = "") -> None:
-            if name not in tasks:
-                tasks[name] = bars.add_task(name, total=1.0, note="")
-            bars.update(tasks[name], completed=share, note=note)
+        def show_fraction(name: str, fraction: float, note: str = "") -> None:
+            if name not in task_of_name:
+                task_of_name[name] = progress.add_task(name, total=1.0, note="")
+            progress.update(task_of_name[name], completed=fraction, note=note)
 
-        yield show
+        yield show_fraction

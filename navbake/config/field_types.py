@@ -41,19 +41,19 @@ def expected_error(text: str, **details: str) -> PydanticCustomError:
     return PydanticCustomError("expected", "expected {text}", {"text": text, **details})
 
 
-def expects(text: str) -> WrapValidator:
+def replace_error_text(text: str) -> WrapValidator:
     """Make a validator that replaces any error of a field by ``expected <text>, got …``."""
 
-    def check(value: object, validate: Callable[[object], object]) -> object:
+    def validate_with_text(value: object, validate: Callable[[object], object]) -> object:
         try:
             return validate(value)
         except (ValidationError, ValueError):
             raise expected_error(text) from None
 
-    return WrapValidator(check)
+    return WrapValidator(validate_with_text)
 
 
-class AlsoAccepts:
+class AlsoAcceptsInSchema:
     """Adds short forms of a setting to its JSON Schema: those that a validator expands.
 
     Args:
@@ -103,7 +103,7 @@ def to_path(value: object) -> Path:
     raise expected_error("a path")
 
 
-def resolve(path: Path, info: ValidationInfo) -> Path:
+def resolve_path_setting(path: Path, info: ValidationInfo) -> Path:
     """Resolve a path relative to the folder of the file that names it.
 
     Args:
@@ -116,18 +116,18 @@ def resolve(path: Path, info: ValidationInfo) -> Path:
 def refuse_if(is_wrong: Callable[[Any], object]) -> Callable[[Any], Any]:
     """Make a validator that raises a ValueError for some values.
 
-    The validator `expects` of the same field replaces this error by its own message.
+    The validator `replace_error_text` of the same field replaces this error by its own message.
 
     Args:
         is_wrong: Called with the value; returns something true if the value is to be refused.
     """
 
-    def check(value: Any) -> Any:
+    def check_value(value: Any) -> Any:
         if is_wrong(value):
             raise ValueError
         return value
 
-    return check
+    return check_value
 
 
 def read_if_file(
@@ -143,10 +143,10 @@ def read_if_file(
         read: Reads the file; may raise a FormatError.
     """
 
-    def load(value: object, info: ValidationInfo) -> object:
+    def load_value(value: object, info: ValidationInfo) -> object:
         if not isinstance(value, str | PathLike):
             return [] if value is None else value
-        path = resolve(to_path(value), info)
+        path = resolve_path_setting(to_path(value), info)
         if info.context:
             info.context.setdefault("inputs", []).append(path)
         try:
@@ -167,39 +167,41 @@ def read_if_file(
                 hint=error.hint,
             ) from error
 
-    return load
+    return load_value
 
 
 def _check_outline(points: list[list[float]]) -> list[list[float]]:
-    fault = find_outline_fault(points)
-    if fault:
-        raise expected_error("a simple outline", got=fault)
+    outline_fault = find_outline_fault(points)
+    if outline_fault:
+        raise expected_error("a simple outline", got=outline_fault)
     return points
 
 
-Positive = Annotated[float, Field(gt=0), expects("a number > 0")]
-NotNegative = Annotated[float, Field(ge=0), expects("a number >= 0")]
-Name = Annotated[str, Field(min_length=1), expects("text that is not empty")]
-OptionalName = Annotated[Name | None, expects("text that is not empty, or null")]
+Positive = Annotated[float, Field(gt=0), replace_error_text("a number > 0")]
+NotNegative = Annotated[float, Field(ge=0), replace_error_text("a number >= 0")]
+Name = Annotated[str, Field(min_length=1), replace_error_text("text that is not empty")]
+OptionalName = Annotated[Name | None, replace_error_text("text that is not empty, or null")]
 # a single name is a list of one: `bodies: robot*`
 OneOrMore = BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
-Patterns = Annotated[list[Name], OneOrMore, AlsoAccepts("string")]
+Patterns = Annotated[list[Name], OneOrMore, AlsoAcceptsInSchema("string")]
 Index = Annotated[int, Field(ge=0)]
-LevelKey = Annotated[Index | Name, expects("a level's number from 0, or its name")]
+LevelKey = Annotated[Index | Name, replace_error_text("a level's number from 0, or its name")]
 Point2 = Annotated[list[float], Field(min_length=2, max_length=2)]
 Point3 = Annotated[list[float], Field(min_length=3, max_length=3)]
-Position = Annotated[Point3, expects("a position [x, y, z]")]
+Position = Annotated[Point3, replace_error_text("a position [x, y, z]")]
 Outline = Annotated[
     list[Point2],
     Field(min_length=3),
-    expects("3 or more corners [[x, y], …]"),
+    replace_error_text("3 or more corners [[x, y], …]"),
     AfterValidator(_check_outline),
 ]
-FilePath = Annotated[Path, BeforeValidator(to_path), expects("a path")]
+FilePath = Annotated[Path, BeforeValidator(to_path), replace_error_text("a path")]
 Model = TypeVar("Model", bound=BaseModel)
 # an empty `grid:` is null in YAML, and means the section's defaults
 Section = Annotated[
-    Model, BeforeValidator(lambda value: {} if value is None else value), AlsoAccepts("null")
+    Model,
+    BeforeValidator(lambda value: {} if value is None else value),
+    AlsoAcceptsInSchema("null"),
 ]
 
 
@@ -280,25 +282,30 @@ def make_config_error(
             the message names it in place of `source`.
     """
     # an unknown key is often the reason for other errors; sorting keeps these in order
-    details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    error_details = sorted(
+        error.errors(), key=lambda error_detail: error_detail["type"] != "extra_forbidden"
+    )
     faults: list[Fault] = []
-    origins: list[str] = []
-    for detail in details[:MAX_ERRORS]:
+    sources_of_faults: list[str] = []
+    for error_detail in error_details[:MAX_ERRORS]:
         # pydantic adds tags of unions' branches, such as =list, and [key]
         location = tuple(
-            part for part in detail["loc"] if not str(part).startswith("=") and part != "[key]"
+            part
+            for part in error_detail["loc"]
+            if not str(part).startswith("=") and part != "[key]"
         )
-        faults.append(_find_fault(detail, location, sections))
-        origins.append(_origin_of(location, source, overrides))
+        faults.append(_find_fault(error_detail, location, sections))
+        sources_of_faults.append(_find_source_of_value(location, source, overrides))
     text = "; ".join(
-        f"{fault.text} in {origin}" for fault, origin in zip(faults, origins, strict=True)
+        f"{fault.text} in {fault_source}"
+        for fault, fault_source in zip(faults, sources_of_faults, strict=True)
     )
-    if len(details) > MAX_ERRORS:
-        text += f" (and {len(details) - MAX_ERRORS} more)"
+    if len(error_details) > MAX_ERRORS:
+        text += f" (and {len(error_details) - MAX_ERRORS} more)"
     first = faults[0]
     return ConfigError(
         text,
-        path=origins[0],
+        path=sources_of_faults[0],
         key=first.key,
         value=first.value,
         expected=first.expected,
@@ -306,11 +313,11 @@ def make_config_error(
     )
 
 
-def _origin_of(location: Location, source: str, overrides: Sequence[str]) -> str:
+def _find_source_of_value(location: Location, source: str, overrides: Sequence[str]) -> str:
     """Return the last override that sets the value at a location or a part of it, else `source`."""
     for override in reversed(overrides):
-        key = split_override_key(override)
-        if key[: len(location)] == location[: len(key)]:
+        override_parts = split_override_key(override)
+        if override_parts[: len(location)] == location[: len(override_parts)]:
             return f"--set {override}"
     return source
 
@@ -326,12 +333,12 @@ def find_unknown_key(
         section: The dotted key of the section that `settings` belongs to; "" for the top.
     """
     for key, value in settings.items():
-        if section in sections and key not in _keys_of(sections, section):
+        if section in sections and key not in _list_keys(sections, section):
             return _describe_unknown_key((*filter(None, section.split(".")), key), sections).text
         if isinstance(value, Mapping):
-            unknown = find_unknown_key(value, sections, f"{section}.{key}".lstrip("."))
-            if unknown:
-                return unknown
+            unknown_text = find_unknown_key(value, sections, f"{section}.{key}".lstrip("."))
+            if unknown_text:
+                return unknown_text
     return None
 
 
@@ -340,10 +347,10 @@ def show_value(value: object) -> str:
     if isinstance(value, Mapping):
         return "a mapping"
     if isinstance(value, list | tuple | set):
-        is_nested = any(isinstance(item, NESTED_TYPES) for item in value)
+        is_nested = any(isinstance(element, NESTED_TYPES) for element in value)
         if not value or len(value) > MAX_ITEMS or is_nested:
             return f"a list of {len(value)}"
-        text = f"[{', '.join(show_value(item) for item in value)}]"
+        text = f"[{', '.join(show_value(element) for element in value)}]"
         return text if len(text) <= MAX_VALUE_LENGTH else f"a list of {len(value)}"
     is_word = value is None or isinstance(value, bool | str)
     text = json.dumps(value, ensure_ascii=False) if is_word else str(value)
@@ -352,59 +359,61 @@ def show_value(value: object) -> str:
 
 def _find_fault(error: ErrorDetails, location: Location, sections: Sections) -> Fault:
     """Convert one of pydantic's errors to a fault."""
-    kind = error["type"]
-    context = error.get("ctx", {})
+    error_type = error["type"]
+    error_context = error.get("ctx", {})
     value = error["input"]
-    key = _dotted(location)
-    if kind == "extra_forbidden":
+    key = _join_location(location)
+    if error_type == "extra_forbidden":
         return _describe_unknown_key(location, sections)
-    if kind == "missing":
+    if error_type == "missing":
         return Fault(f"expected a value, found none at `{key}`", key, expected="a value")
-    expected = context.get("text") or EXPECTED_TEXTS.get(kind) or error["msg"]
-    if kind == "literal_error":
-        expected = context["expected"].replace("'", "")
+    expected = error_context.get("text") or EXPECTED_TEXTS.get(error_type) or error["msg"]
+    if error_type == "literal_error":
+        expected = error_context["expected"].replace("'", "")
     short_form = SHORT_FORMS.get(str(location[0]))
-    if kind == "model_type" and short_form is not None and short_form.is_used(value):
+    if error_type == "model_type" and short_form is not None and short_form.is_used(value):
         expected += f" such as {{{short_form.key}: {shorten(str(value))}}}"
-    shown_value = context.get("got") or show_value(value)
-    if "at" in context:  # the fault is a part of the value
-        key += context["at"]
+    shown_value = error_context.get("got") or show_value(value)
+    if "at" in error_context:  # the fault is a part of the value
+        key += error_context["at"]
         value = None
     return Fault(f"expected {expected}, got {shown_value} at `{key}`", key, value, expected)
 
 
 def _describe_unknown_key(location: Location, sections: Sections) -> Fault:
     """Describe an unknown key and the nearest known key, if possible one of the same section."""
-    unknown = str(location[-1])
+    unknown_name = str(location[-1])
     section = ".".join(part for part in location[:-1] if isinstance(part, str))
     if section not in sections:
         section = section.rpartition(".")[0]  # the last part is a name, such as of an agent
-    keys_of_section = _keys_of(sections, section)
+    keys_of_section = _list_keys(sections, section)
     keys_elsewhere: dict[str, str] = {}
     # reversed, so that the first of several sections with the same key is named
     for name in reversed(list(sections)):
         if name not in ENTRY_SECTIONS:
-            keys_elsewhere |= _keys_of(sections, name)
-    near_keys = [keys_of_section[name] for name in find_similar_names(unknown, keys_of_section)]
-    near_keys += [keys_elsewhere[name] for name in find_similar_names(unknown, keys_elsewhere)]
-    same_setting = KEYS_OF_OTHER_TOOLS.get(unknown, "")
-    if same_setting and section in ("", same_setting.rpartition(".")[0]):
-        near_keys = [same_setting]
+            keys_elsewhere |= _list_keys(sections, name)
+    near_keys = [
+        keys_of_section[name] for name in find_similar_names(unknown_name, keys_of_section)
+    ]
+    near_keys += [keys_elsewhere[name] for name in find_similar_names(unknown_name, keys_elsewhere)]
+    equivalent_key = KEYS_OF_OTHER_TOOLS.get(unknown_name, "")
+    if equivalent_key and section in ("", equivalent_key.rpartition(".")[0]):
+        near_keys = [equivalent_key]
     if near_keys:
         hint = f"the nearest known one is `{near_keys[0]}`"
     else:
         hint = f"known are {', '.join(keys_of_section)}"
-    key = _dotted(location)
+    key = _join_location(location)
     return Fault(f"unknown key `{shorten(key)}`, {hint},", key, hint=hint)
 
 
-def _keys_of(sections: Sections, section: str) -> dict[str, str]:
+def _list_keys(sections: Sections, section: str) -> dict[str, str]:
     """Return the keys of a section: last part of the key -> dotted key."""
     keys = [field.alias or name for name, field in sections[section].model_fields.items()]
     return {key: f"{section}.{key}".lstrip(".") for key in keys}
 
 
-def _dotted(location: Location) -> str:
+def _join_location(location: Location) -> str:
     """Write a location as a key: ``rooms.polygons[0].name``."""
     parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
     return "".join(parts).lstrip(".")

@@ -43,43 +43,46 @@ class SettingKeywords(TypedDict, total=False):
     output: str | PathLike[str] | None
 
 
-def merge(
-    below: Mapping[str, Any], above: Mapping[str, Any], place: str, section: str = ""
+def overlay_settings(
+    lower_settings: Mapping[str, Any],
+    upper_settings: Mapping[str, Any],
+    place: str,
+    section: str = "",
 ) -> dict[str, Any]:
     """Merge settings key by key. A section without keys changes nothing.
 
     Args:
-        below: Nested mappings of settings.
-        above: Nested mappings of settings, which replace those of `below`.
-        place: What `above` was read from, for messages.
+        lower_settings: Nested mappings of settings.
+        upper_settings: Nested mappings of settings, which replace those of `lower_settings`.
+        place: What `upper_settings` was read from, for messages.
         section: Dotted key of the section that both mappings belong to; "" for the top.
 
     Raises:
-        ConfigError: `above` has keys for a section of which `below` has a plain value, such as
-            ``rooms: none``.
+        ConfigError: `upper_settings` has keys for a section of which `lower_settings` has a plain
+            value, such as ``rooms: none``.
     """
-    merged = dict(below)
-    for key, value in above.items():
-        value_below = merged.get(key)
-        name = f"{section}.{key}".lstrip(".")
-        if isinstance(value_below, Mapping) and (value is None or isinstance(value, Mapping)):
-            merged[key] = merge(value_below, value or {}, place, name)
-        elif value_below is None or not isinstance(value, Mapping):
-            merged[key] = value
+    merged_settings = dict(lower_settings)
+    for key, value in upper_settings.items():
+        lower_value = merged_settings.get(key)
+        dotted_key = f"{section}.{key}".lstrip(".")
+        if isinstance(lower_value, Mapping) and (value is None or isinstance(value, Mapping)):
+            merged_settings[key] = overlay_settings(lower_value, value or {}, place, dotted_key)
+        elif lower_value is None or not isinstance(value, Mapping):
+            merged_settings[key] = value
         elif value:
             hint = "write the first as keys, too, or leave one of the two out"
-            key_above = f"{name}.{next(iter(value))}"
+            key_above = f"{dotted_key}.{next(iter(value))}"
             raise ConfigError(
-                f"`{name}` is {show_value(value_below)}, so there is no key for "
+                f"`{dotted_key}` is {show_value(lower_value)}, so there is no key for "
                 f"`{shorten(key_above)}` in {place}: {hint}",
                 path=place,
                 key=key_above,
                 hint=hint,
             )
-    return merged
+    return merged_settings
 
 
-def config_with(config: object, keywords: Mapping[str, Any]) -> BakeConfig:
+def add_keywords_to_config(config: object, keywords: Mapping[str, Any]) -> BakeConfig:
     """Merge keywords over settings, and validate the result.
 
     Args:
@@ -95,7 +98,7 @@ def config_with(config: object, keywords: Mapping[str, Any]) -> BakeConfig:
             "a scene (mujoco.MjModel or MjSpec, trimesh.Scene or Trimesh), the path of a scene or "
             "of a YAML file, or settings"
         )
-        hint = _attribute_hint(config)
+        hint = _describe_scene_attribute(config)
         raise ConfigError(
             f"expected {expected}; got {type(config).__name__}{hint}",
             expected=expected,
@@ -103,7 +106,7 @@ def config_with(config: object, keywords: Mapping[str, Any]) -> BakeConfig:
         )
     if not keywords:
         return as_config(config)
-    source = "the settings with the keywords"
+    source_text = "the settings with the keywords"
     folder = Path()
     settings: Mapping[str, Any]
     if isinstance(config, BakeConfig):
@@ -112,17 +115,21 @@ def config_with(config: object, keywords: Mapping[str, Any]) -> BakeConfig:
         settings = config
     else:
         path = find_source(config)
-        source = f"{path} with the keywords"
+        source_text = f"{path} with the keywords"
         settings = defaults_of(path)
         if is_settings(path):
             settings = read_yaml(path)
             folder = path.parent
             if not isinstance(settings, Mapping):
                 return as_config(path)  # raises the error
-    return parse_config(merge(settings, _check_keywords(keywords), source), source, folder=folder)
+    return parse_config(
+        overlay_settings(settings, _check_keywords(keywords), source_text),
+        source_text,
+        folder=folder,
+    )
 
 
-def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
+def make_memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
     """Return the settings of a scene in memory.
 
     Args:
@@ -134,8 +141,10 @@ def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
         ConfigError: A setting is wrong.
     """
     settings: Mapping[str, Any] = {"scene": {"path": memory_path(name)}}
-    source = "the keywords"
-    return parse_config(merge(settings, _check_keywords(keywords), source), source)
+    source_text = "the keywords"
+    return parse_config(
+        overlay_settings(settings, _check_keywords(keywords), source_text), source_text
+    )
 
 
 def _check_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
@@ -146,9 +155,9 @@ def _check_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
     """
     for key in keywords.keys() - BakeConfig.model_fields:
         for section, model in SECTIONS.items():
-            name = key.removeprefix(f"{section}_")
-            if name in model.model_fields and section in BakeConfig.model_fields:
-                hint = f'write `{section}={{"{name}": …}}`'
+            setting_key = key.removeprefix(f"{section}_")
+            if setting_key in model.model_fields and section in BakeConfig.model_fields:
+                hint = f'write `{section}={{"{setting_key}": …}}`'
                 raise ConfigError(f"{hint} in place of `{key}`", key=key, hint=hint)
     return {key: _as_yaml_value(value) for key, value in keywords.items()}
 
@@ -156,15 +165,15 @@ def _check_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
 def _as_yaml_value(value: object) -> object:
     """Convert tuples and arrays in a value to lists, and NumPy's numbers to Python's."""
     if isinstance(value, Mapping):
-        return {key: _as_yaml_value(item) for key, item in value.items()}
+        return {key: _as_yaml_value(element) for key, element in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, list | tuple):
-        return [_as_yaml_value(item) for item in value]
+        return [_as_yaml_value(element) for element in value]
     return value
 
 
-def _attribute_hint(scene: object) -> str:
+def _describe_scene_attribute(scene: object) -> str:
     """Name the attribute to give in place of an object that holds a scene; "" for other objects."""
     if type(scene).__name__ == "MjData":
         return ": give its model first, then the data"

@@ -18,7 +18,7 @@ from pydantic import (
 )
 
 from navbake.config.field_types import (
-    AlsoAccepts,
+    AlsoAcceptsInSchema,
     LevelKey,
     Name,
     OneOrMore,
@@ -29,9 +29,9 @@ from navbake.config.field_types import (
     Positive,
     Settings,
     expected_error,
-    expects,
     read_if_file,
     refuse_if,
+    replace_error_text,
     setting,
 )
 from navbake.formats.shapes import read_links_or_areas
@@ -45,13 +45,17 @@ AGENT_LIMIT = "that of `agent`, which is the most"
 RULE_FIELDS = ("height", "gap", "patterns")  # only rules that find links (`auto`) have these
 LINK_FIELDS = ("name", "kind", "one_way", "width")  # only single links have these
 
-OptionalPositive = Annotated[Annotated[float, Field(gt=0)] | None, expects("a number > 0, or null")]
-OptionalLength = Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")]
+OptionalPositive = Annotated[
+    Annotated[float, Field(gt=0)] | None, replace_error_text("a number > 0, or null")
+]
+OptionalLength = Annotated[
+    Annotated[float, Field(ge=0)] | None, replace_error_text("a number >= 0, or null")
+]
 Agents = Annotated[
     list[Name] | None,
     OneOrMore,
-    AlsoAccepts("string"),
-    expects("a list of names of `agents`, or null"),
+    AlsoAcceptsInSchema("string"),
+    replace_error_text("a list of names of `agents`, or null"),
 ]
 
 
@@ -82,13 +86,13 @@ class AreaSettings(Settings):
             AfterValidator(refuse_if(lambda box: any(map(operator.ge, *box)))),
         ]
         | None,
-        expects("[[x, y, z], [x, y, z]], lower corner first, or null"),
+        replace_error_text("[[x, y, z], [x, y, z]], lower corner first, or null"),
     ] = setting(None, "its box, corners [[x, y, z], [x, y, z]] [m], of floors in it, or null")
     geoms: Patterns = setting([], "the geoms on whose cells it lies, by name patterns")
     cost: Annotated[
         Literal["inf"] | Annotated[float, Field(gt=0)],
         BeforeValidator(lambda value: "inf" if value == math.inf else value),
-        expects("a number > 0, or .inf"),
+        replace_error_text("a number > 0, or .inf"),
     ] = setting(1.0, "a path's price of a metre there, > 0, or .inf: nobody goes there")
     speed: OptionalPositive = setting(None, "the highest speed there [m/s], > 0, or null")
     agents: Agents = setting(None, "names of the agents that may enter; null for all")
@@ -101,9 +105,9 @@ class AreaSettings(Settings):
     @model_validator(mode="after")
     def _check_place(self) -> Self:
         """Refuse an area whose place is given not at all or in several ways."""
-        places = [name for name in ("room", "polygon", "box", "geoms") if getattr(self, name)]
-        if len(places) != 1:
-            got = " and ".join(places) or f"none for {self.name!r}"
+        place_fields = [name for name in ("room", "polygon", "box", "geoms") if getattr(self, name)]
+        if len(place_fields) != 1:
+            got = " and ".join(place_fields) or f"none for {self.name!r}"
             raise expected_error("one of room, polygon, box and geoms", got=got)
         return self
 
@@ -114,7 +118,7 @@ class LinkSettings(Settings):
     name: OptionalName = setting(None, "its name, unique; not with `auto`", "required")
     kind: Name = setting("link", "what it is: lift, drop, jump, ladder, or any other word")
     stops: Annotated[
-        list[Position], expects("2 or more positions [[x, y, z], …], none for `auto`")
+        list[Position], replace_error_text("2 or more positions [[x, y, z], …], none for `auto`")
     ] = setting([], "where it stops, 2 or more positions [[x, y, z], …] [m]")
     one_way: bool = setting(False, "whether it leads from earlier stops to later ones only")
     width: OptionalPositive = setting(None, "diameter of agents that fit [m], > 0, or null")
@@ -124,7 +128,7 @@ class LinkSettings(Settings):
     state: Literal["open", "closed"] = setting("open", "open or closed")
     auto: Annotated[
         Literal["drop", "jump", "ladder", "lift"] | None,
-        expects("drop, jump, ladder, lift or null"),
+        replace_error_text("drop, jump, ladder, lift or null"),
     ] = setting(None, "find links of this kind: drop, jump, ladder or lift; null for a given one")
     height: OptionalPositive = setting(
         None,
@@ -163,15 +167,15 @@ def _check_names(
     """Refuse names that are given twice, and names of agents that the section `agents` lacks."""
     agents = info.data.get("agents")
     names: set[str] = set()
-    for number, entry in enumerate(entries):
+    for index, entry in enumerate(entries):
         if entry.name in names:
-            raise expected_error("no name twice", got=f'"{entry.name}"', at=f"[{number}].name")
+            raise expected_error("no name twice", got=f'"{entry.name}"', at=f"[{index}].name")
         if entry.name:
             names.add(entry.name)
         for name in entry.agents or ():
             if agents is not None and name not in agents:
                 text = f"a name of `agents` ({suggest(name, agents)})"
-                raise expected_error(text, got=f'"{name}"', at=f"[{number}].agents")
+                raise expected_error(text, got=f'"{name}"', at=f"[{index}].agents")
     return entries
 
 
@@ -180,11 +184,11 @@ Areas = Annotated[
     Field(max_length=MAX_AREAS),
     AfterValidator(_check_names),
     BeforeValidator(read_if_file("areas", lambda path: read_links_or_areas(path, "areas"))),
-    AlsoAccepts("string", "null"),
+    AlsoAcceptsInSchema("string", "null"),
 ]
 Links = Annotated[
     list[LinkSettings],
     AfterValidator(_check_names),
     BeforeValidator(read_if_file("links", lambda path: read_links_or_areas(path, "links"))),
-    AlsoAccepts("string", "null"),
+    AlsoAcceptsInSchema("string", "null"),
 ]

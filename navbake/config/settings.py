@@ -29,7 +29,7 @@ from pydantic import (
 
 from navbake import samples
 from navbake.config.field_types import (
-    AlsoAccepts,
+    AlsoAcceptsInSchema,
     FilePath,
     Index,
     LevelKey,
@@ -45,11 +45,11 @@ from navbake.config.field_types import (
     Section,
     Settings,
     expected_error,
-    expects,
     make_config_error,
     read_if_file,
     refuse_if,
-    resolve,
+    replace_error_text,
+    resolve_path_setting,
     section,
     setting,
 )
@@ -83,8 +83,8 @@ def stem_of(path: str | PathLike[str]) -> str:
     return stem.removesuffix(".building") if scene_suffix(path) in BUILDING_SUFFIXES else stem
 
 
-Folder = Annotated[FilePath, AfterValidator(resolve)]
-ScenePath = Annotated[Folder, expects("the path of a scene file")]
+Folder = Annotated[FilePath, AfterValidator(resolve_path_setting)]
+ScenePath = Annotated[Folder, replace_error_text("the path of a scene file")]
 refuse_wrong_id = refuse_if(
     lambda text: text in (".", "..") or not text.isprintable() or set(text) & set("/\\")
 )
@@ -92,7 +92,7 @@ SceneId = Annotated[
     str,
     Field(min_length=1),
     AfterValidator(refuse_wrong_id),
-    expects("text without / and \\ (a number needs quotes)"),
+    replace_error_text("text without / and \\ (a number needs quotes)"),
 ]
 
 
@@ -122,7 +122,7 @@ class SceneSettings(Settings):
     )
     up: Annotated[
         Literal["auto", "level", "x", "-x", "y", "-y", "z", "-z"] | Annotated[Point3, RefuseZero],
-        expects("auto, level, an axis (x, -x, y, -y, z, -z) or a direction [x, y, z]"),
+        replace_error_text("auto, level, an axis (x, -x, y, -y, z, -z) or a direction [x, y, z]"),
     ] = setting(
         "auto",
         "what is up in mesh files: an axis (x, -x, y, -y, z, -z), a direction [x, y, z], level (as "
@@ -150,21 +150,23 @@ class SceneSettings(Settings):
     # with tags, pydantic checks one branch of the union, so that errors are about that one
     meshes: Annotated[
         Annotated[
-            MeshMode, expects("auto, hull, surface, shell or {pattern: one of these}"), Tag("=one")
+            MeshMode,
+            replace_error_text("auto, hull, surface, shell or {pattern: one of these}"),
+            Tag("=one"),
         ]
         | Annotated[dict[Name, MeshMode], Tag("=each")],
         Discriminator(lambda value: "=each" if isinstance(value, dict) else "=one"),
     ] = setting("auto", "hull, surface, shell (never solid), auto, or {name pattern: hull}")
-    ground: Annotated[float | None, expects("a height in metres, or null")] = setting(
+    ground: Annotated[float | None, replace_error_text("a height in metres, or null")] = setting(
         None, "height of endless ground that is added [m], or null"
     )
     exclude: Section[ExcludeSettings] = section(ExcludeSettings, "what is left out, by pattern")
-    keyframe: Annotated[str | Index | None, expects("a keyframe's name or index, or null")] = (
-        setting(None, "pose: a keyframe's name, or index >= 0, or null")
-    )
-    joints: dict[Name, Annotated[float | list[float], expects("a number or a list of numbers")]] = (
-        setting({}, "pose, after the keyframe: {joint name: position [m or rad], or a list}")
-    )
+    keyframe: Annotated[
+        str | Index | None, replace_error_text("a keyframe's name or index, or null")
+    ] = setting(None, "pose: a keyframe's name, or index >= 0, or null")
+    joints: dict[
+        Name, Annotated[float | list[float], replace_error_text("a number or a list of numbers")]
+    ] = setting({}, "pose, after the keyframe: {joint name: position [m or rad], or a list}")
 
     @model_validator(mode="before")
     @classmethod
@@ -182,7 +184,7 @@ class SceneSettings(Settings):
 DEFAULT_GEOMS = ("room|*", "room_*", "floor|*")
 DEFAULT_SITES = ("room*",)
 RoomSource = Literal["polygons", "geoms", "sites", "auto"]
-DoorWidth = Annotated[Literal["auto"] | Positive, expects("a number > 0, or auto")]
+DoorWidth = Annotated[Literal["auto"] | Positive, replace_error_text("a number > 0, or auto")]
 OnceEach = AfterValidator(refuse_if(lambda value: len(set(value)) < len(value)))
 
 
@@ -205,7 +207,7 @@ class RoomSettings(Settings):
     sources: Annotated[
         list[RoomSource],
         OnceEach,
-        expects("a list of some of polygons, geoms, sites, auto, each once"),
+        replace_error_text("a list of some of polygons, geoms, sites, auto, each once"),
     ] = Field(
         default=["polygons", "geoms", "sites", "auto"],
         alias="from",
@@ -217,7 +219,7 @@ class RoomSettings(Settings):
     polygons: Annotated[
         list[RoomPolygon],
         BeforeValidator(read_if_file("rooms.polygons", read_room_outlines)),
-        AlsoAccepts("string", "null"),
+        AlsoAcceptsInSchema("string", "null"),
     ] = setting(
         [],
         "outlines in metres: a GeoJSON file, relative to this file, or a list of "
@@ -275,7 +277,7 @@ class AgentSettings(Settings):
         0.25, "highest step; what is lower is no obstacle [m], >= 0, < height"
     )
     max_slope: Annotated[
-        float, Field(ge=0, le=89.9), expects("a number of degrees from 0 to 89.9")
+        float, Field(ge=0, le=89.9), replace_error_text("a number of degrees from 0 to 89.9")
     ] = setting(45.0, "steepest floor [degrees], 0 to 89.9")
 
 
@@ -290,10 +292,10 @@ class GridSettings(Settings):
             AfterValidator(refuse_if(lambda box: box[0] >= box[2] or box[1] >= box[3])),
         ]
         | None,
-        expects("[x_min, y_min, x_max, y_max] with min < max, or null"),
+        replace_error_text("[x_min, y_min, x_max, y_max] with min < max, or null"),
     ] = setting(None, "[x_min, y_min, x_max, y_max] of a part [m], or null")
     margin: NotNegative = setting(0.0, "added on each side [m], >= 0")
-    max_cells: Annotated[int, Field(ge=1), expects("a whole number >= 1")] = setting(
+    max_cells: Annotated[int, Field(ge=1), replace_error_text("a whole number >= 1")] = setting(
         25_000_000, "refuse more cells than this, >= 1"
     )
 
@@ -303,7 +305,9 @@ class LevelSettings(Settings):
 
     ground: float = Field(description="height of the level's ground, world z [m]; no default")
     top: Annotated[
-        float | None, expects("a number > ground, or null"), AfterValidator(_check_above_ground)
+        float | None,
+        replace_error_text("a number > ground, or null"),
+        AfterValidator(_check_above_ground),
     ] = setting(None, "height where it ends [m], > ground", "the next level's ground")
     name: OptionalName = setting(None, "its name, or null")
 
@@ -357,9 +361,9 @@ class DoorSettings(Settings):
 class VerifySettings(Settings):
     """The section ``verify``: comparing the grid with the scene after the bake."""
 
-    sample: Annotated[int | None, Field(ge=1), expects("a whole number >= 1, or null")] = setting(
-        None, "how many cells to look at after the bake, or null for none"
-    )
+    sample: Annotated[
+        int | None, Field(ge=1), replace_error_text("a whole number >= 1, or null")
+    ] = setting(None, "how many cells to look at after the bake, or null for none")
 
 
 def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
@@ -394,7 +398,9 @@ class BakeConfig(Settings):
     # for the tags, see `scene.meshes`
     levels: Annotated[
         Annotated[
-            Literal["auto"], expects("auto or a list of {ground: …, top: …, name: …}"), Tag("=auto")
+            Literal["auto"],
+            replace_error_text("auto or a list of {ground: …, top: …, name: …}"),
+            Tag("=auto"),
         ]
         | Annotated[
             list[LevelSettings], Field(min_length=1), AfterValidator(_check_ascending), Tag("=list")
@@ -409,12 +415,12 @@ class BakeConfig(Settings):
     names: Annotated[
         Section[NameSettings],  # `names: false` is short for `names: {enabled: false}`
         BeforeValidator(lambda value: {"enabled": value} if isinstance(value, bool) else value),
-        AlsoAccepts("boolean"),
+        AlsoAcceptsInSchema("boolean"),
     ] = section(NameSettings, "names of what stands in the cells, or false")
     rooms: Annotated[
         RoomSettings,
         BeforeValidator(expand_rooms),
-        AlsoAccepts("null", words=("auto", "none")),
+        AlsoAcceptsInSchema("null", words=("auto", "none")),
     ] = section(
         RoomSettings,
         "how rooms are told apart; `rooms: auto` divides at doors only, none: no rooms",
@@ -423,7 +429,7 @@ class BakeConfig(Settings):
     agents: Annotated[
         dict[Name, NamedAgent],
         BeforeValidator(lambda value: value or {}),
-        AlsoAccepts("null"),
+        AlsoAcceptsInSchema("null"),
     ] = setting(
         {}, "agents by name, for links and areas: {robot: {radius: 0.3, height: 1.2, speed: 0.8}}"
     )
@@ -440,7 +446,7 @@ class BakeConfig(Settings):
     attributes: Annotated[
         list[Literal["island", "clearance"]],
         OnceEach,
-        expects("a list of some of island, clearance, each once"),
+        replace_error_text("a list of some of island, clearance, each once"),
     ] = setting([], "further layers to write: island, clearance")
     verify: Section[VerifySettings] = section(VerifySettings, "comparing grid and scene")
     output: FilePath | None = setting(None, "file, from the current folder on", "<id>.grid.json")

@@ -36,7 +36,7 @@ def render_template(config: BakeConfig) -> str:
         "# Settings of a navbake bake: metres, world frame with z up.",
         "# Every key but scene.path may be left out.",
     ]
-    return "\n".join([*lines, *_section_lines(config)]) + "\n"
+    return "\n".join([*lines, *_write_section_lines(config)]) + "\n"
 
 
 def make_schema() -> dict[str, Any]:
@@ -115,30 +115,30 @@ def make_template(scene: Path, folder: Path) -> tuple[str, str]:
     scene = scene.resolve()
     with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
         scene = Path(os.path.relpath(scene, folder.resolve()))
-    text = render_template(parse_config({"scene": {"path": scene, "id": scene_id}}))
+    template_text = render_template(parse_config({"scene": {"path": scene, "id": scene_id}}))
     # check that the text reads back, whatever the file's name
-    name = f"{scene_id}.yaml"
-    parse_config(parse_yaml(text, str(folder / name)), str(folder / name))
-    return name, text
+    file_name = f"{scene_id}.yaml"
+    parse_config(parse_yaml(template_text, str(folder / file_name)), str(folder / file_name))
+    return file_name, template_text
 
 
-def _section_lines(section: BaseModel, indent: str = "") -> list[str]:
+def _write_section_lines(section: BaseModel, indent: str = "") -> list[str]:
     """Write a line for each setting, with its comment beside it, or above if that is too long."""
     lines = []
     for key, field in type(section).model_fields.items():
-        name = field.alias or key
+        key_name = field.alias or key
         value = getattr(section, key)
         comment = field.description or ""
         if not indent:
             lines.append("")
         if isinstance(value, BaseModel):
-            lines.append(f"{indent}{name}:  # {comment}")
-            lines += _section_lines(value, indent + "  ")
+            lines.append(f"{indent}{key_name}:  # {comment}")
+            lines += _write_section_lines(value, indent + "  ")
             continue
-        line = f"{indent}{name}: {_to_flow_style(value)}"
-        commented = f"{line:<{COMMENT_COLUMN}}  # {comment}"
-        if len(commented) <= LINE_LENGTH:
-            lines.append(commented)
+        line = f"{indent}{key_name}: {_to_flow_style(value)}"
+        commented_line = f"{line:<{COMMENT_COLUMN}}  # {comment}"
+        if len(commented_line) <= LINE_LENGTH:
+            lines.append(commented_line)
         else:
             comment_lines = textwrap.wrap(comment, LINE_LENGTH - len(indent) - 2)
             lines += [f"{indent}# {comment_line}" for comment_line in comment_lines]

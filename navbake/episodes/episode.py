@@ -49,8 +49,8 @@ def check_word(value: str, words: Collection[str], name: str) -> None:
     """
     if value not in words:
         beginnings = [word for word in words if str(value).startswith(word)]
-        near = find_similar_names(value, words) or beginnings
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        similar_words = find_similar_names(value, words) or beginnings
+        hint = f"; did you mean {similar_words[0]!r}?" if similar_words else ""
         raise ValueError(f"expected one of {', '.join(words)} as {name}, got {value!r}{hint}")
 
 
@@ -198,21 +198,24 @@ class EpisodeSet(msgspec.Struct, frozen=True):
         scene = scene_of(grid)
         agent = self.header.agent
         radius = grid.radius
-        digests = {entry.scene: entry.digest for entry in self.header.grids}
-        if not digests:
-            force = "--force takes its distances from the grid given"
-            unknown = "the set doesn't say which grid it was made on, as sets of other programs"
-            raise QueryError(f"{unknown}: {force}")
-        if scene not in digests:
-            raise QueryError(f"the set has no episodes of {scene!r}: {suggest(scene, digests)}")
-        if agent is not None and not np.isclose(agent.radius, radius):
-            sizes = f"radius {agent.radius:g} m, the grid of {scene!r} for {radius:g} m"
-            inflate = "inflate the grid it was made on, or force it"
-            raise QueryError(f"the set is for an agent of {sizes}: {inflate}")
-        digest = digest_of(grid)
-        if digests[scene] != digest:
+        digest_of_scene = {grid_entry.scene: grid_entry.digest for grid_entry in self.header.grids}
+        if not digest_of_scene:
+            force_hint = "--force takes its distances from the grid given"
+            problem = "the set doesn't say which grid it was made on, as sets of other programs"
+            raise QueryError(f"{problem}: {force_hint}")
+        if scene not in digest_of_scene:
             raise QueryError(
-                f"the set was made on another grid of {scene!r} (digest {digests[scene][:12]}, "
+                f"the set has no episodes of {scene!r}: {suggest(scene, digest_of_scene)}"
+            )
+        if agent is not None and not np.isclose(agent.radius, radius):
+            radius_text = f"radius {agent.radius:g} m, the grid of {scene!r} for {radius:g} m"
+            inflation_hint = "inflate the grid it was made on, or force it"
+            raise QueryError(f"the set is for an agent of {radius_text}: {inflation_hint}")
+        digest = digest_of(grid)
+        if digest_of_scene[scene] != digest:
+            raise QueryError(
+                f"the set was made on another grid of {scene!r} "
+                f"(digest {digest_of_scene[scene][:12]}, "
                 f"this one has {digest[:12]}): bake it with the settings of then, or force it"
             )
 

@@ -50,27 +50,29 @@ def read_episodes(
         FormatError: the file can't be read, or has no set; the message names file, line and field.
         MissingDependencyError: the file is Parquet, and pyarrow is not installed.
     """
-    packed, name = read_bytes(path)
-    text = unpack(packed, name)
+    packed_content, name = read_bytes(path)
+    text = unpack(packed_content, name)
     ending, _ = _split_endings(path)
     set_format = _find_format(text, ending)
     try:
         header, episodes = set_format.read(text, name)
-        content = EpisodeSet(header, msgspec.convert(episodes, tuple[Episode, ...]))
+        episode_set = EpisodeSet(header, msgspec.convert(episodes, tuple[Episode, ...]))
     except (msgspec.ValidationError, csv.Error, ValueError, TypeError) as error:
         raise FormatError(f"{error} in {name}") from error
     if set_format in NAVBAKE_FORMATS.values() or scenes is None:
-        return content
+        return episode_set
     scene_of_name = {foreign_name: scene for scene, foreign_name in scenes.items()}
-    return _rename_scenes(content, scene_of_name)
+    return _rename_scenes(episode_set, scene_of_name)
 
 
 def _find_format(text: bytes, ending: str) -> SetFormat:
     """Return the format of a file with this content and ending; JSON lines if no other fits."""
     if ending == ".json" and text.lstrip()[:1] == b"[":
         return EPISODE_FORMATS["molmospaces"]
-    fitting = [set_format for set_format in EPISODE_FORMATS.values() if set_format.ending == ending]
-    return fitting[0] if fitting else EPISODE_FORMATS["jsonl"]
+    fitting_formats = [
+        set_format for set_format in EPISODE_FORMATS.values() if set_format.ending == ending
+    ]
+    return fitting_formats[0] if fitting_formats else EPISODE_FORMATS["jsonl"]
 
 
 def write_episodes(
@@ -93,14 +95,14 @@ def write_episodes(
     Raises:
         FormatError: no format has such an ending, or the format can't hold the set.
     """
-    name = _choose_format(content, path, form)
-    set_format = EPISODE_FORMATS[name]
-    _, packing = _split_endings(path)
-    is_own = name in NAVBAKE_FORMATS
-    written = content if is_own else _rename_scenes(content, scenes or {})
-    pack = COMPRESSORS.get(packing, bytes)
-    write_bytes(pack(set_format.encode(written, name)), path)
-    if is_own:
+    format_name = _choose_format(content, path, form)
+    set_format = EPISODE_FORMATS[format_name]
+    _, packing_ending = _split_endings(path)
+    is_navbake_format = format_name in NAVBAKE_FORMATS
+    written_set = content if is_navbake_format else _rename_scenes(content, scenes or {})
+    compress = COMPRESSORS.get(packing_ending, bytes)
+    write_bytes(compress(set_format.encode(written_set, format_name)), path)
+    if is_navbake_format:
         return []
     return _list_lost_fields(content, read_episodes(path, scenes))
 
@@ -109,62 +111,67 @@ def _choose_format(content: EpisodeSet, path: str | os.PathLike[str], form: str 
     """Return the name of the format to write: `form`, or the first that fits ending and tasks."""
     if form is not None and form not in EPISODE_FORMATS:
         raise FormatError(f"no format {form!r}: {suggest(form, EPISODE_FORMATS)}")
-    names = [form] if form else list(EPISODE_FORMATS)
+    format_names = [form] if form else list(EPISODE_FORMATS)
     ending, _ = _split_endings(path)
-    fitting = [name for name in names if EPISODE_FORMATS[name].ending == ending]
-    if not fitting:
-        endings = ", ".join(dict.fromkeys(EPISODE_FORMATS[name].ending for name in names))
+    fitting_names = [name for name in format_names if EPISODE_FORMATS[name].ending == ending]
+    if not fitting_names:
+        endings = ", ".join(dict.fromkeys(EPISODE_FORMATS[name].ending for name in format_names))
         raise FormatError(f"expected a name that ends in {endings}, got {format_path(path)}")
     episode_of_task = {episode.task: episode.id for episode in reversed(content.episodes)}
-    for name in fitting:
+    for name in fitting_names:
         if episode_of_task.keys() <= {*EPISODE_FORMATS[name].tasks}:
             return name
-    task = next(task for task in episode_of_task if task not in EPISODE_FORMATS[fitting[0]].tasks)
-    formats = " or ".join(fitting)
+    task = next(
+        task for task in episode_of_task if task not in EPISODE_FORMATS[fitting_names[0]].tasks
+    )
+    formats = " or ".join(fitting_names)
     raise FormatError(f"no task {task!r} in {formats}, as of episode {episode_of_task[task]!r}")
 
 
 def _list_lost_fields(content: EpisodeSet, read_again: EpisodeSet) -> list[str]:
     """List the fields that an episode of a set has, but that it lacks when read again."""
-    lost: set[str] = set()
+    lost_names: set[str] = set()
     if content.header.agent and not read_again.header.agent:
-        lost.add("agent")
-    for before, after in zip(content.episodes, read_again.episodes, strict=True):
-        pairs = [(before, after), *zip(before.goals, after.goals, strict=False)]
-        for record, record_again in pairs:
-            lost.update(
+        lost_names.add("agent")
+    for episode_before, episode_after in zip(content.episodes, read_again.episodes, strict=True):
+        record_pairs = [
+            (episode_before, episode_after),
+            *zip(episode_before.goals, episode_after.goals, strict=False),
+        ]
+        for record, record_again in record_pairs:
+            lost_names.update(
                 name
                 for name in record.__struct_fields__
                 if getattr(record, name) and not getattr(record_again, name)
             )
-        if len(before.goals) > len(after.goals):
-            lost.add("further goals")
-    return sorted(lost)
+        if len(episode_before.goals) > len(episode_after.goals):
+            lost_names.add("further goals")
+    return sorted(lost_names)
 
 
 def _split_endings(path: str | os.PathLike[str]) -> tuple[str, str]:
     """Return the ending that tells a file's format, and the one that tells its packing or ""."""
-    stem, packing = os.path.splitext(os.fspath(path).lower())
-    if packing not in COMPRESSORS:
-        return packing, ""
-    return os.path.splitext(stem)[1], packing
+    stem, last_ending = os.path.splitext(os.fspath(path).lower())
+    if last_ending not in COMPRESSORS:
+        return last_ending, ""
+    return os.path.splitext(stem)[1], last_ending
 
 
-def _rename_scenes(content: EpisodeSet, names: Mapping[str, str]) -> EpisodeSet:
-    """Return a set with scenes renamed; `names` has old name -> new name."""
-    if not names:
+def _rename_scenes(content: EpisodeSet, new_name_of_scene: Mapping[str, str]) -> EpisodeSet:
+    """Return a set with scenes renamed; `new_name_of_scene` has old name -> new name."""
+    if not new_name_of_scene:
         return content
-    renamed = [
-        msgspec.structs.replace(episode, scene=names.get(episode.scene, episode.scene))
+    renamed_episodes = [
+        msgspec.structs.replace(episode, scene=new_name_of_scene.get(episode.scene, episode.scene))
         for episode in content.episodes
     ]
-    return EpisodeSet(content.header, tuple(renamed))
+    return EpisodeSet(content.header, tuple(renamed_episodes))
 
 
 def encode_lines(content: EpisodeSet, _: str) -> bytes:
     """Encode a set as JSON lines; the second argument, the format's name, is not used."""
-    lines = [msgspec.json.encode(part) for part in (content.header, *content.episodes)]
-    return b"\n".join([*lines, b""])
+    json_lines = [msgspec.json.encode(record) for record in (content.header, *content.episodes)]
+    return b"\n".join([*json_lines, b""])
 
 
 def read_lines(text: bytes, name: str) -> Fields:

@@ -58,13 +58,13 @@ class SetFormat(NamedTuple):
     read: Callable[[bytes, str], Fields]  #: Takes a file's content and name.
 
 
-def decode(text: bytes | str, kind: type[Kind], where: str) -> Kind:
+def decode(text: bytes | str, structure: type[Kind], place: str) -> Kind:
     """Decode JSON of a known structure.
 
     Args:
         text: the JSON.
-        kind: the structure: a msgspec struct, or a list of them.
-        where: file and line, for the error.
+        structure: the structure: a msgspec struct, or a list of them.
+        place: file and line, for the error.
 
     Returns:
         The decoded value.
@@ -73,45 +73,45 @@ def decode(text: bytes | str, kind: type[Kind], where: str) -> Kind:
         FormatError: the text has a different structure; the message names the field.
     """
     try:
-        return msgspec.json.decode(text, type=kind)
+        return msgspec.json.decode(text, type=structure)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         is_unknown = "unknown field" in str(error) and " - at `" not in str(error)
-        fields = ", ".join(getattr(kind, "__struct_fields__", ()))
+        fields = ", ".join(getattr(structure, "__struct_fields__", ()))
         expected = f", expected {fields}," if is_unknown else ""
-        raise FormatError(f"{error}{expected} in {where}") from error
+        raise FormatError(f"{error}{expected} in {place}") from error
 
 
-def _to_yup(position: Sequence[float]) -> Vector3:
+def _convert_to_y_up(position: Sequence[float]) -> Vector3:
     """Convert world x, y, z to the axes of a world with y up."""
     x, y, z = position[:3]
     return x, z, 0.0 - y  # no -0.0
 
 
-def _from_yup(position: Sequence[float]) -> Vector3:
+def _convert_from_y_up(position: Sequence[float]) -> Vector3:
     """Convert X, Y, Z of a world with y up to world x, y, z."""
     x, y, z = position[:3]
     return x, 0.0 - z, y
 
 
-def _to_rotation(heading: float) -> Rotation:
+def _heading_to_quaternion(heading: float) -> Rotation:
     """Return the quaternion x, y, z, w, in a world with y up, that turns -z to a heading [rad]."""
-    half = (heading - math.pi / 2) / 2
-    return 0.0, math.sin(half), 0.0, math.cos(half)
+    half_angle = (heading - math.pi / 2) / 2
+    return 0.0, math.sin(half_angle), 0.0, math.cos(half_angle)
 
 
-def _to_heading(rotation: Rotation) -> float:
+def _quaternion_to_heading(rotation: Rotation) -> float:
     """Return the heading [rad] to which a quaternion, in a world with y up, turns -z."""
     x, y, z, w = rotation
     return math.atan2(1 - 2 * (x * x + y * y), -2 * (x * z + w * y))
 
 
-def _fields_without(episode: Episode, names: Container[str]) -> Json:
+def _list_other_fields(episode: Episode, left_out_names: Container[str]) -> Json:
     """Return all fields of an episode except those with some names."""
     fields = msgspec.to_builtins(episode)
-    return {name: value for name, value in fields.items() if name not in names}
+    return {name: value for name, value in fields.items() if name not in left_out_names}
 
 
-def _position_of(goal: Goal) -> Vector3:
+def _require_position(goal: Goal) -> Vector3:
     """Return the position of a goal; raise a FormatError if it has none."""
     if goal.position is None:
         raise FormatError(f"expected positions of all goals, {goal.name or 'one'} has none")
@@ -183,13 +183,13 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
     """
     dataset = _Dataset([], navbake=content.header)
     goals_by_key = dict[str, tuple[Goal, ...]]()
-    for number, episode in enumerate(content.episodes):
-        further_fields = _fields_without(episode, HABITAT_FIELDS)
-        written = _Episode(
+    for index, episode in enumerate(content.episodes):
+        further_fields = _list_other_fields(episode, HABITAT_FIELDS)
+        habitat_episode = _Episode(
             episode_id=episode.id,
             scene_id=episode.scene,
-            start_position=_to_yup(episode.start),
-            start_rotation=_to_rotation(episode.heading),
+            start_position=_convert_to_y_up(episode.start),
+            start_rotation=_heading_to_quaternion(episode.heading),
             goals=[],
             info={
                 **episode.extra,
@@ -198,71 +198,84 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
             },
             start_room=episode.room,
         )
-        dataset.episodes.append(written)
+        dataset.episodes.append(habitat_episode)
         if form == "habitat-objectnav":
-            written.object_category = episode.goals[0].category or episode.goals[0].name
-            key = written.goals_key
-            if goals_by_key.setdefault(key, episode.goals) != episode.goals:
-                expected = f"one list of goals for {key!r}, episode {episode.id!r} has another one"
+            habitat_episode.object_category = episode.goals[0].category or episode.goals[0].name
+            goals_key = habitat_episode.goals_key
+            if goals_by_key.setdefault(goals_key, episode.goals) != episode.goals:
+                expected = (
+                    f"one list of goals for {goals_key!r}, episode {episode.id!r} has another one"
+                )
                 hint = "draw objects by category, and give scenes names of their own"
                 raise FormatError(f"habitat-objectnav has {expected}: {hint}")
             continue
-        written.goals = [_write_goal(goal) for goal in episode.goals]
+        habitat_episode.goals = [_write_goal(goal) for goal in episode.goals]
         if form == "habitat-vln":
             if not episode.path:
                 problem = f"episode {episode.id!r} has none: paths=true"
                 raise FormatError(f"habitat-vln needs paths, {problem}")
             path = further_fields.pop("path")
-            written.reference_path = [_to_yup(position) for position in path]
-            text = further_fields.pop("instruction", "")
-            written.instruction = {"instruction_text": text}
-            written.trajectory_id = episode.extra.get("trajectory_id", number)
+            habitat_episode.reference_path = [_convert_to_y_up(position) for position in path]
+            instruction_text = further_fields.pop("instruction", "")
+            habitat_episode.instruction = {"instruction_text": instruction_text}
+            habitat_episode.trajectory_id = episode.extra.get("trajectory_id", index)
     if form == "habitat-objectnav":
-        categories = sorted({str(written.object_category) for written in dataset.episodes})
-        category_ids = {category: number for number, category in enumerate(categories)}
+        categories = sorted(
+            {str(habitat_episode.object_category) for habitat_episode in dataset.episodes}
+        )
+        category_ids = {category: index for index, category in enumerate(categories)}
         dataset.category_to_task_category_id = category_ids
         dataset.category_to_scene_annotation_category_id = category_ids
         dataset.goals_by_category = {
-            key: [_write_goal(goal, number) for number, goal in enumerate(goals)]
-            for key, goals in goals_by_key.items()
+            goals_key: [_write_goal(goal, index) for index, goal in enumerate(goals)]
+            for goals_key, goals in goals_by_key.items()
         }
     elif form == "habitat-vln":
-        text = " ".join(episode.instruction or "" for episode in content.episodes)
-        words = sorted(set(re.findall(r"\w+", text.lower())))
+        instruction_text = " ".join(episode.instruction or "" for episode in content.episodes)
+        words = sorted(set(re.findall(r"\w+", instruction_text.lower())))
         dataset.instruction_vocab = {"word_list": words}
     return msgspec.json.encode(dataset)
 
 
 def _write_goal(goal: Goal, object_id: int | None = None) -> _Goal:
     """Convert a goal to habitat-lab's; with an object's id, to an entry of ObjectNav's table."""
-    views = None
+    habitat_views = None
     if object_id is not None:
-        views = [
-            _View(_State(_to_yup(view.position), _to_rotation(view.heading)), view.iou)
+        habitat_views = [
+            _View(
+                _State(_convert_to_y_up(view.position), _heading_to_quaternion(view.heading)),
+                view.iou,
+            )
             for view in goal.view_points
         ]
     return _Goal(
-        position=_to_yup(_position_of(goal)),
+        position=_convert_to_y_up(_require_position(goal)),
         radius=goal.radius,
         object_id=object_id,
         object_name=goal.name,
         object_category=goal.category,
-        view_points=views,
+        view_points=habitat_views,
     )
 
 
 def _read_goal(goal: _Goal, default_radius: float) -> Goal:
     """Convert a goal of habitat-lab; it gets `default_radius` [m] if it has no radius."""
-    views = []
+    view_points = []
     for view in goal.view_points or ():
-        state = view.agent_state
-        views.append(ViewPoint(_from_yup(state.position), _to_heading(state.rotation), view.iou))
+        agent_state = view.agent_state
+        view_points.append(
+            ViewPoint(
+                _convert_from_y_up(agent_state.position),
+                _quaternion_to_heading(agent_state.rotation),
+                view.iou,
+            )
+        )
     return Goal(
-        position=_from_yup(goal.position),
+        position=_convert_from_y_up(goal.position),
         radius=default_radius if goal.radius is None else goal.radius,
         name=goal.object_name,
         category=goal.object_category,
-        view_points=tuple(views),
+        view_points=tuple(view_points),
     )
 
 
@@ -287,17 +300,17 @@ def read_habitat(text: bytes, name: str) -> Fields:
     }
     episodes = []
     for episode in dataset.episodes:
-        extra = dict(episode.info or {})
-        is_foreign = "navbake" not in extra
-        fields: Json = {**extra.pop("navbake", {})}
+        extra_fields = dict(episode.info or {})
+        is_foreign = "navbake" not in extra_fields
+        fields: Json = {**extra_fields.pop("navbake", {})}
         if episode.start_room is not None:
             fields["room"] = str(episode.start_room)
         if episode.reference_path is not None:
-            fields["path"] = [_from_yup(position) for position in episode.reference_path]
+            fields["path"] = [_convert_from_y_up(position) for position in episode.reference_path]
         if episode.instruction is not None:
             fields["instruction"] = episode.instruction.get("instruction_text") or None
             if is_foreign:
-                extra["trajectory_id"] = episode.trajectory_id
+                extra_fields["trajectory_id"] = episode.trajectory_id
         is_object = episode.object_category is not None
         goals = goals_by_key.get(episode.goals_key)
         if not goals:
@@ -307,10 +320,10 @@ def read_habitat(text: bytes, name: str) -> Fields:
         fields["scene"] = episode.scene_id
         fields["goals"] = goals
         fields["task"] = "object" if is_object else "point"
-        fields["start"] = _from_yup(episode.start_position)
-        fields["heading"] = _to_heading(episode.start_rotation)
-        fields["distance"] = extra.pop("geodesic_distance", None)
-        fields["extra"] = extra
+        fields["start"] = _convert_from_y_up(episode.start_position)
+        fields["heading"] = _quaternion_to_heading(episode.start_rotation)
+        fields["distance"] = extra_fields.pop("geodesic_distance", None)
+        fields["extra"] = extra_fields
         episodes.append(fields)
     return dataset.navbake or Header(), episodes
 
@@ -328,9 +341,9 @@ def encode_minos(content: EpisodeSet, _: str) -> bytes:
     if not _are_minos_ids(episode_ids):
         episode_ids = [str(index) for index in range(len(episode_ids))]
     letter_of_task = {task: letter for letter, task in MINOS_TASKS.items()}
-    file = io.StringIO()
-    table = csv.DictWriter(file, MINOS_COLUMNS, restval="", lineterminator="\n")
-    table.writeheader()
+    csv_text = io.StringIO()
+    csv_writer = csv.DictWriter(csv_text, MINOS_COLUMNS, restval="", lineterminator="\n")
+    csv_writer.writeheader()
     for episode_id, episode in zip(episode_ids, content.episodes, strict=True):
         goal = episode.goals[0]
         doors = episode.doors or ()
@@ -356,16 +369,16 @@ def encode_minos(content: EpisodeSet, _: str) -> bytes:
             "pathNumRooms": len(rooms),
             "pathRoomIndices": ":".join(rooms),
         }
-        for end, position in (("start", episode.start), ("goal", _position_of(goal))):
-            for axis, value in zip("XYZ", _to_yup(position), strict=True):
-                row[f"{end}{axis}"] = value
-        table.writerow(
+        for path_end, position in (("start", episode.start), ("goal", _require_position(goal))):
+            for axis, value in zip("XYZ", _convert_to_y_up(position), strict=True):
+                row[f"{path_end}{axis}"] = value
+        csv_writer.writerow(
             {
                 column: f"{value:.3f}" if isinstance(value, float) else value
                 for column, value in row.items()
             }
         )
-    return file.getvalue().encode()
+    return csv_text.getvalue().encode()
 
 
 def read_minos(text: bytes, _: str) -> Fields:
@@ -405,23 +418,25 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
         return [word for word in (row.get(column) or "").split(":") if word]
 
     # the first wrong column in this order is reported
-    start = _from_yup([number("start" + axis) for axis in "XYZ"])
-    goal = _from_yup([number("goal" + axis) for axis in "XYZ"])
+    start = _convert_from_y_up([number("start" + axis) for axis in "XYZ"])
+    goal = _convert_from_y_up([number("goal" + axis) for axis in "XYZ"])
     straight = number("dist", "-1")
     distance = number("pathDist", "-1")
     level = int(number("level", "0"))
     name = row.get("goalObjectId")
     room = row.get("goalRoomId")
-    letter = row.get("task")
-    if letter:
-        task = MINOS_TASKS.get(letter, "")
+    task_letter = row.get("task")
+    if task_letter:
+        task = MINOS_TASKS.get(task_letter, "")
         if not task:
-            letters = ", ".join(MINOS_TASKS)
+            known_letters = ", ".join(MINOS_TASKS)
             raise ValueError(
-                f"expected one of {letters} as task, got {letter!r} in row {index + 1}"
+                f"expected one of {known_letters} as task, got {task_letter!r} in row {index + 1}"
             )
         if task == "room" and not room:
-            raise ValueError(f"expected a goalRoomId for the task {letter!r} in row {index + 1}")
+            raise ValueError(
+                f"expected a goalRoomId for the task {task_letter!r} in row {index + 1}"
+            )
         if task != "room":
             room = None
     elif room:
@@ -484,23 +499,29 @@ def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
         scene = episode.scene if HOUSE_INDEX.search(episode.scene) else f"{episode.scene}/0"
         dataset, _, index = scene.rpartition("/")
         goal = episode.goals[0]
-        half = episode.heading / 2
+        half_heading = episode.heading / 2
         is_planar = episode.extra.get("success") == "planar"
-        task = _NavTask(
-            robot_base_pose=(*episode.start, math.cos(half), 0.0, 0.0, math.sin(half)),
+        nav_task = _NavTask(
+            robot_base_pose=(
+                *episode.start,
+                math.cos(half_heading),
+                0.0,
+                0.0,
+                math.sin(half_heading),
+            ),
             pickup_obj_name=goal.name or "",
             pickup_obj_candidates=[candidate.name or "" for candidate in episode.goals],
-            pickup_obj_start_pose=(*_position_of(goal), 1.0, 0.0, 0.0, 0.0),
+            pickup_obj_start_pose=(*_require_position(goal), 1.0, 0.0, 0.0, 0.0),
             succ_pos_threshold=goal.radius if is_planar else MOLMOSPACES_RADIUS,
         )
         text = episode.instruction or f"go to the {goal.category or goal.name}"
         spec = _Spec(
             scene_dataset=dataset,
             house_index=int(index),
-            task=task,
+            task=nav_task,
             language={"task_description": text},
             data_split=episode.split or "val",
-            navbake=_fields_without(episode, ("task", "start", "heading")),
+            navbake=_list_other_fields(episode, ("task", "start", "heading")),
         )
         specs.append(EPISODE_SPEC | msgspec.to_builtins(spec))
     return msgspec.json.encode(specs)
@@ -510,26 +531,28 @@ def read_molmospaces(text: bytes, name: str) -> Fields:
     """Read the fields of a set from a list of EpisodeSpec, whose tasks must be to reach objects."""
     episodes = []
     for index, spec in enumerate(decode(text, list[_Spec], name)):
-        task = spec.task
-        if "nav" not in task.task_cls.lower():
+        nav_task = spec.task
+        if "nav" not in nav_task.task_cls.lower():
             place = f"{name}, {index}"
-            raise FormatError(f"expected a way to an object, got {task.task_cls!r} in {place}")
-        x, y, z, qw, qx, qy, qz = task.robot_base_pose
+            raise FormatError(f"expected a way to an object, got {nav_task.task_cls!r} in {place}")
+        x, y, z, qw, qx, qy, qz = nav_task.robot_base_pose
         heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
-        fields = spec.navbake or _fields_of_foreign(spec, index)
+        fields = spec.navbake or _convert_foreign_spec(spec, index)
         fields = fields | {"task": "object", "start": (x, y, z), "heading": heading}
         episodes.append(fields)
     return Header(), episodes
 
 
-def _fields_of_foreign(spec: _Spec, index: int) -> Json:
+def _convert_foreign_spec(spec: _Spec, index: int) -> Json:
     """Return the fields of another program's episode, except task, start and heading."""
-    task = spec.task
-    pose = task.pickup_obj_start_pose
-    radius = task.succ_pos_threshold
-    goals = [Goal(name=task.pickup_obj_name, position=pose and pose[:3], radius=radius)]
-    for candidate in task.pickup_obj_candidates or ():
-        if candidate != task.pickup_obj_name:
+    nav_task = spec.task
+    object_pose = nav_task.pickup_obj_start_pose
+    radius = nav_task.succ_pos_threshold
+    goals = [
+        Goal(name=nav_task.pickup_obj_name, position=object_pose and object_pose[:3], radius=radius)
+    ]
+    for candidate in nav_task.pickup_obj_candidates or ():
+        if candidate != nav_task.pickup_obj_name:
             goals.append(Goal(name=candidate, radius=radius))
     return {
         "id": str(index),

@@ -25,7 +25,7 @@ from navbake.types import Float, Int, Vector3
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
-MAX_SNAP = 0.5  # largest distance from a position to the free cell that counts for it [m]
+MAX_SNAP_DISTANCE = 0.5  # largest distance from a position to the free cell that counts for it [m]
 VIEW_POINT_SPACING = 0.25  # between view points, and between points of a path [m]
 # matches the reversed end of names like chair_1, where it has a number; from the front, its cost
 # would grow as the square
@@ -105,14 +105,17 @@ def find_stops(
         return Stops(tuple(goals))
     search = finder.search
     cells_of_goals = [find_goal_cells(finder, goal) for goal in goals]
-    stops = cells_of_goals if in_order else [np.unique(np.concatenate(cells_of_goals))]
-    if not all(map(len, stops)):
+    stop_cells = cells_of_goals if in_order else [np.unique(np.concatenate(cells_of_goals))]
+    if not all(map(len, stop_cells)):
         return None
-    fields = [search.compute_cost_field(cells, by="length") for cells in stops]
-    legs = [field[cells].min() for field, cells in zip(fields[1:], stops, strict=False)]
-    rest = [*np.cumsum(legs[::-1])[::-1].tolist(), 0.0]
-    places = [search.flat.positions(cells) for cells in stops]
-    return Stops(tuple(goals), places, fields, rest)
+    distance_fields = [search.compute_cost_field(cells, by="length") for cells in stop_cells]
+    leg_lengths = [
+        distance_field[cells].min()
+        for distance_field, cells in zip(distance_fields[1:], stop_cells, strict=False)
+    ]
+    lengths_after = [*np.cumsum(leg_lengths[::-1])[::-1].tolist(), 0.0]
+    places = [search.flat.positions(cells) for cells in stop_cells]
+    return Stops(tuple(goals), places, distance_fields, lengths_after)
 
 
 def find_goal_cells(finder: PathFinder, goal: Goal) -> Int:
@@ -129,18 +132,18 @@ def find_goal_cells(finder: PathFinder, goal: Goal) -> Int:
     Returns:
         The cells' flat ids, each once; empty if there are none.
     """
-    flat = finder.search.flat
+    flat_grid = finder.search.flat
     if goal.room is not None:
         return np.flatnonzero(finder.search.mark_allowed(room=goal.room))
-    points = [view.position for view in goal.view_points]
+    points = [view_point.position for view_point in goal.view_points]
     if not points and goal.position:
         points = [goal.position]
     if not points:
         return np.empty(0, dtype=np.int64)
-    positions = check_positions(points, flat.num_levels)
-    max_distance = max(MAX_SNAP, goal.radius)
+    positions = check_positions(points, flat_grid.num_levels)
+    max_distance = max(MAX_SNAP_DISTANCE, goal.radius)
     _, cells = snap_to_cells(
-        flat, flat.free, positions, same_level=False, max_distance=max_distance
+        flat_grid, flat_grid.free, positions, same_level=False, max_distance=max_distance
     )
     return np.unique(cells[cells >= 0])
 
@@ -205,58 +208,64 @@ class GoalFinder:
         """
         if self.task.kind == "object":
             patterns = self.task.objects
-            names_of = {name: [name] for name in self.object_cells}
+            names_of_key = {name: [name] for name in self.object_cells}
         else:
             patterns = self.task.rooms
-            names_of = {
+            names_of_key = {
                 room.id: [name for name in (room.name, room.id) if name]
                 for room in self.finder.rooms.rooms
             }
-        choices: dict[str, list[str]] = {}
+        keys_of_label: dict[str, list[str]] = {}
         if not patterns:
             for label, key in self._default_choices():
-                choices.setdefault(label, []).append(key)
-            return choices
+                keys_of_label.setdefault(label, []).append(key)
+            return keys_of_label
         if isinstance(patterns, dict):
             for category, category_patterns in patterns.items():
                 label = f"of category {category!r}"
-                choices[category] = self._find_fitting(names_of, category_patterns, category, label)
+                keys_of_label[category] = self._find_fitting(
+                    names_of_key, category_patterns, category, label
+                )
         else:
             for pattern in patterns:
-                for key in self._find_fitting(names_of, (pattern,), pattern, repr(pattern)):
-                    choices[key] = [key]
-        return choices
+                for key in self._find_fitting(names_of_key, (pattern,), pattern, repr(pattern)):
+                    keys_of_label[key] = [key]
+        return keys_of_label
 
     def _default_choices(self) -> list[tuple[str, str]]:
         """List pairs of a label and an object's name or a room's id, for tasks without patterns."""
         if self.task.kind == "object":
-            return sorted((category_of(name), name) for name in self.object_cells)
+            return sorted((find_category(name), name) for name in self.object_cells)
         return [(room.id, room.id) for room in self.finder.rooms.rooms if not room.outdoors]
 
     def _find_fitting(
-        self, names_of: dict[str, list[str]], patterns: Sequence[str], word: str, label: str
+        self,
+        names_of_key: dict[str, list[str]],
+        patterns: Sequence[str],
+        hint_word: str,
+        pattern_text: str,
     ) -> list[str]:
         """Return the objects or rooms with a name that fits a pattern.
 
         Args:
-            names_of: name of an object or id of a room -> its names.
+            names_of_key: name of an object or id of a room -> its names.
             patterns: patterns of names.
-            word: a word of the patterns; if nothing fits, the error suggests a name like it.
-            label: the patterns as the error describes them.
+            hint_word: a word of the patterns; if nothing fits, the error suggests a name like it.
+            pattern_text: the patterns as the error describes them.
 
         Raises:
             QueryError: no object or room fits.
         """
-        fitting = [
+        matching_keys = [
             key
-            for key, names in names_of.items()
+            for key, names in names_of_key.items()
             if any(fnmatchcase(name, pattern) for name in names for pattern in patterns)
         ]
-        if not fitting:
-            hint = suggest(word, [name for names in names_of.values() for name in names])
+        if not matching_keys:
+            hint = suggest(hint_word, [name for names in names_of_key.values() for name in names])
             scene = scene_of(self.finder.grid)
-            raise QueryError(f"no {self.task.kind} {label} in {scene!r}: {hint}")
-        return fitting
+            raise QueryError(f"no {self.task.kind} {pattern_text} in {scene!r}: {hint}")
+        return matching_keys
 
     def make_goals(self, label: str) -> list[Goal]:
         """Make a goal for each object or room of a label, except objects without view points.
@@ -280,7 +289,7 @@ class GoalFinder:
                 if room.id in keys
             ]
         if label not in self._objects:
-            goals = [self._object_goal(name, category or category_of(name)) for name in keys]
+            goals = [self._object_goal(name, category or find_category(name)) for name in keys]
             self._objects[label] = [goal for goal in goals if goal.view_points]
         return self._objects[label]
 
@@ -296,32 +305,32 @@ class GoalFinder:
         flat = self.finder.search.flat
         for start, level in zip(flat.layout.start.tolist(), grid.levels, strict=False):
             cells, entry_of_cell, entries = UserData.of(level.user_data).shared_entries()
-            order = np.argsort(entry_of_cell, kind="stable")
-            counts = np.bincount(entry_of_cell, minlength=len(entries))
-            cells_of_entries = np.split(cells[order], np.cumsum(counts)[:-1])
+            sort_indices = np.argsort(entry_of_cell, kind="stable")
+            num_cells_of_entry = np.bincount(entry_of_cell, minlength=len(entries))
+            cells_of_entries = np.split(cells[sort_indices], np.cumsum(num_cells_of_entry)[:-1])
             # without entries there is one empty array of cells
-            for entry, entry_cells in zip(entries, cells_of_entries, strict=False):
-                walls_and_doors.update(names_in(entry, "walls"), names_in(entry, "doors"))
-                for name in names_in(entry, "objects"):
+            for user_data, entry_cells in zip(entries, cells_of_entries, strict=False):
+                walls_and_doors.update(names_in(user_data, "walls"), names_in(user_data, "doors"))
+                for name in names_in(user_data, "objects"):
                     cells_of_name.setdefault(name, []).append(start + entry_cells)
-        objects = sorted(cells_of_name.keys() - walls_and_doors)
-        return {name: np.unique(np.concatenate(cells_of_name[name])) for name in objects}
+        object_names = sorted(cells_of_name.keys() - walls_and_doors)
+        return {name: np.unique(np.concatenate(cells_of_name[name])) for name in object_names}
 
     def _object_goal(self, name: str, category: str) -> Goal:
         """Make the goal for an object, with its view points."""
         flat = self.finder.search.flat
         cells = self.object_cells[name]
         x, y, z = flat.positions(cells).mean(axis=0).tolist()
-        views = []
+        view_points = []
         for position in self._find_view_positions(cells):
             heading = math.atan2(y - position[1], x - position[0])
-            views.append(ViewPoint(position, heading))
+            view_points.append(ViewPoint(position, heading))
         return Goal(
             position=(x, y, z),
             radius=self.task.reach,
             name=name,
             category=category,
-            view_points=tuple(views),
+            view_points=tuple(view_points),
         )
 
     def _find_view_positions(self, object_cells: Int) -> list[Vector3]:
@@ -337,49 +346,51 @@ class GoalFinder:
             World x, y, floor z [m] of each.
         """
         search = self.finder.search
-        flat = search.flat
-        is_object = np.zeros(flat.num_cells, dtype=np.int32)
+        flat_grid = search.flat
+        is_object = np.zeros(flat_grid.num_cells, dtype=np.int32)
         is_object[object_cells] = 1
         positions: list[Vector3] = []
-        level_of_cell, object_row, object_col = flat.to_cells(object_cells)
+        level_of_cell, object_row, object_col = flat_grid.to_cells(object_cells)
         for level in np.unique(level_of_cell).tolist():
-            on_level = level_of_cell == level
-            cell_size = float(flat.layout.cell_size[level])
-            level_cells = object_cells[on_level]
-            object_points = flat.positions(level_cells)[:, :2]
+            is_on_level = level_of_cell == level
+            cell_size = float(flat_grid.layout.cell_size[level])
+            level_cells = object_cells[is_on_level]
+            object_points = flat_grid.positions(level_cells)[:, :2]
             # a window of the level round the object
             margin = math.ceil(self.task.view_distance / cell_size)
-            top = max(0, int(object_row[on_level].min()) - margin)
-            left_col = max(0, int(object_col[on_level].min()) - margin)
-            bottom = int(object_row[on_level].max()) + margin + 1
-            right_col = int(object_col[on_level].max()) + margin + 1
-            span = flat.cells_of(level)
-            width = int(flat.layout.width[level])
-            window = flat.free[span].reshape(-1, width)[top:bottom, left_col:right_col]
-            rows, cols = np.nonzero(window) + np.array([[top], [left_col]])
-            near_cells = span.start + rows * width + cols
-            points = flat.positions(near_cells)
-            distance, nearest = spatial.cKDTree(object_points).query(points[:, :2])
-            stride = max(1, round(VIEW_POINT_SPACING / cell_size))
-            is_near = distance <= self.task.view_distance
-            on_lattice = is_near & (rows % stride == 0) & (cols % stride == 0)
-            for k in np.flatnonzero(on_lattice if on_lattice.any() else is_near):
+            top_row = max(0, int(object_row[is_on_level].min()) - margin)
+            left_col = max(0, int(object_col[is_on_level].min()) - margin)
+            bottom_row = int(object_row[is_on_level].max()) + margin + 1
+            right_col = int(object_col[is_on_level].max()) + margin + 1
+            level_cell_range = flat_grid.cells_of(level)
+            num_cols = int(flat_grid.layout.width[level])
+            is_free_window = flat_grid.free[level_cell_range].reshape(-1, num_cols)[
+                top_row:bottom_row, left_col:right_col
+            ]
+            rows, cols = np.nonzero(is_free_window) + np.array([[top_row], [left_col]])
+            near_cells = level_cell_range.start + rows * num_cols + cols
+            points = flat_grid.positions(near_cells)
+            object_distance, nearest_index = spatial.cKDTree(object_points).query(points[:, :2])
+            lattice_stride = max(1, round(VIEW_POINT_SPACING / cell_size))
+            is_near = object_distance <= self.task.view_distance
+            is_on_lattice = is_near & (rows % lattice_stride == 0) & (cols % lattice_stride == 0)
+            for i in np.flatnonzero(is_on_lattice if is_on_lattice.any() else is_near):
                 # the line first runs over cells of the object, then it must meet only clear cells
                 first_seen = search.first_in_sight(
-                    cell=level_cells[nearest[k]],
-                    point=object_points[nearest[k]],
-                    cells=near_cells[k : k + 1],
-                    points=np.ascontiguousarray(points[k : k + 1, :2]),
+                    cell=level_cells[nearest_index[i]],
+                    point=object_points[nearest_index[i]],
+                    cells=near_cells[i : i + 1],
+                    points=np.ascontiguousarray(points[i : i + 1, :2]),
                     room=is_object,
                 )
                 if first_seen == 0:
-                    x, y, z = points[k].tolist()
+                    x, y, z = points[i].tolist()
                     positions.append((x, y, z))
         return positions
 
 
-def category_of(name: str) -> str:
+def find_category(name: str) -> str:
     """Return an object's category: its name in lower case, without the number at its end."""
-    counter = REVERSED_COUNTER.match(name[::-1])
-    kind = name[: len(name) - (counter.end() if counter else 0)]
-    return kind.lower() or name.lower()
+    counter_match = REVERSED_COUNTER.match(name[::-1])
+    name_without_counter = name[: len(name) - (counter_match.end() if counter_match else 0)]
+    return name_without_counter.lower() or name.lower()

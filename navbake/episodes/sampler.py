@@ -66,8 +66,8 @@ class Rules(Record, frozen=True, kw_only=True):
     """Least radius of the start's island [m]: the distance of its farthest cell from its middle."""
     tries: Annotated[int, msgspec.Meta(ge=1)] = 10  #: Most starts that are drawn for an episode.
     goals: Annotated[int, msgspec.Meta(ge=1)] = 100
-    """Among how many goals the episodes of a scene are divided. All starts for a goal share its
-    distance field. More goals are drawn where rules refuse starts."""
+    """Number of goals that a scene's episodes are divided among: all starts for one goal share its
+    distance field, which saves time. More goals are drawn where rules refuse starts."""
     paths: bool = False  #: Whether to keep each path, and the doors and rooms along it.
     headings: str = "random"
     """Headings at starts: ``random``, to the ``goal``, or ``away`` from it."""
@@ -117,11 +117,13 @@ class Splits(Record, frozen=True, kw_only=True):
         """
         if not self.shares:
             return None
-        key = repr((seed, scene, room if self.by == "room" else None))
-        hashed = int.from_bytes(sha256(key.encode()).digest()[:8], "big") / 2.0**64  # 0 to 1
+        hash_text = repr((seed, scene, room if self.by == "room" else None))
+        hash_fraction = (
+            int.from_bytes(sha256(hash_text.encode()).digest()[:8], "big") / 2.0**64
+        )  # 0 to 1
         upper_edges = np.cumsum(list(self.shares.values()))
         upper_edges = upper_edges / upper_edges[-1]
-        return list(self.shares)[int(np.searchsorted(upper_edges, hashed, side="right"))]
+        return list(self.shares)[int(np.searchsorted(upper_edges, hash_fraction, side="right"))]
 
 
 def make_rules(sampler: str | Rules = "uniform", **changes: object) -> Rules:
@@ -140,10 +142,12 @@ def make_rules(sampler: str | Rules = "uniform", **changes: object) -> Rules:
     if isinstance(sampler, str) and sampler not in PRESETS:
         raise ConfigError(f"no sampler {sampler!r}: {suggest(sampler, PRESETS)}")
     rules = sampler if isinstance(sampler, Rules) else PRESETS[sampler]
-    names = Rules.__struct_fields__
+    rule_names = Rules.__struct_fields__
     for name in changes:
-        if name not in names:
-            raise ConfigError(f"no rule {name!r} of a sampler: {suggest(name, names, len(names))}")
+        if name not in rule_names:
+            raise ConfigError(
+                f"no rule {name!r} of a sampler: {suggest(name, rule_names, len(rule_names))}"
+            )
     return _convert({**msgspec.to_builtins(rules), **changes}, Rules)
 
 
@@ -173,10 +177,10 @@ def make_splits(shares: Mapping[str, float | str], by: str = "scene") -> Splits:
     return _convert({"shares": shares, "by": by}, Splits)
 
 
-def _convert(values: dict[str, object], kind: type[Kind]) -> Kind:
+def _convert(field_values: dict[str, object], struct_type: type[Kind]) -> Kind:
     """Make a struct from the values of its fields, which may be texts."""
     try:
-        return msgspec.convert(values, kind, strict=False)
+        return msgspec.convert(field_values, struct_type, strict=False)
     except (msgspec.ValidationError, ValueError) as error:
         raise ConfigError(str(error)) from error
 
@@ -235,52 +239,52 @@ def make_episodes(
         task = make_task(task)
     rules = make_rules(sampler)
     splits = splits or Splits()
-    for name, value, least in (("count", count, 1), ("seed", seed, 0)):
-        if not isinstance(value, int | np.integer) or value < least:
-            raise QueryError(f"expected a {name} >= {least}, got {value!r}")
+    for name, value, minimum in (("count", count, 1), ("seed", seed, 0)):
+        if not isinstance(value, int | np.integer) or value < minimum:
+            raise QueryError(f"expected a {name} >= {minimum}, got {value!r}")
     scenes = [scene_of(grid) for grid in grid_list]
     if not grid_list or len(set(scenes)) < len(scenes):
         actual = ", ".join(sorted(scenes)) or "none"
         raise QueryError(f"expected grids of different scenes, got {actual}")
     episodes: list[Episode] = []
-    entries = []
-    agents = set()  # tuples of radius, height and speed
-    rejected = Counter[str]()
-    for number, (scene, original) in enumerate(zip(scenes, grid_list, strict=True)):
-        agent = choose_agent(original, agent_name, choice.get("radius"), choice.get("height"))
-        grid = fit_grid(original, agent)
+    grid_entries = []
+    agent_facts = set()  # tuples of radius, height and speed
+    num_rejected = Counter[str]()
+    for index, (scene, original_grid) in enumerate(zip(scenes, grid_list, strict=True)):
+        agent = choose_agent(original_grid, agent_name, choice.get("radius"), choice.get("height"))
+        grid = fit_grid(original_grid, agent)
         finder_agent = agent.without_sizes() if agent_name else None
         scene_sampler = _SceneSampler(grid, task, rules, int(seed), splits, finder_agent)
         # the first scenes get one episode more if the count can't be divided
-        scene_count = count // len(scenes) + (number < count % len(scenes))
+        scene_count = count // len(scenes) + (index < count % len(scenes))
         episodes += scene_sampler.draw(scene_count)
-        rejected.update(scene_sampler.rejected)
-        file = files[number] if number < len(files) else None
-        entries.append(GridEntry(scene=scene, digest=digest_of(grid), file=file))
+        num_rejected.update(scene_sampler.rejected)
+        file_name = files[index] if index < len(files) else None
+        grid_entries.append(GridEntry(scene=scene, digest=digest_of(grid), file=file_name))
         height = grid.agent_height if agent.height is None else float(agent.height)
         speed = agent.speed if agent_name else choice.get("speed")
-        agents.add((grid.radius, height, speed))
-    if len(agents) > 1:
-        sizes = sorted({(radius, height) for radius, height, _ in agents})
-        listed = ", ".join(f"{radius:g} x {height:g} m" for radius, height in sizes)
-        raise QueryError(f"the grids are for agents of several sizes ({listed}): give a radius")
+        agent_facts.add((grid.radius, height, speed))
+    if len(agent_facts) > 1:
+        agent_sizes = sorted({(radius, height) for radius, height, _ in agent_facts})
+        size_text = ", ".join(f"{radius:g} x {height:g} m" for radius, height in agent_sizes)
+        raise QueryError(f"the grids are for agents of several sizes ({size_text}): give a radius")
     if not episodes:
-        counts = [f"{num_draws} {reason}" for reason, num_draws in rejected.most_common()]
-        reasons = ", ".join(counts) or "nothing drawn"
+        count_texts = [f"{num_draws} {reason}" for reason, num_draws in num_rejected.most_common()]
+        reasons = ", ".join(count_texts) or "nothing drawn"
         raise QueryError(f"no episode of {scenes[0]!r} keeps the rules: {reasons}")
-    ((radius, height, speed),) = agents
+    ((radius, height, speed),) = agent_facts
     sampler_settings = {"task": task, "rules": rules, "count": int(count), "splits": splits}
     header = Header(
         agent=Agent(radius=radius, height=height, speed=speed, name=agent_name or msgspec.UNSET),
-        grids=tuple(entries),
+        grids=tuple(grid_entries),
         sampler=msgspec.to_builtins(sampler_settings),
         seed=int(seed),
-        rejected=dict(sorted(rejected.items())),
+        rejected=dict(sorted(num_rejected.items())),
     )
-    numbered = [
-        msgspec.structs.replace(episode, id=str(number)) for number, episode in enumerate(episodes)
+    numbered_episodes = [
+        msgspec.structs.replace(episode, id=str(index)) for index, episode in enumerate(episodes)
     ]
-    return EpisodeSet(header, tuple(numbered))
+    return EpisodeSet(header, tuple(numbered_episodes))
 
 
 class _SceneSampler:
@@ -309,20 +313,24 @@ class _SceneSampler:
         self.class_edges: tuple[float, ...] = (0.0,)
         if rules.strata:
             self.class_edges = rules.edges or CLASS_EDGES[rules.strata]
-        self.missing: list[int] = []  # episodes still to be drawn in each class
+        self.num_missing_of_class: list[int] = []  # episodes still to be drawn in each class
 
     def _measure_islands(self) -> Float:
         """Return for each island the distance of its farthest cell from its middle [m]."""
         search = self.finder.search
         cells = np.flatnonzero(search.flat.free)
-        island = search.islands.number[cells]
+        island_of_cell = search.islands.number[cells]
         points = search.flat.positions(cells)
         num_islands = search.islands.count + 1
-        num_cells = np.maximum(np.bincount(island, minlength=num_islands), 1)
-        means = [np.bincount(island, axis, num_islands) / num_cells for axis in points.T]
-        middle = np.stack(means, axis=1)
+        num_cells = np.maximum(np.bincount(island_of_cell, minlength=num_islands), 1)
+        mean_coordinates = [
+            np.bincount(island_of_cell, axis, num_islands) / num_cells for axis in points.T
+        ]
+        middle_of_island = np.stack(mean_coordinates, axis=1)
         radii = np.zeros(num_islands)
-        np.maximum.at(radii, island, np.linalg.norm(points - middle[island], axis=1))
+        np.maximum.at(
+            radii, island_of_cell, np.linalg.norm(points - middle_of_island[island_of_cell], axis=1)
+        )
         return radii
 
     def draw(self, count: int) -> list[Episode]:
@@ -330,18 +338,19 @@ class _SceneSampler:
         if not self.finder.search.flat.free.any():
             raise QueryError(f"no agent can stand anywhere in {self.scene!r}")
         episodes: list[Episode] = []
-        per_goal = math.ceil(count / self.rules.goals)
+        episodes_per_goal = math.ceil(count / self.rules.goals)
         num_classes = len(self.class_edges)
         # the first classes get one episode more if the count can't be divided
-        self.missing = [
-            count // num_classes + (number < count % num_classes) for number in range(num_classes)
+        self.num_missing_of_class = [
+            count // num_classes + (class_number < count % num_classes)
+            for class_number in range(num_classes)
         ]
         num_failures = 0  # in a row
         while len(episodes) < count and num_failures < MAX_FAILURES:
             stops = self._draw_stops()
-            drawn = [] if stops is None else self._draw_starts(stops, per_goal)
-            num_failures = 0 if drawn else num_failures + 1
-            episodes += drawn
+            new_episodes = [] if stops is None else self._draw_starts(stops, episodes_per_goal)
+            num_failures = 0 if new_episodes else num_failures + 1
+            episodes += new_episodes
         return episodes
 
     def _draw_stops(self) -> Stops | None:
@@ -389,8 +398,10 @@ class _SceneSampler:
         labels = list(self.goals.choices)
         if not labels:
             raise QueryError(f"no {task.kind} in {self.scene!r} to set as a goal")
-        drawn = self.rng.choice(len(labels), num_goals, replace=num_goals > len(labels))
-        goals_of_labels = [self.goals.make_goals(labels[number]) for number in drawn.tolist()]
+        label_indices = self.rng.choice(len(labels), num_goals, replace=num_goals > len(labels))
+        goals_of_labels = [
+            self.goals.make_goals(labels[label_index]) for label_index in label_indices.tolist()
+        ]
         if not in_order:
             return goals_of_labels[0]
         return [goals[int(self.rng.integers(len(goals)))] for goals in goals_of_labels if goals]
@@ -402,20 +413,24 @@ class _SceneSampler:
         """
         rules = self.rules
         starts = self.finder.random_point(self.rng, count * rules.tries)
-        low = [[-math.pi], [0.0]]
-        high = [[math.pi], [1.0]]
-        headings, chance = self.rng.uniform(low, high, (2, len(starts)))
-        candidates = self._measure_starts(stops, starts, headings)
-        refused = self._find_refused(candidates, chance)
+        lower_limits = [[-math.pi], [0.0]]
+        upper_limits = [[math.pi], [1.0]]
+        headings, chances = self.rng.uniform(lower_limits, upper_limits, (2, len(starts)))
+        drawn_starts = self._measure_starts(stops, starts, headings)
+        refused_by_reason = self._find_refused(drawn_starts, chances)
         episodes: list[Episode] = []
-        for tries in np.arange(len(starts)).reshape(count, rules.tries):
-            if not any(self.missing):
+        for start_indices in np.arange(len(starts)).reshape(count, rules.tries):
+            if not any(self.num_missing_of_class):
                 break
-            for number in tries.tolist():
-                reasons = (reason for reason, mask in refused.items() if mask[number])
+            for start_index in start_indices.tolist():
+                reasons = (
+                    reason
+                    for reason, is_refused in refused_by_reason.items()
+                    if is_refused[start_index]
+                )
                 reason = next(reasons, None)
                 if reason is None:
-                    episode = self._make_episode(stops, candidates, number)
+                    episode = self._make_episode(stops, drawn_starts, start_index)
                     if self._take_from_class(episode):
                         episodes.append(episode)
                         break
@@ -427,96 +442,107 @@ class _SceneSampler:
         """Measure drawn starts, shape (n, 3) [m], against the stops of an episode."""
         flat_grid = self.finder.search.flat
         cells = flat_grid.cells_at(starts)
-        goals = starts
-        distance = np.full(len(starts), np.nan)
-        straight = np.full(len(starts), np.nan)
+        goal_positions = starts
+        path_lengths = np.full(len(starts), np.nan)
+        straight_lengths = np.full(len(starts), np.nan)
         if stops.places:
-            straight, nearest = spatial.cKDTree(stops.places[0]).query(starts)
-            goals = stops.places[0][nearest]
-            distance = stops.distance_fields[0][cells] + stops.lengths_after[0]
-            for places, next_places in pairwise(stops.places):
-                straight = straight + spatial.cKDTree(places).query(next_places)[0].min()
+            straight_lengths, nearest_index = spatial.cKDTree(stops.places[0]).query(starts)
+            goal_positions = stops.places[0][nearest_index]
+            path_lengths = stops.distance_fields[0][cells] + stops.lengths_after[0]
+            for stop_places, next_stop_places in pairwise(stops.places):
+                straight_lengths = (
+                    straight_lengths + spatial.cKDTree(stop_places).query(next_stop_places)[0].min()
+                )
             if self.rules.headings != "random":
-                to_goal = goals - starts if self.rules.headings == "goal" else starts - goals
-                headings = np.arctan2(to_goal[:, 1], to_goal[:, 0])
+                heading_vectors = (
+                    goal_positions - starts
+                    if self.rules.headings == "goal"
+                    else starts - goal_positions
+                )
+                headings = np.arctan2(heading_vectors[:, 1], heading_vectors[:, 0])
         levels = np.stack(
-            [flat_grid.level_of(cells), flat_grid.level_of(flat_grid.cells_at(goals))], axis=1
+            [flat_grid.level_of(cells), flat_grid.level_of(flat_grid.cells_at(goal_positions))],
+            axis=1,
         )
         return _Starts(
             positions=starts,
             headings=headings,
             cells=cells,
             levels=levels,
-            rises=(starts - goals)[:, 2],
-            distance=distance,
-            straight=straight,
+            rises=(starts - goal_positions)[:, 2],
+            path_lengths=path_lengths,
+            straight_lengths=straight_lengths,
         )
 
-    def _make_episode(self, stops: Stops, starts: _Starts, number: int) -> Episode:
+    def _make_episode(self, stops: Stops, starts: _Starts, start_index: int) -> Episode:
         """Make the episode for one of the starts; its id is empty."""
-        rooms = self.finder.search.rooms
-        room = rooms.id_of(int(rooms.number[starts.cells[number]]))
+        room_table = self.finder.search.rooms
+        room = room_table.id_of(int(room_table.number[starts.cells[start_index]]))
         episode = Episode(
             id="",
             scene=self.scene,
             task=self.task.name,
-            start=tuple(starts.positions[number].tolist()),
-            heading=float(starts.headings[number]),
+            start=tuple(starts.positions[start_index].tolist()),
+            heading=float(starts.headings[start_index]),
             goals=stops.goals,
-            distance=float(starts.distance[number]) if stops.places else None,
-            straight=float(starts.straight[number]) if stops.places else None,
+            distance=float(starts.path_lengths[start_index]) if stops.places else None,
+            straight=float(starts.straight_lengths[start_index]) if stops.places else None,
             split=self.splits.of(self.seed, self.scene, room),
             room=room,
-            levels=tuple(starts.levels[number].tolist()),
+            levels=tuple(starts.levels[start_index].tolist()),
         )
         if self.rules.paths or self.rules.strata in ("doors", "rooms"):
-            route = plan_path_through(self.finder, episode.start, stops.places)
-            episode = msgspec.structs.replace(episode, **route)
+            route_fields = plan_path_through(self.finder, episode.start, stops.places)
+            episode = msgspec.structs.replace(episode, **route_fields)
         return episode
 
     def _take_from_class(self, episode: Episode) -> bool:
         """Count an episode in its class; return False, uncounted, if the class is full."""
-        strata = self.rules.strata
-        value = episode.measures[strata] if strata else 0.0
+        measure = self.rules.strata
+        measured_value = episode.measures[measure] if measure else 0.0
         # an unknown ratio counts as 1
-        value = value or float(strata == "ratio")
-        number = int(np.searchsorted(self.class_edges, value, side="right")) - 1
-        if number < 0 or not self.missing[number]:
+        measured_value = measured_value or float(measure == "ratio")
+        class_index = int(np.searchsorted(self.class_edges, measured_value, side="right")) - 1
+        if class_index < 0 or not self.num_missing_of_class[class_index]:
             return False
-        self.missing[number] -= 1
+        self.num_missing_of_class[class_index] -= 1
         return True
 
-    def _find_refused(self, starts: _Starts, chance: Float) -> dict[str, Bool]:
+    def _find_refused(self, starts: _Starts, chances: Float) -> dict[str, Bool]:
         """Find which starts each rule refuses.
 
         Args:
             starts: the starts.
-            chance: a random number from 0 to 1 for each start, shape (n,).
+            chances: a random number from 0 to 1 for each start, shape (n,).
 
         Returns:
             Reason -> mask of the starts that are refused for it, shape (n,). A start that several
             rules refuse is counted for the first of these reasons.
         """
         rules = self.rules
-        island = self.finder.search.islands.number[starts.cells]
+        island_of_start = self.finder.search.islands.number[starts.cells]
         max_distance = math.inf if rules.max_distance is None else rules.max_distance
         max_rise = math.inf if rules.max_rise is None else rules.max_rise
-        distance = starts.distance
-        straight = starts.straight
+        path_lengths = starts.path_lengths
+        straight_lengths = starts.straight_lengths
         # 1 for a start at the goal, and on a stair, where the line through the air may be longer
-        ratio = np.where(straight == 0, 1.0, np.nan)
-        ratio = np.maximum(np.divide(distance, straight, out=ratio, where=straight > 0), 1.0)
-        refused_by_chance = chance > 20.0 * (ratio - 0.98) ** 2
-        changes_level = starts.levels[:, 0] != starts.levels[:, 1]
+        length_ratio = np.where(straight_lengths == 0, 1.0, np.nan)
+        length_ratio = np.maximum(
+            np.divide(path_lengths, straight_lengths, out=length_ratio, where=straight_lengths > 0),
+            1.0,
+        )
+        is_refused_by_chance = chances > 20.0 * (length_ratio - 0.98) ** 2
+        is_on_another_level = starts.levels[:, 0] != starts.levels[:, 1]
         return {
-            "island too small": self.island_radii[island] < rules.min_island,
-            "no path": np.isinf(distance),
-            "too near": distance < rules.min_distance,
-            "too far": distance > max_distance,
-            "too straight": ratio < rules.min_ratio,
-            "straight, by chance": (ratio < (rules.soft_ratio or 0.0)) & refused_by_chance,
+            "island too small": self.island_radii[island_of_start] < rules.min_island,
+            "no path": np.isinf(path_lengths),
+            "too near": path_lengths < rules.min_distance,
+            "too far": path_lengths > max_distance,
+            "too straight": length_ratio < rules.min_ratio,
+            "straight, by chance": (length_ratio < (rules.soft_ratio or 0.0))
+            & is_refused_by_chance,
             "too steep": np.abs(starts.rises) > max_rise,
-            "another level": rules.same_level & changes_level,
+            "another level": rules.same_level & is_on_another_level,
         }
 
 
@@ -529,5 +555,5 @@ class _Starts(NamedTuple):
     levels: Int  # levels of start and goal, shape (n, 2)
     rises: Float  # z of the start minus z of the goal [m], shape (n,)
     # length of the shortest path through the stops [m], shape (n,); NaN if there is no path
-    distance: Float
-    straight: Float  # the same length, but straight through the air [m], shape (n,)
+    path_lengths: Float
+    straight_lengths: Float  # the same length, but straight through the air [m], shape (n,)

@@ -64,9 +64,9 @@ from navbake.routes.graph import (
     Lane,
     Node,
     RouteGraph,
-    directed,
-    to_entry,
-    undirected,
+    encode_element,
+    join_opposite_lanes,
+    split_two_way_lanes,
 )
 from navbake.routes.lift_cars import (
     LIFT,
@@ -241,7 +241,7 @@ class _GraphReader:
         fields: Json = {"level_names": all_level_names}
         if isinstance(graph_entry, dict):
             fields |= graph_entry
-        fields |= {"nodes": nodes, "lanes": undirected(lanes)}
+        fields |= {"nodes": nodes, "lanes": join_opposite_lanes(lanes)}
         graph: RouteGraph = read_table(fields, RouteGraph, f"navbake in {self.top.file}")
         used_names = set[str]()
         for node in nodes:
@@ -302,10 +302,10 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
         )  # fmt: skip
     features = []
     for number, node in enumerate(graph.nodes):
-        properties = {"id": number, "frame": "map", "metadata": to_entry(node, "position")}
+        properties = {"id": number, "frame": "map", "metadata": encode_element(node, "position")}
         features.append(_make_feature("Point", list(node.position), properties))
-    for number, lane in enumerate(directed(graph.lanes), len(graph.nodes)):
-        metadata = to_entry(lane, "start", "end", "two_way", "cost", "speed")
+    for number, lane in enumerate(split_two_way_lanes(graph.lanes), len(graph.nodes)):
+        metadata = encode_element(lane, "start", "end", "two_way", "cost", "speed")
         if lane.speed is not None:
             # nav2 reads these as floats and fails on integers
             percent = min(100.0, 100.0 * lane.speed / graph.speed)
@@ -323,7 +323,7 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
         start = list(graph.nodes[lane.start].position)
         end = list(graph.nodes[lane.end].position)
         features.append(_make_feature("MultiLineString", [[start, end]], properties))
-    content = {"type": "FeatureCollection", "navbake": to_entry(graph), "features": features}
+    content = {"type": "FeatureCollection", "navbake": encode_element(graph), "features": features}
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
 
@@ -398,10 +398,10 @@ def encode_lif(graph: RouteGraph) -> bytes:
                 "mapId": graph.level_names[node.level],
                 "nodePosition": {"x": x, "y": y},
                 "vehicleTypeNodeProperties": [{"vehicleTypeId": vehicle}],
-                "navbake": {**to_entry(node), "number": number},
+                "navbake": {**encode_element(node), "number": number},
             }
         )
-    for number, lane in enumerate(directed(graph.lanes)):
+    for number, lane in enumerate(split_two_way_lanes(graph.lanes)):
         start = graph.nodes[lane.start]
         end = graph.nodes[lane.end]
         vehicle_properties = {
@@ -416,7 +416,7 @@ def encode_lif(graph: RouteGraph) -> bytes:
                 "startNodeId": start.name,
                 "endNodeId": end.name,
                 "vehicleTypeEdgeProperties": [vehicle_properties],
-                "navbake": {**to_entry(lane, "start", "end", "two_way"), "number": number},
+                "navbake": {**encode_element(lane, "start", "end", "two_way"), "number": number},
             }
         )
     file_info = {
@@ -425,7 +425,7 @@ def encode_lif(graph: RouteGraph) -> bytes:
         "exportTimestamp": "1970-01-01T00:00:00Z",
         "lifVersion": "1.0.0",
     }
-    content = {"metaInformation": file_info, "layouts": layouts, "navbake": to_entry(graph)}
+    content = {"metaInformation": file_info, "layouts": layouts, "navbake": encode_element(graph)}
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
 
@@ -550,7 +550,7 @@ def encode_rmf(graph: RouteGraph) -> bytes:
     hidden_nodes = []
     vertex_of_node = {}  # node -> index of its vertex on its level
     for number, node in enumerate(graph.nodes):
-        navbake_entry = {**to_entry(node), "position": list(node.position), "number": number}
+        navbake_entry = {**encode_element(node), "position": list(node.position), "number": number}
         if number in nodes_in_cars:
             hidden_nodes.append(navbake_entry)
             continue
@@ -565,8 +565,8 @@ def encode_rmf(graph: RouteGraph) -> bytes:
         [*(doorway.door for doorway in graph.doorways), *(lane.door or "" for lane in graph.lanes)]
     )
     hidden_lanes = []
-    for number, lane in enumerate(directed(graph.lanes)):
-        navbake_entry = {**to_entry(lane, "start", "end", "two_way"), "number": number}
+    for number, lane in enumerate(split_two_way_lanes(graph.lanes)):
+        navbake_entry = {**encode_element(lane, "start", "end", "two_way"), "number": number}
         level = graph.nodes[lane.start].level
         is_hidden = lane.start not in vertex_of_node or lane.end not in vertex_of_node
         is_hidden |= level != graph.nodes[lane.end].level or lane.kind == LIFT
@@ -585,7 +585,7 @@ def encode_rmf(graph: RouteGraph) -> bytes:
     for stop in car_stops:
         _add_car_stop(levels[stop.level], stop, vertex_of_node)
     graph_entry = {
-        **to_entry(graph),
+        **encode_element(graph),
         "level_names": list(graph.level_names),
         "lanes": hidden_lanes,
     }
@@ -821,19 +821,19 @@ def encode_gml(graph: RouteGraph) -> bytes:
 def _to_networkx(graph: RouteGraph) -> networkx.MultiDiGraph[str]:
     """Convert a graph to networkx, with an edge for each direction of a lane."""
     nx_graph: networkx.MultiDiGraph[str] = source.import_extra("networkx").MultiDiGraph()
-    graph_entry = to_entry(graph)
+    graph_entry = encode_element(graph)
     for name in ("level_names", *TABLES):  # attributes of GraphML are no lists
         if name in graph_entry:
             graph_entry[name] = orjson.dumps(graph_entry[name]).decode()
     nx_graph.graph.update(graph_entry)
     for number, node in enumerate(graph.nodes):
         x, y, z = node.position
-        fields = to_entry(node, "position", "name")
+        fields = encode_element(node, "position", "name")
         nx_graph.add_node(node.name, x=x, y=y, z=z, number=number, **fields)
-    for number, lane in enumerate(directed(graph.lanes)):
+    for number, lane in enumerate(split_two_way_lanes(graph.lanes)):
         start = graph.nodes[lane.start].name
         end = graph.nodes[lane.end].name
-        fields = to_entry(lane, "start", "end", "two_way")
+        fields = encode_element(lane, "start", "end", "two_way")
         nx_graph.add_edge(start, end, number=number, **fields)
     return nx_graph
 

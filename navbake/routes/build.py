@@ -38,11 +38,13 @@ spatial = lazy("scipy.spatial")
 MIN_ISLAND_AREA = 4.0  # smaller islands have no nodes but the stops of links [m²]
 MAX_NODE_DISTANCE = 1.8  # from any cell to its nearest node [m]
 MIN_JUNCTION_SPACING = 1.0  # a junction nearer to a node in its sight is left out [m]
-CORNER_SNAP = 0.4  # a node this near to a path's corner may take its place [m]
+CORNER_SNAP_DISTANCE = 0.4  # a node this near to a path's corner may take its place [m]
 # a node's region are the cells from which no other node is nearer; two nodes need a short route
 # between them if at most this many borders of regions lie between them
 MAX_REGION_HOPS = 3
-MAX_DETOUR = 1.05  # largest cost of a route over other lanes, as a multiple of the lane's own cost
+MAX_DETOUR_FACTOR = (
+    1.05  # largest cost of a route over other lanes, as a multiple of the lane's own cost
+)
 MAX_LANE_LENGTH = 20.0  # [m]
 DECIMALS = 6  # positions and lengths are rounded to this many decimals: to micrometres
 
@@ -79,13 +81,13 @@ class _Builder:
 
     def __init__(self, grid: NavGrid, agent: Agent | None) -> None:
         self.speed = DEFAULT_SPEED if agent is None else agent.speed
-        fitted = fit_grid(grid, agent)
-        self.radius = fitted.radius
-        if fitted.inflated_radius < fitted.radius:
+        fitted_grid = fit_grid(grid, agent)
+        self.radius = fitted_grid.radius
+        if fitted_grid.inflated_radius < fitted_grid.radius:
             # lines are swept exactly on inflated grids only
-            fitted = fitted.inflate(fitted.radius)
-        any_size = agent and agent.without_sizes()
-        self.search = Search(fitted, agent=any_size, radius=self.radius)
+            fitted_grid = fitted_grid.inflate(fitted_grid.radius)
+        agent_of_any_size = agent and agent.without_sizes()
+        self.search = Search(fitted_grid, agent=agent_of_any_size, radius=self.radius)
         self.grid = self.search.grid
         self.flat = self.search.flat
 
@@ -101,9 +103,11 @@ class _Builder:
             for cell in find_leaf_cells(door, self.flat).tolist()
         }
         self.doorways = [
-            Doorway(line.id, number, _round_xy(line.start), _round_xy(line.end))
-            for number in range(len(grid.levels))
-            for line in find_door_lines(grid, number)
+            Doorway(
+                door_line.id, level_number, _round_xy(door_line.start), _round_xy(door_line.end)
+            )
+            for level_number in range(len(grid.levels))
+            for door_line in find_door_lines(grid, level_number)
         ]
 
         self.least_weight = float(self.flat.weight[self.flat.free].min(initial=1.0))
@@ -133,15 +137,15 @@ class _Builder:
     def _find_stairs(self) -> list[_Stairs]:
         """Find the stairs between levels, and the widest free step of each."""
         stairs = []
-        for number, (_, _, kind, steps) in enumerate(find_stairs(self.grid, self.flat)):
+        for stairs_number, (_, _, kind, steps) in enumerate(find_stairs(self.grid, self.flat)):
             free_steps = steps[self.is_routable[steps].all(axis=1)]
             if not len(free_steps):
                 continue
             clearance = np.round(self.clearance[free_steps].min(axis=1), DECIMALS)
             middles = self.flat.positions(free_steps).mean(axis=1)
-            from_center = np.linalg.norm(middles - middles.mean(axis=0), axis=1)
-            best = np.lexsort((from_center, -clearance))[0]
-            stairs.append(_Stairs(f"{kind} {number}", kind, free_steps[best].tolist()))
+            center_distances = np.linalg.norm(middles - middles.mean(axis=0), axis=1)
+            best_index = np.lexsort((center_distances, -clearance))[0]
+            stairs.append(_Stairs(f"{kind} {stairs_number}", kind, free_steps[best_index].tolist()))
         return stairs
 
     # ---------------------------------------------------------------- nodes
@@ -163,8 +167,8 @@ class _Builder:
         Returns:
             The index of the new node, or of the cell's earlier one.
         """
-        position = np.round(self.flat.positions(cell), DECIMALS) + 0.0
-        x, y, z = position.tolist()
+        node_position = np.round(self.flat.positions(cell), DECIMALS) + 0.0
+        x, y, z = node_position.tolist()
         node = Node(
             name,
             position=(x, y, z),
@@ -182,7 +186,7 @@ class _Builder:
                 return index
         self.cells.append(cell)
         self.nodes.append(node)
-        self.points = np.concatenate([self.points, position[None]])
+        self.points = np.concatenate([self.points, node_position[None]])
         self.route_costs = np.pad(self.route_costs, (0, 1), constant_values=math.inf)
         self.route_costs[-1, -1] = 0.0
         return len(self.nodes) - 1
@@ -190,9 +194,9 @@ class _Builder:
     def _add_named_places(self) -> None:
         """Add the stops of links and stairs, doors, and the widest place of each room."""
         for link in self.links:
-            for number, cell in enumerate(self._stop_cells(link)):
+            for stop_number, cell in enumerate(self._stop_cells(link)):
                 if self.flat.free[cell]:
-                    self._add_node(cell, "stop", f"{link.name} {number}", link=link.name)
+                    self._add_node(cell, "stop", f"{link.name} {stop_number}", link=link.name)
         for stairs in self.stairs:
             for cell in stairs.cells:
                 self._add_node(cell, "stop", f"{stairs.name} {self.flat.level_of(cell)}")
@@ -200,17 +204,19 @@ class _Builder:
             cells = find_leaf_cells(door, self.flat)
             cells = cells[self.is_routable[cells]]
             if len(cells):
-                widest = int(cells[np.argmax(np.round(self.clearance[cells], DECIMALS))])
-                self._add_node(widest, "door", door.id, door=door.id)
+                widest_cell = int(cells[np.argmax(np.round(self.clearance[cells], DECIMALS))])
+                self._add_node(widest_cell, "door", door.id, door=door.id)
         rooms = self.search.rooms
-        for number, room in enumerate(rooms.rooms, 1):
-            cells = np.flatnonzero((rooms.number == number) & self.is_routable)
+        for stop_number, room in enumerate(rooms.rooms, 1):
+            cells = np.flatnonzero((rooms.number == stop_number) & self.is_routable)
             if len(cells):
                 # of several with the same clearance, the nearest to the room's centre
-                from_center = np.linalg.norm(self.flat.positions(cells) - room.centroid, axis=1)
+                center_distances = np.linalg.norm(
+                    self.flat.positions(cells) - room.centroid, axis=1
+                )
                 clearance = np.round(self.clearance[cells], DECIMALS)
-                best = np.lexsort((from_center, -clearance))[0]
-                self._add_node(int(cells[best]), "room", room.name or room.id)
+                best_index = np.lexsort((center_distances, -clearance))[0]
+                self._add_node(int(cells[best_index]), "room", room.name or room.id)
 
     def _stop_cells(self, link: Link) -> list[int]:
         """List the flat ids of the cells of a link's stops."""
@@ -225,16 +231,16 @@ class _Builder:
         cells_of_levels = []
         for number, level in enumerate(self.grid.levels):
             level_cells = self.flat.cells_of(number)
-            axis = thin_mask(self.is_routable[level_cells].reshape(level.shape))
-            _, num_branches = _count_neighbors(np.pad(axis, 1))
-            branching = np.flatnonzero(axis & (num_branches >= 3))
-            cells_of_levels.append(level_cells.start + branching)
+            is_axis = thin_mask(self.is_routable[level_cells].reshape(level.shape))
+            _, num_branches = _count_neighbors(np.pad(is_axis, 1))
+            junction_cells = np.flatnonzero(is_axis & (num_branches >= 3))
+            cells_of_levels.append(level_cells.start + junction_cells)
         cells = np.concatenate(cells_of_levels)
-        widest_first = np.argsort(-np.round(self.clearance[cells], DECIMALS), kind="stable")
-        for cell in cells[widest_first].tolist():
+        sort_indices = np.argsort(-np.round(self.clearance[cells], DECIMALS), kind="stable")
+        for cell in cells[sort_indices].tolist():
             level_number = int(self.flat.level_of(cell))
-            distance = np.hypot(*(self.points - self.flat.positions(cell))[:, :2].T)
-            near_nodes = np.flatnonzero(distance < MIN_JUNCTION_SPACING).tolist()
+            distances = np.hypot(*(self.points - self.flat.positions(cell))[:, :2].T)
+            near_nodes = np.flatnonzero(distances < MIN_JUNCTION_SPACING).tolist()
             if not any(
                 self.nodes[node].level == level_number and self._sees(self.cells[node], cell)
                 for node in near_nodes
@@ -246,31 +252,35 @@ class _Builder:
         cells = np.flatnonzero(self.is_routable)
         positions = self.flat.positions(cells)
         positions[:, 2] += 1e3 * self.flat.level_of(cells)  # other levels are far
-        tree = spatial.cKDTree(positions)
+        cell_tree = spatial.cKDTree(positions)
         islands = self.search.islands.number[cells]
         while True:
-            distance = np.full(len(cells), math.inf)
+            distances = np.full(len(cells), math.inf)
             if self.cells:
                 nodes = np.array(self.cells, dtype=np.int64)
-                distance = self.search.compute_cost_field(nodes, by="length")[cells]
-            far_places = np.flatnonzero(distance > MAX_NODE_DISTANCE)
-            if not len(far_places):
+                distances = self.search.compute_cost_field(nodes, by="length")[cells]
+            far_indices = np.flatnonzero(distances > MAX_NODE_DISTANCE)
+            if not len(far_indices):
                 return
-            far_places = far_places[np.argsort(-distance[far_places], kind="stable")]
+            far_indices = far_indices[np.argsort(-distances[far_indices], kind="stable")]
             is_covered = np.zeros(len(cells), dtype=np.bool_)
-            for place in far_places.tolist():
-                if is_covered[place]:
+            for far_index in far_indices.tolist():
+                if is_covered[far_index]:
                     continue
-                near = np.array(tree.query_ball_point(positions[place], MAX_NODE_DISTANCE / 2))
-                near = near[islands[near] == islands[place]]
-                clearance = np.round(self.clearance[cells[near]], DECIMALS)
-                widest = near[np.lexsort((near, -clearance))[0]]
+                near_indices = np.array(
+                    cell_tree.query_ball_point(positions[far_index], MAX_NODE_DISTANCE / 2)
+                )
+                near_indices = near_indices[islands[near_indices] == islands[far_index]]
+                clearance = np.round(self.clearance[cells[near_indices]], DECIMALS)
+                widest_index = near_indices[np.lexsort((near_indices, -clearance))[0]]
                 # a wider place only where this one is seen from it
-                is_seen = self._sees(cells[widest], cells[place])
-                self._add_node(int(cells[widest if is_seen else place]), "waypoint")
-                is_covered[tree.query_ball_point(positions[place], MAX_NODE_DISTANCE)] = True
+                is_seen = self._sees(cells[widest_index], cells[far_index])
+                self._add_node(int(cells[widest_index if is_seen else far_index]), "waypoint")
+                is_covered[cell_tree.query_ball_point(positions[far_index], MAX_NODE_DISTANCE)] = (
+                    True
+                )
 
-    def _sees(self, cell: int, target: int) -> bool:
+    def _sees(self, cell: int, target_cell: int) -> bool:
         """Whether an agent may move straight from one cell's centre to another's on the same level.
 
         It may if `Search.can_pass` allows it, or over steps along a row, column or diagonal.
@@ -278,12 +288,12 @@ class _Builder:
         from navbake.runtime.grid_arrays import COL_STEP, ROW_STEP  # numba loads slowly
 
         level = int(self.flat.level_of(cell))
-        start, end = self.flat.positions(np.array([cell, target]))
+        start, end = self.flat.positions(np.array([cell, target_cell]))
         start_xy = np.round(start[:2], DECIMALS)
         end_xy = np.round(end[:2], DECIMALS)
         if self.search.can_pass(start_xy, end_xy, level):
             return True
-        _, (row, target_row), (col, target_col) = self.flat.to_cells(np.array([cell, target]))
+        _, (row, target_row), (col, target_col) = self.flat.to_cells(np.array([cell, target_cell]))
         row_offset = int(target_row - row)
         col_offset = int(target_col - col)
         num_steps = max(abs(row_offset), abs(col_offset))
@@ -293,28 +303,28 @@ class _Builder:
         row_step = row_offset // num_steps
         col_step = col_offset // num_steps
         directions = list(zip(ROW_STEP, COL_STEP, strict=True))
-        bit = directions.index((row_step, col_step))
+        direction_bit = directions.index((row_step, col_step))
         cell_step = row_step * int(self.flat.layout.width[level]) + col_step
         crossed_cells = cell + cell_step * np.arange(num_steps)
-        return bool((self.search.graph.moves[crossed_cells] >> bit & 1).all())
+        return bool((self.search.graph.moves[crossed_cells] >> direction_bit & 1).all())
 
     # ---------------------------------------------------------------- lanes
 
-    def _distance(self, node: int, target: int) -> float:
+    def _distance(self, node: int, target_node: int) -> float:
         """Compute the distance between two nodes, seen from above [m]."""
-        offset = self.points[node] - self.points[target]
-        return float(np.hypot(offset[0], offset[1]))
+        position_offset = self.points[node] - self.points[target_node]
+        return float(np.hypot(position_offset[0], position_offset[1]))
 
-    def _lane_cost(self, node: int, target: int) -> float:
+    def _lane_cost(self, node: int, target_node: int) -> float:
         """Compute the cost of a lane between two nodes [m].
 
         On one level, it is the cost of the straight line; between levels, its length seen from
         above.
         """
         level = self.nodes[node].level
-        if level != self.nodes[target].level:
-            return self._distance(node, target)
-        return self._line_cost(self.points[[node, target], :2], level)
+        if level != self.nodes[target_node].level:
+            return self._distance(node, target_node)
+        return self._line_cost(self.points[[node, target_node], :2], level)
 
     def _line_cost(self, points: Float, level: int) -> float:
         """Compute the cost of a polyline on a level [m]; `points` are x, y, shape (n, 2) [m]."""
@@ -331,31 +341,31 @@ class _Builder:
         """List the cells of points on a line, about a quarter of a cell apart, by flat id."""
         cell_size = float(self.flat.layout.cell_size[level])
         num_points = math.ceil(float(np.linalg.norm(end - start)) / cell_size * 4) + 1
-        shares = (np.arange(num_points) + 0.5)[:, None] / num_points
-        return self.flat.cells_at(start + shares * (end - start), level)
+        fractions = (np.arange(num_points) + 0.5)[:, None] / num_points
+        return self.flat.cells_at(start + fractions * (end - start), level)
 
-    def _doors_on_lane(self, node: int, target: int) -> set[str | None]:
+    def _doors_on_lane(self, node: int, target_node: int) -> set[str | None]:
         """List the ids of the doors that a lane leads through, and None.
 
         A lane leads through a door if it crosses the leaf, or if a node at its end stands in the
         door.
         """
-        start, end = self.points[[node, target], :2]
+        start, end = self.points[[node, target_node], :2]
         cells = self._cells_on_line(start, end, self.nodes[node].level)
-        crossed = {self.leaf_doors.get(cell) for cell in cells.tolist()}
-        return crossed | self._doors_of_ends(node, target)
+        crossed_doors = {self.leaf_doors.get(cell) for cell in cells.tolist()}
+        return crossed_doors | self._doors_of_ends(node, target_node)
 
-    def _doors_of_ends(self, node: int, target: int) -> set[str | None]:
+    def _doors_of_ends(self, node: int, target_node: int) -> set[str | None]:
         """List the ids of the doors that two nodes stand in, and None."""
-        return {None, self.nodes[node].door, self.nodes[target].door}
+        return {None, self.nodes[node].door, self.nodes[target_node].door}
 
-    def _is_lane_free(self, node: int, target: int, allowed_doors: set[str | None]) -> bool:
+    def _is_lane_free(self, node: int, target_node: int, allowed_doors: set[str | None]) -> bool:
         """Whether a straight lane is free, and leads through no doors but the allowed ones.
 
         `allowed_doors` holds the ids of these doors, and None, which stands for no door.
         """
-        is_seen = self._sees(self.cells[node], self.cells[target])
-        return is_seen and self._doors_on_lane(node, target) <= allowed_doors
+        is_seen = self._sees(self.cells[node], self.cells[target_node])
+        return is_seen and self._doors_on_lane(node, target_node) <= allowed_doors
 
     def _add_lane(self, lane: Lane) -> None:
         """Add a lane, and update the costs of the cheapest routes between all nodes."""
@@ -364,18 +374,20 @@ class _Builder:
         if lane.two_way:
             directions.append((lane.end, lane.start))
         for start, end in directions:
-            over_lane = self.route_costs[:, start, None] + lane.cost + self.route_costs[None, end]
-            np.minimum(self.route_costs, over_lane, out=self.route_costs)
+            costs_over_lane = (
+                self.route_costs[:, start, None] + lane.cost + self.route_costs[None, end]
+            )
+            np.minimum(self.route_costs, costs_over_lane, out=self.route_costs)
 
-    def _add_straight_lane(self, node: int, target: int, kind: str = FLOOR) -> None:
+    def _add_straight_lane(self, node: int, target_node: int, kind: str = FLOOR) -> None:
         """Add the lane along the straight line between two nodes."""
         self._add_lane(
             Lane(
                 node,
-                target,
+                target_node,
                 name="",
-                length=self._distance(node, target),
-                cost=self._lane_cost(node, target),
+                length=self._distance(node, target_node),
+                cost=self._lane_cost(node, target_node),
                 kind=kind,
             )
         )
@@ -389,14 +401,14 @@ class _Builder:
                 if node.link in (None, link.name)
             }
             cells = self._stop_cells(link)
-            for first, last in itertools.combinations(range(len(cells)), 2):
-                if cells[first] == cells[last]:
+            for first_stop, last_stop in itertools.combinations(range(len(cells)), 2):
+                if cells[first_stop] == cells[last_stop]:
                     continue
-                start = node_of_cell.get(cells[first])
-                end = node_of_cell.get(cells[last])
+                start = node_of_cell.get(cells[first_stop])
+                end = node_of_cell.get(cells[last_stop])
                 if start is None or end is None:
                     continue
-                length = link.length(first, last)
+                length = link.length(first_stop, last_stop)
                 cost = length if link.cost is None else link.cost
                 self._add_lane(
                     Lane(
@@ -413,32 +425,33 @@ class _Builder:
                 )
         node_of_cell = {cell: index for index, cell in enumerate(self.cells)}
         for stairs in self.stairs:
-            low, high = stairs.cells
-            self._add_straight_lane(node_of_cell[low], node_of_cell[high], stairs.kind)
+            lower_cell, upper_cell = stairs.cells
+            self._add_straight_lane(node_of_cell[lower_cell], node_of_cell[upper_cell], stairs.kind)
 
     def _add_lanes_in_sight(self) -> None:
         """Add lanes between nodes that see each other, unless a route over shorter lanes exists.
 
-        Such a route counts if it costs at most `MAX_DETOUR` as much as the lane.
+        Such a route counts if it costs at most `MAX_DETOUR_FACTOR` as much as the lane.
         """
         levels = self.flat.level_of(np.array(self.cells, dtype=np.int64))
         pairs_of_levels = []
         for level in range(self.flat.num_levels):
             nodes = np.flatnonzero(levels == level)
             if len(nodes) > 1:
-                tree = spatial.cKDTree(self.points[nodes, :2])
-                near_pairs = tree.query_pairs(MAX_LANE_LENGTH, output_type="ndarray")
+                node_tree = spatial.cKDTree(self.points[nodes, :2])
+                near_pairs = node_tree.query_pairs(MAX_LANE_LENGTH, output_type="ndarray")
                 pairs_of_levels.append(nodes[near_pairs])
         if not pairs_of_levels:
             return
         pairs = np.sort(np.concatenate(pairs_of_levels), axis=1)
-        for node, target, length in self._shortest_first(pairs):
+        for node, target_node, length in self._shortest_first(pairs):
             if (
-                self.route_costs[node, target] > MAX_DETOUR * length * self.least_weight
-                and self.route_costs[node, target] > MAX_DETOUR * self._lane_cost(node, target)
-                and self._is_lane_free(node, target, self._doors_of_ends(node, target))
+                self.route_costs[node, target_node] > MAX_DETOUR_FACTOR * length * self.least_weight
+                and self.route_costs[node, target_node]
+                > MAX_DETOUR_FACTOR * self._lane_cost(node, target_node)
+                and self._is_lane_free(node, target_node, self._doors_of_ends(node, target_node))
             ):
-                self._add_straight_lane(node, target)
+                self._add_straight_lane(node, target_node)
 
     def _shortest_first(self, pairs: Int) -> list[tuple[int, int, float]]:
         """Sort pairs of nodes, shape (n, 2), by their distance.
@@ -446,11 +459,14 @@ class _Builder:
         Returns:
             The nodes of each pair, and their distance [m]; the shortest first.
         """
-        node, target = pairs.T
-        offset = self.points[node] - self.points[target]
-        length = np.round(np.hypot(offset[:, 0], offset[:, 1]), DECIMALS)
-        order = np.lexsort((target, node, length))
-        return [(int(node[index]), int(target[index]), float(length[index])) for index in order]
+        first_nodes, second_nodes = pairs.T
+        offsets = self.points[first_nodes] - self.points[second_nodes]
+        lengths = np.round(np.hypot(offsets[:, 0], offsets[:, 1]), DECIMALS)
+        sort_indices = np.lexsort((second_nodes, first_nodes, lengths))
+        return [
+            (int(first_nodes[index]), int(second_nodes[index]), float(lengths[index]))
+            for index in sort_indices
+        ]
 
     def _add_paths_between_neighbors(self) -> None:
         """Add paths between nodes whose cells are near, unless a short route over lanes exists.
@@ -460,21 +476,23 @@ class _Builder:
         num_nodes = len(self.nodes)
         if not num_nodes:
             return
-        touching = self._find_touching_nodes()
-        ones = np.ones(len(touching), np.int64)
-        touches = sparse.csr_array((ones, tuple(touching.T)), (num_nodes, num_nodes))
-        touches = touches + touches.T
-        is_near = touches
+        touching_pairs = self._find_touching_nodes()
+        edge_values = np.ones(len(touching_pairs), np.int64)
+        is_touching = sparse.csr_array(
+            (edge_values, tuple(touching_pairs.T)), (num_nodes, num_nodes)
+        )
+        is_touching = is_touching + is_touching.T
+        is_near = is_touching
         for _ in range(MAX_REGION_HOPS - 1):
-            is_near = is_near + is_near @ touches
+            is_near = is_near + is_near @ is_touching
         near_pairs = np.stack(sparse.triu(is_near, 1).nonzero(), axis=1)
-        for node, target, length in self._shortest_first(near_pairs):
-            if self.route_costs[node, target] > MAX_DETOUR * length * self.least_weight:
-                self._add_path(node, target, self._doors_of_ends(node, target))
+        for node, target_node, length in self._shortest_first(near_pairs):
+            if self.route_costs[node, target_node] > MAX_DETOUR_FACTOR * length * self.least_weight:
+                self._add_path(node, target_node, self._doors_of_ends(node, target_node))
         # through doors that stand side by side
-        for node, target in self._find_touching_nodes().tolist():
-            if not math.isfinite(self.route_costs[node, target]):
-                self._add_path(node, target, {None, *self.leaf_doors.values()})
+        for node, target_node in self._find_touching_nodes().tolist():
+            if not math.isfinite(self.route_costs[node, target_node]):
+                self._add_path(node, target_node, {None, *self.leaf_doors.values()})
 
     def _find_touching_nodes(self) -> Int:
         """Find the pairs of nodes whose cells touch on a level: indices, shape (n, 2)."""
@@ -482,98 +500,101 @@ class _Builder:
 
         node_cells = np.array(self.cells)
         _, next_cell = self.search.find_next_cells(node_cells)
-        nearest = np.where(next_cell < 0, np.arange(len(next_cell)), next_cell)
-        while (nearest != nearest[nearest]).any():
-            nearest = nearest[nearest]
-        node_of_cell = np.full(len(nearest), -1)
+        nearest_cell = np.where(next_cell < 0, np.arange(len(next_cell)), next_cell)
+        while (nearest_cell != nearest_cell[nearest_cell]).any():
+            nearest_cell = nearest_cell[nearest_cell]
+        node_of_cell = np.full(len(nearest_cell), -1)
         node_of_cell[node_cells] = np.arange(len(node_cells))
         pairs_of_levels = []
         for level in range(self.flat.num_levels):
             level_cells = self.flat.cells_of(level)
             width = int(self.flat.layout.width[level])
-            for bit, step in ((EAST, 1), (SOUTH, width)):
-                can_move = self.search.graph.moves[level_cells] & bit
+            for direction_bit, cell_offset in ((EAST, 1), (SOUTH, width)):
+                can_move = self.search.graph.moves[level_cells] & direction_bit
                 cells = level_cells.start + np.flatnonzero(can_move)
-                node = node_of_cell[nearest[cells]]
-                neighbor = node_of_cell[nearest[cells + step]]
-                pairs_of_levels.append(np.stack([node, neighbor], axis=1))
+                node_indices = node_of_cell[nearest_cell[cells]]
+                neighbor_indices = node_of_cell[nearest_cell[cells + cell_offset]]
+                pairs_of_levels.append(np.stack([node_indices, neighbor_indices], axis=1))
         pairs = np.unique(np.concatenate(pairs_of_levels), axis=0)
         have_nodes = (pairs >= 0).all(axis=1)
-        touching: Int = pairs[have_nodes & (pairs[:, 0] != pairs[:, 1])]
-        return touching
+        touching_pairs: Int = pairs[have_nodes & (pairs[:, 0] != pairs[:, 1])]
+        return touching_pairs
 
-    def _add_path(self, node: int, target: int, allowed_doors: set[str | None]) -> None:
+    def _add_path(self, node: int, target_node: int, allowed_doors: set[str | None]) -> None:
         """Add the path between two nodes of a level: nodes at its corners, and lanes between them.
 
         Nothing is added if a route over lanes is about as short, or the path leaves the level.
 
         Args:
             node: index of the first node.
-            target: index of the last node.
+            target_node: index of the last node.
             allowed_doors: ids of the doors that the lanes may lead through, and None.
         """
         level = self.nodes[node].level
-        if level != self.nodes[target].level:
+        if level != self.nodes[target_node].level:
             return
         start = self.points[node, :2]
-        end = self.points[target, :2]
+        end = self.points[target_node, :2]
         path = find_path(self.search, start, end, level, by="cost", smooth=True)
         if path is None or path.links or (path.levels != level).any():
             return
         path_cost = self._line_cost(path.positions[:, :2], level)
-        if self.route_costs[node, target] <= MAX_DETOUR * path_cost:
+        if self.route_costs[node, target_node] <= MAX_DETOUR_FACTOR * path_cost:
             return
-        corners = self._corner_nodes(node, target, path.positions[:, :2], level)
-        for before, after in itertools.pairwise(corners):
+        corner_nodes = self._corner_nodes(node, target_node, path.positions[:, :2], level)
+        for corner_node, next_corner_node in itertools.pairwise(corner_nodes):
             if (
-                before != after
-                and self.route_costs[before, after] > self._lane_cost(before, after)
-                and self._is_lane_free(before, after, allowed_doors)
+                corner_node != next_corner_node
+                and self.route_costs[corner_node, next_corner_node]
+                > self._lane_cost(corner_node, next_corner_node)
+                and self._is_lane_free(corner_node, next_corner_node, allowed_doors)
             ):
-                self._add_straight_lane(before, after)
+                self._add_straight_lane(corner_node, next_corner_node)
 
-    def _corner_nodes(self, node: int, target: int, path: Float, level: int) -> list[int]:
+    def _corner_nodes(self, node: int, target_node: int, path: Float, level: int) -> list[int]:
         """Find nodes at the corners of a path, so that each sees the next; add missing ones.
 
-        A corner is skipped if the straight line past it costs at most `MAX_DETOUR` as much.
+        A corner is skipped if the straight line past it costs at most `MAX_DETOUR_FACTOR` as much.
 
         Args:
             node: index of the node at the path's start.
-            target: index of the node at its end.
+            target_node: index of the node at its end.
             path: x, y of the path's points, shape (n, 2) [m].
             level: number of the level.
 
         Returns:
-            The indices of the nodes, from `node` to `target`.
+            The indices of the nodes, from `node` to `target_node`.
         """
-        inner = path[1:-1]
-        cells = self.flat.cells_at(inner, level)
+        inner_points = path[1:-1]
+        cells = self.flat.cells_at(inner_points, level)
         centers = self.flat.positions(cells)[:, :2]
         # corners are at cells' centres; at other points, only the height of the floor bends
-        is_corner = np.abs(centers - inner).max(axis=1, initial=0.0) < 1e-6
-        remaining = [*cells[is_corner].tolist(), self.cells[target]]
+        is_corner = np.abs(centers - inner_points).max(axis=1, initial=0.0) < 1e-6
+        remaining = [*cells[is_corner].tolist(), self.cells[target_node]]
         corners = [node]
         while remaining:
             corner = corners[-1]
             remaining_xy = self.flat.positions(np.array(remaining))[:, :2]
-            line = np.concatenate([self.points[[corner], :2], remaining_xy])
-            farthest = 0
+            line_points = np.concatenate([self.points[[corner], :2], remaining_xy])
+            farthest_place = 0
             for place, cell in enumerate(remaining):
                 if self._sees(self.cells[corner], cell):
-                    straight_cost = self._line_cost(line[[0, place + 1]], level)
-                    path_cost = self._line_cost(line[: place + 2], level)
-                    if straight_cost <= MAX_DETOUR * path_cost:
-                        farthest = place
-            cell = remaining[farthest]
-            next_cells = remaining[farthest + 1 : farthest + 2]
+                    straight_cost = self._line_cost(line_points[[0, place + 1]], level)
+                    path_cost = self._line_cost(line_points[: place + 2], level)
+                    if straight_cost <= MAX_DETOUR_FACTOR * path_cost:
+                        farthest_place = place
+            cell = remaining[farthest_place]
+            next_cells = remaining[farthest_place + 1 : farthest_place + 2]
             corner_node = None
             if next_cells:
-                mean_weight = self._mean_weight(line[0], line[farthest + 1], level)
+                mean_weight = self._mean_weight(
+                    line_points[0], line_points[farthest_place + 1], level
+                )
                 corner_node = self._node_in_place_of(cell, corner, next_cells[0], mean_weight)
             if corner_node is None:
                 corner_node = self._add_node(cell, "waypoint")
             corners.append(corner_node)
-            remaining = remaining[farthest + 1 :]
+            remaining = remaining[farthest_place + 1 :]
         return corners
 
     def _node_in_place_of(
@@ -582,7 +603,7 @@ class _Builder:
         """Find the nearest node that can take the place of a path's corner.
 
         It must see the node before and the cell after the corner. The lane from the node before
-        must cost at most `MAX_DETOUR` times its length at the path's mean weight.
+        must cost at most `MAX_DETOUR_FACTOR` times its length at the path's mean weight.
 
         Args:
             cell: flat id of the corner's cell.
@@ -597,12 +618,12 @@ class _Builder:
         distance = np.hypot(*(self.points - self.flat.positions(cell))[:, :2].T)
         candidates = [
             index
-            for index in np.flatnonzero(distance < CORNER_SNAP).tolist()
+            for index in np.flatnonzero(distance < CORNER_SNAP_DISTANCE).tolist()
             if self.nodes[index].level == level
             and self._sees(self.cells[index], self.cells[corner])
             and self._sees(self.cells[index], next_cell)
             and self._lane_cost(corner, index)
-            <= MAX_DETOUR * mean_weight * self._distance(corner, index)
+            <= MAX_DETOUR_FACTOR * mean_weight * self._distance(corner, index)
         ]
         return min(candidates, key=distance.__getitem__, default=None)
 
@@ -613,10 +634,10 @@ class _Builder:
         used_names = set[str]()
         nodes = list[Node]()
         for number, node in enumerate(self.nodes):
-            base = node.name or f"{node.kind} {number}"
-            name = base
+            base_name = node.name or f"{node.kind} {number}"
+            name = base_name
             while name in used_names:
-                name = f"{base} ({number})"
+                name = f"{base_name} ({number})"
                 number += 1
             used_names.add(name)
             nodes.append(replace(node, name=name))

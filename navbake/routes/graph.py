@@ -91,9 +91,9 @@ class RouteGraph(RouteGraphMethods):
     doorways: tuple[Doorway, ...] = ()  #: The lines of doors, by level.
 
     def __repr__(self) -> str:
-        one_way = sum(not lane.two_way for lane in self.lanes)
+        num_one_way = sum(not lane.two_way for lane in self.lanes)
         text = f"RouteGraph({len(self.nodes)} nodes, {len(self.lanes)} lanes"
-        return f"{text}, {one_way} of them one-way)" if one_way else f"{text})"
+        return f"{text}, {num_one_way} of them one-way)" if num_one_way else f"{text})"
 
     @property
     def positions(self) -> Float:
@@ -106,15 +106,15 @@ class RouteGraph(RouteGraphMethods):
 
         A scipy csr_array, shape (n, n), without entries for nodes that no lane joins.
         """
-        cheapest: dict[tuple[int, int], float] = {}
-        for lane in directed(self.lanes):
-            ends = (lane.start, lane.end)
-            cheapest[ends] = min(lane.cost, cheapest.get(ends, math.inf))
+        cheapest_costs: dict[tuple[int, int], float] = {}
+        for lane in split_two_way_lanes(self.lanes):
+            node_pair = (lane.start, lane.end)
+            cheapest_costs[node_pair] = min(lane.cost, cheapest_costs.get(node_pair, math.inf))
         shape = (len(self.nodes), len(self.nodes))
-        if not cheapest:
+        if not cheapest_costs:
             return sparse.csr_array(shape)
-        start_end = np.array(list(cheapest)).T
-        return sparse.csr_array((list(cheapest.values()), start_end), shape=shape)
+        node_pairs = np.array(list(cheapest_costs)).T
+        return sparse.csr_array((list(cheapest_costs.values()), node_pairs), shape=shape)
 
     def distances(self) -> Float:
         """Compute the costs of the cheapest routes between all nodes.
@@ -142,15 +142,17 @@ class RouteGraph(RouteGraphMethods):
             >>> graph.route("Kitchen", "Hall")
             [3, 17, 5]
         """
-        first = self.index_of(start)
-        last = self.index_of(end)
-        _, before = csgraph.dijkstra(self.costs, indices=first, return_predecessors=True)
-        backward = [last]
-        while backward[-1] != first:
-            backward.append(int(before[backward[-1]]))
-            if backward[-1] < 0:
+        start_index = self.index_of(start)
+        end_index = self.index_of(end)
+        _, predecessors = csgraph.dijkstra(
+            self.costs, indices=start_index, return_predecessors=True
+        )
+        backward_route = [end_index]
+        while backward_route[-1] != start_index:
+            backward_route.append(int(predecessors[backward_route[-1]]))
+            if backward_route[-1] < 0:
                 return None
-        return backward[::-1]
+        return backward_route[::-1]
 
     def index_of(self, node: int | str) -> int:
         """Return the index of a node.
@@ -161,7 +163,7 @@ class RouteGraph(RouteGraphMethods):
         Raises:
             QueryError: there is no such node.
         """
-        names = [present.name for present in self.nodes]
+        names = [graph_node.name for graph_node in self.nodes]
         if isinstance(node, str) and node in names:
             return names.index(node)
         if isinstance(node, str) or not 0 <= node < len(names):
@@ -180,14 +182,14 @@ class RouteGraph(RouteGraphMethods):
         if not 0 <= number < len(self.level_names):
             count = len(self.level_names)
             raise QueryError(f"no level {number}: the graph has {count}, counted from 0")
-        on_level = [index for index, node in enumerate(self.nodes) if node.level == number]
-        new_index = {index: place for place, index in enumerate(on_level)}
+        node_indices = [index for index, node in enumerate(self.nodes) if node.level == number]
+        new_index = {index: place for place, index in enumerate(node_indices)}
         lanes = [
             replace(lane, start=new_index[lane.start], end=new_index[lane.end])
             for lane in self.lanes
             if lane.start in new_index and lane.end in new_index
         ]
-        nodes = [replace(self.nodes[index], level=0) for index in on_level]
+        nodes = [replace(self.nodes[index], level=0) for index in node_indices]
         links = {lane.link for lane in lanes}
         doorways = [
             replace(doorway, level=0) for doorway in self.doorways if doorway.level == number
@@ -205,7 +207,7 @@ class RouteGraph(RouteGraphMethods):
 # ---------------------------------------------------------------- for files
 
 
-def directed(lanes: Iterable[Lane]) -> list[Lane]:
+def split_two_way_lanes(lanes: Iterable[Lane]) -> list[Lane]:
     """Replace each lane for both directions by two lanes: one there, followed by one back."""
     one_way_lanes = []
     for lane in lanes:
@@ -215,26 +217,26 @@ def directed(lanes: Iterable[Lane]) -> list[Lane]:
     return one_way_lanes
 
 
-def undirected(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
+def join_opposite_lanes(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
     """Replace each pair of lanes that differ only in direction by one lane in both directions.
 
-    This is the inverse of `directed`.
+    This is the inverse of `split_two_way_lanes`.
     """
-    joined: list[Lane] = []
-    # lane without one back so far -> indices in `joined`
+    joined_lanes: list[Lane] = []
+    # lane without one back so far -> indices in `joined_lanes`
     without_return: dict[Lane, list[int]] = {}
     for lane in lanes:
         lane_back = replace(lane, start=lane.end, end=lane.start)
         if without_return.get(lane_back):
-            place = without_return[lane_back].pop()
-            joined[place] = replace(joined[place], two_way=True)
+            lane_index = without_return[lane_back].pop()
+            joined_lanes[lane_index] = replace(joined_lanes[lane_index], two_way=True)
         else:
-            without_return.setdefault(lane, []).append(len(joined))
-            joined.append(lane)
-    return tuple(joined)
+            without_return.setdefault(lane, []).append(len(joined_lanes))
+            joined_lanes.append(lane)
+    return tuple(joined_lanes)
 
 
-def to_entry(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
+def encode_element(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
     """Return the fields of a node, a lane or a graph as JSON.
 
     Fields that are None, empty tables, and the nodes and lanes of a graph, are left out.
@@ -243,10 +245,12 @@ def to_entry(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
         element: the node, lane or graph.
         left_out: names of more fields to leave out.
     """
-    without = {"nodes", "lanes", *left_out}
-    values = {name: getattr(element, name) for name in element.__dataclass_fields__}
+    left_out_names = {"nodes", "lanes", *left_out}
+    field_values = {name: getattr(element, name) for name in element.__dataclass_fields__}
     entry = {
-        name: value for name, value in values.items() if value is not None and name not in without
+        name: value
+        for name, value in field_values.items()
+        if value is not None and name not in left_out_names
     }
     for name in TABLES:
         if name in entry:

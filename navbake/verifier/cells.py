@@ -32,7 +32,7 @@ from navbake.verifier.probes import (
 )
 from navbake.verifier.report import Finding, LevelCounts
 from navbake.verifier.ridges import RidgeProbe
-from navbake.verifier.sample import AgentSizes, CellPrisms, LevelSample, shift_between
+from navbake.verifier.sample import AgentSizes, CellPrisms, LevelSample, find_cell_shift
 
 MAX_MEASURED_FINDINGS = 100  # findings of a kind whose depth or gap is measured
 
@@ -112,18 +112,18 @@ class LevelArrays(NamedTuple):
 
     Attributes:
         floor: Heights of the floors, (height, width) [m], NaN for none.
-        free: Whether each cell is free, (height, width).
+        is_free: Whether each cell is free, (height, width).
         row_shift: A row of level 0's lattice and this number add up to the row of this level.
         col_shift: The same for columns.
     """
 
     floor: Float
-    free: Bool
+    is_free: Bool
     row_shift: int
     col_shift: int
 
 
-def floor_tolerance(*coordinates: float) -> float:
+def compute_floor_tolerance(*coordinates: float) -> float:
     """Return by how much a floor may differ from a surface in height [m].
 
     Args:
@@ -164,7 +164,7 @@ class FloorCheck:
         self._lattice = grid.levels[0].lattice
         self._levels = list[LevelArrays]()
         for level in grid.levels:
-            shift = shift_between(self._lattice, level.lattice)
+            shift = find_cell_shift(self._lattice, level.lattice)
             self._levels.append(LevelArrays(level.floor, level.free, shift.rows, shift.cols))
         bakes_all_floors = (
             config is not None and config.levels == "auto" and config.floors.reach == "all"
@@ -213,30 +213,32 @@ class FloorCheck:
             one of these cells.
         """
         findings = list[Finding]()
-        shift = shift_between(sample.level.lattice, self._lattice)
+        lattice_shift = find_cell_shift(sample.level.lattice, self._lattice)
         missing_places: list[tuple[int, int, float]] = []  # row, column, height
         # the grid's floors over holes of a scan are no surfaces
         unseen = sample.level.attributes.get("unseen", np.zeros(sample.level.shape))
         for cell, has_no_floor in enumerate(np.isnan(sample.floor).tolist()):
             position = sample.position(cell)
             x, y, z = position
-            line = self._probe.cast_line(x, y)
-            tolerance = floor_tolerance(x, y, z)
-            standable = line.standable_hits(self._agent.height, self._agent.min_normal_z)
+            vertical_line = self._probe.cast_line(x, y)
+            tolerance = compute_floor_tolerance(x, y, z)
+            standable_hits = vertical_line.standable_hits(
+                self._agent.height, self._agent.min_normal_z
+            )
             if not has_no_floor:
                 counts.floors += 1
             is_unchecked = has_no_floor or bool(unseen[sample.rows[cell], sample.cols[cell]])
-            if is_unchecked or line.has_upward_hit(z - tolerance, z + tolerance):
-                row = int(sample.rows[cell]) + shift.rows
-                col = int(sample.cols[cell]) + shift.cols
-                for hit in standable:
+            if is_unchecked or vertical_line.has_upward_hit(z - tolerance, z + tolerance):
+                row = int(sample.rows[cell]) + lattice_shift.rows
+                col = int(sample.cols[cell]) + lattice_shift.cols
+                for hit in standable_hits:
                     is_missing = not self._has_floor(row, col, hit.z)
                     if is_missing and self._place_near(row, col, hit.z) is not None:
                         missing_places.append((row, col, hit.z))
                         findings += self._check_missing_place(row, col, (x, y, hit.z), sample, cell)
                 continue
             # at the edge of a crack, a floor on a slope may have any of the slope's heights
-            is_gap = all(abs(hit.z - z) > self._agent.step for hit in standable)
+            is_gap = all(abs(hit.z - z) > self._agent.step for hit in standable_hits)
             has_surface_nearby = self._probe.has_upward_hit_nearby(
                 position,
                 tolerance,
@@ -247,7 +249,7 @@ class FloorCheck:
                 counts.in_cracks += 1
             else:
                 counts.floors_off += 1
-                findings.append(self._floor_off_finding(sample, cell, z, line.hits))
+                findings.append(self._floor_off_finding(sample, cell, z, vertical_line.hits))
         for row, col, z in missing_places:
             # the place itself is lost, or the one near it where a search began
             search_cell = (row - row % self._stride, col - col % self._stride)
@@ -261,13 +263,13 @@ class FloorCheck:
         self, sample: LevelSample, cell: int, z: float, hits: list[SurfaceHit]
     ) -> Finding:
         """Return the finding for a floor where no surface is."""
-        gaps = [abs(hit.z - z) for hit in hits if hit.normal_z >= MIN_UPWARD_NORMAL_Z]
-        smallest_gap = min(gaps, default=None)
+        surface_gaps = [abs(hit.z - z) for hit in hits if hit.normal_z >= MIN_UPWARD_NORMAL_Z]
+        smallest_gap = min(surface_gaps, default=None)
         if smallest_gap is None:
-            where = "over no surface"
+            surface_text = "over no surface"
         else:
-            where = f"{smallest_gap:.4f} m off the nearest surface"
-        text = f"has its floor at {z:.4f} m, {where}"
+            surface_text = f"{smallest_gap:.4f} m off the nearest surface"
+        text = f"has its floor at {z:.4f} m, {surface_text}"
         return sample.make_finding(report.FLOOR_OFF, cell, text, None, smallest_gap)
 
     def _check_missing_place(
@@ -284,26 +286,26 @@ class FloorCheck:
         if not is_step:
             row = row - row % self._stride
             col = col - col % self._stride
-        start = self._place_near(row, col, position[2])
-        if start is None:
+        start_place = self._place_near(row, col, position[2])
+        if start_place is None:
             return []
-        hit = self._standable_at(row, col)[start.surface]
+        start_hit = self._standable_at(row, col)[start_place.surface]
         x, y = self._center(row, col)
-        standing_position = (x, y, hit.z)
+        standing_position = (x, y, start_hit.z)
         if not is_step:
-            if start in self._searched_places or self._has_floor(row, col, hit.z):
+            if start_place in self._searched_places or self._has_floor(row, col, start_hit.z):
                 return []
             two_strides = 2 * self._stride
-            surroundings = [
-                self._place_near(row + two_strides * down, col + two_strides * right, hit.z)
+            neighbor_places = [
+                self._place_near(row + two_strides * down, col + two_strides * right, start_hit.z)
                 for down, right in GRID_DIRECTIONS
             ]
-            if surroundings.count(None) >= 2:
+            if neighbor_places.count(None) >= 2:
                 return []
-            if not self._is_certain(x, y, hit.z):
+            if not self._is_certain(x, y, start_hit.z):
                 return []
 
-        region = self._search_region(start)
+        region = self._search_region(start_place)
         self._searched_places |= region.places
         area = len({(place.row, place.col) for place in region.places}) * self._stride_length**2
         reason = "steps lead there" if region.is_reached else self._reason_for_level(region)
@@ -312,7 +314,7 @@ class FloorCheck:
             self.ignored_area += area
             return []
         self._lost_places |= region.places
-        geom = self._probe.obstacles.geom_name(hit.obstacle)
+        geom = self._probe.obstacles.geom_name(start_hit.obstacle)
         text = f"on {geom!r}, {area:.2f} m² or more are on no level, and {reason}"
         finding = sample.make_finding(report.PLACE_LOST, cell, text, geom, round(area, 6))
         return [replace(finding, position=standing_position)]
@@ -326,7 +328,7 @@ class FloorCheck:
                 if not level_cell.is_free or not abs(floor - z) <= step:
                     continue
                 hits = self._standable_at(row + down, col + right)
-                if any(abs(hit.z - floor) <= floor_tolerance(floor) for hit in hits):
+                if any(abs(hit.z - floor) <= compute_floor_tolerance(floor) for hit in hits):
                     return True
         return False
 
@@ -335,10 +337,11 @@ class FloorCheck:
         cells = {(place.row, place.col) for place in region.places}
         # floors are shrunk: only cells that are farther from the outline count
         num_strides = int(self._settings.shrink / self._stride_length) + 1
-        offsets = [n * self._stride for n in range(-num_strides, num_strides + 1)]
-        window = list(product(offsets, offsets))
-        num_inner = sum(
-            all((row + down, col + right) in cells for down, right in window) for row, col in cells
+        offsets = [multiple * self._stride for multiple in range(-num_strides, num_strides + 1)]
+        offset_pairs = list(product(offsets, offsets))
+        num_inner_cells = sum(
+            all((row + down, col + right) in cells for down, right in offset_pairs)
+            for row, col in cells
         )
         # a drop to the region itself, such as beside its own stairs, does not count
         num_drops = sum(
@@ -346,7 +349,7 @@ class FloorCheck:
             for edge in region.outline
         )
         least_area = max(LARGE_AREA_FACTOR * self._settings.min_area, MIN_LEVEL_AREA)
-        is_large = num_inner * self._stride_length**2 >= least_area
+        is_large = num_inner_cells * self._stride_length**2 >= least_area
         has_few_drops = num_drops <= MAX_DROP_SHARE * len(region.outline)
         if not (is_large and self._reports_unreached and has_few_drops):
             return ""
@@ -356,7 +359,10 @@ class FloorCheck:
         cells_over_others = {
             (place.row, place.col)
             for place in region.places
-            if any(place._replace(surface=k) not in region.places for k in range(place.surface))
+            if any(
+                place._replace(surface=surface_index) not in region.places
+                for surface_index in range(place.surface)
+            )
         }
         if len(cells_over_others) <= MAX_COVERED_SHARE * len(cells):
             return "there is nothing to stand on under it"
@@ -368,13 +374,13 @@ class FloorCheck:
         The search continues over places that levels have, too. It ends early once their area
         reaches `MIN_REACHED_AREA`: then steps lead from the grid's floors to the region.
         """
-        region = {start}
+        lost_places = {start}
         places_on_levels = set[StandingPlace]()
-        queue = deque([start])
+        open_places = deque([start])
         outline = list[OutlineEdge]()
         is_reached = False
-        while queue and len(region) < MAX_SEARCH_PLACES and not is_reached:
-            place = queue.popleft()
+        while open_places and len(lost_places) < MAX_SEARCH_PLACES and not is_reached:
+            place = open_places.popleft()
             z = self._standable_at(place.row, place.col)[place.surface].z
             for down, right in GRID_DIRECTIONS:
                 row = place.row + down * self._stride
@@ -382,15 +388,15 @@ class FloorCheck:
                 # the floors outside the grid are unknown: the search ends there
                 neighbor = self._place_near(row, col, z) if self._is_on_grid(row, col) else None
                 if neighbor is None:
-                    if place in region:
+                    if place in lost_places:
                         outline.append(self._find_edge(place.row, place.col, down, right, z))
                     continue
-                if neighbor in region or neighbor in places_on_levels:
+                if neighbor in lost_places or neighbor in places_on_levels:
                     continue
                 neighbor_z = self._standable_at(row, col)[neighbor.surface].z
                 if not self._has_floor(row, col, neighbor_z):
-                    region.add(neighbor)
-                elif place in region and not self._is_walkable(
+                    lost_places.add(neighbor)
+                elif place in lost_places and not self._is_walkable(
                     place.row, place.col, down, right, z
                 ):
                     outline.append(self._find_edge(place.row, place.col, down, right, z))
@@ -399,8 +405,8 @@ class FloorCheck:
                     places_on_levels.add(neighbor)
                     reached_area = len(places_on_levels) * self._stride_length**2
                     is_reached = reached_area >= MIN_REACHED_AREA
-                queue.append(neighbor)
-        return RegionSearch(region, is_reached, outline)
+                open_places.append(neighbor)
+        return RegionSearch(lost_places, is_reached, outline)
 
     def _is_walkable(self, row: int, col: int, down: int, right: int, z: float) -> bool:
         """Return whether an agent can walk a stride from cell to cell, starting at height z [m].
@@ -412,9 +418,9 @@ class FloorCheck:
             right: Column offset of each next cell.
             z: Height of the floor in the first cell [m].
         """
-        for n in range(1, self._stride + 1):
-            next_row = row + n * down
-            next_col = col + n * right
+        for num_cells in range(1, self._stride + 1):
+            next_row = row + num_cells * down
+            next_col = col + num_cells * right
             place = self._place_near(next_row, next_col, z)
             if place is None:
                 return False
@@ -431,30 +437,34 @@ class FloorCheck:
             right: Column offset towards that side.
             z: Height of the place [m].
         """
-        low = z + self._agent.step
-        high = z + max(self._agent.height, MIN_WALL_HEIGHT)
+        lowest_wall_top = z + self._agent.step
+        highest_wall_bottom = z + max(self._agent.height, MIN_WALL_HEIGHT)
         for _ in range(self._stride):
             row = row + down
             col = col + right
             solid_ranges = self._line_at(row, col).solid_ranges
-            if any(bottom < low and top > high for bottom, top in solid_ranges):
+            if any(
+                bottom < lowest_wall_top and top > highest_wall_bottom
+                for bottom, top in solid_ranges
+            ):
                 return OutlineEdge(is_wall=True, landing=None)
-        num_below = sum(hit.z < z for hit in self._standable_at(row, col))
-        landing = StandingPlace(row, col, num_below - 1) if num_below else None
+        num_surfaces_below = sum(hit.z < z for hit in self._standable_at(row, col))
+        landing = StandingPlace(row, col, num_surfaces_below - 1) if num_surfaces_below else None
         return OutlineEdge(is_wall=False, landing=landing)
 
     def _place_near(self, row: int, col: int, z: float) -> StandingPlace | None:
         """Return the place in a cell that is nearest to a height [m]; None if over a step away."""
-        gaps = [abs(hit.z - z) for hit in self._standable_at(row, col)]
-        smallest_gap = min(gaps, default=np.inf)
+        height_gaps = [abs(hit.z - z) for hit in self._standable_at(row, col)]
+        smallest_gap = min(height_gaps, default=np.inf)
         if smallest_gap > self._agent.step - FLOOR_TOLERANCE:
             return None
-        return StandingPlace(row, col, gaps.index(smallest_gap))
+        return StandingPlace(row, col, height_gaps.index(smallest_gap))
 
     def _has_floor(self, row: int, col: int, z: float) -> bool:
         """Return whether any level has a floor in a cell at a height [m]."""
         return any(
-            abs(z - floor) <= floor_tolerance(floor) for floor, _ in self._level_cells_at(row, col)
+            abs(z - floor) <= compute_floor_tolerance(floor)
+            for floor, _ in self._level_cells_at(row, col)
         )
 
     def _is_on_grid(self, row: int, col: int) -> bool:
@@ -473,7 +483,7 @@ class FloorCheck:
             level_col = col + level.col_shift
             if 0 <= level_row < len(level.floor) and 0 <= level_col < level.floor.shape[1]:
                 floor = float(level.floor[level_row, level_col])
-                cells.append(LevelCell(floor, bool(level.free[level_row, level_col])))
+                cells.append(LevelCell(floor, bool(level.is_free[level_row, level_col])))
         return cells
 
     def _center(self, row: int, col: int) -> tuple[float, float]:
@@ -540,7 +550,8 @@ class OccupancyCheck:
         probe: The obstacles.
         agent: The agent that the grid was baked for.
         tolerance: The tolerance [m].
-        inflation_reach: See `InflatedGrid`.
+        inflation_reach: The largest distance from a cell's centre at which an inflation looked for
+            a reason to block the cell [m]; 0 for a grid that is not inflated.
 
     Attributes:
         num_groundless: The number of blocked cells that have no place to stand at their level's
@@ -575,33 +586,35 @@ class OccupancyCheck:
         Returns:
             A finding for each free cell that touches something, or has no floor.
         """
-        has_volume = sample.free & ~np.isnan(sample.floor)
+        has_volume = sample.is_free & ~np.isnan(sample.floor)
         contacts = self._find_contacts(sample, has_volume, volume, -self._tolerance)
         is_untouched = has_volume & (contacts.obstacle < 0)
         enclosing_obstacle = self._find_enclosing(sample, is_untouched, volume[0])
         obstacles = np.where(enclosing_obstacle >= 0, enclosing_obstacle, contacts.obstacle)
 
         text = "is free, though it has no floor"
-        cells_without_floor = np.flatnonzero(sample.free & ~has_volume).tolist()
+        cells_without_floor = np.flatnonzero(sample.is_free & ~has_volume).tolist()
         findings = [
             sample.make_finding(report.NO_FLOOR, cell, text) for cell in cells_without_floor
         ]
 
-        is_apart = has_volume & (obstacles < 0)
-        step = self._agent.step + self._tolerance
+        is_untouched_cell = has_volume & (obstacles < 0)
+        step_tolerance = self._agent.step + self._tolerance
         text = f"is free, but no floor is within {self._agent.step:g} m of its level's ground"
-        for cell in np.flatnonzero(is_apart & (not sample.has_cell_floors)).tolist():
+        for cell in np.flatnonzero(is_untouched_cell & (not sample.has_cell_floors)).tolist():
             # a floor is a surface that faces up, also one beside a crack or an edge
             position = sample.position(cell)
             x, y, z = position
-            has_floor = self._probe.cast_line(x, y).has_upward_hit(z - step, z + step)
-            if not has_floor and not self._probe.has_upward_hit_nearby(position, step):
-                is_apart[cell] = False
+            has_floor = self._probe.cast_line(x, y).has_upward_hit(
+                z - step_tolerance, z + step_tolerance
+            )
+            if not has_floor and not self._probe.has_upward_hit_nearby(position, step_tolerance):
+                is_untouched_cell[cell] = False
                 findings.append(sample.make_finding(report.NO_FLOOR, cell, text))
 
-        counts.disputed += int((is_apart & contacts.disputed).sum())
+        counts.disputed += int((is_untouched_cell & contacts.disputed).sum())
         counts.free_touches += int((obstacles >= 0).sum())
-        counts.free_free += int((is_apart & ~contacts.disputed).sum())
+        counts.free_free += int((is_untouched_cell & ~contacts.disputed).sum())
         for cell in np.flatnonzero(obstacles >= 0).tolist():
             obstacle = int(obstacles[cell])
             name = self._obstacles.geom_name(obstacle)
@@ -609,8 +622,8 @@ class OccupancyCheck:
             if enclosing_obstacle[cell] >= 0:
                 text = f"is free, but lies inside of {name!r}"
             elif self._is_measured(report.FREE_TOUCHES):
-                placed = volume[int(contacts.prism[cell])].over_cell(sample, cell)
-                depth = self._probe.measure_depth(placed.prism, placed.center, obstacle)
+                placed_prism = volume[int(contacts.prism[cell])].over_cell(sample, cell)
+                depth = self._probe.measure_depth(placed_prism.prism, placed_prism.center, obstacle)
                 text = f"is free, but {name!r} reaches {depth:.4f} m into it"
             else:
                 text = f"is free, but {name!r} reaches into it"
@@ -618,7 +631,7 @@ class OccupancyCheck:
         return findings
 
     def check_blocked(
-        self, sample: LevelSample, counts: LevelCounts, volume: list[CellPrisms], excused: Bool
+        self, sample: LevelSample, counts: LevelCounts, volume: list[CellPrisms], is_excused: Bool
     ) -> list[Finding]:
         """Check the blocked cells of a sample.
 
@@ -626,28 +639,32 @@ class OccupancyCheck:
             sample: The cells.
             counts: The level's counts, which the check adds to.
             volume: The volume over each cell that the bake considered, as sets of prisms.
-            excused: The cells that an inflation blocked with a reason, (n,); they are not checked.
+            is_excused: The cells that an inflation blocked with a reason, (n,); they are not
+                checked.
 
         Returns:
             A finding for each blocked cell that touches nothing.
         """
-        is_checked = ~sample.free & ~np.isnan(sample.floor) & ~excused
+        is_checked = ~sample.is_free & ~np.isnan(sample.floor) & ~is_excused
         contacts = self._find_contacts(sample, is_checked, volume, self._tolerance)
-        apart = is_checked & (contacts.obstacle < 0) & ~contacts.disputed
-        apart &= self._find_enclosing(sample, apart, volume[0]) < 0
-        for cell in np.flatnonzero(apart & (not sample.has_cell_floors)).tolist():
+        is_apart = is_checked & (contacts.obstacle < 0) & ~contacts.disputed
+        is_apart &= self._find_enclosing(sample, is_apart, volume[0]) < 0
+        for cell in np.flatnonzero(is_apart & (not sample.has_cell_floors)).tolist():
             # a cell without a place to stand within a step of the ground may be blocked
             line = self._probe.cast_line(*sample.centers[cell])
             standable = line.standable_hits(self._agent.height, self._agent.min_normal_z)
-            ground = sample.floor[cell]
-            apart[cell] = any(abs(hit.z - ground) <= self._agent.step for hit in standable)
-            self.num_groundless += not apart[cell]
+            ground_height = sample.floor[cell]
+            is_apart[cell] = any(
+                abs(hit.z - ground_height) <= self._agent.step for hit in standable
+            )
+            self.num_groundless += not is_apart[cell]
 
-        num_apart = int(apart.sum())
+        num_apart = int(is_apart.sum())
         counts.blocked_apart += num_apart
-        counts.blocked_blocked += int((~sample.free).sum()) - num_apart
+        counts.blocked_blocked += int((~sample.is_free).sum()) - num_apart
         return [
-            self._blocked_finding(sample, cell, volume) for cell in np.flatnonzero(apart).tolist()
+            self._blocked_finding(sample, cell, volume)
+            for cell in np.flatnonzero(is_apart).tolist()
         ]
 
     def _blocked_finding(self, sample: LevelSample, cell: int, volume: list[CellPrisms]) -> Finding:
@@ -655,7 +672,7 @@ class OccupancyCheck:
         name = None
         gap = None
         text = "is blocked, but touches nothing"
-        if self._inflation_reach > 0 and not sample.occupied[cell]:
+        if self._inflation_reach > 0 and not sample.is_occupied[cell]:
             text = f"is blocked for {self._inflation_reach:g} m, but nothing within that radius "
             text += "is in the way"
         elif self._is_measured(report.BLOCKED_APART):

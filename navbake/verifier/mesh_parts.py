@@ -61,13 +61,13 @@ class Patches(NamedTuple):
     """Triangles that are connected over edges at which two triangles meet.
 
     Attributes:
-        patch: The patch of each triangle, (m,); -1 for triangles that are left out.
-        num: The number of patches.
+        patch_of_face: The patch of each triangle, (m,); -1 for triangles that are left out.
+        num_patches: The number of patches.
         is_flipped: The triangles that face to the other side than most of their patch, (m,).
     """
 
-    patch: Int
-    num: int
+    patch_of_face: Int
+    num_patches: int
     is_flipped: Bool
 
 
@@ -90,140 +90,167 @@ def split_mesh_parts(vertices: Float, faces: Int) -> list[ClassifiedPart]:
         The parts that enclose a volume; then all other triangles as one open surface, if there are
         any.
     """
-    _, point = np.unique(vertices, axis=0, return_inverse=True)
-    corner = point.reshape(-1)[faces].reshape(-1, 3)
-    is_proper = (corner != np.roll(corner, 1, axis=1)).all(axis=1)
+    _, point_of_vertex = np.unique(vertices, axis=0, return_inverse=True)
+    corner_points = point_of_vertex.reshape(-1)[faces].reshape(-1, 3)
+    is_proper = (corner_points != np.roll(corner_points, 1, axis=1)).all(axis=1)
     faces = faces[is_proper]
-    corner = corner[is_proper]
-    is_first = _mark_first_copies(corner)
+    corner_points = corner_points[is_proper]
+    is_first = _mark_first_copies(corner_points)
     faces = faces[is_first]
-    corner = corner[is_first]
+    corner_points = corner_points[is_first]
     if not len(faces):
         return []
-    area, _ = _measure_faces(vertices, faces)
-    half_edges = _find_half_edges(corner)
-    remains = np.ones(len(faces), np.bool_)
+    face_areas, _ = _measure_faces(vertices, faces)
+    half_edges = _find_half_edges(corner_points)
+    is_left = np.ones(len(faces), np.bool_)
     while True:
-        _peel(half_edges, remains)
-        patches = _find_patches(half_edges, area, remains)
-        if not _drop_membranes(half_edges, area, patches, remains):
+        _remove_open_surfaces(half_edges, is_left)
+        patches = _find_patches(half_edges, face_areas, is_left)
+        if not _drop_membranes(half_edges, face_areas, patches, is_left):
             break
-    part = _unite_patches(half_edges, patches, remains)
-    return _classify_parts(vertices, faces, part, patches.is_flipped)
+    part_of_face = _unite_patches(half_edges, patches, is_left)
+    return _classify_parts(vertices, faces, part_of_face, patches.is_flipped)
 
 
-def _mark_first_copies(corner: Int) -> Bool:
+def _mark_first_copies(corner_points: Int) -> Bool:
     """Mark each triangle unless an earlier one has the same corners in the same cyclic order."""
-    if not len(corner):
+    if not len(corner_points):
         return np.zeros(0, np.bool_)
-    shift = corner.argmin(axis=1)
-    from_lowest = np.take_along_axis(corner, (shift[:, None] + np.arange(3)) % 3, axis=1)
-    _, first = np.unique(from_lowest, axis=0, return_index=True)
-    is_first = np.zeros(len(corner), np.bool_)
-    is_first[first] = True
+    lowest_corner = corner_points.argmin(axis=1)
+    rotated_corners = np.take_along_axis(
+        corner_points, (lowest_corner[:, None] + np.arange(3)) % 3, axis=1
+    )
+    _, first_copies = np.unique(rotated_corners, axis=0, return_index=True)
+    is_first = np.zeros(len(corner_points), np.bool_)
+    is_first[first_copies] = True
     return is_first
 
 
-def _find_half_edges(corner: Int) -> HalfEdges:
-    """Return the half-edges of triangles; `corner` has the points at their corners, (m, 3)."""
-    begin = corner.ravel()
-    end = np.roll(corner, -1, axis=1).ravel()
-    ends = np.sort(np.stack([begin, end], axis=1), axis=1)
-    _, edge, num_at_edge = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
+def _find_half_edges(corner_points: Int) -> HalfEdges:
+    """Return the half-edges of triangles, given the points at their corners, (m, 3)."""
+    begin_points = corner_points.ravel()
+    end_points = np.roll(corner_points, -1, axis=1).ravel()
+    sorted_ends = np.sort(np.stack([begin_points, end_points], axis=1), axis=1)
+    _, edge_of_half_edge, num_at_edge = np.unique(
+        sorted_ends, axis=0, return_inverse=True, return_counts=True
+    )
+    edge_of_half_edge = edge_of_half_edge.reshape(-1)
     return HalfEdges(
-        edge=edge,
-        direction=np.where(begin < end, 1, -1),
-        opposite=np.roll(corner, -2, axis=1).ravel(),
-        by_edge=np.argsort(edge, kind="stable"),
+        edge=edge_of_half_edge,
+        direction=np.where(begin_points < end_points, 1, -1),
+        opposite=np.roll(corner_points, -2, axis=1).ravel(),
+        by_edge=np.argsort(edge_of_half_edge, kind="stable"),
         start=np.concatenate([[0], np.cumsum(num_at_edge)]),
     )
 
 
-def _remaining_at(half_edges: HalfEdges, edges: Int, remains: Bool) -> tuple[Int, Int]:
+def _list_remaining_half_edges(
+    half_edges: HalfEdges, edges: Int, is_remaining: Bool
+) -> tuple[Int, Int]:
     """List the half-edges of remaining triangles at some edges.
 
     Returns:
         The half-edges, (n,); and for each, the index of its edge in `edges`, (n,).
     """
-    first = half_edges.start[edges]
-    count = half_edges.start[edges + 1] - first
-    index = np.repeat(np.arange(len(edges)), count)
-    place = np.arange(len(index)) + np.repeat(first - (np.cumsum(count) - count), count)
-    half_edge = half_edges.by_edge[place]
-    is_left = remains[half_edge // 3]
-    return half_edge[is_left], index[is_left]
+    first_positions = half_edges.start[edges]
+    num_half_edges = half_edges.start[edges + 1] - first_positions
+    edge_index = np.repeat(np.arange(len(edges)), num_half_edges)
+    positions = np.arange(len(edge_index)) + np.repeat(
+        first_positions - (np.cumsum(num_half_edges) - num_half_edges), num_half_edges
+    )
+    listed_half_edges = half_edges.by_edge[positions]
+    is_of_remaining = is_remaining[listed_half_edges // 3]
+    return listed_half_edges[is_of_remaining], edge_index[is_of_remaining]
 
 
-def _peel(half_edges: HalfEdges, remains: Bool) -> None:
-    """Remove triangles at bare edges from `remains` until there is no such edge.
+def _remove_open_surfaces(half_edges: HalfEdges, is_remaining: Bool) -> None:
+    """Remove triangles at bare edges from `is_remaining` until there is no such edge.
 
     An edge is bare if one triangle is left there, or two with the same corners.
     """
     edges = np.arange(len(half_edges.start) - 1)
     while len(edges):
-        half_edge, index = _remaining_at(half_edges, edges, remains)
-        count = np.bincount(index, minlength=len(edges))
-        opposite = half_edges.opposite[half_edge]
+        remaining_half_edges, edge_index = _list_remaining_half_edges(
+            half_edges, edges, is_remaining
+        )
+        num_remaining = np.bincount(edge_index, minlength=len(edges))
+        opposite_points = half_edges.opposite[remaining_half_edges]
         # the sum of two equal numbers is twice their largest
-        largest = np.zeros(len(edges), np.int64)
-        np.maximum.at(largest, index, opposite)
-        is_same = np.bincount(index, opposite, len(edges)) == 2 * largest
-        is_bare = (count == 1) | ((count == 2) & is_same)
-        removed = np.unique(half_edge[is_bare[index]] // 3)
-        remains[removed] = False
-        sides = 3 * removed[:, None] + np.arange(3)
-        edges = np.unique(half_edges.edge[sides])
+        largest_point = np.zeros(len(edges), np.int64)
+        np.maximum.at(largest_point, edge_index, opposite_points)
+        has_same_opposite = (
+            np.bincount(edge_index, opposite_points, len(edges)) == 2 * largest_point
+        )
+        is_bare = (num_remaining == 1) | ((num_remaining == 2) & has_same_opposite)
+        removed_faces = np.unique(remaining_half_edges[is_bare[edge_index]] // 3)
+        is_remaining[removed_faces] = False
+        half_edges_of_removed = 3 * removed_faces[:, None] + np.arange(3)
+        edges = np.unique(half_edges.edge[half_edges_of_removed])
 
 
-def _find_patches(half_edges: HalfEdges, area: Float, remains: Bool) -> Patches:
+def _find_patches(half_edges: HalfEdges, face_areas: Float, is_remaining: Bool) -> Patches:
     """Find the patches of the remaining triangles, and those that are wound against their patch.
 
     A graph has two nodes for each triangle: as it is, and inverted. An edge at which two triangles
     meet connects the nodes in which both are wound the same way.
     """
-    num_faces = len(remains)
+    num_faces = len(is_remaining)
     all_edges = np.arange(len(half_edges.start) - 1)
-    half_edge, edge = _remaining_at(half_edges, all_edges, remains)
-    is_manifold = np.bincount(edge, minlength=len(all_edges))[edge] == 2
-    first, second = half_edge[is_manifold].reshape(-1, 2).T
-    runs_along = half_edges.direction[first] == half_edges.direction[second]
-    begin = first // 3
-    end = second // 3 + num_faces * runs_along
-    begin = np.concatenate([begin, begin + num_faces])
-    end = np.concatenate([end, (end + num_faces) % (2 * num_faces)])
-    oriented = _connected(begin, end, 2 * num_faces)
-    component = _connected(begin % num_faces, end % num_faces, num_faces)
-    patch = np.full(num_faces, -1)
-    face = np.flatnonzero(remains)
-    _, first_index, patch[face] = np.unique(component[face], return_index=True, return_inverse=True)
-    num = len(first_index)
-    is_opposite = oriented[face] != oriented[face[first_index]][patch[face]]
-    opposite_area = np.bincount(patch[face], area[face] * is_opposite, num)
-    total_area = np.bincount(patch[face], area[face], num)
-    excess = 2.0 * opposite_area - total_area
-    is_even = np.abs(excess) <= EVEN_SHARE * total_area
+    remaining_half_edges, edge_index = _list_remaining_half_edges(
+        half_edges, all_edges, is_remaining
+    )
+    is_manifold = np.bincount(edge_index, minlength=len(all_edges))[edge_index] == 2
+    first_half_edges, second_half_edges = remaining_half_edges[is_manifold].reshape(-1, 2).T
+    runs_along = half_edges.direction[first_half_edges] == half_edges.direction[second_half_edges]
+    begin_nodes = first_half_edges // 3
+    end_nodes = second_half_edges // 3 + num_faces * runs_along
+    begin_nodes = np.concatenate([begin_nodes, begin_nodes + num_faces])
+    end_nodes = np.concatenate([end_nodes, (end_nodes + num_faces) % (2 * num_faces)])
+    oriented_component = _find_components(begin_nodes, end_nodes, 2 * num_faces)
+    component = _find_components(begin_nodes % num_faces, end_nodes % num_faces, num_faces)
+    patch_of_face = np.full(num_faces, -1)
+    remaining_faces = np.flatnonzero(is_remaining)
+    _, first_index, patch_of_face[remaining_faces] = np.unique(
+        component[remaining_faces], return_index=True, return_inverse=True
+    )
+    num_patches = len(first_index)
+    is_opposite = (
+        oriented_component[remaining_faces]
+        != oriented_component[remaining_faces[first_index]][patch_of_face[remaining_faces]]
+    )
+    opposite_area = np.bincount(
+        patch_of_face[remaining_faces], face_areas[remaining_faces] * is_opposite, num_patches
+    )
+    total_area = np.bincount(
+        patch_of_face[remaining_faces], face_areas[remaining_faces], num_patches
+    )
+    opposite_excess = 2.0 * opposite_area - total_area
+    is_even = np.abs(opposite_excess) <= EVEN_SHARE * total_area
     is_flipped = np.zeros(num_faces, np.bool_)
-    is_flipped[face] = (is_opposite != (excess > 0.0)[patch[face]]) & ~is_even[patch[face]]
-    return Patches(patch, num, is_flipped)
+    is_flipped[remaining_faces] = (
+        is_opposite != (opposite_excess > 0.0)[patch_of_face[remaining_faces]]
+    ) & ~is_even[patch_of_face[remaining_faces]]
+    return Patches(patch_of_face, num_patches, is_flipped)
 
 
-def _connected(begin: Int, end: Int, num_nodes: int) -> Int:
+def _find_components(begin_nodes: Int, end_nodes: Int, num_nodes: int) -> Int:
     """Return the connected component of each node of a graph, given the ends of its edges."""
-    ones = np.ones(len(begin), np.int8)
-    graph = coo_array((ones, (begin, end)), (num_nodes, num_nodes))
+    edge_values = np.ones(len(begin_nodes), np.int8)
+    graph = coo_array((edge_values, (begin_nodes, end_nodes)), (num_nodes, num_nodes))
     component: Int = connected_components(graph, directed=False)[1]
     return component
 
 
-def _wound_directions(half_edges: HalfEdges, patches: Patches) -> Int:
+def _find_wound_directions(half_edges: HalfEdges, patches: Patches) -> Int:
     """Return the directions of half-edges after triangles were inverted, (3 m,)."""
-    sign = np.where(patches.is_flipped, -1, 1)
-    directions: Int = half_edges.direction * np.repeat(sign, 3)
+    sign_of_face = np.where(patches.is_flipped, -1, 1)
+    directions: Int = half_edges.direction * np.repeat(sign_of_face, 3)
     return directions
 
 
-def _drop_membranes(half_edges: HalfEdges, area: Float, patches: Patches, remains: Bool) -> bool:
+def _drop_membranes(
+    half_edges: HalfEdges, face_areas: Float, patches: Patches, is_remaining: Bool
+) -> bool:
     """Drop membranes: patches without which fewer half-edges lack a partner.
 
     The partner of a half-edge runs along the same edge in the opposite direction. Patches are
@@ -234,122 +261,138 @@ def _drop_membranes(half_edges: HalfEdges, area: Float, patches: Patches, remain
         Whether any patch was dropped.
     """
     num_edges = len(half_edges.start) - 1
-    half_edge = np.flatnonzero(np.repeat(remains, 3))
-    edge = half_edges.edge[half_edge]
-    is_shared = np.bincount(edge, minlength=num_edges)[edge] > 2
-    half_edge = half_edge[is_shared]
-    if not len(half_edge):
+    shared_half_edges = np.flatnonzero(np.repeat(is_remaining, 3))
+    edge_of_half_edge = half_edges.edge[shared_half_edges]
+    is_shared = np.bincount(edge_of_half_edge, minlength=num_edges)[edge_of_half_edge] > 2
+    shared_half_edges = shared_half_edges[is_shared]
+    if not len(shared_half_edges):
         return False
-    face = np.flatnonzero(remains)
-    patch_area = np.bincount(patches.patch[face], area[face], patches.num)
-    direction = _wound_directions(half_edges, patches)
+    remaining_faces = np.flatnonzero(is_remaining)
+    patch_area = np.bincount(
+        patches.patch_of_face[remaining_faces], face_areas[remaining_faces], patches.num_patches
+    )
+    wound_directions = _find_wound_directions(half_edges, patches)
     # of each patch, by how much it changes the balance of each of its edges
-    pair = patches.patch[half_edge // 3] * num_edges + half_edges.edge[half_edge]
-    pair, pair_index = np.unique(pair, return_inverse=True)
-    share = np.bincount(pair_index, direction[half_edge]).astype(np.int64)
-    pair_patch, pair_edge = np.divmod(pair, num_edges)
-    balance = np.bincount(pair_edge, share, num_edges).astype(np.int64)
-    first = np.searchsorted(pair_patch, np.arange(patches.num + 1))
-    is_dropped = np.zeros(patches.num, np.bool_)
-    for k in np.argsort(patch_area, kind="stable").tolist():
-        edges = pair_edge[first[k] : first[k + 1]]
-        without = balance[edges] - share[first[k] : first[k + 1]]
-        if np.abs(balance[edges]).sum() > np.abs(without).sum():
-            balance[edges] = without
-            is_dropped[k] = True
-    remains[face[is_dropped[patches.patch[face]]]] = False
+    patch_edge_pairs = (
+        patches.patch_of_face[shared_half_edges // 3] * num_edges
+        + half_edges.edge[shared_half_edges]
+    )
+    patch_edge_pairs, pair_index = np.unique(patch_edge_pairs, return_inverse=True)
+    pair_balance = np.bincount(pair_index, wound_directions[shared_half_edges]).astype(np.int64)
+    pair_patch, pair_edge = np.divmod(patch_edge_pairs, num_edges)
+    edge_balance = np.bincount(pair_edge, pair_balance, num_edges).astype(np.int64)
+    first_pair = np.searchsorted(pair_patch, np.arange(patches.num_patches + 1))
+    is_dropped = np.zeros(patches.num_patches, np.bool_)
+    for patch in np.argsort(patch_area, kind="stable").tolist():
+        patch_edges = pair_edge[first_pair[patch] : first_pair[patch + 1]]
+        balance_without_patch = (
+            edge_balance[patch_edges] - pair_balance[first_pair[patch] : first_pair[patch + 1]]
+        )
+        if np.abs(edge_balance[patch_edges]).sum() > np.abs(balance_without_patch).sum():
+            edge_balance[patch_edges] = balance_without_patch
+            is_dropped[patch] = True
+    is_remaining[remaining_faces[is_dropped[patches.patch_of_face[remaining_faces]]]] = False
     return bool(is_dropped.any())
 
 
-def _unite_patches(half_edges: HalfEdges, patches: Patches, remains: Bool) -> Int:
+def _unite_patches(half_edges: HalfEdges, patches: Patches, is_remaining: Bool) -> Int:
     """Unite patches at edges that none of them closes by itself.
 
     Returns:
         The closed part of each triangle, (m,); -1 for triangles that are in none.
     """
     num_edges = len(half_edges.start) - 1
-    half_edge = np.flatnonzero(np.repeat(remains, 3))
-    direction = _wound_directions(half_edges, patches)[half_edge]
-    balance = np.bincount(half_edges.edge[half_edge], direction, num_edges)
-    pair = patches.patch[half_edge // 3] * num_edges + half_edges.edge[half_edge]
-    pair, pair_index = np.unique(pair, return_inverse=True)
-    is_unclosed = np.bincount(pair_index, direction, len(pair)) != 0
-    patch, edge = np.divmod(pair[is_unclosed], num_edges)
+    remaining_half_edges = np.flatnonzero(np.repeat(is_remaining, 3))
+    wound_directions = _find_wound_directions(half_edges, patches)[remaining_half_edges]
+    edge_balance = np.bincount(half_edges.edge[remaining_half_edges], wound_directions, num_edges)
+    patch_edge_pairs = (
+        patches.patch_of_face[remaining_half_edges // 3] * num_edges
+        + half_edges.edge[remaining_half_edges]
+    )
+    patch_edge_pairs, pair_index = np.unique(patch_edge_pairs, return_inverse=True)
+    is_unclosed = np.bincount(pair_index, wound_directions, len(patch_edge_pairs)) != 0
+    unclosed_patches, unclosed_edges = np.divmod(patch_edge_pairs[is_unclosed], num_edges)
     # patches and edges are the nodes of one graph
-    component = _connected(patch, patches.num + edge, patches.num + num_edges)[: patches.num]
+    component = _find_components(
+        unclosed_patches, patches.num_patches + unclosed_edges, patches.num_patches + num_edges
+    )[: patches.num_patches]
     is_open = np.zeros(component.max(initial=-1) + 1, np.bool_)
-    is_open[component[patch[balance[edge] != 0]]] = True
-    part = np.full(len(remains), -1)
-    face = np.flatnonzero(remains)
-    part_of_face = component[patches.patch[face]]
-    part[face] = np.where(is_open[part_of_face], -1, part_of_face)
+    is_open[component[unclosed_patches[edge_balance[unclosed_edges] != 0]]] = True
+    part = np.full(len(is_remaining), -1)
+    remaining_faces = np.flatnonzero(is_remaining)
+    part_of_face = component[patches.patch_of_face[remaining_faces]]
+    part[remaining_faces] = np.where(is_open[part_of_face], -1, part_of_face)
     return part
 
 
 def _classify_parts(
-    vertices: Float, faces: Int, part: Int, is_flipped: Bool
+    vertices: Float, faces: Int, part_of_face: Int, is_flipped: Bool
 ) -> list[ClassifiedPart]:
     """Classify closed parts by their volume: solids, cavities in solids, or open surfaces.
 
     Args:
         vertices: The positions of the vertices, (n, 3) [m].
         faces: The indices of each triangle's vertices, (m, 3).
-        part: The closed part of each triangle, (m,), -1 for none.
+        part_of_face: The closed part of each triangle, (m,), -1 for none.
         is_flipped: The triangles to invert, (m,).
     """
     solids = list[ClassifiedPart]()
     inward_parts = list[Int]()
-    open_faces = [faces[part < 0]]
-    turned = np.where(is_flipped[:, None], faces[:, ::-1], faces)
-    closed = np.flatnonzero(part >= 0)
-    closed = closed[np.argsort(part[closed], kind="stable")]
-    begins = np.flatnonzero(np.diff(part[closed], prepend=-1))
-    for members in np.split(closed, begins[1:]) if len(closed) else []:
-        area, volume = _measure_faces(vertices, turned[members])
+    open_faces = [faces[part_of_face < 0]]
+    wound_faces = np.where(is_flipped[:, None], faces[:, ::-1], faces)
+    closed_faces = np.flatnonzero(part_of_face >= 0)
+    closed_faces = closed_faces[np.argsort(part_of_face[closed_faces], kind="stable")]
+    first_of_part = np.flatnonzero(np.diff(part_of_face[closed_faces], prepend=-1))
+    for part_faces in np.split(closed_faces, first_of_part[1:]) if len(closed_faces) else []:
+        area, volume = _measure_faces(vertices, wound_faces[part_faces])
         thickness = volume.sum() / max(area.sum(), np.finfo(np.float64).tiny)
         if thickness > MAX_SHEET_THICKNESS:
-            solids.append(ClassifiedPart(SOLID, turned[members]))
+            solids.append(ClassifiedPart(SOLID, wound_faces[part_faces]))
         elif thickness < -MAX_SHEET_THICKNESS:
-            inward_parts.append(members)
+            inward_parts.append(part_faces)
         else:
-            open_faces.append(faces[members])
+            open_faces.append(faces[part_faces])
     cavities = list[ClassifiedPart]()
-    for members in inward_parts:
-        if any(_surrounds(vertices, solid.faces, turned[members]) for solid in solids):
-            cavities.append(ClassifiedPart(CAVITY, turned[members]))
+    for part_faces in inward_parts:
+        if any(_is_surrounding(vertices, solid.faces, wound_faces[part_faces]) for solid in solids):
+            cavities.append(ClassifiedPart(CAVITY, wound_faces[part_faces]))
         else:
-            open_faces.append(faces[members])
+            open_faces.append(faces[part_faces])
     parts = solids + cavities
-    all_open = np.concatenate(open_faces)
-    if len(all_open):
-        parts.append(ClassifiedPart(OPEN_SURFACE, all_open))
+    all_open_faces = np.concatenate(open_faces)
+    if len(all_open_faces):
+        parts.append(ClassifiedPart(OPEN_SURFACE, all_open_faces))
     return parts
 
 
-def _surrounds(vertices: Float, outer: Int, inner: Int) -> bool:
+def _is_surrounding(vertices: Float, outer_faces: Int, inner_faces: Int) -> bool:
     """Return whether a solid surrounds a closed part: its box, and a point of its surface.
 
     The solid winds around the point by the sum of its triangles' solid angles (van Oosterom and
     Strackee, The solid angle of a plane triangle, 1983).
     """
-    outer_points = vertices[outer].reshape(-1, 3)
-    inner_corners = vertices[inner]
+    outer_points = vertices[outer_faces].reshape(-1, 3)
+    inner_corners = vertices[inner_faces]
     inner_points = inner_corners.reshape(-1, 3)
     if (outer_points.min(axis=0) > inner_points.min(axis=0)).any():
         return False
     if (outer_points.max(axis=0) < inner_points.max(axis=0)).any():
         return False
-    area, _ = _measure_faces(vertices, inner)
-    point = inner_corners[area.argmax()].mean(axis=0)
-    a, b, c = np.moveaxis(vertices[outer] - point, 1, 0)
-    length_a = np.linalg.norm(a, axis=1)
-    length_b = np.linalg.norm(b, axis=1)
-    length_c = np.linalg.norm(c, axis=1)
-    triple = (a * np.cross(b, c)).sum(axis=1)
+    face_areas, _ = _measure_faces(vertices, inner_faces)
+    point = inner_corners[face_areas.argmax()].mean(axis=0)
+    to_first_corners, to_second_corners, to_third_corners = np.moveaxis(
+        vertices[outer_faces] - point, 1, 0
+    )
+    length_a = np.linalg.norm(to_first_corners, axis=1)
+    length_b = np.linalg.norm(to_second_corners, axis=1)
+    length_c = np.linalg.norm(to_third_corners, axis=1)
+    triple_products = (to_first_corners * np.cross(to_second_corners, to_third_corners)).sum(axis=1)
     scalar = length_a * length_b * length_c
-    scalar += (a * b).sum(axis=1) * length_c + (b * c).sum(axis=1) * length_a
-    scalar += (c * a).sum(axis=1) * length_b
-    solid_angle = 2.0 * np.arctan2(triple, scalar)
+    scalar += (to_first_corners * to_second_corners).sum(axis=1) * length_c + (
+        to_second_corners * to_third_corners
+    ).sum(axis=1) * length_a
+    scalar += (to_third_corners * to_first_corners).sum(axis=1) * length_b
+    solid_angle = 2.0 * np.arctan2(triple_products, scalar)
     return bool(solid_angle.sum() / (4.0 * np.pi) > MIN_WINDING)
 
 

@@ -179,19 +179,19 @@ class Obstacles:
         self._shapes_of_mesh: dict[tuple[int, str], list[GeomShape]] = {}
         self._half_mesh_names: dict[tuple[int, bytes], list[str]] = {}
         self._half_mesh_attributes: dict[int, list[Json]] = {}
-        for geom, selection in enumerate(scene.selections):
-            if not selection.counted or geom in excluded_geoms:
+        for geom, geom_selection in enumerate(scene.selections):
+            if not geom_selection.counted or geom in excluded_geoms:
                 continue
-            mat = data.geom_xmat[geom].reshape(3, 3).copy()
-            pos = data.geom_xpos[geom]
+            rotation = data.geom_xmat[geom].reshape(3, 3).copy()
+            position = data.geom_xpos[geom]
             if geom in scene.exact_meshes:  # in the world's frame; MuJoCo holds float32
-                mat = np.eye(3)
-                pos = _middle_of(scene.exact_meshes[geom].vertices)
-            for shape in self._shapes_of_geom(geom, selection.mesh_mode):
-                self._place_shape(geom, shape, mat, pos)
+                rotation = np.eye(3)
+                position = _find_middle(scene.exact_meshes[geom].vertices)
+            for shape in self._shapes_of_geom(geom, geom_selection.mesh_mode):
+                self._place_shape(geom, shape, rotation, position)
         self.geom_names = [report.name for report in scene.geoms]
-        boxes = np.array([(shape.low, shape.high) for shape in self.shapes]).reshape(-1, 2, 3)
-        self._low, self._high = np.ascontiguousarray(boxes.transpose(1, 2, 0))
+        box_corners = np.array([(shape.low, shape.high) for shape in self.shapes]).reshape(-1, 2, 3)
+        self._low, self._high = np.ascontiguousarray(box_corners.transpose(1, 2, 0))
 
         world = self._spec.worldbody
         world.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
@@ -207,12 +207,12 @@ class Obstacles:
         try:
             self.model = model = self._spec.compile()
         except (ValueError, mujoco.FatalError) as error:
-            text = " ".join(str(error).split())[:300]
-            raise SceneError(f"MuJoCo can't hold the shapes that count: {text}") from error
+            error_text = " ".join(str(error).split())[:300]
+            raise SceneError(f"MuJoCo can't hold the shapes that count: {error_text}") from error
         # the compiler scales heights to the range from 0 to 1
-        for field, heights in enumerate(self._field_heights):
-            first = int(model.hfield_adr[field])
-            model.hfield_data[first : first + heights.size] = heights.ravel()
+        for field_index, heights in enumerate(self._field_heights):
+            first_height = int(model.hfield_adr[field_index])
+            model.hfield_data[first_height : first_height + heights.size] = heights.ravel()
         self.data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, self.data)
         # each access to such an attribute makes a new view, which the probes would repeat
@@ -249,13 +249,15 @@ class Obstacles:
         shape = self.shapes[obstacle]
         if shape.hull_points is not None:
             return float((shape.hull_points @ direction).max())
-        pos = self.pos[obstacle]
-        mat = self.mat[obstacle].reshape(3, 3)
+        position = self.pos[obstacle]
+        rotation = self.mat[obstacle].reshape(3, 3)
         if shape.kind == HALF_SPACE:
-            is_normal = direction @ mat[:, 2] > SAME_DIRECTION_COSINE
-            return float(pos @ direction) if is_normal else np.inf
+            is_along_normal = direction @ rotation[:, 2] > SAME_DIRECTION_COSINE
+            return float(position @ direction) if is_along_normal else np.inf
         solid = SOLID_GEOMETRIES[int(self.model.geom_type[obstacle])]
-        return float(pos @ direction + solid.extent(self.size[obstacle], mat.T @ direction))
+        return float(
+            position @ direction + solid.extent(self.size[obstacle], rotation.T @ direction)
+        )
 
     def _shapes_of_geom(self, geom: int, mesh_mode: str) -> list[GeomShape]:
         """Return the shapes of a geom of the scene; a mesh may have several parts."""
@@ -264,7 +266,7 @@ class Obstacles:
         geom_type = int(model.geom_type[geom])
         size = model.geom_size[geom].copy()
         if exact_mesh is not None:
-            vertices = exact_mesh.vertices - _middle_of(exact_mesh.vertices)
+            vertices = exact_mesh.vertices - _find_middle(exact_mesh.vertices)
             return self._mesh_shapes(
                 MeshArrays(vertices, exact_mesh.faces.astype(np.int64), vertices), mesh_mode
             )
@@ -272,7 +274,7 @@ class Obstacles:
             mesh_id = int(model.geom_dataid[geom])
             key = (mesh_id, mesh_mode)
             if key not in self._shapes_of_mesh:
-                arrays = _mesh_arrays(model, mesh_id)
+                arrays = _read_mesh_arrays(model, mesh_id)
                 self._shapes_of_mesh[key] = self._mesh_shapes(arrays, mesh_mode)
             return self._shapes_of_mesh[key]
         if geom_type == GEOM.mjGEOM_HFIELD:
@@ -283,47 +285,58 @@ class Obstacles:
         if (size[:2] <= 0).all():
             half_space = fcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
             return [GeomShape(HALF_SPACE, half_space, {"type": geom_type, "size": [0, 0, 1]})]
-        x, y = np.where(size[:2] > 0, size[:2], INFINITE_HALF_SIZE)
-        corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
-        surface = _triangle_surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+        half_x, half_y = np.where(size[:2] > 0, size[:2], INFINITE_HALF_SIZE)
+        corners = np.array(
+            [
+                [-half_x, -half_y, 0.0],
+                [half_x, -half_y, 0.0],
+                [half_x, half_y, 0.0],
+                [-half_x, half_y, 0.0],
+            ]
+        )
+        rectangle = _make_triangle_surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
         attributes: Json = {"type": geom_type, "size": [*size[:2], 1.0]}
-        return [GeomShape(OPEN_SURFACE, surface, attributes, corners)]
+        return [GeomShape(OPEN_SURFACE, rectangle, attributes, corners)]
 
-    def _place_shape(self, geom: int, shape: GeomShape, mat: Float, pos: Float) -> None:
+    def _place_shape(self, geom: int, shape: GeomShape, rotation: Float, position: Float) -> None:
         """Place a shape in the world, and add the geom that represents it to MuJoCo's model."""
-        collision_object = fcl.CollisionObject(shape.geometry, fcl.Transform(mat, pos))
-        quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, mat.ravel())
-        pose = {"pos": pos, "quat": quat}
+        collision_object = fcl.CollisionObject(shape.geometry, fcl.Transform(rotation, position))
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+        pose = {"pos": position, "quat": quaternion}
         self._spec.worldbody.add_geom(**pose, **shape.geom_attributes)
 
-        points = None if shape.points is None else shape.points @ mat.T + pos
-        if points is not None:
-            low = points.min(axis=0)
-            high = points.max(axis=0)
+        world_points = None if shape.points is None else shape.points @ rotation.T + position
+        if world_points is not None:
+            low_corner = world_points.min(axis=0)
+            high_corner = world_points.max(axis=0)
         elif shape.kind == HALF_SPACE:
-            low = np.full(3, -np.inf)
-            high = np.full(3, np.inf)
-            if mat[2, 2] > SAME_DIRECTION_COSINE:  # below a horizontal plane
-                high[2] = pos[2]
+            low_corner = np.full(3, -np.inf)
+            high_corner = np.full(3, np.inf)
+            if rotation[2, 2] > SAME_DIRECTION_COSINE:  # below a horizontal plane
+                high_corner[2] = position[2]
         else:
             solid = SOLID_GEOMETRIES[shape.geom_attributes["type"]]
             size = shape.geom_attributes["size"]
-            half_sizes = np.array([solid.extent(size, axis) for axis in mat])
-            low = pos - half_sizes
-            high = pos + half_sizes
+            half_sizes = np.array([solid.extent(size, axis) for axis in rotation])
+            low_corner = position - half_sizes
+            high_corner = position + half_sizes
 
         if shape.triangles is not None and shape.points is not None:
             geom_attributes: Json = {"type": GEOM.mjGEOM_MESH, "contype": 0, "conaffinity": 0}
             self._half_mesh_attributes[len(self.shapes)] = [
                 {**pose, **geom_attributes, "meshname": mesh_name}
-                for mesh_name in self._add_half_meshes(shape, shape.points, shape.triangles, mat[2])
+                for mesh_name in self._add_half_meshes(
+                    shape, shape.points, shape.triangles, rotation[2]
+                )
             ]
-        hull_points = points if shape.kind == CONVEX else None
-        self.shapes.append(PlacedShape(geom, shape.kind, collision_object, low, high, hull_points))
+        hull_points = world_points if shape.kind == CONVEX else None
+        self.shapes.append(
+            PlacedShape(geom, shape.kind, collision_object, low_corner, high_corner, hull_points)
+        )
 
     def _add_half_meshes(
-        self, shape: GeomShape, points: Float, triangles: Int, up: Float
+        self, shape: GeomShape, points: Float, triangles: Int, up_direction: Float
     ) -> list[str]:
         """Add meshes of the triangles that face up and that face down, and return their names.
 
@@ -333,18 +346,18 @@ class Obstacles:
             shape: A shape made of triangles.
             points: Its corners, (n, 3) [m].
             triangles: The indices of each triangle's corners, (m, 3).
-            up: The world's vertical in the shape's frame, (3,).
+            up_direction: The world's vertical in the shape's frame, (3,).
         """
-        key = (id(shape.geometry), up.tobytes())
+        key = (id(shape.geometry), up_direction.tobytes())
         if key not in self._half_mesh_names:
-            a = points[triangles[:, 0]]
-            b = points[triangles[:, 1]]
-            c = points[triangles[:, 2]]
-            normal = np.cross(b - a, c - a)
-            rise = normal @ up
-            min_rise = MIN_NORMAL_Z * np.linalg.norm(normal, axis=1)
-            facing_up = triangles[rise > min_rise]
-            facing_down = triangles[rise < -min_rise]
+            first_corners = points[triangles[:, 0]]
+            second_corners = points[triangles[:, 1]]
+            third_corners = points[triangles[:, 2]]
+            normals = np.cross(second_corners - first_corners, third_corners - first_corners)
+            normal_rises = normals @ up_direction
+            min_rises = MIN_NORMAL_Z * np.linalg.norm(normals, axis=1)
+            facing_up = triangles[normal_rises > min_rises]
+            facing_down = triangles[normal_rises < -min_rises]
             self._half_mesh_names[key] = [
                 self._add_mesh(*_drop_unused_vertices(points, half_mesh))
                 for half_mesh in (facing_up, facing_down)
@@ -366,7 +379,7 @@ class Obstacles:
         shapes = []
         for part in parts:
             points, triangles = _drop_unused_vertices(mesh.vertices, part.faces)
-            surface = _triangle_surface(points, triangles)
+            surface = _make_triangle_surface(points, triangles)
             shapes.append(GeomShape(part.kind, surface, placeholder, points, triangles))
         return shapes
 
@@ -377,45 +390,64 @@ class Obstacles:
         points = np.array(hull.vertices)
         triangles = np.array(hull.faces, dtype=np.int64)
         # FCL takes polygons: the number of corners of each, then its corners
-        polygons = np.insert(triangles, 0, 3, axis=1).ravel()
+        polygon_list = np.insert(triangles, 0, 3, axis=1).ravel()
         mesh_name = self._add_mesh(points, triangles)
         attributes: Json = {"type": GEOM.mjGEOM_MESH, "meshname": mesh_name}
-        return GeomShape(CONVEX, fcl.Convex(points, len(triangles), polygons), attributes, points)
+        return GeomShape(
+            CONVEX, fcl.Convex(points, len(triangles), polygon_list), attributes, points
+        )
 
-    def _height_field(self, field: int) -> GeomShape:
+    def _height_field(self, field_id: int) -> GeomShape:
         """Return a height field as a closed surface, and add it to MuJoCo's model."""
         model = self._scene.model
-        rows = int(model.hfield_nrow[field])
-        cols = int(model.hfield_ncol[field])
-        first = int(model.hfield_adr[field])
-        size = model.hfield_size[field]
-        heights = model.hfield_data[first : first + rows * cols].reshape(rows, cols).copy()
+        num_rows = int(model.hfield_nrow[field_id])
+        num_cols = int(model.hfield_ncol[field_id])
+        first_height = int(model.hfield_adr[field_id])
+        size = model.hfield_size[field_id]
+        heights = (
+            model.hfield_data[first_height : first_height + num_rows * num_cols]
+            .reshape(num_rows, num_cols)
+            .copy()
+        )
         name = f"field {len(self._field_heights)}"
         self._field_heights.append(heights)
-        self._spec.add_hfield(name=name, nrow=rows, ncol=cols, size=size, userdata=heights.ravel())
+        self._spec.add_hfield(
+            name=name, nrow=num_rows, ncol=num_cols, size=size, userdata=heights.ravel()
+        )
         attributes: Json = {"type": GEOM.mjGEOM_HFIELD, "hfieldname": name}
 
-        x = np.linspace(-size[0], size[0], cols)
-        y = np.linspace(-size[1], size[1], rows)
+        x = np.linspace(-size[0], size[0], num_cols)
+        y = np.linspace(-size[1], size[1], num_rows)
         x, y = np.meshgrid(x, y)
-        top = heights.astype(np.float64) * size[2]
-        bottom = np.full_like(x, -size[3])
-        points = np.concatenate([np.stack([x, y, z], axis=-1) for z in (top, bottom)])
+        top_z = heights.astype(np.float64) * size[2]
+        bottom_z = np.full_like(x, -size[3])
+        points = np.concatenate([np.stack([x, y, z], axis=-1) for z in (top_z, bottom_z)])
         points = points.reshape(-1, 3)
 
         # squares of the top, in the order in which MuJoCo's documentation halves them
-        index = np.arange(rows * cols).reshape(rows, cols)
-        num_top_points = rows * cols
+        point_index = np.arange(num_rows * num_cols).reshape(num_rows, num_cols)
+        num_top_points = num_rows * num_cols
         top_squares = np.stack(
-            [index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1
+            [
+                point_index[:-1, :-1],
+                point_index[:-1, 1:],
+                point_index[1:, 1:],
+                point_index[1:, :-1],
+            ],
+            axis=-1,
         ).reshape(-1, 4)
         bottom_squares = top_squares[:, ::-1] + num_top_points
-        outline = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
-        begin = outline[:-1]
-        end = outline[1:]
-        sides = np.stack([begin + num_top_points, end + num_top_points, end, begin], axis=-1)
-        quads = np.concatenate([top_squares, bottom_squares, sides])
-        surface = _triangle_surface(points, trimesh.geometry.triangulate_quads(quads))
+        outline_points = np.concatenate(
+            [point_index[0], point_index[1:, -1], point_index[-1, -2::-1], point_index[-2::-1, 0]]
+        )
+        begin_points = outline_points[:-1]
+        end_points = outline_points[1:]
+        side_squares = np.stack(
+            [begin_points + num_top_points, end_points + num_top_points, end_points, begin_points],
+            axis=-1,
+        )
+        all_squares = np.concatenate([top_squares, bottom_squares, side_squares])
+        surface = _make_triangle_surface(points, trimesh.geometry.triangulate_quads(all_squares))
         return GeomShape(HEIGHT_FIELD, surface, attributes, points)
 
     def _add_mesh(self, points: Float, triangles: Int) -> str:
@@ -432,16 +464,16 @@ class Obstacles:
         return name
 
 
-def _triangle_surface(vertices: Float, faces: Int) -> fcl.BVHModel:
+def _make_triangle_surface(vertices: Float, faces: Int) -> fcl.BVHModel:
     """Return FCL's geometry of a surface of triangles."""
-    surface = fcl.BVHModel()
-    surface.beginModel(len(vertices), len(faces))
-    surface.addSubModel(np.ascontiguousarray(vertices, dtype=np.float64), faces)
-    surface.endModel()
-    return surface
+    bvh_model = fcl.BVHModel()
+    bvh_model.beginModel(len(vertices), len(faces))
+    bvh_model.addSubModel(np.ascontiguousarray(vertices, dtype=np.float64), faces)
+    bvh_model.endModel()
+    return bvh_model
 
 
-def _middle_of(vertices: Float) -> Float:
+def _find_middle(vertices: Float) -> Float:
     """Return the middle of the box around vertices, (3,) [m]."""
     middle: Float = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     return middle
@@ -453,7 +485,7 @@ def _drop_unused_vertices(vertices: Float, faces: Int) -> tuple[Float, Int]:
     return vertices[used_vertices], corners.reshape(-1, 3)
 
 
-def _mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> MeshArrays:
+def _read_mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> MeshArrays:
     """Read a mesh, and the vertices of its convex hull, from a compiled model."""
     mesh = model.mesh(mesh_id)
     first_vertex = int(mesh.vertadr[0])

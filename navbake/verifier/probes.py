@@ -21,14 +21,14 @@ from navbake.verifier.obstacles import CONVEX, HALF_SPACE, HEIGHT_FIELD, Obstacl
 
 GEOM = mujoco.mjtGeom
 
-UP = 1
-DOWN = -1
-RAY_DIRECTIONS = {UP: np.array([0.0, 0.0, 1.0]), DOWN: np.array([0.0, 0.0, -1.0])}
+UPWARD = 1
+DOWNWARD = -1
+RAY_DIRECTIONS = {UPWARD: np.array([0.0, 0.0, 1.0]), DOWNWARD: np.array([0.0, 0.0, -1.0])}
 RAY_ADVANCE = 1e-6  # after a hit, the next ray begins this far behind it [m]
 RAY_MARGIN = 1.0  # how far outside of an obstacle's bounding box a ray begins [m]
 MAX_HITS = 200  # largest number of hits of a ray with one geom
 
-SAME_HEIGHT = 1e-5  # surfaces this close together count as one [m]
+SAME_HEIGHT_TOLERANCE = 1e-5  # surfaces this close together count as one [m]
 MIN_UPWARD_NORMAL_Z = 1e-6  # least z of the unit normal of a surface that faces up
 NORMAL_Z_SLACK = 1e-6  # what rounding may take from the z of a unit normal
 VERTICAL_PLANE_NORMAL_Z = 1e-9  # a plane whose normal's |z| is less is vertical: no line crosses it
@@ -115,7 +115,8 @@ class VerticalLine(NamedTuple):
     def is_inside(self, z: float) -> bool:
         """Return whether a height [m] lies inside of a solid, or a solid stands directly on it."""
         return any(
-            low <= z + SAME_HEIGHT and high > z + SAME_HEIGHT for low, high in self.solid_ranges
+            low <= z + SAME_HEIGHT_TOLERANCE and high > z + SAME_HEIGHT_TOLERANCE
+            for low, high in self.solid_ranges
         )
 
     def has_upward_hit(self, low: float, high: float) -> bool:
@@ -139,16 +140,20 @@ class VerticalLine(NamedTuple):
             min_normal_z: The least z of the unit normal of a surface: the cosine of the steepest
                 slope.
         """
-        standable: list[SurfaceHit] = []
+        standing_hits: list[SurfaceHit] = []
         for hit in self.hits:
             if hit.normal_z < min_normal_z - NORMAL_Z_SLACK or self.is_inside(hit.z):
                 continue
-            heights_above = (above.z for above in self.hits if above.z > hit.z + SAME_HEIGHT)
+            heights_above = (
+                hit_above.z
+                for hit_above in self.hits
+                if hit_above.z > hit.z + SAME_HEIGHT_TOLERANCE
+            )
             ceiling = min(heights_above, default=np.inf)
-            is_new_height = not standable or hit.z - standable[-1].z > SAME_HEIGHT
+            is_new_height = not standing_hits or hit.z - standing_hits[-1].z > SAME_HEIGHT_TOLERANCE
             if ceiling - hit.z >= agent_height and is_new_height:
-                standable.append(hit)
-        return standable
+                standing_hits.append(hit)
+        return standing_hits
 
 
 class UprightPrism(NamedTuple):
@@ -185,9 +190,9 @@ class PrismObject(NamedTuple):
 
 def _make_prism_object(prism: UprightPrism) -> PrismObject:
     """Make FCL's collision object of a prism, with its centre at the origin."""
-    cos = np.cos(prism.yaw)
-    sin = np.sin(prism.yaw)
-    rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    cos_yaw = np.cos(prism.yaw)
+    sin_yaw = np.sin(prism.yaw)
+    rotation = np.array([[cos_yaw, -sin_yaw, 0.0], [sin_yaw, cos_yaw, 0.0], [0.0, 0.0, 1.0]])
     if prism.is_round:
         geometry = fcl.Cylinder(prism.half_x, 2 * prism.half_z)
     else:
@@ -222,7 +227,7 @@ class ObstacleProbe:
         """Return the surfaces and solids that the vertical line at world x, y [m] meets."""
         hits: list[SurfaceHit] = []
         solid_ranges: list[HeightRange] = []
-        boundaries: list[tuple[float, int]] = []  # height, and the change of the depth there
+        depth_changes: list[tuple[float, int]] = []  # height, and the change of the depth there
         for obstacle in self.obstacles.overlapping((x, y, -np.inf), (x, y, np.inf)):
             kind = self.obstacles.shapes[obstacle].kind
             obstacle_hits = self._find_surface_hits(obstacle, x, y)
@@ -233,16 +238,16 @@ class ObstacleProbe:
                 solid_ranges.append(HeightRange(obstacle_hits[0].z, obstacle_hits[-1].z))
             elif kind in (SOLID, CAVITY):
                 # a face that faces down is the underside of a solid, above a cavity as well
-                boundaries += [(hit.z, 1 if hit.normal_z < 0 else -1) for hit in obstacle_hits]
+                depth_changes += [(hit.z, 1 if hit.normal_z < 0 else -1) for hit in obstacle_hits]
         # the line is inside where it has entered more solids than cavities
-        depth = 0
-        underside = 0.0
-        for z, change in sorted(boundaries):
-            if depth <= 0 < depth + change:
-                underside = z
-            elif depth > 0 >= depth + change:
-                solid_ranges.append(HeightRange(underside, z))
-            depth += change
+        inside_depth = 0
+        underside_z = 0.0
+        for z, change in sorted(depth_changes):
+            if inside_depth <= 0 < inside_depth + change:
+                underside_z = z
+            elif inside_depth > 0 >= inside_depth + change:
+                solid_ranges.append(HeightRange(underside_z, z))
+            inside_depth += change
         return VerticalLine(sorted(hits), solid_ranges)
 
     def has_upward_hit_nearby(
@@ -291,7 +296,7 @@ class ObstacleProbe:
             point: Where the ray begins, world x, y, z [m].
         """
         geoms = self.obstacles.half_meshes.get(obstacle, [obstacle])
-        normals = [hit.normal_z for geom in geoms for hit in self._find_hits(geom, *point, UP)]
+        normals = [hit.normal_z for geom in geoms for hit in self._find_hits(geom, *point, UPWARD)]
         if self._geom_type[obstacle] == GEOM.mjGEOM_HFIELD:  # its underside is entered first
             return SurfaceCrossings((len(normals) + 1) // 2, len(normals) // 2)
         num_exits = sum(normal_z > 0 for normal_z in normals)
@@ -302,21 +307,26 @@ class ObstacleProbe:
         """Return the crossings of a vertical line with one obstacle, lowest first."""
         shape = self.obstacles.shapes[obstacle]
         if shape.kind == HALF_SPACE:
-            pos = self.obstacles.pos[obstacle]
+            plane_point = self.obstacles.pos[obstacle]
             normal = self.obstacles.mat[obstacle, 2::3]
             if abs(normal[2]) < VERTICAL_PLANE_NORMAL_Z:
                 return []
-            z = pos[2] - ((x - pos[0]) * normal[0] + (y - pos[1]) * normal[1]) / normal[2]
+            z = (
+                plane_point[2]
+                - ((x - plane_point[0]) * normal[0] + (y - plane_point[1]) * normal[1]) / normal[2]
+            )
             return [SurfaceHit(float(z), float(normal[2]), obstacle)]
-        above = float(shape.high[2]) + RAY_MARGIN
-        below = float(shape.low[2]) - RAY_MARGIN
+        z_above = float(shape.high[2]) + RAY_MARGIN
+        z_below = float(shape.low[2]) - RAY_MARGIN
         if shape.kind in (CONVEX, HEIGHT_FIELD):
-            lowest = self._cast_ray(obstacle, x, y, below, UP)
-            highest = self._cast_ray(obstacle, x, y, above, DOWN)
-            hits = [hit for hit in (lowest, highest) if hit is not None]
+            lowest_hit = self._cast_ray(obstacle, x, y, z_below, UPWARD)
+            highest_hit = self._cast_ray(obstacle, x, y, z_above, DOWNWARD)
+            hits = [hit for hit in (lowest_hit, highest_hit) if hit is not None]
         else:
             geoms = self.obstacles.half_meshes.get(obstacle, [obstacle])
-            hits = sorted(hit for geom in geoms for hit in self._find_hits(geom, x, y, above, DOWN))
+            hits = sorted(
+                hit for geom in geoms for hit in self._find_hits(geom, x, y, z_above, DOWNWARD)
+            )
         return [SurfaceHit(hit.z, hit.normal_z, obstacle) for hit in hits]
 
     def _find_hits(self, geom: int, x: float, y: float, z: float, direction: int) -> list[RayHit]:
@@ -334,31 +344,31 @@ class ObstacleProbe:
         """Return the first hit of a vertical ray from a point with a geom of the model."""
         obstacles = self.obstacles
         geom_type = self._geom_type[geom]
-        origin = self._ray_origin
-        origin[:] = x, y, z
-        vector = RAY_DIRECTIONS[direction]
-        normal = self._normal
+        ray_origin = self._ray_origin
+        ray_origin[:] = x, y, z
+        ray_vector = RAY_DIRECTIONS[direction]
+        hit_normal = self._normal
         if geom_type == GEOM.mjGEOM_MESH:
             distance = mujoco.mj_rayMesh(
-                obstacles.model, obstacles.data, geom, origin, vector, normal
+                obstacles.model, obstacles.data, geom, ray_origin, ray_vector, hit_normal
             )
         elif geom_type == GEOM.mjGEOM_HFIELD:
             distance = mujoco.mj_rayHfield(
-                obstacles.model, obstacles.data, geom, origin, vector, normal
+                obstacles.model, obstacles.data, geom, ray_origin, ray_vector, hit_normal
             )
         else:
             distance = mujoco.mju_rayGeom(
                 obstacles.pos[geom],
                 obstacles.mat[geom],
                 obstacles.size[geom],
-                origin,
-                vector,
+                ray_origin,
+                ray_vector,
                 geom_type,
-                normal,
+                hit_normal,
             )
         if distance < 0:
             return None
-        return RayHit(z + direction * distance, float(normal[2]))
+        return RayHit(z + direction * distance, float(hit_normal[2]))
 
     def find_contact(
         self, obstacle: int, prism: UprightPrism, center: Float, margin: float = 0.0
@@ -382,9 +392,9 @@ class ObstacleProbe:
         half_z = prism.half_z + margin
         if min(half_x, half_y, half_z) <= 0:
             return NO_CONTACT
-        enlarged = UprightPrism(half_x, half_y, half_z, prism.is_round, prism.yaw)
-        if enlarged != self._prism:
-            self._resize(enlarged)
+        enlarged_prism = UprightPrism(half_x, half_y, half_z, prism.is_round, prism.yaw)
+        if enlarged_prism != self._prism:
+            self._resize(enlarged_prism)
         self._center = obstacles.pos[self._geom] = center
         self._object.setTranslation(center)
         shape = obstacles.shapes[obstacle]
@@ -432,32 +442,34 @@ class ObstacleProbe:
             nearest_points.ravel(),
         )
         fcl_distance = fcl.DistanceResult()
-        request = fcl.DistanceRequest(enable_nearest_points=True)
+        distance_request = fcl.DistanceRequest(enable_nearest_points=True)
         collision_object = obstacles.shapes[obstacle].collision_object
-        fcl.distance(self._object, collision_object, request, fcl_distance)
-        on_prism, on_obstacle = fcl_distance.nearest_points
-        between_centers = obstacles.pos[obstacle] - self._center
-        obstacle_mat = obstacles.mat[obstacle].reshape(3, 3)
-        candidates = [
+        fcl.distance(self._object, collision_object, distance_request, fcl_distance)
+        point_on_prism, point_on_obstacle = fcl_distance.nearest_points
+        center_offset = obstacles.pos[obstacle] - self._center
+        obstacle_rotation = obstacles.mat[obstacle].reshape(3, 3)
+        candidate_vectors = [
             nearest_points[1] - nearest_points[0],
-            np.subtract(on_obstacle, on_prism),
-            between_centers,
-            between_centers * [1.0, 1.0, 0.0],
+            np.subtract(point_on_obstacle, point_on_prism),
+            center_offset,
+            center_offset * [1.0, 1.0, 0.0],
             *np.eye(3),
             *-np.eye(3),
             *self._rotation.T,
-            *obstacle_mat.T,
-            *-obstacle_mat.T,
+            *obstacle_rotation.T,
+            *-obstacle_rotation.T,
         ]
         half_x, half_y, half_z, is_round, _ = self._prism
-        for candidate in candidates:
-            length = float(np.linalg.norm(candidate))
-            if not MIN_DIRECTION_LENGTH < length < np.inf:
+        for candidate_vector in candidate_vectors:
+            vector_length = float(np.linalg.norm(candidate_vector))
+            if not MIN_DIRECTION_LENGTH < vector_length < np.inf:
                 continue
-            direction = candidate / length
-            x, y, z = np.abs(self._rotation.T @ direction)
-            half_width = half_x * np.hypot(x, y) if is_round else half_x * x + half_y * y
-            prism_end = float(self._center @ direction + half_width + half_z * z)
+            direction = candidate_vector / vector_length
+            axis_x, axis_y, axis_z = np.abs(self._rotation.T @ direction)
+            half_width = (
+                half_x * np.hypot(axis_x, axis_y) if is_round else half_x * axis_x + half_y * axis_y
+            )
+            prism_end = float(self._center @ direction + half_width + half_z * axis_z)
             obstacle_begin = -obstacles.support(obstacle, -direction)
             if obstacle_begin - prism_end > MIN_PROVED_GAP:
                 return True
@@ -488,13 +500,13 @@ class ObstacleProbe:
             The obstacle; None if there is none within `MAX_MEASURED_GAP`.
         """
         half_size = np.array([prism.half_x, prism.half_y, prism.half_z]) + MAX_MEASURED_GAP
-        nearest = None
+        nearest_gap = None
         gap = MAX_MEASURED_GAP
         for obstacle in self.obstacles.overlapping(center - half_size, center + half_size):
             if self.find_contact(obstacle, prism, center, gap):
                 gap = self._bisect_margin(prism, center, obstacle, low=0.0, high=gap)
-                nearest = ObstacleGap(gap, obstacle)
-        return nearest
+                nearest_gap = ObstacleGap(gap, obstacle)
+        return nearest_gap
 
     def _bisect_margin(
         self, prism: UprightPrism, center: Float, obstacle: int, low: float, high: float

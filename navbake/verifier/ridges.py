@@ -12,7 +12,7 @@ import numpy as np
 from navbake.navgrid.lattice import Lattice
 from navbake.verifier.probes import (
     NO_CONTACT,
-    SAME_HEIGHT,
+    SAME_HEIGHT_TOLERANCE,
     ObstacleProbe,
     SurfaceHit,
     UprightPrism,
@@ -83,12 +83,16 @@ class RidgeProbe:
         """
         inverse_lengths = [0.0, 0.0]
         for axis, (down, right) in enumerate(AXES):
-            end = self._walk(row, col, down, right, z)
-            other_end = self._walk(row, col, -down, -right, z)
-            num_cells = end.num_cells + other_end.num_cells  # one less than the cells of the row
-            if not end.is_drop or not other_end.is_drop or num_cells > self._max_cells:
+            end_ahead = self._walk(row, col, down, right, z)
+            end_behind = self._walk(row, col, -down, -right, z)
+            num_cells = (
+                end_ahead.num_cells + end_behind.num_cells
+            )  # one less than the cells of the row
+            if not end_ahead.is_drop or not end_behind.is_drop or num_cells > self._max_cells:
                 continue
-            inverse_lengths[axis] = 1 / max(num_cells * self._lattice.cell_size, SAME_HEIGHT)
+            inverse_lengths[axis] = 1 / max(
+                num_cells * self._lattice.cell_size, SAME_HEIGHT_TOLERANCE
+            )
         return math.hypot(*inverse_lengths) * RIDGE_WIDTH > 1
 
     def _walk(self, row: int, col: int, down: int, right: int, z: float) -> RunEnd:
@@ -96,34 +100,38 @@ class RidgeProbe:
         for num_cells in range(self._max_cells + 1):
             next_row = row + down
             next_col = col + right
-            rises = [hit.z for hit in self._standable_at(next_row, next_col)]
-            nearest = min(rises, key=lambda height: abs(height - z), default=math.inf)
-            if abs(nearest - z) > self._agent.step:
+            surface_heights = [hit.z for hit in self._standable_at(next_row, next_col)]
+            nearest_height = min(
+                surface_heights, key=lambda height: abs(height - z), default=math.inf
+            )
+            if abs(nearest_height - z) > self._agent.step:
                 return RunEnd(num_cells, self._is_drop((row, col), (next_row, next_col), z))
             row = next_row
             col = next_col
-            z = nearest
+            z = nearest_height
         return RunEnd(self._max_cells + 1, False)
 
-    def _is_drop(self, cell: tuple[int, int], beyond: tuple[int, int], z: float) -> bool:
+    def _is_drop(self, cell: tuple[int, int], next_cell: tuple[int, int], z: float) -> bool:
         """Return whether a surface ends at a drop between two cells, and not at a wall."""
-        if any(abs(hit.z - z) <= self._agent.step for hit in self._line_at(*beyond).hits):
+        if any(abs(hit.z - z) <= self._agent.step for hit in self._line_at(*next_cell).hits):
             return False
-        return not (self._is_barred(*beyond, z) or self._is_barred(*cell, z))
+        return not (self._is_barred(*next_cell, z) or self._is_barred(*cell, z))
 
     def _is_barred(self, row: int, col: int, z: float) -> bool:
         """Return whether something stands over a cell, just above a step from height z [m]."""
-        low = z + self._agent.step
-        middle = low + FEET_THICKNESS / 2
-        if self._line_at(row, col).is_inside(middle):
+        low_end = z + self._agent.step
+        middle_z = low_end + FEET_THICKNESS / 2
+        if self._line_at(row, col).is_inside(middle_z):
             return True
         x = self._lattice.x_min + (col + 0.5) * self._lattice.cell_size
         y = self._lattice.y_max - (row + 0.5) * self._lattice.cell_size
         half_size = self._lattice.cell_size / 2
-        center = np.array([x, y, middle])
-        reach = np.array([half_size, half_size, FEET_THICKNESS / 2])
+        center = np.array([x, y, middle_z])
+        half_extent = np.array([half_size, half_size, FEET_THICKNESS / 2])
         prism = UprightPrism(half_size, half_size, FEET_THICKNESS / 2, False)
         return any(
             self._probe.find_contact(obstacle, prism, center) != NO_CONTACT
-            for obstacle in self._probe.obstacles.overlapping(center - reach, center + reach)
+            for obstacle in self._probe.obstacles.overlapping(
+                center - half_extent, center + half_extent
+            )
         )

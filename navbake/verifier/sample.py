@@ -47,14 +47,14 @@ class AgentSizes(NamedTuple):
             FormatError: the grid states sizes that no agent can have.
         """
         problems = list(find_wrong_sizes(grid).values())
-        slope = grid.navbake.get("maxSlope", DEFAULT_MAX_SLOPE)
-        if not is_within(slope, 0, 90):
-            shown = shorten(repr(slope))
-            problems.append(f"`maxSlope` is {shown}, which is no slope of 0 to 90 degrees")
+        max_slope = grid.navbake.get("maxSlope", DEFAULT_MAX_SLOPE)
+        if not is_within(max_slope, 0, 90):
+            slope_text = shorten(repr(max_slope))
+            problems.append(f"`maxSlope` is {slope_text}, which is no slope of 0 to 90 degrees")
         if problems:
             text = f"the grid's metadata: {problems[0]}: cells can't be judged for such an agent"
             raise FormatError(text)
-        min_normal_z = float(np.cos(np.radians(slope)))
+        min_normal_z = float(np.cos(np.radians(max_slope)))
         return cls(grid.agent_height, grid.agent_radius, grid.max_step, min_normal_z)
 
 
@@ -77,7 +77,7 @@ class InflatedGrid(NamedTuple):
     by_centers: bool = False
 
 
-def inflate_for(grid: NavGrid, radius: float | None, notes: list[str]) -> InflatedGrid:
+def inflate_for_radius(grid: NavGrid, radius: float | None, notes: list[str]) -> InflatedGrid:
     """Inflate a grid for a radius, unless it is inflated for that radius already.
 
     Args:
@@ -92,11 +92,11 @@ def inflate_for(grid: NavGrid, radius: float | None, notes: list[str]) -> Inflat
         QueryError: the grid is inflated for a larger radius, or a radius is asked for a grid that
             is inflated in the mode ``minos``.
     """
-    inflations, invalid = read_inflations(grid)
-    if invalid is not None:
+    inflations, invalid_entry = read_inflations(grid)
+    if invalid_entry is not None:
         note = "the metadata's `inflation` isn't as navbake writes it"
         notes.append(f"{note}: what it closed has to touch something by itself")
-    largest = max((float(inflation["radius"]) for inflation in inflations), default=0.0)
+    largest_radius = max((float(inflation["radius"]) for inflation in inflations), default=0.0)
     if any(inflation["mode"] == "minos" for inflation in inflations):
         if radius is not None:
             raise QueryError(
@@ -105,16 +105,17 @@ def inflate_for(grid: NavGrid, radius: float | None, notes: list[str]) -> Inflat
             )
         note = "inflated in the mode minos, which measures from the centres of cells"
         notes.append(f"{note}: free cells are judged by the baked footprint")
-        return InflatedGrid(grid, None, largest, by_centers=True)
+        return InflatedGrid(grid, None, largest_radius, by_centers=True)
     if radius is None:
-        return InflatedGrid(grid, largest if inflations else None, largest)
-    if radius < largest:
+        return InflatedGrid(grid, largest_radius if inflations else None, largest_radius)
+    if radius < largest_radius:
         raise QueryError(
-            f"the grid was inflated for {largest:g} m, which can't be undone for {radius:g} m: "
-            f"expected a radius of at least {largest:g} m, or the grid as it was before"
+            f"the grid was inflated for {largest_radius:g} m, which can't be undone for "
+            f"{radius:g} m: "
+            f"expected a radius of at least {largest_radius:g} m, or the grid as it was before"
         )
-    inflated = grid if inflations and radius == largest else grid.inflate(radius)
-    return InflatedGrid(inflated, radius, radius)
+    inflated_grid = grid if inflations and radius == largest_radius else grid.inflate(radius)
+    return InflatedGrid(inflated_grid, radius, radius)
 
 
 @dataclass(frozen=True)
@@ -128,8 +129,9 @@ class LevelSample:
         cols: Columns of the cells, (n,).
         centers: World x and y of the cells' centres, (n, 2) [m].
         floor: Heights of the floors, (n,) [m], NaN for none.
-        free: Whether an agent can stand on the cell, (n,).
-        occupied: Whether the occupancy layer marks the cell, (n,); an inflation does not change it.
+        is_free: Whether an agent can stand on the cell, (n,).
+        is_occupied: Whether the occupancy layer marks the cell, (n,); an inflation does not change
+            it.
         has_cell_floors: Whether the grid states a floor for each cell; otherwise all floors are
             at the level's ground.
     """
@@ -140,8 +142,8 @@ class LevelSample:
     cols: Int
     centers: Float
     floor: Float
-    free: Bool
-    occupied: Bool
+    is_free: Bool
+    is_occupied: Bool
     has_cell_floors: bool
 
     def position(self, cell: int) -> Vector3:
@@ -195,18 +197,24 @@ def take_sample(
     """
     level_sizes = [level.width * level.height for level in grid.levels]
     sampled_cells = np.arange(sum(level_sizes))
-    start = np.cumsum([0, *level_sizes])
+    first_cell_of_level = np.cumsum([0, *level_sizes])
     if num_cells is not None and num_cells < len(sampled_cells):
         rng = np.random.default_rng(seed)
         sampled_cells = np.sort(rng.choice(len(sampled_cells), num_cells, replace=False))
     samples = []
-    for level_id, (level, with_floors) in enumerate(
+    for level_id, (level, level_has_cell_floors) in enumerate(
         zip(grid.levels, levels_with_floors, strict=True)
     ):
-        is_on_level = (sampled_cells >= start[level_id]) & (sampled_cells < start[level_id + 1])
-        cells = sampled_cells[is_on_level] - start[level_id]
+        is_on_level = (sampled_cells >= first_cell_of_level[level_id]) & (
+            sampled_cells < first_cell_of_level[level_id + 1]
+        )
+        cells = sampled_cells[is_on_level] - first_cell_of_level[level_id]
         rows, cols = np.divmod(cells, level.width)
-        floor = level.floor_of(rows, cols) if with_floors else np.full(len(cells), level.ground)
+        floor_heights = (
+            level.floor_of(rows, cols)
+            if level_has_cell_floors
+            else np.full(len(cells), level.ground)
+        )
         samples.append(
             LevelSample(
                 level_id=level_id,
@@ -214,10 +222,10 @@ def take_sample(
                 rows=rows,
                 cols=cols,
                 centers=level.lattice.positions(rows, cols).reshape(-1, 2),
-                floor=floor,
-                free=level.free[rows, cols],
-                occupied=level.occupancy[rows, cols] != 0,
-                has_cell_floors=with_floors,
+                floor=floor_heights,
+                is_free=level.free[rows, cols],
+                is_occupied=level.occupancy[rows, cols] != 0,
+                has_cell_floors=level_has_cell_floors,
             )
         )
     return samples
@@ -230,16 +238,16 @@ class CellShift(NamedTuple):
     cols: int
 
 
-def shift_between(source: Lattice, target: Lattice) -> CellShift:
+def find_cell_shift(source: Lattice, target: Lattice) -> CellShift:
     """Return what to add to rows and columns to convert them from one lattice to another.
 
     Args:
         source: The lattice that rows and columns refer to.
         target: The lattice to convert to, with the same cell size.
     """
-    down = target.y_max - source.y_max
-    right = source.x_min - target.x_min
-    return CellShift(round(down / source.cell_size), round(right / source.cell_size))
+    y_offset = target.y_max - source.y_max
+    x_offset = source.x_min - target.x_min
+    return CellShift(round(y_offset / source.cell_size), round(x_offset / source.cell_size))
 
 
 class LevelCells(NamedTuple):
@@ -295,13 +303,17 @@ class CellNeighborhood:
         Returns:
             The lowest floor and the highest floor of each disc, (n,) each [m].
         """
-        low = floor.copy()
-        high = floor.copy()
+        lowest_floor = floor.copy()
+        highest_floor = floor.copy()
         for cells in self._cells_under(level_id, rows, cols, radius):
             is_within_step = np.abs(cells.floor - floor) <= self._step + STEP_SLACK
-            low = np.where(is_within_step, np.fmin(low, cells.floor), low)
-            high = np.where(is_within_step, np.fmax(high, cells.floor), high)
-        return low, high
+            lowest_floor = np.where(
+                is_within_step, np.fmin(lowest_floor, cells.floor), lowest_floor
+            )
+            highest_floor = np.where(
+                is_within_step, np.fmax(highest_floor, cells.floor), highest_floor
+            )
+        return lowest_floor, highest_floor
 
     def has_reason(self, level_id: int, rows: Int, cols: Int, floor: Float, radius: float) -> Bool:
         """Return whether an inflation had a reason to block cells.
@@ -321,16 +333,16 @@ class CellNeighborhood:
         Returns:
             Whether there is a reason, (n,).
         """
-        has_reason = np.zeros(len(rows), dtype=np.bool_)
+        is_excused = np.zeros(len(rows), dtype=np.bool_)
         for cells in self._cells_under(level_id, rows, cols, radius):
             if cells.level_id == level_id:
                 is_ledge = ~(np.abs(cells.floor - floor) <= self._step - STEP_SLACK)
                 is_baked = cells.is_inside | (len(self._lattices) > 1)
-                has_reason |= (cells.blocks_others | is_ledge) & is_baked
+                is_excused |= (cells.blocks_others | is_ledge) & is_baked
             else:
                 is_higher = cells.floor > floor + self._step
-                has_reason |= ~np.isnan(cells.floor) & (cells.blocks_others | is_higher)
-        return has_reason
+                is_excused |= ~np.isnan(cells.floor) & (cells.blocks_others | is_higher)
+        return is_excused
 
     def _cells_under(
         self, level_id: int, rows: Int, cols: Int, radius: float
@@ -344,9 +356,11 @@ class CellNeighborhood:
         max_offset = int(radius / cell_size + 0.5) + 1
         # the distance from the centre to the nearest edge of a row or column of cells
         offsets = np.arange(-max_offset, max_offset + 1)
-        distance = np.maximum(np.abs(offsets) - 0.5, 0.0) * cell_size
-        overlaps = np.hypot(distance[:, None], distance) < radius * (1 - TOUCHING_SHARE)
-        for row_offset, col_offset in (np.argwhere(overlaps) - max_offset).tolist():
+        edge_distance = np.maximum(np.abs(offsets) - 0.5, 0.0) * cell_size
+        is_overlapping = np.hypot(edge_distance[:, None], edge_distance) < radius * (
+            1 - TOUCHING_SHARE
+        )
+        for row_offset, col_offset in (np.argwhere(is_overlapping) - max_offset).tolist():
             for target_level in range(len(self._lattices)):
                 yield self.cells_on_level(
                     level_id, target_level, rows + row_offset, cols + col_offset
@@ -364,7 +378,7 @@ class CellNeighborhood:
             cols: Columns of the cells, (n,).
         """
         lattice = self._lattices[target_level]
-        shift = shift_between(self._lattices[source_level], lattice)
+        shift = find_cell_shift(self._lattices[source_level], lattice)
         target_rows = rows + shift.rows
         target_cols = cols + shift.cols
         is_inside = lattice.holds(target_rows, target_cols)
@@ -424,17 +438,22 @@ def make_volumes(
         One or two sets of prisms, each with a prism over each cell. A prism that lies inside the
         other one is left out.
     """
-    half = sample.level.lattice.cell_size / 2
-    floor = sample.floor
-    square = CellPrisms(half, False, floor + agent.step, floor + agent.height)
-    if radius is None:
-        disc = square._replace(half_size=agent.radius, is_round=True)
-        if agent.radius >= half * np.sqrt(2.0):  # the disc covers the square
-            return [disc]
-        return [square, disc] if agent.radius > half else [square]
-    if radius <= half:
-        return [square]
-    low, high = neighborhood.find_floors_under(
-        sample.level_id, sample.rows, sample.cols, floor, radius
+    half_cell = sample.level.lattice.cell_size / 2
+    floor_heights = sample.floor
+    square_prisms = CellPrisms(
+        half_cell, False, floor_heights + agent.step, floor_heights + agent.height
     )
-    return [square, CellPrisms(radius, True, high + agent.step, low + agent.height)]
+    if radius is None:
+        disc_prisms = square_prisms._replace(half_size=agent.radius, is_round=True)
+        if agent.radius >= half_cell * np.sqrt(2.0):  # the disc covers the square
+            return [disc_prisms]
+        return [square_prisms, disc_prisms] if agent.radius > half_cell else [square_prisms]
+    if radius <= half_cell:
+        return [square_prisms]
+    lowest_floor, highest_floor = neighborhood.find_floors_under(
+        sample.level_id, sample.rows, sample.cols, floor_heights, radius
+    )
+    return [
+        square_prisms,
+        CellPrisms(radius, True, highest_floor + agent.step, lowest_floor + agent.height),
+    ]

@@ -80,11 +80,11 @@ def find_source(
     if source is None:
         source = _find_file(grid, stated_scene.get("path"), grid_path)
     is_file = isinstance(source, str | PathLike) and not is_settings(source)
-    in_memory = is_in_memory(source)
+    is_source_in_memory = is_in_memory(source)
     if data is not None:
-        if not in_memory:
-            text = "expected a data with a mujoco.MjModel or MjSpec: give the model, too"
-            raise ConfigError(text)
+        if not is_source_in_memory:
+            problem = "expected a data with a mujoco.MjModel or MjSpec: give the model, too"
+            raise ConfigError(problem)
         stated_scene = {
             key: setting
             for key, setting in stated_scene.items()
@@ -92,15 +92,15 @@ def find_source(
         }
 
     scene_model = None
-    if in_memory or is_file:
-        path = memory_path(name_of(source)) if in_memory else Path(str(source))
+    if is_source_in_memory or is_file:
+        path = memory_path(name_of(source)) if is_source_in_memory else Path(str(source))
         if is_file and not path.exists():
             raise QueryError(f"no scene at {path}: it may have moved; give its path")
         try:
             config = parse_config({**stated_settings, "scene": {**stated_scene, "path": path}})
         except ConfigError:  # the settings of another version
             config = parse_config({"scene": {"path": path}}, str(path))
-        if in_memory:
+        if is_source_in_memory:
             scene_model = load_from_memory(source, data, config.scene)
     else:
         config = as_config(source)
@@ -118,7 +118,7 @@ def find_source(
         if not force:
             raise QueryError(f"{notes[0]}: --force, or force=True, compares them anyway")
     has_bake_settings = grid.navbake.get("settingsDigest") in (None, settings_digest(config))
-    if stated_settings and (in_memory or is_file):
+    if stated_settings and (is_source_in_memory or is_file):
         has_bake_settings = True
     if grid.navbake and not has_bake_settings:
         notes.append("the settings are others than those of the bake (their digests differ)")
@@ -133,20 +133,21 @@ def _find_file(grid: GridBase, stated_path: object, grid_path: Path | None) -> P
     """
     grid_name = grid.scene_id or "the grid"
     if not isinstance(stated_path, str) or not stated_path:
-        text = f"{grid_name} doesn't say which scene it was baked from"
-        raise NoSceneError(f"{text}: give the scene, or the settings of its bake")
-    name = Path(stated_path).name
+        problem = f"{grid_name} doesn't say which scene it was baked from"
+        raise NoSceneError(f"{problem}: give the scene, or the settings of its bake")
+    file_name = Path(stated_path).name
     folders = dict.fromkeys([grid_path.parent if grid_path else Path(), Path()])
     for folder in folders:
-        for path in (folder / name, folder / SCENES_FOLDER / name):
+        for path in (folder / file_name, folder / SCENES_FOLDER / file_name):
             if os.path.isfile(path):
                 return path
     folder_names = [
         str(folder) if str(folder) != "." else "the current folder" for folder in folders
     ]
     raise NoSceneError(
-        f"the scene {name} that {grid_name} was baked from isn't in {' or '.join(folder_names)}, "
-        f"nor in {SCENES_FOLDER!r} there: give its path, or the settings of its bake (--scene)"
+        f"the scene {file_name} that {grid_name} was baked from isn't in "
+        f"{' or '.join(folder_names)}, nor in {SCENES_FOLDER!r} there: give its path, "
+        "or the settings of its bake (--scene)"
     )
 
 
@@ -155,16 +156,16 @@ class DoorPose(NamedTuple):
 
     Attributes:
         data: The pose, with kinematics computed.
-        removed: The ids of the geoms of removed doors.
-        no_floors: The ids of the geoms that carry no floor: geoms of doors, and geoms that can
-            move, except the cars of lifts.
-        unknown: The ids of doors that the scene does not have.
+        removed_geoms: The ids of the geoms of removed doors.
+        floorless_geoms: The ids of the geoms that carry no floor: geoms of doors, and geoms that
+            can move, except the cars of lifts.
+        unknown_doors: The ids of doors that the scene does not have.
     """
 
     data: mujoco.MjData
-    removed: set[int]
-    no_floors: set[int]
-    unknown: list[str]
+    removed_geoms: set[int]
+    floorless_geoms: set[int]
+    unknown_doors: list[str]
 
 
 def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
@@ -179,34 +180,36 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
     """
     model = scene.model
     data = copy.copy(scene.data)
-    names = [(body_name(model, body), body) for body in range(1, model.nbody)]
+    named_bodies = [(body_name(model, body), body) for body in range(1, model.nbody)]
     # doors that share their name with others are named with the body's number, too
-    numbered_names = {f"{name} (body {body})": body for name, body in names}
-    bodies = dict(names) | numbered_names
+    numbered_names = {f"{name} (body {body})": body for name, body in named_bodies}
+    body_of_name = dict(named_bodies) | numbered_names
     subtree_ends = find_subtree_ends(model)
-    removed = set[int]()
-    unknown = list[str]()
-    no_floors = set(np.flatnonzero(~scene.is_structure).tolist())
+    removed_geoms = set[int]()
+    unknown_doors = list[str]()
+    floorless_geoms = set(np.flatnonzero(~scene.is_structure).tolist())
     for link in grid.links:
         # the cars of lifts carry floors; that a body is a car shows by its name alone
-        car = bodies.get(link.name) if link.kind == "lift" else None
-        if car is not None:
-            no_floors -= set(geoms_of_bodies(model, car, int(subtree_ends[car])).tolist())
+        car_body = body_of_name.get(link.name) if link.kind == "lift" else None
+        if car_body is not None:
+            floorless_geoms -= set(
+                geoms_of_bodies(model, car_body, int(subtree_ends[car_body])).tolist()
+            )
     for door in grid.doors:
-        body = bodies.get(door.id)
+        body = body_of_name.get(door.id)
         if body is None:
-            unknown.append(door.id)
+            unknown_doors.append(door.id)
             continue
         door_geoms = set(geoms_of_bodies(model, body, int(subtree_ends[body])).tolist())
-        no_floors |= door_geoms
+        floorless_geoms |= door_geoms
         if door.state == "removed":
-            removed |= door_geoms
+            removed_geoms |= door_geoms
             continue
         position = _joint_position(model, body, door)
         if position is not None:
             data.qpos[model.jnt_qposadr[model.body_jntadr[body]]] = position
     mujoco.mj_kinematics(model, data)
-    return DoorPose(data, removed, no_floors, unknown)
+    return DoorPose(data, removed_geoms, floorless_geoms, unknown_doors)
 
 
 def _joint_position(model: mujoco.MjModel, body: int, door: Door) -> float | None:

@@ -18,7 +18,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.links import Link
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Float, Int
-from navbake.verifier.cells import floor_tolerance
+from navbake.verifier.cells import compute_floor_tolerance
 from navbake.verifier.probes import (
     TOUCHES,
     HeightRange,
@@ -182,47 +182,47 @@ class PathSweep:
         """Split a path at the edges of cells, and join stretches with the same floor."""
         stretches: list[PathStretch] = []
         lattices = [level.lattice for level in self._grid.levels]
-        for k, (begin, end) in enumerate(pairwise(positions)):
+        for point_index, (begin, end) in enumerate(pairwise(positions)):
             if np.hypot(*(end - begin)[:2]) < MIN_STRETCH_LENGTH:
                 continue  # a step up or down between the floors of two cells
-            lattice = lattices[int(levels[k])]
-            shares = _shares_at_cell_edges(lattice, begin, end)
-            points = begin[:2] + np.outer(shares, end[:2] - begin[:2])
-            middles = (points[1:] + points[:-1]) / 2
-            path_heights = (shares[1:] + shares[:-1]) / 2
+            lattice = lattices[int(levels[point_index])]
+            fractions = _find_cell_edge_fractions(lattice, begin, end)
+            piece_ends = begin[:2] + np.outer(fractions, end[:2] - begin[:2])
+            piece_middles = (piece_ends[1:] + piece_ends[:-1]) / 2
+            path_heights = (fractions[1:] + fractions[:-1]) / 2
             path_heights = begin[2] + path_heights * (end[2] - begin[2])
 
             # where the path changes to another level, the nearer of the two levels' floors counts
-            level_ids = sorted({int(levels[k]), int(levels[k + 1])})
-            rows_cols = [lattices[level_id].rows_cols(middles) for level_id in level_ids]
+            level_ids = sorted({int(levels[point_index]), int(levels[point_index + 1])})
+            rows_cols = [lattices[level_id].rows_cols(piece_middles) for level_id in level_ids]
             level_floors = np.stack(
                 [
                     self._neighborhood.cells_on_level(level_id, level_id, rows, cols).floor
                     for level_id, (rows, cols) in zip(level_ids, rows_cols, strict=True)
                 ]
             )
-            gaps = np.nan_to_num(np.abs(level_floors - path_heights), nan=np.inf)
-            nearest_level = gaps.argmin(axis=0)
-            floor = np.take_along_axis(level_floors, nearest_level[None], axis=0)[0]
-            floor = np.where(np.isnan(floor), path_heights, floor)
+            height_gaps = np.nan_to_num(np.abs(level_floors - path_heights), nan=np.inf)
+            nearest_level_index = height_gaps.argmin(axis=0)
+            piece_floors = np.take_along_axis(level_floors, nearest_level_index[None], axis=0)[0]
+            piece_floors = np.where(np.isnan(piece_floors), path_heights, piece_floors)
 
             # the cylinder's axis may be half of a cell's diagonal away from the cell's centre
             radius = self._radius + lattice.cell_size * np.sqrt(0.5)
             floors_under = [
-                self._neighborhood.find_floors_under(level_id, rows, cols, floor, radius)
+                self._neighborhood.find_floors_under(level_id, rows, cols, piece_floors, radius)
                 for level_id, (rows, cols) in zip(level_ids, rows_cols, strict=True)
             ]
-            for n, nearest in enumerate(nearest_level.tolist()):
-                lowest_floor, highest_floor = floors_under[nearest]
+            for piece_index, nearest_index in enumerate(nearest_level_index.tolist()):
+                lowest_floor, highest_floor = floors_under[nearest_index]
                 stretch = PathStretch(
-                    begin=points[n],
-                    end=points[n + 1],
-                    floor=float(floor[n]),
-                    lowest_floor=float(lowest_floor[n]),
-                    highest_floor=float(highest_floor[n]),
-                    level_id=level_ids[nearest],
+                    begin=piece_ends[piece_index],
+                    end=piece_ends[piece_index + 1],
+                    floor=float(piece_floors[piece_index]),
+                    lowest_floor=float(lowest_floor[piece_index]),
+                    highest_floor=float(highest_floor[piece_index]),
+                    level_id=level_ids[nearest_index],
                 )
-                if n and _has_same_floors(stretches[-1], stretch):
+                if piece_index and _has_same_floors(stretches[-1], stretch):
                     stretches[-1] = stretches[-1]._replace(end=stretch.end)
                 else:
                     stretches.append(stretch)
@@ -235,23 +235,23 @@ class PathSweep:
         """
         half_z = (heights.high - heights.low) / 2 - self._tolerance
         radius = self._radius - self._tolerance
-        z = (heights.low + heights.high) / 2
+        middle_z = (heights.low + heights.high) / 2
         if half_z <= 0:
             return None
-        vector = stretch.end - stretch.begin
-        middle = (stretch.begin + stretch.end) / 2
-        yaw = float(np.arctan2(vector[1], vector[0]))
+        stretch_vector = stretch.end - stretch.begin
+        middle_xy = (stretch.begin + stretch.end) / 2
+        yaw = float(np.arctan2(stretch_vector[1], stretch_vector[0]))
         cylinder = UprightPrism(radius, radius, half_z, True)
-        box = UprightPrism(float(np.hypot(*vector)) / 2, radius, half_z, False, yaw)
+        box = UprightPrism(float(np.hypot(*stretch_vector)) / 2, radius, half_z, False, yaw)
         swept_prisms = [
-            PlacedPrism(cylinder, np.array([*stretch.begin, z])),
-            PlacedPrism(cylinder, np.array([*stretch.end, z])),
-            PlacedPrism(box, np.array([*middle, z])),
+            PlacedPrism(cylinder, np.array([*stretch.begin, middle_z])),
+            PlacedPrism(cylinder, np.array([*stretch.end, middle_z])),
+            PlacedPrism(box, np.array([*middle_xy, middle_z])),
         ]
         low_corner = np.minimum(stretch.begin, stretch.end) - radius
         high_corner = np.maximum(stretch.begin, stretch.end) + radius
         obstacles = self._probe.obstacles.overlapping(
-            np.array([*low_corner, z - half_z]), np.array([*high_corner, z + half_z])
+            np.array([*low_corner, middle_z - half_z]), np.array([*high_corner, middle_z + half_z])
         )
         for obstacle in obstacles:
             for prism, center in swept_prisms:
@@ -270,19 +270,25 @@ def _has_same_floors(stretch: PathStretch, next_stretch: PathStretch) -> bool:
     return np.allclose(floors, next_floors, rtol=0, atol=SAME_FLOOR)
 
 
-def _shares_at_cell_edges(lattice: Lattice, begin: Float, end: Float) -> Float:
+def _find_cell_edge_fractions(lattice: Lattice, begin: Float, end: Float) -> Float:
     """Return where a line crosses cells' edges, as fractions of its length, 0 to 1, ascending."""
-    shares = np.array([0.0, 1.0])
-    corner = np.array([lattice.x_min, lattice.y_max])
-    begin_cell = (begin[:2] - corner) / lattice.cell_size
-    end_cell = (end[:2] - corner) / lattice.cell_size
-    for first, last in zip(begin_cell, end_cell, strict=True):
-        edges = np.arange(np.floor(min(first, last)) + 1, np.ceil(max(first, last)))
-        shares = np.append(shares, (edges - first) / (last - first or 1.0))
-    shares = np.unique(shares)
+    fractions = np.array([0.0, 1.0])
+    lattice_corner = np.array([lattice.x_min, lattice.y_max])
+    begin_cell = (begin[:2] - lattice_corner) / lattice.cell_size
+    end_cell = (end[:2] - lattice_corner) / lattice.cell_size
+    for begin_coordinate, end_coordinate in zip(begin_cell, end_cell, strict=True):
+        edge_coordinates = np.arange(
+            np.floor(min(begin_coordinate, end_coordinate)) + 1,
+            np.ceil(max(begin_coordinate, end_coordinate)),
+        )
+        fractions = np.append(
+            fractions,
+            (edge_coordinates - begin_coordinate) / (end_coordinate - begin_coordinate or 1.0),
+        )
+    fractions = np.unique(fractions)
     # a line through a corner of cells runs through none of the cells beside the corner
-    min_share = MIN_STRETCH_LENGTH / np.hypot(*(end - begin)[:2])
-    return np.asarray(shares[np.diff(shares, append=2.0) > min_share])
+    min_fraction = MIN_STRETCH_LENGTH / np.hypot(*(end - begin)[:2])
+    return np.asarray(fractions[np.diff(fractions, append=2.0) > min_fraction])
 
 
 def check_links(
@@ -351,11 +357,11 @@ def _walk_from_stop(level: SceneGrid2D, points: Float, max_step: float) -> Walke
     is_inside = level.lattice.holds(rows, cols)
     rows = rows[is_inside]
     cols = cols[is_inside]
-    floor = level.floor_of(rows, cols)
-    is_step = np.abs(np.diff(floor, prepend=floor[:1])) > max_step + STEP_SLACK
-    is_end = ~level.free[rows, cols] | np.isnan(floor) | is_step
-    last_index = int(np.argmax(np.append(is_end, True))) - 1
-    return WalkedPart(last_index, float(floor[max(last_index, 0)]))
+    floor_heights = level.floor_of(rows, cols)
+    is_step = np.abs(np.diff(floor_heights, prepend=floor_heights[:1])) > max_step + STEP_SLACK
+    is_blocked = ~level.free[rows, cols] | np.isnan(floor_heights) | is_step
+    last_index = int(np.argmax(np.append(is_blocked, True))) - 1
+    return WalkedPart(last_index, float(floor_heights[max(last_index, 0)]))
 
 
 def _check_drop_or_jump(
@@ -371,26 +377,28 @@ def _check_drop_or_jump(
     start_level = grid.levels[link.stops[0].level]
     end_level = grid.levels[link.stops[1].level]
     cell_size = start_level.lattice.cell_size
-    vector = end_position - start_position
-    num_cells = max(round(float(np.abs(vector).max()) / cell_size), 1)
-    points = start_position + np.linspace(0.0, 1.0, num_cells + 1)[:, None] * vector
+    link_vector = end_position - start_position
+    num_cells = max(round(float(np.abs(link_vector).max()) / cell_size), 1)
+    points = start_position + np.linspace(0.0, 1.0, num_cells + 1)[:, None] * link_vector
 
-    start = _walk_from_stop(start_level, points, agent.step)
-    landing = _walk_from_stop(end_level, points[::-1], agent.step)
-    crossed = points[max(start.last_index, 0) : len(points) - max(landing.last_index, 0)]
-    if len(crossed) < 2:  # the agent walks from stop to stop
+    start_walk = _walk_from_stop(start_level, points, agent.step)
+    landing_walk = _walk_from_stop(end_level, points[::-1], agent.step)
+    crossed_points = points[
+        max(start_walk.last_index, 0) : len(points) - max(landing_walk.last_index, 0)
+    ]
+    if len(crossed_points) < 2:  # the agent walks from stop to stop
         return []
 
-    higher_floor = max(start.floor, landing.floor)
-    floors = np.full(len(crossed), higher_floor)
-    floors[0] = start.floor
-    floors[-1] = landing.floor
+    higher_floor = max(start_walk.floor, landing_walk.floor)
+    floors = np.full(len(crossed_points), higher_floor)
+    floors[0] = start_walk.floor
+    floors[-1] = landing_walk.floor
     half_cell = cell_size / 2
-    for (x, y), floor in zip(crossed.tolist(), floors.tolist(), strict=True):
-        low = floor + agent.step + tolerance
-        high = higher_floor + agent.height - tolerance
-        half_z = (high - low) / 2
-        center = np.array([x, y, (low + high) / 2])
+    for (x, y), floor in zip(crossed_points.tolist(), floors.tolist(), strict=True):
+        low_end = floor + agent.step + tolerance
+        high_end = higher_floor + agent.height - tolerance
+        half_z = (high_end - low_end) / 2
+        center = np.array([x, y, (low_end + high_end) / 2])
         prisms = [UprightPrism(half_cell, half_cell, half_z, False)]
         if agent.radius > half_cell:
             prisms.append(UprightPrism(agent.radius, agent.radius, half_z, True))
@@ -405,16 +413,16 @@ def _check_drop_or_jump(
                 text = f"{link.kind} {link.name!r} runs into {name!r}"
                 return [_link_finding(LINK_TOUCHES, link, grid, (x, y, floor), text, name)]
 
-    x, y = crossed[-1].tolist()
-    z = landing.floor
-    height_tolerance = floor_tolerance(x, y, z)
-    line = probe.cast_line(x, y)
-    if line.has_upward_hit(z - height_tolerance, z + height_tolerance):
+    x, y = crossed_points[-1].tolist()
+    landing_z = landing_walk.floor
+    height_tolerance = compute_floor_tolerance(x, y, landing_z)
+    vertical_line = probe.cast_line(x, y)
+    if vertical_line.has_upward_hit(landing_z - height_tolerance, landing_z + height_tolerance):
         return []
-    if probe.has_upward_hit_nearby((x, y, z), height_tolerance):
+    if probe.has_upward_hit_nearby((x, y, landing_z), height_tolerance):
         return []
-    text = f"{link.kind} {link.name!r} lands at {z:.3f} m, where no surface is"
-    return [_link_finding(NO_LANDING, link, grid, (x, y, z), text, None)]
+    text = f"{link.kind} {link.name!r} lands at {landing_z:.3f} m, where no surface is"
+    return [_link_finding(NO_LANDING, link, grid, (x, y, landing_z), text, None)]
 
 
 def _check_shaft(
@@ -424,34 +432,36 @@ def _check_shaft(
     findings = list[Finding]()
     model = scene.model
     obstacles = probe.obstacles
-    up = np.array([0.0, 0.0, 1.0])
+    up_direction = np.array([0.0, 0.0, 1.0])
     joint = int(model.body_jntadr[car])
     car_geoms = geoms_of_bodies(model, car, int(find_subtree_ends(model)[car])).tolist()
-    axis_z = float(scene.data.xaxis[joint, 2])
+    joint_axis_z = float(scene.data.xaxis[joint, 2])
     joint_position = float(scene.data.qpos[model.jnt_qposadr[joint]])
-    low, high = sorted(axis_z * (end - joint_position) for end in model.jnt_range[joint])
+    lowest_move, highest_move = sorted(
+        joint_axis_z * (range_end - joint_position) for range_end in model.jnt_range[joint]
+    )
     # what the car rests on or reaches at the ends of its range is no obstacle
-    num_moves = max(int((high - low) / CAR_STEP), 1) + 1
-    moves = np.linspace(low + tolerance, high - tolerance, num_moves)
+    num_moves = max(int((highest_move - lowest_move) / CAR_STEP), 1) + 1
+    moves = np.linspace(lowest_move + tolerance, highest_move - tolerance, num_moves)
     for car_shape in obstacles.shapes:
         if car_shape.geom not in car_geoms:
             continue
         shaft_obstacles = [
             obstacle
             for obstacle in obstacles.overlapping(
-                car_shape.low + up * moves[0], car_shape.high + up * moves[-1]
+                car_shape.low + up_direction * moves[0], car_shape.high + up_direction * moves[-1]
             )
             if obstacles.shapes[obstacle].geom not in car_geoms
         ]
         car_object = car_shape.collision_object
         modelled_position = np.array(car_object.getTranslation())
         for move, obstacle in product(moves.tolist(), shaft_obstacles):
-            car_object.setTranslation(modelled_position + up * move)
+            car_object.setTranslation(modelled_position + up_direction * move)
             if fcl.collide(car_object, obstacles.shapes[obstacle].collision_object) > 0:
                 name = obstacles.geom_name(obstacle)
                 text = f"the car of {link.kind} {link.name!r} runs into {name!r}, "
                 text += f"moved by {move:.2f} m"
-                position = (car_shape.low + car_shape.high) / 2 + up * move
+                position = (car_shape.low + car_shape.high) / 2 + up_direction * move
                 findings.append(
                     _link_finding(LINK_TOUCHES, link, grid, position.tolist(), text, name)
                 )

@@ -26,7 +26,7 @@ from navbake.verifier.sample import (
     CellNeighborhood,
     LevelSample,
     has_cell_floors,
-    inflate_for,
+    inflate_for_radius,
     make_volumes,
     take_sample,
 )
@@ -117,20 +117,22 @@ def _check_arguments(
 ) -> None:
     """Raise a QueryError for the first argument of `verify` that is out of its range."""
     if sample is not None:
-        _check_number(sample, "a sample of at least 1 cell", least=1, is_whole=True)
-    _check_number(seed, "a whole number >= 0 as seed", least=0, is_whole=True)
-    _check_number(paths, "a number of paths >= 0", least=0, is_whole=True)
+        _check_number(sample, "a sample of at least 1 cell", minimum=1, is_whole=True)
+    _check_number(seed, "a whole number >= 0 as seed", minimum=0, is_whole=True)
+    _check_number(paths, "a number of paths >= 0", minimum=0, is_whole=True)
     if radius is not None:
-        _check_number(radius, "a radius >= 0 m", least=0)
-    _check_number(tolerance, "a tolerance > 0 m", least=math.ulp(0.0))
+        _check_number(radius, "a radius >= 0 m", minimum=0)
+    _check_number(tolerance, "a tolerance > 0 m", minimum=math.ulp(0.0))
 
 
-def _check_number(number: object, expected: str, *, least: float, is_whole: bool = False) -> None:
-    """Raise a QueryError unless an argument is a finite number >= `least`, whole if `is_whole`."""
+def _check_number(
+    argument: object, expected: str, *, minimum: float, is_whole: bool = False
+) -> None:
+    """Raise a QueryError unless an argument is a finite number >= a minimum, maybe whole."""
     types = (int, np.integer) if is_whole else (int, float, np.integer, np.floating)
-    is_number = isinstance(number, types) and not isinstance(number, bool)
-    if not is_number or not least <= number < np.inf:  # type: ignore[operator]
-        raise QueryError(f"expected {expected}, got {number!r}")
+    is_number = isinstance(argument, types) and not isinstance(argument, bool)
+    if not is_number or not minimum <= argument < np.inf:  # type: ignore[operator]
+        raise QueryError(f"expected {expected}, got {argument!r}")
 
 
 def verify_scene(
@@ -151,11 +153,12 @@ def verify_scene(
         grid: The grid.
         scene: The scene.
         config: The settings of the bake; None if they are unknown.
-        sample: See `verify`.
-        seed: See `verify`.
-        radius: See `verify`.
-        paths: See `verify`.
-        tolerance: See `verify`.
+        sample: How many cells to look at, drawn at random; None for all.
+        seed: Seed of the draw of cells and paths.
+        radius: The radius of the agent that has to fit on free cells [m]; None for the radius of
+            the grid's inflation, or else the baked footprint.
+        paths: How many paths to sweep a cylinder along.
+        tolerance: Touches that are no deeper than this count as rounding [m].
         notes: Messages for the user, which come first in the report.
 
     Returns:
@@ -171,7 +174,7 @@ def verify_scene(
     baked_grid: Any = grid.without_obstacles()
     agent = AgentSizes.of_grid(baked_grid)
     notes = list(notes)
-    doors = pose_doors(scene, baked_grid)
+    door_pose = pose_doors(scene, baked_grid)
     cell_size = baked_grid.levels[0].lattice.cell_size
     max_tolerance = min(cell_size, agent.height - agent.step) / 4
     if tolerance > max_tolerance:
@@ -181,49 +184,49 @@ def verify_scene(
             "stay"
         )
     levels_with_floors = [has_cell_floors(level) for level in baked_grid.levels]
-    inflated = inflate_for(baked_grid, radius, notes)
-    verified_grid = inflated.grid
-    if inflated.inflation_reach > 0 and config is not None and config.grid.bounds is not None:
+    inflation = inflate_for_radius(baked_grid, radius, notes)
+    verified_grid = inflation.grid
+    if inflation.inflation_reach > 0 and config is not None and config.grid.bounds is not None:
         note = "`grid.bounds` cut the grid, which knows nothing of what lies beyond"
         notes.append(f"{note}: a larger agent's cylinder may touch it")
     if grid.is_blocked:
         notes.append("what was blocked at run time is left out")
 
-    obstacles = Obstacles(scene, doors.data, doors.removed)
+    obstacles = Obstacles(scene, door_pose.data, door_pose.removed_geoms)
     probe = ObstacleProbe(obstacles)
-    occupancy_check = OccupancyCheck(probe, agent, tolerance, inflated.inflation_reach)
+    occupancy_check = OccupancyCheck(probe, agent, tolerance, inflation.inflation_reach)
     floor_check = None
     if all(levels_with_floors):
         floor_obstacles = obstacles
-        if doors.no_floors:
-            floor_obstacles = Obstacles(scene, doors.data, doors.no_floors)
+        if door_pose.floorless_geoms:
+            floor_obstacles = Obstacles(scene, door_pose.data, door_pose.floorless_geoms)
         floor_check = FloorCheck(verified_grid, ObstacleProbe(floor_obstacles), agent, config)
-    neighborhood = CellNeighborhood(verified_grid, agent.step, by_centers=inflated.by_centers)
+    neighborhood = CellNeighborhood(verified_grid, agent.step, by_centers=inflation.by_centers)
     samples = take_sample(verified_grid, sample, seed, levels_with_floors)
     levels = list[LevelCounts]()
     findings = list[Finding]()
     for level_sample, name in zip(samples, verified_grid.level_names, strict=True):
         counts = LevelCounts(name, cells=len(level_sample.rows))
         levels.append(counts)
-        free_volume = make_volumes(level_sample, agent, neighborhood, inflated.radius)
+        free_volume = make_volumes(level_sample, agent, neighborhood, inflation.radius)
         findings += occupancy_check.check_free(level_sample, counts, free_volume)
         baked_volume = make_volumes(level_sample, agent, neighborhood)
-        excused = _mark_excused_cells(level_sample, neighborhood, inflated.inflation_reach)
-        findings += occupancy_check.check_blocked(level_sample, counts, baked_volume, excused)
+        is_excused = _mark_excused_cells(level_sample, neighborhood, inflation.inflation_reach)
+        findings += occupancy_check.check_blocked(level_sample, counts, baked_volume, is_excused)
         if floor_check is not None:
             findings += floor_check.check(level_sample, counts)
     link_findings, link_notes = check_links(grid, scene, probe, agent, tolerance)
     findings += link_findings
     notes += link_notes
-    notes += _notes_of_checks(floor_check, occupancy_check)
+    notes += _describe_unchecked(floor_check, occupancy_check)
 
     sweep_counts = None
-    sweep_radius = agent.radius if inflated.radius is None else inflated.radius
+    sweep_radius = agent.radius if inflation.radius is None else inflation.radius
     if paths and sweep_radius <= tolerance:
         notes.append("no paths were swept: the agent's radius isn't above the tolerance")
     elif paths:
         swept_grid = verified_grid
-        if inflated.radius is None:
+        if inflation.radius is None:
             swept_grid = verified_grid.inflate(sweep_radius)
         try:
             sweep = PathSweep(swept_grid, probe, agent, sweep_radius, tolerance)
@@ -240,15 +243,15 @@ def verify_scene(
         num_cells=sum(level.width * level.height for level in verified_grid.levels),
         seed=seed,
         tolerance=tolerance,
-        radius=inflated.radius,
+        radius=inflation.radius,
         levels=levels,
         sweeps=sweep_counts,
         findings=findings,
         notes=notes,
     )
-    notes += _notes_of_obstacles(obstacles, report.total.disputed)
-    if doors.unknown:
-        notes.append(f"the scene has no doors {', '.join(map(repr, doors.unknown[:5]))}")
+    notes += _describe_one_sided_checks(obstacles, report.total.disputed)
+    if door_pose.unknown_doors:
+        notes.append(f"the scene has no doors {', '.join(map(repr, door_pose.unknown_doors[:5]))}")
     if not verified_grid.navbake:
         sizes = f"radius {verified_grid.agent_radius:g} m, step {verified_grid.max_step:g} m"
         note = f"the grid is of another program: an agent of {verified_grid.agent_height:g} m"
@@ -263,18 +266,22 @@ def _mark_excused_cells(
 
     Any other blocked cell has to touch something itself.
     """
-    excused = (inflation_reach > 0) & ~sample.free & ~sample.occupied & ~np.isnan(sample.floor)
-    excused[excused] = neighborhood.has_reason(
+    is_excused = (
+        (inflation_reach > 0) & ~sample.is_free & ~sample.is_occupied & ~np.isnan(sample.floor)
+    )
+    is_excused[is_excused] = neighborhood.has_reason(
         sample.level_id,
-        sample.rows[excused],
-        sample.cols[excused],
-        sample.floor[excused],
+        sample.rows[is_excused],
+        sample.cols[is_excused],
+        sample.floor[is_excused],
         inflation_reach,
     )
-    return np.asarray(excused)
+    return np.asarray(is_excused)
 
 
-def _notes_of_checks(floor_check: FloorCheck | None, occupancy_check: OccupancyCheck) -> list[str]:
+def _describe_unchecked(
+    floor_check: FloorCheck | None, occupancy_check: OccupancyCheck
+) -> list[str]:
     """Return notes about the cells and places that the checks left out."""
     notes = []
     if floor_check is None:
@@ -294,17 +301,17 @@ def _notes_of_checks(floor_check: FloorCheck | None, occupancy_check: OccupancyC
     return notes
 
 
-def _notes_of_obstacles(obstacles: Obstacles, num_disputed: int) -> list[str]:
+def _describe_one_sided_checks(obstacles: Obstacles, num_disputed: int) -> list[str]:
     """Return notes about the obstacles that only one of the two libraries checks reliably."""
     notes = []
     surface_geoms = {shape.geom for shape in obstacles.shapes if not shape.is_same_in_mujoco}
     if surface_geoms:
         names = sorted(obstacles.geom_names[geom] for geom in surface_geoms)
-        subject = f"{names[0]!r} counts"
+        counted_text = f"{names[0]!r} counts"
         if len(names) > 1:
-            subject = f"{names[0]!r} and {len(names) - 1} more count"
+            counted_text = f"{names[0]!r} and {len(names) - 1} more count"
         reason = "where MuJoCo collides hulls, infinite planes or nothing"
-        notes.append(f"{subject} by the surface, {reason}: FCL and MuJoCo's rays judge alone")
+        notes.append(f"{counted_text} by the surface, {reason}: FCL and MuJoCo's rays judge alone")
     if num_disputed:
         note = f"MuJoCo and FCL contradict each other over {num_disputed} cells"
         notes.append(f"{note}: these cells aren't counted")

@@ -80,7 +80,7 @@ def describe(grid: NavGrid) -> Json:
 
 
 def _describe_level(name: str, level: SceneGrid2D, island_of_cell: Int32) -> Json:
-    """Summarise a level, see `describe`.
+    """Summarise a level as JSON: its size, heights and areas, and its numbers of islands and rooms.
 
     Args:
         name: the level's name.
@@ -198,7 +198,10 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
 
 
 def _describe_room(grid: NavGrid, level: int, index: int) -> Json | int | None:
-    """Describe the room of a level with an index, see `describe_cell`; None for the index 0."""
+    """Describe the room that has an index on a level; return the index if no such room is listed.
+
+    None for the index 0, which stands for no room.
+    """
     for room in grid.rooms:
         if (room.level, room.index) == (level, index):
             return room.to_json()

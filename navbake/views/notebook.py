@@ -165,7 +165,8 @@ def _draw_level(
     Args:
         grid: a grid of one or several levels.
         level_number: the number of the level.
-        scale: see `_scale_for`; a pixel that shows several cells has their mean colour.
+        scale: how many pixels one cell takes, and how many cells one pixel shows; one of them is
+            1. A pixel that shows several cells has their mean colour.
         path: the path; None for none.
     """
     pixels_per_cell, cells_per_pixel = scale

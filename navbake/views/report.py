@@ -69,16 +69,18 @@ def write_report(
     Args:
         grids: one or more grids.
         path: the path of the HTML file.
-        names: see `render_report`.
-        audits: see `render_report`.
-        verifications: see `render_report`.
+        names: the names of the grids on the page; None for the names of their scenes.
+        audits: for each grid a report of `navbake.audit`, or None.
+        verifications: for each grid what `VerifyReport.to_json` returns, or None.
 
     Returns:
         The path.
 
     Raises:
-        FormatError: the file can't be written.
-        QueryError: see `render_report`.
+        FormatError: the file can't be written, or a verification names a level that its grid
+            doesn't have.
+        QueryError: there is no grid; there are more or fewer names, audits or verifications than
+            grids; or a verification is of another scene.
     """
     content = render_report(grids, names=names, audits=audits, verifications=verifications)
     write_bytes(content, path)
@@ -287,7 +289,7 @@ def _tabulate_remarks(
 
 
 def _check_verification(grid: NavGrid, verification: Json) -> None:
-    """Check that a verification is of a grid; raise the errors of `render_report`."""
+    """Raise an error unless a verification has the scene, number of cells and levels of a grid."""
     num_cells = sum(level.free.size for level in grid.levels)
     num_levels = len(grid.levels)
     scene_id = verification.get("sceneId")

@@ -58,23 +58,23 @@ def cut_band(
             value=floor.shape,
             expected=expected,
         )
-    base = np.zeros((ny, nx)) if floor is None else np.asarray(floor, dtype=np.float64)
-    start = (base + low - voxels.origin[2]) / voxels.res
-    end = (base + high - voxels.origin[2]) / voxels.res
+    base_z = np.zeros((ny, nx)) if floor is None else np.asarray(floor, dtype=np.float64)
+    start_heights = (base_z + low - voxels.origin[2]) / voxels.res
+    end_heights = (base_z + high - voxels.origin[2]) / voxels.res
     if whole:
-        first = np.ceil(start - CELL_SLACK)
-        last = np.floor(end + CELL_SLACK)
+        first_layers = np.ceil(start_heights - CELL_SLACK)
+        end_layers = np.floor(end_heights + CELL_SLACK)
     else:
-        first = np.floor(start + CELL_SLACK)
-        last = np.ceil(end - CELL_SLACK)
-    first = np.nan_to_num(first).clip(0, nz)
-    last = np.nan_to_num(last).clip(0, nz)
-    occupied = np.isnan(base)
-    filled = voxels.occupied.transpose(1, 0, 2)[::-1]  # [x, y, z] as [row, col, z]
+        first_layers = np.floor(start_heights + CELL_SLACK)
+        end_layers = np.ceil(end_heights - CELL_SLACK)
+    first_layers = np.nan_to_num(first_layers).clip(0, nz)
+    end_layers = np.nan_to_num(end_layers).clip(0, nz)
+    is_occupied = np.isnan(base_z)
+    is_filled = voxels.occupied.transpose(1, 0, 2)[::-1]  # [x, y, z] as [row, col, z]
     # layer by layer, without a mask of all voxels
-    for k in range(int(first.min()), int(last.max())):
-        occupied |= filled[:, :, k] & (first <= k) & (k < last)
-    return occupied.astype(np.uint8)
+    for layer in range(int(first_layers.min()), int(end_layers.max())):
+        is_occupied |= is_filled[:, :, layer] & (first_layers <= layer) & (layer < end_layers)
+    return is_occupied.astype(np.uint8)
 
 
 def plan_of(
@@ -140,21 +140,23 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
         )
     lattice = level.lattice
     res = level.lattice.cell_size
-    stored = np.where(np.isnan(level.floor_height), np.float32(0), level.floor_height)
+    stored_floor = np.where(np.isnan(level.floor_height), np.float32(0), level.floor_height)
     has_floor = ~np.isnan(level.floor_height)
-    floor = np.where(has_floor, stored.astype(np.float64) * level.unit, level.ground)
-    slack = CELL_SLACK + np.spacing(np.abs(stored)).astype(np.float64) * level.unit / res
+    floor = np.where(has_floor, stored_floor.astype(np.float64) * level.unit, level.ground)
+    slack_layers = (
+        CELL_SLACK + np.spacing(np.abs(stored_floor)).astype(np.float64) * level.unit / res
+    )
     # whole voxels from `step` over the ground down to `step` over the lowest floor
-    num_lower_voxels = max(math.ceil(((level.ground - floor) / res - slack).max()), 0)
+    num_lower_voxels = max(math.ceil(((level.ground - floor) / res - slack_layers).max()), 0)
     bottom = level.ground + step - num_lower_voxels * res
-    start = np.floor((floor + step - bottom) / res + slack)
-    end = np.ceil((floor + height - bottom) / res - slack)
-    shape = (lattice.width, lattice.height, max(int(end.max()), 1))
+    start_layer = np.floor((floor + step - bottom) / res + slack_layers)
+    end_layer = np.ceil((floor + height - bottom) / res - slack_layers)
+    shape = (lattice.width, lattice.height, max(int(end_layer.max()), 1))
     check_memory(shape, 1)
     values = np.zeros(shape, dtype=np.bool_)
-    columns = values.transpose(1, 0, 2)[::-1]
-    filled = level.occupancy != 0
-    for k in range(values.shape[2]):
-        columns[:, :, k] = filled & (start <= k) & (k < end)
+    value_columns = values.transpose(1, 0, 2)[::-1]
+    is_filled_cell = level.occupancy != 0
+    for layer in range(values.shape[2]):
+        value_columns[:, :, layer] = is_filled_cell & (start_layer <= layer) & (layer < end_layer)
     x_low, y_low, _, _ = lattice.bounds
     return VoxelGrid(values=values, origin=(x_low, y_low, bottom), res=res)

@@ -16,7 +16,7 @@ from navbake.batch.scenes import (
     nest_settings,
     read_shared_settings,
 )
-from navbake.config.keywords import merge
+from navbake.config.keywords import overlay_settings
 from navbake.errors import ConfigError
 
 
@@ -236,9 +236,9 @@ def test_a_scene_has_the_settings_of_the_batch_its_own_and_those_of_its_row(fold
 def test_settings_are_laid_over_each_other_section_by_section():
     below = {"a": {"b": 1, "c": 2}, "d": 3, "e": None}
     above = {"a": {"b": 5}, "d": 4, "e": {"f": 1}}
-    assert merge(below, above, "here") == {"a": {"b": 5, "c": 2}, "d": 4, "e": {"f": 1}}
-    assert merge(below, {"a": None, "d": None}, "here") == {**below, "d": None}
-    assert merge(below, {"a": {}, "d": {}, "g": {}}, "here") == {**below, "g": {}}
+    assert overlay_settings(below, above, "here") == {"a": {"b": 5, "c": 2}, "d": 4, "e": {"f": 1}}
+    assert overlay_settings(below, {"a": None, "d": None}, "here") == {**below, "d": None}
+    assert overlay_settings(below, {"a": {}, "d": {}, "g": {}}, "here") == {**below, "g": {}}
     given = {"scene.joints.door.hinge": 1, "a": {"b": 2}, "a.c": 3, "d": None, "d.e": 1}
     assert nest_settings(given.items(), Path(), "here") == {
         "scene": {"joints": {"door.hinge": 1}},

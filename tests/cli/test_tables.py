@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.cli.printing import print_error, print_tables, table_lines
+from navbake.cli.printing import lay_out_table, print_error, print_tables
 from navbake.navgrid.rooms import Room
 from navbake.views.tables import make_table, room_table
 
@@ -16,13 +16,13 @@ HEADINGS = ("id", "geom", "body", "why")
 
 def test_a_wide_table_has_one_line_a_row():
     table = make_table(HEADINGS, [(1, "a", "b c", "it counts")], numbers=("id",))
-    assert table_lines(table, 80) == ["id  geom  body  why", " 1  a     b c   it counts"]
+    assert lay_out_table(table, 80) == ["id  geom  body  why", " 1  a     b c   it counts"]
 
 
 def test_cells_are_wrapped_where_a_row_is_wider_than_the_terminal():
     row = (7, LONG, "shelf", "excluded: its body matches the pattern of `scene.exclude.bodies`")
-    lines = table_lines(make_table(HEADINGS, [row], numbers=("id",)), 80)
-    assert max(map(len, lines)) <= 80 < len(table_lines(make_table(HEADINGS, [row]))[1])
+    lines = lay_out_table(make_table(HEADINGS, [row], numbers=("id",)), 80)
+    assert max(map(len, lines)) <= 80 < len(lay_out_table(make_table(HEADINGS, [row]))[1])
     assert len(lines) > 2
 
 
@@ -32,19 +32,19 @@ def test_cells_are_wrapped_where_a_row_is_wider_than_the_terminal():
 )
 def test_every_character_is_printed(rows, width):
     table = make_table(("1", "2", "3"), rows)
-    printed = "".join(table_lines(table, width))
+    printed = "".join(lay_out_table(table, width))
     for letter in "ac語":
         assert printed.count(letter) == sum(cell.count(letter) for row in rows for cell in row)
 
 
 def test_wide_characters_take_two_columns():
-    lines = table_lines(make_table(("name", "n"), [("厨房", 1), ("hall", 2)]), 80)
+    lines = lay_out_table(make_table(("name", "n"), [("厨房", 1), ("hall", 2)]), 80)
     assert lines[1:] == ["厨房  1", "hall  2"]
 
 
 def test_columns_without_anything_are_left_out():
     table = make_table(("a", "b", "c"), [(1, "", 2), (3, "", "")]).without_empty_columns()
-    assert table_lines(table, 80) == ["a  c", "1  2", "3"]
+    assert lay_out_table(table, 80) == ["a  c", "1  2", "3"]
 
 
 def test_a_terminal_gets_what_fits_and_a_pipe_everything(monkeypatch, capsys):
@@ -71,7 +71,7 @@ def test_errors_are_not_printed_on_stdout_where_stderr_is_closed(monkeypatch, ca
 
 @pytest.mark.parametrize("name", ["\x1b[2Jroom", "room\x9b31m", "a\nb", "\u202eroom"])
 def test_control_characters_are_shown(name):
-    text = "\n".join(table_lines(make_table(("name", "n"), [(name, 1)]), 80))
+    text = "\n".join(lay_out_table(make_table(("name", "n"), [(name, 1)]), 80))
     assert name not in text
     assert text.replace("\n", "").isprintable()
 
@@ -84,6 +84,6 @@ def room(number):
 
 
 def test_rooms_of_one_level_have_short_rows():
-    lines = table_lines(room_table([room(n) for n in range(1, 51)], ["ground floor"]), 80)
+    lines = lay_out_table(room_table([room(n) for n in range(1, 51)], ["ground floor"]), 80)
     assert len(lines) == 51
     assert lines[0].split() == ["id", "m2", "centroid", "x", "y", "z", "m", "from"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from navbake.config.keywords import config_with, memory_config
+from navbake.config.keywords import add_keywords_to_config, make_memory_config
 from navbake.config.settings import is_memory_path, load_config, stem_of
 from navbake.errors import ConfigError
 
@@ -30,7 +30,7 @@ def test_keys_of_sections_are_replaced_one_by_one(house):
         "levels": [{"ground": 0.0}],
     }
     for config in (house, str(house), load_config(house)):
-        found = config_with(config, over)
+        found = add_keywords_to_config(config, over)
         assert found.scene.path == house.parent / "house.xml"
         assert found.scene.exclude.bodies == ["dog"]
         assert found.scene.exclude.movable is True
@@ -38,22 +38,24 @@ def test_keys_of_sections_are_replaced_one_by_one(house):
         assert (found.agent.height, found.agent.radius) == (1.5, 0.2)
         assert [level.ground for level in found.levels] == [0.0]
         assert [room.name for room in found.rooms.polygons] == ["hall"]
-    assert config_with({"scene": {"path": "a.xml"}}, over).agent.radius == 0.2
-    assert config_with("a.xml", over).scene.id == "a"
+    assert add_keywords_to_config({"scene": {"path": "a.xml"}}, over).agent.radius == 0.2
+    assert add_keywords_to_config("a.xml", over).scene.id == "a"
 
 
 def test_keys_do_not_undo_a_short_form():
     with pytest.raises(
         ConfigError, match=r"`rooms` is \"none\", so there is no key for `rooms\.min_"
     ):
-        config_with({"scene": {"path": "a.xml"}, "rooms": "none"}, {"rooms": {"min_area": 2}})
+        add_keywords_to_config(
+            {"scene": {"path": "a.xml"}, "rooms": "none"}, {"rooms": {"min_area": 2}}
+        )
 
 
 def test_without_keywords_settings_stay_as_they_are(house):
     config = load_config(house)
-    assert config_with(config, {}) is config
-    assert config_with(house, {}) == config
-    assert config_with(config, {"agent": {}}) == config
+    assert add_keywords_to_config(config, {}) is config
+    assert add_keywords_to_config(house, {}) == config
+    assert add_keywords_to_config(config, {"agent": {}}) == config
 
 
 def test_python_values_count_as_those_of_yaml():
@@ -62,7 +64,7 @@ def test_python_values_count_as_those_of_yaml():
         "grid": {"bounds": (0, 0, np.int64(2), 3), "margin": np.float64(1)},
         "floors": {"from": np.zeros((1, 3))},
     }
-    config = config_with("a.xml", over)
+    config = add_keywords_to_config("a.xml", over)
     assert config.agent.radius == 0.25
     assert config.grid.bounds == [0, 0, 2, 3]
     assert config.floors.starts == [[0, 0, 0]]
@@ -70,20 +72,20 @@ def test_python_values_count_as_those_of_yaml():
 
 def test_errors_name_where_the_settings_are_from(house):
     with pytest.raises(ConfigError, match=r"`agent.radius` in .*house\.yaml with the keywords"):
-        config_with(house, {"agent": {"radius": -1}})
+        add_keywords_to_config(house, {"agent": {"radius": -1}})
     with pytest.raises(ConfigError, match=r"at `agent.radius` in the settings with the keywords"):
-        config_with({"scene": {"path": "a.xml"}}, {"agent": {"radius": -1}})
+        add_keywords_to_config({"scene": {"path": "a.xml"}}, {"agent": {"radius": -1}})
     with pytest.raises(ConfigError, match=r"at `agent.radius` in the keywords"):
-        memory_config("flat", {"agent": {"radius": -1}})
+        make_memory_config("flat", {"agent": {"radius": -1}})
     with pytest.raises(ConfigError, match=r"expected a mapping, got 5 at `scene` in the keywords"):
-        memory_config("flat", {"scene": 5})
+        make_memory_config("flat", {"scene": 5})
 
 
 def test_scene_in_memory_has_a_name_in_place_of_a_path():
     for name, stem in (("flat", "flat"), ("a/b\\c", "a_b_c"), ("", "scene"), ("..", "scene")):
-        settings = memory_config(name, {}).scene
+        settings = make_memory_config(name, {}).scene
         assert is_memory_path(settings.path)
         assert stem_of(settings.path) == settings.id == stem
-    named = memory_config("flat", {"scene": {"path": "scenes/house.xml"}}).scene
+    named = make_memory_config("flat", {"scene": {"path": "scenes/house.xml"}}).scene
     assert (named.id, stem_of(named.path)) == ("house", "house")
     assert not is_memory_path(named.path)

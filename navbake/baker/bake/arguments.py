@@ -20,7 +20,7 @@ from navbake.baker.scene.model import (
 from navbake.baker.scene.names import all_names
 from navbake.baker.scene.scene import load_scene_file
 from navbake.config.field_types import make_config_error
-from navbake.config.keywords import config_with, memory_config
+from navbake.config.keywords import add_keywords_to_config, make_memory_config
 from navbake.config.settings import BakeConfig, ExcludeSettings
 from navbake.errors import ConfigError
 from navbake.known_names import suggest
@@ -65,7 +65,7 @@ def parse_arguments(
     if is_in_memory(scene):
         if limits is not None:
             raise ConfigError("`isolate` is for scene files: this scene is in memory")
-        config = memory_config(name_of(scene), settings)
+        config = make_memory_config(name_of(scene), settings)
         scene_model = load_from_memory(scene, data, config.scene)
     else:
         if data is not None:
@@ -78,7 +78,7 @@ def parse_arguments(
                 "expected a file, settings or a model, got XML text: "
                 "`mujoco.MjSpec.from_string` makes a model of it"
             )
-        config = config_with(scene, settings)
+        config = add_keywords_to_config(scene, settings)
     if exclude is None and robot is None:
         return config, scene_model
     # The model says which bodies there are. The bake needs it as well, and does not load it again.

@@ -101,7 +101,7 @@ class Line(NamedTuple):
 
 
 class ShownNodes(NamedTuple):
-    """The nodes that viser's scene shows under a name."""
+    """The nodes of viser's scene that are drawn under a name, and what they were drawn for."""
 
     key: object  # the nodes are replaced when this value changes
     nodes: list[viser.SceneNodeHandle]
@@ -624,7 +624,10 @@ def make_view_state(
     episodes: EpisodeSet | str | PathLike[str] | None = None,
     trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
 ) -> ViewState:
-    """Read a grid and its scene for the viewer; arguments and errors are those of `view`."""
+    """Read what the viewer shows: a grid, its scene, episodes and trajectories.
+
+    The arguments and errors are those of `view`.
+    """
     # loads MuJoCo, which a page without a scene doesn't need
     from navbake.verifier.source import NoSceneError, find_source
 
@@ -660,9 +663,9 @@ def watch_grid(
     Args:
         grid: the grid's file.
         scene: the scene's file, None for the one that the grid names.
-        force: see `view`.
-        episodes: see `view`.
-        trajectories: see `view`.
+        force: whether to show the grid even in a scene that it was not baked from.
+        episodes: the file of a set of episodes to show; None for none.
+        trajectories: an agent's trajectories in episodes, or their file.
 
     Returns:
         A watch whose `read` reads both again.

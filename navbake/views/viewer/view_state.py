@@ -191,7 +191,7 @@ class FreeSpace(NamedTuple):
 
 
 class Run(NamedTuple):
-    """An episode, and an agent's trajectory in it."""
+    """What the page can show of one episode: its task, and an agent's trajectory in it."""
 
     episode: Episode | None  # None where only the trajectory is known
     trajectory: Trajectory | None
@@ -499,7 +499,7 @@ class ViewState:
         return meshes.draw_scene(
             self.scene,
             data=posed_scene.data,
-            removed=posed_scene.removed,
+            removed=posed_scene.removed_geoms,
             with_hidden=choices.with_hidden,
         )
 
