@@ -91,7 +91,7 @@ def _floor(rng: random.Random, width: float, depth: float) -> tuple[str, bool]:
         return '<geom name="ground" type="plane" size="0 0 1"/>', True
     if kind < 0.85:
         return f'<geom name="hills" type="hfield" hfield="hills" pos="{x} {y} 0"/>', False
-    return f'<geom name="floor" type="plane" pos="{x} {y} 0" size="{x} {y} 1"/>', False
+    return f'<geom name="floor" type="plane" pos="{x} {y} 0" size="{x} {y} 1"/>', True
 
 
 def _partition(rng: random.Random, x: float, depth: float, height: float) -> str:

@@ -19,6 +19,7 @@ from navbake.views.tables import make_table
 
 if TYPE_CHECKING:
     from navbake.episodes.episode import EpisodeSet
+    from navbake.navgrid.grid import NavGrid
 
 # Functions import what reads grids when they run: --help stays quick.
 
@@ -80,10 +81,12 @@ def episodes(
         rules["edges"] = rules["edges"].split(",")
     shares = options.read_pairs(split, "--split", "NAME=SHARE")
     count = total or (per_scene or 100) * len(grids)
+    loaded_grids = [navbake.load(grid) for grid in grids]
+    sampler_rules = sets.make_rules(sampler, **rules)
     episode_set = sets.make_episodes(
-        [navbake.load(grid) for grid in grids],
+        loaded_grids,
         sets.make_task(task, radius=reach, length=length, of=of, share=share, **task_fields),
-        sets.make_rules(sampler, **rules),
+        sampler_rules,
         count=count,
         seed=seed,
         radius=radius,
@@ -99,8 +102,24 @@ def episodes(
     say_unless_quiet(f"{output}: {len(episode_set)} episodes, {num_rejected} draws refused")
     for reason, num_draws in rejected_draws.items():
         say_unless_quiet(f"  {num_draws:>8} {reason}")
+    yards = [] if sampler_rules.outdoors else list(filter(None, map(_yard_area, loaded_grids)))
+    if yards:
+        say_unless_quiet(
+            f"outdoors is left out, {sum(yards):.0f} m² of {len(yards)} "
+            f"scene{'s' if len(yards) > 1 else ''}: `--rule outdoors=true` takes it in"
+        )
     if len(episode_set) < count:
         say(f"only {len(episode_set)} of {count}: the rules refuse the rest")
+
+
+def _yard_area(grid: NavGrid) -> float:
+    """Return the area outdoors round a building [m²]; 0 if there is no building."""
+    from navbake.navgrid.rooms import has_building  # loads numpy
+
+    rooms = grid.rooms
+    if not has_building(rooms):
+        return 0.0
+    return sum(room.area for room in rooms if room.outdoors)
 
 
 def _relative_path(path: Path, folder: Path) -> str:

@@ -36,6 +36,7 @@ from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid import links
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.rooms import has_building
 from navbake.runtime.blocking import fit_grid
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Bool, Float, Int
@@ -57,6 +58,9 @@ class Rules(Record, frozen=True, kw_only=True):
     """Least length of the shortest path, and of each leg of a sequence of points or objects [m]."""
     max_distance: Length | None = None  #: Largest length of the shortest path [m].
     max_rise: Length | None = None  #: Largest difference of the floors of start and goal [m].
+    outdoors: bool = False
+    """Whether starts and points that are goals may lie in rooms that are outdoors. They may anyhow
+    in a scene without a building (`has_building`), or where no agent can stand in a room."""
     same_level: bool = False  #: Whether start and goal have to be on the same level.
     min_ratio: Annotated[float, msgspec.Meta(ge=1)] = 1.0
     """Least ratio of the lengths of the shortest path and of the straight line."""
@@ -310,10 +314,17 @@ class _SceneSampler:
         self.rng = np.random.default_rng([seed, int.from_bytes(scene_hash[:8], "big")])
         self.rejected = Counter[str]()
         self.island_radii = self._measure_islands()
+        self.outdoors = rules.outdoors or not has_building(grid.rooms) or not self._has_free_room()
         self.class_edges: tuple[float, ...] = (0.0,)
         if rules.strata:
             self.class_edges = rules.edges or CLASS_EDGES[rules.strata]
         self.num_missing_of_class: list[int] = []  # episodes still to be drawn in each class
+
+    def _has_free_room(self) -> bool:
+        """Return whether an agent can stand in a room that isn't outdoors."""
+        search = self.finder.search
+        in_room = search.rooms.number > 0
+        return bool((search.flat.free & in_room & ~search.mark_outdoors()).any())
 
     def _measure_islands(self) -> Float:
         """Return for each island the distance of its farthest cell from its middle [m]."""
@@ -393,7 +404,7 @@ class _SceneSampler:
         """
         task = self.task
         if task.kind == "point":
-            points = self.finder.random_point(self.rng, num_goals)
+            points = self.finder.random_point(self.rng, num_goals, outdoors=self.outdoors)
             return [Goal(position=(x, y, z), radius=task.reach) for x, y, z in points.tolist()]
         labels = list(self.goals.choices)
         if not labels:
@@ -412,7 +423,7 @@ class _SceneSampler:
         For each episode, `Rules.tries` starts are drawn; the first that no rule refuses is used.
         """
         rules = self.rules
-        starts = self.finder.random_point(self.rng, count * rules.tries)
+        starts = self.finder.random_point(self.rng, count * rules.tries, outdoors=self.outdoors)
         lower_limits = [[-math.pi], [0.0]]
         upper_limits = [[math.pi], [1.0]]
         headings, chances = self.rng.uniform(lower_limits, upper_limits, (2, len(starts)))

@@ -22,6 +22,8 @@ ROOMS = "metadata.navbake.rooms"
 DOORS = "metadata.navbake.doors"
 State: TypeAlias = Literal["modelled", "open", "closed", "removed"]
 DOOR_STATES: tuple[str, ...] = get_args(State)
+# Rooms beside a yard are a building from this area on; a hut or a shelter in the open is none [m²]
+MIN_BUILDING_AREA = 10.0
 MAX_DOOR_DISTANCE = 0.4  # a door this close to an opening between rooms is in the opening [m]
 
 
@@ -78,6 +80,20 @@ class Room:
         if not self.outdoors:
             del entry["outdoors"]
         return entry
+
+
+def has_building(rooms: Sequence[Room]) -> bool:
+    """Return whether a building stands in the open: rooms with outdoors round them.
+
+    That is so if, on a level with a room that is outdoors, the other rooms have at least
+    `MIN_BUILDING_AREA` together.
+    """
+    yard_levels = {room.level for room in rooms if room.outdoors}
+    return any(
+        sum(room.area for room in rooms if room.level == level and not room.outdoors)
+        >= MIN_BUILDING_AREA
+        for level in yard_levels
+    )
 
 
 def parse_rooms(entries: object, num_levels: int) -> tuple[Room, ...]:

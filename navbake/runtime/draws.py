@@ -67,6 +67,7 @@ class SpawnRules(NamedTuple):
             radius.
         facing: a position or a heading [rad]; None for random headings.
         stratify: ``area``, ``room``, ``island`` or None.
+        outdoors: whether agents may start in rooms that are outdoors.
     """
 
     rooms: str | Sequence[str] | None
@@ -77,6 +78,7 @@ class SpawnRules(NamedTuple):
     min_distance: float | None
     facing: ArrayLike | None
     stratify: str | None
+    outdoors: bool
 
 
 class Spacing(NamedTuple):
@@ -114,9 +116,12 @@ def random_point(
     allowed = search.mark_allowed(level=level, room=room, islands=islands, outdoors=outdoors)
     cells = np.flatnonzero(allowed)
     island_text = ", ".join(map(str, islands or ()))
-    limits: dict[str, object] = {"level": level, "room": room, "island": island_text or None}
-    if not outdoors:
-        limits["outdoors"] = False
+    limits: dict[str, object] = {
+        "level": level,
+        "room": room,
+        "island": island_text or None,
+        **_describe_outdoors(outdoors),
+    }
     return _draw_places(search, cells, rng, count, anywhere, limits)
 
 
@@ -132,6 +137,7 @@ def random_point_near(
     room: str | None,
     level: int | None,
     anywhere: bool,
+    outdoors: bool,
 ) -> Float:
     """Draw places near a position, uniformly by area.
 
@@ -140,7 +146,13 @@ def random_point_near(
     cells = _find_cells_near(search, position, min_distance, max_distance, straight, level)
     if room is not None:
         cells = cells[search.rooms.number[cells] == search.rooms.find(room)]
-    limits = {"room": room, **_describe_distances(min_distance, max_distance)}
+    if not outdoors:
+        cells = cells[~search.mark_outdoors()[cells]]
+    limits = {
+        "room": room,
+        **_describe_distances(min_distance, max_distance),
+        **_describe_outdoors(outdoors),
+    }
     return _draw_places(search, cells, rng, count, anywhere, limits)
 
 
@@ -174,6 +186,7 @@ def random_pose(
     in_sight: bool,
     same_room: bool,
     level: int | None,
+    outdoors: bool,
 ) -> Pose:
     """Draw a pose, facing a target if there is one.
 
@@ -181,10 +194,13 @@ def random_pose(
     """
     rng = as_generator(rng)
     if target is None:
-        cells = np.flatnonzero(search.mark_allowed(level=level))
-        place = _draw_places(search, cells, rng, None, False, {"level": level})
+        cells = np.flatnonzero(search.mark_allowed(level=level, outdoors=outdoors))
+        free_limits = {"level": level, **_describe_outdoors(outdoors)}
+        place = _draw_places(search, cells, rng, None, False, free_limits)
         return Pose(place, float(rng.uniform(-math.pi, math.pi)))
     cells = _find_cells_near(search, target, min_distance, max_distance, True, level)
+    if not outdoors:
+        cells = cells[~search.mark_outdoors()[cells]]
     flat = search.flat
     room_numbers = search.rooms.number
     target_position, target_cell = flat.locate(target, level)
@@ -199,7 +215,11 @@ def random_pose(
             target_cell, target_position, cells, points, room_numbers
         )
         cells = cells[first_index : first_index + 1] if first_index >= 0 else cells[:0]
-    limits = {**_describe_distances(min_distance, max_distance), "in sight": in_sight}
+    limits = {
+        **_describe_distances(min_distance, max_distance),
+        "in sight": in_sight,
+        **_describe_outdoors(outdoors),
+    }
     place = _draw_places(search, cells, rng, None, False, limits)
     to_target = target_position[:2] - place[:2]
     return Pose(place, math.atan2(to_target[1], to_target[0]))
@@ -352,6 +372,11 @@ def _describe_distances(min_distance: float, max_distance: float) -> dict[str, o
     return {"distance [m]": f"{min_distance:g} to {max_distance:g}"}
 
 
+def _describe_outdoors(outdoors: bool) -> dict[str, object]:
+    """Return the limit that an error states where places outdoors are left out."""
+    return {} if outdoors else {"outdoors": False}
+
+
 def as_generator(rng: object) -> Generator:
     """Return the given random generator, or make a new one if it is None.
 
@@ -417,15 +442,18 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
         plural = "s" if len(islands) > 1 else ""
         place_text += f" on island{plural} {', '.join(map(str, islands))}"
 
+    if not rules.outdoors:
+        place_text += " indoors"
+
     def find_cells() -> Int:
-        allowed = search.mark_allowed(level=level, islands=islands)
+        allowed = search.mark_allowed(level=level, islands=islands, outdoors=rules.outdoors)
         if room_numbers:
             allowed = allowed & np.isin(search.rooms.number, room_numbers)
         if agent_clearance is not None:
             allowed = allowed & find_free(grid, agent_clearance, ledges_setting(grid))
         return sort_along_hilbert_curve(search.flat, np.flatnonzero(allowed))
 
-    key = (room_numbers, level, islands, agent_clearance)
+    key = (room_numbers, level, islands, agent_clearance, rules.outdoors)
     cells = search.cached_result("spawns", key, find_cells)
     if not len(cells):
         clearance_text = "" if agent_clearance is None else f" with {agent_clearance:g} m round"

@@ -852,6 +852,7 @@ class PathFinder:
         room: str | None = None,
         level: int | None = None,
         anywhere: bool = False,
+        outdoors: bool = True,
     ) -> Float:
         """Draw places near a position, uniformly by area.
 
@@ -869,6 +870,7 @@ class PathFinder:
             level: the position's level, for which x, y are then enough; None finds it by z.
             anywhere: draw points anywhere in the cells, up to half a cell nearer to obstacles; else
                 the cells' centres.
+            outdoors: whether places in rooms that are outdoors are drawn, too.
 
         Returns:
             World x, y and floor z [m], float64: shape (3,), or (count, 3).
@@ -891,6 +893,7 @@ class PathFinder:
             room=room,
             level=level,
             anywhere=anywhere,
+            outdoors=outdoors,
         )
 
     def any_free_in_annulus(
@@ -924,6 +927,7 @@ class PathFinder:
         in_sight: bool = True,
         same_room: bool = False,
         level: int | None = None,
+        outdoors: bool = True,
     ) -> Pose:
         """Draw a pose, facing a target if there is one.
 
@@ -937,6 +941,7 @@ class PathFinder:
                 is in, see `snap`.
             same_room: the agent stands in the target's room.
             level: the target's level; without a target, the agent's.
+            outdoors: whether the agent may stand in rooms that are outdoors.
 
         Returns:
             ``position``, world x, y and floor z [m], shape (3,), and ``heading``, 0 along x,
@@ -958,6 +963,7 @@ class PathFinder:
             in_sight=in_sight,
             same_room=same_room,
             level=level,
+            outdoors=outdoors,
         )
 
     def spawn(
@@ -973,6 +979,7 @@ class PathFinder:
         min_distance: float | None = None,
         facing: ArrayLike | None = None,
         stratify: str | None = None,
+        outdoors: bool = True,
     ) -> Spawns:
         """Draw collision-free start poses for many agents.
 
@@ -999,6 +1006,7 @@ class PathFinder:
                 ``island`` draw about equally many agents in each room or island; with ``room``, no
                 agent stands in a cell without a room. Agents that don't fit into a part are drawn
                 in other parts.
+            outdoors: whether agents may start in rooms that are outdoors.
 
         Returns:
             ``positions``, world x, y and floor z [m], shape (n, 3), and ``headings`` [rad],
@@ -1020,6 +1028,7 @@ class PathFinder:
             min_distance=min_distance,
             facing=facing,
             stratify=stratify,
+            outdoors=outdoors,
         )
         return draws.spawn(self.search, rng, n, rules)
 

@@ -362,9 +362,14 @@ class Search:
         if islands is not None:
             is_allowed = is_allowed & np.isin(self.islands.number, islands)
         if not outdoors:
-            is_outdoors = np.array([False, *(room.outdoors for room in self.rooms.rooms)])
-            is_allowed = is_allowed & ~is_outdoors[self.rooms.number]
+            is_allowed = is_allowed & ~self.mark_outdoors()
         return is_allowed
+
+    def mark_outdoors(self) -> Bool:
+        """Mark the cells in rooms that are outdoors, whether they are free or not, by flat id."""
+        is_outdoor_room = np.array([False, *(room.outdoors for room in self.rooms.rooms)])
+        is_outdoors: Bool = is_outdoor_room[self.rooms.number]
+        return is_outdoors
 
     def allowed_islands(
         self, island: int | None, reachable_from: ArrayLike | None

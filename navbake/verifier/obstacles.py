@@ -39,6 +39,7 @@ HALF_SPACE = "half-space"  # an infinite plane, solid below
 HEIGHT_FIELD = "height field"
 ENCLOSING = (HEIGHT_FIELD, SOLID, CAVITY)  # a column inside of these may not touch their surface
 
+FACES_UP = np.sqrt(0.5)  # the least z of the normal of a plane that is ground
 INFINITE_HALF_SIZE = 1e4  # stands for the infinite side of a plane whose other side is finite [m]
 MIN_NORMAL_Z = 1e-9  # least |z| of the unit normal of a face that a vertical line can cross
 SAME_DIRECTION_COSINE = 1 - 1e-12  # least cosine between directions that count as the same
@@ -282,7 +283,7 @@ class Obstacles:
         if geom_type != GEOM.mjGEOM_PLANE:
             solid = SOLID_GEOMETRIES[geom_type].make_shape(size)
             return [GeomShape(CONVEX, solid, {"type": geom_type, "size": size})]
-        if (size[:2] <= 0).all():
+        if self._is_ground(geom) or (size[:2] <= 0).all():
             half_space = fcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
             return [GeomShape(HALF_SPACE, half_space, {"type": geom_type, "size": [0, 0, 1]})]
         half_x, half_y = np.where(size[:2] > 0, size[:2], INFINITE_HALF_SIZE)
@@ -297,6 +298,17 @@ class Obstacles:
         rectangle = _make_triangle_surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
         attributes: Json = {"type": geom_type, "size": [*size[:2], 1.0]}
         return [GeomShape(OPEN_SURFACE, rectangle, attributes, corners)]
+
+    def _is_ground(self, geom: int) -> bool:
+        """Return whether a plane is endless ground: it stands, can collide, and faces up.
+
+        MuJoCo collides a plane as endless, whatever its size: the size is only drawn.
+        """
+        model = self._scene.model
+        body = int(model.geom_bodyid[geom])
+        stands = model.body_weldid[body] == 0 and model.body_mocapid[body] < 0
+        can_collide = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        return bool(stands and can_collide and self._scene.data.geom_xmat[geom, 8] >= FACES_UP)
 
     def _place_shape(self, geom: int, shape: GeomShape, rotation: Float, position: Float) -> None:
         """Place a shape in the world, and add the geom that represents it to MuJoCo's model."""

@@ -23,6 +23,7 @@ from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.errors import printable
+from navbake.navgrid.rooms import has_building
 from navbake.types import Bool, Float, Int
 
 SAMPLED_ROWS = 64  # every 64th row is read first, to see how low a level's floor is
@@ -30,6 +31,8 @@ ROW_CHUNK = 64  # rows of a level that are searched together for a free cell
 # Unreached floors are warned of level by level on at most this many levels, those with the largest
 # unreached floors; one more warning sums up the others
 MAX_UNREACHED_LISTED = 5
+# A room outdoors with more than this fraction of the area of all rooms is warned of
+YARD_SHARE = 0.75
 # A configured ground may have been set too high by a slab's thickness: a floor up to this far below
 # it may be the one that was meant [m]
 MAX_GROUND_ERROR = 0.5
@@ -150,6 +153,7 @@ def warn_of_structure(
         *_warn_hidden_ground(config, floors, scene),
         *(standing_occupants.warnings if standing_occupants else ()),
         *rooms.warnings,
+        *_warn_yard(rooms),
         *_warn_interleaved(floors, occupancy, boxes),
         *uncounted_warnings,
     ]
@@ -427,6 +431,21 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
             f"other geoms, which hides it: `grid.margin` or `grid.bounds` shows the ground at "
             f"{z:.2f} m around them"
         )
+
+
+def _warn_yard(rooms: Rooms) -> Iterator[str]:
+    """Warn of a yard round a building with more than `YARD_SHARE` of the area of all rooms."""
+    if not has_building(rooms.table):
+        return
+    total_area = sum(room.area for room in rooms.table)
+    for room in rooms.table:
+        if room.outdoors and room.area > YARD_SHARE * total_area:
+            yield (
+                f"{room.area / total_area:.0%} of the floor, {room.area:.0f} of {total_area:.0f} "
+                f"m², is outdoors, in {room.id!r}: most places that are drawn at random lie there; "
+                "`grid.bounds` or a smaller `grid.margin` bakes less of it, and "
+                "`outdoors=False` draws places indoors"
+            )
 
 
 def _warn_interleaved(floors: Floors, occupancy: Occupancy, boxes: LevelBoxes) -> Iterator[str]:

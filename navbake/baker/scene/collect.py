@@ -404,6 +404,7 @@ def collect_shapes(
         [data.geom_xpos[counted_ids], data.geom_xmat[counted_ids], model.geom_size[counted_ids]]
     )
     is_finite = (np.abs(pose_numbers) <= MAX_LENGTH).all(axis=1)  # NaN isn't
+    is_ground = mark_ground_planes(model, data)
     # Iterating over lists is faster than over arrays.
     geom_rows = zip(
         counted_ids.tolist(),
@@ -423,7 +424,7 @@ def collect_shapes(
             continue
         if geom_type == constants.PLANE:
             half_sides = model.geom_size[geom, :2]
-            if (half_sides <= 0).all():
+            if is_ground[geom] or (half_sides <= 0).all():
                 plane_geoms.append(geom)
                 shape_kinds[geom] = "half-space"
                 continue
@@ -459,6 +460,56 @@ def collect_shapes(
         is_endless=is_endless,
     )
     return shapes, shape_kinds, list(warnings.values())
+
+
+def mark_ground_planes(model: mujoco.MjModel, data: mujoco.MjData) -> Bool:
+    """Mark the planes that are endless ground: they stand, can collide, and face up within 45°.
+
+    MuJoCo collides a plane as endless, whatever its size: the size is only drawn. A plane that
+    faces to the side or down is a wall or a ceiling, as large as it is drawn: as endless, it would
+    fill all that is behind it.
+
+    Args:
+        model: the model.
+        data: the model's pose.
+
+    Returns:
+        A mask by geom id, shape (ngeom,), bool.
+    """
+    body = model.geom_bodyid
+    stands = (model.body_weldid[body] == 0) & (model.body_mocapid[body] < 0)
+    can_collide = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    faces_up = data.geom_xmat[:, 8] >= np.sqrt(0.5)
+    is_plane = model.geom_type == constants.PLANE
+    is_ground: Bool = is_plane & stands & can_collide & faces_up
+    return is_ground
+
+
+def drawn_box_of_planes(
+    model: mujoco.MjModel, data: mujoco.MjData, plane_ids: Iterable[int]
+) -> Float | None:
+    """Return the box round the rectangles that MuJoCo's viewer draws for planes.
+
+    Args:
+        model: the model.
+        data: the model's pose.
+        plane_ids: geom ids of the planes.
+
+    Returns:
+        The lowest and the highest corner, shape (2, 3), world frame [m]; None if each of the planes
+        is drawn endless, along at least one side.
+    """
+    corners = list[Float]()
+    for geom in plane_ids:
+        half_sides = model.geom_size[geom, :2]
+        if (half_sides > 0).all():
+            rotation = data.geom_xmat[geom].reshape(3, 3)
+            rectangle = tessellate("plane", half_sides.tolist()).vertices
+            corners.append(rectangle @ rotation.T + data.geom_xpos[geom])
+    if not corners:
+        return None
+    all_corners = np.concatenate(corners)
+    return np.stack([all_corners.min(axis=0), all_corners.max(axis=0)])
 
 
 def _collect_solids(model: mujoco.MjModel, data: mujoco.MjData, geom_ids: Int32) -> Solids:

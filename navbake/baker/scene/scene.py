@@ -20,6 +20,7 @@ from navbake.baker.scene.collect import (
     GeomSelection,
     MeshTriangles,
     collect_shapes,
+    drawn_box_of_planes,
     select_geoms,
 )
 from navbake.baker.scene.hull_room import HullRoomTest
@@ -98,8 +99,9 @@ class Scene:
         id: the scene's id, from the settings or the file name.
         geoms: for each geom, whether and how it is baked.
         shapes: the geometry of the geoms that count, world frame.
-        bounds: lowest and highest x, y, z of all finite geoms of the structure, (2, 3) [m]; None if
-            there are none.
+        bounds: lowest and highest x, y, z of all finite geoms of the structure, (2, 3) [m]; where
+            all of the structure is endless planes, those of the rectangles that MuJoCo draws for
+            them; None if these are endless, too.
         digest: sha256 of the posed model: its geoms, their poses, and how they can move.
         warnings: the warnings about the scene, one line each.
         hints: the warnings that say why there may be no floor: axes or units look wrong, or a sky
@@ -224,7 +226,10 @@ def load_scene(
         raise SceneError(f"{error}, in {settings.path}") from error
     roles = counted_geoms.roles
     _check_any_counts(counted_geoms.selections, scene_model.ground, settings)
-    bounds = counted_geoms.shapes.only(mark_structure(roles.roles)).bounds
+    structure = counted_geoms.shapes.only(mark_structure(roles.roles))
+    bounds = structure.bounds
+    if bounds is None:
+        bounds = drawn_box_of_planes(model, data, structure.planes.geom.tolist())
     model_warnings = [
         " ".join(warning.split()) for warning in [*scene_model.warnings, *pose_warnings]
     ]

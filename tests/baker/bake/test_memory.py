@@ -156,8 +156,9 @@ def table_scene(rng: np.random.Generator) -> str:
 def test_tables_bake_from_memory_as_from_their_files(seed, tmp_path):
     path = tmp_path / "table.xml"
     path.write_text(table_scene(np.random.default_rng(seed)), encoding="utf-8")
-    expected = bytes_of(path, robot="mount", grid={"cell_size": 0.1})
-    settings = {"scene": {"path": path}, "grid": {"cell_size": 0.1}}
+    grid = {"cell_size": 0.1, "margin": 1.0}  # the floor, a plane, is endless
+    expected = bytes_of(path, robot="mount", grid=grid)
+    settings = {"scene": {"path": path}, "grid": grid}
     model = mujoco.MjModel.from_xml_path(str(path))
     assert bytes_of(model, robot=model.body("mount"), **settings) == expected
     spec = mujoco.MjSpec.from_file(str(path))

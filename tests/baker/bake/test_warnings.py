@@ -75,6 +75,23 @@ def test_what_no_warning_is_in_a_file_is_passed_over(scene):
         assert grid.warnings == kept
 
 
+def test_a_yard_that_is_most_of_the_floor_is_told(scene):
+    walls = [
+        box("south", -3, -3, 0, 3, -2.9, 2.6),
+        box("north", -3, 2.9, 0, 3, 3, 2.6),
+        box("west", -3, -2.9, 0, -2.9, 2.9, 2.6),
+        box("east", 2.9, -2.9, 0, 3, 2, 2.6),
+        box("roof", -3, -3, 2.6, 3, 3, 2.7),
+    ]
+    for half_side, is_told in ((4.0, False), (12.0, True)):
+        lawn = box("lawn", -half_side, -half_side, -0.2, half_side, half_side, 0)
+        settings = scene(lawn, *walls, grid={"cell_size": 0.2})
+        texts = navbake.bake(settings).warnings
+        told = [text for text in texts if "of the floor" in text and "outdoors" in text]
+        assert len(told) == is_told, texts
+    assert "95% of the floor, 540 of 572 m²" in told[0]
+
+
 def test_each_level_of_several_has_the_warnings_of_all(tmp_path):
     path = tmp_path / "tower.xml"
     path.write_text(world("".join(box(f"slab{z}", 0, 0, z, 4, 4, z + 0.2) for z in (0, 3))))

@@ -48,7 +48,8 @@ def geom_xml(kind: str, group: int, rng: Generator) -> tuple[str, str]:
     if kind == "plane":
         return "", f'<geom type="plane" size="0 0 1" {place}/>'
     if kind == "rectangle":
-        return "", f'<geom type="plane" size="{size[0]} {size[1]} 1" {place}/>'
+        contact = 'contype="0" conaffinity="0"'  # else it is endless
+        return "", f'<geom type="plane" size="{size[0]} {size[1]} 1" {place} {contact}/>'
     if kind == "hfield":
         rows, cols = rng.integers(2, 9, 2)
         heights = numbers(rng.uniform(0, 1, (rows, cols)))
@@ -479,7 +480,7 @@ CROSSED: dict[str, tuple[str, Callable[[float, float], list[float]]]] = {
     "front down": ('size="0 0 1" quat="0 1 0 0"', lambda x, y: [0.0]),
     "upright": ('size="0 0 1" quat="1 1 0 0"', lambda x, y: []),
     "strip": (
-        'size="0.3 0 1" pos="0 0 0.5"',
+        'size="0.3 0 1" pos="0 0 0.5" contype="0" conaffinity="0"',
         lambda x, y: [0.5] if abs(x) < 0.3 else [],
     ),
 }

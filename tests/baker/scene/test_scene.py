@@ -300,8 +300,10 @@ def test_every_type_of_geom(load):
     assets = f"""<asset><mesh name="m" {TETRAHEDRON}/>
       <hfield name="h" nrow="2" ncol="3" size="1 1 1 1"/></asset>"""
     world = """
-      <geom type="plane" size="0 0 1"/> <geom type="plane" size="1 0 1"/>
-      <geom type="plane" size="1 2 1"/> <geom type="hfield" hfield="h"/>
+      <geom type="plane" size="0 0 1"/> <geom type="plane" size="1 2 1"/>
+      <geom type="plane" size="1 0 1" contype="0" conaffinity="0"/>
+      <geom type="plane" size="1 2 1" contype="0" conaffinity="0"/>
+      <geom type="hfield" hfield="h"/>
       <geom type="sphere" size="1"/> <geom type="capsule" size="1 1"/>
       <geom type="ellipsoid" size="1 1 1"/> <geom type="cylinder" size="1 1"/>
       <geom type="box" size="1 1 1"/> <geom type="mesh" mesh="m"/>
@@ -309,6 +311,7 @@ def test_every_type_of_geom(load):
     """
     found = [(geom.type, geom.shape) for geom in load(world, assets, geoms="all").geoms]
     assert found == [
+        ("plane", "half-space"),
         ("plane", "half-space"),
         ("plane", "strip"),
         ("plane", "rectangle"),
@@ -421,10 +424,11 @@ def test_a_flat_mesh_that_mujoco_makes_no_hull_of(load):
 
 
 @pytest.mark.parametrize("size", ["2 3 1", "2 0 1", "0 3 1", "0 0 1"])
-def test_planes_finite_half_infinite_and_tilted(load, size):
-    plane = f'<geom type="plane" size="{size}" pos="1 2 3" euler="20 30 40"/>'
+def test_planes_that_only_show_are_as_large_as_they_are_drawn(load, size):
+    look = 'contype="0" conaffinity="0"'
+    plane = f'<geom type="plane" size="{size}" pos="1 2 3" euler="20 30 40" {look}/>'
     box = '<geom type="box" size="9 9 9"/>'
-    scene = load(plane + box)
+    scene = load(plane + box, geoms="all")
     corners = corners_of(scene, 0)
     assert (len(corners) == 0) == (size == "0 0 1")
     if size == "0 0 1":
@@ -444,9 +448,30 @@ def test_planes_finite_half_infinite_and_tilted(load, size):
     np.testing.assert_allclose(scene.bounds, expected)
 
 
+@pytest.mark.parametrize("size", ["2 3 1", "2 0 1", "0 0 1"])
+def test_planes_that_collide_are_endless_and_add_nothing_to_the_box(load, size):
+    plane = f'<geom type="plane" size="{size}" pos="1 2 0"/>'
+    scene = load(plane + '<geom type="box" size="1 1 1"/>')
+    assert scene.geoms[0].shape == "half-space"
+    np.testing.assert_allclose(scene.bounds, [[-1, -1, -1], [1, 1, 1]])
+
+
+@pytest.mark.parametrize("place", ['euler="0 90 0"', 'euler="180 0 0"'])
+def test_walls_and_ceilings_that_are_planes_are_as_large_as_they_are_drawn(load, place):
+    scene = load(f'<geom type="plane" size="2 3 1" {place}/><geom type="box" size="1 1 1"/>')
+    assert scene.geoms[0].shape == "rectangle"
+    assert scene.bounds[1, 1] == pytest.approx(3)
+
+
 def test_only_endless_planes_have_no_bounds(load):
     world = '<geom type="plane" size="0 0 1"/><geom type="plane" size="0 3 1"/>'
     assert load(world).bounds is None
+
+
+def test_where_only_planes_count_their_drawn_size_is_the_box(load):
+    ground = '<geom type="plane" size="2 3 1" pos="1 0 0"/><geom type="plane" size="0 0 1"/>'
+    chair = '<body><freejoint/><geom type="box" size="9 9 1"/></body>'
+    np.testing.assert_allclose(load(ground + chair).bounds, [[-1, -3, 0], [3, 3, 0]])
 
 
 def test_large_scenes_keep_their_bounds(load):
