@@ -48,9 +48,9 @@ class Scope:
         parent: the world or model that contains this one; None for a world.
 
     Attributes:
-        element: the argument.
-        file: the argument.
-        parent: the argument.
+        element: the ``<world>`` or ``<model>``.
+        file: the file that contains the element.
+        parent: the world or model that contains this one; None for a world.
         name: the full name, with those of the enclosing models, such as ``house::door``; empty for
             a world.
         local_name: the name without those of enclosing models; empty for a world.
@@ -98,9 +98,9 @@ class Scope:
         if self.is_merged:
             self.name = parent.name
             return
-        for source in (placement, element):
-            if source.find("static") is not None:
-                self.is_static |= is_true(text_of(source, "static"))
+        for stating_element in (placement, element):
+            if stating_element.find("static") is not None:
+                self.is_static |= is_true(text_of(stating_element, "static"))
                 break
 
     @cached_property
@@ -160,9 +160,9 @@ class Scope:
         return None
 
     def canonical_link(self) -> str:
-        """Return the name of the model's canonical link: the one that it states, or its first one.
+        """Return the name of the model's canonical link; empty if the model has no link.
 
-        Empty if it has no link.
+        It is the link that the model states as canonical, or else the model's first link.
         """
         if self.is_merged and self.parent is not None:
             return self.parent.canonical_link()
@@ -195,8 +195,8 @@ class Scope:
         name = frame.name
         if name not in self._poses:
             if name in self._pending:
-                problem = f"is relative to itself, by {self._pending}"
-                raise SceneError(f"frame {name!r} {self._where} {problem}")
+                problem_text = f"is relative to itself, by {self._pending}"
+                raise SceneError(f"frame {name!r} {self._where} {problem_text}")
             self._pending.append(name)
             self._poses[name] = self._compute_pose(name)
             self._pending.pop()
@@ -206,37 +206,38 @@ class Scope:
         if name:
             frame = self._frames[name]
             is_joint = frame.tag == "joint"
-            base = text_of(frame, "child") if is_joint else frame.get("attached_to", "")
-            return self.pose_of_element(frame, base)
+            base_frame = text_of(frame, "child") if is_joint else frame.get("attached_to", "")
+            return self.pose_of_element(frame, base_frame)
         assert self.parent is not None
         is_placed = self._placement.find("pose") is not None
         pose = self.parent.pose_of_element(self._placement if is_placed else self.element)
-        anchor = text_of(self._placement, "placement_frame")
-        anchor = anchor or self.element.get("placement_frame", "")
-        if anchor:  # the stated pose is that of this frame, not of the model's
+        placement_frame = text_of(self._placement, "placement_frame")
+        placement_frame = placement_frame or self.element.get("placement_frame", "")
+        if placement_frame:  # the stated pose is that of this frame, not of the model's
             # A copy of the model at the origin gives the anchor's pose in the model's frame.
             model_at_origin = Scope(
                 self._find_models, self.element, self._placement, self.file, self.parent
             )
             model_at_origin._poses[""] = np.eye(4)
-            pose = pose @ np.linalg.inv(model_at_origin.pose_of(anchor))
+            pose = pose @ np.linalg.inv(model_at_origin.pose_of(placement_frame))
         return pose
 
     @property
     def _where(self) -> str:
         return f"of {self.name or 'the world'} in {self.file}"
 
-    def pose_of_element(self, element: Element, base: str = "") -> Float:
+    def pose_of_element(self, element: Element, base_frame: str = "") -> Float:
         """Return the pose of an element in the world, by its ``<pose>``, (4, 4) [m].
 
         Args:
             element: the element.
-            base: name of the frame that the ``<pose>`` is relative to if it has no ``relative_to``.
+            base_frame: name of the frame that the ``<pose>`` is relative to if it has no
+                ``relative_to``.
         """
         pose = element.find("pose")
         if pose is not None:
-            base = pose.get("relative_to", "") or base
-        return self.pose_of(base) @ read_pose(pose, self.file)
+            base_frame = pose.get("relative_to", "") or base_frame
+        return self.pose_of(base_frame) @ read_pose(pose, self.file)
 
 
 def is_true(text: str) -> bool:
@@ -254,24 +255,24 @@ def text_of(element: Element, path: str) -> str:
     return (element.findtext(path) or "").strip()
 
 
-def numbers_of(text: str, count: int, where: str) -> list[float]:
+def numbers_of(text: str, num_numbers: int, place_text: str) -> list[float]:
     """Parse numbers that are separated by spaces.
 
     Args:
         text: the numbers.
-        count: how many numbers there have to be.
-        where: the place in the file, for errors.
+        num_numbers: how many numbers there have to be.
+        place_text: the place in the file, for errors.
 
     Raises:
-        SceneError: the text has not exactly `count` finite numbers.
+        SceneError: the text has not exactly `num_numbers` finite numbers.
     """
     try:
         numbers = [float(word) for word in text.split()]
     except ValueError:
         numbers = []
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        expected = "a number" if count == 1 else f"{count} numbers"
-        raise SceneError(f"expected {expected} at {where}, got {text[:80]!r}")
+    if len(numbers) != num_numbers or not np.isfinite(numbers).all():
+        expected_text = "a number" if num_numbers == 1 else f"{num_numbers} numbers"
+        raise SceneError(f"expected {expected_text} at {place_text}, got {text[:80]!r}")
     return numbers
 
 
@@ -304,12 +305,20 @@ def read_pose(element: Element | None, file: Path) -> Float:
         return pose
     angles = np.radians(numbers[3:]) if is_true(element.get("degrees", "")) else numbers[3:]
     # cosines and sines of roll, pitch and yaw
-    cr, cp, cy = np.cos(angles).tolist()
-    sr, sp, sy = np.sin(angles).tolist()
+    cos_roll, cos_pitch, cos_yaw = np.cos(angles).tolist()
+    sin_roll, sin_pitch, sin_yaw = np.sin(angles).tolist()
     pose[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
+        [
+            cos_yaw * cos_pitch,
+            cos_yaw * sin_pitch * sin_roll - sin_yaw * cos_roll,
+            cos_yaw * sin_pitch * cos_roll + sin_yaw * sin_roll,
+        ],
+        [
+            sin_yaw * cos_pitch,
+            sin_yaw * sin_pitch * sin_roll + cos_yaw * cos_roll,
+            sin_yaw * sin_pitch * cos_roll - cos_yaw * sin_roll,
+        ],
+        [-sin_pitch, cos_pitch * sin_roll, cos_pitch * cos_roll],
     ]
     return pose
 

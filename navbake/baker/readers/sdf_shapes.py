@@ -60,37 +60,38 @@ def read_height_field(file: Path, sides: Sequence[float]) -> HeightField:
 
     Args:
         file: the image.
-        sides: the height field's width, depth and height, which is that of the brightest pixel [m].
+        sides: the height field's width, its depth, and the height of the brightest pixel [m].
 
     Raises:
         SceneError: the image is broken.
     """
     brightness = _read_brightness(file)[::-1]
     brightness /= max(float(brightness.max()), 1.0)
-    low = float(brightness.min())
-    high = float(brightness.max())
-    height_range = max((high - low) * sides[2], MIN_HEIGHT_RANGE)
+    min_brightness = float(brightness.min())
+    max_brightness = float(brightness.max())
+    height_range = max((max_brightness - min_brightness) * sides[2], MIN_HEIGHT_RANGE)
     return HeightField(
-        heights=(brightness - low) / ((high - low) or 1.0),
+        heights=(brightness - min_brightness) / ((max_brightness - min_brightness) or 1.0),
         size=(sides[0] / 2, sides[1] / 2, height_range, HEIGHT_FIELD_BASE),
-        lowest=low * sides[2],
+        lowest=min_brightness * sides[2],
     )
 
 
-def _read_brightness(file: Path, white: float | None = None) -> Float:
+def _read_brightness(file: Path, white_value: float | None = None) -> Float:
     """Read the brightness of an image's pixels, shape (height, width).
 
     Args:
         file: the image.
-        white: the number that stands for white; None to leave the numbers of the file as they are.
+        white_value: the number that stands for white; None to leave the numbers of the file as they
+            are.
     """
     try:
         pixels = read_pixels(file)
     except FormatError as error:
         raise SceneError(str(error)) from error
     brightness: Float = pixels.channel_sum.astype(np.float64)
-    if white is not None:
-        brightness *= white / (3.0 * pixels.max_channel)
+    if white_value is not None:
+        brightness *= white_value / (3.0 * pixels.max_channel)
     return brightness
 
 
@@ -117,7 +118,7 @@ def read_image_boxes(file: Path, pixel_size: float, threshold: float) -> list[Im
     Raises:
         SceneError: the image is broken, or needs more than `MAX_BOXES` boxes.
     """
-    is_dark = _read_brightness(file, white=255.0) <= threshold
+    is_dark = _read_brightness(file, white_value=255.0) <= threshold
     quads = cover_with_quads(is_dark.astype(np.int32), np.zeros(is_dark.shape), 0.0, 0.0, 0.0)
     num_boxes = len(quads.first_cell)
     if num_boxes > MAX_BOXES:
@@ -125,12 +126,14 @@ def read_image_boxes(file: Path, pixel_size: float, threshold: float) -> list[Im
         raise SceneError(f"{file} stands for {num_boxes} boxes, {MAX_BOXES} at most: {hint}")
     x = pixel_size * quads.cols
     y = pixel_size * quads.rows
-    lows = np.stack([x.min(axis=1), y.min(axis=1)], axis=1)
-    highs = np.stack([x.max(axis=1), y.max(axis=1)], axis=1)
+    lowest_corners = np.stack([x.min(axis=1), y.min(axis=1)], axis=1)
+    highest_corners = np.stack([x.max(axis=1), y.max(axis=1)], axis=1)
     return [
-        ImageBox((center[0], center[1]), (half[0], half[1]))
-        for center, half in zip(
-            ((lows + highs) / 2).tolist(), ((highs - lows) / 2).tolist(), strict=True
+        ImageBox((center[0], center[1]), (half_sizes[0], half_sizes[1]))
+        for center, half_sizes in zip(
+            ((lowest_corners + highest_corners) / 2).tolist(),
+            ((highest_corners - lowest_corners) / 2).tolist(),
+            strict=True,
         )
     ]
 
@@ -159,24 +162,28 @@ def _extrude(outlines: Sequence[Float], height: float) -> list[Mesh]:
     ends = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])
     is_flat = starts[:, 1] == ends[:, 1]
     is_down = starts[:, 1] > ends[:, 1]
-    low = np.where(is_down[:, None], ends, starts)[~is_flat]
-    high = np.where(is_down[:, None], starts, ends)[~is_flat]
-    if len(low) > MAX_EDGES:
-        raise ValueError(f"an outline of {len(low)} edges, {MAX_EDGES} at most")
-    slopes = (high[:, 0] - low[:, 0]) / (high[:, 1] - low[:, 1])
+    lower_ends = np.where(is_down[:, None], ends, starts)[~is_flat]
+    upper_ends = np.where(is_down[:, None], starts, ends)[~is_flat]
+    if len(lower_ends) > MAX_EDGES:
+        raise ValueError(f"an outline of {len(lower_ends)} edges, {MAX_EDGES} at most")
+    slopes = (upper_ends[:, 0] - lower_ends[:, 0]) / (upper_ends[:, 1] - lower_ends[:, 1])
     corner_heights = np.unique(starts[:, 1])
-    cuts = np.unique(np.concatenate([corner_heights, _crossing_heights(low, high, slopes)]))
-    num_crossings = _count_slices(cuts) - _count_slices(corner_heights)
+    cut_heights = np.unique(
+        np.concatenate([corner_heights, _crossing_heights(lower_ends, upper_ends, slopes)])
+    )
+    num_crossings = _count_slices(cut_heights) - _count_slices(corner_heights)
     if num_crossings > MAX_CROSSINGS:
         raise ValueError(
             f"an outline that crosses itself at {num_crossings} heights, "
             f"{MAX_CROSSINGS} at most: give its points in their order along the outline"
         )
     prisms = []
-    for left, right, bottom, top in _find_trapezoids(low, high, slopes, cuts):
-        sides = np.array([left, right])
-        bottom_x = low[sides, 0] + slopes[sides] * (bottom - low[sides, 1])
-        top_x = low[sides, 0] + slopes[sides] * (top - low[sides, 1])
+    for left, right, bottom, top in _find_trapezoids(lower_ends, upper_ends, slopes, cut_heights):
+        side_edges = np.array([left, right])
+        bottom_x = lower_ends[side_edges, 0] + slopes[side_edges] * (
+            bottom - lower_ends[side_edges, 1]
+        )
+        top_x = lower_ends[side_edges, 0] + slopes[side_edges] * (top - lower_ends[side_edges, 1])
         corners = np.array(
             [(bottom_x[0], bottom), (bottom_x[1], bottom), (top_x[1], top), (top_x[0], top)]
         )
@@ -186,12 +193,12 @@ def _extrude(outlines: Sequence[Float], height: float) -> list[Mesh]:
     return prisms
 
 
-def _count_slices(cuts: Float) -> int:
+def _count_slices(cut_heights: Float) -> int:
     """Count the slices between neighboring cuts, without slices that are too thin for a prism.
 
-    `cuts` are the y of the cuts, ascending, (n,) [m].
+    `cut_heights` are the y of the cuts, ascending, (n,) [m].
     """
-    return int(np.count_nonzero(np.diff(cuts) >= MIN_SLICE_HEIGHT))
+    return int(np.count_nonzero(np.diff(cut_heights) >= MIN_SLICE_HEIGHT))
 
 
 class _Trapezoid(NamedTuple):
@@ -210,57 +217,70 @@ class _Trapezoid(NamedTuple):
     top: float
 
 
-def _find_trapezoids(low: Float, high: Float, slopes: Float, cuts: Float) -> list[_Trapezoid]:
+def _find_trapezoids(
+    lower_ends: Float, upper_ends: Float, slopes: Float, cut_heights: Float
+) -> list[_Trapezoid]:
     """Cut the area that edges enclose into trapezoids with sides parallel to x.
 
     A trapezoid goes on along y as long as the same two edges bound the area.
 
     Args:
-        low: the lower end of each edge, (m, 2) [m].
-        high: the upper end of each edge, (m, 2) [m].
+        lower_ends: the lower end of each edge, (m, 2) [m].
+        upper_ends: the upper end of each edge, (m, 2) [m].
         slopes: dx / dy of each edge, (m,).
-        cuts: y of all corners and crossings, ascending, (n,) [m].
+        cut_heights: y of all corners and crossings, ascending, (n,) [m].
     """
     trapezoids = []
-    bottoms: dict[tuple[int, int], float] = {}  # left and right edge -> where they became sides
+    # left and right edge -> where they became sides
+    bottom_of_sides: dict[tuple[int, int], float] = {}
     slice_top = 0.0
-    for bottom, top in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+    for bottom, top in zip(cut_heights[:-1].tolist(), cut_heights[1:].tolist(), strict=True):
         if top - bottom < MIN_SLICE_HEIGHT:
             continue
-        edges = np.flatnonzero((low[:, 1] <= bottom) & (high[:, 1] >= top))
-        middle_x = low[edges, 0] + slopes[edges] * ((bottom + top) / 2 - low[edges, 1])
-        order = edges[np.argsort(middle_x, kind="stable")].tolist()
+        edges = np.flatnonzero((lower_ends[:, 1] <= bottom) & (upper_ends[:, 1] >= top))
+        middle_x = lower_ends[edges, 0] + slopes[edges] * (
+            (bottom + top) / 2 - lower_ends[edges, 1]
+        )
+        edges_by_x = edges[np.argsort(middle_x, kind="stable")].tolist()
         # an odd number of edges is to the left of what is enclosed
-        sides = [*zip(order[::2], order[1::2], strict=False)]
-        for left, right in bottoms.keys() - {*sides}:
-            trapezoids.append(_Trapezoid(left, right, bottoms[left, right], slice_top))
-        bottoms = {pair: bottoms.get(pair, bottom) for pair in sides}
+        side_pairs = [*zip(edges_by_x[::2], edges_by_x[1::2], strict=False)]
+        for left, right in bottom_of_sides.keys() - {*side_pairs}:
+            trapezoids.append(_Trapezoid(left, right, bottom_of_sides[left, right], slice_top))
+        bottom_of_sides = {
+            side_pair: bottom_of_sides.get(side_pair, bottom) for side_pair in side_pairs
+        }
         slice_top = top
-    trapezoids += [_Trapezoid(*pair, bottom, slice_top) for pair, bottom in bottoms.items()]
+    trapezoids += [
+        _Trapezoid(*side_pair, bottom, slice_top) for side_pair, bottom in bottom_of_sides.items()
+    ]
     return sorted(trapezoids)
 
 
-def _crossing_heights(low: Float, high: Float, slopes: Float) -> Float:
-    """Find the places where edges cross; return the y of each, (n,) [m].
+def _crossing_heights(lower_ends: Float, upper_ends: Float, slopes: Float) -> Float:
+    """Return the y at which edges cross, for each pair of edges that do, (n,) [m].
 
     Args:
-        low: the lower end of each edge, (m, 2) [m].
-        high: the upper end of each edge, (m, 2) [m].
+        lower_ends: the lower end of each edge, (m, 2) [m].
+        upper_ends: the upper end of each edge, (m, 2) [m].
         slopes: dx / dy of each edge, (m,).
     """
-    at_zero = low[:, 0] - slopes * low[:, 1]
+    x_at_zero = lower_ends[:, 0] - slopes * lower_ends[:, 1]
     slope_differences = slopes[:, None] - slopes[None, :]
     # edges with a common corner meet nowhere else; by rounding they would cross just beside it
-    corner_of_end = np.unique(np.concatenate([low, high]), axis=0, return_inverse=True)[1].ravel()
-    ends = corner_of_end.reshape(2, -1)
-    is_apart = slope_differences != 0.0
+    corner_of_end = np.unique(
+        np.concatenate([lower_ends, upper_ends]), axis=0, return_inverse=True
+    )[1].ravel()
+    corners_of_edges = corner_of_end.reshape(2, -1)
+    may_cross = slope_differences != 0.0
     for one_end, other_end in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        is_apart &= ends[one_end][:, None] != ends[other_end][None, :]
-    differences = at_zero[None, :] - at_zero[:, None]
-    y = np.divide(differences, slope_differences, where=is_apart, out=np.full_like(differences, 0))
-    first = np.maximum(low[:, None, 1], low[None, :, 1])
-    last = np.minimum(high[:, None, 1], high[None, :, 1])
-    return np.asarray(y[is_apart & (y > first) & (y < last)])
+        may_cross &= corners_of_edges[one_end][:, None] != corners_of_edges[other_end][None, :]
+    differences = x_at_zero[None, :] - x_at_zero[:, None]
+    crossing_y = np.divide(
+        differences, slope_differences, where=may_cross, out=np.full_like(differences, 0)
+    )
+    min_y = np.maximum(lower_ends[:, None, 1], lower_ends[None, :, 1])
+    max_y = np.minimum(upper_ends[:, None, 1], upper_ends[None, :, 1])
+    return np.asarray(crossing_y[may_cross & (crossing_y > min_y) & (crossing_y < max_y)])
 
 
 def _extrude_convex(corners: Float, height: float) -> Mesh | None:
@@ -268,7 +288,7 @@ def _extrude_convex(corners: Float, height: float) -> Mesh | None:
     if not np.isfinite(corners).all():
         return None
     distinct_corners = np.unique(corners, axis=0)
-    bottom = np.column_stack([distinct_corners, np.zeros(len(distinct_corners))])
-    vertices = np.concatenate([bottom, bottom + np.array([0.0, 0.0, height])])
+    bottom_vertices = np.column_stack([distinct_corners, np.zeros(len(distinct_corners))])
+    vertices = np.concatenate([bottom_vertices, bottom_vertices + np.array([0.0, 0.0, height])])
     faces = hull_faces(vertices) if len(distinct_corners) >= 3 else None
     return None if faces is None else Mesh(vertices, faces)

@@ -66,7 +66,7 @@ JOINT_KINDS = {
 
 
 class _PrimState(NamedTuple):
-    """What a prim inherits from its ancestors, and passes on to its descendants.
+    """The properties that a prim inherits from its ancestors, and passes on to its descendants.
 
     Attributes:
         matrix: from the prim's frame to the stage's; points are row vectors.
@@ -172,9 +172,9 @@ def read_stage(path: Path, settings: SceneSettings) -> ParsedScene:
         stage = Usd.Stage.Open(str(path))
         return _StageReader(stage, path, settings).read()
     except Tf.ErrorException as error:
-        text = str(error)[:MAX_MESSAGE]
-        messages = re.findall(r" : '(.*?)'\s*(?=\n\tError|\n*$)", text, re.DOTALL)
-        reason = " ".join((messages or [text])[0].split())[:300]
+        error_text = str(error)[:MAX_MESSAGE]
+        messages = re.findall(r" : '(.*?)'\s*(?=\n\tError|\n*$)", error_text, re.DOTALL)
+        reason = " ".join((messages or [error_text])[0].split())[:300]
         raise SceneError(f"cannot read the USD stage {path}: {reason}") from error
     finally:
         diagnostics.TakeUncoalescedDiagnostics()
@@ -201,11 +201,11 @@ class _StageReader:
     def read(self) -> ParsedScene:
         """Read all prims, then make the bodies and the geoms of the parsed scene."""
         for error in self._stage.GetCompositionErrors():
-            prims = re.findall(r"<([^<>]*)>", str(error.rootSite)[-MAX_MESSAGE:])
-            text = " ".join(str(error)[:MAX_MESSAGE].split())
-            text = re.sub(r",@anon:[^@]*@", "", text)[:300]
-            prim = prims[-1] if prims else "/"
-            self._parsed_scene.warnings.append(f"prim {prim} of {self._path}: {text}")
+            prim_paths = re.findall(r"<([^<>]*)>", str(error.rootSite)[-MAX_MESSAGE:])
+            error_text = " ".join(str(error)[:MAX_MESSAGE].split())
+            error_text = re.sub(r",@anon:[^@]*@", "", error_text)[:300]
+            prim_path = prim_paths[-1] if prim_paths else "/"
+            self._parsed_scene.warnings.append(f"prim {prim_path} of {self._path}: {error_text}")
         self._read_prims_below(self._stage.GetPseudoRoot(), _PrimState(Gf.Matrix4d(1.0)))
         self._make_bodies()
         self._place_geometry()
@@ -226,16 +226,16 @@ class _StageReader:
             prefix: what is removed from the start of the prims' paths to make their names.
         """
         with_instances = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
-        pending = [(root, state)]
-        while pending:
-            prim, parent_state = pending.pop()
+        unread_prims = [(root, state)]
+        while unread_prims:
+            prim, parent_state = unread_prims.pop()
             name = str(prim.GetPath()).removeprefix(prefix)
             with reading(f"prim {prim.GetPath()} of {self._path}"):
                 prim_state = self._find_state(prim, name, parent_state)
                 reads_children = self._read_prim(prim, name, prim_state)
             if reads_children:
                 children = reversed(prim.GetFilteredChildren(with_instances))
-                pending += [(child, prim_state) for child in children]
+                unread_prims += [(child, prim_state) for child in children]
 
     def _read_prim(self, prim: Usd.Prim, name: str, state: _PrimState) -> bool:
         """Read one prim of the stage; return whether its children are to be read, too.
@@ -245,18 +245,19 @@ class _StageReader:
             name: the name of the geom or instancer that it may become.
             state: what the prim inherits from its ancestors, and its own.
         """
-        kind = str(prim.GetTypeName())
-        if kind == "PointInstancer":
+        prim_type = str(prim.GetTypeName())
+        if prim_type == "PointInstancer":
             self._read_instancer(prim, name, state)
             return False  # its children are prototypes, which only its points show
-        if kind in (*SOLID_TYPES, "Mesh"):
-            self._read_geometry(prim, name, kind, state)
-        elif kind.startswith("Physics") and kind.endswith("Joint"):
+        if prim_type in (*SOLID_TYPES, "Mesh"):
+            self._read_geometry(prim, name, prim_type, state)
+        elif prim_type.startswith("Physics") and prim_type.endswith("Joint"):
             self._joints.append(prim)
-        elif kind.startswith(("Cylinder", "Capsule")) and prim.IsA(UsdGeom.Gprim):
-            self._read_geometry(prim, name, kind.partition("_")[0], state)  # such as Cylinder_1
-        elif kind and prim.IsA(UsdGeom.Gprim):
-            self._leave_out(f"{kind} is no surface that navbake reads", name)
+        elif prim_type.startswith(("Cylinder", "Capsule")) and prim.IsA(UsdGeom.Gprim):
+            # such as Cylinder_1
+            self._read_geometry(prim, name, prim_type.partition("_")[0], state)
+        elif prim_type and prim.IsA(UsdGeom.Gprim):
+            self._leave_out(f"{prim_type} is no surface that navbake reads", name)
         return True
 
     def _find_state(self, prim: Usd.Prim, name: str, parent_state: _PrimState) -> _PrimState:
@@ -267,12 +268,13 @@ class _StageReader:
         component = parent_state.component
         collides = parent_state.collides
         approximation = parent_state.approximation
-        names = prim.GetAuthoredPropertyNames()  # one call, as most prims have few properties
-        if "visibility" in names:
+        # one call, as most prims have few properties
+        property_names = prim.GetAuthoredPropertyNames()
+        if "visibility" in property_names:
             visible = visible and self._get(prim, "visibility") != "invisible"
-        if "purpose" in names:
+        if "purpose" in property_names:
             purpose = str(self._get(prim, "purpose"))
-        if "xformOpOrder" in names:
+        if "xformOpOrder" in property_names:
             xform = UsdGeom.Xformable(prim)
             local_matrix = xform.GetLocalTransformation(self._time)
             is_reset = xform.GetResetXformStack()
@@ -290,8 +292,8 @@ class _StageReader:
                     if rigid_body.GetKinematicEnabledAttr().Get(self._time):
                         self._kinematic_bodies.add(name)
             if prim.HasAPI(UsdPhysics.CollisionAPI):
-                enabled = UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr()
-                collides = bool(enabled.Get(self._time))
+                enabled_attribute = UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr()
+                collides = bool(enabled_attribute.Get(self._time))
             if prim.HasAPI(UsdPhysics.MeshCollisionAPI):
                 approximation = str(UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get())
         return _PrimState(
@@ -316,22 +318,22 @@ class _StageReader:
     def _get_axis(self, prim: Usd.Prim, name: str) -> str:
         axis = str(self._get(prim, name))
         if axis not in AXIS_FRAMES:
-            where = f"{name} of {prim.GetPath()} in {self._path}"
-            raise SceneError(f"expected X, Y or Z as {where}, got {axis[:40]!r}")
+            axis_text = f"{name} of {prim.GetPath()} in {self._path}"
+            raise SceneError(f"expected X, Y or Z as {axis_text}, got {axis[:40]!r}")
         return axis
 
     # ------------------------------------------------------------ geometry
 
-    def _read_geometry(self, prim: Usd.Prim, name: str, kind: str, state: _PrimState) -> None:
+    def _read_geometry(self, prim: Usd.Prim, name: str, prim_type: str, state: _PrimState) -> None:
         is_drawn = state.visible and state.purpose != "guide"
         if not is_drawn and not state.collides:
             self._leave_out("it is invisible" if not state.visible else "it is a guide", name)
             return
         is_hull = state.collides and state.approximation in ("convexHull", "boundingCube")
-        if kind == "Mesh":
+        if prim_type == "Mesh":
             shape = self._read_mesh(prim, state)
         else:
-            shape = self._read_solid(prim, kind, state)
+            shape = self._read_solid(prim, prim_type, state)
         if shape is not None:
             self._geometry.append(
                 _PrimGeometry(
@@ -345,20 +347,20 @@ class _StageReader:
                 )
             )
 
-    def _read_solid(self, prim: Usd.Prim, kind: str, state: _PrimState) -> _PrimShape:
+    def _read_solid(self, prim: Usd.Prim, prim_type: str, state: _PrimState) -> _PrimShape:
         """Make the shape of a solid.
 
         A plane that collides is endless. Of a solid with two radii, the larger radius counts.
         """
-        if kind == "Cube":
-            half = self._get_number(prim, "size") / 2
-            return _PrimShape("box", (half, half, half), np.eye(3), None)
-        if kind == "Sphere":
+        if prim_type == "Cube":
+            half_size = self._get_number(prim, "size") / 2
+            return _PrimShape("box", (half_size, half_size, half_size), np.eye(3), None)
+        if prim_type == "Sphere":
             radius = self._get_number(prim, "radius")
             return _PrimShape("ellipsoid", (radius, radius, radius), np.eye(3), None)
         axis = self._get_axis(prim, "axis")
         frame = AXIS_FRAMES[axis]
-        if kind == "Plane":
+        if prim_type == "Plane":
             half_width = self._get_number(prim, "width") / 2
             half_length = self._get_number(prim, "length") / 2
             half_sides = (half_width, half_length) if axis == "Z" else (half_length, half_width)
@@ -370,7 +372,7 @@ class _StageReader:
             if attribute:
                 radii.append(float(attribute.Get(self._time)))
         size = (max(radii), self._get_number(prim, "height") / 2)
-        return _PrimShape(kind.lower(), size, frame, None)
+        return _PrimShape(prim_type.lower(), size, frame, None)
 
     def _read_mesh(self, prim: Usd.Prim, state: _PrimState) -> _PrimShape | None:
         """Read the shape of a mesh, or get it from the cache; None if it is empty."""
@@ -393,23 +395,32 @@ class _StageReader:
         if not points or not face_counts:
             return None
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
-        counts = np.array(face_counts)
-        indices = np.array(face_indices if face_indices is not None else [], int)
-        where = f"mesh {prim.GetPath()} of {self._path}"
-        if counts.min() < 0 or counts.sum() != len(indices):
-            corners = f"{counts.sum()} corners, but faceVertexIndices {len(indices)}"
-            raise SceneError(f"{where} is broken: its faces have {corners}")
-        if len(indices) and not 0 <= indices.min() <= indices.max() < len(vertices):
-            expected = f"expected faceVertexIndices from 0 to {len(vertices) - 1}"
-            got = f"got {indices.min()} to {indices.max()}"
-            raise SceneError(f"{where} is broken: {expected}, {got}")
+        corner_counts = np.array(face_counts)
+        corner_indices = np.array(face_indices if face_indices is not None else [], int)
+        mesh_text = f"mesh {prim.GetPath()} of {self._path}"
+        if corner_counts.min() < 0 or corner_counts.sum() != len(corner_indices):
+            corners_text = (
+                f"{corner_counts.sum()} corners, but faceVertexIndices {len(corner_indices)}"
+            )
+            raise SceneError(f"{mesh_text} is broken: its faces have {corners_text}")
+        if len(corner_indices) and not 0 <= corner_indices.min() <= corner_indices.max() < len(
+            vertices
+        ):
+            expected_text = f"expected faceVertexIndices from 0 to {len(vertices) - 1}"
+            got_text = f"got {corner_indices.min()} to {corner_indices.max()}"
+            raise SceneError(f"{mesh_text} is broken: {expected_text}, {got_text}")
         if as_bounding_box:
             unit_box = tessellate("box", (0.5, 0.5, 0.5))
-            low = vertices.min(axis=0)
-            high = vertices.max(axis=0)
-            return Mesh(low + (unit_box.vertices + 0.5) * (high - low), unit_box.faces)
+            lowest_corner = vertices.min(axis=0)
+            highest_corner = vertices.max(axis=0)
+            return Mesh(
+                lowest_corner + (unit_box.vertices + 0.5) * (highest_corner - lowest_corner),
+                unit_box.faces,
+            )
         holes = prim.GetAttribute("holeIndices").Get(self._time) or []
-        faces = triangulate(vertices, counts, indices, np.array(holes, dtype=np.int64))
+        faces = triangulate(
+            vertices, corner_counts, corner_indices, np.array(holes, dtype=np.int64)
+        )
         if self._get(prim, "orientation") == "leftHanded":
             faces = faces[:, ::-1]
         return Mesh(vertices, faces)
@@ -432,12 +443,12 @@ class _StageReader:
             if not prototype:
                 raise SceneError(f"prototype {path} of {name} in {self._path} is missing")
             prototypes.append(prototype)
-        first = min(prototype_of_point)
-        last = max(prototype_of_point)
-        if not 0 <= first <= last < len(prototypes):
+        lowest_index = min(prototype_of_point)
+        highest_index = max(prototype_of_point)
+        if not 0 <= lowest_index <= highest_index < len(prototypes):
             raise SceneError(
                 f"expected protoIndices of {name} in {self._path} from 0 to "
-                f"{len(prototypes) - 1}, got {first} to {last}"
+                f"{len(prototypes) - 1}, got {lowest_index} to {highest_index}"
             )
         # The prototypes' own transforms are excluded: their geometry includes them.
         point_matrices = instancer.ComputeInstanceTransformsAtTime(
@@ -456,16 +467,16 @@ class _StageReader:
         self._open_instancers.append(prim.GetPath())
         # Each prototype is read once, at the origin.
         geometry_of_prototype = dict[int, list[_PrimGeometry]]()
-        for number in range(num_points):
-            if not is_shown[number]:
+        for point_number in range(num_points):
+            if not is_shown[point_number]:
                 continue
-            prototype_index = prototype_of_point[number]
+            prototype_index = prototype_of_point[point_number]
             if prototype_index not in geometry_of_prototype:
                 geometry_of_prototype[prototype_index] = self._read_prototype(
                     prototypes[prototype_index], state
                 )
-            instance_name = f"{name}/{number}"
-            instance_matrix = point_matrices[number] * state.matrix
+            instance_name = f"{name}/{point_number}"
+            instance_matrix = point_matrices[point_number] * state.matrix
             prototype_geometry = geometry_of_prototype[prototype_index]
             check_count(len(self._geometry) + len(prototype_geometry), self._path)
             for geometry in prototype_geometry:
@@ -500,8 +511,8 @@ class _StageReader:
     def _make_bodies(self) -> None:
         """Make the parsed scene's bodies from rigid prims.
 
-        Each is attached to another body by one joint; or it moves freely, or, if it is kinematic,
-        not at all.
+        A body is attached to another body by a joint. A body without a joint moves freely, or, if
+        it is kinematic, not at all.
         """
         poses = {
             name: _rigid_pose(self._matrix_to_world(matrix))
@@ -517,7 +528,7 @@ class _StageReader:
         """Attach one of the two bodies that a joint's prim connects to the other one."""
         joint = UsdPhysics.Joint(prim)
         name = str(prim.GetPath())
-        kind = JOINT_KINDS.get(str(prim.GetTypeName()), "")
+        joint_type = JOINT_KINDS.get(str(prim.GetTypeName()), "")
         if not joint.GetJointEnabledAttr().Get(self._time):
             return
         parent = self._find_body(joint.GetBody0Rel().GetForwardedTargets())
@@ -527,14 +538,14 @@ class _StageReader:
         is_swapped = not child or (joint_tree.is_attached(child) and may_be_parent)
         if is_swapped:
             parent, child = child, parent
-        if not kind:
+        if not joint_type:
             self._leave_out(f"{prim.GetTypeName()} is no joint that navbake reads", name)
             return
         if not child:
             self._leave_out("it ties no rigid body", name)
             return
         with reading(f"joint {name} of {self._path}"):
-            parsed_joint = self._read_joint(prim, kind, frames, is_swapped)
+            parsed_joint = self._read_joint(prim, joint_type, frames, is_swapped)
         if not joint_tree.attach(parent, child, parsed_joint):
             self._leave_out("its bodies hang on other joints already", name)
 
@@ -547,75 +558,86 @@ class _StageReader:
         return "" if name in self._kinematic_bodies else name
 
     def _read_joint(
-        self, prim: Usd.Prim, kind: str, frames: UsdGeom.XformCache, is_swapped: bool
+        self, prim: Usd.Prim, joint_type: str, frames: UsdGeom.XformCache, is_swapped: bool
     ) -> ParsedJoint | None:
         """Read a joint.
 
         Args:
             prim: the joint's prim.
-            kind: hinge, slide, ball or fixed.
+            joint_type: hinge, slide, ball or fixed.
             frames: the cache of the transforms of the stage's prims.
             is_swapped: whether the joint's first body is the child of its second one.
 
         Returns:
             The joint in the world frame; None if it is fixed.
         """
-        if kind == "fixed":
+        if joint_type == "fixed":
             return None
         joint = UsdPhysics.Joint(prim)
-        start = self._find_joint_end(prim, 0, joint.GetBody0Rel(), frames)
-        end = self._find_joint_end(prim, 1, joint.GetBody1Rel(), frames)
-        axis_number = 0 if kind == "ball" else "XYZ".index(self._get_axis(prim, "physics:axis"))
-        axis = end.rotation[:, axis_number]
+        first_end = self._find_joint_end(prim, 0, joint.GetBody0Rel(), frames)
+        second_end = self._find_joint_end(prim, 1, joint.GetBody1Rel(), frames)
+        axis_number = (
+            0 if joint_type == "ball" else "XYZ".index(self._get_axis(prim, "physics:axis"))
+        )
+        axis = second_end.rotation[:, axis_number]
         position = 0.0
-        if kind == "slide":
-            position = float(axis @ (end.position - start.position))
-        elif kind == "hinge":
-            relative_rotation = start.rotation.T @ end.rotation
-            first = (axis_number + 1) % 3
-            second = (axis_number + 2) % 3
+        if joint_type == "slide":
+            position = float(axis @ (second_end.position - first_end.position))
+        elif joint_type == "hinge":
+            relative_rotation = first_end.rotation.T @ second_end.rotation
+            first_axis = (axis_number + 1) % 3
+            second_axis = (axis_number + 2) % 3
             position = float(
-                np.arctan2(relative_rotation[second, first], relative_rotation[first, first])
+                np.arctan2(
+                    relative_rotation[second_axis, first_axis],
+                    relative_rotation[first_axis, first_axis],
+                )
             )
-        direction = -1.0 if is_swapped else 1.0
+        axis_sign = -1.0 if is_swapped else 1.0
         return ParsedJoint(
             name=str(prim.GetPath()),
-            kind=kind,
-            anchor=np.round(end.position, DECIMALS),
-            axis=np.round(direction * axis, ROTATION_DECIMALS) + 0.0,
-            limits=None if kind == "ball" else self._read_limits(prim, kind),
+            kind=joint_type,
+            anchor=np.round(second_end.position, DECIMALS),
+            axis=np.round(axis_sign * axis, ROTATION_DECIMALS) + 0.0,
+            limits=None if joint_type == "ball" else self._read_limits(prim, joint_type),
             position=_round(position, DECIMALS),
         )
 
-    def _read_limits(self, prim: Usd.Prim, kind: str) -> tuple[float, float] | None:
+    def _read_limits(self, prim: Usd.Prim, joint_type: str) -> tuple[float, float] | None:
         """Read the lowest and highest position of a joint [m or rad]; None if it has no limits."""
         stated_limits = [
             self._get_number(prim, "physics:lowerLimit"),
             self._get_number(prim, "physics:upperLimit"),
         ]
-        is_hinge = kind == "hinge"
-        low, high = np.radians(stated_limits) if is_hinge else np.array(stated_limits) * self._unit
-        if not np.isfinite([low, high]).all() or not low < high:
+        is_hinge = joint_type == "hinge"
+        lower_limit, upper_limit = (
+            np.radians(stated_limits) if is_hinge else np.array(stated_limits) * self._unit
+        )
+        if not np.isfinite([lower_limit, upper_limit]).all() or not lower_limit < upper_limit:
             return None
-        return _round(low, ROTATION_DECIMALS), _round(high, ROTATION_DECIMALS)
+        return _round(lower_limit, ROTATION_DECIMALS), _round(upper_limit, ROTATION_DECIMALS)
 
     def _find_joint_end(
-        self, prim: Usd.Prim, number: int, body: Usd.Relationship, frames: UsdGeom.XformCache
+        self,
+        prim: Usd.Prim,
+        body_number: int,
+        body_relationship: Usd.Relationship,
+        frames: UsdGeom.XformCache,
     ) -> _JointEnd:
         """Find the frame of a joint on one of its two bodies.
 
         Args:
             prim: the joint's prim.
-            number: 0 for the first body, 1 for the second.
-            body: the joint's relationship to this body.
+            body_number: 0 for the first body, 1 for the second.
+            body_relationship: the joint's relationship to this body.
             frames: the cache of the transforms of the stage's prims.
         """
-        targets = body.GetForwardedTargets()
+        targets = body_relationship.GetForwardedTargets()
         body_prim = self._stage.GetPrimAtPath(targets[0]) if targets else None
         matrix = frames.GetLocalToWorldTransform(body_prim) if body_prim else Gf.Matrix4d(1.0)
         to_world = self._matrix_to_world(matrix)
-        position = np.array(self._get(prim, f"physics:localPos{number}"), dtype=np.float64)
-        rotation = np.array(Gf.Matrix3d(self._get(prim, f"physics:localRot{number}"))).T
+        position = np.array(self._get(prim, f"physics:localPos{body_number}"), dtype=np.float64)
+        rotation = np.array(Gf.Matrix3d(self._get(prim, f"physics:localRot{body_number}"))).T
         return _JointEnd(
             position=to_world[:3, :3] @ position + to_world[:3, 3],
             rotation=_rigid_pose(to_world)[:3, :3] @ rotation,
@@ -634,7 +656,8 @@ class _StageReader:
     def _place_geometry(self) -> None:
         """Add the geometry of all prims to the parsed scene, as geoms in the world frame.
 
-        A solid becomes a mesh if its matrix skews it, or scales it so that it is no such solid.
+        A solid becomes a mesh if its matrix skews it, or scales it so that it is another kind of
+        shape (a cylinder with an elliptic base, for example).
         """
         has_render_prims = any(geometry.purpose == "render" for geometry in self._geometry)
         if has_render_prims:
@@ -647,8 +670,8 @@ class _StageReader:
         to_world[:, :3, :3] = to_world[:, :3, :3] @ frames
         scales = np.linalg.norm(to_world[:, :3, :3], axis=1)
         rotations = to_world[:, :3, :3] / np.where(scales > 0, scales, 1.0)[:, None]
-        gram = rotations.transpose(0, 2, 1) @ rotations
-        is_skewed = np.abs(gram - np.eye(3)).max(axis=(1, 2)) > MAX_SKEW
+        axis_cosines = rotations.transpose(0, 2, 1) @ rotations
+        is_skewed = np.abs(axis_cosines - np.eye(3)).max(axis=(1, 2)) > MAX_SKEW
         kinds = np.array(
             [
                 geometry.shape.kind if geometry.shape.mesh is None else ""
@@ -662,28 +685,30 @@ class _StageReader:
         make_solid_mesh = cache(tessellate)
         scale_rows = scales.tolist()
         skew_flags = is_skewed.tolist()
-        for row, geometry in enumerate(self._geometry):
+        for geometry_index, geometry in enumerate(self._geometry):
             shape = geometry.shape
             mesh = shape.mesh
-            size = None
+            geom_size = None
             if mesh is None:
-                size = _scale_size(shape.kind, shape.size, scale_rows[row], skew_flags[row])
+                geom_size = _scale_size(
+                    shape.kind, shape.size, scale_rows[geometry_index], skew_flags[geometry_index]
+                )
             kind = shape.kind
-            pose = poses[row]
-            if size is None:
+            pose = poses[geometry_index]
+            if geom_size is None:
                 kind = "mesh"
-                pose = to_world[row]
+                pose = to_world[geometry_index]
                 mesh = mesh or make_solid_mesh(shape.kind, shape.size)
-            elif kind == "ellipsoid" and size[0] == size[1] == size[2]:
+            elif kind == "ellipsoid" and geom_size[0] == geom_size[1] == geom_size[2]:
                 kind = "sphere"
-                size = size[:1]
+                geom_size = geom_size[:1]
             is_proxy = has_render_prims and geometry.purpose == "proxy"
             self._parsed_scene.geoms.append(
                 ParsedGeom(
                     name=geometry.name,
                     body=geometry.body,
                     kind=kind,
-                    size=size or (),
+                    size=geom_size or (),
                     pose=pose,
                     mesh=mesh,
                     mode=geometry.mode,
@@ -716,13 +741,13 @@ def _straighten(kinds: NDArray[np.str_], rotations: Float, scales: Float) -> tup
     Returns:
         The new frames and scales, with the same shapes.
     """
-    order = np.tile(np.arange(3), (len(rotations), 1))
-    boxes = np.flatnonzero((kinds == "box") | (kinds == "ellipsoid"))
+    axis_order = np.tile(np.arange(3), (len(rotations), 1))
+    box_indices = np.flatnonzero((kinds == "box") | (kinds == "ellipsoid"))
     # How well each order of the axes matches the world's axes
-    match = np.abs(rotations[boxes][:, np.arange(3)[None], AXIS_ORDERS]).sum(axis=2)
-    order[boxes] = AXIS_ORDERS[match.argmax(axis=1)]
-    rotations = np.take_along_axis(rotations, order[:, None, :], axis=2)
-    scales = np.take_along_axis(scales, order, axis=1)
+    axis_match = np.abs(rotations[box_indices][:, np.arange(3)[None], AXIS_ORDERS]).sum(axis=2)
+    axis_order[box_indices] = AXIS_ORDERS[axis_match.argmax(axis=1)]
+    rotations = np.take_along_axis(rotations, axis_order[:, None, :], axis=2)
+    scales = np.take_along_axis(scales, axis_order, axis=1)
     is_symmetric: Bool = kinds != "plane"  # unchanged if an axis is flipped
     for axis in range(3):
         rotations[is_symmetric & (rotations[:, axis, axis] < 0), :, axis] *= -1
@@ -733,12 +758,12 @@ def _straighten(kinds: NDArray[np.str_], rotations: Float, scales: Float) -> tup
 
 
 def _scale_size(
-    kind: str, size: tuple[float, ...], scales: list[float], is_skewed: bool
+    solid_type: str, size: tuple[float, ...], scales: list[float], is_skewed: bool
 ) -> tuple[float, ...] | None:
     """Scale the size of a solid.
 
     Args:
-        kind: the solid's kind, see `_PrimShape`.
+        solid_type: the solid's kind, see `_PrimShape`.
         size: the size before scaling.
         scales: the scales along the solid's axes, three numbers.
         is_skewed: whether the solid is skewed, too.
@@ -749,13 +774,13 @@ def _scale_size(
     x_scale = _round(scales[0], DECIMALS)
     y_scale = _round(scales[1], DECIMALS)
     z_scale = _round(scales[2], DECIMALS)
-    if is_skewed or kind == "cone":
+    if is_skewed or solid_type == "cone":
         return None
-    if kind == "capsule" and not x_scale == y_scale == z_scale:
+    if solid_type == "capsule" and not x_scale == y_scale == z_scale:
         return None
-    if kind == "cylinder" and x_scale != y_scale:
+    if solid_type == "cylinder" and x_scale != y_scale:
         return None
-    factors = (scales[0], scales[2]) if kind in ("cylinder", "capsule") else scales
+    factors = (scales[0], scales[2]) if solid_type in ("cylinder", "capsule") else scales
     return tuple(
         _round(length * factor, DECIMALS) for length, factor in zip(size, factors, strict=False)
     )
