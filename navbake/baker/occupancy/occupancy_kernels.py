@@ -265,13 +265,13 @@ def _find_queries(lattice, window, cells, row_queries):
         query = row_queries[tile_row, 1]
         if window[2] == 0:  # the first tile in its row of tiles: find the first query by bisection
             query = 0
-            end = cells.shape[0]
-            while query < end:
-                middle = (query + end) // 2
+            end_query = cells.shape[0]
+            while query < end_query:
+                middle = (query + end_query) // 2
                 if cells[middle] < row * lattice.width:
                     query = middle + 1
                 else:
-                    end = middle
+                    end_query = middle
         row_queries[tile_row, 0] = query
         while query < cells.shape[0] and cells[query] < row * lattice.width + window[3]:
             query += 1
@@ -362,68 +362,76 @@ def _check_tile(task, tiles, tile, entries):
     geom_box = tile_state.geom_box
     _check_lines(task)
     num_entries = np.int64(0)  # see `list_end` above
-    plane_at = 0
-    solid_at = tiles.solid_start[tile]
+    next_plane = 0
+    next_solid = tiles.solid_start[tile]
     solid_end = tiles.solid_start[tile + 1]
-    triangle_at = tiles.triangle_start[tile]
+    next_triangle = tiles.triangle_start[tile]
     triangle_end = tiles.triangle_start[tile + 1]
     while num_entries >= 0 and tile_state.open_cells[0] != 0:
-        plane_geom = planes.geom[plane_at] if plane_at < planes.geom.shape[0] else NO_GEOM
-        solid_geom = solids.geom[tiles.solid_item[solid_at]] if solid_at < solid_end else NO_GEOM
+        plane_geom = planes.geom[next_plane] if next_plane < planes.geom.shape[0] else NO_GEOM
+        solid_geom = (
+            solids.geom[tiles.solid_item[next_solid]] if next_solid < solid_end else NO_GEOM
+        )
         triangle_geom = (
-            facets.geom[tiles.triangle_item[triangle_at]] if triangle_at < triangle_end else NO_GEOM
+            facets.geom[tiles.triangle_item[next_triangle]]
+            if next_triangle < triangle_end
+            else NO_GEOM
         )
         geom = min(plane_geom, solid_geom, triangle_geom)
         if geom == NO_GEOM:
             break
-        # the geom's shapes over the tile: `items[begin:end]`
-        kind = SOLID_KIND
-        items = tiles.solid_item
+        # the geom's shapes over the tile: `shape_ids[shape_start:shape_stop]`
+        shape_kind = SOLID_KIND
+        shape_ids = tiles.solid_item
         bounds = solids.bounds
-        begin = solid_at
-        end = solid_at + 1
+        shape_start = next_solid
+        shape_stop = next_solid + 1
         if geom == plane_geom:
-            kind = PLANE_KIND
-            items = tile_state.plane
-            begin = np.int64(0)
-            end = np.int64(1)
-            tile_state.plane[0] = plane_at
-            plane_at += 1
+            shape_kind = PLANE_KIND
+            shape_ids = tile_state.plane
+            shape_start = np.int64(0)
+            shape_stop = np.int64(1)
+            tile_state.plane[0] = next_plane
+            next_plane += 1
         elif geom == solid_geom:
-            solid_at += 1
+            next_solid += 1
         else:
-            kind = TRIANGLE_KIND
-            items = tiles.triangle_item
+            shape_kind = TRIANGLE_KIND
+            shape_ids = tiles.triangle_item
             bounds = facets.bounds
-            begin = triangle_at
-            while triangle_at < triangle_end and facets.geom[items[triangle_at]] == geom:
-                triangle_at += 1
-            end = triangle_at
+            shape_start = next_triangle
+            while next_triangle < triangle_end and facets.geom[shape_ids[next_triangle]] == geom:
+                next_triangle += 1
+            shape_stop = next_triangle
         # one loop for solids and triangles, and one call below: both are compiled where they stand
         for axis in range(3):
             geom_box[0, axis] = math.inf
             geom_box[0, 3 + axis] = -math.inf
-        for shape in items[begin : end if kind != PLANE_KIND else begin]:
+        for shape in shape_ids[
+            shape_start : shape_stop if shape_kind != PLANE_KIND else shape_start
+        ]:
             for axis in range(3):
                 geom_box[0, axis] = min(geom_box[0, axis], bounds[shape, axis])
                 geom_box[0, 3 + axis] = max(geom_box[0, 3 + axis], bounds[shape, 3 + axis])
-        if kind == PLANE_KIND:
+        if shape_kind == PLANE_KIND:
             for axis in range(3):
                 geom_box[0, axis] = -math.inf
                 geom_box[0, 3 + axis] = math.inf
             is_level_ground = (
-                planes.mat[items[0], 2] == 0.0
-                and planes.mat[items[0], 5] == 0.0
-                and planes.mat[items[0], 8] > 0.0
+                planes.mat[shape_ids[0], 2] == 0.0
+                and planes.mat[shape_ids[0], 5] == 0.0
+                and planes.mat[shape_ids[0], 8] > 0.0
             )
             if is_level_ground:
-                geom_box[0, 5] = planes.pos[items[0], 2]
-        num_entries = _check_geom(task, kind, items[begin:end], geom, entries, num_entries)
+                geom_box[0, 5] = planes.pos[shape_ids[0], 2]
+        num_entries = _check_geom(
+            task, shape_kind, shape_ids[shape_start:shape_stop], geom, entries, num_entries
+        )
     return num_entries
 
 
 @subkernel(inline="always")
-def _check_geom(task, kind, shapes, geom, entries, num_entries):
+def _check_geom(task, shape_kind, shapes, geom, entries, num_entries):
     """Test a geom against the prisms over the floors of the queries near it, and keep its flags.
 
     A query is a cell with the height of a floor. A flag says that the geom meets the prism of that
@@ -431,7 +439,7 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
 
     Args:
         task: a `TileTask`, whose queries receive the flags.
-        kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
+        shape_kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
         shapes: the numbers of the geom's shapes over the tile: one plane, one solid, or triangles.
         geom: id of the geom.
         entries: a `TileEntries` that receives the geom for each query where it has a flag.
@@ -454,15 +462,15 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
     # how far from a cell's centre shapes can meet the prisms over its square, and any of its prisms
     square_distance = lattice.cell_size / 2 + SEARCH_MARGIN
     search_distance = max(square_distance, max(footprint.square, footprint.radius) + SEARCH_MARGIN)
-    near_geom = window_near_box(lattice, window, tile_state.geom_box, 0, search_distance)
+    window_near_geom = window_near_box(lattice, window, tile_state.geom_box, 0, search_distance)
     pending = tile_state.pending
     pending_heights = tile_state.pending_heights
     pending[:] = 0
     pending_heights[:, 0] = math.inf
     pending_heights[:, 1] = -math.inf
     # which flags the vertical line of each cell leaves open
-    for row in range(near_geom[0], near_geom[1]):
-        for col in range(near_geom[2], near_geom[3]):
+    for row in range(window_near_geom[0], window_near_geom[1]):
+        for col in range(window_near_geom[2], window_near_geom[3]):
             tile_row = row - window[0]
             tile_col = col - window[2]
             first_query = tile_state.first_query[tile_row, tile_col]
@@ -471,18 +479,22 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
                 envelope = make_envelope(lattice, footprint, queries, task.lists, query, row, col)
                 if is_beside_prism(tile_state.geom_box, 0, envelope):
                     continue
-                if kind == PLANE_KIND and not plane_meets_prism(
+                if shape_kind == PLANE_KIND and not plane_meets_prism(
                     task.shape_arrays.planes, shapes[0], envelope
                 ):
                     continue
                 volumes = make_volumes(lattice, footprint, queries, task.lists, query, row, col)
-                _begin_geom(task, kind, geom, query, volumes)
+                _begin_geom(task, shape_kind, geom, query, volumes)
                 open_flags = np.int64(queries.tested_flags[query] & ~queries.geom_flags[query])
-                for k, volume in enumerate(volumes):
-                    if open_flags & (1 << k):
-                        pending[k] |= cell_bit(tile_row, tile_col)
-                        pending_heights[k, 0] = min(pending_heights[k, 0], volume.low)
-                        pending_heights[k, 1] = max(pending_heights[k, 1], volume.high)
+                for flag_index, volume in enumerate(volumes):
+                    if open_flags & (1 << flag_index):
+                        pending[flag_index] |= cell_bit(tile_row, tile_col)
+                        pending_heights[flag_index, 0] = min(
+                            pending_heights[flag_index, 0], volume.low
+                        )
+                        pending_heights[flag_index, 1] = max(
+                            pending_heights[flag_index, 1], volume.high
+                        )
     for shape in shapes:
         if pending[0] | pending[1] | pending[2] | pending[3] == 0:
             break
@@ -490,29 +502,31 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
         # cell, and cells where another flag is open, whose prisms are over the cell's square
         disc_cells = np.int64(0)
         square_cells = np.int64(0)
-        near_shape = near_geom
-        for k in range(4):
-            is_at_height = kind != TRIANGLE_KIND or (
-                facets.bounds[shape, 2] < pending_heights[k, 1]
-                and facets.bounds[shape, 5] > pending_heights[k, 0]
+        window_near_shape = window_near_geom
+        for flag_index in range(4):
+            is_at_height = shape_kind != TRIANGLE_KIND or (
+                facets.bounds[shape, 2] < pending_heights[flag_index, 1]
+                and facets.bounds[shape, 5] > pending_heights[flag_index, 0]
             )
-            disc_cells |= pending[k] if is_at_height and 1 << k == BLOCKING else 0
-            square_cells |= pending[k] if is_at_height and 1 << k != BLOCKING else 0
-        if kind == TRIANGLE_KIND and disc_cells | square_cells != 0:
+            disc_cells |= pending[flag_index] if is_at_height and 1 << flag_index == BLOCKING else 0
+            square_cells |= (
+                pending[flag_index] if is_at_height and 1 << flag_index != BLOCKING else 0
+            )
+        if shape_kind == TRIANGLE_KIND and disc_cells | square_cells != 0:
             triangle_distance = search_distance if disc_cells != 0 else square_distance
-            near_shape = window_near_box(
-                lattice, near_geom, facets.bounds, shape, triangle_distance
+            window_near_shape = window_near_box(
+                lattice, window_near_geom, facets.bounds, shape, triangle_distance
             )
-            disc_cells &= window_bits(window, near_shape)
+            disc_cells &= window_bits(window, window_near_shape)
             if square_cells != 0:
-                near_square = window_near_box(
-                    lattice, near_shape, facets.bounds, shape, square_distance
+                window_near_square = window_near_box(
+                    lattice, window_near_shape, facets.bounds, shape, square_distance
                 )
-                square_cells &= window_bits(window, near_square)
+                square_cells &= window_bits(window, window_near_square)
         if disc_cells | square_cells == 0:  # as for most triangles of a fine mesh
             continue
-        for row in range(near_shape[0], near_shape[1]):
-            for col in range(near_shape[2], near_shape[3]):
+        for row in range(window_near_shape[0], window_near_shape[1]):
+            for col in range(window_near_shape[2], window_near_shape[3]):
                 tile_row = row - window[0]
                 tile_col = col - window[2]
                 if (disc_cells | square_cells) & cell_bit(tile_row, tile_col) == 0:
@@ -524,20 +538,22 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
                         volumes = make_volumes(
                             lattice, footprint, queries, task.lists, query, row, col
                         )
-                        _check_shape(task, kind, shape, query, volumes)
+                        _check_shape(task, shape_kind, shape, query, volumes)
                         open_flags |= queries.tested_flags[query] & ~queries.geom_flags[query]
-                for k in range(4):
-                    pending[k] &= -1 if open_flags & (1 << k) else ~cell_bit(tile_row, tile_col)
-    return _keep_flags(task, near_geom, geom, entries, num_entries)
+                for flag_index in range(4):
+                    pending[flag_index] &= (
+                        -1 if open_flags & (1 << flag_index) else ~cell_bit(tile_row, tile_col)
+                    )
+    return _keep_flags(task, window_near_geom, geom, entries, num_entries)
 
 
 @subkernel(inline="always")
-def _begin_geom(task, kind, geom, query, volumes):
+def _begin_geom(task, shape_kind, geom, query, volumes):
     """Set for which flags a geom is tested in a query, and which of them the vertical line proves.
 
     Args:
         task: a `TileTask`, whose queries receive the flags.
-        kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
+        shape_kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
         geom: id of the geom.
         query: number of the query.
         volumes: the prisms of the flags over the query's floor.
@@ -554,12 +570,12 @@ def _begin_geom(task, kind, geom, query, volumes):
         tested_flags = BLOCKING_SQUARE
     if lists.ceiling.shape[0] > 0:
         tested_flags |= OCCUPYING | BLOCKING
-        if kind != PLANE_KIND and lists.is_wall_candidate[geom]:  # a plane is no wall
+        if shape_kind != PLANE_KIND and lists.is_wall_candidate[geom]:  # a plane is no wall
             tested_flags |= AT_WALL_HEIGHT
         # the geom's own winding number proves BLOCKING only where that of all geoms does, too
         provable = OCCUPYING | AT_WALL_HEIGHT | (BLOCKING if query_flags & BLOCKED_BY_LINE else 0)
-        on_line = find_flags_on_line(task.hits, queries.cell[query], geom, volumes)
-        geom_flags = on_line & provable & tested_flags
+        flags_on_line = find_flags_on_line(task.hits, queries.cell[query], geom, volumes)
+        geom_flags = flags_on_line & provable & tested_flags
     elif not query_flags & BLOCKING:
         tested_flags |= BLOCKING
     queries.tested_flags[query] = tested_flags
@@ -567,14 +583,14 @@ def _begin_geom(task, kind, geom, query, volumes):
 
 
 @subkernel(**NO_REFCOUNT)
-def _check_shape(task, kind, shape, query, volumes):
+def _check_shape(task, shape_kind, shape, query, volumes):
     """Test a shape of a geom against the prisms of all flags that are still open in a query.
 
     The flags of the prisms that it meets are added to `queries.geom_flags`.
 
     Args:
         task: a `TileTask`.
-        kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
+        shape_kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
         shape: number of the plane, solid or triangle.
         query: number of the query.
         volumes: the prisms of the flags over the query's floor.
@@ -583,11 +599,13 @@ def _check_shape(task, kind, shape, query, volumes):
     footprint = task.footprint
     geom_flags = np.int64(queries.geom_flags[query])
     open_flags = np.int64(queries.tested_flags[query]) & ~geom_flags
-    for k, volume in enumerate(volumes):
-        flag = 1 << k
+    for flag_index, volume in enumerate(volumes):
+        flag = 1 << flag_index
         if not open_flags & flag:
             continue
-        answer = shape_meets_prism(task.shape_arrays, kind, shape, volume, task.tile_state.scratch)
+        answer = shape_meets_prism(
+            task.shape_arrays, shape_kind, shape, volume, task.tile_state.scratch
+        )
         if answer == MEETS:
             geom_flags |= flag
         elif answer == APART:
@@ -609,20 +627,22 @@ def _check_shape(task, kind, shape, query, volumes):
 
 
 @subkernel
-def _make_entries(size):
-    """Allocate a `TileEntries` with room for `size` entries."""
-    return TileEntries(np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.uint8))
+def _make_entries(capacity):
+    """Allocate a `TileEntries` with room for `capacity` entries."""
+    return TileEntries(
+        np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty(capacity, np.uint8)
+    )
 
 
 @subkernel(**NO_REFCOUNT)
-def _keep_flags(task, near, geom, entries, num_entries):
+def _keep_flags(task, window_near_geom, geom, entries, num_entries):
     """Add the flags of a geom to those of the queries near it, and the geom to the occupants there.
 
     Cells for which no further geom has to be tested are removed from `open_cells`.
 
     Args:
         task: a `TileTask`, whose queries receive the flags.
-        near: window of the cells near the geom, see `tile_window`.
+        window_near_geom: window of the cells near the geom, see `tile_window`.
         geom: id of the geom.
         entries: a `TileEntries` that receives the geom for each query where it has a flag.
         num_entries: the number of entries so far.
@@ -634,8 +654,8 @@ def _keep_flags(task, near, geom, entries, num_entries):
     queries = task.queries
     footprint = task.footprint
     is_listing = task.lists.ceiling.shape[0] > 0
-    for row in range(near[0], near[1]):
-        for col in range(near[2], near[3]):
+    for row in range(window_near_geom[0], window_near_geom[1]):
+        for col in range(window_near_geom[2], window_near_geom[3]):
             tile_row = row - task.window[0]
             tile_col = col - task.window[2]
             is_open = is_listing
@@ -674,7 +694,7 @@ def _keep_flags(task, near, geom, entries, num_entries):
 
 
 @subkernel(**NO_REFCOUNT)
-def _write_lists(row_queries, entries, num_entries, first, list_geom, list_flags, list_end):
+def _write_lists(row_queries, entries, num_entries, list_start, list_geom, list_flags, list_end):
     """Write the occupants of a tile's queries as one list for each query.
 
     A counting sort: entries are in the order of geoms, lists in the order of queries.
@@ -683,7 +703,7 @@ def _write_lists(row_queries, entries, num_entries, first, list_geom, list_flags
         row_queries: the queries in each row of the tile, see `TileState`.
         entries: the geoms over each query's floor, a `TileEntries`.
         num_entries: the number of entries.
-        first: receives for each query where its list begins; 0 at first.
+        list_start: receives for each query where its list begins; 0 at first.
         list_geom: receives geom ids, and -1 after each list.
         list_flags: receives the geoms' flags, and 0 after each list.
         list_end: the index at which the first list begins.
@@ -692,18 +712,18 @@ def _write_lists(row_queries, entries, num_entries, first, list_geom, list_flags
         The index after the last list.
     """
     for entry in range(num_entries):
-        first[entries.query[entry]] += 1
+        list_start[entries.query[entry]] += 1
     for tile_row in range(row_queries.shape[0]):  # a constant length would be unrolled
         for query in range(row_queries[tile_row, 0], row_queries[tile_row, 1]):
-            if first[query] > 0:
-                list_end += first[query] + 1
+            if list_start[query] > 0:
+                list_end += list_start[query] + 1
                 # the place of the end mark; the list is filled from there to its beginning
-                first[query] = list_end - 1
-                list_geom[first[query]] = -1
-                list_flags[first[query]] = 0
+                list_start[query] = list_end - 1
+                list_geom[list_start[query]] = -1
+                list_flags[list_start[query]] = 0
     for entry in range(num_entries - 1, -1, -1):
         query = entries.query[entry]
-        first[query] -= 1
-        list_geom[first[query]] = entries.geom[entry]
-        list_flags[first[query]] = entries.flags[entry]
+        list_start[query] -= 1
+        list_geom[list_start[query]] = entries.geom[entry]
+        list_flags[list_start[query]] = entries.flags[entry]
     return list_end

@@ -119,7 +119,7 @@ class Volumes(NamedTuple):
 
 
 class VolumeScratch(NamedTuple):
-    """Memory that the tests of shapes against prisms use."""
+    """Memory that the tests of shapes against prisms write their intermediate results to."""
 
     simplex: Simplex
     polygons: Polygons
@@ -141,18 +141,18 @@ def make_volumes(lattice, footprint, queries, lists, query, row, col):
     """
     floor = queries.floor[query]
     x, y = cell_center_at(lattice, row, col)
-    low = floor + footprint.low
-    high = floor + footprint.high
-    half = lattice.cell_size / 2 - TOUCH_DEPTH
+    bottom = floor + footprint.low
+    top = floor + footprint.high
+    half_width = lattice.cell_size / 2 - TOUCH_DEPTH
     is_round = footprint.radius > 0.0
-    ceiling = lists.ceiling[query] if lists.ceiling.shape[0] > 0 else high
+    ceiling = lists.ceiling[query] if lists.ceiling.shape[0] > 0 else top
     return Volumes(
-        occupying=Prism(x, y, floor + (SAME_HEIGHT + TOUCH_DEPTH), ceiling, half, NOT_ROUND),
-        blocking=Prism(x, y, low, high, footprint.radius if is_round else half, is_round),
+        occupying=Prism(x, y, floor + (SAME_HEIGHT + TOUCH_DEPTH), ceiling, half_width, NOT_ROUND),
+        blocking=Prism(x, y, bottom, top, footprint.radius if is_round else half_width, is_round),
         at_wall_height=Prism(
-            x, y, floor + lists.wall_low, floor + lists.wall_high, half, NOT_ROUND
+            x, y, floor + lists.wall_low, floor + lists.wall_high, half_width, NOT_ROUND
         ),
-        blocking_square=Prism(x, y, low, high, half, NOT_ROUND),
+        blocking_square=Prism(x, y, bottom, top, half_width, NOT_ROUND),
     )
 
 
@@ -173,40 +173,40 @@ def make_envelope(lattice, footprint, queries, lists, query, row, col):
     """
     floor = queries.floor[query]
     x, y = cell_center_at(lattice, row, col)
-    half = max(lattice.cell_size / 2, footprint.square, footprint.radius) + SEARCH_MARGIN
-    low = floor + footprint.low
-    high = floor + footprint.high
+    half_width = max(lattice.cell_size / 2, footprint.square, footprint.radius) + SEARCH_MARGIN
+    bottom = floor + footprint.low
+    top = floor + footprint.high
     if lists.ceiling.shape[0] > 0:
-        low = floor
-        high = lists.ceiling[query]
-    return Prism(x, y, low, high, half, NOT_ROUND)
+        bottom = floor
+        top = lists.ceiling[query]
+    return Prism(x, y, bottom, top, half_width, NOT_ROUND)
 
 
 @subkernel(inline="always")
-def shape_meets_prism(shape_arrays, kind, shape, prism, scratch):
+def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
     """Return whether a shape of a geom meets a prism: APART, MEETS, or UNDECIDED.
 
     UNDECIDED means that rounding errors prevent a proof; it is returned for solids only.
 
     Args:
         shape_arrays: all shapes.
-        kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
+        shape_kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
         shape: number of the plane, solid or triangle.
         prism: a square or a disc between two heights.
         scratch: room for the test.
     """
-    if kind == PLANE_KIND:
+    if shape_kind == PLANE_KIND:
         return MEETS if plane_meets_prism(shape_arrays.planes, shape, prism) else APART
-    if kind == TRIANGLE_KIND:
+    if shape_kind == TRIANGLE_KIND:
         meets = facet_meets_prism(shape_arrays.facets, shape, prism, scratch.polygons)
         return MEETS if meets else APART
     solids = shape_arrays.solids
     if is_beside_prism(solids.bounds, shape, prism):
         return APART
     # GJK's error grows with the prism's height: a tall prism is cut above the solid
-    high = min(prism.high, solids.bounds[shape, 5] + 1.0)
-    low_prism = Prism(prism.x, prism.y, prism.low, high, prism.half, prism.is_round)
-    return solid_meets_prism(solids, shape, low_prism, scratch.simplex)
+    cut_top = min(prism.high, solids.bounds[shape, 5] + 1.0)
+    cut_prism = Prism(prism.x, prism.y, prism.low, cut_top, prism.half, prism.is_round)
+    return solid_meets_prism(solids, shape, cut_prism, scratch.simplex)
 
 
 @subkernel(**NO_REFCOUNT)
@@ -233,15 +233,15 @@ def find_flags_on_line(hits, cell, geom, volumes):
     winding_occupying = 0
     winding_blocking = 0
     winding_at_wall = 0
-    for i in range(hits.start[cell + 1] - 1, hits.start[cell] - 1, -1):
-        z = hits.z[i]
+    for hit in range(hits.start[cell + 1] - 1, hits.start[cell] - 1, -1):
+        z = hits.z[hit]
         if z <= lowest:
             break
-        if hits.geom[i] != geom:
+        if hits.geom[hit] != geom:
             continue
         winding = 0
-        if hits.closed[i]:
-            winding = 1 if hits.normal[i, 2] > 0.0 else -1
+        if hits.closed[hit]:
+            winding = 1 if hits.normal[hit, 2] > 0.0 else -1
         if z >= occupying.high:
             winding_occupying += winding
         elif z > occupying.low:
@@ -276,13 +276,13 @@ def describe_floor(hits, cell, floor, min_up):
     """
     floor_geom = np.int32(-1)
     gap_below = np.inf
-    for i in range(hits.start[cell], hits.start[cell + 1]):
-        if hits.z[i] == floor and hits.normal[i, 2] >= min_up:
-            floor_geom = hits.geom[i]
+    for hit in range(hits.start[cell], hits.start[cell + 1]):
+        if hits.z[hit] == floor and hits.normal[hit, 2] >= min_up:
+            floor_geom = hits.geom[hit]
             break
-    for i in range(hits.start[cell], hits.start[cell + 1]):
-        if hits.z[i] > floor:
+    for hit in range(hits.start[cell], hits.start[cell + 1]):
+        if hits.z[hit] > floor:
             break
-        if hits.normal[i, 2] >= min_up and hits.geom[i] != floor_geom:
-            gap_below = floor - hits.z[i]
+        if hits.normal[hit, 2] >= min_up and hits.geom[hit] != floor_geom:
+            gap_below = floor - hits.z[hit]
     return floor_geom, gap_below

@@ -17,7 +17,7 @@ COLUMN_FLAGS = (EMPTY, HOLE, STEEP_GROUND, SKY, TALL)
 
 
 @kernel(nogil=True)
-def flag_columns(hits, floor, ground, limits, above_heads, flags, begin, end):
+def flag_columns(hits, floor, ground, limits, above_heads, flags, first_cell, end_cell):
     """Write the `COLUMN_FLAGS` of the cells ``[begin, end)`` of a level.
 
     A cell without a floor is a HOLE if nothing is in the way of the agent's body there. Only
@@ -35,32 +35,32 @@ def flag_columns(hits, floor, ground, limits, above_heads, flags, begin, end):
         limits: the agent's highest step, headroom and largest slope, as `AgentLimits`.
         above_heads: the height above the floor from which on something is TALL [m].
         flags: receives the flags of each cell, uint8.
-        begin: id of the first cell.
-        end: id after the last cell.
+        first_cell: id of the first cell.
+        end_cell: id after the last cell.
     """
     start = hits.start
     z = hits.z
     normal = hits.normal
     min_up = np.float32(limits.min_up)
-    for cell in range(begin, end):
+    for cell in range(first_cell, end_cell):
         hit = start[cell]
         end_hit = start[cell + 1]
         has_floor = not np.isnan(floor[cell])
         cell_flags = 0 if hit < end_hit else EMPTY
-        top = z[end_hit - 1] if hit < end_hit else np.inf
-        top_up = normal[end_hit - 1, 2] if hit < end_hit else np.float32(0.0)
+        top_height = z[end_hit - 1] if hit < end_hit else np.inf
+        top_normal_z = normal[end_hit - 1, 2] if hit < end_hit else np.float32(0.0)
         # the first surface that is neither the floor nor within a step of the ground
-        lowest = floor[cell] + SAME_HEIGHT if has_floor else ground + limits.step
-        while hit < end_hit and z[hit] <= lowest:
+        lowest_counted = floor[cell] + SAME_HEIGHT if has_floor else ground + limits.step
+        while hit < end_hit and z[hit] <= lowest_counted:
             hit += 1
         faces_up = hit < end_hit and normal[hit, 2] > 0.0
         if has_floor:
-            if top <= floor[cell] + limits.headroom + LIMIT_SLACK:
+            if top_height <= floor[cell] + limits.headroom + LIMIT_SLACK:
                 cell_flags |= SKY
             if faces_up and z[hit] > floor[cell] + above_heads:
                 cell_flags |= TALL
         else:
-            if top_up > 0.0 and top_up < min_up:
+            if top_normal_z > 0.0 and top_normal_z < min_up:
                 cell_flags |= STEEP_GROUND
             if not faces_up and (hit == end_hit or z[hit] > ground + limits.headroom):
                 cell_flags |= HOLE

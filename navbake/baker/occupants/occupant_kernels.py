@@ -121,7 +121,7 @@ def _get_row(rows, row_of_geom, first_row, num_rows, geom):
 
 
 @kernel(nogil=True)
-def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, begin, end):
+def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, first_block, end_block):
     """Measure how high geoms rise over floors, and in how many cells their surfaces are the floor.
 
     It does so block by block (squares of cells). A row is written for each pair of a block and a
@@ -135,59 +135,63 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, begin, 
         num_in_block: receives the number of rows of each block.
         rows: two arrays that receive the rows: ``NUM_CELLS`` to ``GEOM``, (capacity, 7) int64; and
             ``LOWER_END`` and ``EXTENT_UP`` [m], (capacity, 2) float64.
-        begin: index into `blocks` of the first block that this call measures.
-        end: index after the last of them.
+        first_block: index into `blocks` of the first block that this call measures.
+        end_block: index after the last of them.
 
     Returns:
-        The index into `blocks` of the first block whose rows did not fit; `end` if all fit.
+        The index into `blocks` of the first block whose rows did not fit; `end_block` if all fit.
     """
     counts, heights = rows
     num_rows = np.int64(0)
     row_of_geom = np.full(geoms.low.shape[0], np.int64(-1))
-    for k in range(begin, end):
+    for block_index in range(first_block, end_block):
         first_row = num_rows
-        row0, row1, col0, col1 = block_window(occupants.lattice, blocks[k])
-        for lattice_row in range(row0, row1):
+        first_lattice_row, end_lattice_row, first_col, end_col = block_window(
+            occupants.lattice, blocks[block_index]
+        )
+        for lattice_row in range(first_lattice_row, end_lattice_row):
             first_cell = lattice_row * occupants.lattice.width
-            for cell in range(first_cell + col0, first_cell + col1):
-                i = occupants.first[cell]
-                while occupants.geom[i] >= 0:
-                    geom = occupants.geom[i]
-                    flags = np.int64(occupants.flags[i])
-                    i += 1
+            for cell in range(first_cell + first_col, first_cell + end_col):
+                entry = occupants.first[cell]
+                while occupants.geom[entry] >= 0:
+                    geom = occupants.geom[entry]
+                    flags = np.int64(occupants.flags[entry])
+                    entry += 1
                     if not flags & OCCUPYING:
                         continue
                     row = _get_row(rows, row_of_geom, first_row, num_rows, geom)
                     if row < 0:
-                        return k
+                        return block_index
                     num_rows = max(num_rows, row + 1)
                     counts[row, NUM_CELLS] += 1
                     counts[row, NUM_AT_WALL_HEIGHT] += 1 if flags & AT_WALL_HEIGHT else 0
                     floor = floors.height[cell]
-                    low = geoms.low[geom]
-                    high = geoms.high[geom]
+                    geom_bottom = geoms.low[geom]
+                    geom_top = geoms.high[geom]
                     # no comparison holds for an endless plane, whose heights are NaN
-                    if low - floor < heights[row, LOWER_END]:
-                        heights[row, LOWER_END] = low - floor
-                    if high - max(low, floor) > heights[row, EXTENT_UP]:
-                        heights[row, EXTENT_UP] = high - max(low, floor)
+                    if geom_bottom - floor < heights[row, LOWER_END]:
+                        heights[row, LOWER_END] = geom_bottom - floor
+                    if geom_top - max(geom_bottom, floor) > heights[row, EXTENT_UP]:
+                        heights[row, EXTENT_UP] = geom_top - max(geom_bottom, floor)
                 floor_geom = occupants.floor_geom[cell]
-                gap = occupants.gap_below[cell]
+                gap_below = occupants.gap_below[cell]
                 if floor_geom >= 0:
                     row = _get_row(rows, row_of_geom, first_row, num_rows, floor_geom)
                     if row < 0:
-                        return k
+                        return block_index
                     num_rows = max(num_rows, row + 1)
                     counts[row, NUM_FLOORS] += 1
-                    counts[row, NUM_ON_FLOORS] += 1 if gap <= geoms.on_floor_gap[floor_geom] else 0
-                    counts[row, NUM_COVERS] += 1 if gap <= geoms.cover_gap else 0
+                    counts[row, NUM_ON_FLOORS] += (
+                        1 if gap_below <= geoms.on_floor_gap[floor_geom] else 0
+                    )
+                    counts[row, NUM_COVERS] += 1 if gap_below <= geoms.cover_gap else 0
                     counts[row, IS_STANDABLE] |= 1 if floors.standable[cell] else 0
-        num_in_block[k] = num_rows - first_row
-    return end
+        num_in_block[block_index] = num_rows - first_row
+    return end_block
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def mark_walls(occupants, kinds, cells, is_wall, is_low_wall, begin, end):
+def mark_walls(occupants, kinds, cells, is_wall, is_low_wall, first_index, end_index):
     """Mark which of ``cells[begin:end]`` a wall blocks, and which a low wall blocks.
 
     In a marked cell the wall is over the cell's square (OCCUPYING) and meets the agent's footprint
@@ -200,23 +204,25 @@ def mark_walls(occupants, kinds, cells, is_wall, is_low_wall, begin, end):
         cells: cell ids.
         is_wall: receives for each of `cells` whether a wall blocks it, bool.
         is_low_wall: receives for each of `cells` whether a low wall blocks it, bool.
-        begin: index into `cells` of the first cell that this call marks.
-        end: index after the last of them.
+        first_index: index into `cells` of the first cell that this call marks.
+        end_index: index after the last of them.
     """
-    for n in range(begin, end):
-        i = occupants.first[cells[n]]
-        is_wall[n] = False
-        is_low_wall[n] = False
-        is_high = False
-        while occupants.geom[i] >= 0:
-            kind = kinds[occupants.geom[i]]
-            flags = np.int64(occupants.flags[i])
-            i += 1
+    for cell_index in range(first_index, end_index):
+        entry = occupants.first[cells[cell_index]]
+        is_wall[cell_index] = False
+        is_low_wall[cell_index] = False
+        has_tall_building = False
+        while occupants.geom[entry] >= 0:
+            geom_kind = kinds[occupants.geom[entry]]
+            flags = np.int64(occupants.flags[entry])
+            entry += 1
             if not flags & OCCUPYING:
                 continue
-            if kind == BUILDING and flags & AT_WALL_HEIGHT:
-                is_high = True
+            if geom_kind == BUILDING and flags & AT_WALL_HEIGHT:
+                has_tall_building = True
             if flags & BLOCKING:
-                is_wall[n] |= kind == WALL or (kind == BUILDING and flags & AT_WALL_HEIGHT != 0)
-                is_low_wall[n] |= kind == BUILDING
-        is_low_wall[n] &= not is_high
+                is_wall[cell_index] |= geom_kind == WALL or (
+                    geom_kind == BUILDING and flags & AT_WALL_HEIGHT != 0
+                )
+                is_low_wall[cell_index] |= geom_kind == BUILDING
+        is_low_wall[cell_index] &= not has_tall_building

@@ -213,27 +213,31 @@ def mark_gaps(is_open, shift, is_near_wall, limits, marks):
         limits: a `GapLimits`.
         marks: receives the `Marks`, shape (rows, cols).
     """
-    run = measure_runs(is_open, shift, is_near_wall)
-    rows, cols = run.shape
+    run_length = measure_runs(is_open, shift, is_near_wall)
+    rows, cols = run_length.shape
     for col in range(cols):
         for row in range(rows):
-            width = run[row, col]
+            width = run_length[row, col]
             if width == 0 or width > limits.max_width or not is_near_wall[row, col]:
                 continue
-            longer = _min_longer_run(width, limits)
-            if row > 0 and run[row - 1, col] >= longer:
+            min_longer_length = _min_longer_run(width, limits)
+            if row > 0 and run_length[row - 1, col] >= min_longer_length:
                 if not limits.only_doorways:
                     marks[row, col] = max(marks[row, col], ONE_SIDED)
-                end = _find_doorway_end(run, row, col, limits)
-                for doorway_row in range(row, end):
+                doorway_end = _find_doorway_end(run_length, row, col, limits)
+                for doorway_row in range(row, doorway_end):
                     if marks[doorway_row, col] < DOORWAY:
-                        _mark_doorway(run, shift, doorway_row, col, marks)
-            if not limits.only_doorways and row + 1 < rows and run[row + 1, col] >= longer:
+                        _mark_doorway(run_length, shift, doorway_row, col, marks)
+            if (
+                not limits.only_doorways
+                and row + 1 < rows
+                and run_length[row + 1, col] >= min_longer_length
+            ):
                 marks[row, col] = max(marks[row, col], ONE_SIDED)
 
 
 @subkernel
-def measure_runs(is_open, shift, marked):
+def measure_runs(is_open, shift, is_marked):
     """Measure the length of the run of open cells that each cell belongs to, along the scan lines.
 
     A run is a row of open cells along a line of the scan, from one closed cell to the next. The
@@ -243,36 +247,45 @@ def measure_runs(is_open, shift, marked):
     Args:
         is_open: a mask of the open cells, shape (rows, cols), bool.
         shift: for each column, how many rows lower a line is than in the first column.
-        marked: any mask, bool. Changed: if one cell of a run is marked, all its cells are marked.
+        is_marked: any mask, bool. Changed: if one cell of a run is marked, all its cells are
+            marked.
 
     Returns:
         The length of each cell's run, 0 for closed cells, shape (rows, cols), int32 [columns].
     """
     rows, cols = is_open.shape
-    run = np.zeros((cols, rows), dtype=np.int32).T
-    length = np.zeros(rows + 2 * cols, dtype=np.int32)  # of the run on each line so far
+    run_length = np.zeros((cols, rows), dtype=np.int32).T
+    length_so_far = np.zeros(rows + 2 * cols, dtype=np.int32)  # of the run on each line so far
     for col in range(cols):
-        offset = cols - shift[col]
+        line_offset = cols - shift[col]
         for row in range(rows):
-            line = row + offset
+            line = row + line_offset
             # a line that leaves the lattice at its upper or lower edge ends there
             if is_open[row, col]:
-                before = row if col == 0 else row - shift[col] + shift[col - 1]
-                goes_on = col > 0 and 0 <= before < rows and is_open[before, col - 1]
+                previous_row = row if col == 0 else row - shift[col] + shift[col - 1]
+                is_continued = (
+                    col > 0 and 0 <= previous_row < rows and is_open[previous_row, col - 1]
+                )
                 # two lines of cells that touch at corners only don't cross
-                goes_on = goes_on and (is_open[before, col] or is_open[row, col - 1])
-                length[line] = length[line] + 1 if goes_on else 1
-                marked[row, col] |= goes_on and marked[before, col - 1]
-                run[row, col] = length[line]
+                is_continued = is_continued and (
+                    is_open[previous_row, col] or is_open[row, col - 1]
+                )
+                length_so_far[line] = length_so_far[line] + 1 if is_continued else 1
+                is_marked[row, col] |= is_continued and is_marked[previous_row, col - 1]
+                run_length[row, col] = length_so_far[line]
     for col in range(cols - 2, -1, -1):
         for row in range(rows):
-            after = row - shift[col] + shift[col + 1]
-            if run[row, col] == 0 or not 0 <= after < rows or run[after, col + 1] == 0:
+            next_row = row - shift[col] + shift[col + 1]
+            if (
+                run_length[row, col] == 0
+                or not 0 <= next_row < rows
+                or run_length[next_row, col + 1] == 0
+            ):
                 continue
-            if is_open[after, col] or is_open[row, col + 1]:
-                run[row, col] = run[after, col + 1]
-                marked[row, col] |= marked[after, col + 1]
-    return run
+            if is_open[next_row, col] or is_open[row, col + 1]:
+                run_length[row, col] = run_length[next_row, col + 1]
+                is_marked[row, col] |= is_marked[next_row, col + 1]
+    return run_length
 
 
 @subkernel(**NO_REFCOUNT)
@@ -282,51 +295,55 @@ def _min_longer_run(width, limits):
 
 
 @subkernel(**NO_REFCOUNT)
-def _find_doorway_end(run, first_row, col, limits):
+def _find_doorway_end(run_length, first_row, col, limits):
     """Return the row after a doorway's last row, or `first_row` if no doorway begins there.
 
     The doorway is followed down the column, row by row. It ends where the runs of open cells get
     much longer again, at most `limits.max_thickness` rows on.
 
     Args:
-        run: the length of the run of open cells that each cell belongs to, see `measure_runs`.
+        run_length: the length of the run of open cells that each cell belongs to, see
+            `measure_runs`.
         first_row: the row of the cell in which the doorway may begin.
         col: the column of that cell.
         limits: a `GapLimits`.
     """
-    rows = run.shape[0]
-    width = run[first_row, col]
+    rows = run_length.shape[0]
+    width = run_length[first_row, col]
     for row in range(first_row, min(first_row + limits.max_thickness, rows)):
-        row_width = run[row, col]
+        row_width = run_length[row, col]
         if row_width == 0 or row_width > limits.max_width:
             break
         # If a run is clearly shorter than the first run, the doorway begins only there.
-        least = row_width + limits.min_widening + JAMB_JITTER
-        if max(limits.widening_factor * row_width, least) < width:
+        min_wider_length = row_width + limits.min_widening + JAMB_JITTER
+        if max(limits.widening_factor * row_width, min_wider_length) < width:
             break
-        if row + 1 < rows and run[row + 1, col] >= _min_longer_run(row_width, limits):
+        if row + 1 < rows and run_length[row + 1, col] >= _min_longer_run(row_width, limits):
             return row + 1
     return first_row
 
 
 @subkernel
-def _mark_doorway(run, shift, row, col, marks):
+def _mark_doorway(run_length, shift, row, col, marks):
     """Mark all cells of the run of open cells that cell (row, col) belongs to as `DOORWAY`."""
     marks[row, col] = DOORWAY
-    for step in (-1, 1):
+    for col_step in (-1, 1):
         last_row = row
-        next_col = col + step
+        next_col = col + col_step
         while 0 <= next_col < len(shift):
-            next_row = last_row - shift[next_col - step] + shift[next_col]
-            if not 0 <= next_row < len(run) or run[next_row, next_col] == 0:
+            next_row = last_row - shift[next_col - col_step] + shift[next_col]
+            if not 0 <= next_row < len(run_length) or run_length[next_row, next_col] == 0:
                 break
             if marks[next_row, next_col] == DOORWAY:
                 break
-            if run[next_row, next_col - step] == 0 and run[last_row, next_col] == 0:
+            if (
+                run_length[next_row, next_col - col_step] == 0
+                and run_length[last_row, next_col] == 0
+            ):
                 break  # between two closed cells that touch at their corners
             marks[next_row, next_col] = DOORWAY
             last_row = next_row
-            next_col = next_col + step
+            next_col = next_col + col_step
 
 
 # ---------------------------------------------------------------- measuring gaps
@@ -361,29 +378,29 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
         A list of pairs (gap, space): third spaces that a gap's lines met. The gap has to be
         measured again only if such a space is joined to one of the gap's own two spaces.
     """
-    num = len(chosen_gaps)
+    num_chosen = len(chosen_gaps)
     num_depths = len(scan.depths)
     lines = GapLines(
-        length=np.full((num, 2, num_depths), np.int64(-1)),
-        opening_width=np.full((num, 2, num_depths, 2), np.int64(-1)),
-        wall_cell=np.full((num, 2, num_depths, 2), np.int64(-1)),
-        opening_cell=np.full((num, 2, num_depths, 2), np.int64(-1)),
+        length=np.full((num_chosen, 2, num_depths), np.int64(-1)),
+        opening_width=np.full((num_chosen, 2, num_depths, 2), np.int64(-1)),
+        wall_cell=np.full((num_chosen, 2, num_depths, 2), np.int64(-1)),
+        opening_cell=np.full((num_chosen, 2, num_depths, 2), np.int64(-1)),
     )
-    shares = np.ones((num, 2))
-    needs_rays = np.zeros(num, np.bool_)
+    shares = np.ones((num_chosen, 2))
+    needs_rays = np.zeros(num_chosen, np.bool_)
     widths = np.empty((2, num_depths))  # of one gap and its openings, up to walls [columns]
     met_spaces = [(np.int64(-1), np.int64(-1))]  # the entry gives the list its type
-    for i in range(num):
-        gap = chosen_gaps[i]
+    for chosen_index in range(num_chosen):
+        gap = chosen_gaps[chosen_index]
         above = np.int64(space_of[gaps.label_above[gap]])
         below = np.int64(space_of[gaps.label_below[gap]])
         if above == below:
             continue
         needs_walls = False
         for side in range(2):
-            shortest = len(scan.shift)
-            for number in range(num_depths):
-                depth, lean = _limit_depth(scan, gaps, gap, side, number)
+            shortest_length = len(scan.shift)
+            for depth_index in range(num_depths):
+                depth, lean = _limit_depth(scan, gaps, gap, side, depth_index)
                 line = LineBehindGap(
                     gap=gap,
                     side=side,
@@ -392,43 +409,53 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
                     space=above if side == ABOVE else below,
                     opposite_space=below if side == ABOVE else above,
                 )
-                _measure_line(scan, gaps, line, space_of, met_spaces, lines, i, number)
+                _measure_line(
+                    scan, gaps, line, space_of, met_spaces, lines, chosen_index, depth_index
+                )
                 width = 0.0
                 for end in range(2):
                     # up to the wall at the gap's end, or at that of openings beyond it
-                    opening_width = lines.opening_width[i, side, number, end]
-                    cell = lines.opening_cell[i, side, number, end]
+                    opening_width = lines.opening_width[chosen_index, side, depth_index, end]
+                    cell = lines.opening_cell[chosen_index, side, depth_index, end]
                     if opening_width > 0:
-                        needs_rays[i] |= cell >= 0 and walls.coded_distance[cell, end] == 0.0
+                        needs_rays[chosen_index] |= (
+                            cell >= 0 and walls.coded_distance[cell, end] == 0.0
+                        )
                         width += opening_width + _distance_to_wall(
                             walls.coded_distance, cell, end, walls.max_distance[gap]
                         )
                     else:
                         width += walls.beside[gap, end]
-                widths[side, number] = gaps.last_col[gap] - gaps.first_col[gap] + width
-                length = lines.length[i, side, number]
-                shares[i, side] = min(shares[i, side], widths[side, number] / length)
-                shortest = min(shortest, length)
+                widths[side, depth_index] = gaps.last_col[gap] - gaps.first_col[gap] + width
+                length = lines.length[chosen_index, side, depth_index]
+                shares[chosen_index, side] = min(
+                    shares[chosen_index, side], widths[side, depth_index] / length
+                )
+                shortest_length = min(shortest_length, length)
             for share in DECIDING_SHARES:
-                needs_walls |= abs(shares[i, side] - share) * shortest <= DECIDING_CELLS
+                needs_walls |= (
+                    abs(shares[chosen_index, side] - share) * shortest_length <= DECIDING_CELLS
+                )
         if not needs_walls:
             # it makes no difference where in the last cells the walls begin
             continue
         for side in range(2):
-            shares[i, side] = 1.0
-            for number in range(num_depths):
+            shares[chosen_index, side] = 1.0
+            for depth_index in range(num_depths):
                 length = 0.0
                 for end in range(2):
-                    cell = lines.wall_cell[i, side, number, end]
-                    needs_rays[i] |= cell >= 0 and walls.coded_distance[cell, end] == 0.0
+                    cell = lines.wall_cell[chosen_index, side, depth_index, end]
+                    needs_rays[chosen_index] |= cell >= 0 and walls.coded_distance[cell, end] == 0.0
                     length += _distance_to_wall(walls.coded_distance, cell, end, MAX_WALL_DISTANCE)
-                share = widths[side, number] / (lines.length[i, side, number] - 1 + length)
-                shares[i, side] = min(shares[i, side], share)
+                share = widths[side, depth_index] / (
+                    lines.length[chosen_index, side, depth_index] - 1 + length
+                )
+                shares[chosen_index, side] = min(shares[chosen_index, side], share)
     return lines, shares, needs_rays, met_spaces[1:]
 
 
 @subkernel(**NO_REFCOUNT)
-def _limit_depth(scan, gaps, gap, side, number):
+def _limit_depth(scan, gaps, gap, side, depth_index):
     """Return how far behind a gap a line measures the space there, and how far it is shifted.
 
     The distance is the scan's depth, unless the space, seen from the middle of the gap, ends before
@@ -438,26 +465,26 @@ def _limit_depth(scan, gaps, gap, side, number):
         scan, gaps: see `measure_gaps`.
         gap: the gap's number.
         side: the side of the gap, `ABOVE` or `BELOW`.
-        number: the index of the depth in `Scan.depths`.
+        depth_index: the index of the depth in `Scan.depths`.
 
     Returns:
         The depth [rows] and the lean [columns], see `LineBehindGap`.
     """
-    depth = scan.depths[number]
-    lean = scan.leans[number]
-    if number > 0:
+    depth = scan.depths[depth_index]
+    lean = scan.leans[depth_index]
+    if depth_index > 0:
         return depth, lean
     # the middle of the gap on this side
     if side == ABOVE:
-        step = -1
+        row_step = -1
         row = (gaps.top_row[gap, 0] + gaps.top_row[gap, 1]) // 2
     else:
-        step = 1
+        row_step = 1
         row = (gaps.bottom_row[gap, 0] + gaps.bottom_row[gap, 1]) // 2
     col = (gaps.first_col[gap] + gaps.last_col[gap]) // 2
     num_open = 0
-    while num_open < depth and 0 <= row + step * (num_open + 1) < len(scan.is_open):
-        if not scan.is_open[row + step * (num_open + 1), col]:
+    while num_open < depth and 0 <= row + row_step * (num_open + 1) < len(scan.is_open):
+        if not scan.is_open[row + row_step * (num_open + 1), col]:
             break
         num_open += 1
     if num_open < depth:
@@ -485,7 +512,7 @@ def _distance_to_wall(coded_distance, cell, end, max_distance):
 
 
 @subkernel
-def _measure_line(scan, gaps, line, space_of, met_spaces, lines, entry, number):
+def _measure_line(scan, gaps, line, space_of, met_spaces, lines, chosen_index, depth_index):
     """Measure how far a line behind a gap runs in its space, in both directions.
 
     A line may be longer if the gap is part of a wider opening; so the openings next to the gap are
@@ -496,25 +523,27 @@ def _measure_line(scan, gaps, line, space_of, met_spaces, lines, entry, number):
         line: a `LineBehindGap`.
         met_spaces: receives (gap, space) for each third space that the line meets.
         lines: a `GapLines` that receives the results.
-        entry: the gap's index in `lines`.
-        number: the index of the line's depth.
+        chosen_index: the gap's index in `lines`.
+        depth_index: the index of the line's depth.
     """
     gap_width = gaps.last_col[line.gap] - gaps.first_col[line.gap] + 1
     opening_width = gap_width
     for end in range(2):
-        walk = _walk_line(scan, gaps, line, end, 0, True, space_of, met_spaces)
-        opening_width += walk.num_openings
+        line_end = _walk_line(scan, gaps, line, end, 0, True, space_of, met_spaces)
+        opening_width += line_end.num_openings
     length = gap_width
     for end in range(2):
-        walk = _walk_line(scan, gaps, line, end, opening_width, False, space_of, met_spaces)
-        length += walk.length
-        lines.opening_width[entry, line.side, number, end] = walk.num_passed_openings
-        lines.wall_cell[entry, line.side, number, end] = walk.last_cell
-        if walk.num_passed_openings > 0 and walk.last_cell >= 0:
-            lines.opening_cell[entry, line.side, number, end] = walk.opening_cell
+        line_end = _walk_line(scan, gaps, line, end, opening_width, False, space_of, met_spaces)
+        length += line_end.length
+        lines.opening_width[chosen_index, line.side, depth_index, end] = (
+            line_end.num_passed_openings
+        )
+        lines.wall_cell[chosen_index, line.side, depth_index, end] = line_end.last_cell
+        if line_end.num_passed_openings > 0 and line_end.last_cell >= 0:
+            lines.opening_cell[chosen_index, line.side, depth_index, end] = line_end.opening_cell
         else:
-            lines.opening_cell[entry, line.side, number, end] = -1
-    lines.length[entry, line.side, number] = length
+            lines.opening_cell[chosen_index, line.side, depth_index, end] = -1
+    lines.length[chosen_index, line.side, depth_index] = length
 
 
 @subkernel
@@ -534,19 +563,19 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
     rows, cols = scan.label.shape
     shift = scan.shift
     gap_width = gaps.last_col[line.gap] - gaps.first_col[line.gap] + 1
-    top = gaps.top_row[line.gap, end]
-    bottom = gaps.bottom_row[line.gap, end]
-    start = gaps.first_col[line.gap] if end == FIRST_END else gaps.last_col[line.gap]
-    step = -1 if end == FIRST_END else 1
+    end_top = gaps.top_row[line.gap, end]
+    end_bottom = gaps.bottom_row[line.gap, end]
+    start_col = gaps.first_col[line.gap] if end == FIRST_END else gaps.last_col[line.gap]
+    col_step = -1 if end == FIRST_END else 1
     # the rows in which the line and its mirror image on the gap's other side begin, in the column
     # of the gap's end; the line is shifted by `lean` columns from there, the image by as many back
     if line.side == ABOVE:
-        line_start = top - line.depth
-        mirror_start = bottom + line.depth
+        line_start = end_top - line.depth
+        mirror_start = end_bottom + line.depth
         lean = line.lean
     else:
-        line_start = bottom + line.depth
-        mirror_start = top - line.depth
+        line_start = end_bottom + line.depth
+        mirror_start = end_top - line.depth
         lean = -line.lean
     length = 0
     num_openings = 0
@@ -554,7 +583,7 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
     last_cell = np.int64(-1)
     opening_cell = np.int64(-1)
     for num_steps in range(cols):
-        gap_col = start + step * num_steps
+        gap_col = start_col + col_step * num_steps
         line_col = gap_col + lean
         mirror_col = gap_col - lean
         is_too_far = not only_openings and (
@@ -563,7 +592,7 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
         if is_too_far or not 0 <= line_col < cols:
             last_cell = np.int64(-1)
             break
-        line_row = line_start + shift[line_col] - shift[start]
+        line_row = line_start + shift[line_col] - shift[start_col]
         if not 0 <= line_row < rows or not scan.is_open[line_row, line_col]:
             if num_steps == 0:
                 continue  # there is a wall beside the gap's end
@@ -580,19 +609,19 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
             last_cell = np.int64(-1)
             break
         if 0 <= gap_col < cols and 0 <= mirror_col < cols:
-            row_shift = shift[gap_col] - shift[start]
-            gap_top = top + row_shift
-            gap_bottom = bottom + row_shift
-            mirror_row = mirror_start + shift[mirror_col] - shift[start]
-            opposite = np.int64(-1)
+            row_shift = shift[gap_col] - shift[start_col]
+            gap_top = end_top + row_shift
+            gap_bottom = end_bottom + row_shift
+            mirror_row = mirror_start + shift[mirror_col] - shift[start_col]
+            mirror_space = np.int64(-1)
             if _is_passage(scan.is_open, gap_col, gap_top, gap_bottom, mirror_row, mirror_col):
-                opposite = np.int64(space_of[scan.label[mirror_row, mirror_col]])
+                mirror_space = np.int64(space_of[scan.label[mirror_row, mirror_col]])
             # another gap that ends here has no label: the line goes on beyond it
-            if opposite == line.opposite_space or opposite == 0:
+            if mirror_space == line.opposite_space or mirror_space == 0:
                 num_openings += 1
-                opening_cell = ((top + bottom) // 2 + row_shift) * cols + gap_col
-            elif opposite > 0:
-                _record_met_space(met_spaces, line.gap, opposite)
+                opening_cell = ((end_top + end_bottom) // 2 + row_shift) * cols + gap_col
+            elif mirror_space > 0:
+                _record_met_space(met_spaces, line.gap, mirror_space)
         if space > 0:
             length = num_steps
             num_passed_openings = num_openings
@@ -636,10 +665,10 @@ def _record_met_space(met_spaces, gap, space):
 
     The pairs of a gap follow each other, so that those of the last gap are at the end.
     """
-    for n in range(len(met_spaces) - 1, 0, -1):
-        if met_spaces[n][0] != gap:
+    for pair_index in range(len(met_spaces) - 1, 0, -1):
+        if met_spaces[pair_index][0] != gap:
             break
-        if met_spaces[n][1] == space:
+        if met_spaces[pair_index][1] == space:
             return
     met_spaces.append((gap, space))
 
@@ -666,129 +695,140 @@ def mark_sills(is_low, is_wall, shift, is_sill):
     rows, cols = is_low.shape
     is_low = is_low.T
     is_wall = is_wall.T
-    from_first = np.zeros((cols, rows), dtype=np.uint8)  # chains that begin at a wall before
+    chains_from_first = np.zeros((cols, rows), dtype=np.uint8)  # chains that begin at a wall before
     for col in range(1, cols):
-        to_before = shift[col - 1] - shift[col]
+        rows_to_previous = shift[col - 1] - shift[col]
         _extend_chains(
             is_low=is_low[col],
             is_wall=is_wall[col],
-            to_next=to_before,
+            rows_to_next=rows_to_previous,
             is_next_wall=is_wall[col - 1],
-            next_chains=from_first[col - 1],
-            chains=from_first[col],
+            next_chains=chains_from_first[col - 1],
+            chains=chains_from_first[col],
         )
-    from_last = np.zeros((cols, rows), dtype=np.uint8)
+    chains_from_last = np.zeros((cols, rows), dtype=np.uint8)
     for col in range(cols - 2, -1, -1):
-        to_after = shift[col + 1] - shift[col]
+        rows_to_next = shift[col + 1] - shift[col]
         _extend_chains(
             is_low=is_low[col],
             is_wall=is_wall[col],
-            to_next=to_after,
+            rows_to_next=rows_to_next,
             is_next_wall=is_wall[col + 1],
-            next_chains=from_last[col + 1],
-            chains=from_last[col],
+            next_chains=chains_from_last[col + 1],
+            chains=chains_from_last[col],
         )
         for row in range(rows):
-            bits = from_first[col, row] & from_last[col, row]
-            if bits == 0:
+            chain_bits = chains_from_first[col, row] & chains_from_last[col, row]
+            if chain_bits == 0:
                 continue
             for side in range(3):
-                if bits & (1 << side):
+                if chain_bits & (1 << side):
                     is_sill[row + side - 1, col] = True
-            if bits & EXACT_CHAIN:
+            if chain_bits & EXACT_CHAIN:
                 is_sill[row, col] = True
 
 
 @subkernel(**NO_REFCOUNT)
-def _extend_chains(is_low, is_wall, to_next, is_next_wall, next_chains, chains):
+def _extend_chains(is_low, is_wall, rows_to_next, is_next_wall, next_chains, chains):
     """Extend chains of low cells, which may be sills, from a neighbouring column into a column.
 
     Args:
         is_low: the column's low cells.
         is_wall: the column's cells of walls.
-        to_next: how many rows lower the lines are in the neighbouring column.
+        rows_to_next: how many rows lower the lines are in the neighbouring column.
         is_next_wall: the neighbouring column's cells of walls.
         next_chains: the bits of the neighbouring column's cells, see `EXACT_CHAIN`.
         chains: receives the bits of the column's cells.
     """
     rows = is_low.shape[0]
-    for row in range(max(0, -to_next), min(rows, rows - to_next)):
-        at_wall = is_next_wall[row + to_next]
-        next_bits = next_chains[row + to_next]
-        first = max(row - 1, 0)
-        last = min(row + 1, rows - 1)
-        if next_bits == 0 and not at_wall:  # most cells: no chain can begin or go on here
+    for row in range(max(0, -rows_to_next), min(rows, rows - rows_to_next)):
+        is_at_wall = is_next_wall[row + rows_to_next]
+        next_chain_bits = next_chains[row + rows_to_next]
+        row_above = max(row - 1, 0)
+        row_below = min(row + 1, rows - 1)
+        if next_chain_bits == 0 and not is_at_wall:  # most cells: no chain can begin or go on here
             continue
-        bits = EXACT_CHAIN if is_low[row] and (at_wall or next_bits & EXACT_CHAIN) else 0
-        if not (is_wall[first] or is_wall[row] or is_wall[last]):
-            for chain_row in range(first, last + 1):
+        chain_bits = (
+            EXACT_CHAIN if is_low[row] and (is_at_wall or next_chain_bits & EXACT_CHAIN) else 0
+        )
+        if not (is_wall[row_above] or is_wall[row] or is_wall[row_below]):
+            for chain_row in range(row_above, row_below + 1):
                 side = chain_row - row + 1
-                if is_low[chain_row] and (at_wall or next_bits & TOUCHING_BITS[side]):
-                    bits |= 1 << side
-        chains[row] = bits
+                if is_low[chain_row] and (is_at_wall or next_chain_bits & TOUCHING_BITS[side]):
+                    chain_bits |= 1 << side
+        chains[row] = chain_bits
 
 
 # ---------------------------------------------------------------- distances
 
 
 @kernel(nogil=True)
-def sweep_distances(target, reach, along, squared, first, end):
+def sweep_distances(is_target, reach, column_distance, squared_distance, start, stop):
     """Compute squared distances to target cells, in two calls: along columns, then along rows.
 
     A squared Euclidean distance is the sum of two squares, one per axis (Saito and Toriwaki, 1994).
     In the second call, all columns within `reach` are compared, which the compiler vectorizes.
 
     Args:
-        target: the target cells, bool.
+        is_target: the target cells, bool.
         reach: the largest distance that is measured; larger ones become ``reach + 1`` [cells].
-        along: the distance of each cell to the nearest target in its column, int16. The first call
-            writes the columns ``range(first, end)``; the second call reads all.
-        squared: receives the squared distances of the rows ``range(first, end)``, int32; empty in
-            the first call.
-        first: the first column; in the second call, the first row.
-        end: the last column or row, plus 1.
+        column_distance: the distance of each cell to the nearest target in its column, int16. The
+            first call writes the columns ``range(first, end)``; the second call reads all.
+        squared_distance: receives the squared distances of the rows ``range(first, end)``, int32;
+            empty in the first call.
+        start: the first column; in the second call, the first row.
+        stop: the last column or row, plus 1.
     """
-    if squared.shape[0] == 0:
-        _sweep_columns(target[:, first:end], np.int16(reach + 1), along[:, first:end])
+    if squared_distance.shape[0] == 0:
+        _sweep_columns(
+            is_target[:, start:stop], np.int16(reach + 1), column_distance[:, start:stop]
+        )
     else:
-        _sweep_rows(along, reach, squared, first, end)
+        _sweep_rows(column_distance, reach, squared_distance, start, stop)
 
 
 @subkernel
-def _sweep_columns(target, beyond, along):
-    """Write each cell's distance to the nearest target in its column to `along`, up to `beyond`."""
-    rows, cols = target.shape  # of some columns: loops from 0 vectorize
+def _sweep_columns(is_target, beyond_reach, column_distance):
+    """Write to `column_distance` how far each cell is from the nearest target in its column.
+
+    Distances from `beyond_reach` on are written as `beyond_reach` [cells].
+    """
+    rows, cols = is_target.shape  # of some columns: loops from 0 vectorize
     for col in range(cols):
-        along[0, col] = 0 if target[0, col] else beyond
+        column_distance[0, col] = 0 if is_target[0, col] else beyond_reach
     for row in range(1, rows):
         for col in range(cols):
-            step = min(along[row - 1, col] + np.int16(1), beyond)
-            along[row, col] = 0 if target[row, col] else step
+            distance_from_above = min(column_distance[row - 1, col] + np.int16(1), beyond_reach)
+            column_distance[row, col] = 0 if is_target[row, col] else distance_from_above
     for row in range(rows - 2, -1, -1):
         for col in range(cols):
-            along[row, col] = min(along[row, col], along[row + 1, col] + np.int16(1))
+            column_distance[row, col] = min(
+                column_distance[row, col], column_distance[row + 1, col] + np.int16(1)
+            )
 
 
 @subkernel
-def _sweep_rows(along, reach, squared, first, end):
-    """Write to rows of `squared` the squared distance from each cell to the nearest target.
+def _sweep_rows(column_distance, reach, squared_distance, first_row, end_row):
+    """Write to rows of `squared_distance` how far each cell is from the nearest target, squared.
 
     It is the least sum of two squares over all columns within `reach`: of the distance to a column,
     and of the distance to the nearest target within that column.
     """
-    cols = along.shape[1]
-    beyond = np.int32((reach + 1) ** 2)
-    squares = np.empty(cols + 2 * reach, np.int32)
+    cols = column_distance.shape[1]
+    squared_beyond = np.int32((reach + 1) ** 2)
+    padded_squares = np.empty(cols + 2 * reach, np.int32)
     for col in range(reach):
-        squares[col] = squares[cols + reach + col] = beyond
-    for row in range(first, end):
-        nearest = squared[row]
+        padded_squares[col] = padded_squares[cols + reach + col] = squared_beyond
+    for row in range(first_row, end_row):
+        row_distances = squared_distance[row]
         for col in range(cols):
-            distance = np.int32(along[row, col])
-            squares[col + reach] = distance * distance
-            nearest[col] = beyond
-        for shift in range(2 * reach + 1):
-            add = np.int32((shift - reach) ** 2)
-            shifted = squares[shift : shift + cols]
+            distance = np.int32(column_distance[row, col])
+            padded_squares[col + reach] = distance * distance
+            row_distances[col] = squared_beyond
+        for col_shift in range(2 * reach + 1):
+            squared_offset = np.int32((col_shift - reach) ** 2)
+            shifted_squares = padded_squares[col_shift : col_shift + cols]
             for col in range(cols):
-                nearest[col] = min(nearest[col], np.int32(shifted[col] + add))
+                row_distances[col] = min(
+                    row_distances[col], np.int32(shifted_squares[col] + squared_offset)
+                )

@@ -49,89 +49,96 @@ class Voxels(NamedTuple):
 
 
 @subkernel(**NO_REFCOUNT)
-def _label(column, first, end, label):
+def _label(column, first_voxel, end_voxel, label):
     """Give the voxels ``first:end`` of a column a label.
 
     A voxel that has a lower label already (other than 0, for an empty voxel) keeps it.
     """
-    for k in range(first, end):
-        if column[k] == 0 or column[k] > label:
-            column[k] = label
+    for voxel in range(first_voxel, end_voxel):
+        if column[voxel] == 0 or column[voxel] > label:
+            column[voxel] = label
 
 
 @subkernel(**NO_REFCOUNT)
-def _fill_between(voxels, column, low, high, label):
-    """Label the voxels of a column that overlap the heights from `low` to `high` [m].
+def _fill_between(voxels, column, bottom, top, label):
+    """Label the voxels of a column that overlap the heights from `bottom` to `top` [m].
 
     Voxels that are overlapped by less than TOUCH_DEPTH are not labelled.
     """
     num_voxels = column.shape[0]
-    start = (low + TOUCH_DEPTH - voxels.bottom) / voxels.res
-    end = (high - TOUCH_DEPTH - voxels.bottom) / voxels.res
-    if start < num_voxels and end > 0.0:
-        first = math.floor(start) if start > 0.0 else 0
-        _label(column, first, math.ceil(end) if end < num_voxels else num_voxels, label)
+    bottom_in_voxels = (bottom + TOUCH_DEPTH - voxels.bottom) / voxels.res
+    top_in_voxels = (top - TOUCH_DEPTH - voxels.bottom) / voxels.res
+    if bottom_in_voxels < num_voxels and top_in_voxels > 0.0:
+        first_voxel = math.floor(bottom_in_voxels) if bottom_in_voxels > 0.0 else 0
+        _label(
+            column,
+            first_voxel,
+            math.ceil(top_in_voxels) if top_in_voxels < num_voxels else num_voxels,
+            label,
+        )
 
 
 @subkernel(**NO_REFCOUNT)
-def _meets(voxels, solids, planes, item, x, y, first, end, simplex):
+def _meets(voxels, solids, planes, shape_index, x, y, first_voxel, end_voxel, simplex):
     """Return whether a solid or a plane meets any of the voxels ``first:end`` of a column.
 
     Args:
         voxels: the grid, as `Voxels`.
         solids: the solids, as `Solids`.
         planes: the infinite planes, as `Planes`.
-        item: the index of a solid, or the number of solids plus the index of a plane.
+        shape_index: the index of a solid, or the number of solids plus the index of a plane.
         x, y: the column's middle line [m].
         first, end: range of voxels, counted from the bottom.
         simplex: room for the iteration of GJK, see `make_simplex`.
     """
-    low = voxels.bottom + first * voxels.res + TOUCH_DEPTH
-    high = voxels.bottom + end * voxels.res - TOUCH_DEPTH
-    prism = Prism(x, y, low, high, voxels.res / 2.0 - TOUCH_DEPTH, NOT_ROUND)
+    bottom = voxels.bottom + first_voxel * voxels.res + TOUCH_DEPTH
+    top = voxels.bottom + end_voxel * voxels.res - TOUCH_DEPTH
+    prism = Prism(x, y, bottom, top, voxels.res / 2.0 - TOUCH_DEPTH, NOT_ROUND)
     num_solids = solids.geom.shape[0]
-    if item >= num_solids:
-        return plane_meets_prism(planes, item - num_solids, prism)
-    if is_beside_prism(solids.bounds, item, prism):
+    if shape_index >= num_solids:
+        return plane_meets_prism(planes, shape_index - num_solids, prism)
+    if is_beside_prism(solids.bounds, shape_index, prism):
         return False
-    return solid_meets_prism(solids, item, prism, simplex) != APART
+    return solid_meets_prism(solids, shape_index, prism, simplex) != APART
 
 
 @subkernel(**NO_REFCOUNT)
-def _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex):
+def _fill_convex(voxels, solids, planes, shape_index, column, x, y, label, simplex):
     """Label the voxels of a column that a convex solid or a half-space meets.
 
     The arguments are as in `_meets`; `column` are the voxels of the column, and `label` is their
     new label.
     """
-    first = np.int64(0)
-    end = np.int64(column.shape[0])
-    if item < solids.geom.shape[0]:  # only as far as its box reaches
-        box = solids.bounds[item]
+    first_voxel = np.int64(0)
+    end_voxel = np.int64(column.shape[0])
+    if shape_index < solids.geom.shape[0]:  # only as far as its box reaches
+        box = solids.bounds[shape_index]
         num_voxels = float(column.shape[0])
-        first = np.int64(max((box[2] - voxels.bottom) / voxels.res, 0.0))
-        end = np.int64(math.ceil(min((box[5] - voxels.bottom) / voxels.res, num_voxels)))
-    if first >= end or not _meets(voxels, solids, planes, item, x, y, first, end, simplex):
+        first_voxel = np.int64(max((box[2] - voxels.bottom) / voxels.res, 0.0))
+        end_voxel = np.int64(math.ceil(min((box[5] - voxels.bottom) / voxels.res, num_voxels)))
+    if first_voxel >= end_voxel or not _meets(
+        voxels, solids, planes, shape_index, x, y, first_voxel, end_voxel, simplex
+    ):
         return
-    # bisect for the first voxel that is met: the voxels up to it are met together
-    low = first
-    high = end - 1
-    while low < high:
-        middle = (low + high) // 2
-        if _meets(voxels, solids, planes, item, x, y, first, middle + 1, simplex):
-            high = middle
+    # bisect for the first voxel that is met: a range from `first_voxel` on is met if it contains it
+    search_low = first_voxel
+    search_high = end_voxel - 1
+    while search_low < search_high:
+        middle = (search_low + search_high) // 2
+        if _meets(voxels, solids, planes, shape_index, x, y, first_voxel, middle + 1, simplex):
+            search_high = middle
         else:
-            low = middle + 1
-    first = low
+            search_low = middle + 1
+    first_voxel = search_low
     # and for the last one: the voxels from it on are met together
-    high = end - 1
-    while low < high:
-        middle = (low + high + 1) // 2
-        if _meets(voxels, solids, planes, item, x, y, middle, end, simplex):
-            low = middle
+    search_high = end_voxel - 1
+    while search_low < search_high:
+        middle = (search_low + search_high + 1) // 2
+        if _meets(voxels, solids, planes, shape_index, x, y, middle, end_voxel, simplex):
+            search_low = middle
         else:
-            high = middle - 1
-    _label(column, first, low + 1, label)
+            search_high = middle - 1
+    _label(column, first_voxel, search_low + 1, label)
 
 
 @subkernel(**NO_REFCOUNT)
@@ -145,30 +152,30 @@ def _fill_inside(voxels, column, hits, cell, labels):
         cell: index of the column in `hits`.
         labels: the label of each geom, by geom id.
     """
-    first = hits.start[cell]
-    last = hits.start[cell + 1]
-    for i in range(first, last):
-        if hits.closed[i] == OPEN_SURFACE:
+    first_hit = hits.start[cell]
+    end_hit = hits.start[cell + 1]
+    for hit in range(first_hit, end_hit):
+        if hits.closed[hit] == OPEN_SURFACE:
             continue
-        geom = hits.geom[i]
-        winding_number = 0  # above hit i
-        next_hit = i + 1  # of the same geom
-        for j in range(first, i + 1):
-            if hits.geom[j] == geom and hits.closed[j] != OPEN_SURFACE:
-                winding_number += 1 if hits.normal[j, 2] < 0.0 else -1
-        while next_hit < last and hits.geom[next_hit] != geom:
+        geom = hits.geom[hit]
+        winding_number = 0  # above the hit
+        next_hit = hit + 1  # of the same geom
+        for lower_hit in range(first_hit, hit + 1):
+            if hits.geom[lower_hit] == geom and hits.closed[lower_hit] != OPEN_SURFACE:
+                winding_number += 1 if hits.normal[lower_hit, 2] < 0.0 else -1
+        while next_hit < end_hit and hits.geom[next_hit] != geom:
             next_hit += 1
-        if winding_number > 0 and next_hit < last:
-            start = (hits.z[i] - voxels.bottom) / voxels.res
-            end = (hits.z[next_hit] - voxels.bottom) / voxels.res
+        if winding_number > 0 and next_hit < end_hit:
+            bottom_in_voxels = (hits.z[hit] - voxels.bottom) / voxels.res
+            top_in_voxels = (hits.z[next_hit] - voxels.bottom) / voxels.res
             num_voxels = float(column.shape[0])
-            low = math.ceil(min(max(start - 0.5, 0.0), num_voxels))
-            high = math.ceil(min(max(end - 0.5, 0.0), num_voxels))
-            _label(column, low, high, labels[geom])
+            first_voxel = math.ceil(min(max(bottom_in_voxels - 0.5, 0.0), num_voxels))
+            end_voxel = math.ceil(min(max(top_in_voxels - 0.5, 0.0), num_voxels))
+            _label(column, first_voxel, end_voxel, labels[geom])
 
 
 @subkernel(**NO_REFCOUNT)
-def _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip):
+def _fill_triangle(voxels, lattice, window, facets, triangle, label, polygons, strip_polygon):
     """Label the voxels that a triangle meets.
 
     The triangle is clipped to each strip of columns with the same x; the rest of it is clipped to
@@ -179,41 +186,45 @@ def _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip):
         lattice: the lattice whose cells are the columns.
         window: only columns over these rows and columns of cells are filled, see `tile_window`.
         facets: the triangles, as `Facets`.
-        t: index of the triangle.
+        triangle: index of the triangle.
         label: the label of its geom.
         polygons: room for clipping, see `make_polygons`.
-        strip: room for the triangle clipped to a strip, (12, 3) float64.
+        strip_polygon: room for the triangle clipped to a strip, (12, 3) float64.
     """
-    half = voxels.res / 2.0
+    half_voxel = voxels.res / 2.0
     num_rows = lattice.height
-    row_first, row_end, col_first, col_end = window_near_box(
-        lattice, window, facets.bounds, t, half
+    first_row, end_row, first_col, end_col = window_near_box(
+        lattice, window, facets.bounds, triangle, half_voxel
     )
-    for col in range(col_first, col_end):
-        x, _ = cell_center_at(lattice, row_first, col)
-        x_limits = (x - half + TOUCH_DEPTH, x + half - TOUCH_DEPTH)
+    for col in range(first_col, end_col):
+        x, _ = cell_center_at(lattice, first_row, col)
+        x_limits = (x - half_voxel + TOUCH_DEPTH, x + half_voxel - TOUCH_DEPTH)
         num_in_strip = clip_between(
-            facets.corners[t], np.int64(3), polygons.second, X, x_limits, strip
+            facets.corners[triangle], np.int64(3), polygons.second, X, x_limits, strip_polygon
         )
         if num_in_strip == 0:
             continue
-        for row in range(row_first, row_end):
+        for row in range(first_row, end_row):
             _, y = cell_center_at(lattice, row, col)
-            y_limits = (y - half + TOUCH_DEPTH, y + half - TOUCH_DEPTH)
+            y_limits = (y - half_voxel + TOUCH_DEPTH, y + half_voxel - TOUCH_DEPTH)
             polygon = polygons.first
-            num_corners = clip_between(strip, num_in_strip, polygons.second, Y, y_limits, polygon)
+            num_corners = clip_between(
+                strip_polygon, num_in_strip, polygons.second, Y, y_limits, polygon
+            )
             if num_corners > 0:
-                low = polygon[0, 2]
-                high = polygon[0, 2]
-                for i in range(1, num_corners):
-                    low = min(low, polygon[i, 2])
-                    high = max(high, polygon[i, 2])
+                lowest = polygon[0, 2]
+                highest = polygon[0, 2]
+                for corner in range(1, num_corners):
+                    lowest = min(lowest, polygon[corner, 2])
+                    highest = max(highest, polygon[corner, 2])
                 column = voxels.values[col, num_rows - 1 - row]
-                _fill_between(voxels, column, low, high, label)
+                _fill_between(voxels, column, lowest, highest, label)
 
 
 @kernel(nogil=True)
-def fill_voxels(voxels, lattice, solids, facets, planes, tile_index, hits, labels, first_tile, end):
+def fill_voxels(
+    voxels, lattice, solids, facets, planes, tile_index, hits, labels, first_tile, end_tile
+):
     """Label the voxels of tiles ``range(first_tile, end)`` that geoms meet.
 
     Args:
@@ -228,24 +239,26 @@ def fill_voxels(voxels, lattice, solids, facets, planes, tile_index, hits, label
         first_tile, end: range of tiles.
     """
     polygons = make_polygons()
-    strip = np.empty((12, 3))
+    strip_polygon = np.empty((12, 3))
     simplex = make_simplex()
-    for tile in range(first_tile, end):
+    for tile in range(first_tile, end_tile):
         window = tile_window(lattice, tile)
         for row in range(window[0], window[1]):
             for col in range(window[2], window[3]):
                 x, y = cell_center_at(lattice, row, col)
                 column = voxels.values[col, lattice.height - 1 - row]
-                for n in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
-                    s = np.int64(tile_index.solid_item[n])
-                    label = labels[solids.geom[s]]
-                    _fill_convex(voxels, solids, planes, s, column, x, y, label, simplex)
-                for p in range(planes.geom.shape[0]):
-                    item = solids.geom.shape[0] + p
-                    label = labels[planes.geom[p]]
-                    _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex)
+                for item in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
+                    solid = np.int64(tile_index.solid_item[item])
+                    label = labels[solids.geom[solid]]
+                    _fill_convex(voxels, solids, planes, solid, column, x, y, label, simplex)
+                for plane in range(planes.geom.shape[0]):
+                    shape_index = solids.geom.shape[0] + plane
+                    label = labels[planes.geom[plane]]
+                    _fill_convex(voxels, solids, planes, shape_index, column, x, y, label, simplex)
                 _fill_inside(voxels, column, hits, row * lattice.width + col, labels)
-        for n in range(tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]):
-            t = tile_index.triangle_item[n]
-            label = labels[facets.geom[t]]
-            _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip)
+        for item in range(tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]):
+            triangle = tile_index.triangle_item[item]
+            label = labels[facets.geom[triangle]]
+            _fill_triangle(
+                voxels, lattice, window, facets, triangle, label, polygons, strip_polygon
+            )
