@@ -381,7 +381,7 @@ class GoalFinder:
                     point=object_points[nearest_index[i]],
                     cells=near_cells[i : i + 1],
                     points=np.ascontiguousarray(points[i : i + 1, :2]),
-                    room=is_object,
+                    room_numbers=is_object,
                 )
                 if first_seen == 0:
                     x, y, z = points[i].tolist()

@@ -41,18 +41,18 @@ def read_leaves(data, odds, has_odds, leaves):
     # children of each level wait here
     stack = np.zeros((8 * (DEPTH + 1), 4), np.int64)
     stack[0, 0] = DEPTH
-    depth = 1
-    place = 0
+    num_waiting = 1
+    offset = 0
     num_leaves = 0
     num_nodes = 0 if has_odds else 1
-    while depth > 0:
-        depth -= 1
-        level, x, y, z = stack[depth]
-        if place + (5 if has_odds else 2) > data.shape[0]:
-            return OVERRUN, place, num_nodes
+    while num_waiting > 0:
+        num_waiting -= 1
+        level, x, y, z = stack[num_waiting]
+        if offset + (5 if has_odds else 2) > data.shape[0]:
+            return OVERRUN, offset, num_nodes
         if has_odds:
-            bits = np.int64(data[place + 4])
-            place += 5
+            bits = np.int64(data[offset + 4])
+            offset += 5
             num_nodes += 1
             if bits == 0:
                 if writes_leaves:
@@ -64,54 +64,54 @@ def read_leaves(data, odds, has_odds, leaves):
                 num_leaves += 1
                 continue
         else:
-            bits = np.int64(data[place]) | (np.int64(data[place + 1]) << 8)
-            place += 2
+            bits = np.int64(data[offset]) | (np.int64(data[offset + 1]) << 8)
+            offset += 2
         for child in range(7, -1, -1):
             state = INNER * (bits >> child & 1) if has_odds else bits >> (2 * child) & 3
             if state == UNKNOWN:
                 continue
             num_nodes += not has_odds
-            cx = 2 * x + (child & 1)
-            cy = 2 * y + (child >> 1 & 1)
-            cz = 2 * z + (child >> 2)
+            child_x = 2 * x + (child & 1)
+            child_y = 2 * y + (child >> 1 & 1)
+            child_z = 2 * z + (child >> 2)
             if state == INNER:
                 if level == (0 if has_odds else 1):
-                    return TOO_DEEP, place, num_nodes
-                stack[depth, 0] = level - 1
-                stack[depth, 1] = cx
-                stack[depth, 2] = cy
-                stack[depth, 3] = cz
-                depth += 1
+                    return TOO_DEEP, offset, num_nodes
+                stack[num_waiting, 0] = level - 1
+                stack[num_waiting, 1] = child_x
+                stack[num_waiting, 2] = child_y
+                stack[num_waiting, 3] = child_z
+                num_waiting += 1
                 continue
             if writes_leaves:
-                size = level - 1
-                leaves[num_leaves, 0] = cx << size
-                leaves[num_leaves, 1] = cy << size
-                leaves[num_leaves, 2] = cz << size
-                leaves[num_leaves, 3] = size
+                child_level = level - 1
+                leaves[num_leaves, 0] = child_x << child_level
+                leaves[num_leaves, 1] = child_y << child_level
+                leaves[num_leaves, 2] = child_z << child_level
+                leaves[num_leaves, 3] = child_level
                 leaves[num_leaves, 4] = state == OCCUPIED
             num_leaves += 1
-    return num_leaves, place, num_nodes
+    return num_leaves, offset, num_nodes
 
 
 @kernel
-def fill_leaves(leaves, first, values, is_known):
+def fill_leaves(leaves, first_keys, values, is_known):
     """Write leaves into voxels.
 
     Args:
         leaves: the leaves, see `read_leaves`, shape (n, 5), int32.
-        first: the keys of the first voxel along x, y and z, shape (3,), int64.
+        first_keys: the keys of the first voxel along x, y and z, shape (3,), int64.
         values: receives whether each voxel is occupied, shape (nx, ny, nz), bool.
         is_known: receives True in each voxel that a leaf covers, of the same shape.
     """
     num_x, num_y, num_z = values.shape
     for leaf in range(leaves.shape[0]):
-        size = 1 << leaves[leaf, 3]
-        x = leaves[leaf, 0] - first[0]
-        y = leaves[leaf, 1] - first[1]
-        z = leaves[leaf, 2] - first[2]
-        for i in range(max(x, 0), min(x + size, num_x)):
-            for j in range(max(y, 0), min(y + size, num_y)):
-                for k in range(max(z, 0), min(z + size, num_z)):
+        leaf_size = 1 << leaves[leaf, 3]
+        x = leaves[leaf, 0] - first_keys[0]
+        y = leaves[leaf, 1] - first_keys[1]
+        z = leaves[leaf, 2] - first_keys[2]
+        for i in range(max(x, 0), min(x + leaf_size, num_x)):
+            for j in range(max(y, 0), min(y + leaf_size, num_y)):
+                for k in range(max(z, 0), min(z + leaf_size, num_z)):
                     is_known[i, j, k] = True
                     values[i, j, k] = leaves[leaf, 4] != 0

@@ -41,36 +41,38 @@ def cover_planes(labels, heights, tolerance, max_rise):
         for col in range(width):
             if not is_uncovered[row, col]:
                 continue
-            right = _find_even_rise(labels, heights, is_uncovered, row, col, 0, 1, tolerance)
-            down = _find_even_rise(labels, heights, is_uncovered, row, col, 1, 0, tolerance)
+            rise_right = _find_even_rise(labels, heights, is_uncovered, row, col, 0, 1, tolerance)
+            rise_down = _find_even_rise(labels, heights, is_uncovered, row, col, 1, 0, tolerance)
             best_rows = 0
             best_cols = 0
-            best_x = 0.0
-            best_y = 0.0
+            best_x_rise = 0.0
+            best_y_rise = 0.0
             # level, sloped along the row, along the column, along both
-            for slope in range(4):
-                x = right * (slope % 2)
-                y = down * (slope // 2)
+            for slope_kind in range(4):
+                x_rise = rise_right * (slope_kind % 2)
+                y_rise = rise_down * (slope_kind // 2)
                 # without a rise, the plane is one of the others
-                is_same = (slope % 2 > 0 and right == 0.0) or (slope // 2 > 0 and down == 0.0)
-                if is_same or x * x + y * y > max_rise * max_rise:
+                is_same = (slope_kind % 2 > 0 and rise_right == 0.0) or (
+                    slope_kind // 2 > 0 and rise_down == 0.0
+                )
+                if is_same or x_rise * x_rise + y_rise * y_rise > max_rise * max_rise:
                     continue
-                rows, cols = _find_largest_rectangle(
-                    labels, heights, is_uncovered, row, col, x, y, tolerance
+                num_rows, num_cols = _find_largest_rectangle(
+                    labels, heights, is_uncovered, row, col, x_rise, y_rise, tolerance
                 )
                 # a slope takes three cells: any two heights lie on a line
-                is_short = (x != 0.0 and cols < 3) or (y != 0.0 and rows < 3)
-                if rows * cols > best_rows * best_cols and not is_short:
-                    best_rows = rows
-                    best_cols = cols
-                    best_x = x
-                    best_y = y
+                is_short = (x_rise != 0.0 and num_cols < 3) or (y_rise != 0.0 and num_rows < 3)
+                if num_rows * num_cols > best_rows * best_cols and not is_short:
+                    best_rows = num_rows
+                    best_cols = num_cols
+                    best_x_rise = x_rise
+                    best_y_rise = y_rise
             is_uncovered[row : row + best_rows, col : col + best_cols] = False
             if num_planes == bounds.shape[0]:
                 bounds = np.concatenate((bounds, np.empty_like(bounds)))
                 planes = np.concatenate((planes, np.empty_like(planes)))
             bounds[num_planes] = row, col, row + best_rows, col + best_cols
-            planes[num_planes] = heights[row, col], best_x, best_y
+            planes[num_planes] = heights[row, col], best_x_rise, best_y_rise
             num_planes += 1
     return bounds[:num_planes].copy(), planes[:num_planes].copy()
 
@@ -86,10 +88,10 @@ def _find_even_rise(labels, heights, is_uncovered, row, col, down, right, tolera
     if last_row >= labels.shape[0] or last_col >= labels.shape[1]:
         return 0.0
     label = labels[row, col]
-    for n in range(1, 3):
-        r = row + n * down
-        c = col + n * right
-        if not is_uncovered[r, c] or labels[r, c] != label:
+    for step in range(1, 3):
+        step_row = row + step * down
+        step_col = col + step * right
+        if not is_uncovered[step_row, step_col] or labels[step_row, step_col] != label:
             return 0.0
     rise = (heights[last_row, last_col] - heights[row, col]) / 2
     middle_rise = heights[row + down, col + right] - heights[row, col]
@@ -97,32 +99,33 @@ def _find_even_rise(labels, heights, is_uncovered, row, col, down, right, tolera
 
 
 @subkernel
-def _find_largest_rectangle(labels, heights, is_uncovered, row, col, x, y, tolerance):
+def _find_largest_rectangle(labels, heights, is_uncovered, row, col, x_rise, y_rise, tolerance):
     """Return the numbers of rows and columns of the largest rectangle with a given upper left cell.
 
-    All of its cells have one label and lie on a plane, which rises by `x` from column to column and
-    by `y` from row to row. Of several rectangles, the one with the fewest rows is taken. Row by
-    row, the width is the number of cells, from the first column on, that fit in all rows so far.
+    All of its cells have one label and lie on a plane, which rises by `x_rise` from column to
+    column and by `y_rise` from row to row. Of several rectangles, the one with the fewest rows is
+    taken. Row by row, the width is the number of cells, from the first column on, that fit in all
+    rows so far.
     """
     label = labels[row, col]
     first_height = heights[row, col]
     width = labels.shape[1] - col
     best_rows = 0
     best_cols = 0
-    for r in range(row, labels.shape[0]):
-        row_height = first_height + (r - row) * y
+    for rect_row in range(row, labels.shape[0]):
+        row_height = first_height + (rect_row - row) * y_rise
         num_fitting = 0
         while num_fitting < width:
-            c = col + num_fitting
-            if not is_uncovered[r, c] or labels[r, c] != label:
+            rect_col = col + num_fitting
+            if not is_uncovered[rect_row, rect_col] or labels[rect_row, rect_col] != label:
                 break
-            if abs(heights[r, c] - row_height - num_fitting * x) > tolerance:
+            if abs(heights[rect_row, rect_col] - row_height - num_fitting * x_rise) > tolerance:
                 break
             num_fitting += 1
         width = num_fitting
         if width * (labels.shape[0] - row) <= best_rows * best_cols:
             break  # the width never grows, so no number of rows makes it larger
-        if width * (r - row + 1) > best_rows * best_cols:
-            best_rows = r - row + 1
+        if width * (rect_row - row + 1) > best_rows * best_cols:
+            best_rows = rect_row - row + 1
             best_cols = width
     return best_rows, best_cols

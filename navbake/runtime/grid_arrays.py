@@ -180,7 +180,7 @@ def level_of(start, cell):
 
 
 @subkernel
-def find_link_slot(link_cell, cell):
+def find_link_cell_index(link_cell, cell):
     """Find the index of a cell in ``links.cell``, by binary search.
 
     Args:
@@ -190,15 +190,15 @@ def find_link_slot(link_cell, cell):
     Returns:
         The index in `link_cell`, -1 if it isn't there.
     """
-    low = 0
-    high = link_cell.shape[0]
-    while low < high:
-        middle = (low + high) >> 1
+    first = 0
+    stop = link_cell.shape[0]
+    while first < stop:
+        middle = (first + stop) >> 1
         if link_cell[middle] < cell:
-            low = middle + 1
+            first = middle + 1
         else:
-            high = middle
-    return low if low < link_cell.shape[0] and link_cell[low] == cell else -1
+            stop = middle
+    return first if first < link_cell.shape[0] and link_cell[first] == cell else -1
 
 
 @subkernel
@@ -211,8 +211,10 @@ def cell_center(layout, cell):
     """
     level = level_of(layout.start, cell)
     row, col = divmod(cell - layout.start[level], layout.width[level])
-    size = layout.cell_size[level]
-    return layout.x_min[level] + (col + 0.5) * size, layout.y_max[level] - (row + 0.5) * size
+    cell_size = layout.cell_size[level]
+    return layout.x_min[level] + (col + 0.5) * cell_size, layout.y_max[level] - (
+        row + 0.5
+    ) * cell_size
 
 
 @subkernel
@@ -261,7 +263,7 @@ def to_cell_units(layout, level, x, y):
     Returns:
         u in columns and v in rows, both from the outer corner of cell (0, 0).
     """
-    size = layout.cell_size[level]
-    u = (x - layout.x_min[level]) / size
-    v = (layout.y_max[level] - y) / size
-    return u, v
+    cell_size = layout.cell_size[level]
+    col_position = (x - layout.x_min[level]) / cell_size
+    row_position = (layout.y_max[level] - y) / cell_size
+    return col_position, row_position

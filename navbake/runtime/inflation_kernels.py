@@ -36,7 +36,7 @@ class LevelStack(NamedTuple):
             whose floor is more than a step higher or lower: bits EAST, NORTH, WEST and SOUTH,
             uint8. Shape of `floor`, or (0, 0, 0) if there are no such links.
         level: index in the arrays of the level that the agent is on.
-        step: largest difference of neighbours' floors that an agent can step over [m].
+        max_step: largest difference of neighbours' floors that an agent can step over [m].
         height: the agent's height [m].
     """
 
@@ -44,53 +44,53 @@ class LevelStack(NamedTuple):
     occupied: NDArray[np.uint8]
     slopes: NDArray[np.uint8]
     level: int
-    step: float
+    max_step: float
     height: float
 
 
 @kernel
-def dilate(occupied, half_width):
+def dilate(is_occupied, half_width):
     """Mark the cells that a shape covers when it is centred on any of the occupied cells.
 
     The shape must be symmetric, and its rows must get no wider away from its middle.
 
     Args:
-        occupied: uint8, shape (rows, cols).
+        is_occupied: uint8, shape (rows, cols).
         half_width: the shape, int32: entry i is how many columns to each side the shape covers i
             rows from its middle. -1 where it covers none, as in the last entry.
 
     Returns:
         bool, shape (rows, cols).
     """
-    rows, cols = occupied.shape
+    num_rows, num_cols = is_occupied.shape
     max_distance = half_width.shape[0] - 1
-    # rows to the nearest occupied cell of the same column, at most `farthest`
-    row_distance = np.empty((rows, cols), dtype=np.int32)
-    for row in range(rows):
-        for col in range(cols):
-            above = row_distance[row - 1, col] if row > 0 else max_distance
-            row_distance[row, col] = 0 if occupied[row, col] else min(above + 1, max_distance)
-    for row in range(rows - 2, -1, -1):
-        for col in range(cols):
-            row_distance[row, col] = min(row_distance[row, col], row_distance[row + 1, col] + 1)
-    near = np.empty((rows, cols), dtype=np.bool_)
-    width = np.empty(cols, dtype=np.int32)
-    for row in range(rows):
-        for col in range(cols):
-            width[col] = half_width[row_distance[row, col]]
-        # The union of all intervals [col - width, col + width], swept once from each side: the
+    # rows to the nearest occupied cell of the same column, at most `max_distance`
+    row_distances = np.empty((num_rows, num_cols), dtype=np.int32)
+    for row in range(num_rows):
+        for col in range(num_cols):
+            above = row_distances[row - 1, col] if row > 0 else max_distance
+            row_distances[row, col] = 0 if is_occupied[row, col] else min(above + 1, max_distance)
+    for row in range(num_rows - 2, -1, -1):
+        for col in range(num_cols):
+            row_distances[row, col] = min(row_distances[row, col], row_distances[row + 1, col] + 1)
+    is_near = np.empty((num_rows, num_cols), dtype=np.bool_)
+    covered_cols = np.empty(num_cols, dtype=np.int32)
+    for row in range(num_rows):
+        for col in range(num_cols):
+            covered_cols[col] = half_width[row_distances[row, col]]
+        # The union of all intervals [col - covered, col + covered], swept once from each side: the
         # farthest end so far decides, whichever interval it is of.
-        end = -1
-        for col in range(cols):
-            if width[col] >= 0 and col + width[col] > end:
-                end = col + width[col]
-            near[row, col] = col <= end
-        end = cols
-        for col in range(cols - 1, -1, -1):
-            if width[col] >= 0 and col - width[col] < end:
-                end = col - width[col]
-            near[row, col] |= col >= end
-    return near
+        interval_end = -1
+        for col in range(num_cols):
+            if covered_cols[col] >= 0 and col + covered_cols[col] > interval_end:
+                interval_end = col + covered_cols[col]
+            is_near[row, col] = col <= interval_end
+        interval_end = num_cols
+        for col in range(num_cols - 1, -1, -1):
+            if covered_cols[col] >= 0 and col - covered_cols[col] < interval_end:
+                interval_end = col - covered_cols[col]
+            is_near[row, col] |= col >= interval_end
+    return is_near
 
 
 @kernel
@@ -109,15 +109,15 @@ def block_near_holes(has_floor, is_checked, offsets, squared_lengths, least_shar
         least_share: the least share of the cells within a distance that must have a floor.
         blocked: bool, shape (rows, cols), written.
     """
-    rows, cols = has_floor.shape
-    for row in range(rows):
-        for col in range(cols):
+    num_rows, num_cols = has_floor.shape
+    for row in range(num_rows):
+        for col in range(num_cols):
             num_within = 0
             num_with_floor = 0
             for k in range(offsets.shape[0] if is_checked[row, col] else 0):
                 to_row = row + offsets[k, 0]
                 to_col = col + offsets[k, 1]
-                if 0 <= to_row < rows and 0 <= to_col < cols:
+                if 0 <= to_row < num_rows and 0 <= to_col < num_cols:
                     num_within += 1
                     num_with_floor += has_floor[to_row, to_col]
                 # the share counts once all cells at the same distance are included
@@ -154,15 +154,15 @@ def block_by_floors(
         lower_floors_block: whether drops block.
         blocked: whether each of the level's cells is blocked, bool, shape (rows, cols), written.
     """
-    floor, occupied, slopes, level, step, height = stack
-    levels, rows, cols = floor.shape
-    overlap = height - step
+    floor, occupied, slopes, level, max_step, height = stack
+    num_levels, num_rows, num_cols = floor.shape
+    overlap = height - max_step
     highest_rise = height + SLAB_THICKNESS
-    for row in range(rows if levels > 1 else 0):
-        for col in range(cols):
+    for row in range(num_rows if num_levels > 1 else 0):
+        for col in range(num_cols):
             z = floor[level, row, col]
             is_near_level = False
-            for k in range(levels):
+            for k in range(num_levels):
                 begins_below = lowest[k, row // PATCH_SIZE, col // PATCH_SIZE] - z < overlap
                 ends_above = z - highest[k, row // PATCH_SIZE, col // PATCH_SIZE] < overlap
                 is_near_level |= k != level and begins_below and ends_above
@@ -175,80 +175,80 @@ def block_by_floors(
             lowest_floor = lowest[level, patch_row, patch_col]
             highest_floor = highest[level, patch_row, patch_col]
             differs = False
-            for k in range(levels):
-                differs |= highest[k, patch_row, patch_col] - lowest_floor > step
-                differs |= highest_floor - lowest[k, patch_row, patch_col] > step
+            for k in range(num_levels):
+                differs |= highest[k, patch_row, patch_col] - lowest_floor > max_step
+                differs |= highest_floor - lowest[k, patch_row, patch_col] > max_step
             for index in range(PATCH_SIZE * PATCH_SIZE if differs else 0):
                 row = patch_row * PATCH_SIZE + index // PATCH_SIZE
                 col = patch_col * PATCH_SIZE + index % PATCH_SIZE
-                if row >= rows or col >= cols:
+                if row >= num_rows or col >= num_cols:
                     continue
                 # whether this cell is too high or too low for agents in the cells round it
                 is_too_high = False
                 is_too_low = False
                 has_floor_in_step = False
-                bottom = np.inf
-                top = -np.inf
-                for k in range(levels):
+                lowest_z = np.inf
+                highest_z = -np.inf
+                for k in range(num_levels):
                     z = floor[k, row, col]
-                    bottom = z if z < bottom else bottom
-                    top = z if z > top else top
-                    is_above = z - lowest_floor > step
-                    is_below = highest_floor - z > step
+                    lowest_z = z if z < lowest_z else lowest_z
+                    highest_z = z if z > highest_z else highest_z
+                    is_above = z - lowest_floor > max_step
+                    is_below = highest_floor - z > max_step
                     is_too_high |= is_above and (k == level or z - highest_floor < highest_rise)
                     is_too_low |= is_below
                     # no drop for an agent of any of these heights
                     has_floor_in_step |= not (is_above or is_below or np.isnan(z))
                 is_too_high &= higher_floors_block
-                is_too_low &= lower_floors_block and not has_floor_in_step and levels > 1
+                is_too_low &= lower_floors_block and not has_floor_in_step and num_levels > 1
                 for i in range(offsets.shape[0] if is_too_high or is_too_low else 0):
                     agent_row = row - offsets[i, 0]
                     agent_col = col - offsets[i, 1]
-                    is_inside = 0 <= agent_row < rows and 0 <= agent_col < cols
+                    is_inside = 0 <= agent_row < num_rows and 0 <= agent_col < num_cols
                     if not is_inside or blocked[agent_row, agent_col]:
                         continue
                     z = floor[level, agent_row, agent_col]
-                    for k in range(levels if is_too_high and top - z > step else 0):
+                    for k in range(num_levels if is_too_high and highest_z - z > max_step else 0):
                         rise = floor[k, row, col] - z
-                        if step < rise and (k == level or rise < highest_rise):
+                        if max_step < rise and (k == level or rise < highest_rise):
                             blocked[agent_row, agent_col] |= slopes.shape[0] == 0 or not _is_slope(
-                                floor, slopes, step, level, agent_row, agent_col, k, row, col
+                                floor, slopes, max_step, level, agent_row, agent_col, k, row, col
                             )
-                    if is_too_low and z - bottom > step and not blocked[agent_row, agent_col]:
+                    if is_too_low and z - lowest_z > max_step and not blocked[agent_row, agent_col]:
                         blocked[agent_row, agent_col] = _is_drop(
-                            floor, slopes, step, level, agent_row, agent_col, row, col
+                            floor, slopes, max_step, level, agent_row, agent_col, row, col
                         )
                 # with a single level, fewer cells are above a drop than at its bottom: start above
-                may_fall = levels == 1 and floor[level, row, col] - lowest_floor > step
+                may_fall = num_levels == 1 and floor[level, row, col] - lowest_floor > max_step
                 for i in range(offsets.shape[0] if may_fall and lower_floors_block else 0):
                     to_row = row + offsets[i, 0]
                     to_col = col + offsets[i, 1]
                     if blocked[row, col]:
                         break
-                    if 0 <= to_row < rows and 0 <= to_col < cols:
+                    if 0 <= to_row < num_rows and 0 <= to_col < num_cols:
                         blocked[row, col] = _is_drop(
-                            floor, slopes, step, level, row, col, to_row, to_col
+                            floor, slopes, max_step, level, row, col, to_row, to_col
                         )
 
 
 @subkernel
 def _overlaps_occupied(floor, occupied, level, row, col, offsets, overlap):
     """Whether an agent overlaps an occupied cell of its own level or of one at its height."""
-    rows, cols = floor.shape[1:]
-    height = floor[level, row, col]
+    num_rows, num_cols = floor.shape[1:]
+    floor_z = floor[level, row, col]
     for i in range(offsets.shape[0]):
         to_row = row + offsets[i, 0]
         to_col = col + offsets[i, 1]
-        if to_row < 0 or to_row >= rows or to_col < 0 or to_col >= cols:
+        if to_row < 0 or to_row >= num_rows or to_col < 0 or to_col >= num_cols:
             continue
-        if _is_occupied_at_height(floor, occupied, level, height, to_row, to_col, overlap):
+        if _is_occupied_at_height(floor, occupied, level, floor_z, to_row, to_col, overlap):
             return True
     return False
 
 
 @subkernel
-def _is_occupied_at_height(floor, occupied, level, height, row, col, overlap):
-    """Whether a cell counts as occupied for an agent of a level whose floor has some height."""
+def _is_occupied_at_height(floor, occupied, level, floor_z, row, col, overlap):
+    """Whether a cell counts as occupied for an agent whose own floor is at a height."""
     # Which levels count depends on which have a floor at the cell that is about as high as the
     # agent's floor:
     #   its own level only, or none   its own level counts
@@ -256,12 +256,12 @@ def _is_occupied_at_height(floor, occupied, level, height, row, col, overlap):
     #   only other levels             these other levels count
     is_covered = False
     for k in range(floor.shape[0]):
-        if k != level and abs(floor[k, row, col] - height) < overlap:
+        if k != level and abs(floor[k, row, col] - floor_z) < overlap:
             is_covered = True
             if occupied[k, row, col]:
                 return True
-    own_counts = not is_covered or abs(floor[level, row, col] - height) < overlap
-    return own_counts and occupied[level, row, col] != 0
+    own_level_counts = not is_covered or abs(floor[level, row, col] - floor_z) < overlap
+    return own_level_counts and occupied[level, row, col] != 0
 
 
 @kernel
@@ -273,8 +273,9 @@ def measure_near_levels(stack, lowest, highest, offsets, squared_lengths, square
 
     Args:
         stack: `LevelStack`.
-        lowest: as in `block_by_floors`.
-        highest: as in `block_by_floors`.
+        lowest: for each level and patch, the lowest floor in all patches that an offset can reach
+            from the patch [m], shape (levels, patch rows, patch columns).
+        highest: the highest floor in these patches [m], of the same shape.
         offsets: rows and columns from a cell to the cells to search, nearest first, int64, shape
             (n, 2).
         squared_lengths: the squared length of each offset, in cells squared, int64, shape (n,).
@@ -285,13 +286,13 @@ def measure_near_levels(stack, lowest, highest, offsets, squared_lengths, square
     floor = stack.floor
     occupied = stack.occupied
     level = stack.level
-    levels, rows, cols = floor.shape
-    overlap = stack.height - stack.step
-    for row in range(rows):
-        for col in range(cols):
+    num_levels, num_rows, num_cols = floor.shape
+    overlap = stack.height - stack.max_step
+    for row in range(num_rows):
+        for col in range(num_cols):
             z = floor[level, row, col]
             is_near_level = False
-            for k in range(levels):
+            for k in range(num_levels):
                 begins_below = lowest[k, row // PATCH_SIZE, col // PATCH_SIZE] - z < overlap
                 ends_above = z - highest[k, row // PATCH_SIZE, col // PATCH_SIZE] < overlap
                 is_near_level |= k != level and begins_below and ends_above
@@ -301,7 +302,7 @@ def measure_near_levels(stack, lowest, highest, offsets, squared_lengths, square
             for i in range(offsets.shape[0]):
                 to_row = row + offsets[i, 0]
                 to_col = col + offsets[i, 1]
-                if to_row < 0 or to_row >= rows or to_col < 0 or to_col >= cols:
+                if to_row < 0 or to_row >= num_rows or to_col < 0 or to_col >= num_cols:
                     continue
                 if _is_occupied_at_height(floor, occupied, level, z, to_row, to_col, overlap):
                     squared_distances[row, col] = squared_lengths[i]
@@ -309,32 +310,32 @@ def measure_near_levels(stack, lowest, highest, offsets, squared_lengths, square
 
 
 @subkernel
-def _is_drop(floor, slopes, step, level, row, col, to_row, to_col):
+def _is_drop(floor, slopes, max_step, level, row, col, to_row, to_col):
     """Whether an agent that moves from a cell of a level to another row and column drops there.
 
     It does if some level has a floor there more than a step below the cell's, no level has one
     within a step of it, and no slope leads to the highest of the lower floors.
     """
-    height = floor[level, row, col]
+    floor_z = floor[level, row, col]
     highest = -np.inf
     level_below = -1
     is_below = False
     for k in range(floor.shape[0]):
-        lower = floor[k, to_row, to_col]
-        if abs(lower - height) <= step:
+        other_z = floor[k, to_row, to_col]
+        if abs(other_z - floor_z) <= max_step:
             return False
-        is_below |= lower - height < -step
-        if highest < lower < height:
-            highest = lower
+        is_below |= other_z - floor_z < -max_step
+        if highest < other_z < floor_z:
+            highest = other_z
             level_below = k
     return is_below and (
         slopes.shape[0] == 0
-        or not _is_slope(floor, slopes, step, level, row, col, level_below, to_row, to_col)
+        or not _is_slope(floor, slopes, max_step, level, row, col, level_below, to_row, to_col)
     )
 
 
 @subkernel
-def _is_slope(floor, slopes, step, level, row, col, to_level, to_row, to_col):
+def _is_slope(floor, slopes, max_step, level, row, col, to_level, to_row, to_col):
     """Whether an agent can walk straight from a cell of a level to one of another on a slope.
 
     The walk leads from cell to cell along the line (Bresenham 1965), over steps and slopes, and
@@ -342,14 +343,18 @@ def _is_slope(floor, slopes, step, level, row, col, to_level, to_row, to_col):
     """
     row_offset = to_row - row
     col_offset = to_col - col
-    count = max(abs(row_offset), abs(col_offset))
+    num_cells = max(abs(row_offset), abs(col_offset))
     num_slopes = 0
     current_row = row
     current_col = col
-    for k in range(1, count + 1):
+    for k in range(1, num_cells + 1):
         # halves are rounded away from the start, so that turning a grid turns the lines
-        next_row = row + np.sign(row_offset) * ((2 * abs(row_offset) * k + count) // (2 * count))
-        next_col = col + np.sign(col_offset) * ((2 * abs(col_offset) * k + count) // (2 * count))
+        next_row = row + np.sign(row_offset) * (
+            (2 * abs(row_offset) * k + num_cells) // (2 * num_cells)
+        )
+        next_col = col + np.sign(col_offset) * (
+            (2 * abs(col_offset) * k + num_cells) // (2 * num_cells)
+        )
         reached_level = np.int64(-1)
         is_slope = -1
         # round a corner, there are two walks over edges, of which one on a slope counts
@@ -357,11 +362,11 @@ def _is_slope(floor, slopes, step, level, row, col, to_level, to_row, to_col):
             mid_row = next_row if walk == 0 else current_row
             mid_col = current_col if walk == 0 else next_col
             mid_level, first_is_slope = _walk_edge(
-                floor, slopes, step, level, current_row, current_col, mid_row, mid_col
+                floor, slopes, max_step, level, current_row, current_col, mid_row, mid_col
             )
             if mid_level >= 0:
                 end_level, second_is_slope = _walk_edge(
-                    floor, slopes, step, mid_level, mid_row, mid_col, next_row, next_col
+                    floor, slopes, max_step, mid_level, mid_row, mid_col, next_row, next_col
                 )
                 if end_level >= 0 and max(first_is_slope, second_is_slope) > is_slope:
                     reached_level = end_level
@@ -376,7 +381,7 @@ def _is_slope(floor, slopes, step, level, row, col, to_level, to_row, to_col):
 
 
 @subkernel
-def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
+def _walk_edge(floor, slopes, max_step, level, row, col, to_row, to_col):
     """Find the level that a step or a slope over an edge of a cell leads to.
 
     Returns:
@@ -389,14 +394,14 @@ def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
         direction, opposite = (EAST, WEST) if to_col > col else (WEST, EAST)
     else:
         direction, opposite = (SOUTH, NORTH) if to_row > row else (NORTH, SOUTH)
-    height = floor[level, row, col]
+    floor_z = floor[level, row, col]
     is_steep = slopes[level, row, col] & direction != 0
-    levels = floor.shape[0]
-    for k in range(levels):
-        to_level = (level + k) % levels
-        rise = abs(floor[to_level, to_row, to_col] - height)
-        if rise <= step:
+    num_levels = floor.shape[0]
+    for k in range(num_levels):
+        to_level = (level + k) % num_levels
+        rise = abs(floor[to_level, to_row, to_col] - floor_z)
+        if rise <= max_step:
             return to_level, 0
-        if is_steep and rise > step and slopes[to_level, to_row, to_col] & opposite != 0:
+        if is_steep and rise > max_step and slopes[to_level, to_row, to_col] & opposite != 0:
             return to_level, 1
     return -1, 0

@@ -72,12 +72,12 @@ def is_walkable(start, end, layout, level, moves, is_allowed):
         u_low = min(u0, u1)
         u_high = max(u0, u1)
         if v0 != v1:  # the part of the line in the row
-            share_at_top = (row - TOUCH_DISTANCE - v0) / (v1 - v0)
-            share_at_bottom = (row + 1 + TOUCH_DISTANCE - v0) / (v1 - v0)
-            entry_share = min(max(min(share_at_top, share_at_bottom), 0.0), 1.0)
-            exit_share = max(min(max(share_at_top, share_at_bottom), 1.0), 0.0)
-            u_enter = u0 + entry_share * (u1 - u0)
-            u_leave = u0 + exit_share * (u1 - u0)
+            fraction_at_top = (row - TOUCH_DISTANCE - v0) / (v1 - v0)
+            fraction_at_bottom = (row + 1 + TOUCH_DISTANCE - v0) / (v1 - v0)
+            entry_fraction = min(max(min(fraction_at_top, fraction_at_bottom), 0.0), 1.0)
+            exit_fraction = max(min(max(fraction_at_top, fraction_at_bottom), 1.0), 0.0)
+            u_enter = u0 + entry_fraction * (u1 - u0)
+            u_leave = u0 + exit_fraction * (u1 - u0)
             u_low = min(u_enter, u_leave)
             u_high = max(u_enter, u_leave)
         first_col = math.floor(u_low - TOUCH_DISTANCE)
@@ -116,26 +116,28 @@ def crossed_cells(start, end, layout, level):
     col = math.floor(u0)
     max_cells = abs(math.floor(u1) - col) + abs(math.floor(v1) - row) + 2
     cells = np.empty(max_cells, np.int64)
-    entry_share = np.zeros(max_cells + 1)
-    count = 0
-    exit_share = 0.0
-    while exit_share < 1.0:
+    entry_fractions = np.zeros(max_cells + 1)
+    num_cells = 0
+    exit_fraction = 0.0
+    while exit_fraction < 1.0:
         # where the line leaves the cell, over an edge or at its end
-        leave_u = (col + (du > 0.0) - u0) / du if du != 0.0 else np.inf
-        leave_v = (row + (dv > 0.0) - v0) / dv if dv != 0.0 else np.inf
-        exit_share = min(leave_u, leave_v, 1.0)
-        if exit_share - entry_share[count] > LEAST_SHARE or (exit_share >= 1.0 and count == 0):
+        exit_fraction_u = (col + (du > 0.0) - u0) / du if du != 0.0 else np.inf
+        exit_fraction_v = (row + (dv > 0.0) - v0) / dv if dv != 0.0 else np.inf
+        exit_fraction = min(exit_fraction_u, exit_fraction_v, 1.0)
+        if exit_fraction - entry_fractions[num_cells] > LEAST_SHARE or (
+            exit_fraction >= 1.0 and num_cells == 0
+        ):
             inside_row = min(max(row, 0), layout.height[level] - 1)
             inside_col = min(max(col, 0), layout.width[level] - 1)
-            cells[count] = layout.start[level] + inside_row * layout.width[level] + inside_col
-            count += 1
-            entry_share[count] = exit_share
-        if leave_u <= leave_v:
+            cells[num_cells] = layout.start[level] + inside_row * layout.width[level] + inside_col
+            num_cells += 1
+            entry_fractions[num_cells] = exit_fraction
+        if exit_fraction_u <= exit_fraction_v:
             col += 1 if du > 0.0 else -1
         else:
             row += 1 if dv > 0.0 else -1
-    entry_share[count] = 1.0
-    return cells[:count], entry_share[: count + 1]
+    entry_fractions[num_cells] = 1.0
+    return cells[:num_cells], entry_fractions[: num_cells + 1]
 
 
 @subkernel
@@ -145,13 +147,15 @@ def line_cost(start, end, level, graph):
     The cost is the sum over the cells that the line crosses: the line's length within the cell, in
     units of the cell size, times the cell's weight.
     """
-    start_uv = to_cell_units(graph.layout, level, start[0], start[1])
-    end_uv = to_cell_units(graph.layout, level, end[0], end[1])
-    cells, entry_share = crossed_cells(start_uv, end_uv, graph.layout, level)
+    start_in_cells = to_cell_units(graph.layout, level, start[0], start[1])
+    end_in_cells = to_cell_units(graph.layout, level, end[0], end[1])
+    cells, entry_fractions = crossed_cells(start_in_cells, end_in_cells, graph.layout, level)
     mean_weight = 0.0
     for k in range(cells.shape[0]):
-        mean_weight += (entry_share[k + 1] - entry_share[k]) * graph.weight[cells[k]]
-    return mean_weight * math.hypot(end_uv[0] - start_uv[0], end_uv[1] - start_uv[1])
+        mean_weight += (entry_fractions[k + 1] - entry_fractions[k]) * graph.weight[cells[k]]
+    return mean_weight * math.hypot(
+        end_in_cells[0] - start_in_cells[0], end_in_cells[1] - start_in_cells[1]
+    )
 
 
 @subkernel
@@ -169,55 +173,55 @@ def disc_passes(start, end, layout, level, solid_before, radius, is_solid_outsid
     """
     u0, v0 = start
     u1, v1 = end
-    rows = layout.height[level]
-    cols = layout.width[level]
+    num_rows = layout.height[level]
+    num_cols = layout.width[level]
     effective_radius = radius * (1.0 - RADIUS_SLACK)
     v_min = min(v0, v1) - effective_radius
     v_max = max(v0, v1) + effective_radius
     for row in range(math.floor(v_min), math.ceil(v_max)):
-        low = max(float(row), v_min)
-        high = min(row + 1.0, v_max)
+        v_low = max(float(row), v_min)
+        v_high = min(row + 1.0, v_max)
         # the smallest u of the capsule is the largest one of its mirror image
-        u_min = -_largest_u(-u0, v0, -u1, v1, low, high, effective_radius)
-        u_max = _largest_u(u0, v0, u1, v1, low, high, effective_radius)
+        u_min = -_largest_u(-u0, v0, -u1, v1, v_low, v_high, effective_radius)
+        u_max = _largest_u(u0, v0, u1, v1, v_low, v_high, effective_radius)
         first_col = math.floor(u_min)
-        end_col = math.ceil(u_max)
-        is_outside = row < 0 or row >= rows
-        if is_solid_outside and (is_outside or first_col < 0 or end_col > cols):
+        stop_col = math.ceil(u_max)
+        is_outside = row < 0 or row >= num_rows
+        if is_solid_outside and (is_outside or first_col < 0 or stop_col > num_cols):
             return False
         first_col = max(first_col, 0)
-        end_col = min(end_col, cols)
-        if is_outside or first_col >= end_col:
+        stop_col = min(stop_col, num_cols)
+        if is_outside or first_col >= stop_col:
             continue
-        row_start = layout.start[level] + row * cols
-        if solid_before[row_start + end_col] > solid_before[row_start + first_col]:
+        row_start = layout.start[level] + row * num_cols
+        if solid_before[row_start + stop_col] > solid_before[row_start + first_col]:
             return False
     return True
 
 
 @subkernel
-def _largest_u(u0, v0, u1, v1, low, high, radius):
+def _largest_u(u0, v0, u1, v1, v_low, v_high, radius):
     """Compute the largest u that a disc swept from (u0, v0) to (u1, v1) covers.
 
-    Only points with v from `low` to `high` count; the disc covers some at each such v.
+    Only points with v from `v_low` to `v_high` count; the disc covers some at each such v.
     """
     # The capsule's largest u as a function of v rises up to the v of the line's end of larger u,
     # and falls from there. So the largest u is at the v nearest to that one.
-    peak = v1 if u1 > u0 else v0
+    v_at_peak = v1 if u1 > u0 else v0
     if u0 == u1:  # it is the same all along the line
-        peak = min(max(low, min(v0, v1)), max(v0, v1))
-    v = min(max(peak, low), high)
+        v_at_peak = min(max(v_low, min(v0, v1)), max(v0, v1))
+    v = min(max(v_at_peak, v_low), v_high)
     du = u1 - u0
     dv = v1 - v0
-    share = 1.0 if u1 > u0 else 0.0
+    fraction = 1.0 if u1 > u0 else 0.0
     if dv != 0.0:
         # Of all discs along the line, the one that covers the largest u at v touches the capsule's
         # edge there: its radius is perpendicular to the line. Or else it is the disc at an end.
         signed_du = -math.copysign(du, du * dv) if du != 0.0 else 0.0
-        share = (v - radius * signed_du / math.hypot(du, dv) - v0) / dv
-        share = min(max(share, 0.0), 1.0)
-    v_offset = v - v0 - share * dv
-    return u0 + share * du + math.sqrt(max(radius * radius - v_offset * v_offset, 0.0))
+        fraction = (v - radius * signed_du / math.hypot(du, dv) - v0) / dv
+        fraction = min(max(fraction, 0.0), 1.0)
+    v_offset = v - v0 - fraction * dv
+    return u0 + fraction * du + math.sqrt(max(radius * radius - v_offset * v_offset, 0.0))
 
 
 @kernel
@@ -236,18 +240,20 @@ def can_pass(start, end, level, graph, off_center):
     """
     layout = graph.layout
     moves = graph.moves
-    start_uv = to_cell_units(layout, level, start[0], start[1])
-    end_uv = to_cell_units(layout, level, end[0], end[1])
-    if is_walkable(start_uv, end_uv, layout, level, moves, off_center.anywhere):
+    start_in_cells = to_cell_units(layout, level, start[0], start[1])
+    end_in_cells = to_cell_units(layout, level, end[0], end[1])
+    if is_walkable(start_in_cells, end_in_cells, layout, level, moves, off_center.anywhere):
         return True
     if off_center.radius == 0.0:
         return False
-    if not is_walkable(start_uv, end_uv, layout, level, moves, off_center.sweepable):
+    if not is_walkable(start_in_cells, end_in_cells, layout, level, moves, off_center.sweepable):
         return False
     radius = off_center.radius / layout.cell_size[level]
     solid_before = off_center.solid_before
     is_solid_outside = off_center.is_solid_outside
-    return disc_passes(start_uv, end_uv, layout, level, solid_before, radius, is_solid_outside)
+    return disc_passes(
+        start_in_cells, end_in_cells, layout, level, solid_before, radius, is_solid_outside
+    )
 
 
 @kernel
@@ -275,20 +281,20 @@ def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
     """
     layout = graph.layout
     num_cells = route.shape[0]
-    last = num_cells + 1
+    end_index = num_cells + 1
     # the start, the cells' centres, the end
     points = np.empty((num_cells + 2, 2))
     levels = np.empty(num_cells + 2, np.int64)
     # the index of the cell that a link leads to from a point to the next, 0 for none
-    link_to = np.zeros(num_cells + 1, np.int64)
+    link_end_indices = np.zeros(num_cells + 1, np.int64)
     for i in range(num_cells):
         levels[i + 1] = level_of(layout.start, route[i])
         points[i + 1, 0], points[i + 1, 1] = cell_center(layout, route[i])
-        link_to[i] = i if by_link[i] else 0
+        link_end_indices[i] = i if by_link[i] else 0
     levels[0] = levels[1]
-    levels[last] = levels[num_cells]
+    levels[end_index] = levels[num_cells]
     is_included = np.ones(num_cells + 2, np.bool_)
-    for index, neighbor, point in ((0, 1, start), (last, num_cells, end)):
+    for index, neighbor, point in ((0, 1, start), (end_index, num_cells, end)):
         points[index, 0] = point[0]
         points[index, 1] = point[1]
         # False for NaN
@@ -303,21 +309,21 @@ def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
             graph,
             off_center,
         )
-    begin = 1 - is_included[0]
-    stop = last + is_included[last]
-    points = points[begin:stop]
-    levels = levels[begin:stop]
-    link_to = link_to[begin : stop - 1]
+    first_point = 1 - is_included[0]
+    stop_point = end_index + is_included[end_index]
+    points = points[first_point:stop_point]
+    levels = levels[first_point:stop_point]
+    link_end_indices = link_end_indices[first_point : stop_point - 1]
     if is_smooth:
-        corners = np.flatnonzero(_pull_string(points, levels, link_to, graph, off_center))
+        corners = np.flatnonzero(_pull_string(points, levels, link_end_indices, graph, off_center))
         points = points[corners]
         levels = levels[corners]
-        link_to = link_to[corners[:-1]]
-    return _lay_on_floor(points, levels, link_to, layout, floors)
+        link_end_indices = link_end_indices[corners[:-1]]
+    return _lay_on_floor(points, levels, link_end_indices, layout, floors)
 
 
 @subkernel
-def _pull_string(points, levels, link_to, graph, off_center):
+def _pull_string(points, levels, link_end_indices, graph, off_center):
     """Mark the corners of a route that remain when it is pulled straight.
 
     Straight lines between the corners are free, see `can_pass`. None costs more than the part of
@@ -326,7 +332,7 @@ def _pull_string(points, levels, link_to, graph, off_center):
     Args:
         points: x, y of the route's points [m], shape (n, 2).
         levels: the level of each point, shape (n,).
-        link_to: not 0 where a link leads from a point to the next one, shape (n - 1,).
+        link_end_indices: not 0 where a link leads from a point to the next one, shape (n - 1,).
         graph: `navbake.runtime.grid_arrays.Graph`.
         off_center: `navbake.runtime.grid_arrays.OffCenter`.
 
@@ -334,68 +340,72 @@ def _pull_string(points, levels, link_to, graph, off_center):
         bool, shape (n,).
     """
     num_points = points.shape[0]
-    cost = np.zeros(num_points)  # of the route up to each point
+    costs = np.zeros(num_points)  # of the route up to each point
     if graph.uniform_weight <= 0.0:
         for i in range(1, num_points):
-            cost[i] = cost[i - 1]
-            if not link_to[i - 1]:
-                cost[i] += line_cost(points[i - 1], points[i], levels[i], graph)
-    current = 0
+            costs[i] = costs[i - 1]
+            if not link_end_indices[i - 1]:
+                costs[i] += line_cost(points[i - 1], points[i], levels[i], graph)
+    current_corner = 0
     is_corner = np.zeros(num_points, np.bool_)
     is_corner[0] = True
-    while current < num_points - 1:
-        last = current + 1  # before the next link
-        while last < num_points - 1 and not link_to[current] and not link_to[last]:
-            last += 1
+    while current_corner < num_points - 1:
+        last_index = current_corner + 1  # before the next link
+        while (
+            last_index < num_points - 1
+            and not link_end_indices[current_corner]
+            and not link_end_indices[last_index]
+        ):
+            last_index += 1
         # the indices of a point that can be reached straight, and of one that can't. Sight is not
         # monotonous, so the point that the search ends at need not be the very farthest.
-        reachable = current + 1
-        unreachable = last + 1
+        reachable = current_corner + 1
+        unreachable = last_index + 1
         stride = 2
         while unreachable - reachable > 1:
             candidate = (
-                min(current + stride, last)
-                if unreachable > last
+                min(current_corner + stride, last_index)
+                if unreachable > last_index
                 else (reachable + unreachable) // 2
             )
-            start = points[current]
+            start = points[current_corner]
             end = points[candidate]
-            level = levels[current]
+            level = levels[current_corner]
             if can_pass(start, end, level, graph, off_center) and (
                 graph.uniform_weight > 0.0
                 or line_cost(start, end, level, graph)
-                <= (cost[candidate] - cost[current]) * (1.0 + COST_SLACK)
+                <= (costs[candidate] - costs[current_corner]) * (1.0 + COST_SLACK)
             ):
                 reachable = candidate
             else:
                 unreachable = candidate
             stride *= 2
-        current = reachable
-        is_corner[current] = True
+        current_corner = reachable
+        is_corner[current_corner] = True
     # drop points on the straight line between the points before and after, but no ends of links
-    before = 0
-    current = -1
-    for after in range(1, num_points):
-        if not is_corner[after]:
+    previous_corner = 0
+    current_corner = -1
+    for next_corner in range(1, num_points):
+        if not is_corner[next_corner]:
             continue
-        if current >= 0:
-            chord = points[after] - points[before]
-            offset = points[current] - points[before]
+        if current_corner >= 0:
+            chord = points[next_corner] - points[previous_corner]
+            offset = points[current_corner] - points[previous_corner]
             length = math.hypot(chord[0], chord[1])
             cross = abs(chord[0] * offset[1] - chord[1] * offset[0])
             dot = chord[0] * offset[0] + chord[1] * offset[1]
-            is_end = link_to[current - 1] or link_to[current]
+            is_end = link_end_indices[current_corner - 1] or link_end_indices[current_corner]
             is_bent = cross > COLLINEAR_DISTANCE * length or not 0.0 <= dot <= length * length
             if is_end or is_bent:
-                before = current
+                previous_corner = current_corner
             else:
-                is_corner[current] = False
-        current = after
+                is_corner[current_corner] = False
+        current_corner = next_corner
     return is_corner
 
 
 @subkernel
-def _lay_on_floor(points, levels, link_to, layout, floors):
+def _lay_on_floor(points, levels, link_end_indices, layout, floors):
     """Lay the lines between points on the floor, with more points where the floor's height bends.
 
     In the middle of each cell that a line crosses, it is at the height of the cell's floor. Between
@@ -404,49 +414,55 @@ def _lay_on_floor(points, levels, link_to, layout, floors):
     remaining ones are dropped. Arguments and results are described in `lay_route`.
     """
     num_points = points.shape[0]
-    line = np.empty((4 * num_points + 16, 3))
+    line_points = np.empty((4 * num_points + 16, 3))
     line_levels = np.empty(4 * num_points + 16, np.int64)
-    line_links = np.zeros(4 * num_points + 16, np.int64)
-    count = 0
+    line_link_ends = np.zeros(4 * num_points + 16, np.int64)
+    num_line_points = 0
     for i in range(num_points):
         level = levels[i]
-        start_uv = to_cell_units(layout, level, points[i, 0], points[i, 1])
-        end_uv = start_uv
-        leg = np.zeros(2)
-        if i + 1 < num_points and not link_to[i]:
-            end_uv = to_cell_units(layout, level, points[i + 1, 0], points[i + 1, 1])
-            leg = points[i + 1] - points[i]
-        profile = _floor_profile(start_uv, end_uv, level, layout, floors)
-        k = 0
-        while k == 0 or k < profile.shape[0] - 1:
-            if count + 3 > line.shape[0]:
-                line = np.concatenate((line, line))
+        start_in_cells = to_cell_units(layout, level, points[i, 0], points[i, 1])
+        end_in_cells = start_in_cells
+        leg_vector = np.zeros(2)
+        if i + 1 < num_points and not link_end_indices[i]:
+            end_in_cells = to_cell_units(layout, level, points[i + 1, 0], points[i + 1, 1])
+            leg_vector = points[i + 1] - points[i]
+        profile = _floor_profile(start_in_cells, end_in_cells, level, layout, floors)
+        profile_index = 0
+        while profile_index == 0 or profile_index < profile.shape[0] - 1:
+            if num_line_points + 3 > line_points.shape[0]:
+                line_points = np.concatenate((line_points, line_points))
                 line_levels = np.concatenate((line_levels, line_levels))
-                line_links = np.concatenate((line_links, np.zeros_like(line_links)))
+                line_link_ends = np.concatenate((line_link_ends, np.zeros_like(line_link_ends)))
             for axis in range(2):
-                line[count, axis] = points[i, axis] + profile[k, 0] * leg[axis]
-            line[count, 2] = profile[k, 1]
-            line_levels[count] = level
-            count += 1
-            k = _next_bend(profile, k)
-        if i + 1 < num_points and link_to[i]:
-            line_links[count - 1] = link_to[i]
+                line_points[num_line_points, axis] = (
+                    points[i, axis] + profile[profile_index, 0] * leg_vector[axis]
+                )
+            line_points[num_line_points, 2] = profile[profile_index, 1]
+            line_levels[num_line_points] = level
+            num_line_points += 1
+            profile_index = _next_bend(profile, profile_index)
+        if i + 1 < num_points and link_end_indices[i]:
+            line_link_ends[num_line_points - 1] = link_end_indices[i]
             next_level = levels[i + 1]
-            next_uv = to_cell_units(layout, next_level, points[i + 1, 0], points[i + 1, 1])
-            z = floor_at(floors, next_level, _cell_at(layout, next_level, next_uv))
-            if abs(z - line[count - 1, 2]) > layout.cell_size[level] * STEEP_RISE:
+            next_in_cells = to_cell_units(layout, next_level, points[i + 1, 0], points[i + 1, 1])
+            z = floor_at(floors, next_level, _cell_at(layout, next_level, next_in_cells))
+            if abs(z - line_points[num_line_points - 1, 2]) > layout.cell_size[level] * STEEP_RISE:
                 for axis in range(2):
                     middle = (points[i, axis] + points[i + 1, axis]) / 2.0
-                    line[count, axis] = middle
-                    line[count + 1, axis] = middle
-                line[count, 2] = line[count - 1, 2]
-                line[count + 1, 2] = z
-                line_levels[count] = level
-                line_levels[count + 1] = next_level
-                line_links[count] = link_to[i]
-                line_links[count + 1] = link_to[i]
-                count += 2
-    return line[:count].copy(), line_levels[:count].copy(), line_links[:count].copy()
+                    line_points[num_line_points, axis] = middle
+                    line_points[num_line_points + 1, axis] = middle
+                line_points[num_line_points, 2] = line_points[num_line_points - 1, 2]
+                line_points[num_line_points + 1, 2] = z
+                line_levels[num_line_points] = level
+                line_levels[num_line_points + 1] = next_level
+                line_link_ends[num_line_points] = link_end_indices[i]
+                line_link_ends[num_line_points + 1] = link_end_indices[i]
+                num_line_points += 2
+    return (
+        line_points[:num_line_points].copy(),
+        line_levels[:num_line_points].copy(),
+        line_link_ends[:num_line_points].copy(),
+    )
 
 
 @subkernel
@@ -456,32 +472,36 @@ def _floor_profile(start, end, level, layout, floors):
     `start` and `end` are u, v. Returns fractions of the line's length, ascending, and floor z there
     [m], shape (n, 2).
     """
-    cells, entry_share = crossed_cells(start, end, layout, level)
-    last = cells.shape[0] - 1
+    cells, entry_fractions = crossed_cells(start, end, layout, level)
+    last_index = cells.shape[0] - 1
     # an end that lies on an edge may be crossed in the neighbour of its cell
-    cells[last] = _cell_at(layout, level, end)
+    cells[last_index] = _cell_at(layout, level, end)
     cells[0] = _cell_at(layout, level, start)
-    profile = np.empty((3 * last + 4, 2))
-    count = 0
+    profile = np.empty((3 * last_index + 4, 2))
+    num_points = 0
     z_before = 0.0
-    for k in range(last + 1):
+    for k in range(last_index + 1):
         z = floor_at(floors, level, cells[k])
         if k > 0 and abs(z - z_before) > layout.cell_size[level] * STEEP_RISE:
-            profile[count, 0] = entry_share[k]
-            profile[count, 1] = z_before
-            profile[count + 1, 0] = entry_share[k]
-            profile[count + 1, 1] = z
-            count += 2
-        share = (entry_share[k] + entry_share[k + 1]) / 2.0 if 0 < k < last else min(k, 1.0)
-        profile[count, 0] = share
-        profile[count, 1] = z
-        count = count + 1
+            profile[num_points, 0] = entry_fractions[k]
+            profile[num_points, 1] = z_before
+            profile[num_points + 1, 0] = entry_fractions[k]
+            profile[num_points + 1, 1] = z
+            num_points += 2
+        fraction = (
+            (entry_fractions[k] + entry_fractions[k + 1]) / 2.0
+            if 0 < k < last_index
+            else min(k, 1.0)
+        )
+        profile[num_points, 0] = fraction
+        profile[num_points, 1] = z
+        num_points = num_points + 1
         z_before = z
-    if last == 0 and (start[0] != end[0] or start[1] != end[1]):
-        profile[count, 0] = 1.0
-        profile[count, 1] = z_before
-        count += 1
-    return profile[:count]
+    if last_index == 0 and (start[0] != end[0] or start[1] != end[1]):
+        profile[num_points, 0] = 1.0
+        profile[num_points, 1] = z_before
+        num_points += 1
+    return profile[:num_points]
 
 
 @subkernel
@@ -491,8 +511,8 @@ def _cell_at(layout, level, point):
 
 
 @subkernel
-def _next_bend(profile, current):
-    """Find how far a straight line from point `current` of a profile can follow the profile.
+def _next_bend(profile, current_index):
+    """Find how far a straight line from point `current_index` of a profile can follow the profile.
 
     The line is within `FLOOR_TOLERANCE` of all points that it skips: its slope is in the range that
     each of them allows (cone intersection, Sklansky and Gonzalez 1980).
@@ -500,13 +520,13 @@ def _next_bend(profile, current):
     Returns:
         The index of the line's end in `profile`; the next point if the line can skip none.
     """
-    low = -np.inf
-    high = np.inf
-    for candidate in range(current + 1, profile.shape[0]):
-        run = profile[candidate, 0] - profile[current, 0]
-        rise = profile[candidate, 1] - profile[current, 1]
-        if run <= 0.0 or not low <= rise / run <= high:
-            return max(candidate - 1, current + 1)
-        low = max(low, (rise - FLOOR_TOLERANCE) / run)
-        high = min(high, (rise + FLOOR_TOLERANCE) / run)
-    return max(profile.shape[0] - 1, current + 1)
+    min_slope = -np.inf
+    max_slope = np.inf
+    for candidate_index in range(current_index + 1, profile.shape[0]):
+        advance = profile[candidate_index, 0] - profile[current_index, 0]
+        rise = profile[candidate_index, 1] - profile[current_index, 1]
+        if advance <= 0.0 or not min_slope <= rise / advance <= max_slope:
+            return max(candidate_index - 1, current_index + 1)
+        min_slope = max(min_slope, (rise - FLOOR_TOLERANCE) / advance)
+        max_slope = min(max_slope, (rise + FLOOR_TOLERANCE) / advance)
+    return max(profile.shape[0] - 1, current_index + 1)

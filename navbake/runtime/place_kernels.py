@@ -58,9 +58,11 @@ def locate(layout, floors, level, positions):
         _locate_on_level(layout, level, positions, cells)
         return cells
     z = np.empty(BATCH_SIZE)
-    for begin in range(0, len(positions), BATCH_SIZE):
-        end = min(begin + BATCH_SIZE, len(positions))
-        _locate_batch(layout, floors, positions[begin:end], cells[begin:end], z)
+    for batch_start in range(0, len(positions), BATCH_SIZE):
+        batch_stop = min(batch_start + BATCH_SIZE, len(positions))
+        _locate_batch(
+            layout, floors, positions[batch_start:batch_stop], cells[batch_start:batch_stop], z
+        )
     return cells
 
 
@@ -80,14 +82,14 @@ def mark_standing(layout, floors, free, max_drop, positions):
     """
     is_standing = np.zeros(len(positions), dtype=np.bool_)
     cells = np.empty(BATCH_SIZE, dtype=np.int64)
-    z = np.empty(BATCH_SIZE)
-    for begin in range(0, len(positions), BATCH_SIZE):
-        end = min(begin + BATCH_SIZE, len(positions))
-        _locate_batch(layout, floors, positions[begin:end], cells, z)
-        heights = positions[begin:end, 2]
-        for i in range(end - begin):
-            is_near = heights[i] - z[i] <= max_drop
-            is_standing[begin + i] = (cells[i] >= 0) & free[max(cells[i], 0)] & is_near
+    floor_z = np.empty(BATCH_SIZE)
+    for batch_start in range(0, len(positions), BATCH_SIZE):
+        batch_stop = min(batch_start + BATCH_SIZE, len(positions))
+        _locate_batch(layout, floors, positions[batch_start:batch_stop], cells, floor_z)
+        heights = positions[batch_start:batch_stop, 2]
+        for i in range(batch_stop - batch_start):
+            is_near = heights[i] - floor_z[i] <= max_drop
+            is_standing[batch_start + i] = (cells[i] >= 0) & free[max(cells[i], 0)] & is_near
     return is_standing
 
 
@@ -100,22 +102,26 @@ def _locate_batch(layout, floors, positions, cells, z):
     floor = floors.z
     ground = floors.ground
     max_step = floors.max_step
-    count = len(positions)
-    cells[:count] = -1
-    z[:count] = -np.inf
+    num_positions = len(positions)
+    cells[:num_positions] = -1
+    z[:num_positions] = -np.inf
     for level in range(len(layout.width)):
         _locate_on_level(layout, level, positions, level_cells)
-        for i in range(count):  # few branches: where positions are can't be predicted
+        for i in range(num_positions):  # few branches: where positions are can't be predicted
             cell = level_cells[i]
-            height = floor[max(cell, 0)]
-            limit = positions[i, 2] + max_step
-            is_nearer = (cell >= 0) & (height > z[i]) & (height <= limit)
+            floor_z = floor[max(cell, 0)]
+            highest_floor_allowed = positions[i, 2] + max_step
+            is_nearer = (cell >= 0) & (floor_z > z[i]) & (floor_z <= highest_floor_allowed)
             cells[i] = cell if is_nearer else cells[i]
-            z[i] = height if is_nearer else z[i]
-            if cell >= 0 and math.isnan(height) and highest_ground[i] < ground[level] <= limit:
+            z[i] = floor_z if is_nearer else z[i]
+            if (
+                cell >= 0
+                and math.isnan(floor_z)
+                and highest_ground[i] < ground[level] <= highest_floor_allowed
+            ):
                 ground_cells[i] = cell
                 highest_ground[i] = ground[level]
-    for i in range(count):
+    for i in range(num_positions):
         if cells[i] < 0:
             cells[i] = ground_cells[i]
             z[i] = highest_ground[i]
@@ -128,16 +134,16 @@ def _locate_on_level(layout, level, positions, cells):
     The positions are finite, world x, y [m].
     """
     first_cell = layout.start[level]
-    rows = layout.height[level]
-    cols = layout.width[level]
+    num_rows = layout.height[level]
+    num_cols = layout.width[level]
     x_min = layout.x_min[level]
     y_max = layout.y_max[level]
-    size = layout.cell_size[level]
+    cell_size = layout.cell_size[level]
     for i in range(len(positions)):
-        col = np.floor((positions[i, 0] - x_min) / size)
-        row = np.floor((y_max - positions[i, 1]) / size)
-        is_inside = 0 <= row < rows and 0 <= col < cols
-        cells[i] = first_cell + np.int64(row) * cols + np.int64(col) if is_inside else -1
+        col = np.floor((positions[i, 0] - x_min) / cell_size)
+        row = np.floor((y_max - positions[i, 1]) / cell_size)
+        is_inside = 0 <= row < num_rows and 0 <= col < num_cols
+        cells[i] = first_cell + np.int64(row) * num_cols + np.int64(col) if is_inside else -1
 
 
 @kernel
@@ -177,14 +183,14 @@ def snap_positions(layout, floors, allowed, level, same_level, max_distance, pos
             range(position_level, position_level + 1) if on_one_level else range(len(layout.width))
         )
         for candidate_level in levels:
-            measure = CENTER_ON_MAP if on_one_level else CENTER_IN_SPACE
+            distance_kind = CENTER_ON_MAP if on_one_level else CENTER_IN_SPACE
             ground = floors.ground[candidate_level]
             overlap = 0.0  # counts for `TO_OBSTACLE` only
             cell, distance = find_nearest_cell(
                 layout,
                 allowed,
                 floors.z,
-                measure,
+                distance_kind,
                 ground,
                 overlap,
                 candidate_level,
@@ -241,14 +247,16 @@ def find_nearest_obstacles(layout, floors, occupied, overlap, level, max_distanc
 
 
 @subkernel
-def find_nearest_cell(layout, mask, floor, measure, ground, overlap, level, point, max_distance):
+def find_nearest_cell(
+    layout, mask, floor, distance_kind, ground, overlap, level, point, max_distance
+):
     """Find the cell of a level, of those in a mask, that is nearest to a point.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
         mask: by cell, bool.
         floor: world z of the floor by cell, NaN for none [m].
-        measure: which distance counts: `CENTER_ON_MAP`, `CENTER_IN_SPACE` or `TO_OBSTACLE`.
+        distance_kind: which distance counts: `CENTER_ON_MAP`, `CENTER_IN_SPACE` or `TO_OBSTACLE`.
         ground: for `CENTER_IN_SPACE`, z of cells without a floor [m].
         overlap: for `TO_OBSTACLE`, floors whose heights differ by less than this count as equally
             high [m].
@@ -260,27 +268,31 @@ def find_nearest_cell(layout, mask, floor, measure, ground, overlap, level, poin
         The flat id, the lowest one of equally near cells, -1 if no cell is within `max_distance`;
         and the distance [m].
     """
-    rows = layout.height[level]
-    cols = layout.width[level]
-    size = layout.cell_size[level]
-    u, v = to_cell_units(layout, level, point[0], point[1])
+    num_rows = layout.height[level]
+    num_cols = layout.width[level]
+    cell_size = layout.cell_size[level]
+    col_position, row_position = to_cell_units(layout, level, point[0], point[1])
     # in rings round the level's cell that is nearest to the point
-    center_row = int(min(max(v, 0.0), rows - 1.0))
-    center_col = int(min(max(u, 0.0), cols - 1.0))
-    squared_gap = max(0.0, -u, u - cols) ** 2 + max(0.0, -v, v - rows) ** 2  # to the level [cells²]
-    squared_best = max_distance * max_distance
+    center_row = int(min(max(row_position, 0.0), num_rows - 1.0))
+    center_col = int(min(max(col_position, 0.0), num_cols - 1.0))
+    squared_gap = (
+        max(0.0, -col_position, col_position - num_cols) ** 2
+        + max(0.0, -row_position, row_position - num_rows) ** 2
+    )  # to the level [cells²]
+    least_squared_distance = max_distance * max_distance
     nearest = np.int64(-1)
     ring = 0
-    last_ring = max(center_row, rows - 1 - center_row, center_col, cols - 1 - center_col)
+    last_ring = max(center_row, num_rows - 1 - center_row, center_col, num_cols - 1 - center_col)
     # the point is up to half a cell nearer to a ring's centres than its own cell's centre is, and
     # a whole cell nearer to the squares
-    inset = 1.0 if measure == TO_OBSTACLE else 0.5
+    nearer_by = 1.0 if distance_kind == TO_OBSTACLE else 0.5
     while (
         ring <= last_ring
-        and (max(0.0, ring - inset) ** 2 + squared_gap) * size * size <= squared_best
+        and (max(0.0, ring - nearer_by) ** 2 + squared_gap) * cell_size * cell_size
+        <= least_squared_distance
     ):
         first_row = max(0, center_row - ring)
-        last_row = min(rows - 1, center_row + ring)
+        last_row = min(num_rows - 1, center_row + ring)
         for row in range(first_row, last_row + 1):
             first_col = center_col - ring
             last_col = center_col + ring
@@ -290,26 +302,35 @@ def find_nearest_cell(layout, mask, floor, measure, ground, overlap, level, poin
                 stride = 1
             elif first_col < 0:
                 first_col = last_col
-            row_cells = RowCells(level, row, first_col, min(cols - 1, last_col), stride)
-            squared_best, nearest = _search_row(
+            row_cells = RowCells(level, row, first_col, min(num_cols - 1, last_col), stride)
+            least_squared_distance, nearest = _search_row(
                 layout,
                 mask,
                 floor,
-                measure,
+                distance_kind,
                 ground,
                 overlap,
                 point,
                 row_cells,
-                squared_best,
+                least_squared_distance,
                 nearest,
             )
         ring += 1
-    return nearest, math.sqrt(squared_best)
+    return nearest, math.sqrt(least_squared_distance)
 
 
 @subkernel
 def _search_row(
-    layout, mask, floor, measure, ground, overlap, point, row_cells, squared_best, nearest
+    layout,
+    mask,
+    floor,
+    distance_kind,
+    ground,
+    overlap,
+    point,
+    row_cells,
+    least_squared_distance,
+    nearest,
 ):
     """Compare the nearest cell so far with cells of a row.
 
@@ -317,7 +338,7 @@ def _search_row(
     squared distance [m²] and the flat id of the nearer cell of the two.
     """
     level, row, first_col, last_col, stride = row_cells
-    size = layout.cell_size[level]
+    cell_size = layout.cell_size[level]
     x_min = layout.x_min[level]
     y_max = layout.y_max[level]
     row_start = layout.start[level] + row * layout.width[level]
@@ -325,23 +346,25 @@ def _search_row(
         cell = row_start + col
         if not mask[cell]:
             continue
-        dx = abs(x_min + (col + 0.5) * size - point[0])
-        dy = abs(y_max - (row + 0.5) * size - point[1])
-        if measure == TO_OBSTACLE:
-            dx = max(0.0, dx - 0.5 * size)
-            dy = max(0.0, dy - 0.5 * size)
-        squared = dx * dx + dy * dy
-        if measure == CENTER_IN_SPACE:
+        x_distance = abs(x_min + (col + 0.5) * cell_size - point[0])
+        y_distance = abs(y_max - (row + 0.5) * cell_size - point[1])
+        if distance_kind == TO_OBSTACLE:
+            x_distance = max(0.0, x_distance - 0.5 * cell_size)
+            y_distance = max(0.0, y_distance - 0.5 * cell_size)
+        squared_distance = x_distance * x_distance + y_distance * y_distance
+        if distance_kind == CENTER_IN_SPACE:
             z = ground if math.isnan(floor[cell]) else floor[cell]
-            squared += (z - point[2]) ** 2
-        if squared < squared_best or (squared == squared_best and (nearest < 0 or cell < nearest)):
-            if measure == TO_OBSTACLE and _is_clear_on_another_level(
+            squared_distance += (z - point[2]) ** 2
+        if squared_distance < least_squared_distance or (
+            squared_distance == least_squared_distance and (nearest < 0 or cell < nearest)
+        ):
+            if distance_kind == TO_OBSTACLE and _is_clear_on_another_level(
                 layout, mask, floor, overlap, level, cell, point[2]
             ):
                 continue
-            squared_best = squared
+            least_squared_distance = squared_distance
             nearest = cell
-    return squared_best, nearest
+    return least_squared_distance, nearest
 
 
 @subkernel
@@ -353,11 +376,17 @@ def _is_clear_on_another_level(layout, mask, floor, overlap, level, cell, z):
     if abs(floor[cell] - z) < overlap:  # False for NaN
         return False
     x, y = cell_center(layout, cell)
-    for candidate in range(len(layout.width)):
-        width = layout.width[candidate]
-        u, v = to_cell_units(layout, candidate, x, y)
-        if candidate != level and 0 <= v < layout.height[candidate] and 0 <= u < width:
-            candidate_cell = layout.start[candidate] + np.int64(v) * width + np.int64(u)
-            if not mask[candidate_cell] and abs(floor[candidate_cell] - z) < overlap:
+    for other_level in range(len(layout.width)):
+        width = layout.width[other_level]
+        col_position, row_position = to_cell_units(layout, other_level, x, y)
+        if (
+            other_level != level
+            and 0 <= row_position < layout.height[other_level]
+            and 0 <= col_position < width
+        ):
+            other_cell = (
+                layout.start[other_level] + np.int64(row_position) * width + np.int64(col_position)
+            )
+            if not mask[other_cell] and abs(floor[other_cell] - z) < overlap:
                 return True
     return False

@@ -415,7 +415,7 @@ class Search:
         return bool(line_kernels.can_pass(start, end, level, self.graph, self.off_center))
 
     def first_in_sight(
-        self, cell: int, point: Float, cells: Int, points: Float, room: Int32 = NO_ROOMS
+        self, cell: int, point: Float, cells: Int, points: Float, room_numbers: Int32 = NO_ROOMS
     ) -> int:
         """Find the first of several points that is in sight of a point.
 
@@ -426,8 +426,8 @@ class Search:
             point: world x, y [m], shape (2,) or (3,).
             cells: flat ids of the cells of `points`, shape (n,).
             points: world x, y [m], shape (n, 2) or (n, 3), C-contiguous.
-            room: the number of each cell's room, by flat id, if the line may start in occupied
-                cells; it must then leave them within the first one's room. Else empty.
+            room_numbers: the number of each cell's room, by flat id, if the line may start in
+                occupied cells; it must then leave them within the first one's room. Else empty.
 
         Returns:
             The point's index in `points`, -1 for none.
@@ -439,7 +439,7 @@ class Search:
             self.flat.steps,
             floors,
             is_clear,
-            room,
+            room_numbers,
             cell,
             point,
             cells,

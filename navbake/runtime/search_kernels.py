@@ -31,7 +31,7 @@ from navbake.runtime.grid_arrays import (
     SOUTH,
     WEST,
     cell_center,
-    find_link_slot,
+    find_link_cell_index,
     level_of,
     to_cell_units,
 )
@@ -82,7 +82,7 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
         cut_corners: whether diagonal moves past blocked corners are allowed.
         layout: `navbake.runtime.grid_arrays.Layout`.
         level: the window's level.
-        window: first and last row, first and last column, the last ones excluded.
+        window: first row, stop row, first column, stop column; the stops are not in it.
         moves: by cell, uint8, written: bit d is set where a move leads in direction d.
     """
     floor = floors.z
@@ -90,11 +90,11 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
     first_cell = layout.start[level]
     width = layout.width[level]
     height = layout.height[level]
-    row0, row1, col0, col1 = window
-    for row in range(max(row0, 0), min(row1, height)):
-        for col in range(max(col0, 0), min(col1, width)):
+    first_row, stop_row, first_col, stop_col = window
+    for row in range(max(first_row, 0), min(stop_row, height)):
+        for col in range(max(first_col, 0), min(stop_col, width)):
             cell = first_cell + row * width + col
-            bits = 0
+            move_bits = 0
             for direction in range(8 if free[cell] else 0):
                 row_step = ROW_STEP[direction]
                 col_step = COL_STEP[direction]
@@ -122,16 +122,16 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
                         continue
                 elif not _is_step(cell, target, free, floor, max_step, slopes):
                     continue
-                # Straight moves must connect the four cells round the corner: `bits` has those from
-                # this cell; the last two tests are for those to the target.
+                # Straight moves must connect the four cells round the corner: `move_bits` has those
+                # from this cell; the last two tests are for those to the target.
                 if (direction < 4 or (cut_corners and not is_steep)) or (
-                    bits & STRAIGHT_MOVES_BESIDE[direction] == STRAIGHT_MOVES_BESIDE[direction]
+                    move_bits & STRAIGHT_MOVES_BESIDE[direction] == STRAIGHT_MOVES_BESIDE[direction]
                     and (cut_corners or (fits_diagonally[cell] and fits_diagonally[target]))
                     and _is_step(row_neighbor, target, free, floor, max_step, slopes)
                     and _is_step(col_neighbor, target, free, floor, max_step, slopes)
                 ):
-                    bits |= 1 << direction
-            moves[cell] = bits
+                    move_bits |= 1 << direction
+            moves[cell] = move_bits
 
 
 @subkernel
@@ -174,27 +174,27 @@ def plan_buckets(
         The buckets' width, in units of cost; and their number, a power of two.
     """
     # how much higher than the present bucket's the cost of a new entry can be
-    farthest = max(
+    max_cost_range = max(
         2.0 * greatest_weight * max(DIAGONAL * cell_size, longest_step), highest_passage_cost
     )
-    width = max(BUCKET_SHARE * cell_size * least_weight, farthest / (MAX_BUCKETS - 4))
-    if not width > 0.0:  # all steps are free of cost: one bucket holds everything
+    bucket_width = max(BUCKET_SHARE * cell_size * least_weight, max_cost_range / (MAX_BUCKETS - 4))
+    if not bucket_width > 0.0:  # all steps are free of cost: one bucket holds everything
         return 1.0, 4
-    count = 4
-    while count < farthest / width + 3:
-        count *= 2
-    return width, count
+    num_buckets = 4
+    while num_buckets < max_cost_range / bucket_width + 3:
+        num_buckets *= 2
+    return bucket_width, num_buckets
 
 
 @subkernel
-def _push(bucket_head, counters, entry_cell, entry_next, bucket_number, cell):
+def _push_cell(bucket_head, counters, entry_cell, entry_next, bucket_number, cell):
     """Put a cell into a bucket of the queue; the caller has checked that the queue isn't full.
 
     `counters` are the queue's counters; `entry_cell` and `entry_next` are described in `Visits` of
     `navbake.runtime.grid_arrays`.
     """
     # the remainder, as the number of buckets is a power of two
-    slot = bucket_number & (bucket_head.shape[0] - 1)
+    bucket_index = bucket_number & (bucket_head.shape[0] - 1)
     entry = counters[SPARE_ENTRY]
     if entry >= 0:
         counters[SPARE_ENTRY] = entry_next[entry]
@@ -202,25 +202,25 @@ def _push(bucket_head, counters, entry_cell, entry_next, bucket_number, cell):
         entry = counters[NUM_USED]
         counters[NUM_USED] += 1
     entry_cell[entry] = cell
-    entry_next[entry] = bucket_head[slot]
-    bucket_head[slot] = entry
+    entry_next[entry] = bucket_head[bucket_index]
+    bucket_head[bucket_index] = entry
     counters[NUM_OPEN] += 1
 
 
 @subkernel
-def _lower_bound(row, col, box, scale):
+def _lower_bound(row, col, box, cost_per_cell):
     """Compute a lower bound of the cost of a route from a cell to the box round the goals.
 
     Args:
         row: the cell's row.
         col: the cell's column.
         box: first and last row, first and last column of the box.
-        scale: least cost of a step to a neighbour in the same row or column.
+        cost_per_cell: least cost of a step to a neighbour in the same row or column.
     """
     row_distance = max(box[0] - row, row - box[1], 0.0)
     col_distance = max(box[2] - col, col - box[3], 0.0)
-    longer = max(row_distance, col_distance)
-    return scale * (longer + (DIAGONAL - 1.0) * min(row_distance, col_distance))
+    longer_distance = max(row_distance, col_distance)
+    return cost_per_cell * (longer_distance + (DIAGONAL - 1.0) * min(row_distance, col_distance))
 
 
 @kernel
@@ -256,10 +256,10 @@ def find_route(graph, sources, goals, search_number, visits):
     mark, cost, link_from, entry_cell, entry_next = visits
     bucket_head = np.full(graph.num_buckets, -1, np.int32)
     counters = np.array([-1, 0, 0])
-    last_slot = bucket_head.shape[0] - 1
-    per_bucket = 1.0 / bucket_width
-    rounding = 1e-9 * bucket_width  # a smaller gain is none
-    own_mark = search_number * SEARCH_UNIT
+    slot_mask = bucket_head.shape[0] - 1
+    buckets_per_cost = 1.0 / bucket_width
+    least_gain = 1e-9 * bucket_width  # a smaller gain is none
+    search_mark = search_number * SEARCH_UNIT
     has_goals = goals.shape[0] > 0
     best_cost = np.inf  # of a goal
     best_goal = np.int64(-1)
@@ -268,7 +268,7 @@ def find_route(graph, sources, goals, search_number, visits):
     y_min = np.inf
     y_max = -np.inf
     for goal in goals:
-        mark[goal] = own_mark | GOAL_BIT | NOT_REACHED
+        mark[goal] = search_mark | GOAL_BIT | NOT_REACHED
         cost[goal] = np.inf
         x, y = cell_center(layout, goal)
         x_min = min(x_min, x)
@@ -289,23 +289,23 @@ def find_route(graph, sources, goals, search_number, visits):
     for source in sources:
         if counters[NUM_USED] == entry_cell.shape[0]:
             return QUEUE_FULL, route[:0]
-        if mark[source] < own_mark:  # a source may be listed twice
-            mark[source] = own_mark | FROM_SOURCE
+        if mark[source] < search_mark:  # a source may be listed twice
+            mark[source] = search_mark | FROM_SOURCE
             cost[source] = 0.0
             if has_goals:
                 level = level_of(start, source)
                 row, col = divmod(source - start[level], width[level])
                 bound = _lower_bound(row, col, box[level], cell_size[level] * least_weight)
-                bucket_number = np.int64(bound * per_bucket)
-            _push(bucket_head, counters, entry_cell, entry_next, bucket_number, source)
+                bucket_number = np.int64(bound * buckets_per_cost)
+            _push_cell(bucket_head, counters, entry_cell, entry_next, bucket_number, source)
 
     # the level of the cell that is expanded, and its layout
     level = 0
     first_cell = start[0]
     num_cols = width[0]
-    size = cell_size[0]
+    cell_edge = cell_size[0]
     while counters[NUM_OPEN] > 0:
-        entry = bucket_head[bucket_number & last_slot]
+        entry = bucket_head[bucket_number & slot_mask]
         if entry < 0:
             bucket_number += 1
             # All open cells cost as much as this bucket at least. A goal counts only now, as a
@@ -313,7 +313,7 @@ def find_route(graph, sources, goals, search_number, visits):
             if bucket_number * bucket_width >= best_cost + graph.link_saving:
                 break
             continue
-        bucket_head[bucket_number & last_slot] = entry_next[entry]
+        bucket_head[bucket_number & slot_mask] = entry_next[entry]
         entry_next[entry] = counters[SPARE_ENTRY]
         counters[SPARE_ENTRY] = entry
         counters[NUM_OPEN] -= 1
@@ -327,9 +327,15 @@ def find_route(graph, sources, goals, search_number, visits):
             level = level_of(start, cell)
             first_cell = start[level]
             num_cols = width[level]
-            size = cell_size[level]
-        slot = find_link_slot(link_cell, cell) if is_end.shape[0] > 0 and is_end[cell] else -1
-        num_links = 0 if slot < 0 else link_start[slot + 1] - link_start[slot]
+            cell_edge = cell_size[level]
+        link_cell_index = (
+            find_link_cell_index(link_cell, cell) if is_end.shape[0] > 0 and is_end[cell] else -1
+        )
+        num_links = (
+            0
+            if link_cell_index < 0
+            else link_start[link_cell_index + 1] - link_start[link_cell_index]
+        )
         if counters[NUM_USED] + 8 + num_links > entry_cell.shape[0]:
             return QUEUE_FULL, route[:0]
         row, col = divmod(cell - first_cell, num_cols) if has_goals else (np.int64(0), np.int64(0))
@@ -344,9 +350,9 @@ def find_route(graph, sources, goals, search_number, visits):
                 target_row = row + ROW_STEP[move]
                 target_col = col + COL_STEP[move]
                 target = cell + ROW_STEP[move] * num_cols + COL_STEP[move]
-                length = size if move < 4 else size * DIAGONAL
+                length = cell_edge if move < 4 else cell_edge * DIAGONAL
             else:
-                link = link_start[slot] + move - 8
+                link = link_start[link_cell_index] + move - 8
                 target = link_target[link]
                 length = link_length[link]
                 passage_cost = link_cost[link]
@@ -363,43 +369,43 @@ def find_route(graph, sources, goals, search_number, visits):
             if uniform_weight <= 0.0:
                 # most neighbours were reached at a cost that the smallest weight can't beat
                 least_cost = cell_cost + length * least_weight
-                if mark[target] >= own_mark and least_cost >= cost[target] - rounding:
+                if mark[target] >= search_mark and least_cost >= cost[target] - least_gain:
                     continue
                 step_weight = weight[target if has_goals else cell]
             target_cost = cell_cost + length * step_weight + passage_cost
             goal_bit = 0
-            if mark[target] >= own_mark:  # no search has a larger number
-                if target_cost >= cost[target] - rounding:
+            if mark[target] >= search_mark:  # no search has a larger number
+                if target_cost >= cost[target] - least_gain:
                     continue
                 goal_bit = mark[target] & GOAL_BIT
             if move >= 8:
-                link_from[find_link_slot(link_cell, target)] = cell
+                link_from[find_link_cell_index(link_cell, target)] = cell
             # without EXPANDED_BIT: a cell that got cheaper is expanded again
-            mark[target] = own_mark | goal_bit | (move if move < 8 else BY_LINK)
+            mark[target] = search_mark | goal_bit | (move if move < 8 else BY_LINK)
             cost[target] = target_cost
             if goal_bit and target_cost < best_cost:
                 best_cost = target_cost
                 best_goal = target
             estimate = target_cost
             if has_goals:
-                scale = cell_size[target_level] * least_weight
-                estimate += _lower_bound(target_row, target_col, box[target_level], scale)
-            target_bucket = max(np.int64(estimate * per_bucket), bucket_number)
-            _push(bucket_head, counters, entry_cell, entry_next, target_bucket, target)
+                cost_per_cell = cell_size[target_level] * least_weight
+                estimate += _lower_bound(target_row, target_col, box[target_level], cost_per_cell)
+            target_bucket = max(np.int64(estimate * buckets_per_cost), bucket_number)
+            _push_cell(bucket_head, counters, entry_cell, entry_next, target_bucket, target)
 
     # from the goal back along the moves that the cells were reached by
-    count = 0
+    route_length = 0
     cell = best_goal
     while cell >= 0:
-        if count == route.shape[0]:
+        if route_length == route.shape[0]:
             route = np.append(route, np.empty_like(route))
-        route[count] = cell
-        count += 1
+        route[route_length] = cell
+        route_length += 1
         move = mark[cell] & MOVE_BITS
         if move == FROM_SOURCE:
             break
         if move == BY_LINK:
-            cell = link_from[find_link_slot(link_cell, cell)]
+            cell = link_from[find_link_cell_index(link_cell, cell)]
         else:
             cell -= ROW_STEP[move] * width[level_of(start, cell)] + COL_STEP[move]
-    return SEARCH_DONE, route[:count][::-1].copy()
+    return SEARCH_DONE, route[:route_length][::-1].copy()

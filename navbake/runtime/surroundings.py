@@ -174,7 +174,7 @@ def block_by_floors(
     higher_floors_block = radius > (0.0 if has_solid else grid.agent_radius)
     lowest_floor = np.fmin.reduce(stack.floor, axis=None)
     highest_floor = np.fmax.reduce(stack.floor, axis=None)
-    if len(stack.floor) == 1 and not highest_floor - lowest_floor > stack.step:
+    if len(stack.floor) == 1 and not highest_floor - lowest_floor > stack.max_step:
         return  # no floor is higher or lower than another by more than a step
     lowest, highest = _find_floor_extremes(stack, offsets)
     lower_floors_block = ledges == "avoid"
@@ -326,7 +326,7 @@ def stack_levels(
         The stack; and the rows and columns of the level's own cells in it.
     """
     level = grid.levels[level_number]
-    step = step_limit(grid) * grid.unit
+    max_step = step_limit(grid) * grid.unit
     corners = _find_aligned_levels(grid, level_number)
     first_row = 0
     first_col = 0
@@ -359,9 +359,9 @@ def stack_levels(
     stack: LevelStack = kernels.LevelStack(
         floor=floor,
         occupied=occupied,
-        slopes=_mark_slopes(grid, places, floor, step),
+        slopes=_mark_slopes(grid, places, floor, max_step),
         level=places[level_number].layer,
-        step=step,
+        max_step=max_step,
         height=grid.agent_height,
     )
     rows = slice(-first_row, level.height - first_row)
@@ -390,7 +390,7 @@ def _find_aligned_levels(grid: NavGrid, level_number: int) -> dict[int, tuple[in
 
 
 def _mark_slopes(
-    grid: NavGrid, places: dict[int, StackPlace], floor: NDArray[np.float32], step: float
+    grid: NavGrid, places: dict[int, StackPlace], floor: NDArray[np.float32], max_step: float
 ) -> NDArray[np.uint8]:
     """Mark the directions in which links lead up or down a slope: `LevelStack.slopes`.
 
@@ -399,7 +399,7 @@ def _mark_slopes(
         grid: the grid, whose steps are used.
         places: where each stacked level lies in the arrays, by the level's number.
         floor: `LevelStack.floor`.
-        step: largest difference of neighbours' floors that an agent can step over [m].
+        max_step: largest difference of neighbours' floors that an agent can step over [m].
     """
     slope_links = grid.step_array
     no_slopes = np.zeros((0, 0, 0), dtype=np.uint8)
@@ -414,7 +414,7 @@ def _mark_slopes(
     ).all(axis=0)
     start_indices = start_indices[:, is_inside]
     end_indices = end_indices[:, is_inside]
-    is_slope = np.abs(floor[tuple(start_indices)] - floor[tuple(end_indices)]) > step
+    is_slope = np.abs(floor[tuple(start_indices)] - floor[tuple(end_indices)]) > max_step
     is_slope &= np.abs(end_indices - start_indices)[1:].sum(axis=0) == 1
     if not is_slope.any():
         return no_slopes

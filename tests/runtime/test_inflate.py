@@ -399,7 +399,7 @@ def test_nav2_costs_of_levels_are_those_of_the_nearest_cell_that_blocks(seed):
         costs = nav2_costs(grid, radius, 0.6, 3.0, level=number)
         free = level.free & (level.solid == 0)
         stack, window = stack_levels(grid, number, 8)
-        overlap = stack.height - stack.step
+        overlap = stack.height - stack.max_step
         for row, col in np.argwhere(free):
             height = level.floor[row, col]
             near = np.abs(stack.floor - height) < overlap
