@@ -145,11 +145,13 @@ def encode_with(file_format: FileFormat, grid: NavGrid, path: Path, **options: o
         radius = options.pop("radius", None)
         if radius is not None:
             map_grid = grid.inflate(cast("float", radius))  # checks the radius itself
-    if file_format.closes and not file_format.closes_by_itself:
+    if file_format.closes:
         options.pop("stairs", None)
         options.pop("agent", None)
         closed_masks = closed_cells.masks()
-        if any(mask.any() for mask in closed_masks):
+        if file_format.lays_closed_cells:
+            options["closed_masks"] = closed_masks
+        elif any(mask.any() for mask in closed_masks):
             map_grid = map_losses.close_cells(map_grid, closed_masks)
     files: Files = resolve(f"navbake.formats.{file_format.encode}")(map_grid, path, **options)
     losses = map_losses.describe_losses(

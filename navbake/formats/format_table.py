@@ -43,7 +43,9 @@ class FileFormat(NamedTuple):
         closes: which free cells are occupied in the format's files, since a robot must not go there
             and the format can't say why: ``stairs`` (see
             `navbake.formats.map_losses.find_stair_cells`), and ``areas`` that bar the agent.
-        closes_by_itself: whether the writer closes these cells, instead of `convert.encode_as`.
+        lays_closed_cells: whether the writer lays these cells over its values itself: it takes
+            their masks as `closed_masks`. Otherwise `convert.encode_with` closes them in the grid
+            that the writer gets.
     """
 
     name: str
@@ -57,7 +59,7 @@ class FileFormat(NamedTuple):
     inflates: bool = False
     loses: tuple[str, ...] = ()
     closes: tuple[str, ...] = ()
-    closes_by_itself: bool = False
+    lays_closed_cells: bool = False
 
 
 ALL_LOSSES = ("heights", "steps", "areas", "links", "agents", "doors")
@@ -97,7 +99,7 @@ GRID_FORMATS = (
         list_parts="nav2:list_images",
         loses=ALL_LOSSES,
         closes=("stairs", "areas"),
-        closes_by_itself=True,
+        lays_closed_cells=True,
     ),
     FileFormat(
         name="nav2-keepout",

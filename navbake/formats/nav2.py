@@ -20,6 +20,7 @@ Files that `encode_nav2` writes mean the same in both versions.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +33,6 @@ from navbake.files import check_regular, readable_stem
 from navbake.formats import occupancy
 from navbake.formats.allowance import ABSENT, JsonPath, check_number, check_vector
 from navbake.formats.level_paths import list_level_paths
-from navbake.formats.map_losses import find_closed_cells
 from navbake.formats.navgrid import check_grid
 from navbake.formats.source import (
     Files,
@@ -46,9 +46,8 @@ from navbake.formats.source import (
 from navbake.known_names import check_choice
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE, Lattice, rounded
-from navbake.navgrid.links import Agent
 from navbake.runtime.inflation import NAV2_SCALING
-from navbake.types import Json
+from navbake.types import Bool, Json
 from navbake.yaml_text import encode_yaml
 
 MODES = ("trinary", "scale", "raw")
@@ -99,13 +98,11 @@ def encode_nav2(
     image: str | None = None,
     inflation: float | None = None,
     scaling: float | None = None,
-    stairs: str | None = None,
-    agent: str | Agent | None = None,
+    closed_masks: Sequence[Bool] | None = None,
 ) -> Files:
     """Encode the maps of a grid: for each level an image, and a YAML that names it.
 
-    Cells without a floor are unknown, all others free or occupied. A map has no heights and no
-    areas, so stairs and areas that bar the agent are occupied. Modes ``scale`` and ``raw`` also
+    Cells without a floor are unknown, all others free or occupied. Modes ``scale`` and ``raw`` also
     have costs: 1 to 98 for weights above 1, and 99 for cells that only an inflation blocks.
 
     Args:
@@ -120,18 +117,16 @@ def encode_nav2(
             costs by nav2's formula; not in mode ``trinary``. With it, `radius` is the radius of the
             grid's agent by default.
         scaling: nav2's ``cost_scaling_factor`` [1/m]; 10 if None.
-        stairs: ``occupied``, or ``free`` to leave floors free that only steps lead to; None means
-            ``occupied``. See `navbake.formats.map_losses.find_stair_cells`.
-        agent: the agent whose barred areas are occupied: its name in the grid, or the agent itself.
-            None closes areas that bar all agents.
+        closed_masks: for each level, the free cells that are occupied in the map, as it has no
+            heights and no areas, see `navbake.formats.map_losses.ClosedCells`; shape (height,
+            width), bool. They are not inflated. None for no such cells.
 
     Returns:
         The content of each file by its path.
 
     Raises:
         FormatError: there is no such level, mode or kind of image, or options exclude each other.
-        QueryError: a radius, inflation or scaling is out of its range, or the grid has no such
-            agent.
+        QueryError: a radius, inflation or scaling is out of its range.
     """
     if not image:
         image = "png" if mode == "scale" else "pgm"
@@ -145,7 +140,6 @@ def encode_nav2(
         raise FormatError("scaling is how fast the costs of an inflation fall: expected one")
     if scaling is None:
         scaling = NAV2_SCALING
-    closed_cells = find_closed_cells(grid, stairs=stairs, agent=agent).masks()
     if radius is not None and inflation is None:
         grid = grid.inflate(radius)
     files: Files = {}
@@ -157,7 +151,8 @@ def encode_nav2(
             values = occupancy.compute_costmap_values(
                 grid, level_number, robot_radius, inflation, scaling
             )
-        values[closed_cells[level_number]] = occupancy.OCCUPIED
+        if closed_masks is not None:
+            values[closed_masks[level_number]] = occupancy.OCCUPIED
         files |= encode_map(grid.levels[level_number], values, yaml_path, mode, image)
     return files
 

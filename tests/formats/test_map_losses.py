@@ -11,6 +11,7 @@ import navbake
 from grid_maps import house_from, level_from
 from map_grids import sample
 from navbake.errors import FormatError, QueryError
+from navbake.formats import map_losses
 from navbake.formats.map_losses import find_stair_cells
 from navbake.navgrid.rooms import Room
 
@@ -169,6 +170,19 @@ def test_barred_areas_are_occupied(tmp_path, kind, caplog):
         export(level, tmp_path, kind, agent="cat")
     with pytest.raises(FormatError, match="expected occupied or free as stairs, got 'maybe'"):
         export(level, tmp_path, kind, stairs="maybe")
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_closed_cells_are_found_once_for_each_map(tmp_path, kind, monkeypatch):
+    levels = []
+
+    def find_and_count(grid, number):
+        levels.append(number)
+        return find_stair_cells(grid, number)
+
+    monkeypatch.setattr(map_losses, "find_stair_cells", find_and_count)
+    export(level_from("....2468"), tmp_path, kind)
+    assert levels == [0]
 
 
 def test_an_inflation_is_not_of_stairs_and_areas_but_they_stay_closed(tmp_path):

@@ -32,7 +32,6 @@ FUNCTIONS = {
     "tensors": "tensors.build:make_tensors",
     "save": "formats.navgrid:write_navgrid",
     "convert": "formats.convert:write_as",
-    "to_nav2": "formats.nav2:encode_nav2",
     "to_npz": "formats.npz:encode_grid_npz",
     "to_mjcf": "formats.extrude:encode_mjcf",
     "to_mesh": "formats.floor_mesh:make_floor_mesh",
@@ -43,7 +42,7 @@ FUNCTIONS = {
     "_repr_png_": "views.notebook:draw_png",
 }
 # these have parameters of several functions, or use another method
-ALONE = {"plot", "to_procthor", "blockers", "find_path"}
+ALONE = {"plot", "to_nav2", "to_procthor", "blockers", "find_path"}
 
 METHODS = {name: method for name, method in vars(GridMethods).items() if inspect.isfunction(method)}
 
@@ -72,6 +71,15 @@ def test_a_plot_takes_what_pictures_take():
     names = ("radius", "stairs", "agent")  # of all maps
     expected = [level, *((name, *level[1:]) for name in names)]
     assert parameters_of(GridMethods.to_procthor, first=2) == expected
+
+
+def test_a_map_of_nav2_takes_what_its_writer_takes_and_which_cells_it_closes():
+    *writer_parameters, closed_masks = parameters_of(
+        resolve("navbake.formats.nav2:encode_nav2"), first=2
+    )
+    assert closed_masks[0] == "closed_masks"
+    expected = [*writer_parameters, *((name, *closed_masks[1:]) for name in ("stairs", "agent"))]
+    assert parameters_of(GridMethods.to_nav2, first=2) == expected
 
 
 def test_a_path_is_found_with_the_arguments_of_path_finder():
