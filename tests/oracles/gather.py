@@ -10,25 +10,25 @@ from navbake.baker.columns.columns import Columns, TiledShapes
 from navbake.baker.core.arrays import HeightRange, Prism
 from navbake.baker.core.constants import APART, MEETS, OPEN_SURFACE, UNDECIDED
 from navbake.baker.core.tolerances import TOUCH_DEPTH
-from navbake.baker.geometry.gjk_kernels import make_simplex
+from navbake.baker.geometry.gjk_kernels import allocate_simplex
 from navbake.baker.geometry.overlap_kernels import (
     ANY_GEOM,
+    allocate_polygons,
     is_line_blocked,
-    make_polygons,
     plane_meets_prism,
     triangle_meets_prism,
 )
 from navbake.baker.geometry.solid_kernels import solid_meets_prism
 
 # parts of kernels as functions that Python can call
-make_simplex = numba.njit(make_simplex.py_func)
+allocate_simplex = numba.njit(allocate_simplex.py_func)
 plane_meets_prism = numba.njit(plane_meets_prism.py_func)
 solid_meets_prism = numba.njit(solid_meets_prism.py_func)
 is_line_blocked = numba.njit(is_line_blocked.py_func)
 triangle_meets_prism = numba.njit(triangle_meets_prism.py_func)
-make_polygons = numba.njit(make_polygons.py_func)
+allocate_polygons = numba.njit(allocate_polygons.py_func)
 
-SIMPLEX, POLYGONS = make_simplex(), make_polygons()
+SIMPLEX, POLYGONS = allocate_simplex(), allocate_polygons()
 
 
 def prisms_over(

@@ -325,11 +325,11 @@ def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
     if config.levels == "auto":
         return
     grounds = [level.ground for level in config.levels]
-    step = config.agent.traversable_floor_height
+    max_step = config.agent.traversable_floor_height
     for level in floors.levels:
         if level.ground not in grounds:
             continue
-        if np.nanmin(level.floor) <= level.ground + step + LIMIT_SLACK:
+        if np.nanmin(level.floor) <= level.ground + max_step + LIMIT_SLACK:
             continue
         heights = [
             neighbor.floor[neighbor.standable]
@@ -396,11 +396,13 @@ def _warn_holes(config: BakeConfig, hole_areas: Float) -> Iterator[str]:
     counted_areas = hole_areas[hole_areas >= MIN_HOLE_AREA]
     if len(counted_areas):
         number_text = "a hole" if len(counted_areas) == 1 else f"{len(counted_areas)} holes"
-        text = "closed and marked in the layer `unseen`"
+        outcome = "closed and marked in the layer `unseen`"
         if not config.floors.fill:
-            text = "no floor: `floors.fill` closes holes up to an area, `scene.scan: true` does so"
+            outcome = (
+                "no floor: `floors.fill` closes holes up to an area, `scene.scan: true` does so"
+            )
         area = counted_areas.sum()
-        yield f"the mesh is open in its floor, {number_text} of {area:.2f} m² in all: {text}"
+        yield f"the mesh is open in its floor, {number_text} of {area:.2f} m² in all: {outcome}"
 
 
 def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Iterator[str]:
@@ -412,17 +414,17 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
         return
     levels = floors.levels
     planes = scene.structure.planes
-    step = config.agent.traversable_floor_height
+    max_step = config.agent.traversable_floor_height
     # Most planes are not even lower than the floors of some rows.
     sampled_rows = [level.floor[::SAMPLED_ROWS] for level in levels]
     lowest_sampled = min(
         float(np.fmin.reduce(rows, axis=None, initial=np.inf)) for rows in sampled_rows
     )
-    if not (planes.pos[:, 2] < lowest_sampled - step).any():
+    if not (planes.pos[:, 2] < lowest_sampled - max_step).any():
         return
     lowest_floor = min(float(np.nanmin(level.floor)) for level in levels)
     is_horizontal = planes.normal[:, 2] >= 1.0 - 1e-9
-    is_hidden = is_horizontal & (planes.pos[:, 2] < lowest_floor - step)
+    is_hidden = is_horizontal & (planes.pos[:, 2] < lowest_floor - max_step)
     for plane in np.flatnonzero(is_hidden)[:1].tolist():
         name = scene.geoms[planes.geom[plane]].name
         z = planes.pos[plane, 2]

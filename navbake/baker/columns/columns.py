@@ -559,8 +559,9 @@ def list_by_tile(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, In
         lattice: the cells.
 
     Returns:
-        The list of tile t is ``item[start[t] : start[t + 1]]``, ascending; start, shape
-        (tiles + 1,), int64, and item, shape (start[-1],), int32.
+        Where each tile's list begins, ``start``, shape (tiles + 1,), int64; and the indices of the
+        boxes, tile by tile, ``item``, int32. The list of tile t is ``item[start[t] : start[t +
+        1]]``, ascending.
     """
     num_tiles = -(-lattice.width // TILE) * -(-lattice.height // TILE)
     return _list_boxes(boxes, margin, lattice, num_tiles, by_tile_row=False)
@@ -575,8 +576,9 @@ def list_by_tile_row(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int
         lattice: the cells.
 
     Returns:
-        The list of row r of tiles is ``item[start[r] : start[r + 1]]``, ascending; start, shape
-        (rows of tiles + 1,), int64, and item, shape (start[-1],), int32.
+        Where the list of each row of tiles begins, ``start``, shape (rows of tiles + 1,), int64;
+        and the indices of the boxes, row by row, ``item``, int32. The list of row r is
+        ``item[start[r] : start[r + 1]]``, ascending.
     """
     num_tile_rows = -(-lattice.height // TILE)
     return _list_boxes(boxes, margin, lattice, num_tile_rows, by_tile_row=True)
@@ -596,8 +598,9 @@ def _list_boxes(
             centre in a row of tiles are listed for it.
 
     Returns:
-        The list of tile (or row of tiles) t is ``item[start[t] : start[t + 1]]``, ascending; start,
-        shape (num_tiles + 1,), int64, and item, shape (start[-1],), int32.
+        Where the list of each tile (or row of tiles) begins, ``start``, shape (num_tiles + 1,),
+        int64; and the indices of the boxes, list by list, ``item``, int32. The list of tile t is
+        ``item[start[t] : start[t + 1]]``, ascending.
     """
     if not len(boxes):
         return np.zeros(num_tiles + 1, dtype=np.int64), np.empty(0, dtype=np.int32)

@@ -64,19 +64,19 @@ class CrackScratch(NamedTuple):
             float64.
         corners: the corners of a piece of floor, (4, 3) float64 [m].
         box: the box around a piece: lower corner, upper corner, (1, 6) float64 [m].
-        nearest: the point of a piece nearest to a line, (3,) float64 [m].
-        heights: heights at which all cells of a tile have a floor, (MAX_COMMON_HEIGHTS,) float64
-            [m].
-        last_side: index in `candidates` of the last side of each cell of a tile, -1 for none,
-            (TILE * TILE,) int64.
+        nearest_point: the point of a piece nearest to a line, (3,) float64 [m].
+        common_heights: heights at which all cells of a tile have a floor, (MAX_COMMON_HEIGHTS,)
+            float64 [m].
+        last_side_of_cell: index in `candidates` of the last side of each cell of a tile, -1 for
+            none, (TILE * TILE,) int64.
     """
 
     candidates: Float
     corners: Float
     box: Float
-    nearest: Float
-    heights: Float
-    last_side: Int
+    nearest_point: Float
+    common_heights: Float
+    last_side_of_cell: Int
 
 
 @subkernel
@@ -93,14 +93,14 @@ def _make_scratch(num_candidates):
 
 
 @subkernel(**NO_REFCOUNT)
-def _write_piece(solids, facets, item, face, min_up, corners):
+def _write_piece(solids, facets, shape_number, face_axis, min_up, corners):
     """Write the corners of a piece of floor: a triangle, a box's upper face, or a solid's top.
 
     Args:
         solids, facets: the shapes, as `Solids` and `Facets`.
-        item: index into `facets` if `face` is -1, else into `solids`.
-        face: -1 for a triangle; for a box, the number of its own axis across which the face lies,
-            the upper one of two; 0 for the upper part of a round solid.
+        shape_number: index into `facets` if `face_axis` is -1, else into `solids`.
+        face_axis: -1 for a triangle; for a box, the number of its own axis across which the face
+            lies, the upper one of two; 0 for the upper part of a round solid.
         min_up: least z of a unit normal within the slope limit.
         corners: receives the corners, (4, 3) float64 [m].
 
@@ -108,38 +108,44 @@ def _write_piece(solids, facets, item, face, min_up, corners):
         The number of corners, 0 if the piece is too steep; and the radius around the corners that
         belongs to the piece, 0 for triangles and boxes [m].
     """
-    if face < 0:
-        c = facets.corners[item]
-        ux = c[1, 0] - c[0, 0]
-        uy = c[1, 1] - c[0, 1]
-        uz = c[1, 2] - c[0, 2]
-        vx = c[2, 0] - c[0, 0]
-        vy = c[2, 1] - c[0, 1]
-        vz = c[2, 2] - c[0, 2]
-        x = uy * vz - uz * vy
-        y = uz * vx - ux * vz
-        z = ux * vy - uy * vx
-        if not z > 0.0 or z * z < min_up * min_up * (x * x + y * y + z * z):
+    if face_axis < 0:
+        triangle_corners = facets.corners[shape_number]
+        ux = triangle_corners[1, 0] - triangle_corners[0, 0]
+        uy = triangle_corners[1, 1] - triangle_corners[0, 1]
+        uz = triangle_corners[1, 2] - triangle_corners[0, 2]
+        vx = triangle_corners[2, 0] - triangle_corners[0, 0]
+        vy = triangle_corners[2, 1] - triangle_corners[0, 1]
+        vz = triangle_corners[2, 2] - triangle_corners[0, 2]
+        normal_x = uy * vz - uz * vy
+        normal_y = uz * vx - ux * vz
+        normal_z = ux * vy - uy * vx
+        if not normal_z > 0.0 or normal_z * normal_z < min_up * min_up * (
+            normal_x * normal_x + normal_y * normal_y + normal_z * normal_z
+        ):
             return 0, 0.0
         for i in range(3):
             for k in range(3):
-                corners[i, k] = c[i, k]
+                corners[i, k] = triangle_corners[i, k]
         return 3, 0.0
-    pos = solids.pos[item]
-    mat = solids.mat[item]
-    size = solids.size[item]
-    kind = solids.kind[item]
+    pos = solids.pos[shape_number]
+    mat = solids.mat[shape_number]
+    size = solids.size[shape_number]
+    kind = solids.kind[shape_number]
     if kind == BOX:
-        up = 1.0 if mat[6 + face] > 0.0 else -1.0
-        a = (face + 1) % 3
-        b = (face + 2) % 3
+        face_sign = 1.0 if mat[6 + face_axis] > 0.0 else -1.0
+        first_axis = (face_axis + 1) % 3
+        second_axis = (face_axis + 2) % 3
         for i in range(4):
-            along = size[a] if i in (1, 2) else -size[a]
-            across = size[b] if i >= 2 else -size[b]
+            offset_along = size[first_axis] if i in (1, 2) else -size[first_axis]
+            offset_across = size[second_axis] if i >= 2 else -size[second_axis]
             for k in range(3):
-                center = pos[k] + up * size[face] * mat[3 * k + face]
-                corners[i, k] = center + along * mat[3 * k + a] + across * mat[3 * k + b]
-        return 4 if up * mat[6 + face] >= min_up else 0, 0.0
+                center = pos[k] + face_sign * size[face_axis] * mat[3 * k + face_axis]
+                corners[i, k] = (
+                    center
+                    + offset_along * mat[3 * k + first_axis]
+                    + offset_across * mat[3 * k + second_axis]
+                )
+        return 4 if face_sign * mat[6 + face_axis] >= min_up else 0, 0.0
     # the part of a sphere that faces up within the slope: its radius seen from above, and the
     # height of its rim over the centre
     radius = size[0] * math.sqrt(max(1.0 - min_up * min_up, 0.0))
@@ -164,7 +170,7 @@ def _write_piece(solids, facets, item, face, min_up, corners):
 
 
 @subkernel(**NO_REFCOUNT)
-def _distance(corners, num_corners, radius, x, y, nearest):
+def _horizontal_distance(corners, num_corners, radius, x, y, nearest_point):
     """Return the distance from a vertical line to a piece of floor, seen from above [m].
 
     It is 0 or negative where the line crosses the piece.
@@ -174,7 +180,7 @@ def _distance(corners, num_corners, radius, x, y, nearest):
         num_corners: how many of them the piece has.
         radius: the radius around the corners that belongs to the piece [m].
         x, y: the line [m].
-        nearest: receives the point nearest to the line of the polygon of corners, without the
+        nearest_point: receives the point nearest to the line of the polygon of corners, without the
             radius; x and y are relative to the line, (3,) [m].
     """
     least_square = math.inf
@@ -186,131 +192,146 @@ def _distance(corners, num_corners, radius, x, y, nearest):
         ay = corners[i, 1] - y
         ex = corners[j, 0] - corners[i, 0]
         ey = corners[j, 1] - corners[i, 1]
-        length = ex * ex + ey * ey
-        t = 0.0
-        if length > 0.0:
-            t = min(max(-(ax * ex + ay * ey) / length, 0.0), 1.0)
-        dx = ax + t * ex
-        dy = ay + t * ey
-        side = ex * ay - ey * ax
-        is_left_of_any = is_left_of_any or side > 0.0
-        is_right_of_any = is_right_of_any or side < 0.0
+        squared_length = ex * ex + ey * ey
+        edge_fraction = 0.0
+        if squared_length > 0.0:
+            edge_fraction = min(max(-(ax * ex + ay * ey) / squared_length, 0.0), 1.0)
+        dx = ax + edge_fraction * ex
+        dy = ay + edge_fraction * ey
+        side_sign = ex * ay - ey * ax
+        is_left_of_any = is_left_of_any or side_sign > 0.0
+        is_right_of_any = is_right_of_any or side_sign < 0.0
         if dx * dx + dy * dy < least_square:
             least_square = dx * dx + dy * dy
-            nearest[0] = dx
-            nearest[1] = dy
-            nearest[2] = corners[i, 2] + t * (corners[j, 2] - corners[i, 2])
+            nearest_point[0] = dx
+            nearest_point[1] = dy
+            nearest_point[2] = corners[i, 2] + edge_fraction * (corners[j, 2] - corners[i, 2])
     is_inside = num_corners > 2 and is_left_of_any != is_right_of_any
     return 0.0 if is_inside else math.sqrt(least_square) - radius
 
 
 @subkernel(**NO_REFCOUNT)
-def _has_floor(column_hits, cell, z, step, min_up):
-    """Return whether a cell's line crosses a floor at most `step` above or below height z [m].
+def _has_floor(column_hits, cell, z, max_step, min_up):
+    """Return whether a cell's line crosses a floor at most `max_step` above or below height z [m].
 
     A floor is a surface whose unit normal has a z of at least `min_up`.
     """
     has_floor = False
     for i in range(column_hits.start[cell], column_hits.start[cell + 1]):
-        is_near = abs(column_hits.z[i] - z) <= step
+        is_near = abs(column_hits.z[i] - z) <= max_step
         has_floor = has_floor or (is_near and column_hits.normal[i, 2] >= min_up)
     return has_floor
 
 
 @subkernel(**NO_REFCOUNT)
-def _find_common_heights(lattice, column_hits, window, selected, limits, heights):
+def _find_common_heights(lattice, column_hits, window, is_selected, limits, common_heights):
     """Find heights at which all selected cells of a window have a floor, to within half a step.
 
     Args:
         lattice: the cells, as `Lattice`.
         column_hits: their columns, as `ColumnHits`.
         window: rows and columns of cells, see `tile_window`.
-        selected: mask of the cells that count, (cells,) bool; if empty, all cells.
+        is_selected: mask of the cells that count, (cells,) bool; if empty, all cells.
         limits: what an agent can stand on, as `AgentLimits`.
-        heights: receives the heights, (MAX_COMMON_HEIGHTS,) float64 [m].
+        common_heights: receives the heights, (MAX_COMMON_HEIGHTS,) float64 [m].
 
     Returns:
         How many heights were written; -1 if no cell of the window is selected.
     """
-    count = -1
+    num_heights = -1
     for row in range(window[0], window[1]):
         for col in range(window[2], window[3]):
             cell = row * lattice.width + col
-            if selected.shape[0] > 0 and not selected[cell]:
+            if is_selected.shape[0] > 0 and not is_selected[cell]:
                 continue
-            if count < 0:
-                count = 0
+            if num_heights < 0:
+                num_heights = 0
                 for i in range(column_hits.start[cell], column_hits.start[cell + 1]):
                     is_floor = column_hits.normal[i, 2] >= limits.min_up
-                    if is_floor and count < MAX_COMMON_HEIGHTS:
-                        heights[count] = column_hits.z[i]
-                        count += 1
+                    if is_floor and num_heights < MAX_COMMON_HEIGHTS:
+                        common_heights[num_heights] = column_hits.z[i]
+                        num_heights += 1
             num_common = 0
-            for k in range(count):
-                if _has_floor(column_hits, cell, heights[k], limits.step / 2.0, limits.min_up):
-                    heights[num_common] = heights[k]
+            for k in range(num_heights):
+                if _has_floor(
+                    column_hits, cell, common_heights[k], limits.max_step / 2.0, limits.min_up
+                ):
+                    common_heights[num_common] = common_heights[k]
                     num_common += 1
-            count = num_common
-    return count
+            num_heights = num_common
+    return num_heights
 
 
 @subkernel(inline="always")
-def _is_common(heights, count, low, high, step):
+def _is_near_common_height(common_heights, num_heights, lowest_z, highest_z, max_step):
     """Return whether all cells of a tile surely have a floor within a step of a range of heights.
 
     False means that they may or may not have one.
 
     Args:
-        heights: heights at which all cells have a floor, see `_find_common_heights` [m].
-        count: how many heights there are.
-        low, high: the range [m]; a floor has to be within a step of all of it.
-        step: the highest step [m].
+        common_heights: heights at which all cells have a floor, see `_find_common_heights` [m].
+        num_heights: how many heights there are.
+        lowest_z: the lower end of the range [m]; a floor has to be within a step of all of it.
+        highest_z: the upper end of the range [m].
+        max_step: the highest step [m].
     """
-    is_common = False
-    for k in range(count):
-        is_common = is_common or max(high - heights[k], heights[k] - low) <= step / 2.0
-    return is_common
+    is_near = False
+    for k in range(num_heights):
+        is_near = (
+            is_near
+            or max(highest_z - common_heights[k], common_heights[k] - lowest_z) <= max_step / 2.0
+        )
+    return is_near
 
 
 @subkernel(**NO_REFCOUNT)
-def _bounds_crack(sides, n, last, step):
-    """Return whether side n, a piece of floor beside a cell's line, bounds a crack.
+def _bounds_crack(sides, side, last_side, max_step):
+    """Return whether a side, which is a piece of floor beside a cell's line, bounds a crack.
 
     It does if the cell has another side in the opposite direction, and no nearer side in the same
     direction. Only sides within a step of its height count.
 
     Args:
         sides: sides, (m, NUM_COLUMNS) float64, see the module's docstring.
-        n: index of a side.
-        last: index of the last side of the same cell.
-        step: the highest step [m].
+        side: index of a side.
+        last_side: index of the last side of the same cell.
+        max_step: the highest step [m].
     """
-    m = last
+    other_side = last_side
     has_opposite = False
-    while m >= 0:
+    while other_side >= 0:
         cosine = (
-            sides[n, DIRECTION] * sides[m, DIRECTION]
-            + sides[n, DIRECTION + 1] * sides[m, DIRECTION + 1]
+            sides[side, DIRECTION] * sides[other_side, DIRECTION]
+            + sides[side, DIRECTION + 1] * sides[other_side, DIRECTION + 1]
         )
-        slack = sides[n, RADIUS] + sides[m, RADIUS] + 2.0 * SAME_PIECE
-        if abs(sides[n, HEIGHT] - sides[m, HEIGHT]) <= step + slack:
-            is_nearer = sides[m, DISTANCE] < sides[n, DISTANCE] - SAME_PIECE
+        slack = sides[side, RADIUS] + sides[other_side, RADIUS] + 2.0 * SAME_PIECE
+        if abs(sides[side, HEIGHT] - sides[other_side, HEIGHT]) <= max_step + slack:
+            is_nearer = sides[other_side, DISTANCE] < sides[side, DISTANCE] - SAME_PIECE
             if cosine >= SAME_DIRECTION and is_nearer:
                 return False
             has_opposite = has_opposite or cosine <= -SAME_DIRECTION
-        m = np.int64(sides[m, PREVIOUS])
+        other_side = np.int64(sides[other_side, PREVIOUS])
     return has_opposite
 
 
 @subkernel(**NO_REFCOUNT)
 def _list_in_tile(
-    lattice, column_hits, geometry, tile, limits, crack, selected, scratch, sides, num_sides
+    lattice,
+    column_hits,
+    geometry,
+    tile,
+    limits,
+    max_crack_distance,
+    is_selected,
+    scratch,
+    sides,
+    num_sides,
 ):
     """List the sides of cracks in one tile of cells: append them to `sides`.
 
     For each piece of floor, the lines of cells near it are visited. The piece becomes a candidate
     side of those lines that cross no floor near its height. Candidates that bound a crack are
-    listed. Arguments that aren't described here are as in `list_sides`.
+    listed.
 
     Args:
         lattice: the cells, as `Lattice`.
@@ -318,8 +339,8 @@ def _list_in_tile(
         geometry: the shapes, as `TiledGeometry`.
         tile: the number of the tile.
         limits: what an agent can stand on.
-        crack: see `list_sides` [m].
-        selected: see `list_sides`.
+        max_crack_distance: how far from the line the floors on both sides may be [m].
+        is_selected: mask of the cells whose lines are tested, (cells,) bool; if empty, all cells.
         scratch: a `CrackScratch`.
         sides: receives the sides from row `num_sides` on, (m, NUM_COLUMNS) float64.
         num_sides: how many sides are listed already.
@@ -333,45 +354,49 @@ def _list_in_tile(
     candidates = scratch.candidates
     corners = scratch.corners
     box = scratch.box
-    nearest = scratch.nearest
-    heights = scratch.heights
-    last_side = scratch.last_side
-    first = tile_index.solid_start[tile]
-    end_solids = tile_index.solid_start[tile + 1]
-    shift = tile_index.triangle_start[tile] - end_solids
-    end = tile_index.triangle_start[tile + 1] - shift
+    nearest_point = scratch.nearest_point
+    common_heights = scratch.common_heights
+    last_side_of_cell = scratch.last_side_of_cell
+    first_shape = tile_index.solid_start[tile]
+    end_of_solids = tile_index.solid_start[tile + 1]
+    triangle_shift = tile_index.triangle_start[tile] - end_of_solids
+    end_shape = tile_index.triangle_start[tile + 1] - triangle_shift
     window = tile_window(lattice, tile)
-    num_common = -1
+    num_common_heights = -1
     num_candidates = 0
-    step = limits.step + LIMIT_SLACK
-    if end - first > 1:
-        num_common = _find_common_heights(lattice, column_hits, window, selected, limits, heights)
-    last_side[:] = -1
+    max_step = limits.max_step + LIMIT_SLACK
+    if end_shape - first_shape > 1:
+        num_common_heights = _find_common_heights(
+            lattice, column_hits, window, is_selected, limits, common_heights
+        )
+    last_side_of_cell[:] = -1
     # the solids over the tile, then the triangles
-    for n in range(first, end if num_common >= 0 else first):
-        item = np.int64(0)
-        face = -1
+    for shape_index in range(first_shape, end_shape if num_common_heights >= 0 else first_shape):
+        shape_number = np.int64(0)
+        face_axis = -1
         num_faces = 0
-        if n >= end_solids:
-            item = np.int64(tile_index.triangle_item[n + shift])
-            if facets.facing[item] < max(100.0 * limits.min_up - 1.0, 1.0):  # rounded
+        if shape_index >= end_of_solids:
+            shape_number = np.int64(tile_index.triangle_item[shape_index + triangle_shift])
+            if facets.normal_z_percent[shape_number] < max(
+                100.0 * limits.min_up - 1.0, 1.0
+            ):  # rounded
                 continue
         else:
-            item = np.int64(tile_index.solid_item[n])
-            face = 0
-            num_faces = 3 if solids.kind[item] == BOX else 1
-        while face < num_faces:
+            shape_number = np.int64(tile_index.solid_item[shape_index])
+            face_axis = 0
+            num_faces = 3 if solids.kind[shape_number] == BOX else 1
+        while face_axis < num_faces:
             if num_sides + num_candidates + TILE * TILE > candidates.shape[0]:
                 return -1
             # most triangles have floor all around: corners are written only where there is none
             num_corners = -1
             radius = 0.0
-            if n >= end_solids:
+            if shape_index >= end_of_solids:
                 for k in range(6):
-                    box[0, k] = facets.bounds[item, k]
+                    box[0, k] = facets.bounds[shape_number, k]
             else:
                 num_corners, radius = _write_piece(
-                    solids, facets, item, face, limits.min_up, corners
+                    solids, facets, shape_number, face_axis, limits.min_up, corners
                 )
                 for k in range(3):
                     box[0, k] = math.inf
@@ -381,63 +406,80 @@ def _list_in_tile(
                         box[0, 3 + k] = max(box[0, 3 + k], corners[i, k])
             # a line over the piece mostly has a floor near all of its heights: the piece itself
             middle = (box[0, 2] + box[0, 5]) / 2.0
-            max_offset = step - (box[0, 5] - box[0, 2]) / 2.0
+            max_offset = max_step - (box[0, 5] - box[0, 2]) / 2.0
             row_first = window[0]
             row_end = window[0]
             col_first = 0
             col_end = 0
-            if num_corners != 0 and not _is_common(
-                heights, num_common, box[0, 2], box[0, 5], limits.step
+            if num_corners != 0 and not _is_near_common_height(
+                common_heights, num_common_heights, box[0, 2], box[0, 5], limits.max_step
             ):
                 row_first, row_end, col_first, col_end = window_near_box(
-                    lattice, window, box, 0, crack + radius
+                    lattice, window, box, 0, max_crack_distance + radius
                 )
             for row in range(row_first, row_end):
                 for col in range(col_first, col_end):
                     cell = row * lattice.width + col
-                    if not (selected.shape[0] == 0 or selected[cell]) or _has_floor(
+                    if not (is_selected.shape[0] == 0 or is_selected[cell]) or _has_floor(
                         column_hits, cell, middle, max_offset, limits.min_up
                     ):
                         continue
                     if num_corners < 0:
                         num_corners, _ = _write_piece(
-                            solids, facets, item, face, limits.min_up, corners
+                            solids, facets, shape_number, face_axis, limits.min_up, corners
                         )
                     if num_corners == 0:
                         continue
                     x, y = cell_center_at(lattice, row, col)
-                    distance = _distance(corners, num_corners, radius, x, y, nearest)
-                    if not 0.0 < distance < crack or _has_floor(
-                        column_hits, cell, nearest[2], step, limits.min_up
+                    distance = _horizontal_distance(
+                        corners, num_corners, radius, x, y, nearest_point
+                    )
+                    if not 0.0 < distance < max_crack_distance or _has_floor(
+                        column_hits, cell, nearest_point[2], max_step, limits.min_up
                     ):
                         continue
                     cell_in_tile = (row - window[0]) * TILE + col - window[2]
                     side = candidates[num_candidates]
-                    side[DIRECTION] = nearest[0] / (distance + radius)
-                    side[DIRECTION + 1] = nearest[1] / (distance + radius)
+                    side[DIRECTION] = nearest_point[0] / (distance + radius)
+                    side[DIRECTION + 1] = nearest_point[1] / (distance + radius)
                     side[DISTANCE] = distance
-                    side[HEIGHT] = nearest[2]
+                    side[HEIGHT] = nearest_point[2]
                     side[RADIUS] = radius
                     side[CELL] = cell
-                    side[PREVIOUS] = last_side[cell_in_tile]
-                    side[GEOM] = solids.geom[item] if n < end_solids else facets.geom[item]
-                    last_side[cell_in_tile] = num_candidates
+                    side[PREVIOUS] = last_side_of_cell[cell_in_tile]
+                    side[GEOM] = (
+                        solids.geom[shape_number]
+                        if shape_index < end_of_solids
+                        else facets.geom[shape_number]
+                    )
+                    last_side_of_cell[cell_in_tile] = num_candidates
                     num_candidates += 1
-            face += 1
+            face_axis += 1
     for cell_in_tile in range(TILE * TILE if num_candidates > 1 else 0):
-        m = last_side[cell_in_tile]
-        while m >= 0:
-            if _bounds_crack(candidates, m, last_side[cell_in_tile], limits.step):
+        side_number = last_side_of_cell[cell_in_tile]
+        while side_number >= 0:
+            if _bounds_crack(
+                candidates, side_number, last_side_of_cell[cell_in_tile], limits.max_step
+            ):
                 for k in range(NUM_COLUMNS):
-                    sides[num_sides, k] = candidates[m, k]
+                    sides[num_sides, k] = candidates[side_number, k]
                 num_sides += 1
-            m = np.int64(candidates[m, PREVIOUS])
+            side_number = np.int64(candidates[side_number, PREVIOUS])
     return num_sides
 
 
 @kernel(nogil=True)
 def list_sides(
-    lattice, column_hits, solids, facets, tile_index, limits, crack, selected, first_tile, end
+    lattice,
+    column_hits,
+    solids,
+    facets,
+    tile_index,
+    limits,
+    max_crack_distance,
+    is_selected,
+    first_tile,
+    end_tile,
 ):
     """List the pieces of floor on both sides of cracks in which cells' lines run.
 
@@ -448,11 +490,12 @@ def list_sides(
         lattice: the cells, as `Lattice`.
         column_hits: their columns, as `ColumnHits`.
         solids, facets: the shapes, as `Solids` and `Facets`.
-        tile_index: the shapes over each tile, including those within `crack` of it.
+        tile_index: the shapes over each tile, including those within `max_crack_distance` of it.
         limits: what an agent can stand on, as `AgentLimits`.
-        crack: how far from the line the floors on both sides may be [m].
-        selected: mask of the cells whose lines are tested, (cells,) bool; if empty, all cells.
-        first_tile, end: range of tiles.
+        max_crack_distance: how far from the line the floors on both sides may be [m].
+        is_selected: mask of the cells whose lines are tested, (cells,) bool; if empty, all cells.
+        first_tile: number of the first tile.
+        end_tile: number past the last one.
 
     Returns:
         An array whose rows are sides, see the module's docstring, (m, NUM_COLUMNS) float64; and how
@@ -462,7 +505,7 @@ def list_sides(
     scratch = _make_scratch(256)
     sides = np.empty((256, NUM_COLUMNS))
     num_sides = np.int64(0)
-    for tile in range(first_tile, end):
+    for tile in range(first_tile, end_tile):
         while True:
             new_num_sides = _list_in_tile(
                 lattice,
@@ -470,8 +513,8 @@ def list_sides(
                 geometry,
                 tile,
                 limits,
-                crack,
-                selected,
+                max_crack_distance,
+                is_selected,
                 scratch,
                 sides,
                 num_sides,

@@ -30,7 +30,7 @@ OF_SOLID = np.int32(-1)
 OF_PLANE = np.int32(-2)
 # Value of `geom` of dropped hits; they stand after the last valid hit of their column
 DROPPED = np.int32(-1)
-# Values of `LineHits.at_edge`; for plain bools, numba would compile functions again
+# Values of `LineHits.is_at_edge`; for plain bools, numba would compile functions again
 INSIDE = np.bool_(False)
 AT_EDGE = np.bool_(True)
 
@@ -41,7 +41,7 @@ class LineHits(NamedTuple):
     Attributes:
         z, normal, geom, closed: as in `ColumnHits`.
         facet: the index of the triangle that is hit, OF_SOLID or OF_PLANE, (n,) int32.
-        at_edge: whether a triangle is hit at most RIM_WIDTH from its edge, (n,) bool.
+        is_at_edge: whether a triangle is hit at most RIM_WIDTH from its edge, (n,) bool.
     """
 
     z: Float
@@ -49,18 +49,18 @@ class LineHits(NamedTuple):
     geom: Int32
     closed: NDArray[np.uint8]
     facet: Int32
-    at_edge: Bool
+    is_at_edge: Bool
 
 
 @subkernel
-def make_hits(count):
-    """Allocate room for `count` hits."""
-    z = np.empty(count)
-    normal = np.empty((count, 3), np.float32)
-    geom = np.empty(count, np.int32)
-    closed = np.empty(count, np.uint8)
-    facet = np.empty(count, np.int32)
-    return LineHits(z, normal, geom, closed, facet, np.empty(count, np.bool_))
+def allocate_hits(num_hits):
+    """Allocate room for `num_hits` hits."""
+    z = np.empty(num_hits)
+    normal = np.empty((num_hits, 3), np.float32)
+    geom = np.empty(num_hits, np.int32)
+    closed = np.empty(num_hits, np.uint8)
+    facet = np.empty(num_hits, np.int32)
+    return LineHits(z, normal, geom, closed, facet, np.empty(num_hits, np.bool_))
 
 
 @subkernel
@@ -69,7 +69,8 @@ def view_hits(column_hits, first, end):
 
     Args:
         column_hits: the columns, as `ColumnHits`.
-        first, end: range of hits.
+        first: index of the first hit.
+        end: index past the last one.
     """
     z = column_hits.z[first:end]
     normal = column_hits.normal[first:end]
@@ -80,112 +81,114 @@ def view_hits(column_hits, first, end):
 
 
 @subkernel(forceinline=True)
-def copy_hit(hits, source, target_hits, target):
+def copy_hit(hits, source_index, target_hits, target_index):
     """Copy a hit to another place.
 
     Args:
         hits: `LineHits` to copy from.
-        source: number of the hit.
+        source_index: number of the hit.
         target_hits: `LineHits` to copy to, the same or another one.
-        target: number of the copy.
+        target_index: number of the copy.
     """
-    target_hits.z[target] = hits.z[source]
+    target_hits.z[target_index] = hits.z[source_index]
     for axis in range(3):
-        target_hits.normal[target, axis] = hits.normal[source, axis]
-    target_hits.geom[target] = hits.geom[source]
-    target_hits.closed[target] = hits.closed[source]
-    target_hits.facet[target] = hits.facet[source]
-    target_hits.at_edge[target] = hits.at_edge[source]
+        target_hits.normal[target_index, axis] = hits.normal[source_index, axis]
+    target_hits.geom[target_index] = hits.geom[source_index]
+    target_hits.closed[target_index] = hits.closed[source_index]
+    target_hits.facet[target_index] = hits.facet[source_index]
+    target_hits.is_at_edge[target_index] = hits.is_at_edge[source_index]
 
 
 @subkernel(forceinline=True)
-def _is_less(first_hits, i, hits, j):
-    """Return whether hit i of `first_hits` comes before hit j of `hits` in a column.
+def _is_less(first_hits, first_index, second_hits, second_index):
+    """Return whether a hit of `first_hits` comes before one of `second_hits` in a column.
 
     The lower hit comes first; of two at one height, the one of the lower geom id; of two of one
     geom, the one on an underside.
     """
-    if first_hits.z[i] != hits.z[j]:
-        return first_hits.z[i] < hits.z[j]
-    if first_hits.geom[i] != hits.geom[j]:
-        return first_hits.geom[i] < hits.geom[j]
-    return (first_hits.normal[i, 2] > 0.0) < (hits.normal[j, 2] > 0.0)
+    if first_hits.z[first_index] != second_hits.z[second_index]:
+        return first_hits.z[first_index] < second_hits.z[second_index]
+    if first_hits.geom[first_index] != second_hits.geom[second_index]:
+        return first_hits.geom[first_index] < second_hits.geom[second_index]
+    return (first_hits.normal[first_index, 2] > 0.0) < (second_hits.normal[second_index, 2] > 0.0)
 
 
 @subkernel(inline="always")
-def _sort(hits, first, end, spare, spare_place):
+def _sort_hits(hits, first, end, scratch_hits, scratch_index):
     """Sort the hits ``first:end`` of a line by insertion, in the order of `_is_less`.
 
-    `spare` is a `LineHits` with room for one hit at index `spare_place`.
+    `scratch_hits` is a `LineHits` with room for one hit at index `scratch_index`.
     """
     for i in range(first + 1, end):
         if not _is_less(hits, i, hits, i - 1):
             continue
-        copy_hit(hits, i, spare, spare_place)
+        copy_hit(hits, i, scratch_hits, scratch_index)
         j = i
-        while j > first and _is_less(spare, spare_place, hits, j - 1):
+        while j > first and _is_less(scratch_hits, scratch_index, hits, j - 1):
             copy_hit(hits, j - 1, hits, j)
             j -= 1
-        copy_hit(spare, spare_place, hits, j)
+        copy_hit(scratch_hits, scratch_index, hits, j)
 
 
 @subkernel(inline="always")
-def _has_edge(hits, first, end):
+def _has_hit_at_edge(hits, first, end):
     """Return whether any of the hits ``first:end`` of a line is at the edge of a triangle."""
-    at_edge = hits.at_edge
+    is_at_edge = hits.is_at_edge
     for i in range(first, end):  # noqa: SIM110 (numba has no generators in `any`)
-        if at_edge[i]:
+        if is_at_edge[i]:
             return True
     return False
 
 
 @subkernel(inline="always")
-def _is_same_part(hits, i, j, facets):
-    """Return whether hits i and j are of triangles of the same part of the same geom."""
-    is_same_geom = hits.geom[i] == hits.geom[j]
-    return is_same_geom and facets.part[hits.facet[i]] == facets.part[hits.facet[j]]
+def _is_same_part(hits, first_hit, second_hit, facets):
+    """Return whether two hits are of triangles of the same part of the same geom."""
+    is_same_geom = hits.geom[first_hit] == hits.geom[second_hit]
+    return (
+        is_same_geom and facets.part[hits.facet[first_hit]] == facets.part[hits.facet[second_hit]]
+    )
 
 
 @subkernel(inline="always")
-def _drop_doubles(hits, first, end, facets):
+def _drop_duplicate_hits(hits, first, end, facets):
     """Drop one of two hits on neighboring triangles, where a line runs through their shared edge.
 
     The line has the hits ``first:end``. Returns the index past the last hit that remains.
     """
     remaining_end = first
     for i in range(first, end):
-        is_double = False
-        if hits.at_edge[i]:
+        is_duplicate = False
+        if hits.is_at_edge[i]:
             j = remaining_end - 1
             while j >= first and hits.z[i] - hits.z[j] <= SAME_HEIGHT:
                 is_same_side = (hits.normal[i, 2] > 0.0) == (hits.normal[j, 2] > 0.0)
-                if hits.at_edge[j] and is_same_side and _is_same_part(hits, i, j, facets):
-                    is_double = True
+                if hits.is_at_edge[j] and is_same_side and _is_same_part(hits, i, j, facets):
+                    is_duplicate = True
                     break
                 j -= 1
-        if not is_double:
+        if not is_duplicate:
             copy_hit(hits, i, hits, remaining_end)
             remaining_end += 1
     return remaining_end
 
 
 @subkernel(inline="always")
-def _steepest_of_part(hits, first, end, i, facets, side):
-    """Find the steepest triangle that a line hits at an edge, in the same mesh part as hit i.
+def _steepest_of_part(hits, first, end, hit, facets, facing_sign):
+    """Find the steepest triangle that a line hits at an edge, in the mesh part of a given hit.
 
-    The line has the hits ``first:end``. Only triangles that face up count if `side` is 1, only
-    those that face down if it is -1. Returns the index of the hit, -1 for none.
+    The line has the hits ``first:end``. Only triangles that face up count if `facing_sign` is 1,
+    only those that face down if it is -1. Returns the index of the hit, -1 for none.
     """
-    steepest = np.int64(-1)
-    least_up = 0.0
+    steepest_hit = np.int64(-1)
+    least_normal_z = 0.0
     for j in range(first, end):
-        if not hits.at_edge[j] or not _is_same_part(hits, i, j, facets):
+        if not hits.is_at_edge[j] or not _is_same_part(hits, hit, j, facets):
             continue
-        up = side * unit_normal(facets.corners, hits.facet[j])[2]
-        if up > 0.0 and (steepest < 0 or up < least_up):
-            steepest = np.int64(j)
-            least_up = up
-    return steepest
+        normal_z = facing_sign * unit_normal(facets.corners, hits.facet[j])[2]
+        if normal_z > 0.0 and (steepest_hit < 0 or normal_z < least_normal_z):
+            steepest_hit = np.int64(j)
+            least_normal_z = normal_z
+    return steepest_hit
 
 
 @subkernel(inline="always")
@@ -194,57 +197,58 @@ def _balance_parts(hits, first, end, facets):
 
     The line has the hits ``first:end``. Returns the index past the last hit that remains.
     """
-    i = first
-    while i < end:
+    hit = first
+    while hit < end:
         surplus = 0
-        if hits.at_edge[i] and hits.closed[i] != OPEN_SURFACE:
+        if hits.is_at_edge[hit] and hits.closed[hit] != OPEN_SURFACE:
             for j in range(first, end):
-                if hits.facet[j] >= 0 and _is_same_part(hits, i, j, facets):
+                if hits.facet[j] >= 0 and _is_same_part(hits, hit, j, facets):
                     surplus += 1 if hits.normal[j, 2] > 0.0 else -1
-        dropped = np.int64(-1)
+        dropped_hit = np.int64(-1)
         if surplus != 0:
-            side = 1.0 if surplus > 0 else -1.0
-            dropped = _steepest_of_part(hits, first, end, i, facets, side)
-        if dropped < 0:
-            i += 1
+            facing_sign = 1.0 if surplus > 0 else -1.0
+            dropped_hit = _steepest_of_part(hits, first, end, hit, facets, facing_sign)
+        if dropped_hit < 0:
+            hit += 1
             continue
-        for j in range(dropped + 1, end):
+        for j in range(dropped_hit + 1, end):
             copy_hit(hits, j, hits, j - 1)
         end -= 1
-        # hit i is tested again; if an earlier one was dropped, it is at i - 1 now
-        if dropped < i:
-            i -= 1
+        # the hit is tested again; if an earlier one was dropped, its index is less by 1 now
+        if dropped_hit < hit:
+            hit -= 1
     return end
 
 
 @subkernel(**NO_REFCOUNT)
-def _clean_edges(hits, first, end, facets):
+def _drop_superfluous_hits(hits, first, end, facets):
     """Drop superfluous hits at edges of triangles, so that each crossing is counted once.
 
     The line has the hits ``first:end``. Returns the index past the last hit that remains.
     """
-    return _balance_parts(hits, first, _drop_doubles(hits, first, end, facets), facets)
+    return _balance_parts(hits, first, _drop_duplicate_hits(hits, first, end, facets), facets)
 
 
 @subkernel(inline="always")
-def finish_line(hits, first, end, facets, spare, spare_place):
+def finish_line(hits, first, end, facets, scratch_hits, scratch_index):
     """Turn the collected hits of a line into a column: sort them, and keep each crossing once.
 
     Args:
         hits: `LineHits`; the line has the hits ``first:end``. They are sorted in place; the last
             ones get DROPPED as their geom.
-        first, end: range of the line's hits.
+        first: index of the line's first hit.
+        end: index past its last hit.
         facets: the triangles, as `Facets`.
-        spare: `LineHits` that has room for one hit, as scratch.
-        spare_place: index of this room in `spare`.
+        scratch_hits: `LineHits` that has room for one hit, as scratch.
+        scratch_index: index of this room in `scratch_hits`.
 
     Returns:
         How many hits were dropped, int64.
     """
-    _sort(hits, first, end, spare, spare_place)
-    if not _has_edge(hits, first, end):
+    _sort_hits(hits, first, end, scratch_hits, scratch_index)
+    if not _has_hit_at_edge(hits, first, end):
         return np.int64(0)
-    remaining_end = _clean_edges(hits, first, end, facets)
+    remaining_end = _drop_superfluous_hits(hits, first, end, facets)
     for i in range(remaining_end, end):
         hits.geom[i] = DROPPED
     return end - remaining_end

@@ -27,9 +27,9 @@ from navbake.baker.columns.hit_kernels import (
     OF_PLANE,
     OF_SOLID,
     RIM_WIDTH,
+    allocate_hits,
     copy_hit,
     finish_line,
-    make_hits,
     view_hits,
 )
 from navbake.baker.columns.raster_kernels import (
@@ -120,19 +120,19 @@ class Ray(NamedTuple):
         point: where the ray begins [m].
         direction: its direction, a unit vector.
         normal: receives the unit normal of the surface that it hits.
-        nudged: room for a point beside `point`, see `_cast_at_rim` [m].
+        nudged_point: room for a point beside `point`, see `_cast_at_rim` [m].
         enlarged_size: room for an enlarged size of a solid, see `_cast_at_rim` [m].
     """
 
     point: Float
     direction: Float
     normal: Float
-    nudged: Float
+    nudged_point: Float
     enlarged_size: Float
 
 
 @subkernel(**NO_REFCOUNT)
-def _cast(pos, mat, size, kind, point, ray):
+def _cast_at_geom(pos, mat, size, kind, point, ray):
     """Return the distance from a point to a geom along a ray, -1 if the ray misses it [m].
 
     `ray.normal` receives the normal of the surface that is hit. The geom is given by MuJoCo's
@@ -150,77 +150,77 @@ def _cast(pos, mat, size, kind, point, ray):
 
 
 @subkernel(inline="always")
-def _cast_at_rim(solids, s, ray):
+def _cast_at_rim(solids, solid, ray):
     """Cast a ray at a solid; a ray that misses it by at most RIM_WIDTH is moved onto its rim.
 
     Returns the distance to the solid, -1 if the ray misses it [m]. `ray.normal` receives the normal
     of the surface that is hit.
     """
-    pos = solids.pos[s]
-    mat = solids.mat[s]
-    size = solids.size[s]
-    kind = solids.kind[s]
-    distance = _cast(pos, mat, size, kind, ray.point, ray)
+    pos = solids.pos[solid]
+    mat = solids.mat[solid]
+    size = solids.size[solid]
+    kind = solids.kind[solid]
+    distance = _cast_at_geom(pos, mat, size, kind, ray.point, ray)
     if distance >= 0.0:
         return distance
     for i in range(3):
         ray.enlarged_size[i] = size[i] + 2.0 * RIM_WIDTH
-    if _cast(pos, mat, ray.enlarged_size, kind, ray.point, ray) < 0.0:
+    if _cast_at_geom(pos, mat, ray.enlarged_size, kind, ray.point, ray) < 0.0:
         return -1.0
-    ray.nudged[2] = ray.point[2]
+    ray.nudged_point[2] = ray.point[2]
     for k in range(8):  # at a square corner, one of eight directions leads inside
-        ray.nudged[0] = ray.point[0] + RIM_WIDTH * math.cos(k * EIGHTH_TURN)
-        ray.nudged[1] = ray.point[1] + RIM_WIDTH * math.sin(k * EIGHTH_TURN)
-        distance = _cast(pos, mat, size, kind, ray.nudged, ray)
+        ray.nudged_point[0] = ray.point[0] + RIM_WIDTH * math.cos(k * EIGHTH_TURN)
+        ray.nudged_point[1] = ray.point[1] + RIM_WIDTH * math.sin(k * EIGHTH_TURN)
+        distance = _cast_at_geom(pos, mat, size, kind, ray.nudged_point, ray)
         if distance >= 0.0:
             return distance
     return -1.0
 
 
 @subkernel(inline="always")
-def _aim(ray, is_down, low, high):
+def _aim_ray(ray, is_down, low_height, high_height):
     """Point a ray up from a low height (`is_down` 0), or down from a high one (1)."""
     ray.direction[2] = 1.0 if is_down == 0 else -1.0
-    ray.point[2] = low if is_down == 0 else high
+    ray.point[2] = low_height if is_down == 0 else high_height
 
 
 @subkernel(inline="always")
-def _write_hit(hits, place, z, normal, up, geom):
-    """Write a hit of a solid or a plane into `hits`, at index `place`, except `closed` and `facet`.
+def _write_hit(hits, hit_index, z, normal, normal_z, geom):
+    """Write a hit of a solid or a plane into `hits`, at index `hit_index`.
 
-    `up` is written as the normal's z.
+    `normal_z` is written as the normal's z; `hits.closed` and `hits.facet` are not written.
     """
-    hits.z[place] = z
-    hits.normal[place, 0] = normal[0]
-    hits.normal[place, 1] = normal[1]
-    hits.normal[place, 2] = up
-    hits.geom[place] = geom
-    hits.at_edge[place] = INSIDE
+    hits.z[hit_index] = z
+    hits.normal[hit_index, 0] = normal[0]
+    hits.normal[hit_index, 1] = normal[1]
+    hits.normal[hit_index, 2] = normal_z
+    hits.geom[hit_index] = geom
+    hits.is_at_edge[hit_index] = INSIDE
 
 
 @subkernel(**NO_REFCOUNT)
-def _hit_solid(solids, s, x, y, ray, hits, place):
-    """Write where the vertical line at (x, y) enters and leaves solid s; return how many hits.
+def _hit_solid(solids, solid, x, y, ray, hits, first_hit):
+    """Write where the vertical line at (x, y) enters and leaves a solid; return how many hits.
 
-    They are written into `hits` from index `place` on.
+    They are written into `hits` from index `first_hit` on.
     """
-    box = solids.bounds[s]
-    count = np.int64(0)
+    box = solids.bounds[solid]
+    num_hits = np.int64(0)
     ray.point[0] = x
     ray.point[1] = y
     for is_down in range(2):
-        _aim(ray, is_down, box[2] - 1.0, box[5] + 1.0)
-        distance = _cast_at_rim(solids, s, ray)
+        _aim_ray(ray, is_down, box[2] - 1.0, box[5] + 1.0)
+        distance = _cast_at_rim(solids, solid, ray)
         if distance >= 0.0:
-            up = ray.normal[2]
+            normal_z = ray.normal[2]
             # a vertical side that is grazed faces neither up nor down: the ray's direction decides
-            up = min(up, -1e-12) if is_down == 0 else max(up, 1e-12)
+            normal_z = min(normal_z, -1e-12) if is_down == 0 else max(normal_z, 1e-12)
             z = ray.point[2] + ray.direction[2] * distance
-            _write_hit(hits, place + count, z, ray.normal, up, solids.geom[s])
-            hits.closed[place + count] = CONVEX_SOLID
-            hits.facet[place + count] = OF_SOLID
-            count += 1
-    return count
+            _write_hit(hits, first_hit + num_hits, z, ray.normal, normal_z, solids.geom[solid])
+            hits.closed[first_hit + num_hits] = CONVEX_SOLID
+            hits.facet[first_hit + num_hits] = OF_SOLID
+            num_hits += 1
+    return num_hits
 
 
 @subkernel(inline="always")
@@ -230,44 +230,44 @@ def _is_upright(mat):
 
 
 @subkernel(**NO_REFCOUNT)
-def _hit_plane(planes, p, x, y, heights, ray, hits, place):
-    """Write where the vertical line at (x, y) crosses the front of plane p; return how many hits.
+def _hit_plane(planes, plane, x, y, heights, ray, hits, first_hit):
+    """Write where the vertical line at (x, y) crosses the front of a plane; return how many hits.
 
-    They are written into `hits` from index `place` on. `heights` are a height below all shapes and
-    one above all of them, from which rays are cast.
+    They are written into `hits` from index `first_hit` on. `heights` are a height below all shapes
+    and one above all of them, from which rays are cast.
     """
-    count = np.int64(0)
-    pos = planes.pos[p]
-    mat = planes.mat[p]
+    num_hits = np.int64(0)
+    pos = planes.pos[plane]
+    mat = planes.mat[plane]
     ray.point[0] = x
     ray.point[1] = y
     ray.enlarged_size[:] = 0.0  # MuJoCo's planes of size 0 are infinite
     for is_down in range(2):
-        _aim(ray, is_down, heights.low, heights.high)
-        distance = _cast(pos, mat, ray.enlarged_size, PLANE_KIND, ray.point, ray)
+        _aim_ray(ray, is_down, heights.low, heights.high)
+        distance = _cast_at_geom(pos, mat, ray.enlarged_size, PLANE_KIND, ray.point, ray)
         if distance >= 0.0:
             # not from the distance: the height is the same to the last bit wherever the ray begins
             across = (x - pos[0]) * mat[2] + (y - pos[1]) * mat[5]
             z = pos[2] - across / mat[8]
-            _write_hit(hits, place + count, z, ray.normal, ray.normal[2], planes.geom[p])
-            hits.closed[place + count] = OPEN_SURFACE
-            hits.facet[place + count] = OF_PLANE
-            count += 1
-    return count
+            _write_hit(hits, first_hit + num_hits, z, ray.normal, ray.normal[2], planes.geom[plane])
+            hits.closed[first_hit + num_hits] = OPEN_SURFACE
+            hits.facet[first_hit + num_hits] = OF_PLANE
+            num_hits += 1
+    return num_hits
 
 
 @subkernel(inline="always")
-def _distance_to_rim(solids, s, x, y):
-    """Return the distance from the vertical line at (x, y) to upright solid s's rim [m].
+def _distance_to_rim(solids, solid, x, y):
+    """Return the distance from the vertical line at (x, y) to an upright solid's rim [m].
 
     It is negative where the line runs through the solid. For a box it is the larger one of the
     distances along the box's x and y.
     """
-    mat = solids.mat[s]
-    size = solids.size[s]
-    kind = solids.kind[s]
-    dx = x - solids.pos[s, 0]
-    dy = y - solids.pos[s, 1]
+    mat = solids.mat[solid]
+    size = solids.size[solid]
+    kind = solids.kind[solid]
+    dx = x - solids.pos[solid, 0]
+    dy = y - solids.pos[solid, 1]
     if kind == BOX:
         across = mat[0] * dx + mat[3] * dy
         along = mat[1] * dx + mat[4] * dy
@@ -276,37 +276,42 @@ def _distance_to_rim(solids, s, x, y):
 
 
 @subkernel(inline="always")
-def _has_simple_rim(solids, s):
-    """Return whether `_distance_to_rim` is valid for solid s: a sphere, upright box or cylinder."""
-    kind = solids.kind[s]
-    return kind == SPHERE or (kind in (BOX, CYLINDER) and _is_upright(solids.mat[s]))
+def _has_simple_rim(solids, solid):
+    """Return whether `_distance_to_rim` is valid for a solid: a sphere, upright box or cylinder."""
+    kind = solids.kind[solid]
+    return kind == SPHERE or (kind in (BOX, CYLINDER) and _is_upright(solids.mat[solid]))
 
 
 @subkernel(inline="always")
-def _has_flat_ends(solids, s):
+def _has_flat_ends(solids, solid):
     """Return whether the ends of an upright solid are flat: a cylinder or a box, but no sphere.
 
     All lines well inside of its rim then cross it at the same heights. Solids that are too small
     for any such line don't count.
     """
-    size = solids.size[s]
-    kind = solids.kind[s]
+    size = solids.size[solid]
+    kind = solids.kind[solid]
     is_wide = size[0] > MIN_HALF_SIZE and (kind == CYLINDER or size[1] > MIN_HALF_SIZE)
     return kind != SPHERE and is_wide
 
 
 @subkernel(**NO_REFCOUNT)
-def _cast_solid(solids, s, lattice, rows, ray, middle_hits, hits, end, writing):
-    """Write where the vertical lines through cells' centres cross solid s.
+def _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, is_writing):
+    """Write where the vertical lines through cells' centres cross a solid.
 
     Args:
         solids: the solids, as `Solids`.
-        s: index of the solid.
-        lattice, rows, hits, end, writing: see `raster_triangles`.
+        solid: index of the solid.
+        lattice: the cells, as `Lattice`.
+        rows: the first row to cast lines in, and the row after the last one.
+        hits: `LineHits` of the rows' lines, which are written.
+        next_hit: for each line of the rows, where its next hit goes in `hits`, int64; advanced by 1
+            for each hit.
+        is_writing: whether to write hits; else they are only counted.
         ray: a `Ray` to cast.
         middle_hits: room for the hits of the line through the solid's middle, as `LineHits`.
     """
-    box = solids.bounds[s]
+    box = solids.bounds[solid]
     cell_size = lattice.cell_size
     x_min = lattice.x_min
     y_max = lattice.y_max
@@ -318,88 +323,111 @@ def _cast_solid(solids, s, lattice, rows, ray, middle_hits, hits, end, writing):
     first_col, last_col = centers_between(
         box[0] - RIM_WIDTH - x_min, box[3] + RIM_WIDTH - x_min, cell_size, lattice.width
     )
-    has_simple_rim = _has_simple_rim(solids, s)
+    has_simple_rim = _has_simple_rim(solids, solid)
     copies_middle = False
-    if has_simple_rim and _has_flat_ends(solids, s):
-        x = solids.pos[s, 0]
-        y = solids.pos[s, 1]
-        copies_middle = _hit_solid(solids, s, x, y, ray, middle_hits, np.int64(0)) == 2
+    if has_simple_rim and _has_flat_ends(solids, solid):
+        x = solids.pos[solid, 0]
+        y = solids.pos[solid, 1]
+        copies_middle = _hit_solid(solids, solid, x, y, ray, middle_hits, np.int64(0)) == 2
     for row in range(first_row, last_row + 1):
         y = cell_center(lattice, row * lattice.width)[1]
         for col in range(first_col, last_col + 1):
             x = cell_center(lattice, col)[0]
-            if is_beside(solids.bounds, s, x, y):
+            if is_beside(solids.bounds, solid, x, y):
                 continue
-            outside = _distance_to_rim(solids, s, x, y) if has_simple_rim else 0.0
-            if outside > RIM_CLEARANCE:
+            distance_to_rim = _distance_to_rim(solids, solid, x, y) if has_simple_rim else 0.0
+            if distance_to_rim > RIM_CLEARANCE:
                 continue
             line = (row - rows[0]) * lattice.width + col
-            place = end[line] if writing else 0
-            if copies_middle and outside < -RIM_CLEARANCE:
+            hit_index = next_hit[line] if is_writing else 0
+            if copies_middle and distance_to_rim < -RIM_CLEARANCE:
                 for i in range(2):
-                    copy_hit(middle_hits, i, hits, place + i)
-                end[line] += 2
+                    copy_hit(middle_hits, i, hits, hit_index + i)
+                next_hit[line] += 2
             else:
-                end[line] += _hit_solid(solids, s, x, y, ray, hits, place)
+                next_hit[line] += _hit_solid(solids, solid, x, y, ray, hits, hit_index)
 
 
 @subkernel(**NO_REFCOUNT)
-def _cast_plane(planes, p, lattice, rows, heights, ray, middle_hits, hits, end, writing):
-    """Write where the vertical lines through cells' centres cross the front of plane p.
+def _cast_plane(
+    planes, plane, lattice, rows, heights, ray, middle_hits, hits, next_hit, is_writing
+):
+    """Write where the vertical lines through cells' centres cross the front of a plane.
 
     Args:
         planes: the infinite planes, as `Planes`.
-        p: index of the plane.
-        lattice, rows, hits, end, writing: see `raster_triangles`.
+        plane: index of the plane.
+        lattice: the cells, as `Lattice`.
+        rows: the first row to cast lines in, and the row after the last one.
+        hits: `LineHits` of the rows' lines, which are written.
+        next_hit: for each line of the rows, where its next hit goes in `hits`, int64; advanced by 1
+            for each hit.
+        is_writing: whether to write hits; else they are only counted.
         heights: heights below and above all shapes, from which rays are cast.
         ray: a `Ray` to cast.
         middle_hits: room for the hits of one line, as `LineHits`.
     """
-    is_horizontal = _is_upright(planes.mat[p])
-    count = np.int64(0)
-    first_place = np.int64(0)
-    for line in range(end.shape[0]):
+    is_horizontal = _is_upright(planes.mat[plane])
+    num_hits = np.int64(0)
+    first_index = np.int64(0)
+    for line in range(next_hit.shape[0]):
         if not is_horizontal or line == 0:
             x, y = cell_center(lattice, rows[0] * lattice.width + line)
-            count = _hit_plane(planes, p, x, y, heights, ray, middle_hits, first_place)
-        place = end[line] if writing else 0
-        for i in range(count):
-            copy_hit(middle_hits, i, hits, place + i)
-        end[line] += count
+            num_hits = _hit_plane(planes, plane, x, y, heights, ray, middle_hits, first_index)
+        hit_index = next_hit[line] if is_writing else 0
+        for i in range(num_hits):
+            copy_hit(middle_hits, i, hits, hit_index + i)
+        next_hit[line] += num_hits
 
 
 @subkernel(**NO_REFCOUNT)
-def _finish_lines(hits, start, end, facets, spare):
+def _finish_lines(hits, first_hit, end_hit, facets, scratch_hits):
     """Sort the hits of lines, and drop superfluous ones; return how many were dropped.
 
     Args:
         hits: the hits of all these lines, as `LineHits`.
-        start: index of each line's first hit in the arrays of all columns.
-        end: index past each line's last hit in `hits`.
+        first_hit: index of each line's first hit in the arrays of all columns.
+        end_hit: index past each line's last hit in `hits`.
         facets: the triangles, as `Facets`.
-        spare: room for one hit, as `LineHits`.
+        scratch_hits: room for one hit, as `LineHits`.
     """
     num_dropped = 0
-    for line in range(end.shape[0]):
-        first = start[line] - start[0]
-        num_dropped += finish_line(hits, first, end[line], facets, spare, np.int64(0))
+    for line in range(end_hit.shape[0]):
+        first_index = first_hit[line] - first_hit[0]
+        num_dropped += finish_line(
+            hits, first_index, end_hit[line], facets, scratch_hits, np.int64(0)
+        )
     return num_dropped
 
 
 @subkernel(inline="always")
-def make_ray():
+def allocate_ray():
     """Allocate a ray; its point and direction are to be set before it is cast."""
     return Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
 
 
 @subkernel(inline="always")
 def _cast_tile_row(
-    lattice, geometry, shape_index, is_crossed, tile_row, ray, middle_hits, hits, end, writing
+    lattice,
+    geometry,
+    shape_index,
+    is_crossed,
+    tile_row,
+    ray,
+    middle_hits,
+    hits,
+    next_hit,
+    is_writing,
 ):
     """Write where the vertical lines through the cells of a row of tiles cross all shapes.
 
     Args:
-        lattice, is_crossed, hits, end, writing: see `raster_triangles`.
+        lattice: the cells, as `Lattice`.
+        is_crossed: see `cast_lines`; written while counting, read while writing, bool.
+        hits: `LineHits` of the lines, which are written.
+        next_hit: for each line, where its next hit goes in `hits`, int64; advanced by 1 for each
+            hit.
+        is_writing: whether to write hits; else they are only counted.
         geometry: the shapes, as `Geometry`.
         shape_index: the shapes over each row of tiles.
         tile_row: number of the row of tiles.
@@ -411,46 +439,59 @@ def _cast_tile_row(
     planes = geometry.planes
     heights = geometry.heights
     rows = (tile_row * TILE, min((tile_row + 1) * TILE, lattice.height))
-    for p in range(planes.geom.shape[0]):
-        _cast_plane(planes, p, lattice, rows, heights, ray, middle_hits, hits, end, writing)
-    for i in range(shape_index.solid_start[tile_row], shape_index.solid_start[tile_row + 1]):
-        s = shape_index.solid_item[i]
-        _cast_solid(solids, s, lattice, rows, ray, middle_hits, hits, end, writing)
-    first = shape_index.triangle_start[tile_row]
-    last = shape_index.triangle_start[tile_row + 1]
-    triangles = shape_index.triangle_item[first:last]
-    raster_triangles(facets, triangles, is_crossed[first:last], lattice, rows, hits, end, writing)
+    for plane in range(planes.geom.shape[0]):
+        _cast_plane(
+            planes, plane, lattice, rows, heights, ray, middle_hits, hits, next_hit, is_writing
+        )
+    for item_index in range(
+        shape_index.solid_start[tile_row], shape_index.solid_start[tile_row + 1]
+    ):
+        solid = shape_index.solid_item[item_index]
+        _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, is_writing)
+    first_item = shape_index.triangle_start[tile_row]
+    end_item = shape_index.triangle_start[tile_row + 1]
+    triangles = shape_index.triangle_item[first_item:end_item]
+    raster_triangles(
+        facets,
+        triangles,
+        is_crossed[first_item:end_item],
+        lattice,
+        rows,
+        hits,
+        next_hit,
+        is_writing,
+    )
 
 
 @subkernel(inline="always")
-def _project(axes, axis, corners, t):
+def _project_triangle(axes, axis, corners, triangle):
     """Return the coordinates of a triangle's three corners along an axis of a frame [m]."""
     x = axes[axis, 0]
     y = axes[axis, 1]
     z = axes[axis, 2]
     return (
-        x * corners[t, 0, 0] + y * corners[t, 0, 1] + z * corners[t, 0, 2],
-        x * corners[t, 1, 0] + y * corners[t, 1, 1] + z * corners[t, 1, 2],
-        x * corners[t, 2, 0] + y * corners[t, 2, 1] + z * corners[t, 2, 2],
+        x * corners[triangle, 0, 0] + y * corners[triangle, 0, 1] + z * corners[triangle, 0, 2],
+        x * corners[triangle, 1, 0] + y * corners[triangle, 1, 1] + z * corners[triangle, 1, 2],
+        x * corners[triangle, 2, 0] + y * corners[triangle, 2, 1] + z * corners[triangle, 2, 2],
     )
 
 
 @subkernel(inline="always")
-def _may_cross(corners, t, x, y, axes, local_corners):
-    """Return whether a line at (x, y) of a frame may cross triangle t.
+def _may_cross(corners, triangle, x, y, axes, local_corners):
+    """Return whether a line at (x, y) of a frame may cross a triangle.
 
     The line is vertical in the frame with the given axes. If it may cross the triangle,
     `local_corners`, (1, 3, 3), receives the triangle's corners in that frame.
     """
-    x0, x1, x2 = _project(axes, X, corners, t)
+    x0, x1, x2 = _project_triangle(axes, X, corners, triangle)
     if (
         x < min(x0, x1, x2) - RIM_WIDTH or x > max(x0, x1, x2) + RIM_WIDTH
     ):  # true for most triangles
         return False
-    y0, y1, y2 = _project(axes, Y, corners, t)
+    y0, y1, y2 = _project_triangle(axes, Y, corners, triangle)
     if y < min(y0, y1, y2) - RIM_WIDTH or y > max(y0, y1, y2) + RIM_WIDTH:
         return False
-    z0, z1, z2 = _project(axes, Z, corners, t)
+    z0, z1, z2 = _project_triangle(axes, Z, corners, triangle)
     local_corners[0, 0, X] = x0
     local_corners[0, 1, X] = x1
     local_corners[0, 2, X] = x2
@@ -464,69 +505,85 @@ def _may_cross(corners, t, x, y, axes, local_corners):
 
 
 @subkernel(**NO_REFCOUNT)
-def _cast_line(lattice, geometry, tile_index, lines, n, ray, local_corners, hits, place, writing):
-    """Write where line n crosses all shapes; return how many hits.
+def _cast_line(
+    lattice, geometry, tile_index, lines, line, ray, local_corners, hits, first_hit, is_writing
+):
+    """Write where a line crosses all shapes; return how many hits.
 
     Args:
         lattice: the cells, as `Lattice`.
         geometry: the shapes, as `Geometry`.
         tile_index: the shapes over each tile.
         lines: the lines, as `Lines`.
-        n: index of the line.
+        line: index of the line.
         ray: a `Ray` to cast.
         local_corners: room for a triangle's corners, (1, 3, 3).
         hits: `LineHits` to write into.
-        place: index in `hits` of the line's first hit.
-        writing: whether there is room for all hits; else they are only counted.
+        first_hit: index in `hits` of the line's first hit.
+        is_writing: whether there is room for all hits; else they are only counted.
     """
     solids = geometry.solids
     facets = geometry.facets
     planes = geometry.planes
     heights = geometry.heights
-    x = lines.points[n, 0]
-    y = lines.points[n, 1]
-    count = 0
-    tiles_x = -(-lattice.width // TILE)
-    row_0 = lines.tiles[n, 0] // tiles_x
-    row_1 = lines.tiles[n, 1] // tiles_x
-    col_0 = lines.tiles[n, 0] % tiles_x
-    col_1 = lines.tiles[n, 1] % tiles_x
+    x = lines.points[line, 0]
+    y = lines.points[line, 1]
+    num_line_hits = 0
+    tiles_per_row = -(-lattice.width // TILE)
+    first_tile_row = lines.tiles[line, 0] // tiles_per_row
+    second_tile_row = lines.tiles[line, 1] // tiles_per_row
+    first_tile_col = lines.tiles[line, 0] % tiles_per_row
+    second_tile_col = lines.tiles[line, 1] % tiles_per_row
     is_rotated = lines.axes[0, 0] != 1.0 or lines.axes[2, 2] != 1.0
-    for p in range(planes.geom.shape[0]):
-        next_place = place + count if writing else place
-        count += _hit_plane(planes, p, x, y, heights, ray, hits, next_place)
-    for row in range(min(row_0, row_1), max(row_0, row_1) + 1):
-        for col in range(min(col_0, col_1), max(col_0, col_1) + 1):
-            tile = row * tiles_x + col
-            for i in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
-                s = tile_index.solid_item[i]
-                next_place = place + count if writing else place
-                if not is_beside(solids.bounds, s, x, y):
-                    count += _hit_solid(solids, s, x, y, ray, hits, next_place)
-            for i in range(tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]):
-                t = tile_index.triangle_item[i]
-                next_place = place + count
-                if not is_rotated and is_beside(facets.bounds, t, x, y):
+    for plane in range(planes.geom.shape[0]):
+        next_hit = first_hit + num_line_hits if is_writing else first_hit
+        num_line_hits += _hit_plane(planes, plane, x, y, heights, ray, hits, next_hit)
+    for row in range(
+        min(first_tile_row, second_tile_row), max(first_tile_row, second_tile_row) + 1
+    ):
+        for col in range(
+            min(first_tile_col, second_tile_col), max(first_tile_col, second_tile_col) + 1
+        ):
+            tile = row * tiles_per_row + col
+            for item_index in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
+                solid = tile_index.solid_item[item_index]
+                next_hit = first_hit + num_line_hits if is_writing else first_hit
+                if not is_beside(solids.bounds, solid, x, y):
+                    num_line_hits += _hit_solid(solids, solid, x, y, ray, hits, next_hit)
+            for item_index in range(
+                tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]
+            ):
+                triangle = tile_index.triangle_item[item_index]
+                next_hit = first_hit + num_line_hits
+                if not is_rotated and is_beside(facets.bounds, triangle, x, y):
                     continue
-                if not _may_cross(facets.corners, t, x, y, lines.axes, local_corners):
+                if not _may_cross(facets.corners, triangle, x, y, lines.axes, local_corners):
                     continue
                 num_hits = hit_triangle(
-                    local_corners, 0, facets, t, x, y, NO_LIMITS, hits, next_place, writing
+                    local_corners, 0, facets, triangle, x, y, NO_LIMITS, hits, next_hit, is_writing
                 )
                 if num_hits > 0:
-                    count += 1
-                    if writing and is_rotated:
+                    num_line_hits += 1
+                    if is_writing and is_rotated:
                         # a triangle over two of the line's tiles is hit twice, so such hits
                         # cannot say what is inside
-                        hits.closed[next_place] = OPEN_SURFACE
-    return count
+                        hits.closed[next_hit] = OPEN_SURFACE
+    return num_line_hits
 
 
 @kernel(nogil=True)
 def cast_lines(
-    lattice, lines, geometry, shape_index, is_crossed, column_hits, num_dropped, first_group, end
+    lattice,
+    lines,
+    geometry,
+    shape_index,
+    is_crossed,
+    column_hits,
+    num_dropped,
+    first_group,
+    end_group,
 ):
-    """Intersect the lines of groups ``range(first_group, end)`` with all shapes.
+    """Intersect the lines of groups ``range(first_group, end_group)`` with all shapes.
 
     It is called twice: first with empty hits, to count, then with room for the hits.
 
@@ -544,42 +601,43 @@ def cast_lines(
             the running sums of these numbers, and the other arrays receive the hits; the last hits
             of a column may have the geom DROPPED.
         num_dropped: receives, for each group, the number of DROPPED hits, int64.
-        first_group, end: range of groups.
+        first_group: number of the first group.
+        end_group: number past the last one.
     """
     start = column_hits.start
-    writing = column_hits.z.shape[0] > 0
-    ray = make_ray()
-    middle_hits = make_hits(2)
+    is_writing = column_hits.z.shape[0] > 0
+    ray = allocate_ray()
+    middle_hits = allocate_hits(2)
     local_corners = np.empty((1, 3, 3))
     num_lines = lines.points.shape[0]
-    group_size = LINES_PER_CALL
-    at_points = lines.points.shape[0] > 0
-    if not at_points:
+    lines_per_group = LINES_PER_CALL
+    has_points = lines.points.shape[0] > 0
+    if not has_points:
         num_lines = lattice.height * lattice.width
-        group_size = TILE * lattice.width
-    for group in range(first_group, end):
-        first_line = group * group_size
-        end_line = min((group + 1) * group_size, num_lines)
-        place = np.zeros(end_line - first_line, np.int64)  # of each line's next hit
+        lines_per_group = TILE * lattice.width
+    for group in range(first_group, end_group):
+        first_line = group * lines_per_group
+        end_line = min((group + 1) * lines_per_group, num_lines)
+        next_hit = np.zeros(end_line - first_line, np.int64)  # of each line's next hit
         hits = middle_hits
-        if writing:
+        if is_writing:
             hits = view_hits(column_hits, start[first_line], start[end_line])
             for line in range(end_line - first_line):
-                place[line] = start[first_line + line] - start[first_line]
-        if at_points:
-            for n in range(first_line, end_line):
-                first_place = place[n - first_line]
-                place[n - first_line] += _cast_line(
+                next_hit[line] = start[first_line + line] - start[first_line]
+        if has_points:
+            for line_id in range(first_line, end_line):
+                hit_index = next_hit[line_id - first_line]
+                next_hit[line_id - first_line] += _cast_line(
                     lattice,
                     geometry,
                     shape_index,
                     lines,
-                    n,
+                    line_id,
                     ray,
                     local_corners,
                     hits,
-                    first_place,
-                    writing,
+                    hit_index,
+                    is_writing,
                 )
         else:
             _cast_tile_row(
@@ -591,13 +649,13 @@ def cast_lines(
                 ray,
                 middle_hits,
                 hits,
-                place,
-                writing,
+                next_hit,
+                is_writing,
             )
-        if writing:
+        if is_writing:
             num_dropped[group] = _finish_lines(
-                hits, start[first_line:end_line], place, geometry.facets, middle_hits
+                hits, start[first_line:end_line], next_hit, geometry.facets, middle_hits
             )
             continue
         for line in range(end_line - first_line):
-            start[first_line + line + 1] = place[line]
+            start[first_line + line + 1] = next_hit[line]

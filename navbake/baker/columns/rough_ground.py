@@ -239,7 +239,7 @@ def _mark_flat_ground(
     plane.max_bump[unpaired_indices] = plane_of_all.max_bump
     plane.is_determined[unpaired_indices] = plane_of_all.is_determined & is_different
     is_flat = plane.is_determined & (plane.normal[:, 2] >= limits.min_up)
-    is_flat &= plane.max_bump <= MAX_BUMP_FRACTION * limits.step + LIMIT_SLACK
+    is_flat &= plane.max_bump <= MAX_BUMP_FRACTION * limits.max_step + LIMIT_SLACK
     return plane.normal, is_flat
 
 
@@ -314,7 +314,7 @@ def _sample_ground(
     )
     sample_of_ray_hit = np.repeat(inside_indices, np.diff(rays.start))
     relative_z = rays.z - columns.z[hit_indices][sample_of_ray_hit // sample_offsets.shape[1]]
-    is_ground = (rays.normal[:, 2] > 0.0) & (np.abs(relative_z) <= limits.step + LIMIT_SLACK)
+    is_ground = (rays.normal[:, 2] > 0.0) & (np.abs(relative_z) <= limits.max_step + LIMIT_SLACK)
     # heights ascend along a line: the last assignment is that of the highest surface
     ground_heights[sample_of_ray_hit[is_ground]] = relative_z[is_ground]
     return ground_heights.reshape(len(cell_ids), -1)

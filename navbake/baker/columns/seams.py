@@ -327,14 +327,14 @@ def close_cracks(
     cell_ids = cell_ids[is_beside_crack]
     direction = direction[is_beside_crack]
 
-    is_lower_side = _find_lower_sides(cell_ids, rays.z[hit_indices], direction, limits.step)
+    is_lower_side = _find_lower_sides(cell_ids, rays.z[hit_indices], direction, limits.max_step)
     hit_indices = hit_indices[is_lower_side]
     cell_ids = cell_ids[is_lower_side]
     z = rays.z[hit_indices]
     lowest_indices = list[int]()  # of the surfaces of a cell that are within a step of each other
     for index in np.lexsort((rays.geom[hit_indices], z, cell_ids)).tolist():
         is_new_cell = not lowest_indices or cell_ids[lowest_indices[-1]] != cell_ids[index]
-        if is_new_cell or z[index] - z[lowest_indices[-1]] > limits.step + LIMIT_SLACK:
+        if is_new_cell or z[index] - z[lowest_indices[-1]] > limits.max_step + LIMIT_SLACK:
             lowest_indices.append(index)
     return (
         _add_surfaces(columns, cell_ids[lowest_indices], rays, hit_indices[lowest_indices])
@@ -380,7 +380,7 @@ def _list_all_sides(
     return sides[np.argsort(sides[:, CELL], kind="stable")]
 
 
-def _find_lower_sides(cell_ids: Int, z: Float, direction: Float, step: float) -> Bool:
+def _find_lower_sides(cell_ids: Int, z: Float, direction: Float, max_step: float) -> Bool:
     """Mark the lower floor of each pair that bounds a crack from opposite sides.
 
     The two floors of a pair belong to one cell, and their heights differ by at most a step.
@@ -389,7 +389,7 @@ def _find_lower_sides(cell_ids: Int, z: Float, direction: Float, step: float) ->
         cell_ids: the cell of each floor, ascending, (n,).
         z: height of each floor, (n,) [m].
         direction: unit vector from the cell's centre to each floor, (n, 2).
-        step: the largest step [m].
+        max_step: the largest step [m].
 
     Returns:
         A mask, shape (n,); of two floors at one height, both are marked.
@@ -400,7 +400,7 @@ def _find_lower_sides(cell_ids: Int, z: Float, direction: Float, step: float) ->
         first_floor = slice(None, -index_distance)
         second_floor = slice(index_distance, None)
         is_crack = cell_ids[first_floor] == cell_ids[second_floor]
-        is_crack &= abs(z[first_floor] - z[second_floor]) <= step + LIMIT_SLACK
+        is_crack &= abs(z[first_floor] - z[second_floor]) <= max_step + LIMIT_SLACK
         is_crack &= (direction[first_floor] * direction[second_floor]).sum(
             axis=1
         ) <= -SAME_DIRECTION

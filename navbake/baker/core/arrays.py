@@ -90,8 +90,8 @@ class Facets(NamedTuple):
         closed: what that part encloses, see `OPEN_SURFACE` in `constants`, (m,) uint8.
         corners: (m, 3, 3) float64 [m].
         bounds: boxes around the triangles, (m, 6) float64: lower corner, upper corner [m].
-        facing: z of the unit normals in hundredths, rounded; 0 for vertical triangles only, (m,)
-            int8.
+        normal_z_percent: z of the unit normals in hundredths, rounded; 0 for vertical triangles
+            only, (m,) int8.
     """
 
     geom: Int32
@@ -99,7 +99,7 @@ class Facets(NamedTuple):
     closed: NDArray[np.uint8]
     corners: Float
     bounds: Float
-    facing: NDArray[np.int8]
+    normal_z_percent: NDArray[np.int8]
 
 
 class ShapeIndex(NamedTuple):

@@ -15,12 +15,12 @@ class AgentLimits(NamedTuple):
         min_up: least z of a walkable surface's unit normal: cosine of the largest slope, less
             LIMIT_SLACK.
         headroom: free height that the agent needs over a floor: its own height [m].
-        step: largest step up or down [m].
+        max_step: largest step up or down [m].
     """
 
     min_up: float
     headroom: float
-    step: float
+    max_step: float
 
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:

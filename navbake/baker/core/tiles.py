@@ -32,9 +32,9 @@ def tile_window(lattice, tile):
 
     `tile` is the tile's number; tiles are numbered row by row from the north-west.
     """
-    tiles_x = (lattice.width + TILE - 1) // TILE
-    row = tile // tiles_x * TILE
-    col = tile % tiles_x * TILE
+    tiles_per_row = (lattice.width + TILE - 1) // TILE
+    row = tile // tiles_per_row * TILE
+    col = tile % tiles_per_row * TILE
     return row, min(row + TILE, lattice.height), col, min(col + TILE, lattice.width)
 
 
@@ -44,9 +44,9 @@ def block_window(lattice, block):
 
     `block` is the block's number; blocks are numbered row by row from the north-west.
     """
-    blocks_x = (lattice.width + BLOCK - 1) // BLOCK
-    row = block // blocks_x * BLOCK
-    col = block % blocks_x * BLOCK
+    blocks_per_row = (lattice.width + BLOCK - 1) // BLOCK
+    row = block // blocks_per_row * BLOCK
+    col = block % blocks_per_row * BLOCK
     return row, min(row + BLOCK, lattice.height), col, min(col + BLOCK, lattice.width)
 
 
@@ -63,25 +63,25 @@ def cell_bit(row, col):
 
 
 @subkernel(inline="always")
-def window_bits(tile, inner):
+def window_bits(tile_bounds, inner_window):
     """Return a bit mask of the cells of a window inside of a tile.
 
     Args:
-        tile: window of the tile, see `tile_window`.
-        inner: window inside of it; may be empty.
+        tile_bounds: window of the tile, see `tile_window`.
+        inner_window: window inside of it; may be empty.
 
     Returns:
-        An int64 with the `cell_bit` of each cell of `inner`.
+        An int64 with the `cell_bit` of each cell of `inner_window`.
     """
-    row_first, row_end, col_first, col_end = inner
+    row_first, row_end, col_first, col_end = inner_window
     if row_first >= row_end or col_first >= col_end:
         return np.int64(0)
-    first_row_bits = ((np.int64(1) << (col_end - col_first)) - 1) << (col_first - tile[2])
+    first_row_bits = ((np.int64(1) << (col_end - col_first)) - 1) << (col_first - tile_bounds[2])
     bits_of_all_rows = first_row_bits * FIRST_COLUMN_BITS
     # without the rows before the first, and those from the end on
-    bits = bits_of_all_rows & (np.int64(-1) << ((row_first - tile[0]) * TILE))
-    if row_end - tile[0] < TILE:
-        bits &= cell_bit(row_end - tile[0], 0) - 1
+    bits = bits_of_all_rows & (np.int64(-1) << ((row_first - tile_bounds[0]) * TILE))
+    if row_end - tile_bounds[0] < TILE:
+        bits &= cell_bit(row_end - tile_bounds[0], 0) - 1
     return bits
 
 
@@ -99,15 +99,16 @@ def cell_center(lattice, cell):
 
 
 @subkernel(inline="always")
-def window_near_box(lattice, window, boxes, i, distance):
+def window_near_box(lattice, window, boxes, box, distance):
     """Return the part of a window with the cells whose centres are near a box.
 
     Rounding may add a row or a column, and never loses one.
 
     Args:
+        lattice: the cells, as `Lattice`.
         window: window of cells, as `tile_window` returns it.
         boxes: (n, 6) float64, lower corner, upper corner [m].
-        i: index of the box.
+        box: index of the box.
         distance: how far centres may be from the box along x and along y [m].
 
     Returns:
@@ -116,10 +117,10 @@ def window_near_box(lattice, window, boxes, i, distance):
     row_first, row_end, col_first, col_end = window
     per_cell = 1.0 / lattice.cell_size
     # the centre of column c is at c + 0.5 cells
-    x_low = (boxes[i, 0] - distance - lattice.x_min) * per_cell - (0.5 + CENTER_MARGIN)
-    x_high = (boxes[i, 3] + distance - lattice.x_min) * per_cell - (0.5 - CENTER_MARGIN)
-    y_low = (lattice.y_max - boxes[i, 4] - distance) * per_cell - (0.5 + CENTER_MARGIN)
-    y_high = (lattice.y_max - boxes[i, 1] + distance) * per_cell - (0.5 - CENTER_MARGIN)
+    x_low = (boxes[box, 0] - distance - lattice.x_min) * per_cell - (0.5 + CENTER_MARGIN)
+    x_high = (boxes[box, 3] + distance - lattice.x_min) * per_cell - (0.5 - CENTER_MARGIN)
+    y_low = (lattice.y_max - boxes[box, 4] - distance) * per_cell - (0.5 + CENTER_MARGIN)
+    y_high = (lattice.y_max - boxes[box, 1] + distance) * per_cell - (0.5 - CENTER_MARGIN)
     # clipped before they become integers, whose range a far box would exceed
     col_first = math.ceil(min(max(x_low, col_first), col_end))
     row_first = math.ceil(min(max(y_low, row_first), row_end))
@@ -129,7 +130,7 @@ def window_near_box(lattice, window, boxes, i, distance):
 
 
 @subkernel(inline="always")
-def centers_between(low, high, cell_size, count):
+def centers_between(low, high, cell_size, num_cells):
     """Find the cells of a row whose centres lie between two coordinates.
 
     Rounding may add a cell at either end, and never loses one.
@@ -137,14 +138,14 @@ def centers_between(low, high, cell_size, count):
     Args:
         low, high: coordinates, from the outer edge of the first cell on [m].
         cell_size: edge of a cell [m].
-        count: number of cells in the row.
+        num_cells: number of cells in the row.
 
     Returns:
         The index of the first and of the last such cell, int64; last < first if there is none.
     """
     first = np.ceil(max(low / cell_size - 0.5 - CENTER_MARGIN, 0.0))
-    last = np.floor(min(high / cell_size - 0.5 + CENTER_MARGIN, count - 1.0))
-    return np.int64(min(first, float(count))), np.int64(max(last, -1.0))
+    last = np.floor(min(high / cell_size - 0.5 + CENTER_MARGIN, num_cells - 1.0))
+    return np.int64(min(first, float(num_cells))), np.int64(max(last, -1.0))
 
 
 @subkernel(inline="always")
@@ -160,12 +161,12 @@ def _tile_range(low, high, num_tiles, tile_size):
 
 
 @subkernel(inline="always")
-def _tiles_under(boxes, n, margin, lattice):
+def _find_tiles_under(boxes, box, margin, lattice):
     """Find the tiles that a box overlaps, widened by a margin, seen from above.
 
     Args:
         boxes: (n, 6) float64, lower corner, upper corner [m].
-        n: index of the box.
+        box: index of the box.
         margin: how much the box is widened on each side [m].
         lattice: the cells, as `Lattice`.
 
@@ -176,10 +177,10 @@ def _tiles_under(boxes, n, margin, lattice):
     width = lattice.width
     height = lattice.height
     cell_size = lattice.cell_size
-    x_low = boxes[n, 0] - margin - lattice.x_min
-    x_high = boxes[n, 3] + margin - lattice.x_min
-    y_low = lattice.y_max - boxes[n, 4] - margin
-    y_high = lattice.y_max - boxes[n, 1] + margin
+    x_low = boxes[box, 0] - margin - lattice.x_min
+    x_high = boxes[box, 3] + margin - lattice.x_min
+    y_low = lattice.y_max - boxes[box, 4] - margin
+    y_high = lattice.y_max - boxes[box, 1] + margin
     if x_high < 0.0 or y_high < 0.0 or x_low > width * cell_size or y_low > height * cell_size:
         return 0, -1, 0, -1
     tile_size = TILE * cell_size
@@ -189,20 +190,20 @@ def _tiles_under(boxes, n, margin, lattice):
 
 
 @subkernel(inline="always")
-def _tile_rows_under(boxes, n, margin, lattice):
+def _find_tile_rows_under(boxes, box, margin, lattice):
     """Find the rows of tiles in which a box, widened by a margin, covers a cell's centre.
 
-    The arguments are as in `_tiles_under`.
+    The arguments are as in `_find_tiles_under`.
 
     Returns:
-        The first and the last row of tiles; then two zeros, where `_tiles_under` returns columns.
-        The last row is before the first row if the box covers no centre.
+        The first and the last row of tiles; then two zeros, where `_find_tiles_under` returns
+        columns. The last row is before the first row if the box covers no centre.
     """
-    x_low = boxes[n, 0] - margin - lattice.x_min
-    x_high = boxes[n, 3] + margin - lattice.x_min
+    x_low = boxes[box, 0] - margin - lattice.x_min
+    x_high = boxes[box, 3] + margin - lattice.x_min
     first_col, last_col = centers_between(x_low, x_high, lattice.cell_size, lattice.width)
-    y_low = lattice.y_max - boxes[n, 4] - margin
-    y_high = lattice.y_max - boxes[n, 1] + margin
+    y_low = lattice.y_max - boxes[box, 4] - margin
+    y_high = lattice.y_max - boxes[box, 1] + margin
     first_row, last_row = centers_between(y_low, y_high, lattice.cell_size, lattice.height)
     if last_col < first_col or last_row < first_row:
         return 0, -1, 0, -1
@@ -211,11 +212,19 @@ def _tile_rows_under(boxes, n, margin, lattice):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def list_boxes_by_tile(
-    boxes, margin, lattice, by_tile_row, tiles_under, cursor, item, first_chunk, end
+    boxes,
+    margin,
+    lattice,
+    by_tile_row,
+    tile_range_of_box,
+    next_index,
+    box_of_item,
+    first_chunk,
+    end_chunk,
 ):
     """Count, or list, the boxes over each tile, for a range of chunks of the boxes.
 
-    It is called twice: first with an empty `item`, to count; then with room for the lists.
+    It is called twice: first with an empty `box_of_item`, to count; then with room for the lists.
 
     Args:
         boxes: (n, 6) float64, lower corner, upper corner [m].
@@ -223,33 +232,34 @@ def list_boxes_by_tile(
         lattice: the cells, as `Lattice`.
         by_tile_row: if True, list by row of tiles instead of by tile, and only boxes that cover a
             cell's centre there.
-        tiles_under: receives, for each box, the first row, last row, first and last column of the
-            tiles under it, (n, 4) int32, while counting; read while listing.
-        cursor: for each chunk and tile, the place in `item` of the chunk's next box over the tile,
-            (chunks, tiles) int64; advanced by 1 for each box.
-        item: receives indices of boxes, tile by tile, int32; empty while counting.
-        first_chunk, end: range of chunks.
+        tile_range_of_box: receives, for each box, the first row, last row, first and last column of
+            the tiles under it, (n, 4) int32, while counting; read while listing.
+        next_index: for each chunk and tile, the place in `box_of_item` of the chunk's next box over
+            the tile, (chunks, tiles) int64; advanced by 1 for each box.
+        box_of_item: receives indices of boxes, tile by tile, int32; empty while counting.
+        first_chunk: number of the first chunk.
+        end_chunk: number past the last one.
     """
     num_boxes = boxes.shape[0]
-    num_chunks = cursor.shape[0]
-    writing = item.shape[0] > 0
+    num_chunks = next_index.shape[0]
+    is_writing = box_of_item.shape[0] > 0
     tiles_per_row = 1 if by_tile_row else (lattice.width + TILE - 1) // TILE
-    for chunk in range(first_chunk, end):
-        next_place = cursor[chunk]
-        for n in range(num_boxes * chunk // num_chunks, num_boxes * (chunk + 1) // num_chunks):
-            if not writing:
+    for chunk in range(first_chunk, end_chunk):
+        next_index_of_tile = next_index[chunk]
+        for box in range(num_boxes * chunk // num_chunks, num_boxes * (chunk + 1) // num_chunks):
+            if not is_writing:
                 if by_tile_row:
-                    window = _tile_rows_under(boxes, n, margin, lattice)
+                    window = _find_tile_rows_under(boxes, box, margin, lattice)
                 else:
-                    window = _tiles_under(boxes, n, margin, lattice)
-                tiles_under[n, 0] = window[0]
-                tiles_under[n, 1] = window[1]
-                tiles_under[n, 2] = window[2]
-                tiles_under[n, 3] = window[3]
-            for row in range(tiles_under[n, 0], tiles_under[n, 1] + 1):
-                first_tile = row * tiles_per_row + tiles_under[n, 2]
-                last_tile = row * tiles_per_row + tiles_under[n, 3]
+                    window = _find_tiles_under(boxes, box, margin, lattice)
+                tile_range_of_box[box, 0] = window[0]
+                tile_range_of_box[box, 1] = window[1]
+                tile_range_of_box[box, 2] = window[2]
+                tile_range_of_box[box, 3] = window[3]
+            for row in range(tile_range_of_box[box, 0], tile_range_of_box[box, 1] + 1):
+                first_tile = row * tiles_per_row + tile_range_of_box[box, 2]
+                last_tile = row * tiles_per_row + tile_range_of_box[box, 3]
                 for tile in range(first_tile, last_tile + 1):
-                    if writing:
-                        item[next_place[tile]] = n
-                    next_place[tile] += 1
+                    if is_writing:
+                        box_of_item[next_index_of_tile[tile]] = box
+                    next_index_of_tile[tile] += 1

@@ -42,22 +42,22 @@ def unite(parent, first, second):
 
 
 @kernel
-def number_components(pairs, count):
+def number_components(pairs, num_nodes):
     """Number the connected components of a graph from 0, in the order of their first nodes.
 
     Args:
         pairs: the two nodes of each edge, (2, n) int64.
-        count: number of nodes; nodes are numbered from 0.
+        num_nodes: number of nodes; nodes are numbered from 0.
 
     Returns:
         The component of each node, (count,) int32.
     """
-    parent = np.arange(count)
+    parent = np.arange(num_nodes)
     for k in range(pairs.shape[1]):
         unite(parent, pairs[0, k], pairs[1, k])
-    component = np.empty(count, dtype=np.int32)
+    component = np.empty(num_nodes, dtype=np.int32)
     num_components = 0
-    for node in range(count):
+    for node in range(num_nodes):
         root = find_root(parent, node)
         if root == node:
             component[node] = num_components
@@ -68,13 +68,13 @@ def number_components(pairs, count):
 
 
 @kernel
-def number_distinct_lists(start, value, number):
+def number_distinct_lists(start, entries, number_of_list):
     """Number lists from 0, in the order of first occurrence; equal lists get the same number.
 
     Args:
-        start: list i is ``value[start[i] : start[i + 1]]``, (lists + 1,) integers.
-        value: the entries of all lists, integers >= 0.
-        number: receives the number of each list, (lists,).
+        start: list i is ``entries[start[i] : start[i + 1]]``, (lists + 1,) integers.
+        entries: the entries of all lists, integers >= 0.
+        number_of_list: receives the number of each list, (lists,).
 
     Returns:
         For each number, the index of the first list that has it, (numbers,) int64.
@@ -85,30 +85,30 @@ def number_distinct_lists(start, value, number):
         table_size *= 2
     table = np.full(table_size, -1, np.int64)
     first_list = np.empty(num_lists, np.int64)
-    count = 0
+    num_distinct = 0
     for i in range(num_lists):
-        key = np.uint64(1469598103934665603)
+        hash_value = np.uint64(1469598103934665603)
         for j in range(start[i], start[i + 1]):
-            key = (key ^ np.uint64(value[j])) * np.uint64(1099511628211)
-            key ^= key >> np.uint64(29)
-        slot = np.int64(key & np.uint64(table_size - 1))
-        while table[slot] >= 0 and not _are_equal(start, value, first_list[table[slot]], i):
+            hash_value = (hash_value ^ np.uint64(entries[j])) * np.uint64(1099511628211)
+            hash_value ^= hash_value >> np.uint64(29)
+        slot = np.int64(hash_value & np.uint64(table_size - 1))
+        while table[slot] >= 0 and not _are_equal(start, entries, first_list[table[slot]], i):
             slot = (slot + 1) & (table_size - 1)
         if table[slot] < 0:
-            table[slot] = count
-            first_list[count] = i
-            count += 1
-        number[i] = table[slot]
-    return first_list[:count].copy()
+            table[slot] = num_distinct
+            first_list[num_distinct] = i
+            num_distinct += 1
+        number_of_list[i] = table[slot]
+    return first_list[:num_distinct].copy()
 
 
 @subkernel(inline="always")
-def _are_equal(start, value, a, b):
-    """Return whether lists a and b have the same entries."""
-    if start[a + 1] - start[a] != start[b + 1] - start[b]:
+def _are_equal(start, entries, first_list, second_list):
+    """Return whether two lists have the same entries; see `number_distinct_lists`."""
+    if start[first_list + 1] - start[first_list] != start[second_list + 1] - start[second_list]:
         return False
     k = 0
-    length = start[a + 1] - start[a]
-    while k < length and value[start[a] + k] == value[start[b] + k]:
+    length = start[first_list + 1] - start[first_list]
+    while k < length and entries[start[first_list] + k] == entries[start[second_list] + k]:
         k += 1
     return k == length

@@ -49,16 +49,16 @@ class JoinRule(NamedTuple):
     """The limits within which surfaces of neighboring cells are connected, or else linked.
 
     Attributes:
-        step: two surfaces of the same group, see `label_blocks`, are connected if their heights
+        max_step: two surfaces of the same group, see `label_blocks`, are connected if their heights
             differ by at most this [m].
-        link_step: two surfaces that are not connected are linked if their heights differ by at most
-            this [m]; negative if no links are listed.
+        max_link_step: two surfaces that are not connected are linked if their heights differ by at
+            most this [m]; negative if no links are listed.
         by_slopes: whether surfaces of the same group are also connected where `slopes_join` says
             so.
     """
 
-    step: float
-    link_step: float = -1.0
+    max_step: float
+    max_link_step: float = -1.0
     by_slopes: bool = False
 
 
@@ -66,20 +66,20 @@ class ComponentNumbering(NamedTuple):
     """The components of surfaces, numbered in each block from 0, and numbered over all blocks.
 
     Attributes:
-        in_block: for each surface, the number of its component in the block, -1 for none, see
-            `label_blocks`, int32.
-        offset: for each block, how many components all blocks before it have, int64.
-        overall: receives, for each surface, the number of its component over all blocks, -1 for
-            none, int32.
+        number_in_block: for each surface, the number of its component in the block, -1 for none,
+            see `label_blocks`, int32.
+        first_number_of_block: for each block, how many components all blocks before it have, int64.
+        overall_number: receives, for each surface, the number of its component over all blocks, -1
+            for none, int32.
     """
 
-    in_block: Int32
-    offset: Int
-    overall: Int32
+    number_in_block: Int32
+    first_number_of_block: Int
+    overall_number: Int32
 
 
 @subkernel(**NO_REFCOUNT)
-def count_row(rows, begin, num, a, b, c):
+def count_row(rows, first_row, num_rows, first, second, third):
     """Count one more occurrence of three numbers, such as a pair of components and its kind.
 
     The count stands in the row that begins with these numbers. If none of the latest
@@ -87,27 +87,27 @@ def count_row(rows, begin, num, a, b, c):
 
     Args:
         rows: three numbers and their count in each row, (n, 4) int64.
-        begin: index of the first row of the current block of cells.
-        num: index past the last row written so far.
-        a: the first of the three numbers.
-        b: the second number.
-        c: the third number.
+        first_row: index of the first row of the current block of cells.
+        num_rows: index past the last row written so far.
+        first: the first of the three numbers.
+        second: the second number.
+        third: the third number.
 
     Returns:
         The index of the row with the count, or -1 if there is no room for another row.
     """
-    for row in range(num - 1, max(begin, num - NUM_RECENT_ROWS) - 1, -1):
-        if rows[row, 0] == a and rows[row, 1] == b and rows[row, 2] == c:
+    for row in range(num_rows - 1, max(first_row, num_rows - NUM_RECENT_ROWS) - 1, -1):
+        if rows[row, 0] == first and rows[row, 1] == second and rows[row, 2] == third:
             rows[row, 3] += 1
             return row
     # the search is short, as neighboring cells mostly repeat the last numbers
-    if num == rows.shape[0]:
+    if num_rows == rows.shape[0]:
         return np.int64(-1)
-    rows[num, 0] = a
-    rows[num, 1] = b
-    rows[num, 2] = c
-    rows[num, 3] = 1
-    return num
+    rows[num_rows, 0] = first
+    rows[num_rows, 1] = second
+    rows[num_rows, 2] = third
+    rows[num_rows, 3] = 1
+    return num_rows
 
 
 @subkernel(inline="always")
@@ -120,28 +120,31 @@ def height_bin(z):
 
 
 @subkernel(inline="always")
-def _group_of(surfaces, group, j):
-    """Return the group of surface j; negative if the surface is in no component.
+def _group_of(surfaces, group_of_surface, surface):
+    """Return the group of a surface; negative if the surface is in no component.
 
-    If the array `group` is empty, all STANDABLE surfaces are in group 0, see `label_blocks`.
+    If the array `group_of_surface` is empty, all STANDABLE surfaces are in group 0, see
+    `label_blocks`.
     """
-    if group.shape[0] > 0:
-        return np.int64(group[j])
-    return np.int64(0) if surfaces.marks[j] & STANDABLE else np.int64(-1)
+    if group_of_surface.shape[0] > 0:
+        return np.int64(group_of_surface[surface])
+    return np.int64(0) if surfaces.flags[surface] & STANDABLE else np.int64(-1)
 
 
 @subkernel(inline="always")
-def _are_joined(surfaces, group, rule, a, b, direction):
-    """Return whether surfaces a and b are connected: same group, and joined by a step or slopes.
+def _are_joined(surfaces, group_of_surface, rule, surface_a, surface_b, direction):
+    """Return whether two surfaces are connected: of one group, and joined by a step or slopes.
 
     `direction` is EAST or SOUTH, from the cell of a to the neighboring cell of b; `rule` is a
     `JoinRule`.
     """
-    if _group_of(surfaces, group, a) != _group_of(surfaces, group, b):
+    if _group_of(surfaces, group_of_surface, surface_a) != _group_of(
+        surfaces, group_of_surface, surface_b
+    ):
         return False
-    if abs(surfaces.z[a] - surfaces.z[b]) <= rule.step + LIMIT_SLACK:
+    if abs(surfaces.z[surface_a] - surfaces.z[surface_b]) <= rule.max_step + LIMIT_SLACK:
         return True
-    return rule.by_slopes and slopes_join(surfaces, a, b, direction, rule.step)
+    return rule.by_slopes and slopes_join(surfaces, surface_a, surface_b, direction, rule.max_step)
 
 
 @subkernel(inline="always")
@@ -150,24 +153,35 @@ def _max_rise(rule):
 
     It is infinite if slopes connect surfaces.
     """
-    return math.inf if rule.by_slopes else max(rule.step, rule.link_step) + LIMIT_SLACK
+    return math.inf if rule.by_slopes else max(rule.max_step, rule.max_link_step) + LIMIT_SLACK
 
 
 @subkernel(inline="always")
-def _find_root(component, j):
-    """Return the root of the union-find set that surface j is in.
+def _find_root(component_of_surface, surface):
+    """Return the root of the union-find set that a surface is in.
 
-    ``component[j]`` is ``-2 - p``, where surface p is the parent of j; a root is its own parent.
+    ``component_of_surface[j]`` is ``-2 - p``, where surface p is the parent of j; a root is its own
+    parent.
     """
-    while component[j] != -2 - j:
-        parent = -2 - component[j]
-        component[j] = component[parent]
-        j = -2 - component[j]
-    return j
+    while component_of_surface[surface] != -2 - surface:
+        parent = -2 - component_of_surface[surface]
+        component_of_surface[surface] = component_of_surface[parent]
+        surface = -2 - component_of_surface[surface]
+    return surface
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begin, end):
+def label_blocks(
+    surfaces,
+    group_of_surface,
+    rule,
+    component_of_surface,
+    blocks,
+    row_counts,
+    row_arrays,
+    begin,
+    end,
+):
     """Label and measure the connected components of surfaces inside of ``blocks[begin:end]``.
 
     A kernel for `navbake.baker.core.blocks.list_rows`. It lists a row for each component of a
@@ -176,103 +190,114 @@ def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begi
 
     Args:
         surfaces: the surfaces of all cells, as `Surfaces`.
-        group: the group of each surface, (n,) int32. Only surfaces of the same group are connected;
-            surfaces of a negative group are in no component. If empty, all STANDABLE surfaces are
-            in one group, and the others in none.
+        group_of_surface: the group of each surface, (n,) int32. Only surfaces of the same group are
+            connected; surfaces of a negative group are in no component. If empty, all STANDABLE
+            surfaces are in one group, and the others in none.
         rule: a `JoinRule`: the limits within which surfaces are connected, or else linked.
-        component: receives, for each surface, the number of its component in its block, -1 for
-            none, (n,) int32. While a block is labelled, it holds the parents of union-find: -2 - p
-            for parent p.
+        component_of_surface: receives, for each surface, the number of its component in its block,
+            -1 for none, (n,) int32. While a block is labelled, it holds the parents of union-find:
+            -2 - p for parent p.
         blocks: ids of blocks of cells.
-        counts: receives how many components each block has.
-        columns: two arrays that receive the rows: seven numbers of each component, at the indices
-            from NUM_SURFACES to END_COL, (n, 7) int64; and its lowest height, (n,) float64 [m].
+        row_counts: receives how many components each block has.
+        row_arrays: two arrays that receive the rows: seven numbers of each component, at the
+            indices from NUM_SURFACES to END_COL, (n, 7) int64; and its lowest height, (n,) float64
+            [m].
         begin: index in `blocks` of the first block to label.
         end: index past the last one.
 
     Returns:
         The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    measures, lowest = columns
-    first = surfaces.first
-    ends = surfaces.end
+    measures, lowest_z = row_arrays
+    first_surface = surfaces.first
+    end_surface = surfaces.end
     z = surfaces.z
     lattice = surfaces.lattice
     max_rise = _max_rise(rule)
-    offset = 0
+    num_before = 0
     width = lattice.width
-    for k in range(begin, end):
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
+    for block_index in range(begin, end):
+        row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         # unite each cell's surfaces with the surfaces of its western and northern neighbors
         for row in range(row0, row1):
             for cell in range(row * width + col0, row * width + col1):
-                first_in_cell = first[cell]
-                end_in_cell = ends[cell]
+                first_in_cell = first_surface[cell]
+                end_in_cell = end_surface[cell]
                 for j in range(first_in_cell, end_in_cell):
-                    component[j] = -2 - j if _group_of(surfaces, group, j) >= 0 else -1
+                    component_of_surface[j] = (
+                        -2 - j if _group_of(surfaces, group_of_surface, j) >= 0 else -1
+                    )
                 for direction in range(2):
                     if cell == row * width + col0 if direction == EAST else row == row0:
                         continue
                     neighbor = cell - 1 if direction == EAST else cell - width
-                    low = first[neighbor]
-                    last = ends[neighbor]
+                    first_near = first_surface[neighbor]
+                    stop = end_surface[neighbor]
                     for j in range(first_in_cell, end_in_cell):
-                        if component[j] == -1:
+                        if component_of_surface[j] == -1:
                             continue
                         # heights ascend in both cells, so `low` only moves up
-                        while low < last and z[low] < z[j] - max_rise:
-                            low += 1
-                        for i in range(low, last):
+                        while first_near < stop and z[first_near] < z[j] - max_rise:
+                            first_near += 1
+                        for i in range(first_near, stop):
                             if z[i] > z[j] + max_rise:
                                 break
-                            if component[i] == -1:
+                            if component_of_surface[i] == -1:
                                 continue
-                            if _are_joined(surfaces, group, rule, i, j, direction):
-                                root_i = _find_root(component, i)
-                                root_j = _find_root(component, j)
+                            if _are_joined(surfaces, group_of_surface, rule, i, j, direction):
+                                root_i = _find_root(component_of_surface, i)
+                                root_j = _find_root(component_of_surface, j)
                                 if root_i != root_j:
                                     # the lower id is the root, whatever the order of unions
-                                    component[max(root_i, root_j)] = -2 - min(root_i, root_j)
+                                    component_of_surface[max(root_i, root_j)] = -2 - min(
+                                        root_i, root_j
+                                    )
         # replace parents by numbers, which are >= 0, and measure
-        num = 0
+        num_components = 0
         for row in range(row0, row1):
             for col in range(col0, col1):
                 cell = row * width + col
                 rank = 0
-                for j in range(first[cell], ends[cell]):
-                    if component[j] == -1:
+                for j in range(first_surface[cell], end_surface[cell]):
+                    if component_of_surface[j] == -1:
                         continue
                     root = j
-                    while component[root] < -1 and component[root] != -2 - root:
-                        root = -2 - component[root]
-                    if component[root] < -1:  # the root has no number yet
-                        n = offset + num
-                        if n == lowest.shape[0]:
-                            return k
-                        measures[n, :] = 0
-                        lowest[n] = z[j]
+                    while (
+                        component_of_surface[root] < -1 and component_of_surface[root] != -2 - root
+                    ):
+                        root = -2 - component_of_surface[root]
+                    if component_of_surface[root] < -1:  # the root has no number yet
+                        row_index = num_before + num_components
+                        if row_index == lowest_z.shape[0]:
+                            return block_index
+                        measures[row_index, :] = 0
+                        lowest_z[row_index] = z[j]
                         # surfaces are visited in the order of cells: this is the first one
-                        measures[n, FIRST_SURFACE] = cell * MAX_RANK + min(rank, MAX_RANK - 1)
-                        measures[n, FIRST_ROW] = row
-                        measures[n, FIRST_COL] = col
-                        component[root] = num
-                        num += 1
-                    component[j] = component[root]
-                    n = offset + component[j]
-                    measures[n, NUM_SURFACES] += 1
-                    measures[n, NUM_UNCOVERED] += 1 if surfaces.marks[j] & UNCOVERED else 0
-                    measures[n, FIRST_COL] = min(measures[n, FIRST_COL], col)
-                    measures[n, END_ROW] = row + 1
-                    measures[n, END_COL] = max(measures[n, END_COL], col + 1)
-                    lowest[n] = min(lowest[n], z[j])
+                        measures[row_index, FIRST_SURFACE] = cell * MAX_RANK + min(
+                            rank, MAX_RANK - 1
+                        )
+                        measures[row_index, FIRST_ROW] = row
+                        measures[row_index, FIRST_COL] = col
+                        component_of_surface[root] = num_components
+                        num_components += 1
+                    component_of_surface[j] = component_of_surface[root]
+                    row_index = num_before + component_of_surface[j]
+                    measures[row_index, NUM_SURFACES] += 1
+                    measures[row_index, NUM_UNCOVERED] += 1 if surfaces.flags[j] & UNCOVERED else 0
+                    measures[row_index, FIRST_COL] = min(measures[row_index, FIRST_COL], col)
+                    measures[row_index, END_ROW] = row + 1
+                    measures[row_index, END_COL] = max(measures[row_index, END_COL], col + 1)
+                    lowest_z[row_index] = min(lowest_z[row_index], z[j])
                     rank += 1
-        counts[k] = num
-        offset += num
+        row_counts[block_index] = num_components
+        num_before += num_components
     return end
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin, end):
+def list_pairs(
+    surfaces, group_of_surface, rule, numbering, blocks, row_counts, row_arrays, begin, end
+):
     """Number components over all blocks, and list the pairs of components that meet.
 
     A kernel for `navbake.baker.core.blocks.list_rows`. It lists the pairs that meet inside of
@@ -280,90 +305,129 @@ def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin,
 
     Args:
         surfaces: the surfaces of all cells, as `Surfaces`.
-        group: the group of each surface, see `label_blocks`.
+        group_of_surface: the group of each surface, see `label_blocks`.
         rule: a `JoinRule`: the limits within which surfaces are connected, or else linked.
-        numbering: a `ComponentNumbering`, whose `overall` is written.
+        numbering: a `ComponentNumbering`, whose `overall_number` is written.
         blocks: ids of blocks of cells.
-        counts: receives how many rows each block has.
-        columns: one array that receives the rows, (n, 4) int64: the numbers of two components over
-            all blocks; the kind of the pair, JOINED (only across borders), LINKED or STACKED; and
-            how often they meet.
+        row_counts: receives how many rows each block has.
+        row_arrays: one array that receives the rows, (n, 4) int64: the numbers of two components
+            over all blocks; the kind of the pair, JOINED (only across borders), LINKED or STACKED;
+            and how often they meet.
         begin: index in `blocks` of the first block to list.
         end: index past the last one.
 
     Returns:
         The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    first = surfaces.first
-    ends = surfaces.end
+    first_surface = surfaces.first
+    end_surface = surfaces.end
     z = surfaces.z
     lattice = surfaces.lattice
-    rows = columns[0]
-    num = np.int64(0)
+    rows = row_arrays[0]
+    num_rows = np.int64(0)
     width = lattice.width
     max_rise = _max_rise(rule)
-    component = numbering.in_block
-    offset = numbering.offset
-    number = numbering.overall
-    for k in range(begin, end):
-        num_before = num
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
+    number_in_block = numbering.number_in_block
+    first_number_of_block = numbering.first_number_of_block
+    overall_number = numbering.overall_number
+    for block_index in range(begin, end):
+        num_rows_before = num_rows
+        row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for col in range(col0, col1):
                 cell = row * width + col
-                lower = np.int32(-1)
-                for a in range(first[cell], ends[cell]):
-                    number[a] = -1
-                    if component[a] < 0:
+                lower_number = np.int32(-1)
+                for surface in range(first_surface[cell], end_surface[cell]):
+                    overall_number[surface] = -1
+                    if number_in_block[surface] < 0:
                         continue
-                    number[a] = offset[blocks[k]] + component[a]
-                    if lower >= 0:
-                        row_index = count_row(rows, num_before, num, number[a], lower, STACKED)
+                    overall_number[surface] = (
+                        first_number_of_block[blocks[block_index]] + number_in_block[surface]
+                    )
+                    if lower_number >= 0:
+                        row_index = count_row(
+                            rows,
+                            num_rows_before,
+                            num_rows,
+                            overall_number[surface],
+                            lower_number,
+                            STACKED,
+                        )
                         if row_index < 0:
-                            return k
-                        num = max(num, row_index + 1)
-                    lower = number[a]
+                            return block_index
+                        num_rows = max(num_rows, row_index + 1)
+                    lower_number = overall_number[surface]
                 for direction in range(2):
-                    at_border = col == col1 - 1 if direction == EAST else row == row1 - 1
-                    if not at_border and rule.link_step < 0.0:
+                    is_at_border = col == col1 - 1 if direction == EAST else row == row1 - 1
+                    if not is_at_border and rule.max_link_step < 0.0:
                         continue
                     if (col == width - 1) if direction == EAST else (row == lattice.height - 1):
                         continue
                     neighbor = cell + (1 if direction == EAST else width)
                     neighbor_block = block_of(lattice, row + direction, col + 1 - direction)
-                    neighbor_offset = offset[neighbor_block]
-                    low = first[neighbor]
-                    last = ends[neighbor]
-                    for a in range(first[cell], ends[cell]):
-                        if component[a] < 0:
+                    neighbor_offset = first_number_of_block[neighbor_block]
+                    first_near = first_surface[neighbor]
+                    stop = end_surface[neighbor]
+                    for surface in range(first_surface[cell], end_surface[cell]):
+                        if number_in_block[surface] < 0:
                             continue
                         # heights ascend in both cells, so `low` only moves up
-                        while low < last and z[low] < z[a] - max_rise:
-                            low += 1
-                        for b in range(low, last):
-                            if z[b] > z[a] + max_rise:
+                        while first_near < stop and z[first_near] < z[surface] - max_rise:
+                            first_near += 1
+                        for neighbor_surface in range(first_near, stop):
+                            if z[neighbor_surface] > z[surface] + max_rise:
                                 break
-                            if component[b] < 0:
+                            if number_in_block[neighbor_surface] < 0:
                                 continue
-                            if not at_border and component[a] == component[b]:
+                            if (
+                                not is_at_border
+                                and number_in_block[surface] == number_in_block[neighbor_surface]
+                            ):
                                 continue
-                            joined = _are_joined(surfaces, group, rule, a, b, direction)
-                            is_too_high = abs(z[a] - z[b]) > rule.link_step + LIMIT_SLACK
+                            is_joined = _are_joined(
+                                surfaces,
+                                group_of_surface,
+                                rule,
+                                surface,
+                                neighbor_surface,
+                                direction,
+                            )
+                            is_too_high = (
+                                abs(z[surface] - z[neighbor_surface])
+                                > rule.max_link_step + LIMIT_SLACK
+                            )
                             # inside of a block, connected surfaces are one component already
-                            if (not at_border) if joined else is_too_high:
+                            if (not is_at_border) if is_joined else is_too_high:
                                 continue
-                            kind = JOINED if joined else LINKED
-                            second = neighbor_offset + component[b]
-                            row_index = count_row(rows, num_before, num, number[a], second, kind)
+                            pair_kind = JOINED if is_joined else LINKED
+                            neighbor_number = neighbor_offset + number_in_block[neighbor_surface]
+                            row_index = count_row(
+                                rows,
+                                num_rows_before,
+                                num_rows,
+                                overall_number[surface],
+                                neighbor_number,
+                                pair_kind,
+                            )
                             if row_index < 0:
-                                return k
-                            num = max(num, row_index + 1)
-        counts[k] = num - num_before
+                                return block_index
+                            num_rows = max(num_rows, row_index + 1)
+        row_counts[block_index] = num_rows - num_rows_before
     return end
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def cross_tabulate(surfaces, label, second_label, level, blocks, counts, columns, begin, end):
+def cross_tabulate(
+    surfaces,
+    label_of_surface,
+    second_label_of_surface,
+    level_of_surface,
+    blocks,
+    row_counts,
+    row_arrays,
+    begin,
+    end,
+):
     """Count how many surfaces have the same two labels and the same level, or height.
 
     The surfaces of ``blocks[begin:end]`` are counted, except those with a negative first label or
@@ -371,38 +435,52 @@ def cross_tabulate(surfaces, label, second_label, level, blocks, counts, columns
 
     Args:
         surfaces: the surfaces of all cells, as `Surfaces`.
-        label: the first label of each surface, such as the number of its component, int32.
-        second_label: the second label of each surface, int32.
-        level: the level of each surface, int32; if empty, surfaces are counted by their heights, in
-            bins of `height_bin`, instead of by level.
+        label_of_surface: the first label of each surface, such as the number of its component,
+            int32.
+        second_label_of_surface: the second label of each surface, int32.
+        level_of_surface: the level of each surface, int32; if empty, surfaces are counted by their
+            heights, in bins of `height_bin`, instead of by level.
         blocks: ids of blocks of cells.
-        counts: receives how many rows each block has.
-        columns: two arrays that receive the rows: the two labels, the level or height bin, and the
-            number of surfaces, (n, 4) int64; and the lowest height of these surfaces, (n,) float64
-            [m].
+        row_counts: receives how many rows each block has.
+        row_arrays: two arrays that receive the rows: the two labels, the level or height bin, and
+            the number of surfaces, (n, 4) int64; and the lowest height of these surfaces, (n,)
+            float64 [m].
         begin: index in `blocks` of the first block to count.
         end: index past the last one.
 
     Returns:
         The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    rows, lowest = columns
-    num = np.int64(0)
+    rows, lowest_z = row_arrays
+    num_rows = np.int64(0)
     lattice = surfaces.lattice
-    for k in range(begin, end):
-        num_before = num
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
+    for block_index in range(begin, end):
+        num_rows_before = num_rows
+        row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
-                    if label[j] < 0 or (level.shape[0] > 0 and level[j] == -1):
+                    if label_of_surface[j] < 0 or (
+                        level_of_surface.shape[0] > 0 and level_of_surface[j] == -1
+                    ):
                         continue
                     z = surfaces.z[j]
-                    third = np.int64(level[j]) if level.shape[0] > 0 else height_bin(z)
-                    row_index = count_row(rows, num_before, num, label[j], second_label[j], third)
+                    level_or_bin = (
+                        np.int64(level_of_surface[j])
+                        if level_of_surface.shape[0] > 0
+                        else height_bin(z)
+                    )
+                    row_index = count_row(
+                        rows,
+                        num_rows_before,
+                        num_rows,
+                        label_of_surface[j],
+                        second_label_of_surface[j],
+                        level_or_bin,
+                    )
                     if row_index < 0:
-                        return k
-                    lowest[row_index] = min(lowest[row_index], z) if row_index < num else z
-                    num = max(num, row_index + 1)
-        counts[k] = num - num_before
+                        return block_index
+                    lowest_z[row_index] = min(lowest_z[row_index], z) if row_index < num_rows else z
+                    num_rows = max(num_rows, row_index + 1)
+        row_counts[block_index] = num_rows - num_rows_before
     return end

@@ -54,62 +54,73 @@ def grow_floors(
     Returns:
         The floors, the lowest level first.
     """
-    labelled = regions.label_surfaces(is_growth_barrier)
+    labelled_surfaces = regions.label_surfaces(is_growth_barrier)
     return [
         grow_level(
-            labelled, assignment.preliminary_level, assignment.final_level, level_number, agent
+            labelled_surfaces,
+            assignment.preliminary_level,
+            assignment.final_level,
+            level_number,
+            agent,
         )
         for level_number in range(len(assignment.grounds))
     ]
 
 
 def grow_level(
-    labelled: LabelledSurfaces,
-    level: Int32,
+    labelled_surfaces: LabelledSurfaces,
+    preliminary_level: Int32,
     final_level: Int,
-    grown_level: int,
+    level_number: int,
     agent: AgentSettings,
 ) -> GrownFloor:
     """Find the floor of one level: where an agent can stand, and where it goes on under things.
 
     Args:
-        labelled: all surfaces; those labelled with a region are surfaces that floors don't grow
-            onto.
-        level: the preliminary number of each surface's level, see
+        labelled_surfaces: all surfaces; those labelled with a region are surfaces that floors don't
+            grow onto.
+        preliminary_level: the preliminary number of each surface's level, see
             `LevelAssignment.preliminary_level`.
         final_level: the final number for each preliminary one, see `LevelAssignment.final_level`.
-        grown_level: the final number of the level whose floor is found.
+        level_number: the final number of the level whose floor is found.
         agent: the agent, of which the height and step are used.
     """
-    surfaces = labelled.surfaces
+    surfaces = labelled_surfaces.surfaces
     num_cells = surfaces.lattice.width * surfaces.lattice.height
-    state = GrowthState(
+    growth_state = GrowthState(
         surfaces=surfaces,
-        level=level,
+        preliminary_level=preliminary_level,
         final_level=final_level,
-        grown_level=grown_level,
-        height=agent.height,
-        step=agent.traversable_floor_height,
-        floor=np.empty(num_cells),
-        ring=np.empty(num_cells, dtype=np.int32),
-        option=np.empty(len(surfaces.z), dtype=np.uint8),
+        level_number=level_number,
+        agent_height=agent.height,
+        max_step=agent.traversable_floor_height,
+        floor_height=np.empty(num_cells),
+        ring_of_cell=np.empty(num_cells, dtype=np.int32),
+        can_grow=np.empty(len(surfaces.z), dtype=np.uint8),
     )
     blocks = Blocks(surfaces.lattice)
-    _, (open_cells,) = blocks.list_rows(kernels.start_growth, (NO_CELLS,), labelled, state)
+    _, (open_cells,) = blocks.list_rows(
+        kernels.start_growth, (NO_CELLS,), labelled_surfaces, growth_state
+    )
     cells_to_grow = open_cells
     ring_number = 1
     # a ring is the cells that the floor grows into at the same time; all threads grow large rings,
     # one thread grows the small rings after them
     while len(cells_to_grow) >= LEAST_CELLS:
         _, (cells_to_grow,) = list_rows(
-            kernels.grow_ring, cells_to_grow, (NO_CELLS,), state, ring_number, least=LEAST_CELLS
+            kernels.grow_ring,
+            cells_to_grow,
+            (NO_CELLS,),
+            growth_state,
+            ring_number,
+            least=LEAST_CELLS,
         )
         ring_number += 1
-    kernels.grow_remaining_rings(state, ring_number, cells_to_grow)
+    kernels.grow_remaining_rings(growth_state, ring_number, cells_to_grow)
     # cells into which no floor grew
-    not_reached = open_cells[state.ring[open_cells] < NO_FLOOR]
-    state.ring[not_reached] = NO_FLOOR
-    return GrownFloor(state.floor, state.ring)
+    not_reached = open_cells[growth_state.ring_of_cell[open_cells] < NO_FLOOR]
+    growth_state.ring_of_cell[not_reached] = NO_FLOOR
+    return GrownFloor(growth_state.floor_height, growth_state.ring_of_cell)
 
 
 def find_level_links(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:

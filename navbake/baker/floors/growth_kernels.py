@@ -18,11 +18,11 @@ from navbake.baker.floors.surface_kernels import Surfaces, slopes_join
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int, Int32
 
-# Values of `GrowthState.option`
-NO_OPTION = 0  # the floor can't grow at the surface
-OPTION = 1  # the floor can grow at the surface
-LAST_OPTION = 2  # the floor can grow at the surface, but at no higher one of the cell
-# Values of `GrowthState.ring`
+# Values of `GrowthState.can_grow`
+CANNOT_GROW = 0  # the floor can't grow at the surface
+CAN_GROW = 1  # the floor can grow at the surface
+CAN_GROW_NO_HIGHER = 2  # the floor can grow at the surface, but at no higher one of the cell
+# Values of `GrowthState.ring_of_cell`
 NO_FLOOR = -1  # the cell has no floor
 # The floor may still grow into the cell: the value is OPEN_CELL - j, where surface j is the lowest
 # surface of the cell at which the floor can grow
@@ -34,53 +34,54 @@ class GrowthState(NamedTuple):
 
     Attributes:
         surfaces: all surfaces that floors may consist of.
-        level: the preliminary number of each surface's level, negative for none, int32.
+        preliminary_level: the preliminary number of each surface's level, negative for none, int32.
         final_level: for each preliminary number, the level's number when levels without surfaces
             are left out, int64.
-        grown_level: the final number of the level whose floor grows.
-        height: the agent's height [m].
-        step: the highest step [m].
-        floor: the height of the floor in each cell, float64 [m]; NaN where there is none.
-        ring: for each cell, the number of the ring in which its floor grew (0 where an agent can
-            stand), NO_FLOOR or OPEN_CELL - j, int32.
-        option: whether the floor can grow at each surface: NO_OPTION, OPTION or LAST_OPTION, uint8.
-            `start_growth` writes it, for the surfaces of cells in which no agent can stand.
+        level_number: the final number of the level whose floor grows.
+        agent_height: the agent's height [m].
+        max_step: the highest step [m].
+        floor_height: the height of the floor in each cell, float64 [m]; NaN where there is none.
+        ring_of_cell: for each cell, the number of the ring in which its floor grew (0 where an
+            agent can stand), NO_FLOOR or OPEN_CELL - j, int32.
+        can_grow: whether the floor can grow at each surface: CANNOT_GROW, CAN_GROW or
+            CAN_GROW_NO_HIGHER, uint8. `start_growth` writes it, for the surfaces of cells in which
+            no agent can stand.
     """
 
     surfaces: Surfaces
-    level: Int32
+    preliminary_level: Int32
     final_level: Int
-    grown_level: int
-    height: float
-    step: float
-    floor: Float
-    ring: Int32
-    option: NDArray[np.uint8]
+    level_number: int
+    agent_height: float
+    max_step: float
+    floor_height: Float
+    ring_of_cell: Int32
+    can_grow: NDArray[np.uint8]
 
 
 @subkernel(inline="always")
-def _is_option(labelled, state, last, j, lowest, highest):
-    """Return whether the floor may grow at surface j of a cell, see `start_growth`.
+def _can_grow_at(labelled_surfaces, growth_state, stop, surface, lowest_z, highest_z):
+    """Return whether the floor may grow at a surface of a cell, by the rule of `start_growth`.
 
-    `last` is the id past the cell's highest surface. The floor has to lie between the heights
-    `lowest` and `highest` [m].
+    `stop` is the id past the cell's highest surface. The floor has to lie between the heights
+    `lowest_z` and `highest_z` [m].
     """
-    z = state.surfaces.z
-    if state.level[j] >= 0 or not lowest <= z[j] <= highest:
+    z = growth_state.surfaces.z
+    if growth_state.preliminary_level[surface] >= 0 or not lowest_z <= z[surface] <= highest_z:
         return False
-    if region_of_surface(labelled, j) >= 0:
+    if region_of_surface(labelled_surfaces, surface) >= 0:
         return False
-    for i in range(j + 1, last):
-        if z[i] - z[j] > state.step + LIMIT_SLACK:
+    for i in range(surface + 1, stop):
+        if z[i] - z[surface] > growth_state.max_step + LIMIT_SLACK:
             break
         # an agent would walk on the surface above, as on a roof in which a wall's top is hidden
-        if state.level[i] < 0 and region_of_surface(labelled, i) >= 0:
+        if growth_state.preliminary_level[i] < 0 and region_of_surface(labelled_surfaces, i) >= 0:
             return False
     return True
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def start_growth(labelled, state, blocks, counts, columns, begin, end):
+def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays, begin, end):
     """Write a level's floor where an agent can stand, and list the cells into which it may grow.
 
     This is done for the cells of ``blocks[begin:end]``. A labelled region is one that the floor
@@ -94,66 +95,67 @@ def start_growth(labelled, state, blocks, counts, columns, begin, end):
     A kernel for `navbake.baker.core.blocks.list_rows`; each row of its list is a cell.
 
     Args:
-        labelled: a `LabelledSurfaces` with the regions that the floor doesn't grow onto.
-        state: a `GrowthState`, whose `floor`, `ring` and `option` are written.
+        labelled_surfaces: a `LabelledSurfaces` with the regions that the floor doesn't grow onto.
+        growth_state: a `GrowthState`, whose `floor_height`, `ring_of_cell` and `can_grow` are
+            written.
         blocks: ids of blocks of cells.
-        counts: receives how many cells are listed for each block.
-        columns: one array that receives ids of cells, (n,) int64.
+        row_counts: receives how many cells are listed for each block.
+        row_arrays: one array that receives ids of cells, (n,) int64.
         begin: index in `blocks` of the first block.
         end: index past the last one.
 
     Returns:
-        The index in `blocks` of the first block whose cells didn't fit in `columns`; `end` if all
-        did.
+        The index in `blocks` of the first block whose cells didn't fit in `row_arrays`; `end` if
+        all did.
     """
-    (cells,) = columns
-    num = 0
-    surfaces = state.surfaces
-    floor = state.floor
-    ring = state.ring
+    (cells,) = row_arrays
+    num_cells = 0
+    surfaces = growth_state.surfaces
+    floor_height = growth_state.floor_height
+    ring_of_cell = growth_state.ring_of_cell
     lattice = surfaces.lattice
-    option = state.option
-    for k in range(begin, end):
-        num_before = num
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
+    can_grow = growth_state.can_grow
+    for block_index in range(begin, end):
+        num_cells_before = num_cells
+        row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                first = surfaces.first[cell]
-                last = surfaces.end[cell]
-                floor[cell] = math.nan
-                ring[cell] = NO_FLOOR
-                lowest = -math.inf
-                highest = math.inf
-                for j in range(first, last):
-                    if state.level[j] < 0:
+                first_surface = surfaces.first[cell]
+                stop = surfaces.end[cell]
+                floor_height[cell] = math.nan
+                ring_of_cell[cell] = NO_FLOOR
+                lowest_z = -math.inf
+                highest_z = math.inf
+                for j in range(first_surface, stop):
+                    if growth_state.preliminary_level[j] < 0:
                         continue
-                    level = state.final_level[state.level[j]]
+                    level = growth_state.final_level[growth_state.preliminary_level[j]]
                     z = surfaces.z[j]
                     # the floor may grow between the levels below and above, with room for an agent
-                    if level == state.grown_level:
-                        floor[cell] = z
-                        ring[cell] = 0
-                    elif level < state.grown_level:
-                        lowest = z + state.height - LIMIT_SLACK
-                    elif highest == math.inf:
-                        highest = z - state.height + LIMIT_SLACK
-                if ring[cell] == 0:
+                    if level == growth_state.level_number:
+                        floor_height[cell] = z
+                        ring_of_cell[cell] = 0
+                    elif level < growth_state.level_number:
+                        lowest_z = z + growth_state.agent_height - LIMIT_SLACK
+                    elif highest_z == math.inf:
+                        highest_z = z - growth_state.agent_height + LIMIT_SLACK
+                if ring_of_cell[cell] == 0:
                     continue
-                last_option = np.int64(-1)
-                for j in range(first, last):
-                    option[j] = NO_OPTION
-                    if _is_option(labelled, state, last, j, lowest, highest):
-                        option[j] = OPTION
-                        if last_option < 0:
-                            ring[cell] = OPEN_CELL - j
-                        last_option = np.int64(j)
-                if last_option >= 0:
-                    if num == cells.shape[0]:
-                        return k
-                    option[last_option] = LAST_OPTION
-                    cells[num] = cell
-                    num += 1
-        counts[k] = num - num_before
+                highest_growable = np.int64(-1)
+                for j in range(first_surface, stop):
+                    can_grow[j] = CANNOT_GROW
+                    if _can_grow_at(labelled_surfaces, growth_state, stop, j, lowest_z, highest_z):
+                        can_grow[j] = CAN_GROW
+                        if highest_growable < 0:
+                            ring_of_cell[cell] = OPEN_CELL - j
+                        highest_growable = np.int64(j)
+                if highest_growable >= 0:
+                    if num_cells == cells.shape[0]:
+                        return block_index
+                    can_grow[highest_growable] = CAN_GROW_NO_HIGHER
+                    cells[num_cells] = cell
+                    num_cells += 1
+        row_counts[block_index] = num_cells - num_cells_before
     return end
 
 
@@ -172,116 +174,136 @@ def _neighbors_of(lattice, cell):
 
 
 @subkernel(**NO_REFCOUNT)
-def _grow_into(state, cell, ring_number):
+def _grow_into(growth_state, cell, ring_number):
     """Let the floor grow into a cell, if it can; return whether it did.
 
-    Of the cell's surfaces at which the floor can grow, see `GrowthState.option`, it grows at the
+    Of the cell's surfaces at which the floor can grow, see `GrowthState.can_grow`, it grows at the
     one nearest in height to a neighbor's floor; of two equally near, at the lower one. The
     neighbor must have got its floor in a ring before `ring_number`, and the heights may differ by
     at most a step. Nothing grows into a cell that has a floor already.
     """
-    z = state.surfaces.z
-    floor = state.floor
-    ring = state.ring
-    option = state.option
+    z = growth_state.surfaces.z
+    floor_height = growth_state.floor_height
+    ring_of_cell = growth_state.ring_of_cell
+    can_grow = growth_state.can_grow
     # read once, as other threads may grow the same floor into the cell
-    first = OPEN_CELL - ring[cell]
+    first_growable = OPEN_CELL - ring_of_cell[cell]
     nearest_z = math.nan
-    least_gap = state.step + LIMIT_SLACK
-    if first < 0:
+    least_difference = growth_state.max_step + LIMIT_SLACK
+    if first_growable < 0:
         return False
-    for neighbor in _neighbors_of(state.surfaces.lattice, cell):
-        if neighbor < 0 or not 0 <= ring[neighbor] < ring_number:
+    for neighbor in _neighbors_of(growth_state.surfaces.lattice, cell):
+        if neighbor < 0 or not 0 <= ring_of_cell[neighbor] < ring_number:
             continue
-        j = first
+        surface = first_growable
         while True:
-            gap = abs(z[j] - floor[neighbor]) if option[j] != NO_OPTION else math.inf
+            difference = (
+                abs(z[surface] - floor_height[neighbor])
+                if can_grow[surface] != CANNOT_GROW
+                else math.inf
+            )
             # gaps within SAME_HEIGHT are equal; then the lower surface counts
-            is_nearer = gap < least_gap - SAME_HEIGHT
-            if is_nearer or (gap <= least_gap + SAME_HEIGHT and z[j] < nearest_z):
-                nearest_z = z[j]
-                least_gap = min(gap, least_gap)
-            elif math.isnan(nearest_z) and gap <= least_gap:
-                nearest_z = z[j]
-                least_gap = gap
+            is_nearer = difference < least_difference - SAME_HEIGHT
+            if is_nearer or (
+                difference <= least_difference + SAME_HEIGHT and z[surface] < nearest_z
+            ):
+                nearest_z = z[surface]
+                least_difference = min(difference, least_difference)
+            elif math.isnan(nearest_z) and difference <= least_difference:
+                nearest_z = z[surface]
+                least_difference = difference
             # the floor can't grow at the cell's higher surfaces
-            if option[j] == LAST_OPTION:
+            if can_grow[surface] == CAN_GROW_NO_HIGHER:
                 break
-            j += 1
+            surface += 1
     if math.isnan(nearest_z):
         return False
-    floor[cell] = nearest_z
-    ring[cell] = ring_number
+    floor_height[cell] = nearest_z
+    ring_of_cell[cell] = ring_number
     return True
 
 
 @subkernel(**NO_REFCOUNT)
-def _list_open_neighbors(state, cell, cells, num):
+def _list_open_neighbors(growth_state, cell, cells, num_cells):
     """Append a cell's neighbors into which a floor may still grow; return the new number of cells.
 
-    `cells` receives them from index `num` on.
+    `cells` receives them from index `num_cells` on.
     """
-    for neighbor in _neighbors_of(state.surfaces.lattice, cell):
-        if neighbor >= 0 and state.ring[neighbor] < NO_FLOOR:
-            cells[num] = neighbor
-            num += 1
-    return num
+    for neighbor in _neighbors_of(growth_state.surfaces.lattice, cell):
+        if neighbor >= 0 and growth_state.ring_of_cell[neighbor] < NO_FLOOR:
+            cells[num_cells] = neighbor
+            num_cells += 1
+    return num_cells
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def grow_ring(state, ring_number, front, counts, columns, begin, end):
-    """Let the floor grow into the cells ``front[begin:end]``, and list cells for the next ring.
+def grow_ring(growth_state, ring_number, cells_to_grow, row_counts, row_arrays, begin, end):
+    """Let the floor grow into some cells, and list the cells into which it may grow next.
 
-    These are the neighbors of the cells into which the floor grew; a neighbor may be listed several
-    times. The result depends neither on the order of cells nor on threads, as a ring reads only the
-    floors of earlier rings. This is a kernel for `navbake.baker.core.blocks.list_rows`.
+    The floor grows into ``cells_to_grow[begin:end]``. Listed are the neighbors of the cells into
+    which it grew; a neighbor may be listed several times. The result depends neither on the order
+    of cells nor on threads, as a ring reads only the floors of earlier rings. This is a kernel for
+    `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        state: a `GrowthState`: the growing floor, which is changed.
+        growth_state: a `GrowthState`: the growing floor, which is changed.
         ring_number: the number of the ring, from 1.
-        front: ids of the cells into which the floor may grow in this ring, int64.
-        counts: receives, for each cell of `front`, how many of its neighbors are listed.
-        columns: one array that receives ids of cells, (n,) int64.
-        begin: index in `front` of the first cell.
+        cells_to_grow: ids of the cells into which the floor may grow in this ring, int64.
+        row_counts: receives, for each cell of `cells_to_grow`, how many of its neighbors are
+            listed.
+        row_arrays: one array that receives ids of cells, (n,) int64.
+        begin: index in `cells_to_grow` of the first cell.
         end: index past the last one.
 
     Returns:
-        The index in `front` of the first cell whose rows had no room; `end` if all had room.
+        The index in `cells_to_grow` of the first cell whose rows had no room; `end` if all had
+        room.
     """
-    (cells,) = columns
-    num = 0
-    for k in range(begin, end):
-        num_before = num
+    (cells,) = row_arrays
+    num_cells = 0
+    for index in range(begin, end):
+        num_cells_before = num_cells
         # a cell has up to four neighbors to list
-        if num + 4 > cells.shape[0]:
-            return k
-        if _grow_into(state, front[k], ring_number):
-            num = _list_open_neighbors(state, front[k], cells, num)
-        counts[k] = num - num_before
+        if num_cells + 4 > cells.shape[0]:
+            return index
+        if _grow_into(growth_state, cells_to_grow[index], ring_number):
+            num_cells = _list_open_neighbors(growth_state, cells_to_grow[index], cells, num_cells)
+        row_counts[index] = num_cells - num_cells_before
     return end
 
 
 @kernel(nogil=True)
-def grow_remaining_rings(state, ring_number, front):
+def grow_remaining_rings(growth_state, ring_number, cells_to_grow):
     """Let the floor grow ring by ring, until it can't grow any more.
 
     Args:
-        state: a `GrowthState`: the growing floor, which is changed.
+        growth_state: a `GrowthState`: the growing floor, which is changed.
         ring_number: the number of the first of these rings.
-        front: ids of the cells into which the floor may grow in that ring, int64.
+        cells_to_grow: ids of the cells into which the floor may grow in that ring, int64.
     """
-    while front.shape[0] > 0:
-        next_front = np.empty(4 * front.shape[0], np.int64)
-        num = 0
-        for cell in front:
-            if _grow_into(state, cell, ring_number):
-                num = _list_open_neighbors(state, cell, next_front, num)
-        front = next_front[:num]
+    while cells_to_grow.shape[0] > 0:
+        next_cells = np.empty(4 * cells_to_grow.shape[0], np.int64)
+        num_next = 0
+        for cell in cells_to_grow:
+            if _grow_into(growth_state, cell, ring_number):
+                num_next = _list_open_neighbors(growth_state, cell, next_cells, num_next)
+        cells_to_grow = next_cells[:num_next]
         ring_number += 1
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def list_links(surfaces, level, final_level, step, by_slopes, blocks, counts, columns, begin, end):
+def list_links(
+    surfaces,
+    preliminary_level,
+    final_level,
+    max_step,
+    by_slopes,
+    blocks,
+    row_counts,
+    row_arrays,
+    begin,
+    end,
+):
     """List where an agent steps from one level to another, and where only slopes join two cells.
 
     Each cell of ``blocks[begin:end]`` is paired with its eastern and its southern neighbor. This is
@@ -289,63 +311,70 @@ def list_links(surfaces, level, final_level, step, by_slopes, blocks, counts, co
 
     Args:
         surfaces: the surfaces of all cells, as `Surfaces`.
-        level: the preliminary number of each surface's level, negative for none, int32.
+        preliminary_level: the preliminary number of each surface's level, negative for none, int32.
         final_level: the final number of the level for each preliminary number, int64.
-        step: the highest step that the agent takes [m].
+        max_step: the highest step that the agent takes [m].
         by_slopes: whether surfaces that no step joins are also linked where `slopes_join` says so.
         blocks: ids of blocks of cells.
-        counts: receives how many links each block has.
-        columns: one array that receives the links, (n, 4) int64: the lower level and its cell, then
-            the upper level and its cell. The levels may be equal where a slope joins two surfaces
-            that no step joins.
+        row_counts: receives how many links each block has.
+        row_arrays: one array that receives the links, (n, 4) int64: the lower level and its cell,
+            then the upper level and its cell. The levels may be equal where a slope joins two
+            surfaces that no step joins.
         begin: index in `blocks` of the first block.
         end: index past the last one.
 
     Returns:
         The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    (rows,) = columns
-    num = 0
-    first = surfaces.first
-    ends = surfaces.end
+    (rows,) = row_arrays
+    num_rows = 0
+    first_surface = surfaces.first
+    end_surface = surfaces.end
     z = surfaces.z
     lattice = surfaces.lattice
-    max_rise = math.inf if by_slopes else step + LIMIT_SLACK
-    for k in range(begin, end):
-        num_before = num
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
+    max_rise = math.inf if by_slopes else max_step + LIMIT_SLACK
+    for block_index in range(begin, end):
+        num_rows_before = num_rows
+        row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for col in range(col0, col1):
                 cell = row * lattice.width + col
                 for direction, neighbor in enumerate(_neighbors_of(lattice, cell)[:2]):
                     if neighbor < 0:
                         continue
-                    low = first[neighbor]
-                    last = ends[neighbor]
-                    for a in range(first[cell], ends[cell]):
+                    first_near = first_surface[neighbor]
+                    stop = end_surface[neighbor]
+                    for surface in range(first_surface[cell], end_surface[cell]):
                         # heights ascend in both cells, so `low` only moves up
-                        while low < last and z[low] < z[a] - max_rise:
-                            low += 1
-                        for b in range(low, last):
-                            if z[b] > z[a] + max_rise:
+                        while first_near < stop and z[first_near] < z[surface] - max_rise:
+                            first_near += 1
+                        for neighbor_surface in range(first_near, stop):
+                            if z[neighbor_surface] > z[surface] + max_rise:
                                 break
-                            if level[a] < 0 or level[b] < 0:
+                            if (
+                                preliminary_level[surface] < 0
+                                or preliminary_level[neighbor_surface] < 0
+                            ):
                                 continue
-                            level_a = final_level[level[a]]
-                            level_b = final_level[level[b]]
-                            is_step = abs(z[a] - z[b]) <= step + LIMIT_SLACK
-                            is_link = level_a != level_b and is_step
+                            surface_level = final_level[preliminary_level[surface]]
+                            neighbor_level = final_level[preliminary_level[neighbor_surface]]
+                            is_step = (
+                                abs(z[surface] - z[neighbor_surface]) <= max_step + LIMIT_SLACK
+                            )
+                            is_link = surface_level != neighbor_level and is_step
                             if by_slopes and not is_link:
-                                is_link = slopes_join(surfaces, a, b, direction, step)
+                                is_link = slopes_join(
+                                    surfaces, surface, neighbor_surface, direction, max_step
+                                )
                             if not is_link:
                                 continue
-                            if num == rows.shape[0]:
-                                return k
-                            is_b_lower = level_b < level_a
-                            rows[num, 0] = min(level_a, level_b)
-                            rows[num, 1] = neighbor if is_b_lower else cell
-                            rows[num, 2] = max(level_a, level_b)
-                            rows[num, 3] = cell if is_b_lower else neighbor
-                            num += 1
-        counts[k] = num - num_before
+                            if num_rows == rows.shape[0]:
+                                return block_index
+                            is_neighbor_lower = neighbor_level < surface_level
+                            rows[num_rows, 0] = min(surface_level, neighbor_level)
+                            rows[num_rows, 1] = neighbor if is_neighbor_lower else cell
+                            rows[num_rows, 2] = max(surface_level, neighbor_level)
+                            rows[num_rows, 3] = cell if is_neighbor_lower else neighbor
+                            num_rows += 1
+        row_counts[block_index] = num_rows - num_rows_before
     return end

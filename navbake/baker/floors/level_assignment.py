@@ -166,7 +166,7 @@ class SurfaceLevels(NamedTuple):
         grounds: the heights at which levels begin, ascending [m].
         skips_floors: whether floors rather than stairs are left out, in columns with more surfaces
             of floors and stairs than there are levels.
-        level_of_surface: the level of each surface, see `assign_columns`, int32.
+        level_of_surface: the level of each surface, see `assign_surfaces_to_levels`, int32.
         component_levels: how many surfaces each component has on each level.
     """
 
@@ -279,7 +279,7 @@ def assign_levels(
     return _drop_empty_levels(regions, surface_levels, name_of_ground, without_level)
 
 
-def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Candidates:
+def _find_stairs(regions: Regions, group: NDArray[np.int8], max_step: float) -> Candidates:
     """Find which of the surfaces to assign belong to stairs and ramps.
 
     A plateau is a set of connected surfaces at one height: a tread, a landing, a piece of a ramp,
@@ -291,12 +291,12 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Cand
     Args:
         regions: all regions.
         group: 0 for each surface to assign, else -1, shape (surfaces,), int8.
-        step: the highest step [m].
+        max_step: the highest step [m].
 
     Returns:
         The surfaces to assign, their plateaus, and which plateaus belong to stairs.
     """
-    plateau_rule = JoinRule(min(step, HEIGHT_BIN), link_step=step)
+    plateau_rule = JoinRule(min(max_step, HEIGHT_BIN), max_link_step=max_step)
     components = find_components(regions.surfaces, plateau_rule, group.astype(np.int32))
     plateau_of_component = components.merge()
     num_plateaus = int(plateau_of_component.max(initial=-1)) + 1
@@ -317,7 +317,7 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Cand
     plateau_height = np.full(num_plateaus, np.inf)
     np.minimum.at(plateau_height, plateau_of_row, lowest_z)
 
-    half_step = max(step, HEIGHT_BIN) / 2
+    half_step = max(max_step, HEIGHT_BIN) / 2
     floor_area = _count_near_height(region_of_row, bin_of_row, num_surfaces, half_step)
     plateau_area = np.zeros(num_plateaus, dtype=np.int64)
     np.maximum.at(plateau_area, plateau_of_row, floor_area)
@@ -488,7 +488,7 @@ def _assign_surfaces(
     regions = assignment_input.regions
     level = np.empty(len(regions.surfaces.z), dtype=np.int32)
     _, (histogram_rows, lowest_z) = regions.blocks.list_rows(
-        kernels.assign_columns,
+        kernels.assign_surfaces_to_levels,
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
         assignment_input.candidates,
@@ -546,11 +546,11 @@ def _move_grounds_down_once(
     """
     regions = assignment_input.regions
     candidates = assignment_input.candidates
-    step = assignment_input.agent.traversable_floor_height
+    max_step = assignment_input.agent.traversable_floor_height
     grounds = surface_levels.grounds
 
     # the connected parts of each level
-    rule = JoinRule(step, link_step=step)
+    rule = JoinRule(max_step, max_link_step=max_step)
     components = find_components(regions.surfaces, rule, surface_levels.level_of_surface)
     part_of_component = components.merge()
     num_parts = int(part_of_component.max(initial=-1)) + 1
@@ -559,7 +559,7 @@ def _move_grounds_down_once(
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
         components.number,
-        candidates.component,
+        candidates.component_of_surface,
         surface_levels.level_of_surface,
     )
     part_of_row = part_of_component[histogram_rows[:, 0]]
@@ -582,7 +582,7 @@ def _move_grounds_down_once(
         steps_elsewhere = from_part[is_from_below & ~is_to_level]
         leads_to_level = np.bincount(steps_to_level, minlength=num_parts) > 0
         leads_elsewhere = np.bincount(steps_elsewhere, minlength=num_parts) > 0
-        is_near = lowest_of_part >= grounds[level_number] - step - LIMIT_SLACK
+        is_near = lowest_of_part >= grounds[level_number] - max_step - LIMIT_SLACK
         belongs_to_level = has_floor & leads_to_level & ~leads_elsewhere & is_near
         if belongs_to_level.any():
             lowest_part = round(float(lowest_of_part[belongs_to_level].min()), GROUND_DECIMALS)
@@ -607,7 +607,9 @@ def _resolve_full_columns(
         The levels of all surfaces, and a summary of what is left out, region by region.
     """
     regions = assignment_input.regions
-    walkable_areas = _find_walkable_areas(assignment_input, assignment_input.candidates.group)
+    walkable_areas = _find_walkable_areas(
+        assignment_input, assignment_input.candidates.group_of_surface
+    )
     while True:
         regions_without_level = _list_regions_without_level(regions, surface_levels)
         if _are_dispensable(
@@ -680,7 +682,7 @@ def _choose_extra_ground(
         return max(grounds) + EXTRA_LEVEL_RISE
     candidate_heights = []
     for region_surfaces in regions_without_level:
-        is_candidate = candidates.group[region_surfaces.surface_id] >= 0
+        is_candidate = candidates.group_of_surface[region_surfaces.surface_id] >= 0
         candidate_heights.append(region_surfaces.z[is_candidate])
     candidate_z = np.concatenate(candidate_heights)
     # above each ground below the surface
@@ -726,7 +728,7 @@ def _are_dispensable(
         is_left_out[region_surfaces.cell[has_no_level]] = True
         if is_large_enough(lattice, size_limits, is_left_out):
             return False
-    candidate_group = assignment_input.candidates.group
+    candidate_group = assignment_input.candidates.group_of_surface
     remaining_group = np.where(
         surface_levels.level_of_surface <= NO_FREE_LEVEL, np.int8(-1), candidate_group
     )

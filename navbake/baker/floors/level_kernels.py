@@ -40,15 +40,16 @@ class Candidates(NamedTuple):
     """Which surfaces are to be assigned to levels, and which of them belong to stairs.
 
     Attributes:
-        group: for each surface, 0 if it is a candidate, that is to be assigned, else -1, int8.
-        component: for each surface, the number of its component: a tread, a landing, a piece of a
-            ramp or of a floor, or the part of it in one block of cells, int32. Empty if no column
-            has two candidates, as stairs then make no difference.
+        group_of_surface: for each surface, 0 if it is a candidate, that is to be assigned, else -1,
+            int8.
+        component_of_surface: for each surface, the number of its component: a tread, a landing, a
+            piece of a ramp or of a floor, or the part of it in one block of cells, int32. Empty if
+            no column has two candidates, as stairs then make no difference.
         is_stair: for each component, whether it belongs to a stair or a ramp, bool.
     """
 
-    group: NDArray[np.int8]
-    component: Int32
+    group_of_surface: NDArray[np.int8]
+    component_of_surface: Int32
     is_stair: Bool
 
 
@@ -89,47 +90,53 @@ class LevelRule(NamedTuple):
 
 
 @subkernel(inline="always")
-def _is_stair(candidates, j):
-    """Return whether surface j belongs to a stair, by a `Candidates`."""
-    if candidates.component.shape[0] == 0:
+def _is_stair(candidates, surface):
+    """Return whether a surface belongs to a stair, by a `Candidates`."""
+    if candidates.component_of_surface.shape[0] == 0:
         return False
-    return candidates.is_stair[candidates.component[j]]
+    return candidates.is_stair[candidates.component_of_surface[surface]]
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def mark_candidates(labelled, height_ranges, group, has_stacked_candidates, begin, end):
+def mark_candidates(
+    labelled_surfaces, height_ranges, group_of_surface, has_stacked_candidates, begin, end
+):
     """Mark the surfaces that are to be assigned to levels: candidates.
 
     Args:
-        labelled: a `LabelledSurfaces` with the regions whose surfaces are candidates.
+        labelled_surfaces: a `LabelledSurfaces` with the regions whose surfaces are candidates.
         height_ranges: only surfaces in these ranges [low, high) of heights are candidates, (n, 2)
             float64 [m]; if empty, surfaces at all heights.
-        group: receives, for each surface, 0 for a candidate, else -1.
+        group_of_surface: receives, for each surface, 0 for a candidate, else -1.
         has_stacked_candidates: receives, for each block of cells, whether a cell of it has more
             than one candidate.
         begin: id of the first block to mark.
         end: id past the last block.
     """
-    surfaces = labelled.surfaces
-    lattice = labelled.surfaces.lattice
+    surfaces = labelled_surfaces.surfaces
+    lattice = labelled_surfaces.surfaces.lattice
     for block in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, block)
         has_stacked_candidates[block] = False
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                count = 0
+                num_candidates = 0
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
-                    group[j] = -1
-                    if region_of_surface(labelled, j) < 0:
+                    group_of_surface[j] = -1
+                    if region_of_surface(labelled_surfaces, j) < 0:
                         continue
                     is_in_range = height_ranges.shape[0] == 0
-                    for n in range(height_ranges.shape[0]):
-                        if height_ranges[n, 0] <= surfaces.z[j] < height_ranges[n, 1]:
+                    for range_index in range(height_ranges.shape[0]):
+                        if (
+                            height_ranges[range_index, 0]
+                            <= surfaces.z[j]
+                            < height_ranges[range_index, 1]
+                        ):
                             is_in_range = True
                     if is_in_range:
-                        group[j] = 0
-                        count += 1
-                if count > 1:
+                        group_of_surface[j] = 0
+                        num_candidates += 1
+                if num_candidates > 1:
                     has_stacked_candidates[block] = True
 
 
@@ -190,7 +197,7 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, colum
                 is_lowest = True
                 cell = row * lattice.width + col
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
-                    if candidates.group[j] < 0:
+                    if candidates.group_of_surface[j] < 0:
                         continue
                     z = surfaces.z[j]
                     if z >= selection.top or (selection.ground == -math.inf and not is_lowest):
@@ -253,8 +260,8 @@ def count_heights(surfaces, candidates, selection, area_test, blocks, counts, co
 
 
 @subkernel(**NO_REFCOUNT)
-def _assign_base_levels(surfaces, candidates, rule, cell, level):
-    """Write the base level of each surface to assign in a cell, see `assign_columns`.
+def _assign_base_levels(surfaces, candidates, rule, cell, level_of_surface):
+    """Write the base level of each surface to assign in a cell, see `assign_surfaces_to_levels`.
 
     It is the level with the highest ground at or below the surface, else the lowest level. Other
     surfaces of the cell get -1.
@@ -263,27 +270,36 @@ def _assign_base_levels(surfaces, candidates, rule, cell, level):
         How many surfaces are to be assigned if two of them have the same base level, else 0.
     """
     grounds = rule.grounds
-    count = 0
-    base = 0
-    is_shared = False
+    num_candidates = 0
+    base_level = 0
+    has_shared_level = False
     for j in range(surfaces.first[cell], surfaces.end[cell]):
-        level[j] = -1
-        if candidates.group[j] < 0:
+        level_of_surface[j] = -1
+        if candidates.group_of_surface[j] < 0:
             continue
         # grounds and surfaces both ascend, so one pass finds all base levels
-        base_below = base if count > 0 else -1
+        base_level_below = base_level if num_candidates > 0 else -1
         z = surfaces.z[j]
-        while base + 1 < grounds.shape[0] and grounds[base + 1] - rule.tolerance <= z:
-            base += 1
-        level[j] = base
-        count = count + 1
-        is_shared = is_shared or base == base_below
-    return count if is_shared else 0
+        while base_level + 1 < grounds.shape[0] and grounds[base_level + 1] - rule.tolerance <= z:
+            base_level += 1
+        level_of_surface[j] = base_level
+        num_candidates = num_candidates + 1
+        has_shared_level = has_shared_level or base_level == base_level_below
+    return num_candidates if has_shared_level else 0
 
 
 @kernel(nogil=True)
-def assign_columns(
-    surfaces, candidates, rule, component, level, blocks, counts, columns, begin, end
+def assign_surfaces_to_levels(
+    surfaces,
+    candidates,
+    rule,
+    component_of_surface,
+    level_of_surface,
+    blocks,
+    row_counts,
+    row_arrays,
+    begin,
+    end,
 ):
     """Assign surfaces to levels: of the surfaces in one cell's column, at most one to each level.
 
@@ -301,13 +317,14 @@ def assign_columns(
         surfaces: the surfaces of all cells, as `Surfaces`.
         candidates: a `Candidates`: which surfaces to assign, and which of them belong to stairs.
         rule: a `LevelRule`: the grounds of the levels, and how surfaces get to them.
-        component: the component of each surface, see `Regions.components`, int32.
-        level: receives the level of each surface; NO_FREE_LEVEL or NO_FREE_LEVEL_AT_GROUND if all
-            levels are taken; -1 for a surface that is no candidate, int32.
+        component_of_surface: the component of each surface, see `Regions.components`, int32.
+        level_of_surface: receives the level of each surface; NO_FREE_LEVEL or
+            NO_FREE_LEVEL_AT_GROUND if all levels are taken; -1 for a surface that is no candidate,
+            int32.
         blocks: ids of blocks of cells.
-        counts: receives how many rows each block has.
-        columns: two arrays that receive the rows: a component, a 0 without a meaning, a level, and
-            how many surfaces of the component are on it, (n, 4) int64; and the lowest height of
+        row_counts: receives how many rows each block has.
+        row_arrays: two arrays that receive the rows: a component, a 0 without a meaning, a level,
+            and how many surfaces of the component are on it, (n, 4) int64; and the lowest height of
             these surfaces, (n,) float64 [m].
         begin: index in `blocks` of the first block.
         end: index past the last one.
@@ -315,117 +332,137 @@ def assign_columns(
     Returns:
         The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    rows, lowest = columns
-    num = np.int64(0)
+    rows, lowest_z = row_arrays
+    num_rows = np.int64(0)
     lattice = surfaces.lattice
-    for k in range(begin, end):
-        num_before = num
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
+    for block_index in range(begin, end):
+        num_rows_before = num_rows
+        row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                count = _assign_base_levels(surfaces, candidates, rule, cell, level)
-                if count > 0:
-                    _assign_column(surfaces, candidates, rule, cell, level, count)
+                num_to_separate = _assign_base_levels(
+                    surfaces, candidates, rule, cell, level_of_surface
+                )
+                if num_to_separate > 0:
+                    _assign_different_levels(
+                        surfaces, candidates, rule, cell, level_of_surface, num_to_separate
+                    )
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
-                    if level[j] == -1:
+                    if level_of_surface[j] == -1:
                         continue
-                    row_index = count_row(rows, num_before, num, component[j], 0, level[j])
+                    row_index = count_row(
+                        rows,
+                        num_rows_before,
+                        num_rows,
+                        component_of_surface[j],
+                        0,
+                        level_of_surface[j],
+                    )
                     if row_index < 0:
-                        return k
+                        return block_index
                     z = surfaces.z[j]
-                    lowest[row_index] = min(lowest[row_index], z) if row_index < num else z
-                    num = max(num, row_index + 1)
-        counts[k] = num - num_before
+                    lowest_z[row_index] = min(lowest_z[row_index], z) if row_index < num_rows else z
+                    num_rows = max(num_rows, row_index + 1)
+        row_counts[block_index] = num_rows - num_rows_before
     return end
 
 
 @subkernel
-def _assign_column(surfaces, candidates, rule, cell, level, count):
+def _assign_different_levels(surfaces, candidates, rule, cell, level_of_surface, num_candidates):
     """Give different levels to a cell's surfaces that have the same base level.
 
-    See `assign_columns`, which takes the same arguments.
+    By the rule of `assign_surfaces_to_levels`: floors move as little as possible.
 
     Args:
         surfaces: the surfaces of all cells, as `Surfaces`.
         candidates: a `Candidates`: which surfaces are to be assigned to levels.
         rule: a `LevelRule`: the grounds of the levels, and how surfaces get to them.
         cell: the id of the cell.
-        level: the base level of each surface, which its level replaces.
-        count: how many surfaces of the cell are to be assigned.
+        level_of_surface: the base level of each surface, which its level replaces.
+        num_candidates: how many surfaces of the cell are to be assigned.
     """
     num_levels = rule.grounds.shape[0]
-    num = 0
-    surface_ids = np.empty(count, np.int64)
-    base = np.empty(count, np.int64)
-    aligned = np.empty(count, np.int64)
-    move_cost = np.empty(count, np.int64)
-    skip_cost = np.empty(count, np.int64)
-    skip_floors = rule.skip_floors and count > num_levels
-    for j in range(surfaces.first[cell], surfaces.end[cell]):
-        if candidates.group[j] >= 0:
-            is_stair = _is_stair(candidates, j)
-            surface_ids[num] = j
-            base[num] = level[j]
-            move_cost[num] = MOVE_STAIR if is_stair or skip_floors else MOVE_FLOOR
-            skip_cost[num] = SKIP_STAIR if is_stair != skip_floors else SKIP_FLOOR
+    num_listed = 0
+    surface_ids = np.empty(num_candidates, np.int64)
+    base_level = np.empty(num_candidates, np.int64)
+    aligned_level = np.empty(num_candidates, np.int64)
+    move_cost = np.empty(num_candidates, np.int64)
+    skip_cost = np.empty(num_candidates, np.int64)
+    skip_floors = rule.skip_floors and num_candidates > num_levels
+    for surface in range(surfaces.first[cell], surfaces.end[cell]):
+        if candidates.group_of_surface[surface] >= 0:
+            is_stair = _is_stair(candidates, surface)
+            surface_ids[num_listed] = surface
+            base_level[num_listed] = level_of_surface[surface]
+            move_cost[num_listed] = MOVE_STAIR if is_stair or skip_floors else MOVE_FLOOR
+            skip_cost[num_listed] = SKIP_STAIR if is_stair != skip_floors else SKIP_FLOOR
             # upper surfaces cost more to skip, so that lower floors are left out first
-            skip_cost[num] += num if skip_floors else 0
-            num += 1
-    _align_with_levels(base, move_cost, skip_cost, num_levels, aligned)
-    is_taken = np.zeros(num_levels, np.bool_)
-    for n in range(count):
-        if aligned[n] >= 0:
-            is_taken[aligned[n]] = True
+            skip_cost[num_listed] += num_listed if skip_floors else 0
+            num_listed += 1
+    _align_with_levels(base_level, move_cost, skip_cost, num_levels, aligned_level)
+    is_level_taken = np.zeros(num_levels, np.bool_)
+    for index in range(num_candidates):
+        if aligned_level[index] >= 0:
+            is_level_taken[aligned_level[index]] = True
     # skipped surfaces take free levels, the nearest first, above before below
-    for n in range(count):
-        for distance in range(1, num_levels):
-            for near_level in (base[n] + distance, base[n] - distance):
-                if aligned[n] < 0 and 0 <= near_level < num_levels and not is_taken[near_level]:
-                    aligned[n] = near_level
-                    is_taken[near_level] = True
-        j = surface_ids[n]
-        level[j] = aligned[n] if aligned[n] >= 0 else NO_FREE_LEVEL
+    for index in range(num_candidates):
+        for num_levels_away in range(1, num_levels):
+            for near_level in (
+                base_level[index] + num_levels_away,
+                base_level[index] - num_levels_away,
+            ):
+                if (
+                    aligned_level[index] < 0
+                    and 0 <= near_level < num_levels
+                    and not is_level_taken[near_level]
+                ):
+                    aligned_level[index] = near_level
+                    is_level_taken[near_level] = True
+        surface = surface_ids[index]
+        level_of_surface[surface] = (
+            aligned_level[index] if aligned_level[index] >= 0 else NO_FREE_LEVEL
+        )
         for ground in rule.grounds:
-            if aligned[n] < 0 and abs(surfaces.z[j] - ground) <= LIMIT_SLACK:
-                level[j] = NO_FREE_LEVEL_AT_GROUND
+            if aligned_level[index] < 0 and abs(surfaces.z[surface] - ground) <= LIMIT_SLACK:
+                level_of_surface[surface] = NO_FREE_LEVEL_AT_GROUND
 
 
 @subkernel
-def _align_with_levels(base, move_cost, skip_cost, num_levels, level):
+def _align_with_levels(base_level, move_cost, skip_cost, num_levels, aligned_level):
     """Distribute a column's surfaces over the levels at the least cost, by dynamic programming.
 
     The surfaces keep their order: of two, the upper one gets the higher level. Some are skipped.
 
     Args:
-        base: the base level of each surface, see `assign_columns`, ascending.
+        base_level: the base level of each surface, see `assign_surfaces_to_levels`, ascending.
         move_cost: the cost of moving each surface by one level.
         skip_cost: the cost of skipping each surface.
         num_levels: how many levels there are.
-        level: receives the level of each surface, -1 for a surface that is skipped.
+        aligned_level: receives the level of each surface, -1 for a surface that is skipped.
     """
-    count = base.shape[0]
+    num_surfaces = base_level.shape[0]
     # cost[i, k]: the least cost of the first i surfaces on the first k levels
-    cost = np.zeros((count + 1, num_levels + 1), np.int64)
-    for i in range(1, count + 1):
-        move = move_cost[i - 1]
-        skip = skip_cost[i - 1]
-        cost[i, 0] = cost[i - 1, 0] + skip
+    cost = np.zeros((num_surfaces + 1, num_levels + 1), np.int64)
+    for i in range(1, num_surfaces + 1):
+        cost_per_level = move_cost[i - 1]
+        cost_to_skip = skip_cost[i - 1]
+        cost[i, 0] = cost[i - 1, 0] + cost_to_skip
         for k in range(1, num_levels + 1):
             # the i-th surface is on this level, or on a lower one, or is skipped
-            cost_on_level = cost[i - 1, k - 1] + move * abs(k - 1 - base[i - 1])
-            cost[i, k] = min(cost_on_level, cost[i, k - 1], cost[i - 1, k] + skip)
+            cost_on_level = cost[i - 1, k - 1] + cost_per_level * abs(k - 1 - base_level[i - 1])
+            cost[i, k] = min(cost_on_level, cost[i, k - 1], cost[i - 1, k] + cost_to_skip)
     # trace back from the top: at equal costs the upper surface is skipped, not the lower one, and
     # the upper one moves up rather than the lower one down
-    i = count
+    i = num_surfaces
     k = num_levels
     while i > 0:
-        move = move_cost[i - 1]
-        skip = skip_cost[i - 1]
-        if cost[i, k] == cost[i - 1, k] + skip:
-            level[i - 1] = -1
+        cost_per_level = move_cost[i - 1]
+        cost_to_skip = skip_cost[i - 1]
+        if cost[i, k] == cost[i - 1, k] + cost_to_skip:
+            aligned_level[i - 1] = -1
             i -= 1
-        elif cost[i, k] == cost[i - 1, k - 1] + move * abs(k - 1 - base[i - 1]):
-            level[i - 1] = k - 1
+        elif cost[i, k] == cost[i - 1, k - 1] + cost_per_level * abs(k - 1 - base_level[i - 1]):
+            aligned_level[i - 1] = k - 1
             i -= 1
             k -= 1
         else:
@@ -433,32 +470,38 @@ def _align_with_levels(base, move_cost, skip_cost, num_levels, level):
 
 
 @kernel
-def find_largest_areas(lower, upper, area, by_lower, by_upper):
+def find_largest_areas(lower_of_step, upper_of_step, floor_area, steps_by_lower, steps_by_upper):
     """Find the largest floor that is reached from each plateau by going only up, and only down.
 
     A plateau is a tread, a landing, a piece of a ramp, or a floor between thresholds.
 
     Args:
-        lower: the lower plateau of each step between two plateaus, (steps,) int64.
-        upper: the upper plateau of each step, (steps,) int64.
-        area: how many surfaces the floor of each plateau has, (plateaus,) int64.
-        by_lower: indices of the steps, ordered by the height of the lower plateau, (steps,) int64.
-        by_upper: indices of the steps, ordered by the height of the upper plateau, (steps,) int64.
+        lower_of_step: the lower plateau of each step between two plateaus, (steps,) int64.
+        upper_of_step: the upper plateau of each step, (steps,) int64.
+        floor_area: how many surfaces the floor of each plateau has, (plateaus,) int64.
+        steps_by_lower: indices of the steps, ordered by the height of the lower plateau, (steps,)
+            int64.
+        steps_by_upper: indices of the steps, ordered by the height of the upper plateau, (steps,)
+            int64.
 
     Returns:
         For each plateau, the area of the largest floor that is reached by going up, and of the
         largest that is reached by going down, (plateaus,) int64 each, in surfaces; 0 for none.
     """
-    above = np.zeros_like(area)
-    below = np.zeros_like(area)
+    largest_above = np.zeros_like(floor_area)
+    largest_below = np.zeros_like(floor_area)
     # steps in the order of their lower plateaus, the highest first: so all steps up from a plateau
     # are done before the steps that lead up to it
-    for s in by_lower[::-1]:
-        a = lower[s]
-        b = upper[s]
-        above[a] = max(above[a], area[b], above[b])
-    for s in by_upper:
-        a = lower[s]
-        b = upper[s]
-        below[b] = max(below[b], area[a], below[a])
-    return above, below
+    for step_index in steps_by_lower[::-1]:
+        lower_plateau = lower_of_step[step_index]
+        upper_plateau = upper_of_step[step_index]
+        largest_above[lower_plateau] = max(
+            largest_above[lower_plateau], floor_area[upper_plateau], largest_above[upper_plateau]
+        )
+    for step_index in steps_by_upper:
+        lower_plateau = lower_of_step[step_index]
+        upper_plateau = upper_of_step[step_index]
+        largest_below[upper_plateau] = max(
+            largest_below[upper_plateau], floor_area[lower_plateau], largest_below[lower_plateau]
+        )
+    return largest_above, largest_below

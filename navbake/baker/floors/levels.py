@@ -38,7 +38,7 @@ from navbake.baker.floors.reach import (
 )
 from navbake.baker.floors.regions import Patch, describe_regions, find_large_regions, find_regions
 from navbake.baker.floors.rejected import find_rejected_regions, mark_reported_roofs
-from navbake.baker.floors.ridges import RIDGE_WIDTH, clear_marks, find_ridges
+from navbake.baker.floors.ridges import RIDGE_WIDTH, clear_flags, find_ridges
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.geometry.shapes import Shapes
@@ -151,25 +151,25 @@ def find_floors(
             is_occupied=is_occupied,
         )
 
-    context = find_context(surfaces)
-    if not context.regions.num:
+    region_context = find_context(surfaces)
+    if not region_context.regions.num:
         raise SceneError(_explain_no_floor(columns, surfaces, agent))
     if not settings.tops:
-        is_ridge = find_ridges(context, settings.starts)
+        is_ridge = find_ridges(region_context, settings.starts)
         if is_ridge.any():
-            surfaces = clear_marks(surfaces, is_ridge)
-            context = find_context(surfaces)
-            if not context.is_large.any():
+            surfaces = clear_flags(surfaces, is_ridge)
+            region_context = find_context(surfaces)
+            if not region_context.is_large.any():
                 raise SceneError(
                     f"no floor: what is large enough is narrower than {RIDGE_WIDTH:g} m between "
                     f"drops, as tops of walls and beams are; `floors.tops: true` keeps it"
                 )
-    regions = context.regions
-    is_large = context.is_large
+    regions = region_context.regions
+    is_large = region_context.is_large
     rejected = find_rejected_regions(
-        context, level_height_ranges(level_settings or ()), shapes.height_fields
+        region_context, level_height_ranges(level_settings or ()), shapes.height_fields
     )
-    is_start = find_start_regions(context, rejected, settings.starts)
+    is_start = find_start_regions(region_context, rejected, settings.starts)
     is_furniture = rejected.is_top | rejected.is_shelf
     # where agents start is a floor, whatever the rules say
     is_floor = is_large & ~(is_furniture | rejected.is_roof) | is_start
@@ -179,10 +179,10 @@ def find_floors(
             f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
             f"`floors.shrink` if it is a floor"
         )
-    reached = find_reached_levels(context, is_floor, is_start, level_settings)
+    reached = find_reached_levels(region_context, is_floor, is_start, level_settings)
     assignment = reached.assignment
     grown_floors = grow_floors(regions, assignment, is_large | is_start, agent)
-    reported_roofs = mark_reported_roofs(context, rejected.is_roof & ~is_start, is_floor)
+    reported_roofs = mark_reported_roofs(region_context, rejected.is_roof & ~is_start, is_floor)
     enclosed = find_enclosed_floors(surfaces, agent, settings)
     plane_geoms = shapes.planes.geom
     return Floors(
@@ -218,7 +218,7 @@ class ReachedLevels(NamedTuple):
 
 
 def find_reached_levels(
-    context: RegionContext,
+    region_context: RegionContext,
     is_floor: Bool,
     is_start: Bool,
     level_settings: Sequence[LevelSettings] | None,
@@ -229,7 +229,7 @@ def find_reached_levels(
     Otherwise voids are left out, unless `floors.voids` is set or the configuration has levels.
 
     Args:
-        context: all regions, and the hits of all columns.
+        region_context: all regions, and the hits of all columns.
         is_floor: which regions are floors, shape (regions,), bool.
         is_start: the regions on which `floors.from` has agents start, shape (regions,); if none,
             agents start on the largest floor of the lowest level.
@@ -239,9 +239,9 @@ def find_reached_levels(
         SceneError: there is no floor on a level of the configuration, or what the starts reach is
             on none.
     """
-    regions = context.regions
-    settings = context.settings
-    agent = context.agent
+    regions = region_context.regions
+    settings = region_context.settings
+    agent = region_context.agent
     by_steps = settings.reach == "steps"
     has_starts = bool(is_start.any())
     reached = ReachedRegions(is_start, np.zeros_like(is_floor))
@@ -253,12 +253,12 @@ def find_reached_levels(
             is_reached = mark_largest_on_lowest_level(assignment.counts, regions.num)
             reached = reached._replace(is_reached=is_reached)
         if level_settings is None and not settings.voids:
-            reached = find_voids(context, assignment.counts, reached.is_reached, has_starts)
+            reached = find_voids(region_context, assignment.counts, reached.is_reached, has_starts)
     height_ranges = level_height_ranges(level_settings or ())
     for level_number, heights in enumerate(height_ranges):
         if not regions.mark_in_range(is_floor, heights).any():
             raise SceneError(
-                _explain_no_floor_on(level_settings or (), level_number, context.columns)
+                _explain_no_floor_on(level_settings or (), level_number, region_context.columns)
             )
     is_included = is_floor & (reached.is_reached if by_steps else ~reached.is_void)
     if (

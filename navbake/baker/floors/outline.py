@@ -135,7 +135,7 @@ class RegionContext(NamedTuple):
             num_cells_beyond: how many cells beyond an edge to search for lower floors.
         """
         regions = self.regions
-        step = self.agent.traversable_floor_height
+        max_step = self.agent.traversable_floor_height
         is_selected = is_selected_region[self.edges.region]
         cell = self.edges.cell[is_selected]
         edges = RegionEdges(
@@ -147,7 +147,7 @@ class RegionContext(NamedTuple):
             floors_below=np.full((len(cell), num_cells_beyond), np.nan),
             regions_below=np.full((len(cell), num_cells_beyond), -1, dtype=np.int32),
         )
-        labelled = regions.label_surfaces(self.is_large)
+        labelled_surfaces = regions.label_surfaces(self.is_large)
         # edges beyond which, in the cells so far, neither the region began again nor the lattice
         # ended
         open_edges = np.arange(len(cell))
@@ -159,9 +159,9 @@ class RegionContext(NamedTuple):
             open_edges = open_edges[is_inside]
             cells = cells[is_inside]
             # a surface within a step is no drop
-            limits = edges.z[open_edges] - step - LIMIT_SLACK
+            limits = edges.z[open_edges] - max_step - LIMIT_SLACK
             surface_below, regions_below = find_highest_below(
-                labelled, cells, limits, edges.region[open_edges]
+                labelled_surfaces, cells, limits, edges.region[open_edges]
             )
             is_outside = surface_below != SAME_REGION
             open_edges = open_edges[is_outside]
@@ -169,7 +169,7 @@ class RegionContext(NamedTuple):
             edges.cells_beyond[open_edges, k] = cells[is_outside]
             edges.regions_below[open_edges, k] = regions_below[is_outside]
             has_floor = surface_below >= 0
-            floor_heights = labelled.surfaces.z[surface_below[has_floor]]
+            floor_heights = labelled_surfaces.surfaces.z[surface_below[has_floor]]
             edges.floors_below[open_edges[has_floor], k] = floor_heights
         return edges
 
@@ -351,12 +351,15 @@ def make_region_context(
 
 
 def find_highest_below(
-    labelled: LabelledSurfaces, cells: Int, limits: Float, excluded_regions: Int32 | None = None
+    labelled_surfaces: LabelledSurfaces,
+    cells: Int,
+    limits: Float,
+    excluded_regions: Int32 | None = None,
 ) -> tuple[Int, Int32]:
     """Find in each cell the highest surface that lies below a given height.
 
     Args:
-        labelled: all surfaces, and the regions whose surfaces count.
+        labelled_surfaces: all surfaces, and the regions whose surfaces count.
         cells: ids of cells, shape (n,).
         limits: for each cell, the height below which the surface must lie, shape (n,) [m].
         excluded_regions: for each cell, a region that must not have a surface there at any height,
@@ -373,7 +376,7 @@ def find_highest_below(
     run_in_chunks(
         find_surfaces_below,
         len(cells),
-        labelled,
+        labelled_surfaces,
         cells,
         excluded_regions,
         limits,

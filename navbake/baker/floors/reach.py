@@ -70,7 +70,7 @@ class UnreachedFloors:
 
 
 def find_start_regions(
-    context: RegionContext, rejected: RejectedRegions, positions: list[list[float]]
+    region_context: RegionContext, rejected: RejectedRegions, positions: list[list[float]]
 ) -> Bool:
     """Find the regions on which agents start, from the positions of `floors.from`.
 
@@ -81,7 +81,7 @@ def find_start_regions(
     if there is no such floor.
 
     Args:
-        context: all regions with their edges.
+        region_context: all regions with their edges.
         rejected: tops, shelves and roofs, which are floors only if an agent starts on them.
         positions: `floors.from`: x, y, z of each position, world frame [m].
 
@@ -91,12 +91,12 @@ def find_start_regions(
     Raises:
         SceneError: there is no floor at a position.
     """
-    regions = context.regions
+    regions = region_context.regions
     lattice = regions.lattice
     surfaces = regions.surfaces
-    step = context.agent.traversable_floor_height
+    max_step = region_context.agent.traversable_floor_height
     is_small = regions.num_surfaces * lattice.cell_size**2 < LARGE_TOP_AREA
-    may_start = context.is_large & ~rejected.is_shelf & ~(rejected.is_top & is_small)
+    may_start = region_context.is_large & ~rejected.is_shelf & ~(rejected.is_top & is_small)
     is_start = np.zeros(regions.num, dtype=np.bool_)
     for position_number, (x, y, z) in enumerate(positions):
         row, col = lattice.rows_cols([x, y])
@@ -107,7 +107,7 @@ def find_start_regions(
             surface_ids = surface_ids[regions.region_of(surface_ids) >= 0]
         heights = surfaces.z[surface_ids]
         regions_in_column = regions.region_of(surface_ids)
-        regions_below = regions_in_column[heights <= z + step + LIMIT_SLACK]
+        regions_below = regions_in_column[heights <= z + max_step + LIMIT_SLACK]
         if not len(regions_below):
             cell_text = "there is none in that cell"
             if len(heights):
@@ -126,16 +126,18 @@ def find_start_regions(
         elif len(floors_below):
             start_region = int(floors_below[-1])
         else:
-            start_region = _find_floor_beside(context, may_start, int(regions_below[-1]))
+            start_region = _find_floor_beside(region_context, may_start, int(regions_below[-1]))
         is_start[start_region] = True
     return is_start
 
 
-def _find_floor_beside(context: RegionContext, may_start: Bool, furniture_region: int) -> int:
+def _find_floor_beside(
+    region_context: RegionContext, may_start: Bool, furniture_region: int
+) -> int:
     """Find the floor to which most edges of a piece of furniture drop.
 
     Args:
-        context: all regions with their edges.
+        region_context: all regions with their edges.
         may_start: which regions are floors, shape (regions,), bool.
         furniture_region: the id of the region on top of the furniture.
 
@@ -144,13 +146,13 @@ def _find_floor_beside(context: RegionContext, may_start: Bool, furniture_region
     """
     is_furniture = np.arange(len(may_start)) == furniture_region
     context_with_furniture = make_region_context(
-        regions=context.regions,
+        regions=region_context.regions,
         is_large=may_start | is_furniture,
-        columns=context.columns,
-        is_cropped=context.is_cropped,
-        agent=context.agent,
-        settings=context.settings,
-        is_occupied=context.is_occupied,
+        columns=region_context.columns,
+        is_cropped=region_context.is_cropped,
+        agent=region_context.agent,
+        settings=region_context.settings,
+        is_occupied=region_context.is_occupied,
     )
     edges = context_with_furniture.select_edges(
         is_furniture, context_with_furniture.num_cells_beyond
@@ -176,16 +178,16 @@ def mark_largest_on_lowest_level(counts: RegionLevelCounts, num_regions: int) ->
     return is_largest
 
 
-def count_surfaces_below_headroom(context: RegionContext) -> Int:
+def count_surfaces_below_headroom(region_context: RegionContext) -> Int:
     """Count in each region the surfaces with less headroom than an adult needs, `ADULT_HEADROOM`.
 
     Args:
-        context: all regions, and the hits of all columns.
+        region_context: all regions, and the hits of all columns.
 
     Returns:
         How many such surfaces each region has, shape (regions,), int64.
     """
-    regions = context.regions
+    regions = region_context.regions
     surfaces = regions.surfaces
     cells = regions.blocks.cells(np.arange(regions.blocks.num))
     cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
@@ -198,9 +200,9 @@ def count_surfaces_below_headroom(context: RegionContext) -> Int:
         find_blocked_lines,
         len(cell),
         cell,
-        surfaces.z[surface_ids] + context.agent.height - TOUCH_DEPTH,
+        surfaces.z[surface_ids] + region_context.agent.height - TOUCH_DEPTH,
         surfaces.z[surface_ids] + ADULT_HEADROOM,
-        context.columns.columns_at(cell).hits,
+        region_context.columns.columns_at(cell).hits,
         is_low,
         least=MIN_LINES_PER_THREAD,
     )
@@ -221,12 +223,12 @@ class ReachedRegions(NamedTuple):
 
 
 def find_voids(
-    context: RegionContext, counts: RegionLevelCounts, is_reached: Bool, has_starts: bool
+    region_context: RegionContext, counts: RegionLevelCounts, is_reached: Bool, has_starts: bool
 ) -> ReachedRegions:
     """Find the voids: levels that no path leads to and in which nobody can stand upright.
 
     Args:
-        context: all regions, and the hits of all columns.
+        region_context: all regions, and the hits of all columns.
         counts: how many surfaces each region has on each level.
         is_reached: which regions are reached so far, shape (regions,), bool.
         has_starts: whether `floors.from` says where agents start. If not, they start on the largest
@@ -240,13 +242,13 @@ def find_voids(
     # headroom is measured only if some level is not reached at all
     if np.isin(level_numbers, counts.level[is_reached[counts.region]]).all():
         return ReachedRegions(is_reached, is_void)
-    num_with_low_headroom = count_surfaces_below_headroom(context)
+    num_with_low_headroom = count_surfaces_below_headroom(region_context)
     low_levels = []
     for level_number in level_numbers.tolist():
         regions_on_level = np.unique(counts.region[counts.level == level_number])
         if (
             num_with_low_headroom[regions_on_level].sum()
-            / context.regions.num_surfaces[regions_on_level].sum()
+            / region_context.regions.num_surfaces[regions_on_level].sum()
             >= VOID_SHARE
         ):
             low_levels.append(level_number)
@@ -352,7 +354,7 @@ def find_enclosed_floors(
     Returns:
         The floors, the largest first; `Patch.geom` is the mesh or plane around each.
     """
-    is_enclosed = surfaces.marks & ENCLOSED != 0
+    is_enclosed = surfaces.flags & ENCLOSED != 0
     if not is_enclosed.any():
         return []
     # each region is of one mesh or plane

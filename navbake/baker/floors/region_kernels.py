@@ -29,14 +29,14 @@ class LabelledSurfaces(NamedTuple):
 
     Attributes:
         surfaces: all surfaces.
-        component: the component of each surface, -1 for none, int32. A component is the part of a
-            region in one block of cells, see `Components`.
-        region: the region of each component, -1 if the region is not selected, int32.
+        component_of_surface: the component of each surface, -1 for none, int32. A component is the
+            part of a region in one block of cells, see `Components`.
+        region_of_component: the region of each component, -1 if the region is not selected, int32.
     """
 
     surfaces: Surfaces
-    component: Int32
-    region: Int32
+    component_of_surface: Int32
+    region_of_component: Int32
 
 
 class RegionSurfaces(NamedTuple):
@@ -89,7 +89,7 @@ class RegionEdges(NamedTuple):
 
 
 @subkernel(**NO_REFCOUNT)
-def shrink(mask, area_test, remaining):
+def shrink(mask, area_test, is_remaining):
     """Erode a mask by the disc of an area test.
 
     Args:
@@ -97,82 +97,88 @@ def shrink(mask, area_test, remaining):
             each side, int32. It is overwritten: each marked cell gets the number of marked cells in
             a row that end with it, from the left. So one comparison tests a row of the disc.
         area_test: an `AreaTest`, whose disc is used.
-        remaining: receives which cells remain, without the margin, bool.
+        is_remaining: receives which cells remain, without the margin, bool.
     """
     # how many marked cells in a row end with each cell, from the left
     for row in range(mask.shape[0]):
         for col in range(1, mask.shape[1]):
             mask[row, col] *= mask[row, col - 1] + 1
-    for r in range(remaining.shape[0]):
-        for c in range(remaining.shape[1]):
-            remaining[r, c] = True
-            for k in range(area_test.half_widths.shape[0]):
-                half = area_test.half_widths[k]
+    for window_row in range(is_remaining.shape[0]):
+        for window_col in range(is_remaining.shape[1]):
+            is_remaining[window_row, window_col] = True
+            for disc_row in range(area_test.half_widths.shape[0]):
+                half_width = area_test.half_widths[disc_row]
                 # the marked cells that end at the interval's right end have to cover the interval
-                if mask[r + k, c + area_test.radius + half] <= 2 * half:
-                    remaining[r, c] = False
+                if (
+                    mask[window_row + disc_row, window_col + area_test.radius + half_width]
+                    <= 2 * half_width
+                ):
+                    is_remaining[window_row, window_col] = False
                     break
 
 
 @subkernel(inline="always")
-def region_of_surface(labelled, j):
+def region_of_surface(labelled_surfaces, surface):
     """Return the id of a surface's region, or -1 if it belongs to no selected region.
 
     Args:
-        labelled: a `LabelledSurfaces` with the regions.
-        j: the id of the surface.
+        labelled_surfaces: a `LabelledSurfaces` with the regions.
+        surface: the id of the surface.
     """
-    component = labelled.component[j]
-    return labelled.region[component] if component >= 0 else np.int32(-1)
+    component = labelled_surfaces.component_of_surface[surface]
+    return labelled_surfaces.region_of_component[component] if component >= 0 else np.int32(-1)
 
 
 @subkernel(inline="always")
-def _find_surface_below(labelled, row, col, region, limit):
-    """Return the id of the highest surface in a cell that lies below the height `limit` [m].
+def _find_surface_below(labelled_surfaces, row, col, excluded_region, height_limit):
+    """Return the id of the highest surface in a cell that lies below the height `height_limit` [m].
 
-    Surfaces of the regions of `labelled` count. Returns NO_SURFACE if there is none, SAME_REGION if
-    `region` has a surface in the cell, at any height.
+    Surfaces of the regions of `labelled_surfaces` count. Returns NO_SURFACE if there is none,
+    SAME_REGION if `excluded_region` has a surface in the cell, at any height.
     """
-    surfaces = labelled.surfaces
-    highest = NO_SURFACE
+    surfaces = labelled_surfaces.surfaces
+    highest_surface = NO_SURFACE
     cell = row * surfaces.lattice.width + col
     for j in range(surfaces.first[cell], surfaces.end[cell]):
-        cell_region = region_of_surface(labelled, j)
-        if cell_region == region:
+        cell_region = region_of_surface(labelled_surfaces, j)
+        if cell_region == excluded_region:
             return SAME_REGION
-        if cell_region >= 0 and surfaces.z[j] < limit:
-            highest = np.int64(j)
-    return highest
+        if cell_region >= 0 and surfaces.z[j] < height_limit:
+            highest_surface = np.int64(j)
+    return highest_surface
 
 
 @subkernel(**NO_REFCOUNT)
-def _mark_region(labelled, region, window, margin, mask):
+def _mark_region(labelled_surfaces, region, window, margin, mask):
     """Write 1 into a mask at the cells of a region.
 
     Args:
-        labelled: a `LabelledSurfaces` with the region.
+        labelled_surfaces: a `LabelledSurfaces` with the region.
         region: the region's id.
         window: rows and columns of cells, see `block_window`.
         margin: how many cells around the window are marked, too.
         mask: receives the 1, shape (rows + 2 margin, cols + 2 margin); all 0 before.
     """
     row0, row1, col0, col1 = window
-    lattice = labelled.surfaces.lattice
+    lattice = labelled_surfaces.surfaces.lattice
     for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
         for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
-            if _find_surface_below(labelled, row, col, region, -math.inf) == SAME_REGION:
+            if _find_surface_below(labelled_surfaces, row, col, region, -math.inf) == SAME_REGION:
                 mask[row - row0 + margin, col - col0 + margin] = 1
 
 
 @kernel(nogil=True)
-def mark_large_regions(labelled, boxes, regions, start, blocks, area_test, is_large, begin, end):
+def mark_large_regions(
+    labelled_surfaces, boxes, regions, first_block, blocks, area_test, is_large, begin, end
+):
     """Mark the regions of ``regions[begin:end]`` that keep enough cells after shrinking.
 
     Args:
-        labelled: a `LabelledSurfaces` with the regions.
+        labelled_surfaces: a `LabelledSurfaces` with the regions.
         boxes: the rows and columns of each region, see `Regions.box`, (n, 4).
         regions: ids of regions.
-        start: indices into `blocks`: ``regions[n]`` lies in ``blocks[start[n]:start[n + 1]]``.
+        first_block: indices into `blocks`: ``regions[n]`` lies in ``blocks[start[n]:start[n +
+            1]]``.
         blocks: ids of blocks of cells, region by region.
         area_test: an `AreaTest`: the disc to shrink by, and how many cells have to remain.
         is_large: receives, for each region, whether it is large enough.
@@ -180,28 +186,30 @@ def mark_large_regions(labelled, boxes, regions, start, blocks, area_test, is_la
         end: index past the last one.
     """
     radius = area_test.radius
-    for n in range(begin, end):
-        region = regions[n]
+    for index in range(begin, end):
+        region = regions[index]
         num_remaining = 0
         shorter_side = min(
             boxes[region, 2] - boxes[region, 0],
             boxes[region, 3] - boxes[region, 1],
         )
-        for b in range(start[n], start[n + 1]):
+        for block_index in range(first_block[index], first_block[index + 1]):
             # enough cells remain, or none can
             if num_remaining >= area_test.min_cells or shorter_side <= 2 * radius:
                 break
-            row0, row1, col0, col1 = block_window(labelled.surfaces.lattice, blocks[b])
+            row0, row1, col0, col1 = block_window(
+                labelled_surfaces.surfaces.lattice, blocks[block_index]
+            )
             row0 = max(row0, boxes[region, 0])
             row1 = min(row1, boxes[region, 2])
             col0 = max(col0, boxes[region, 1])
             col1 = min(col1, boxes[region, 3])
             if row1 > row0 and col1 > col0:
                 mask = np.zeros((row1 - row0 + 2 * radius, col1 - col0 + 2 * radius), np.int32)
-                _mark_region(labelled, region, (row0, row1, col0, col1), radius, mask)
-                remaining = np.empty((row1 - row0, col1 - col0), np.bool_)
-                shrink(mask, area_test, remaining)
-                num_remaining += int(remaining.sum())
+                _mark_region(labelled_surfaces, region, (row0, row1, col0, col1), radius, mask)
+                is_remaining = np.empty((row1 - row0, col1 - col0), np.bool_)
+                shrink(mask, area_test, is_remaining)
+                num_remaining += int(is_remaining.sum())
         is_large[region] = num_remaining >= area_test.min_cells
 
 
@@ -216,37 +224,39 @@ def _step_to(lattice, row, col, direction):
 
 
 @subkernel(**NO_REFCOUNT)
-def _has_drop(labelled, row, col, direction, region, limit, num_cells_beyond):
+def _has_drop(labelled_surfaces, row, col, direction, region, height_limit, num_cells_beyond):
     """Return whether a lower surface of another region lies beyond an edge of a region.
 
     Args:
-        labelled: a `LabelledSurfaces` with the regions.
+        labelled_surfaces: a `LabelledSurfaces` with the regions.
         row: row of the cell on the region's side of the edge.
         col: column of that cell.
         direction: EAST, SOUTH, WEST or NORTH, out of the region.
         region: the id of the region that ends at the edge.
-        limit: the surface has to lie below this height [m].
+        height_limit: the surface has to lie below this height [m].
         num_cells_beyond: how many cells are searched, the nearest first. The search ends at a cell
             in which the region begins again.
     """
     for _ in range(num_cells_beyond):
-        row, col = _step_to(labelled.surfaces.lattice, row, col, direction)
-        below = SAME_REGION
+        row, col = _step_to(labelled_surfaces.surfaces.lattice, row, col, direction)
+        surface_below = SAME_REGION
         if row >= 0:
-            below = _find_surface_below(labelled, row, col, region, limit)
-        if below != NO_SURFACE:
-            return below >= 0
+            surface_below = _find_surface_below(labelled_surfaces, row, col, region, height_limit)
+        if surface_below != NO_SURFACE:
+            return surface_below >= 0
     return False
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def list_edges(labelled, lowest, step, num_cells_beyond, blocks, counts, columns, begin, end):
+def list_edges(
+    labelled_surfaces, lowest, step, num_cells_beyond, blocks, counts, columns, begin, end
+):
     """List the edges of regions in ``blocks[begin:end]``.
 
     A kernel for `navbake.baker.core.blocks.list_rows`. It lists a row for each edge.
 
     Args:
-        labelled: a `LabelledSurfaces` with the regions.
+        labelled_surfaces: a `LabelledSurfaces` with the regions.
         lowest: the height of the lowest surface of all these regions, or less [m].
         step: the highest step [m].
         num_cells_beyond: how many cells beyond an edge are searched for lower surfaces.
@@ -263,7 +273,7 @@ def list_edges(labelled, lowest, step, num_cells_beyond, blocks, counts, columns
     """
     (rows,) = columns
     num = 0
-    surfaces = labelled.surfaces
+    surfaces = labelled_surfaces.surfaces
     for k in range(begin, end):
         num_before = num
         row0, row1, col0, col1 = block_window(surfaces.lattice, blocks[k])
@@ -271,23 +281,23 @@ def list_edges(labelled, lowest, step, num_cells_beyond, blocks, counts, columns
             for col in range(col0, col1):
                 cell = row * surfaces.lattice.width + col
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
-                    region = region_of_surface(labelled, j)
+                    region = region_of_surface(labelled_surfaces, j)
                     if region < 0:
                         continue
                     limit = surfaces.z[j] - step - LIMIT_SLACK
                     for direction in range(4):
                         r, c = _step_to(surfaces.lattice, row, col, direction)
                         if r >= 0:
-                            below = _find_surface_below(labelled, r, c, region, limit)
+                            below = _find_surface_below(labelled_surfaces, r, c, region, limit)
                             if below == SAME_REGION:
                                 continue
                         if num == rows.shape[0]:
                             return k
                         # no region has a surface below the lowest one
                         has_drop = limit > lowest and _has_drop(
-                            labelled, row, col, direction, region, limit, num_cells_beyond
+                            labelled_surfaces, row, col, direction, region, limit, num_cells_beyond
                         )
-                        rows[num, 0] = labelled.component[j]
+                        rows[num, 0] = labelled_surfaces.component_of_surface[j]
                         rows[num, 1] = cell
                         rows[num, 2] = j
                         rows[num, 3] = direction
@@ -298,32 +308,45 @@ def list_edges(labelled, lowest, step, num_cells_beyond, blocks, counts, columns
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def find_surfaces_below(labelled, cells, regions, limits, below, regions_below, begin, end):
+def find_surfaces_below(
+    labelled_surfaces,
+    cells,
+    excluded_regions,
+    height_limits,
+    surfaces_below,
+    regions_below,
+    begin,
+    end,
+):
     """Find the highest surface below a given height, in each of the cells ``cells[begin:end]``.
 
     Args:
-        labelled: a `LabelledSurfaces` with the regions whose surfaces count.
+        labelled_surfaces: a `LabelledSurfaces` with the regions whose surfaces count.
         cells: ids of cells, (n,) int64.
-        regions: for each cell, the region that rules the cell out if it has a surface there at any
-            height, (n,) int32.
-        limits: for each cell, the height below which the surface must lie, (n,) [m].
-        below: receives the surfaces' ids; NO_SURFACE if there is none, SAME_REGION if the cell is
-            ruled out, (n,) int64.
+        excluded_regions: for each cell, the region that rules the cell out if it has a surface
+            there at any height, (n,) int32.
+        height_limits: for each cell, the height below which the surface must lie, (n,) [m].
+        surfaces_below: receives the surfaces' ids; NO_SURFACE if there is none, SAME_REGION if the
+            cell is ruled out, (n,) int64.
         regions_below: receives the surfaces' regions, -1 for none, (n,) int32.
         begin: index in `cells` of the first cell.
         end: index past the last one.
     """
-    width = labelled.surfaces.lattice.width
-    for n in range(begin, end):
-        row = cells[n] // width
-        col = cells[n] % width
-        j = _find_surface_below(labelled, row, col, regions[n], limits[n])
-        below[n] = j
-        regions_below[n] = region_of_surface(labelled, j) if j >= 0 else np.int32(-1)
+    width = labelled_surfaces.surfaces.lattice.width
+    for index in range(begin, end):
+        row = cells[index] // width
+        col = cells[index] % width
+        surface = _find_surface_below(
+            labelled_surfaces, row, col, excluded_regions[index], height_limits[index]
+        )
+        surfaces_below[index] = surface
+        regions_below[index] = (
+            region_of_surface(labelled_surfaces, surface) if surface >= 0 else np.int32(-1)
+        )
 
 
 @kernel(nogil=True)
-def mark_hole_edges(cells, directions, start, lattice, in_hole):
+def mark_hole_edges(cells, directions, first_edge_of_region, lattice, is_in_hole):
     """Mark the edges at the rims of holes in regions, by union-find over the cells beyond them.
 
     Two cells just beyond a region's edges are connected if they share a side. They are also
@@ -334,41 +357,47 @@ def mark_hole_edges(cells, directions, start, lattice, in_hole):
     Args:
         cells: the cell of each edge, region by region, (edges,).
         directions: the direction out of the region at each edge, (edges,).
-        start: the n-th region has the edges ``start[n]:start[n + 1]``.
+        first_edge_of_region: the n-th region has the edges ``first_edge_of_region[n]:start[n +
+            1]``.
         lattice: the `Lattice` of the cells.
-        in_hole: receives, for each edge, whether it is at a hole's rim, (edges,) bool.
+        is_in_hole: receives, for each edge, whether it is at a hole's rim, (edges,) bool.
     """
     # ids of cells on a padded lattice: a margin around it, and an empty column between two rows
     width = lattice.width
-    stride = lattice.width + 3
-    to_neighbor = np.array([1, stride, -1, -stride])  # east, south, west and north
+    padded_width = lattice.width + 3
+    to_neighbor = np.array([1, padded_width, -1, -padded_width])  # east, south, west and north
     # SAME_REGION in the region's cells at edges; beyond edges, the parents of union-find
-    parent = np.full(stride * (lattice.height + 3), NO_SURFACE, np.int32)
-    inner, outer = np.empty((2, cells.shape[0]), np.int64)
-    for s in range(start.shape[0] - 1):
-        first = start[s]
-        end = start[s + 1]
-        first_outer = np.int64(parent.shape[0])
-        for n in range(first, end):
-            inner[n] = (cells[n] // width + 1) * stride + cells[n] % width + 1
-            outer[n] = inner[n] + to_neighbor[directions[n]]
-            first_outer = min(first_outer, outer[n])
-            parent[inner[n]] = SAME_REGION
-            parent[outer[n]] = outer[n]
-        for n in range(first, end):
-            cell = outer[n]
+    parent = np.full(padded_width * (lattice.height + 3), NO_SURFACE, np.int32)
+    inner_cells, outer_cells = np.empty((2, cells.shape[0]), np.int64)
+    for region_index in range(first_edge_of_region.shape[0] - 1):
+        first_edge = first_edge_of_region[region_index]
+        end_edge = first_edge_of_region[region_index + 1]
+        first_outer_cell = np.int64(parent.shape[0])
+        for edge in range(first_edge, end_edge):
+            inner_cells[edge] = (cells[edge] // width + 1) * padded_width + cells[edge] % width + 1
+            outer_cells[edge] = inner_cells[edge] + to_neighbor[directions[edge]]
+            first_outer_cell = min(first_outer_cell, outer_cells[edge])
+            parent[inner_cells[edge]] = SAME_REGION
+            parent[outer_cells[edge]] = outer_cells[edge]
+        for edge in range(first_edge, end_edge):
+            cell = outer_cells[edge]
             # each pair of neighbors once: east, and the three in the south
-            for neighbor in (cell + 1, cell + stride - 1, cell + stride, cell + stride + 1):
+            for neighbor in (
+                cell + 1,
+                cell + padded_width - 1,
+                cell + padded_width,
+                cell + padded_width + 1,
+            ):
                 if parent[neighbor] < 0:
                     continue
-                if neighbor != cell + 1 and neighbor != cell + stride:
+                if neighbor != cell + 1 and neighbor != cell + padded_width:
                     # they meet at a corner: the region may connect the two cells between them
-                    is_above_region = parent[neighbor - stride] == SAME_REGION
-                    if is_above_region and parent[cell + stride] == SAME_REGION:
+                    is_above_region = parent[neighbor - padded_width] == SAME_REGION
+                    if is_above_region and parent[cell + padded_width] == SAME_REGION:
                         continue
                 unite(parent, cell, neighbor)
-        for n in range(first, end):
-            in_hole[n] = find_root(parent, outer[n]) != first_outer
-        for n in range(first, end):
-            parent[inner[n]] = NO_SURFACE
-            parent[outer[n]] = NO_SURFACE
+        for edge in range(first_edge, end_edge):
+            is_in_hole[edge] = find_root(parent, outer_cells[edge]) != first_outer_cell
+        for edge in range(first_edge, end_edge):
+            parent[inner_cells[edge]] = NO_SURFACE
+            parent[outer_cells[edge]] = NO_SURFACE

@@ -94,11 +94,11 @@ class Components(NamedTuple):
             The lower and the higher number of each pair, without repeats, shape (n,) each.
         """
         linked_components = merged_component[self.pairs_of_kind(LINKED)[:, :2]].astype(np.int64)
-        lower = linked_components.min(axis=1)
-        upper = linked_components.max(axis=1)
-        is_different = lower != upper
+        lower_number = linked_components.min(axis=1)
+        higher_number = linked_components.max(axis=1)
+        is_different = lower_number != higher_number
         # one number for each pair, so that `unique` sorts numbers rather than rows
-        pair_ids = np.unique(lower[is_different] * self.num + upper[is_different])
+        pair_ids = np.unique(lower_number[is_different] * self.num + higher_number[is_different])
         return np.divmod(pair_ids, max(self.num, 1))
 
 
@@ -118,12 +118,12 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
         kernels.label_blocks, (NO_MEASURES, NO_HEIGHTS), surfaces, group, rule, number_in_block
     )
     numbering = ComponentNumbering(
-        in_block=number_in_block,
-        offset=np.searchsorted(block_of_component, np.arange(blocks.num)),
-        overall=np.empty(len(surfaces.z), dtype=np.int32),
+        number_in_block=number_in_block,
+        first_number_of_block=np.searchsorted(block_of_component, np.arange(blocks.num)),
+        overall_number=np.empty(len(surfaces.z), dtype=np.int32),
     )
     _, (pairs,) = blocks.list_rows(kernels.list_pairs, (NO_ROWS,), surfaces, group, rule, numbering)
-    return Components(numbering.overall, block_of_component, measures, lowest_z, pairs)
+    return Components(numbering.overall_number, block_of_component, measures, lowest_z, pairs)
 
 
 class RegionStacks(NamedTuple):
@@ -201,9 +201,11 @@ class Regions:
 
     def find_stacks(self) -> RegionStacks:
         """Find the pairs of regions that lie above each other, and in how many cells."""
-        upper, lower, _, num_cells = self.components.pairs_of_kind(STACKED).T
+        upper_component, lower_component, _, num_cells = self.components.pairs_of_kind(STACKED).T
         return RegionStacks(
-            self.region_of_component[upper], self.region_of_component[lower], num_cells
+            self.region_of_component[upper_component],
+            self.region_of_component[lower_component],
+            num_cells,
         )
 
     def surfaces_of(self, region: int) -> RegionSurfaces:

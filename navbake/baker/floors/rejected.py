@@ -84,7 +84,7 @@ class RejectedRegions(NamedTuple):
 
 
 def find_rejected_regions(
-    context: RegionContext, height_ranges: Sequence[HeightRange], height_fields: Int32
+    region_context: RegionContext, height_ranges: Sequence[HeightRange], height_fields: Int32
 ) -> RejectedRegions:
     """Find the large regions that are no floors.
 
@@ -92,13 +92,13 @@ def find_rejected_regions(
     count as floors.
 
     Args:
-        context: all regions with their edges.
+        region_context: all regions with their edges.
         height_ranges: the heights [low, high) of the levels of the configuration [m]; empty if
             it has none.
         height_fields: the ids of the geoms that are height fields, shape (n,).
     """
-    regions = context.regions
-    is_large = context.is_large
+    regions = region_context.regions
+    is_large = region_context.is_large
     no_regions = np.zeros(regions.num, dtype=np.bool_)
     is_top = no_regions
     is_shelf = no_regions
@@ -109,21 +109,21 @@ def find_rejected_regions(
     # furniture counts, too: a hall's roof lies over its floor whatever stands there
     num_cells_over = stacks.num_cells * (stacks.upper != stacks.lower)
     fraction_over_regions = np.bincount(stacks.upper, num_cells_over, regions.num) / num_surfaces
-    if not context.settings.tops:
-        is_top = _find_tops(context, height_fields)
+    if not region_context.settings.tops:
+        is_top = _find_tops(region_context, height_fields)
         is_shelf = _find_shelves(
-            context,
+            region_context,
             is_large
             & (sky_fraction < MIN_SKY_SHARE)
             & (fraction_over_regions >= MIN_SHARE_OVER_FLOOR),
         )
-    if not context.settings.roofs:
+    if not region_context.settings.roofs:
         may_be_roof = (
             is_large
             & (sky_fraction >= MIN_SKY_SHARE)
             & (fraction_over_regions >= MIN_SHARE_OVER_FLOOR_WITH_WALLS)
         )
-        is_roof = _find_roofs(context, may_be_roof, fraction_over_regions)
+        is_roof = _find_roofs(region_context, may_be_roof, fraction_over_regions)
     is_floor = is_large & ~(is_top | is_shelf | is_roof)
     if not is_floor.any():
         is_roof = no_regions
@@ -150,7 +150,7 @@ class TopDrops(NamedTuple):
     num_outline_edges: int
 
 
-def _find_tops(context: RegionContext, height_fields: Int32) -> Bool:
+def _find_tops(region_context: RegionContext, height_fields: Int32) -> Bool:
     """Find the tops of what stands on a floor: beds, blocks, counters, walls that are metres thick.
 
     A region is a top if all of these hold:
@@ -171,21 +171,21 @@ def _find_tops(context: RegionContext, height_fields: Int32) -> Bool:
       field has nothing under it.
 
     Args:
-        context: all regions with their edges.
+        region_context: all regions with their edges.
         height_fields: the ids of the geoms that are height fields, shape (n,).
 
     Returns:
         A mask, shape (regions,), bool.
     """
-    regions = context.regions
-    num_drops = np.bincount(context.edges.region, context.edges.has_drop, regions.num)
-    may_be_top = context.is_large & (num_drops > 0)
-    if not context.is_cropped.any():
+    regions = region_context.regions
+    num_drops = np.bincount(region_context.edges.region, region_context.edges.has_drop, regions.num)
+    may_be_top = region_context.is_large & (num_drops > 0)
+    if not region_context.is_cropped.any():
         # an outline is at least as long as the box around it: most regions drop along less of it
         num_rows = regions.box[:, 2] - regions.box[:, 0]
         num_cols = regions.box[:, 3] - regions.box[:, 1]
         may_be_top &= num_drops >= MIN_DROP_SHARE * 2 * (num_rows + num_cols)
-    drops_by_region = _count_drops(context, may_be_top)
+    drops_by_region = _count_drops(region_context, may_be_top)
     num_drops_to_floor = Counter[int]()  # region below -> drops to it from all regions
     for region_drops in drops_by_region.values():
         num_drops_to_floor.update(region_drops.num_drops_to)
@@ -193,7 +193,7 @@ def _find_tops(context: RegionContext, height_fields: Int32) -> Bool:
     is_too_large = np.zeros(regions.num, dtype=np.bool_)
     for region, region_drops in drops_by_region.items():
         if not region_drops.num_drops_to or _is_raised_ground(
-            context, region, region_drops, height_fields
+            region_context, region, region_drops, height_fields
         ):
             continue
         num_surfaces = regions.num_surfaces[region]
@@ -213,11 +213,13 @@ def _find_tops(context: RegionContext, height_fields: Int32) -> Bool:
         is_wound_through = max(drops_around_floor, default=0) > region_drops.num_outline_edges
         is_top[region] = is_small or is_wound_through
         is_too_large[region] = not is_top[region]
-    return is_top | (is_too_large & ~_mark_wider_than(context, is_too_large, MAX_WALL_TOP_WIDTH))
+    return is_top | (
+        is_too_large & ~_mark_wider_than(region_context, is_too_large, MAX_WALL_TOP_WIDTH)
+    )
 
 
 def _is_raised_ground(
-    context: RegionContext, region: int, region_drops: TopDrops, height_fields: Int32
+    region_context: RegionContext, region: int, region_drops: TopDrops, height_fields: Int32
 ) -> bool:
     """Return whether a region is raised ground: a part of a height field with lower ground beside.
 
@@ -225,45 +227,45 @@ def _is_raised_ground(
     to other regions of that height field.
 
     Args:
-        context: all regions.
+        region_context: all regions.
         region: the region's id.
         region_drops: the drops from the region.
         height_fields: the ids of the geoms that are height fields, shape (n,).
     """
-    geom = _main_geom(context, region)
+    geom = _main_geom(region_context, region)
     if geom not in height_fields:
         return False
     num_on_field = sum(
         num_drops
         for floor_region, num_drops in region_drops.num_drops_to.items()
-        if _main_geom(context, floor_region) == geom
+        if _main_geom(region_context, floor_region) == geom
     )
     return 2 * num_on_field > region_drops.num_drops_to.total()
 
 
-def _main_geom(context: RegionContext, region: int) -> int:
+def _main_geom(region_context: RegionContext, region: int) -> int:
     """Return the id of the geom that most surfaces of a region belong to."""
-    geoms, counts = np.unique(context.regions.surfaces_of(region).geom, return_counts=True)
+    geoms, counts = np.unique(region_context.regions.surfaces_of(region).geom, return_counts=True)
     return int(geoms[counts.argmax()])
 
 
-def _mark_wider_than(context: RegionContext, is_candidate: Bool, width: float) -> Bool:
+def _mark_wider_than(region_context: RegionContext, is_candidate: Bool, width: float) -> Bool:
     """Mark the candidates that are wider than a width [m] at some place.
 
     A region is that wide if a cell of it is left when it is shrunk by half of the width.
     """
     if not is_candidate.any():
         return is_candidate
-    one_cell = {"min_area": context.regions.lattice.cell_size**2, "shrink": width / 2}
-    settings = context.settings.model_copy(update=one_cell)
-    return find_large_regions(context.regions, is_candidate, settings)
+    one_cell = {"min_area": region_context.regions.lattice.cell_size**2, "shrink": width / 2}
+    settings = region_context.settings.model_copy(update=one_cell)
+    return find_large_regions(region_context.regions, is_candidate, settings)
 
 
-def _count_drops(context: RegionContext, is_candidate: Bool) -> dict[int, TopDrops]:
+def _count_drops(region_context: RegionContext, is_candidate: Bool) -> dict[int, TopDrops]:
     """Count how many edges of each candidate drop to each of the regions below it.
 
     Args:
-        context: all regions with their edges.
+        region_context: all regions with their edges.
         is_candidate: the regions that may be tops, shape (regions,), bool.
 
     Returns:
@@ -271,23 +273,23 @@ def _count_drops(context: RegionContext, is_candidate: Bool) -> dict[int, TopDro
     """
     if not is_candidate.any():
         return {}
-    regions = context.regions
-    edges = context.select_edges(is_candidate, context.num_cells_beyond)
+    regions = region_context.regions
+    edges = region_context.select_edges(is_candidate, region_context.num_cells_beyond)
     has_floor = np.asarray((~np.isnan(edges.floors_below)).any(axis=1))
     is_in_hole = find_hole_edges(edges, regions.lattice)
     # drop the regions that have too few floors below their outline, to classify fewer edges
-    may_continue = (edges.cells_beyond[:, 0] < 0) & context.is_cropped[edges.direction]
+    may_continue = (edges.cells_beyond[:, 0] < 0) & region_context.is_cropped[edges.direction]
     is_certain = ~may_continue & ~is_in_hole
-    possible_fraction = context.fraction_of_edges(edges, has_floor, is_certain | has_floor)
+    possible_fraction = region_context.fraction_of_edges(edges, has_floor, is_certain | has_floor)
     drops_enough = ~(possible_fraction < MIN_DROP_SHARE)
     is_possible = drops_enough[edges.region]
     edges = edges.select(is_possible)
     is_in_hole = is_in_hole[is_possible]
-    endings = context.classify_edges(edges)
+    endings = region_context.classify_edges(edges)
     is_drop = endings.ending == DROP
     # edges in holes without a drop are around things that stand on the region, such as pillows
     is_counted = endings.is_beyond_known & (~is_in_hole | is_drop)
-    may_be_top = context.fraction_of_edges(edges, is_drop, is_counted) >= MIN_DROP_SHARE
+    may_be_top = region_context.fraction_of_edges(edges, is_drop, is_counted) >= MIN_DROP_SHARE
     drops_by_region = {}
     for region in np.flatnonzero(is_candidate).tolist():
         is_of_region = edges.region == region
@@ -298,7 +300,7 @@ def _count_drops(context: RegionContext, is_candidate: Bool) -> dict[int, TopDro
             # the median; the lower one of the two middle heights
             floor_height = float(floor_heights[(len(floor_heights) - 1) // 2])
             if (
-                _count_cells_over_room(context, region, floor_height)
+                _count_cells_over_room(region_context, region, floor_height)
                 <= MAX_SHARE_OVER_ROOM * regions.num_surfaces[region]
             ):
                 num_drops_to.update(endings.floor_region[is_of_region & is_drop].tolist())
@@ -310,7 +312,7 @@ def _count_drops(context: RegionContext, is_candidate: Bool) -> dict[int, TopDro
     return drops_by_region
 
 
-def _count_cells_over_room(context: RegionContext, region: int, floor_height: float) -> int:
+def _count_cells_over_room(region_context: RegionContext, region: int, floor_height: float) -> int:
     """Count a region's cells under which an agent has room.
 
     An agent has room if a region lies below the cell, at most a step lower than the floor beside
@@ -318,33 +320,35 @@ def _count_cells_over_room(context: RegionContext, region: int, floor_height: fl
     height over the height of that floor.
 
     Args:
-        context: all regions, and the hits of all columns.
+        region_context: all regions, and the hits of all columns.
         region: the region's id.
         floor_height: the height of the floor beside it [m].
     """
-    region_surfaces = context.regions.surfaces_of(region)
+    region_surfaces = region_context.regions.surfaces_of(region)
     cells = region_surfaces.cell
-    step = context.agent.traversable_floor_height
-    labelled = context.regions.label_surfaces(context.is_large)
-    surface_below, _ = find_highest_below(labelled, cells, region_surfaces.z)
+    max_step = region_context.agent.traversable_floor_height
+    labelled_surfaces = region_context.regions.label_surfaces(region_context.is_large)
+    surface_below, _ = find_highest_below(labelled_surfaces, cells, region_surfaces.z)
     has_floor = (surface_below >= 0) & (
-        labelled.surfaces.z[surface_below] >= floor_height - step - LIMIT_SLACK
+        labelled_surfaces.surfaces.z[surface_below] >= floor_height - max_step - LIMIT_SLACK
     )
     is_blocked = np.zeros(len(cells), dtype=np.bool_)
     run_in_chunks(
         find_blocked_lines,
         len(cells),
         cells,
-        np.full(len(cells), floor_height + step + TOUCH_DEPTH),
-        np.full(len(cells), floor_height + context.agent.height - TOUCH_DEPTH),
-        context.columns.columns_at(cells).hits,
+        np.full(len(cells), floor_height + max_step + TOUCH_DEPTH),
+        np.full(len(cells), floor_height + region_context.agent.height - TOUCH_DEPTH),
+        region_context.columns.columns_at(cells).hits,
         is_blocked,
         least=MIN_LINES_PER_THREAD,
     )
     return int(np.count_nonzero(has_floor | ~is_blocked))
 
 
-def _find_roofs(context: RegionContext, is_candidate: Bool, fraction_over_regions: Float) -> Bool:
+def _find_roofs(
+    region_context: RegionContext, is_candidate: Bool, fraction_over_regions: Float
+) -> Bool:
     """Find the regions that are roofs: open to the sky, over a floor, and without walls.
 
     At least half of a roof lies over a floor or furniture; or a tenth does, and two thirds lie over
@@ -354,7 +358,7 @@ def _find_roofs(context: RegionContext, is_candidate: Bool, fraction_over_region
     roof, as its walls are unknown.
 
     Args:
-        context: all regions with their edges.
+        region_context: all regions with their edges.
         is_candidate: the large regions that are open to the sky, shape (regions,).
         fraction_over_regions: the fraction of each region's area that lies over other regions, from
             0 to 1, shape (regions,).
@@ -363,17 +367,17 @@ def _find_roofs(context: RegionContext, is_candidate: Bool, fraction_over_region
         A mask, shape (regions,), bool.
     """
     is_half_over = is_candidate & (fraction_over_regions < MIN_SHARE_OVER_FLOOR)
-    is_over_walls = _mark_over_walls(context, is_half_over)
-    return _mark_without_walls(context, is_candidate & (~is_half_over | is_over_walls))
+    is_over_walls = _mark_over_walls(region_context, is_half_over)
+    return _mark_without_walls(region_context, is_candidate & (~is_half_over | is_over_walls))
 
 
-def _mark_without_walls(context: RegionContext, is_candidate: Bool) -> Bool:
+def _mark_without_walls(region_context: RegionContext, is_candidate: Bool) -> Bool:
     """Mark the candidates with walls along at most half of their outline.
 
     Walls up to `floors.shrink` inside of the outline are counted, too.
 
     Args:
-        context: all regions with their edges.
+        region_context: all regions with their edges.
         is_candidate: the regions that may be roofs, shape (regions,), bool.
 
     Returns:
@@ -381,79 +385,79 @@ def _mark_without_walls(context: RegionContext, is_candidate: Bool) -> Bool:
     """
     if not is_candidate.any():
         return is_candidate
-    wall_height = max(context.agent.height, MIN_WALL_HEIGHT)
-    agent = context.agent.model_copy(update={"height": wall_height})
-    lattice = context.regions.lattice
-    edges = _select_outer_edges(context, is_candidate, num_cells_beyond=0)
-    farthest_in = -int(np.ceil(context.settings.shrink / lattice.cell_size))
+    wall_height = max(region_context.agent.height, MIN_WALL_HEIGHT)
+    agent = region_context.agent.model_copy(update={"height": wall_height})
+    lattice = region_context.regions.lattice
+    edges = _select_outer_edges(region_context, is_candidate, num_cells_beyond=0)
+    farthest_in = -int(np.ceil(region_context.settings.shrink / lattice.cell_size))
     # from the innermost cells near an edge to those just beyond it
     cells_near = [
         neighbor_cells(lattice, edges.cell, edges.direction, distance)
         for distance in range(farthest_in, 2)
     ]
     all_cells_near = np.concatenate(cells_near)
-    context.cast_ahead(all_cells_near[all_cells_near >= 0])
-    ending = context.classify_barriers(edges, agent)
-    is_beyond_known = context.mark_known_beyond(ending, edges.direction)
+    region_context.cast_ahead(all_cells_near[all_cells_near >= 0])
+    ending = region_context.classify_barriers(edges, agent)
+    is_beyond_known = region_context.mark_known_beyond(ending, edges.direction)
     # `classify_barriers` has tested the cells at the edge and beyond it
     for cells in cells_near[-3::-1]:
         edges_near = np.flatnonzero(is_beyond_known & (ending != WALL) & (cells >= 0))
         for heights in probe_ranges(agent):
-            is_met = context.is_occupied(cells[edges_near], edges.z[edges_near], heights)
+            is_met = region_context.is_occupied(cells[edges_near], edges.z[edges_near], heights)
             edges_near = edges_near[is_met]
         ending[edges_near] = WALL
     return is_candidate & (
-        context.fraction_of_edges(edges, ending == WALL, is_beyond_known) <= MAX_WALL_SHARE
+        region_context.fraction_of_edges(edges, ending == WALL, is_beyond_known) <= MAX_WALL_SHARE
     )
 
 
 def _select_outer_edges(
-    context: RegionContext, is_selected: Bool, num_cells_beyond: int
+    region_context: RegionContext, is_selected: Bool, num_cells_beyond: int
 ) -> RegionEdges:
     """Return the edges of regions at their outer rims, not those at the rims of holes.
 
     Args:
-        context: all regions with their edges.
+        region_context: all regions with their edges.
         is_selected: the regions, shape (regions,), bool.
         num_cells_beyond: how many cells beyond an edge to search for lower floors.
     """
-    edges = context.select_edges(is_selected, num_cells_beyond)
-    return edges.select(~find_hole_edges(edges, context.regions.lattice))
+    edges = region_context.select_edges(is_selected, num_cells_beyond)
+    return edges.select(~find_hole_edges(edges, region_context.regions.lattice))
 
 
-def _find_shelves(context: RegionContext, is_candidate: Bool) -> Bool:
+def _find_shelves(region_context: RegionContext, is_candidate: Bool) -> Bool:
     """Mark the candidates that are shelves.
 
     A shelf is nowhere deeper than 2.5 m (a mezzanine is deeper). More than half of its outline
     drops to a floor (of a gallery from wall to wall, less does).
 
     Args:
-        context: all regions with their edges.
+        region_context: all regions with their edges.
         is_candidate: the large regions that lie over floors and are covered, shape (regions,),
             bool.
 
     Returns:
         A mask, shape (regions,), bool.
     """
-    is_candidate = is_candidate & ~_mark_wider_than(context, is_candidate, MAX_SHELF_DEPTH)
+    is_candidate = is_candidate & ~_mark_wider_than(region_context, is_candidate, MAX_SHELF_DEPTH)
     if not is_candidate.any():
         return is_candidate
-    edges = _select_outer_edges(context, is_candidate, context.num_cells_beyond)
-    endings = context.classify_edges(edges)
-    drop_fraction = context.fraction_of_edges(
+    edges = _select_outer_edges(region_context, is_candidate, region_context.num_cells_beyond)
+    endings = region_context.classify_edges(edges)
+    drop_fraction = region_context.fraction_of_edges(
         edges, endings.ending == DROP, endings.is_beyond_known
     )
     return is_candidate & (drop_fraction > MIN_SHELF_DROP_SHARE)
 
 
-def _mark_over_walls(context: RegionContext, is_candidate: Bool) -> Bool:
+def _mark_over_walls(region_context: RegionContext, is_candidate: Bool) -> Bool:
     """Mark the candidates that lie mostly over other regions or walls, or near these.
 
     At least two thirds of their cells are over another region or over the top of a wall, or within
     1.5 m (along x and along y) of such a cell.
 
     Args:
-        context: all regions, and the hits of all columns.
+        region_context: all regions, and the hits of all columns.
         is_candidate: the regions that may be roofs, shape (regions,), bool.
 
     Returns:
@@ -462,18 +466,20 @@ def _mark_over_walls(context: RegionContext, is_candidate: Bool) -> Bool:
     is_over_walls = np.zeros_like(is_candidate)
     if not is_candidate.any():
         return is_over_walls
-    regions = context.regions
+    regions = region_context.regions
     lattice = regions.lattice
     eaves_cells = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
     # all regions count, also furniture
-    labelled = regions.label_surfaces(np.ones_like(is_candidate))
+    labelled_surfaces = regions.label_surfaces(np.ones_like(is_candidate))
     for region in np.flatnonzero(is_candidate).tolist():
         region_surfaces = regions.surfaces_of(region)
-        _, region_below = find_highest_below(labelled, region_surfaces.cell, region_surfaces.z)
+        _, region_below = find_highest_below(
+            labelled_surfaces, region_surfaces.cell, region_surfaces.z
+        )
         is_over_region = (region_below >= 0) & (region_below != region)
         is_over = np.zeros(lattice.shape, dtype=np.bool_)
         is_over.flat[region_surfaces.cell] = (
-            mark_over_wall_tops(context, region_surfaces) | is_over_region
+            mark_over_wall_tops(region_context, region_surfaces) | is_over_region
         )
         # dilate by a square, first along one axis, then along the other
         for mask in (is_over, is_over.T):
@@ -485,18 +491,18 @@ def _mark_over_walls(context: RegionContext, is_candidate: Bool) -> Bool:
     return is_over_walls
 
 
-def mark_over_wall_tops(context: RegionContext, roof_surfaces: RegionSurfaces) -> Bool:
+def mark_over_wall_tops(region_context: RegionContext, roof_surfaces: RegionSurfaces) -> Bool:
     """Mark the surfaces of a roof under which the top of a wall touches the roof or lies within it.
 
     Args:
-        context: the hits of all columns, and the agent.
+        region_context: the hits of all columns, and the agent.
         roof_surfaces: the surfaces of the roof.
 
     Returns:
         A mask, shape (surfaces,), bool.
     """
     cell_ids = roof_surfaces.cell
-    columns = context.columns.columns_at(cell_ids)
+    columns = region_context.columns.columns_at(cell_ids)
     first_hit = columns.start[cell_ids]
     end_hit = columns.start[cell_ids + 1]
     is_over = np.zeros(len(cell_ids), dtype=np.bool_)
@@ -509,7 +515,9 @@ def mark_over_wall_tops(context: RegionContext, roof_surfaces: RegionSurfaces) -
         lower_faces_up = columns.normal[lower_hit, 2] > 0
         upper_faces_up = columns.normal[lower_hit + 1, 2] > 0
         # at one height, the roof's lower side may stand before the wall's top
-        max_gap = np.where(lower_faces_up, context.agent.traversable_floor_height, SAME_HEIGHT)
+        max_gap = np.where(
+            lower_faces_up, region_context.agent.traversable_floor_height, SAME_HEIGHT
+        )
         is_wall_top = (gap < max_gap) & (lower_faces_up | upper_faces_up)
         is_over[cells_with_pair] |= is_wall_top & (
             lower_z < roof_surfaces.z[cells_with_pair] - SAME_HEIGHT
@@ -517,28 +525,28 @@ def mark_over_wall_tops(context: RegionContext, roof_surfaces: RegionSurfaces) -
     return is_over
 
 
-def mark_reported_roofs(context: RegionContext, is_roof: Bool, is_floor: Bool) -> Bool:
+def mark_reported_roofs(region_context: RegionContext, is_roof: Bool, is_floor: Bool) -> Bool:
     """Mark the roofs to report: those that may have been meant as floors.
 
     These have more than 4/3 of the largest floor's area; or they have at least 50 m² and no walls
     under them, as decks do.
 
     Args:
-        context: all regions.
+        region_context: all regions.
         is_roof: which regions are roofs, shape (regions,).
         is_floor: which regions are floors, shape (regions,); at least one is True.
 
     Returns:
         A mask, shape (regions,), bool.
     """
-    num_surfaces = context.regions.num_surfaces
+    num_surfaces = region_context.regions.num_surfaces
     is_reported: Bool = is_roof & (
         num_surfaces > REPORTED_ROOF_RATIO * num_surfaces[is_floor].max()
     )
-    area = num_surfaces * context.regions.lattice.cell_size**2
+    area = num_surfaces * region_context.regions.lattice.cell_size**2
     is_large = is_roof & (area >= REPORTED_ROOF_AREA - LIMIT_SLACK)
     # a large roof without walls under it may be a deck, which was meant as a floor
     for region in np.flatnonzero(is_large & ~is_reported).tolist():
-        region_surfaces = context.regions.surfaces_of(region)
-        is_reported[region] = not mark_over_wall_tops(context, region_surfaces).any()
+        region_surfaces = region_context.regions.surfaces_of(region)
+        is_reported[region] = not mark_over_wall_tops(region_context, region_surfaces).any()
     return is_reported

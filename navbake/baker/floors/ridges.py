@@ -10,7 +10,7 @@ from navbake.baker.floors.component_kernels import JoinRule
 from navbake.baker.floors.outline import RegionContext, neighbor_cells, probe_ranges
 from navbake.baker.floors.reach import MAX_DISTANCE_ON_SURFACE
 from navbake.baker.floors.regions import region_join_rule
-from navbake.baker.floors.ridge_kernels import list_narrow_runs, list_run_surfaces
+from navbake.baker.floors.ridge_kernels import list_narrow_runs, list_surfaces_of_runs
 from navbake.baker.floors.surface_kernels import EAST, NORTH, SOUTH, WEST, Surfaces
 from navbake.baker.floors.surfaces import find_highest_within_step
 from navbake.navgrid.lattice import Lattice
@@ -26,7 +26,7 @@ MAX_RUN_LENGTH = 2.0 * RIDGE_WIDTH
 NO_RUNS = np.empty((0, 6), dtype=np.int64)
 
 
-def find_ridges(context: RegionContext, positions: list[list[float]]) -> Bool:
+def find_ridges(region_context: RegionContext, positions: list[list[float]]) -> Bool:
     """Find ridges: the surfaces of large regions where these are narrower than 0.4 m.
 
     A ridge has a drop on both sides. Its width follows from the rows of cells that cross it along x
@@ -34,22 +34,24 @@ def find_ridges(context: RegionContext, positions: list[list[float]]) -> Bool:
     counts as endless.
 
     Args:
-        context: all regions, and the hits of all columns.
+        region_context: all regions, and the hits of all columns.
         positions: `floors.from`: x, y, z of each position, world frame [m]. A ridge with such a
             position on it is a floor, and not marked.
 
     Returns:
         A mask of the surfaces, shape (surfaces,).
     """
-    regions = context.regions
+    regions = region_context.regions
     surfaces = regions.surfaces
     cell_size = regions.lattice.cell_size
     is_ridge = np.zeros(len(surfaces.z), dtype=np.bool_)
-    rule = region_join_rule(regions.lattice, context.agent)
+    rule = region_join_rule(regions.lattice, region_context.agent)
     max_cells = int(MAX_RUN_LENGTH / cell_size + LIMIT_SLACK)
-    labelled = regions.label_surfaces(context.is_large)
-    _, (runs,) = regions.blocks.list_rows(list_narrow_runs, (NO_RUNS,), labelled, rule, max_cells)
-    runs = runs[_mark_runs_between_drops(context, runs)]
+    labelled_surfaces = regions.label_surfaces(region_context.is_large)
+    _, (runs,) = regions.blocks.list_rows(
+        list_narrow_runs, (NO_RUNS,), labelled_surfaces, rule, max_cells
+    )
+    runs = runs[_mark_runs_between_drops(region_context, runs)]
     if not len(runs):
         return is_ridge
     surface_ids, cell_ids, width = _measure_widths(surfaces, rule, runs)
@@ -64,7 +66,7 @@ def find_ridges(context: RegionContext, positions: list[list[float]]) -> Bool:
     )[cell_index]
     is_floor_ridge = _mark_short_ridges(ridge_of_surface, cell_ids, regions.lattice)
     is_floor_ridge |= _mark_ridges_at_positions(
-        ridge_of_surface, surface_ids, cell_ids, context, positions
+        ridge_of_surface, surface_ids, cell_ids, region_context, positions
     )
     is_ridge[surface_ids[~is_floor_ridge[ridge_of_surface]]] = True
     return is_ridge
@@ -86,7 +88,7 @@ def _measure_widths(surfaces: Surfaces, rule: JoinRule, runs: Int) -> tuple[Int,
     num_cells = runs[:, 1]
     first_row = np.cumsum(num_cells) - num_cells
     surface_cells = np.empty((int(num_cells.sum()), 2), dtype=np.int64)
-    run_in_chunks(list_run_surfaces, len(runs), surfaces, rule, runs, first_row, surface_cells)
+    run_in_chunks(list_surfaces_of_runs, len(runs), surfaces, rule, runs, first_row, surface_cells)
     surface_ids, first_index, surface_index = np.unique(
         surface_cells[:, 0], return_index=True, return_inverse=True
     )
@@ -96,11 +98,11 @@ def _measure_widths(surfaces: Surfaces, rule: JoinRule, runs: Int) -> tuple[Int,
     return surface_ids, surface_cells[first_index, 1], 1.0 / np.sqrt(inverse_square)
 
 
-def _mark_runs_between_drops(context: RegionContext, runs: Int) -> Bool:
+def _mark_runs_between_drops(region_context: RegionContext, runs: Int) -> Bool:
     """Mark the rows of cells that have a drop at both ends.
 
     Args:
-        context: all regions, and the hits of all columns.
+        region_context: all regions, and the hits of all columns.
         runs: rows of cells, as `list_narrow_runs` lists them, shape (n, 6).
 
     Returns:
@@ -110,14 +112,16 @@ def _mark_runs_between_drops(context: RegionContext, runs: Int) -> Bool:
     direction = np.where(axis == EAST, EAST, SOUTH)
     opposite_direction = np.where(axis == EAST, WEST, NORTH)
     # the ends of one run are far from those of another: cast their columns together
-    cells_beyond = neighbor_cells(context.regions.lattice, cell_ids, direction)
-    other_cells_beyond = neighbor_cells(context.regions.lattice, other_cell_ids, opposite_direction)
+    cells_beyond = neighbor_cells(region_context.regions.lattice, cell_ids, direction)
+    other_cells_beyond = neighbor_cells(
+        region_context.regions.lattice, other_cell_ids, opposite_direction
+    )
     all_beyond = np.concatenate([cells_beyond, other_cells_beyond])
-    context.cast_ahead(all_beyond[all_beyond >= 0])
-    is_between_drops = _mark_drops(context, surface_ids, cell_ids, direction)
+    region_context.cast_ahead(all_beyond[all_beyond >= 0])
+    is_between_drops = _mark_drops(region_context, surface_ids, cell_ids, direction)
     runs_with_drop = np.flatnonzero(is_between_drops)
     is_between_drops[runs_with_drop] = _mark_drops(
-        context,
+        region_context,
         other_surface_ids[runs_with_drop],
         other_cell_ids[runs_with_drop],
         opposite_direction[runs_with_drop],
@@ -125,7 +129,9 @@ def _mark_runs_between_drops(context: RegionContext, runs: Int) -> Bool:
     return is_between_drops
 
 
-def _mark_drops(context: RegionContext, surface_ids: Int, cell_ids: Int, direction: Int) -> Bool:
+def _mark_drops(
+    region_context: RegionContext, surface_ids: Int, cell_ids: Int, direction: Int
+) -> Bool:
     """Mark the edges of surfaces at which an agent would fall by more than a step.
 
     At such an edge the next cell in the given direction has no surface within a step of the
@@ -134,7 +140,7 @@ def _mark_drops(context: RegionContext, surface_ids: Int, cell_ids: Int, directi
     stands in the cells on either side of the edge.
 
     Args:
-        context: all regions, and the hits of all columns.
+        region_context: all regions, and the hits of all columns.
         surface_ids: ids of surfaces, (n,).
         cell_ids: the cell of each surface, (n,).
         direction: EAST, SOUTH, WEST or NORTH: the side of each cell that is tested, (n,).
@@ -142,26 +148,28 @@ def _mark_drops(context: RegionContext, surface_ids: Int, cell_ids: Int, directi
     Returns:
         A mask of the edges, shape (n,).
     """
-    lattice = context.regions.lattice
-    step = context.agent.traversable_floor_height
-    z = context.regions.surfaces.z[surface_ids]
+    lattice = region_context.regions.lattice
+    max_step = region_context.agent.traversable_floor_height
+    z = region_context.regions.surfaces.z[surface_ids]
     cells_beyond = neighbor_cells(lattice, cell_ids, direction)
-    is_drop = (cells_beyond >= 0) | ~context.is_cropped[direction]
+    is_drop = (cells_beyond >= 0) | ~region_context.is_cropped[direction]
     indices_inside = np.flatnonzero(cells_beyond >= 0)
-    columns = context.columns.columns_at(cells_beyond[indices_inside])
+    columns = region_context.columns.columns_at(cells_beyond[indices_inside])
     first_hit = columns.start[cells_beyond[indices_inside]]
     end_hit = columns.start[cells_beyond[indices_inside] + 1]
-    continued_z = find_highest_within_step(first_hit, end_hit, columns.z, z[indices_inside], step)
+    continued_z = find_highest_within_step(
+        first_hit, end_hit, columns.z, z[indices_inside], max_step
+    )
     is_drop[indices_inside[~np.isnan(continued_z)]] = False
-    if context.settings.fill:
+    if region_context.settings.fill:
         lowest_z = np.full(len(indices_inside), np.inf)
         lowest_z[end_hit > first_hit] = columns.z[first_hit[end_hit > first_hit]]
-        is_drop[indices_inside[lowest_z > z[indices_inside] - step]] = False
+        is_drop[indices_inside[lowest_z > z[indices_inside] - max_step]] = False
         is_drop[cells_beyond < 0] = False
-    range_at_feet, _ = probe_ranges(context.agent)
+    range_at_feet, _ = probe_ranges(region_context.agent)
     for cells in (cells_beyond, cell_ids):
         tested_indices = np.flatnonzero(is_drop & (cells >= 0))
-        is_drop[tested_indices] = ~context.is_occupied(
+        is_drop[tested_indices] = ~region_context.is_occupied(
             cells[tested_indices], z[tested_indices], range_at_feet
         )
     return is_drop
@@ -195,7 +203,7 @@ def _mark_ridges_at_positions(
     ridge_of_surface: Int32,
     surface_ids: Int,
     cell_ids: Int,
-    context: RegionContext,
+    region_context: RegionContext,
     positions: list[list[float]],
 ) -> Bool:
     """Mark the ridges that have at least one of some positions on them.
@@ -204,14 +212,14 @@ def _mark_ridges_at_positions(
         ridge_of_surface: the ridge of each surface, (n,).
         surface_ids: ids of the surfaces, (n,).
         cell_ids: the cell of each surface, (n,).
-        context: all regions.
+        region_context: all regions.
         positions: x, y, z of each position, world frame [m].
 
     Returns:
         A mask of the ridges, shape (ridges,).
     """
-    lattice = context.regions.lattice
-    heights = context.regions.surfaces.z[surface_ids]
+    lattice = region_context.regions.lattice
+    heights = region_context.regions.surfaces.z[surface_ids]
     has_position = np.zeros(int(ridge_of_surface.max(initial=-1)) + 1, dtype=np.bool_)
     for x, y, z in positions:
         row, col = lattice.rows_cols([x, y])
@@ -222,8 +230,8 @@ def _mark_ridges_at_positions(
     return has_position
 
 
-def clear_marks(surfaces: Surfaces, is_cleared: Bool) -> Surfaces:
-    """Return all surfaces, with `Surfaces.marks` set to 0 where a mask is True.
+def clear_flags(surfaces: Surfaces, is_cleared: Bool) -> Surfaces:
+    """Return all surfaces, with `Surfaces.flags` set to 0 where a mask is True.
 
     No agent stands on such a surface then, but a floor beside it may still go on there.
 
@@ -231,4 +239,4 @@ def clear_marks(surfaces: Surfaces, is_cleared: Bool) -> Surfaces:
         surfaces: all surfaces.
         is_cleared: shape (surfaces,), bool.
     """
-    return surfaces._replace(marks=np.where(is_cleared, np.uint8(0), surfaces.marks))
+    return surfaces._replace(flags=np.where(is_cleared, np.uint8(0), surfaces.flags))

@@ -22,7 +22,7 @@ from navbake.types import Float, Int32
 if TYPE_CHECKING:  # kernels depend on kernels alone
     from navbake.navgrid.lattice import Lattice
 
-# Bits of `Surfaces.marks`; `list_surfaces` defines them
+# Bits of `Surfaces.flags`; `list_surfaces` defines them
 FLOOR_LIKE = 1  # a floor may continue at the surface
 STANDABLE = 2  # an agent can stand on the surface
 UNCOVERED = 4  # an agent can stand on the surface, and nothing lies above it
@@ -51,7 +51,7 @@ class Surfaces(NamedTuple):
         z: heights, ascending in a cell, shape (n,), float64 [m].
         geom: MuJoCo's geom ids, shape (n,), int32; for an ENCLOSED surface, the id of the mesh or
             plane around it.
-        marks: bits FLOOR_LIKE, STANDABLE, UNCOVERED and ENCLOSED, shape (n,), uint8.
+        flags: bits FLOOR_LIKE, STANDABLE, UNCOVERED and ENCLOSED, shape (n,), uint8.
         normal: unit normals, shape (n, 3), float32; (n, 0) where no slope rises by more than a step
             over a cell.
     """
@@ -61,12 +61,12 @@ class Surfaces(NamedTuple):
     end: Int32
     z: Float
     geom: Int32
-    marks: NDArray[np.uint8]
+    flags: NDArray[np.uint8]
     normal: NDArray[np.float32]
 
 
 @subkernel(**NO_REFCOUNT)
-def find_planes_above(planes, lattice, cell, z):
+def count_planes_around(planes, lattice, cell, z):
     """Count the infinite planes that a point over a cell's centre lies inside of.
 
     Args:
@@ -78,39 +78,39 @@ def find_planes_above(planes, lattice, cell, z):
     Returns:
         The number of planes around the point, and the geom id of the last of them, -1 for none.
     """
-    count = 0
-    geom = np.int32(-1)
-    for p in range(planes.geom.shape[0]):
+    num_planes = 0
+    last_geom = np.int32(-1)
+    for plane in range(planes.geom.shape[0]):
         x, y = cell_center(lattice, cell)
         depth = (
-            planes.mat[p, 2] * (x - planes.pos[p, 0])
-            + planes.mat[p, 5] * (y - planes.pos[p, 1])
-            + planes.mat[p, 8] * (z - planes.pos[p, 2])
+            planes.mat[plane, 2] * (x - planes.pos[plane, 0])
+            + planes.mat[plane, 5] * (y - planes.pos[plane, 1])
+            + planes.mat[plane, 8] * (z - planes.pos[plane, 2])
         )
         if depth < -SAME_HEIGHT:
-            count = count + 1
-            geom = planes.geom[p]
-    return count, geom
+            num_planes = num_planes + 1
+            last_geom = planes.geom[plane]
+    return num_planes, last_geom
 
 
 @subkernel(inline="always")
-def _height_above(hits, i, last):
-    """Return the height of the next hit above hit i of a column [m]; infinity if there is none.
+def _height_above(hits, hit, stop):
+    """Return the height of the next hit above a hit of a column [m]; infinity if there is none.
 
-    Hits within SAME_HEIGHT are not above it. `last` is the index past the column's last hit.
+    Hits within SAME_HEIGHT are not above it. `stop` is the index past the column's last hit.
     """
-    for j in range(i + 1, last):
-        if hits.z[j] - hits.z[i] > SAME_HEIGHT:
+    for j in range(hit + 1, stop):
+        if hits.z[j] - hits.z[hit] > SAME_HEIGHT:
             return hits.z[j]
     return math.inf
 
 
 @subkernel(**NO_REFCOUNT)
-def _count_enclosing(hits, i, last):
-    """Count the closed meshes, and the other solids, that hit i of a column lies inside of.
+def _count_enclosing_solids(hits, hit, stop):
+    """Count the closed meshes, and the other solids, that a hit of a column lies inside of.
 
     A solid whose underside is at the hit's height (within SAME_HEIGHT) encloses it; one whose top
-    is there does not. `last` is the index past the column's last hit.
+    is there does not. `stop` is the index past the column's last hit.
 
     Returns:
         The number of closed meshes, and the number of other solids.
@@ -120,8 +120,8 @@ def _count_enclosing(hits, i, last):
     closed = hits.closed
     num_meshes = 0
     num_solids = 0
-    for j in range(i + 1, last):
-        if z[j] - z[i] <= SAME_HEIGHT:
+    for j in range(hit + 1, stop):
+        if z[j] - z[hit] <= SAME_HEIGHT:
             continue
         winding = 1 if normal[j, 2] > 0.0 else -1
         if closed[j] == CLOSED_SURFACE:
@@ -132,22 +132,22 @@ def _count_enclosing(hits, i, last):
 
 
 @subkernel(inline="always")
-def _find_enclosing_mesh(hits, i, last):
-    """Return the geom id of the closed mesh around hit i of a column, -1 if there is none.
+def _find_enclosing_mesh(hits, hit, stop):
+    """Return the geom id of the closed mesh around a hit of a column, -1 if there is none.
 
-    Of several meshes it is the one whose upper side is nearest above the hit. `last` is the index
+    Of several meshes it is the one whose upper side is nearest above the hit. `stop` is the index
     past the column's last hit.
     """
     z = hits.z
     normal = hits.normal
     geom = hits.geom
     closed = hits.closed
-    for j in range(i + 1, last):
-        if closed[j] != CLOSED_SURFACE or normal[j, 2] <= 0.0 or z[j] - z[i] <= SAME_HEIGHT:
+    for j in range(hit + 1, stop):
+        if closed[j] != CLOSED_SURFACE or normal[j, 2] <= 0.0 or z[j] - z[hit] <= SAME_HEIGHT:
             continue
         winding = 0
-        for k in range(i + 1, last):
-            if geom[k] == geom[j] and closed[k] == CLOSED_SURFACE and z[k] - z[i] > SAME_HEIGHT:
+        for k in range(hit + 1, stop):
+            if geom[k] == geom[j] and closed[k] == CLOSED_SURFACE and z[k] - z[hit] > SAME_HEIGHT:
                 winding += 1 if normal[k, 2] > 0.0 else -1
         if winding > 0:
             return geom[j]
@@ -155,7 +155,7 @@ def _find_enclosing_mesh(hits, i, last):
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, end):
+def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_arrays, begin, end):
     """List the surfaces that floors may consist of, in the columns of ``cells[begin:end]``.
 
     A hit is FLOOR_LIKE if its normal is within the agent's slope. A steeper hit that faces up is
@@ -176,10 +176,10 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
         lattice: the `Lattice` of the cells.
         hits: the `ColumnHits` of all cells.
         planes: a `Planes`: the infinite planes of the scene.
-        limits: the `AgentLimits`.
+        agent_limits: the `AgentLimits`.
         cells: ids of cells.
-        counts: receives how many surfaces each cell has.
-        columns: four arrays that receive the rows, a row for each surface: height [m], geom id,
+        row_counts: receives how many surfaces each cell has.
+        row_arrays: four arrays that receive the rows, a row for each surface: height [m], geom id,
             marks and normal, as in `Surfaces`. If the normals have shape (n, 0), none are written.
         begin: index in `cells` of the first cell.
         end: index past the last one.
@@ -187,84 +187,91 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
     Returns:
         The index in `cells` of the first cell whose rows had no room; `end` if all had room.
     """
-    heights, geoms, marks, normals = columns
-    num = 0
-    for n in range(begin, end):
-        first = hits.start[cells[n]]
-        last = hits.start[cells[n] + 1]
-        num_before = num
+    heights, geoms, flags, normals = row_arrays
+    num_rows = 0
+    for index in range(begin, end):
+        first_hit = hits.start[cells[index]]
+        stop = hits.start[cells[index] + 1]
+        num_rows_before = num_rows
         # every hit may become a row
-        if num + last - first > heights.shape[0]:
-            return n
+        if num_rows + stop - first_hit > heights.shape[0]:
+            return index
         standable_z = -math.inf  # height of the last standable surface
         enclosed_z = -math.inf  # height of the last enclosed surface
         gentle_z = -math.inf  # height of the last surface within the slope
-        gentle_row = num
-        for i in range(first, last):
-            z = hits.z[i]
-            up = hits.normal[i, 2]
-            is_gentle = up >= limits.min_up
+        gentle_row = num_rows
+        for hit in range(first_hit, stop):
+            z = hits.z[hit]
+            normal_z = hits.normal[hit, 2]
+            is_gentle = normal_z >= agent_limits.min_up
             # too steep, and no bump that is low enough to step over
-            if not is_gentle and not (up > 0.0 and z - gentle_z <= limits.step + LIMIT_SLACK):
+            if not is_gentle and not (
+                normal_z > 0.0 and z - gentle_z <= agent_limits.max_step + LIMIT_SLACK
+            ):
                 continue
-            if not is_gentle and up <= MAX_SIDE_UP and gentle_z - standable_z > SAME_HEIGHT:
+            if not is_gentle and normal_z <= MAX_SIDE_UP and gentle_z - standable_z > SAME_HEIGHT:
                 # the side of a tread covers the tread below, which is the floor
-                num_meshes, num_solids = _count_enclosing(hits, i, last)
-                above = _height_above(hits, i, last)
-                has_headroom = above - gentle_z >= limits.headroom - LIMIT_SLACK
+                num_meshes, num_solids = _count_enclosing_solids(hits, hit, stop)
+                height_above = _height_above(hits, hit, stop)
+                has_headroom = height_above - gentle_z >= agent_limits.headroom - LIMIT_SLACK
                 if num_meshes + num_solids <= 0 and has_headroom:
                     standable_z = gentle_z
-                    marks[gentle_row] |= STANDABLE if above < math.inf else STANDABLE | UNCOVERED
+                    flags[gentle_row] |= (
+                        STANDABLE if height_above < math.inf else STANDABLE | UNCOVERED
+                    )
                     continue
-            heights[num] = z
-            geoms[num] = hits.geom[i]
-            marks[num] = FLOOR_LIKE
+            heights[num_rows] = z
+            geoms[num_rows] = hits.geom[hit]
+            flags[num_rows] = FLOOR_LIKE
             for axis in range(normals.shape[1]):
-                normals[num, axis] = hits.normal[i, axis]
+                normals[num_rows, axis] = hits.normal[hit, axis]
             if is_gentle:
                 gentle_z = z
-                gentle_row = num
-                above = _height_above(hits, i, last)
-                if z - standable_z > SAME_HEIGHT and above - z >= limits.headroom - LIMIT_SLACK:
-                    num_meshes, num_solids = _count_enclosing(hits, i, last)
-                    num_planes, plane_geom = find_planes_above(planes, lattice, cells[n], z)
+                gentle_row = num_rows
+                height_above = _height_above(hits, hit, stop)
+                if (
+                    z - standable_z > SAME_HEIGHT
+                    and height_above - z >= agent_limits.headroom - LIMIT_SLACK
+                ):
+                    num_meshes, num_solids = _count_enclosing_solids(hits, hit, stop)
+                    num_planes, plane_geom = count_planes_around(planes, lattice, cells[index], z)
                     # only closed meshes, or only planes, are around the hit
                     in_meshes_or_planes_alone = num_solids <= 0 and (
                         num_meshes <= 0 or num_planes == 0
                     )
                     if num_meshes + num_solids + num_planes <= 0:
-                        marks[num] |= STANDABLE
+                        flags[num_rows] |= STANDABLE
                         standable_z = z
-                        if hits.z[last - 1] - z <= LIMIT_SLACK:
-                            marks[num] |= UNCOVERED
+                        if hits.z[stop - 1] - z <= LIMIT_SLACK:
+                            flags[num_rows] |= UNCOVERED
                     elif in_meshes_or_planes_alone and z - enclosed_z > SAME_HEIGHT:
-                        marks[num] |= ENCLOSED
+                        flags[num_rows] |= ENCLOSED
                         enclosed_z = z
-                        mesh_geom = _find_enclosing_mesh(hits, i, last)
-                        geoms[num] = mesh_geom if mesh_geom >= 0 else plane_geom
-            num += 1
-        counts[n] = num - num_before
+                        mesh_geom = _find_enclosing_mesh(hits, hit, stop)
+                        geoms[num_rows] = mesh_geom if mesh_geom >= 0 else plane_geom
+            num_rows += 1
+        row_counts[index] = num_rows - num_rows_before
     return end
 
 
 @subkernel(**NO_REFCOUNT)
-def slopes_join(surfaces, a, b, direction, step):
+def slopes_join(surfaces, surface_a, surface_b, direction, max_step):
     """Return whether slopes join two surfaces of neighboring cells that no step joins.
 
-    The slope of each of the two surfaces predicts how much the floor rises from `a` to `b`. At
-    least one slope must predict more than a step, up or down. The surfaces join if the real rise
-    lies between the two predictions (for example if a floor bends between the cells, at the foot of
-    a ramp), or if it differs from each prediction by at most a step.
+    The slope of each of the two surfaces predicts how much the floor rises from `surface_a` to
+    `surface_b`. At least one slope must predict more than a step, up or down. The surfaces join if
+    the real rise lies between the two predictions (for example if a floor bends between the cells,
+    at the foot of a ramp), or if it differs from each prediction by at most a step.
 
     Args:
         surfaces: a `Surfaces` with normals.
-        a: id of a surface.
-        b: id of a surface of the neighboring cell in the direction.
+        surface_a: id of a surface.
+        surface_b: id of a surface of the neighboring cell in the direction.
         direction: EAST or SOUTH, from the cell of a to the cell of b.
-        step: the highest step [m].
+        max_step: the highest step [m].
     """
-    rise = surfaces.z[b] - surfaces.z[a]
-    if abs(rise) <= step + LIMIT_SLACK:
+    rise = surfaces.z[surface_b] - surfaces.z[surface_a]
+    if abs(rise) <= max_step + LIMIT_SLACK:
         return False
     normal = surfaces.normal
     cell_size = surfaces.lattice.cell_size
@@ -273,14 +280,14 @@ def slopes_join(surfaces, a, b, direction, step):
     if direction == SOUTH:  # which is against y
         axis = 1
         slope_sign = cell_size
-    rise_by_a = slope_sign * normal[a, axis] / normal[a, 2]
-    rise_by_b = slope_sign * normal[b, axis] / normal[b, 2]
-    if max(abs(rise_by_a), abs(rise_by_b)) <= step + LIMIT_SLACK:
+    rise_by_a = slope_sign * normal[surface_a, axis] / normal[surface_a, 2]
+    rise_by_b = slope_sign * normal[surface_b, axis] / normal[surface_b, 2]
+    if max(abs(rise_by_a), abs(rise_by_b)) <= max_step + LIMIT_SLACK:
         return False
     # a bend between the two cells makes the real rise a mean of both predictions
     lowest_rise = min(rise_by_a, rise_by_b)
     highest_rise = max(rise_by_a, rise_by_b)
     if lowest_rise - LIMIT_SLACK <= rise <= highest_rise + LIMIT_SLACK:
         return True
-    is_near_a = abs(rise - rise_by_a) <= step + LIMIT_SLACK
-    return is_near_a and abs(rise - rise_by_b) <= step + LIMIT_SLACK
+    is_near_a = abs(rise - rise_by_a) <= max_step + LIMIT_SLACK
+    return is_near_a and abs(rise - rise_by_b) <= max_step + LIMIT_SLACK

@@ -84,7 +84,7 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
     arrays_by_chunk: list[list[NDArray[Any]]] = []
     for chunk in columns.row_chunks():
         cells = _cells_by_block(lattice, chunk.valid_rows)
-        counts, arrays = list_rows(
+        num_in_cell, arrays = list_rows(
             list_surfaces,
             cells,
             no_rows,
@@ -95,12 +95,12 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
             least=LEAST_CELLS,
         )
         # surfaces of this chunk come after those of earlier chunks
-        end_surface[cells] = num_surfaces + np.cumsum(counts)
-        first_surface[cells] = end_surface[cells] - counts
-        num_surfaces += int(counts.sum())
+        end_surface[cells] = num_surfaces + np.cumsum(num_in_cell)
+        first_surface[cells] = end_surface[cells] - num_in_cell
+        num_surfaces += int(num_in_cell.sum())
         arrays_by_chunk.append(arrays)
-    z, geom, marks, normal = join_arrays(arrays_by_chunk)
-    return Surfaces(lattice, first_surface, end_surface, z, geom, marks, normal)
+    z, geom, flags, normal = join_arrays(arrays_by_chunk)
+    return Surfaces(lattice, first_surface, end_surface, z, geom, flags, normal)
 
 
 def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
@@ -114,7 +114,7 @@ def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
 
 
 def find_highest_within_step(
-    first_surface: Int | Int32, end_surface: Int | Int32, heights: Float, z: Float, step: float
+    first_surface: Int | Int32, end_surface: Int | Int32, heights: Float, z: Float, max_step: float
 ) -> Float:
     """Find in each cell the highest surface that differs from a height by at most a step.
 
@@ -123,7 +123,7 @@ def find_highest_within_step(
         end_surface: the index past each cell's last surface, shape (n,).
         heights: the heights of all surfaces, ascending in each cell [m].
         z: for each cell, the height to compare with, shape (n,) [m].
-        step: the highest step [m].
+        max_step: the highest step [m].
 
     Returns:
         Heights, shape (n,) [m]; NaN for a cell without such a surface.
@@ -131,6 +131,6 @@ def find_highest_within_step(
     highest_z = np.full(len(z), np.nan)
     for k in range(int((end_surface - first_surface).max(initial=0))):
         height = heights[np.minimum(first_surface + k, end_surface - 1)]
-        is_near = (first_surface + k < end_surface) & (abs(height - z) <= step + LIMIT_SLACK)
+        is_near = (first_surface + k < end_surface) & (abs(height - z) <= max_step + LIMIT_SLACK)
         highest_z[is_near] = height[is_near]
     return highest_z

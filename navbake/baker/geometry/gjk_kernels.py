@@ -46,31 +46,31 @@ class Simplex(NamedTuple):
 
     Attributes:
         points: the corners, (4, 3) float64 [m]; the first ones are valid.
-        keep: which corners the nearest point of a face depends on, (4,) bool.
-        best_keep: the value of `keep` for the nearest face so far, (4,) bool.
-        v: the simplex' nearest point to the origin, (3,) float64 [m].
-        trial: the nearest point to the origin of the face that is tried, (3,) float64 [m].
+        is_kept: which corners the nearest point of a face depends on, (4,) bool.
+        is_kept_best: the value of `keep` for the nearest face so far, (4,) bool.
+        nearest: the simplex' nearest point to the origin, (3,) float64 [m].
+        trial_nearest: the nearest point to the origin of the face that is tried, (3,) float64 [m].
     """
 
     points: Float
-    keep: Bool
-    best_keep: Bool
-    v: Float
-    trial: Float
+    is_kept: Bool
+    is_kept_best: Bool
+    nearest: Float
+    trial_nearest: Float
 
 
 @subkernel
-def make_simplex():
+def allocate_simplex():
     """Allocate a simplex without points."""
     points = np.empty((4, 3))
-    keep = np.zeros(4, np.bool_)
-    best_keep = np.zeros(4, np.bool_)
-    return Simplex(points, keep, best_keep, np.empty(3), np.empty(3))
+    is_kept = np.zeros(4, np.bool_)
+    is_kept_best = np.zeros(4, np.bool_)
+    return Simplex(points, is_kept, is_kept_best, np.empty(3), np.empty(3))
 
 
 @subkernel(inline="always")
-def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
-    """Write the farthest point of a solid along a direction (dx, dy, dz) to `out`, (3,).
+def _write_solid_support(kind, pos, mat, size, dx, dy, dz, point):
+    """Write the farthest point of a solid along a direction (dx, dy, dz) to `point`, (3,).
 
     The solid is given by MuJoCo's type, position, rotation matrix and size, see `Solids`.
     """
@@ -108,27 +108,27 @@ def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
             pz = size[0] * lz / norm
         if kind == CAPSULE:
             pz += size[1] if lz > 0.0 else -size[1]
-    out[0] = pos[0] + mat[0] * px + mat[1] * py + mat[2] * pz
-    out[1] = pos[1] + mat[3] * px + mat[4] * py + mat[5] * pz
-    out[2] = pos[2] + mat[6] * px + mat[7] * py + mat[8] * pz
+    point[0] = pos[0] + mat[0] * px + mat[1] * py + mat[2] * pz
+    point[1] = pos[1] + mat[3] * px + mat[4] * py + mat[5] * pz
+    point[2] = pos[2] + mat[6] * px + mat[7] * py + mat[8] * pz
 
 
 @subkernel(inline="always")
-def _subtract_prism(prism, dx, dy, dz, out):
-    """Subtract the prism's farthest point along a direction (dx, dy, dz) from `out`, (3,)."""
+def _subtract_prism_support(prism, dx, dy, dz, difference):
+    """Subtract a prism's farthest point along a direction (dx, dy, dz) from `difference`, (3,)."""
     if prism.is_round:
         across = math.sqrt(dx * dx + dy * dy)
         if across > 0.0:
-            out[0] -= prism.x + prism.half * dx / across
-            out[1] -= prism.y + prism.half * dy / across
+            difference[0] -= prism.x + prism.half * dx / across
+            difference[1] -= prism.y + prism.half * dy / across
         else:
-            out[0] -= prism.x
-            out[1] -= prism.y
+            difference[0] -= prism.x
+            difference[1] -= prism.y
     else:
-        out[0] -= prism.x + (prism.half if dx > 0.0 else -prism.half)
-        out[1] -= prism.y + (prism.half if dy > 0.0 else -prism.half)
+        difference[0] -= prism.x + (prism.half if dx > 0.0 else -prism.half)
+        difference[1] -= prism.y + (prism.half if dy > 0.0 else -prism.half)
     half_z = (prism.high - prism.low) / 2.0
-    out[2] -= (prism.low + prism.high) / 2.0 + (half_z if dz > 0.0 else -half_z)
+    difference[2] -= (prism.low + prism.high) / 2.0 + (half_z if dz > 0.0 else -half_z)
 
 
 @subkernel(inline="always")
@@ -138,47 +138,47 @@ def _dot(a, b):
 
 
 @subkernel(inline="always")
-def _nearest_on_segment(a, b, keep, v):
-    """Write a segment's nearest point to the origin to `v`, and to `keep` which ends it lies on.
+def _write_nearest_on_segment(a, b, is_kept, nearest):
+    """Write a segment's nearest point to the origin to `nearest`; mark its ends in `is_kept`.
 
-    Both ends, a and b, are kept if the nearest point lies between them.
+    One of the ends a and b is marked if it is the nearest point; both are if that lies between.
     """
     abx = b[0] - a[0]
     aby = b[1] - a[1]
     abz = b[2] - a[2]
     squared_length = abx * abx + aby * aby + abz * abz
-    t = -(a[0] * abx + a[1] * aby + a[2] * abz)
-    if t <= 0.0 or squared_length == 0.0:
-        v[0] = a[0]
-        v[1] = a[1]
-        v[2] = a[2]
-        keep[0] = True
-        keep[1] = False
-    elif t >= squared_length:
-        v[0] = b[0]
-        v[1] = b[1]
-        v[2] = b[2]
-        keep[0] = False
-        keep[1] = True
+    fraction = -(a[0] * abx + a[1] * aby + a[2] * abz)
+    if fraction <= 0.0 or squared_length == 0.0:
+        nearest[0] = a[0]
+        nearest[1] = a[1]
+        nearest[2] = a[2]
+        is_kept[0] = True
+        is_kept[1] = False
+    elif fraction >= squared_length:
+        nearest[0] = b[0]
+        nearest[1] = b[1]
+        nearest[2] = b[2]
+        is_kept[0] = False
+        is_kept[1] = True
     else:
-        t /= squared_length
-        v[0] = a[0] + t * abx
-        v[1] = a[1] + t * aby
-        v[2] = a[2] + t * abz
-        keep[0] = True
-        keep[1] = True
+        fraction /= squared_length
+        nearest[0] = a[0] + fraction * abx
+        nearest[1] = a[1] + fraction * aby
+        nearest[2] = a[2] + fraction * abz
+        is_kept[0] = True
+        is_kept[1] = True
 
 
 @subkernel(**NO_REFCOUNT)
-def _nearest_on_triangle(a, b, c, keep, v):
-    """Write a triangle's nearest point to the origin to `v`, and its corners to keep to `keep`.
+def _write_nearest_on_triangle(a, b, c, is_kept, nearest):
+    """Write a triangle's nearest point to the origin to `nearest`; mark corners in `is_kept`.
 
-    These are the corners a, b, c of which the nearest point is a mean: one, two of an edge, or all.
-    The Voronoi regions of the corners, the edges and the face are tested in turn.
+    Marked are those of the corners a, b, c of which the nearest point is a mean: one, two of an
+    edge, or all. The Voronoi regions of the corners, the edges and the face are tested in turn.
     """
-    keep[0] = False
-    keep[1] = False
-    keep[2] = False
+    is_kept[0] = False
+    is_kept[1] = False
+    is_kept[2] = False
     abx = b[0] - a[0]
     aby = b[1] - a[1]
     abz = b[2] - a[2]
@@ -189,70 +189,70 @@ def _nearest_on_triangle(a, b, c, keep, v):
     d1 = -(abx * a[0] + aby * a[1] + abz * a[2])
     d2 = -(acx * a[0] + acy * a[1] + acz * a[2])
     if d1 <= 0.0 and d2 <= 0.0:
-        v[0] = a[0]
-        v[1] = a[1]
-        v[2] = a[2]
-        keep[0] = True
+        nearest[0] = a[0]
+        nearest[1] = a[1]
+        nearest[2] = a[2]
+        is_kept[0] = True
         return
     d3 = -(abx * b[0] + aby * b[1] + abz * b[2])
     d4 = -(acx * b[0] + acy * b[1] + acz * b[2])
     if d3 >= 0.0 and d4 <= d3:
-        v[0] = b[0]
-        v[1] = b[1]
-        v[2] = b[2]
-        keep[1] = True
+        nearest[0] = b[0]
+        nearest[1] = b[1]
+        nearest[2] = b[2]
+        is_kept[1] = True
         return
     d5 = -(abx * c[0] + aby * c[1] + abz * c[2])
     d6 = -(acx * c[0] + acy * c[1] + acz * c[2])
     if d6 >= 0.0 and d5 <= d6:
-        v[0] = c[0]
-        v[1] = c[1]
-        v[2] = c[2]
-        keep[2] = True
+        nearest[0] = c[0]
+        nearest[1] = c[1]
+        nearest[2] = c[2]
+        is_kept[2] = True
         return
     # beyond an edge: vc, vb, va are the areas that the foot of the origin spans with each edge
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        t = d1 / (d1 - d3)
-        v[0] = a[0] + t * abx
-        v[1] = a[1] + t * aby
-        v[2] = a[2] + t * abz
-        keep[0] = True
-        keep[1] = True
+        fraction = d1 / (d1 - d3)
+        nearest[0] = a[0] + fraction * abx
+        nearest[1] = a[1] + fraction * aby
+        nearest[2] = a[2] + fraction * abz
+        is_kept[0] = True
+        is_kept[1] = True
         return
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        t = d2 / (d2 - d6)
-        v[0] = a[0] + t * acx
-        v[1] = a[1] + t * acy
-        v[2] = a[2] + t * acz
-        keep[0] = True
-        keep[2] = True
+        fraction = d2 / (d2 - d6)
+        nearest[0] = a[0] + fraction * acx
+        nearest[1] = a[1] + fraction * acy
+        nearest[2] = a[2] + fraction * acz
+        is_kept[0] = True
+        is_kept[2] = True
         return
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 >= d3 and d5 >= d6:
-        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        v[0] = b[0] + t * (c[0] - b[0])
-        v[1] = b[1] + t * (c[1] - b[1])
-        v[2] = b[2] + t * (c[2] - b[2])
-        keep[1] = True
-        keep[2] = True
+        fraction = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        nearest[0] = b[0] + fraction * (c[0] - b[0])
+        nearest[1] = b[1] + fraction * (c[1] - b[1])
+        nearest[2] = b[2] + fraction * (c[2] - b[2])
+        is_kept[1] = True
+        is_kept[2] = True
         return
     # inside: the foot of the origin on the plane, by the plane's normal
     nx = aby * acz - abz * acy
     ny = abz * acx - abx * acz
     nz = abx * acy - aby * acx
     scale = (a[0] * nx + a[1] * ny + a[2] * nz) / (nx * nx + ny * ny + nz * nz)
-    v[0] = nx * scale
-    v[1] = ny * scale
-    v[2] = nz * scale
-    keep[0] = True
-    keep[1] = True
-    keep[2] = True
+    nearest[0] = nx * scale
+    nearest[1] = ny * scale
+    nearest[2] = nz * scale
+    is_kept[0] = True
+    is_kept[1] = True
+    is_kept[2] = True
 
 
 @subkernel(inline="always")
-def _origin_outside(a, b, c, d):
+def _is_origin_outside(a, b, c, d):
     """Return whether the origin is outside of the tetrahedron a, b, c, d, beyond its face a, b, c.
 
     It counts as outside if the tetrahedron is flat: d lies in the face's plane.
@@ -278,64 +278,65 @@ TETRAHEDRON_FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3
 
 
 @subkernel(inline="always")
-def _nearest_on_faces(simplex, num):
+def _write_nearest_on_faces(simplex, num_corners):
     """Write the nearest point of a triangle or a tetrahedron to the origin to `simplex.v`.
 
-    `num` is 3 or 4. Returns False if the origin is inside of the tetrahedron.
+    `num_corners` is 3 or 4. Returns False if the origin is inside of the tetrahedron.
     """
     points = simplex.points
-    best = math.inf
-    outside = False
-    for f in range(4 if num == 4 else 1):  # a triangle is the first face
-        i = TETRAHEDRON_FACES[f, 0]
-        j = TETRAHEDRON_FACES[f, 1]
-        k = TETRAHEDRON_FACES[f, 2]
-        m = TETRAHEDRON_FACES[f, 3]
-        if num == 4 and not _origin_outside(points[i], points[j], points[k], points[m]):
+    least_square = math.inf
+    is_outside = False
+    for face in range(4 if num_corners == 4 else 1):  # a triangle is the first face
+        i = TETRAHEDRON_FACES[face, 0]
+        j = TETRAHEDRON_FACES[face, 1]
+        k = TETRAHEDRON_FACES[face, 2]
+        m = TETRAHEDRON_FACES[face, 3]
+        if num_corners == 4 and not _is_origin_outside(points[i], points[j], points[k], points[m]):
             continue
-        outside = True
-        keep = simplex.keep
-        trial = simplex.trial
-        _nearest_on_triangle(points[i], points[j], points[k], keep, trial)
-        distance = _dot(trial, trial)
-        if num == 3 or distance < best:  # a triangle's may be NaN
-            best = distance
-            simplex.v[0] = trial[0]
-            simplex.v[1] = trial[1]
-            simplex.v[2] = trial[2]
-            simplex.best_keep[i] = keep[0]
-            simplex.best_keep[j] = keep[1]
-            simplex.best_keep[k] = keep[2]
-            simplex.best_keep[m] = False
-    return outside
+        is_outside = True
+        is_kept = simplex.is_kept
+        trial_nearest = simplex.trial_nearest
+        _write_nearest_on_triangle(points[i], points[j], points[k], is_kept, trial_nearest)
+        squared_distance = _dot(trial_nearest, trial_nearest)
+        if num_corners == 3 or squared_distance < least_square:  # a triangle's may be NaN
+            least_square = squared_distance
+            simplex.nearest[0] = trial_nearest[0]
+            simplex.nearest[1] = trial_nearest[1]
+            simplex.nearest[2] = trial_nearest[2]
+            simplex.is_kept_best[i] = is_kept[0]
+            simplex.is_kept_best[j] = is_kept[1]
+            simplex.is_kept_best[k] = is_kept[2]
+            simplex.is_kept_best[m] = False
+    return is_outside
 
 
 @subkernel(inline="always")
-def _reduce(simplex, num):
+def _reduce_simplex(simplex, num_corners):
     """Write the simplex' nearest point to the origin to `simplex.v`; drop unneeded corners.
 
-    Returns how many of the `num` corners remain; 4 if the origin is inside of the tetrahedron.
+    Returns how many of the `num_corners` corners remain; 4 if the origin is inside of the
+    tetrahedron.
     """
     points = simplex.points
-    keep = simplex.keep
-    v = simplex.v
-    if num == 1:
-        v[0] = points[0, 0]
-        v[1] = points[0, 1]
-        v[2] = points[0, 2]
+    is_kept = simplex.is_kept
+    nearest = simplex.nearest
+    if num_corners == 1:
+        nearest[0] = points[0, 0]
+        nearest[1] = points[0, 1]
+        nearest[2] = points[0, 2]
         return 1
-    if num == 2:
-        keep[2] = False
-        keep[3] = False
-        _nearest_on_segment(points[0], points[1], keep, v)
+    if num_corners == 2:
+        is_kept[2] = False
+        is_kept[3] = False
+        _write_nearest_on_segment(points[0], points[1], is_kept, nearest)
     else:
-        if not _nearest_on_faces(simplex, num):
+        if not _write_nearest_on_faces(simplex, num_corners):
             return 4
         for i in range(4):
-            keep[i] = simplex.best_keep[i]
+            is_kept[i] = simplex.is_kept_best[i]
     num_remaining = 0
-    for i in range(num):
-        if keep[i]:
+    for i in range(num_corners):
+        if is_kept[i]:
             points[num_remaining, 0] = points[i, 0]
             points[num_remaining, 1] = points[i, 1]
             points[num_remaining, 2] = points[i, 2]
@@ -344,49 +345,53 @@ def _reduce(simplex, num):
 
 
 @subkernel(**NO_REFCOUNT)
-def gjk_meets_prism(solids, s, prism, simplex):
+def gjk_meets_prism(solids, solid, prism, simplex):
     """Decide by iteration whether a solid meets a prism.
 
     Args:
         solids: the solids, as `Solids`.
-        s: index of the solid.
+        solid: index of the solid.
         prism: the prism, as `Prism`.
-        simplex: room for the iteration, see `make_simplex`.
+        simplex: room for the iteration, see `allocate_simplex`.
 
     Returns:
         APART or MEETS, which are proved, or UNDECIDED.
     """
-    kind = solids.kind[s]
-    pos = solids.pos[s]
-    mat = solids.mat[s]
-    size = solids.size[s]
+    kind = solids.kind[solid]
+    pos = solids.pos[solid]
+    mat = solids.mat[solid]
+    size = solids.size[solid]
     points = simplex.points
-    v = simplex.v
+    nearest = simplex.nearest
     # the iteration may begin at any point of the difference: here the difference of the centres
-    v[0] = pos[0] - prism.x
-    v[1] = pos[1] - prism.y
-    v[2] = pos[2] - (prism.low + prism.high) / 2.0
-    if v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0:
+    nearest[0] = pos[0] - prism.x
+    nearest[1] = pos[1] - prism.y
+    nearest[2] = pos[2] - (prism.low + prism.high) / 2.0
+    if nearest[0] == 0.0 and nearest[1] == 0.0 and nearest[2] == 0.0:
         return MEETS  # both centres are inside
-    num = 0
-    last_distance = math.inf
+    num_corners = 0
+    last_squared_distance = math.inf
     for _ in range(MAX_STEPS):
-        w = points[num]
-        _support_solid(kind, pos, mat, size, -v[0], -v[1], -v[2], w)
-        _subtract_prism(prism, v[0], v[1], v[2], w)
+        support = points[num_corners]
+        _write_solid_support(kind, pos, mat, size, -nearest[0], -nearest[1], -nearest[2], support)
+        _subtract_prism_support(prism, nearest[0], nearest[1], nearest[2], support)
         # all of the difference lies beyond the plane through w across v, the origin before it
-        if _dot(v, w) > 1e-15 * math.sqrt(_dot(v, v)):
+        if _dot(nearest, support) > 1e-15 * math.sqrt(_dot(nearest, nearest)):
             return APART
-        for i in range(num):
-            if points[i, 0] == w[0] and points[i, 1] == w[1] and points[i, 2] == w[2]:
+        for i in range(num_corners):
+            if (
+                points[i, 0] == support[0]
+                and points[i, 1] == support[1]
+                and points[i, 2] == support[2]
+            ):
                 return UNDECIDED  # the simplex cannot come nearer
-        num = _reduce(simplex, num + 1)
-        if num == 4:
+        num_corners = _reduce_simplex(simplex, num_corners + 1)
+        if num_corners == 4:
             return MEETS
-        distance = _dot(v, v)
-        if distance < CONTACT_DISTANCE * CONTACT_DISTANCE:
+        squared_distance = _dot(nearest, nearest)
+        if squared_distance < CONTACT_DISTANCE * CONTACT_DISTANCE:
             return MEETS  # v is a point of the difference
-        if distance > last_distance * (1.0 + MAX_ROUNDING_GROWTH):
+        if squared_distance > last_squared_distance * (1.0 + MAX_ROUNDING_GROWTH):
             return UNDECIDED
-        last_distance = distance
+        last_squared_distance = squared_distance
     return UNDECIDED

@@ -1,7 +1,7 @@
 """Find the closed parts of meshes: the triangles that enclose something, without open surfaces.
 
-1. `_peel` removes triangles with a bare edge, at which no other triangle ends, until there is none:
-   nothing is left of an open surface, but all of a closed one.
+1. `_remove_open_surfaces` removes triangles with a bare edge, at which no other triangle ends,
+   until there is none: nothing is left of an open surface, but all of a closed one.
 2. `_find_patches` divides the rest into manifold patches, by a flood over the edges at which two
    triangles meet, and finds the triangles that face the other way; `_flip_minority` flips them (Ju,
    Robust repair of polygonal models, 2004, section 2, lists the faults of meshes).
@@ -34,7 +34,7 @@ def _opposite_corner(faces, half_edge):
 
 
 @subkernel(inline="always")
-def _direction(faces, is_flipped, half_edge):
+def _half_edge_direction(faces, is_flipped, half_edge):
     """Return 1 if a half-edge runs up, from the point with the lower number to the other, else -1.
 
     `faces` are the points of each triangle's corners. Half-edges of flipped triangles run the other
@@ -47,13 +47,13 @@ def _direction(faces, is_flipped, half_edge):
 
 
 @subkernel(inline="always")
-def _sort_keys(keys, count):
-    """Sort the first `count` keys, ascending, in place, by Shell's sort."""
+def _sort_keys(keys, num_keys):
+    """Sort the first `num_keys` keys, ascending, in place, by Shell's sort."""
     gap = 1
-    while gap < count // 3:
+    while gap < num_keys // 3:
         gap = 3 * gap + 1
     while gap > 0:
-        for i in range(gap, count):
+        for i in range(gap, num_keys):
             key = keys[i]
             j = i
             while j >= gap and keys[j - gap] > key:
@@ -81,211 +81,223 @@ def _list_edges(faces, num_points):
     """
     end_of_point = np.zeros(num_points, np.int32)
     half_edges = np.empty(3 * faces.shape[0], np.int32)
-    for writing in (False, True):
-        for f in range(faces.shape[0]):
+    for is_writing in (False, True):
+        for face in range(faces.shape[0]):
             for k in range(3):
-                low = min(faces[f, k], faces[f, (k + 1) % 3])
-                if writing:
-                    half_edges[end_of_point[low]] = 3 * f + k
-                end_of_point[low] += 1
-        if not writing:  # set to where each point's list begins; writing moves it to the list's end
-            total = np.int32(0)
-            for low in range(num_points):
-                count = end_of_point[low]
-                end_of_point[low] = total
-                total += count
+                lower_point = min(faces[face, k], faces[face, (k + 1) % 3])
+                if is_writing:
+                    half_edges[end_of_point[lower_point]] = 3 * face + k
+                end_of_point[lower_point] += 1
+        if (
+            not is_writing
+        ):  # set to where each point's list begins; writing moves it to the list's end
+            num_before_point = np.int32(0)
+            for lower_point in range(num_points):
+                num_at_point = end_of_point[lower_point]
+                end_of_point[lower_point] = num_before_point
+                num_before_point += num_at_point
     edge_start = np.empty(half_edges.shape[0] + 1, np.int32)
     keys = np.empty(16, np.int64)
-    first = np.int32(0)
+    first_entry = np.int32(0)
     num_edges = 0
-    for low in range(num_points):
-        count = end_of_point[low] - first
-        if count > keys.shape[0]:
-            keys = np.empty(2 * count, np.int64)
-        for i in range(count):
-            h = half_edges[first + i]
-            high = max(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
-            keys[i] = (np.int64(high) << 32) | h
-        _sort_keys(keys, count)
-        for i in range(count):
+    for lower_point in range(num_points):
+        num_at_point = end_of_point[lower_point] - first_entry
+        if num_at_point > keys.shape[0]:
+            keys = np.empty(2 * num_at_point, np.int64)
+        for i in range(num_at_point):
+            half_edge = half_edges[first_entry + i]
+            higher_point = max(
+                faces[half_edge // 3, half_edge % 3], faces[half_edge // 3, (half_edge % 3 + 1) % 3]
+            )
+            keys[i] = (np.int64(higher_point) << 32) | half_edge
+        _sort_keys(keys, num_at_point)
+        for i in range(num_at_point):
             if i == 0 or keys[i] >> 32 != keys[i - 1] >> 32:
-                edge_start[num_edges] = first + i
+                edge_start[num_edges] = first_entry + i
                 num_edges += 1
-            half_edges[first + i] = keys[i] & 0xFFFFFFFF
-        first = end_of_point[low]
+            half_edges[first_entry + i] = keys[i] & 0xFFFFFFFF
+        first_entry = end_of_point[lower_point]
     edge_start[num_edges] = half_edges.shape[0]
     return edge_start[: num_edges + 1], half_edges
 
 
 @subkernel(inline="always")
-def _mark_duplicates(faces, edge_start, half_edges, part):
+def _mark_duplicates(faces, edge_start, half_edges, part_of_face):
     """Mark duplicates: triangles with the corners of an earlier triangle, in the same cyclic order.
 
-    `part` receives DUPLICATE for each of them.
+    `part_of_face` receives DUPLICATE for each of them.
     """
     keys = np.empty(16, np.int64)
-    for e in range(edge_start.shape[0] - 1):
-        if edge_start[e + 1] - edge_start[e] > keys.shape[0]:
-            keys = np.empty(2 * (edge_start[e + 1] - edge_start[e]), np.int64)
-        count = 0
-        for h in half_edges[edge_start[e] : edge_start[e + 1]]:
-            f = h // 3
-            k = h % 3
-            first_corner = faces[f, k]
-            second_corner = faces[f, (k + 1) % 3]
-            third_corner = _opposite_corner(faces, h)
+    for edge in range(edge_start.shape[0] - 1):
+        if edge_start[edge + 1] - edge_start[edge] > keys.shape[0]:
+            keys = np.empty(2 * (edge_start[edge + 1] - edge_start[edge]), np.int64)
+        num_keys = 0
+        for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
+            face = half_edge // 3
+            k = half_edge % 3
+            first_corner = faces[face, k]
+            second_corner = faces[face, (k + 1) % 3]
+            third_corner = _opposite_corner(faces, half_edge)
             # each triangle counts at one edge only: the one behind its lowest corner
             if first_corner < second_corner and first_corner < third_corner:
-                keys[count] = (np.int64(third_corner) << 32) | f
-                count += 1
-        if count > 1:
-            _sort_keys(keys, count)
-        for i in range(1, count):
+                keys[num_keys] = (np.int64(third_corner) << 32) | face
+                num_keys += 1
+        if num_keys > 1:
+            _sort_keys(keys, num_keys)
+        for i in range(1, num_keys):
             if keys[i] >> 32 == keys[i - 1] >> 32:
-                part[keys[i] & 0xFFFFFFFF] = DUPLICATE
+                part_of_face[keys[i] & 0xFFFFFFFF] = DUPLICATE
 
 
 @subkernel(inline="always")
-def _is_bare(faces, e, edge_start, half_edges, num_at_edge, remains):
-    """Return whether edge e is bare: one triangle remains at it, or two with the same corners.
+def _is_bare(faces, edge, edge_start, half_edges, num_at_edge, is_remaining):
+    """Return whether an edge is bare: one triangle remains at it, or two with the same corners.
 
-    `remains` says which triangles of the mesh are not removed yet; `num_at_edge` is the number of
-    these at each edge.
+    `is_remaining` says which triangles of the mesh are not removed yet; `num_at_edge` is the number
+    of these at each edge.
     """
-    if num_at_edge[e] == 1:
+    if num_at_edge[edge] == 1:
         return True
-    if num_at_edge[e] != 2:
+    if num_at_edge[edge] != 2:
         return False
     corner = np.int64(-1)
-    for h in half_edges[edge_start[e] : edge_start[e + 1]]:
-        if remains[h // 3]:
+    for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
+        if is_remaining[half_edge // 3]:
             if corner >= 0:
-                return _opposite_corner(faces, h) == corner
-            corner = _opposite_corner(faces, h)
+                return _opposite_corner(faces, half_edge) == corner
+            corner = _opposite_corner(faces, half_edge)
     return False
 
 
 @subkernel(inline="always")
-def _remove_at_edge(e, edge_start, half_edges, remains, queue, queue_end):
-    """Remove the remaining triangles at edge e, and append them to a queue.
+def _remove_at_edge(edge, edge_start, half_edges, is_remaining, queue, queue_end):
+    """Remove the remaining triangles at an edge, and append them to a queue.
 
-    `remains` becomes False for them. Returns the index past the last entry of the queue.
+    `is_remaining` becomes False for them. Returns the index past the last entry of the queue.
     """
-    for h in half_edges[edge_start[e] : edge_start[e + 1]]:
-        if remains[h // 3]:
-            remains[h // 3] = False
-            queue[queue_end] = h // 3
+    for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
+        if is_remaining[half_edge // 3]:
+            is_remaining[half_edge // 3] = False
+            queue[queue_end] = half_edge // 3
             queue_end += 1
     return queue_end
 
 
 @subkernel
-def _peel(faces, edge_of_half, edge_start, half_edges, remains):
+def _remove_open_surfaces(faces, edge_of_half, edge_start, half_edges, is_remaining):
     """Remove triangles with a bare edge, at which no other triangle ends, until there is none.
 
-    So all of an open surface is removed. `remains` becomes False for the removed triangles. Returns
-    the number of remaining triangles at each edge, int32.
+    So all of an open surface is removed. `is_remaining` becomes False for the removed triangles.
+    Returns the number of remaining triangles at each edge, int32.
     """
     num_at_edge = np.zeros(edge_start.shape[0] - 1, np.int32)
-    for h in range(edge_of_half.shape[0]):
-        if remains[h // 3]:
-            num_at_edge[edge_of_half[h]] += 1
+    for half_edge in range(edge_of_half.shape[0]):
+        if is_remaining[half_edge // 3]:
+            num_at_edge[edge_of_half[half_edge]] += 1
     queue = np.empty(faces.shape[0], np.int32)
     queue_end = 0
     queue_front = 0
-    for e in range(edge_start.shape[0] - 1):
-        if num_at_edge[e] > 0 and _is_bare(faces, e, edge_start, half_edges, num_at_edge, remains):
-            queue_end = _remove_at_edge(e, edge_start, half_edges, remains, queue, queue_end)
+    for edge in range(edge_start.shape[0] - 1):
+        if num_at_edge[edge] > 0 and _is_bare(
+            faces, edge, edge_start, half_edges, num_at_edge, is_remaining
+        ):
+            queue_end = _remove_at_edge(
+                edge, edge_start, half_edges, is_remaining, queue, queue_end
+            )
     # a removed triangle counts at its edges until its turn in the queue
     while queue_front < queue_end:
         face = queue[queue_front]
         queue_front += 1
         for k in range(3):
-            e = edge_of_half[3 * face + k]
-            num_at_edge[e] -= 1
-            if num_at_edge[e] > 0 and _is_bare(
-                faces, e, edge_start, half_edges, num_at_edge, remains
+            edge = edge_of_half[3 * face + k]
+            num_at_edge[edge] -= 1
+            if num_at_edge[edge] > 0 and _is_bare(
+                faces, edge, edge_start, half_edges, num_at_edge, is_remaining
             ):
-                queue_end = _remove_at_edge(e, edge_start, half_edges, remains, queue, queue_end)
+                queue_end = _remove_at_edge(
+                    edge, edge_start, half_edges, is_remaining, queue, queue_end
+                )
     return num_at_edge
 
 
 @subkernel(inline="always")
-def _mate_of(e, face, edge_start, half_edges, remains):
+def _find_neighbor_over_edge(edge, face, edge_start, half_edges, is_remaining):
     """Return a triangle's neighbor over an edge at which two triangles remain.
 
     Args:
-        e: the edge.
+        edge: the edge.
         face: the triangle.
-        edge_start: see `_list_edges`.
-        half_edges: see `_list_edges`.
-        remains: which triangles remain, bool.
+        edge_start: where each edge's half-edges begin in `half_edges`, int32.
+        half_edges: the half-edges of all edges, edge by edge, int32.
+        is_remaining: which triangles remain, bool.
 
     Returns:
         The neighbor's half-edge at the edge, -1 if there is no neighbor.
     """
-    for h in half_edges[edge_start[e] : edge_start[e + 1]]:
-        if remains[h // 3] and h // 3 != face:
-            return h
+    for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
+        if is_remaining[half_edge // 3] and half_edge // 3 != face:
+            return half_edge
     return np.int64(-1)
 
 
 @subkernel
-def _find_patches(faces, edge_of_half, edge_start, half_edges, remains, num_at_edge):
+def _find_patches(faces, edge_of_half, edge_start, half_edges, is_remaining, num_at_edge):
     """Number the manifold patches: triangles connected over edges where two triangles meet.
 
     Args:
         faces: the points of each triangle's corners, (m, 3) int32.
         edge_of_half: the edge of each half-edge, (3 m,) int32.
-        edge_start: see `_list_edges`.
-        half_edges: see `_list_edges`.
-        remains: which triangles are not removed, (m,) bool.
+        edge_start: where each edge's half-edges begin in `half_edges`, int32.
+        half_edges: the half-edges of all edges, edge by edge, int32.
+        is_remaining: which triangles are not removed, (m,) bool.
         num_at_edge: how many of these are at each edge, int32.
 
     Returns:
-        patch: the patch of each triangle, int32; -1 for removed triangles.
+        patch_of_face: the patch of each triangle, int32; -1 for removed triangles.
         patch_faces: the triangles of all patches, patch by patch, int32.
         patch_start: patch p is ``patch_faces[patch_start[p] : patch_start[p + 1]]``, int32.
         is_opposite: whether each triangle faces to the other side than the first triangle of its
             patch, bool.
     """
     num_faces = faces.shape[0]
-    patch = np.full(num_faces, np.int32(-1), np.int32)
+    patch_of_face = np.full(num_faces, np.int32(-1), np.int32)
     is_opposite = np.zeros(num_faces, np.bool_)
     patch_faces = np.empty(num_faces, np.int32)  # also the queue of the flood
     patch_start = np.empty(num_faces + 1, np.int32)
     num_patches = 0
     queue_front = 0
     queue_end = 0
-    for seed in range(num_faces):
-        if not remains[seed] or patch[seed] >= 0:
+    for first_face in range(num_faces):
+        if not is_remaining[first_face] or patch_of_face[first_face] >= 0:
             continue
         patch_start[num_patches] = queue_end
-        patch[seed] = num_patches
-        patch_faces[queue_end] = seed
+        patch_of_face[first_face] = num_patches
+        patch_faces[queue_end] = first_face
         queue_end += 1
         while queue_front < queue_end:
             face = patch_faces[queue_front]
             queue_front += 1
             for k in range(3):
-                e = edge_of_half[3 * face + k]
-                if num_at_edge[e] != 2:
+                edge = edge_of_half[3 * face + k]
+                if num_at_edge[edge] != 2:
                     continue
-                h = _mate_of(e, face, edge_start, half_edges, remains)
-                if h < 0 or patch[h // 3] >= 0:
+                half_edge = _find_neighbor_over_edge(
+                    edge, face, edge_start, half_edges, is_remaining
+                )
+                if half_edge < 0 or patch_of_face[half_edge // 3] >= 0:
                     continue
-                patch[h // 3] = num_patches
+                patch_of_face[half_edge // 3] = num_patches
                 # triangles that face the same way run along their shared edge in opposite
                 # directions
-                runs_along = _direction(faces, is_opposite, h) == _direction(
-                    faces, is_opposite, 3 * face + k
-                )
-                is_opposite[h // 3] = runs_along
-                patch_faces[queue_end] = h // 3
+                is_same_direction = _half_edge_direction(
+                    faces, is_opposite, half_edge
+                ) == _half_edge_direction(faces, is_opposite, 3 * face + k)
+                is_opposite[half_edge // 3] = is_same_direction
+                patch_faces[queue_end] = half_edge // 3
                 queue_end += 1
         num_patches += 1
     patch_start[num_patches] = queue_end
-    return patch, patch_faces, patch_start[: num_patches + 1].copy(), is_opposite
+    return patch_of_face, patch_faces, patch_start[: num_patches + 1].copy(), is_opposite
 
 
 @subkernel(inline="always")
@@ -300,18 +312,18 @@ def _flip_minority(area, patch_faces, patch_start, is_opposite, is_flipped):
             patch.
         is_flipped: receives which triangles are flipped.
     """
-    for p in range(patch_start.shape[0] - 1):
+    for patch_index in range(patch_start.shape[0] - 1):
         same_area = 0.0
         opposite_area = 0.0
-        for f in patch_faces[patch_start[p] : patch_start[p + 1]]:
-            if is_opposite[f]:
-                opposite_area += area[f]
+        for face in patch_faces[patch_start[patch_index] : patch_start[patch_index + 1]]:
+            if is_opposite[face]:
+                opposite_area += area[face]
             else:
-                same_area += area[f]
+                same_area += area[face]
         if abs(same_area - opposite_area) <= 1e-9 * (same_area + opposite_area):
             continue  # undecided: nothing is flipped
-        for f in patch_faces[patch_start[p] : patch_start[p + 1]]:
-            is_flipped[f] = is_opposite[f] != (opposite_area > same_area)
+        for face in patch_faces[patch_start[patch_index] : patch_start[patch_index + 1]]:
+            is_flipped[face] = is_opposite[face] != (opposite_area > same_area)
 
 
 @subkernel(inline="always")
@@ -319,57 +331,65 @@ def _remove_from_balance(faces, edge_of_half, face, num_at_edge, is_flipped, bal
     """Remove a triangle from the balances of its edges (`sign` 1), or add it to them (-1).
 
     The balance of an edge is how many of its half-edges run up, less how many run down, see
-    `_direction`; its absolute value is the number of half-edges without a partner. Only edges at
-    which more than two triangles meet are changed.
+    `_half_edge_direction`; its absolute value is the number of half-edges without a partner. Only
+    edges at which more than two triangles meet are changed.
 
     Returns:
         By how much the number of half-edges without a partner falls.
     """
     gain = 0
     for k in range(3):
-        e = edge_of_half[3 * face + k]
-        if num_at_edge[e] > 2:
-            before = abs(balance[e])
-            balance[e] -= sign * _direction(faces, is_flipped, 3 * face + k)
-            gain += before - abs(balance[e])
+        edge = edge_of_half[3 * face + k]
+        if num_at_edge[edge] > 2:
+            before = abs(balance[edge])
+            balance[edge] -= sign * _half_edge_direction(faces, is_flipped, 3 * face + k)
+            gain += before - abs(balance[edge])
     return gain
 
 
 @subkernel(inline="always")
 def _drop_membranes(
-    faces, area, edge_of_half, num_at_edge, patch_faces, patch_start, is_flipped, remains
+    faces, area, edge_of_half, num_at_edge, patch_faces, patch_start, is_flipped, is_remaining
 ):
     """Drop membranes: patches without which fewer half-edges have no partner, the smallest first.
 
-    A membrane is, for example, a wall without thickness across the inside of a block. `remains`
-    becomes False for the triangles of dropped patches. Returns whether any patch was dropped.
+    A membrane is, for example, a wall without thickness across the inside of a block.
+    `is_remaining` becomes False for the triangles of dropped patches. Returns whether any patch was
+    dropped.
     """
-    # for each edge: how many of its half-edges run up, less how many run down, see `_direction`
+    # for each edge: how many of its half-edges run up, less how many run down, see
+    # `_half_edge_direction`
     balance = np.zeros(num_at_edge.shape[0], np.int32)
     patch_area = np.zeros(patch_start.shape[0] - 1)
-    for p in range(patch_start.shape[0] - 1):
-        for f in patch_faces[patch_start[p] : patch_start[p + 1]]:
-            patch_area[p] += area[f]
+    for patch_index in range(patch_start.shape[0] - 1):
+        for face in patch_faces[patch_start[patch_index] : patch_start[patch_index + 1]]:
+            patch_area[patch_index] += area[face]
             for k in range(3):
-                balance[edge_of_half[3 * f + k]] += _direction(faces, is_flipped, 3 * f + k)
-    has_dropped = False
-    for p in np.argsort(patch_area, kind="mergesort"):
+                balance[edge_of_half[3 * face + k]] += _half_edge_direction(
+                    faces, is_flipped, 3 * face + k
+                )
+    is_any_dropped = False
+    for patch_index in np.argsort(patch_area, kind="mergesort"):
         gain = 0
-        for f in patch_faces[patch_start[p] : patch_start[p + 1]]:
+        for face in patch_faces[patch_start[patch_index] : patch_start[patch_index + 1]]:
             gain += _remove_from_balance(
-                faces, edge_of_half, f, num_at_edge, is_flipped, balance, 1
+                faces, edge_of_half, face, num_at_edge, is_flipped, balance, 1
             )
-        for f in patch_faces[patch_start[p] : patch_start[p + 1]]:
+        for face in patch_faces[patch_start[patch_index] : patch_start[patch_index + 1]]:
             if gain > 0:
-                remains[f] = False
+                is_remaining[face] = False
             else:
-                _remove_from_balance(faces, edge_of_half, f, num_at_edge, is_flipped, balance, -1)
-        has_dropped |= gain > 0
-    return has_dropped
+                _remove_from_balance(
+                    faces, edge_of_half, face, num_at_edge, is_flipped, balance, -1
+                )
+        is_any_dropped |= gain > 0
+    return is_any_dropped
 
 
 @subkernel
-def _unite_patches(faces, edge_start, half_edges, remains, patch, is_flipped, num_patches):
+def _unite_patches(
+    faces, edge_start, half_edges, is_remaining, patch_of_face, is_flipped, num_patches
+):
     """Unite the patches that meet at an edge at which each has half-edges without a partner.
 
     Returns:
@@ -380,23 +400,28 @@ def _unite_patches(faces, edge_start, half_edges, remains, patch, is_flipped, nu
     is_open = np.zeros(num_patches, np.bool_)
     patch_balance = np.zeros(num_patches, np.int64)  # of each patch at one edge
     for sweep in range(2):  # first unite, then find open edges
-        for e in range(edge_start.shape[0] - 1):
+        for edge in range(edge_start.shape[0] - 1):
             balance = 0
-            for h in half_edges[edge_start[e] : edge_start[e + 1]]:
-                if remains[h // 3]:
-                    balance += _direction(faces, is_flipped, h)
-                    patch_balance[patch[h // 3]] += _direction(faces, is_flipped, h)
-            previous = np.int64(-1)
-            for h in half_edges[edge_start[e] : edge_start[e + 1]]:
-                if remains[h // 3] and patch_balance[patch[h // 3]] != 0:
-                    if sweep == 0 and previous >= 0:
-                        unite(parent, previous, patch[h // 3])
+            for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
+                if is_remaining[half_edge // 3]:
+                    balance += _half_edge_direction(faces, is_flipped, half_edge)
+                    patch_balance[patch_of_face[half_edge // 3]] += _half_edge_direction(
+                        faces, is_flipped, half_edge
+                    )
+            previous_patch = np.int64(-1)
+            for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
+                if (
+                    is_remaining[half_edge // 3]
+                    and patch_balance[patch_of_face[half_edge // 3]] != 0
+                ):
+                    if sweep == 0 and previous_patch >= 0:
+                        unite(parent, previous_patch, patch_of_face[half_edge // 3])
                     if sweep == 1 and balance != 0:
-                        is_open[find_root(parent, patch[h // 3])] = True
-                    previous = patch[h // 3]
-            for h in half_edges[edge_start[e] : edge_start[e + 1]]:
-                if remains[h // 3]:
-                    patch_balance[patch[h // 3]] = 0
+                        is_open[find_root(parent, patch_of_face[half_edge // 3])] = True
+                    previous_patch = patch_of_face[half_edge // 3]
+            for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
+                if is_remaining[half_edge // 3]:
+                    patch_balance[patch_of_face[half_edge // 3]] = 0
     return parent, is_open
 
 
@@ -410,45 +435,54 @@ def find_parts(faces, area, num_points):
         num_points: number of points; points are numbered from 0.
 
     Returns:
-        part: for each triangle, the lowest triangle of its closed part, NO_CLOSED_PART or
+        part_of_face: for each triangle, the lowest triangle of its closed part, NO_CLOSED_PART or
             DUPLICATE, (m,) int32.
         is_flipped: whether a triangle of a closed part faces to the other side than most of its
             patch, (m,) bool.
     """
     num_faces = faces.shape[0]
-    part = np.full(num_faces, NO_CLOSED_PART, np.int32)
+    part_of_face = np.full(num_faces, NO_CLOSED_PART, np.int32)
     is_flipped = np.zeros(num_faces, np.bool_)
     if num_faces == 0:
-        return part, is_flipped
+        return part_of_face, is_flipped
     edge_start, half_edges = _list_edges(faces, num_points)
     edge_of_half = np.empty(half_edges.shape[0], np.int32)
-    for e in range(edge_start.shape[0] - 1):
-        for h in half_edges[edge_start[e] : edge_start[e + 1]]:
-            edge_of_half[h] = e
-    _mark_duplicates(faces, edge_start, half_edges, part)
-    remains = part == NO_CLOSED_PART
+    for edge in range(edge_start.shape[0] - 1):
+        for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
+            edge_of_half[half_edge] = edge
+    _mark_duplicates(faces, edge_start, half_edges, part_of_face)
+    is_remaining = part_of_face == NO_CLOSED_PART
     while True:  # dropping a membrane joins the patches at its rim, so patches are found again
-        num_at_edge = _peel(faces, edge_of_half, edge_start, half_edges, remains)
-        patch, patch_faces, patch_start, is_opposite = _find_patches(
-            faces, edge_of_half, edge_start, half_edges, remains, num_at_edge
+        num_at_edge = _remove_open_surfaces(
+            faces, edge_of_half, edge_start, half_edges, is_remaining
+        )
+        patch_of_face, patch_faces, patch_start, is_opposite = _find_patches(
+            faces, edge_of_half, edge_start, half_edges, is_remaining, num_at_edge
         )
         is_flipped[:] = False
         _flip_minority(area, patch_faces, patch_start, is_opposite, is_flipped)
         if not _drop_membranes(
-            faces, area, edge_of_half, num_at_edge, patch_faces, patch_start, is_flipped, remains
+            faces,
+            area,
+            edge_of_half,
+            num_at_edge,
+            patch_faces,
+            patch_start,
+            is_flipped,
+            is_remaining,
         ):
             break
     num_patches = patch_start.shape[0] - 1
     parent, is_open = _unite_patches(
-        faces, edge_start, half_edges, remains, patch, is_flipped, num_patches
+        faces, edge_start, half_edges, is_remaining, patch_of_face, is_flipped, num_patches
     )
-    lowest = np.full(num_patches, np.int64(-1))
-    for f in range(num_faces):
-        if remains[f]:
-            root = find_root(parent, patch[f])
+    lowest_face = np.full(num_patches, np.int64(-1))
+    for face in range(num_faces):
+        if is_remaining[face]:
+            root = find_root(parent, patch_of_face[face])
             if is_open[root]:
                 continue
-            if lowest[root] < 0:
-                lowest[root] = f
-            part[f] = lowest[root]
-    return part, is_flipped & (part >= 0)
+            if lowest_face[root] < 0:
+                lowest_face[root] = face
+            part_of_face[face] = lowest_face[root]
+    return part_of_face, is_flipped & (part_of_face >= 0)

@@ -112,7 +112,7 @@ class Meshes:
         num_triangles = int(first_of_mesh[-1])
         corners = np.empty((num_triangles, 3, 3))
         bounds = np.empty((num_triangles, 6))
-        facing = np.empty(num_triangles, dtype=np.int8)
+        normal_z_percent = np.empty(num_triangles, dtype=np.int8)
 
         def expand_range(first_triangle: int, end_triangle: int) -> None:
             mesh_number = int(np.searchsorted(first_of_mesh, first_triangle, side="right")) - 1
@@ -125,7 +125,7 @@ class Meshes:
                     mesh.faces,
                     corners[mesh_begin:mesh_end],
                     bounds[mesh_begin:mesh_end],
-                    facing[mesh_begin:mesh_end],
+                    normal_z_percent[mesh_begin:mesh_end],
                     first_triangle - mesh_begin,
                     range_end - mesh_begin,
                 )
@@ -138,7 +138,12 @@ class Meshes:
             arrays.append([np.empty(0, np.int32), np.empty(0, np.uint8)])
         part, closed = join_arrays(arrays)
         return Facets(
-            np.repeat(self.geom, self.num_triangles), part, closed, corners, bounds, facing
+            np.repeat(self.geom, self.num_triangles),
+            part,
+            closed,
+            corners,
+            bounds,
+            normal_z_percent,
         )
 
 

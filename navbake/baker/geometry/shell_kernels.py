@@ -26,26 +26,28 @@ MAX_EDGES_OF_POINT = 256
 
 
 @subkernel(inline="always")
-def _bits(points, i, k):
-    """Return the bits of coordinate k of point i; for -0.0, the bits of 0.0."""
-    return np.uint64(0) if points[i, k] == MINUS_ZERO else points[i, k]
+def _coordinate_bits(points, point, axis):
+    """Return the bits of a point's coordinate along an axis; for -0.0, the bits of 0.0."""
+    return np.uint64(0) if points[point, axis] == MINUS_ZERO else points[point, axis]
 
 
 @subkernel(inline="always")
-def _are_equal(points, i, j):
+def _are_equal(points, first_point, second_point):
     """Return whether two points are at the same place."""
     is_equal = True
     for k in range(3):
-        is_equal &= _bits(points, i, k) == _bits(points, j, k)
+        is_equal &= _coordinate_bits(points, first_point, k) == _coordinate_bits(
+            points, second_point, k
+        )
     return is_equal
 
 
 @subkernel(inline="always")
-def _hash(points, i):
+def _hash_point(points, point):
     """Return the hash of a point's coordinates (FNV-1a), uint64."""
     key = np.uint64(1469598103934665603)
     for k in range(3):
-        key = (key ^ _bits(points, i, k)) * np.uint64(1099511628211)
+        key = (key ^ _coordinate_bits(points, point, k)) * np.uint64(1099511628211)
         key ^= key >> np.uint64(29)
     return key
 
@@ -58,101 +60,115 @@ def _filter_bit(key, filter_size):
 
 
 @kernel(nogil=True)
-def weld_points(points, num_shares, number, first, end):
+def weld_points(points, num_chunks, number_of_point, first_chunk, end_chunk):
     """Give all points at one place the same number: the index of the first of them.
 
-    Points are divided into shares by their hashes, so that several threads work side by side. Each
-    share has its own filter and its own hash table with open addressing.
+    Points are divided into chunks by their hashes, so that several threads work side by side. Each
+    chunk has its own filter and its own hash table with open addressing.
 
     Args:
         points: bits of the coordinates, (n, 3) uint64.
-        num_shares: number of shares.
-        number: receives the number of each point, (n,) int32.
-        first, end: range of shares to work on.
+        num_chunks: number of chunks.
+        number_of_point: receives the number of each point, (n,) int32.
+        first_chunk: number of the first chunk to work on.
+        end_chunk: number past the last one.
     """
     num_points = points.shape[0]
-    shares = np.uint64(num_shares)
-    for share in range(first, end):
-        share_points = np.empty(num_points + 1, np.int32)
-        count = 0
+    num_chunks_unsigned = np.uint64(num_chunks)
+    for chunk in range(first_chunk, end_chunk):
+        chunk_points = np.empty(num_points + 1, np.int32)
+        num_chunk_points = 0
         for i in range(num_points):
-            share_points[count] = i  # without a branch, which the CPU could not predict
-            count += (
-                1 if (_hash(points, i) >> np.uint64(40)) * shares >> np.uint64(24) == share else 0
+            chunk_points[num_chunk_points] = i  # without a branch, which the CPU could not predict
+            num_chunk_points += (
+                1
+                if (_hash_point(points, i) >> np.uint64(40)) * num_chunks_unsigned >> np.uint64(24)
+                == chunk
+                else 0
             )
         filter_size = 16
-        while filter_size < count:  # 8 bits a point
+        while filter_size < num_chunk_points:  # 8 bits a point
             filter_size *= 2
         seen_once = np.zeros(filter_size, np.uint8)
         seen_twice = np.zeros(filter_size, np.uint8)
-        for i in share_points[:count]:
-            byte, bit = _filter_bit(_hash(points, i), filter_size)
+        for i in chunk_points[:num_chunk_points]:
+            byte, bit = _filter_bit(_hash_point(points, i), filter_size)
             seen_twice[byte] |= seen_once[byte] & bit
             seen_once[byte] |= bit
         num_candidates = 0
-        for i in share_points[:count]:
-            number[i] = i
-            byte, bit = _filter_bit(_hash(points, i), filter_size)
+        for i in chunk_points[:num_chunk_points]:
+            number_of_point[i] = i
+            byte, bit = _filter_bit(_hash_point(points, i), filter_size)
             if seen_twice[byte] & bit:
-                share_points[num_candidates] = i
+                chunk_points[num_candidates] = i
                 num_candidates += 1
         table_size = 16
         while table_size < 2 * num_candidates:  # at most half full, so that probing stays short
             table_size *= 2
         table = np.full(table_size, np.int32(-1), np.int32)
-        for i in share_points[:num_candidates]:
-            slot = np.int64(_hash(points, i) & np.uint64(table_size - 1))
+        for i in chunk_points[:num_candidates]:
+            slot = np.int64(_hash_point(points, i) & np.uint64(table_size - 1))
             while table[slot] >= 0 and not _are_equal(points, table[slot], i):
                 slot = (slot + 1) & (table_size - 1)
             if table[slot] < 0:
                 table[slot] = i
-            number[i] = table[slot]
+            number_of_point[i] = table[slot]
 
 
 @subkernel(inline="always")
-def _next(half_edge):
+def _next_half_edge(half_edge):
     """Return the next half-edge of the same triangle."""
     return half_edge - 2 if half_edge % 3 == 2 else half_edge + 1
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def chain_edges(number, faces, point, is_proper, last, previous, first, end):
-    """Chain the half-edges that have the same lower point.
+def chain_edges(
+    point_of_vertex,
+    faces,
+    corner_points,
+    is_proper,
+    last_half_edge,
+    previous_half_edge,
+    first_chunk,
+    end_chunk,
+):
+    """Chain the half-edges that have the same lower point: each refers to the one before it.
 
-    Triangles are divided into shares, ranges for one thread each. This is done for shares
-    ``range(first, end)``, each with its own chains.
+    Triangles are divided into chunks, ranges for one thread each. This is done for the chunks
+    ``range(first_chunk, end_chunk)``, each with its own chains.
 
     Args:
-        number: the point of each vertex, see `weld_points`, (n,) int32.
+        point_of_vertex: the point of each vertex, see `weld_points`, (n,) int32.
         faces: vertices of each triangle, (m, 3) int32.
-        point: receives the points of each triangle, (m, 3) int32.
+        corner_points: receives the points of each triangle, (m, 3) int32.
         is_proper: receives whether a triangle has three different points, (m,) bool; the half-edges
             of other triangles are in no chain.
-        last: -1 everywhere; ``last[share, low]`` receives the last half-edge in the chain of point
-            `low`, (shares, n) int32.
-        previous: receives the half-edge before each half-edge in its chain, -1 for none, (3 m,)
-            int32.
-        first, end: range of shares.
+        last_half_edge: -1 everywhere; ``last_half_edge[chunk, lower_point]`` receives the last
+            half-edge in the chain of point `lower_point`, (shares, n) int32.
+        previous_half_edge: receives the half-edge before each half-edge in its chain, -1 for none,
+            (3 m,) int32.
+        first_chunk: number of the first chunk to work on.
+        end_chunk: number past the last one.
     """
     num_faces = faces.shape[0]
-    num_shares = last.shape[0]
-    for share in range(first, end):
-        for f in range(num_faces * share // num_shares, num_faces * (share + 1) // num_shares):
-            a = number[faces[f, 0]]
-            b = number[faces[f, 1]]
-            c = number[faces[f, 2]]
-            point[f, 0] = a
-            point[f, 1] = b
-            point[f, 2] = c
-            is_proper[f] = a != b and b != c and c != a
-            for k in range(3 if is_proper[f] else 0):
-                low = min(point[f, k], point[f, (k + 1) % 3])
-                previous[3 * f + k] = last[share, low]
-                last[share, low] = 3 * f + k
+    num_chunks = last_half_edge.shape[0]
+    for chunk in range(first_chunk, end_chunk):
+        for face in range(num_faces * chunk // num_chunks, num_faces * (chunk + 1) // num_chunks):
+            point_a = point_of_vertex[faces[face, 0]]
+            point_b = point_of_vertex[faces[face, 1]]
+            point_c = point_of_vertex[faces[face, 2]]
+            corner_points[face, 0] = point_a
+            corner_points[face, 1] = point_b
+            corner_points[face, 2] = point_c
+            is_proper[face] = point_a != point_b and point_b != point_c and point_c != point_a
+            for k in range(3 if is_proper[face] else 0):
+                lower_point = min(corner_points[face, k], corner_points[face, (k + 1) % 3])
+                previous_half_edge[3 * face + k] = last_half_edge[chunk, lower_point]
+                last_half_edge[chunk, lower_point] = 3 * face + k
 
 
 @kernel(nogil=True)
-def pair_half_edges(corners, last, mate, first, end):
+def pair_half_edges(corners, last_half_edge, mate_of_half_edge, first_point, end_point):
     """Find each half-edge's mate: the other half-edge at its edge, which runs the opposite way.
 
     A half-edge has no mate, and gets NOT_SHELL, if
@@ -163,68 +179,73 @@ def pair_half_edges(corners, last, mate, first, end):
 
     Args:
         corners: points of the triangles, (3 m,) int32.
-        last: the chains of `chain_edges`.
-        mate: `previous` of `chain_edges`; receives the mates, (3 m,) int32.
-        first, end: range of points; half-edges with their lower point in it are paired.
+        last_half_edge: the chains of `chain_edges`.
+        mate_of_half_edge: `previous_half_edge` of `chain_edges`; receives the mates, (3 m,) int32.
+        first_point: the first point; half-edges whose lower point lies in the range are paired.
+        end_point: the number past the last point.
     """
     # of each edge at the point: its upper point, its first half-edge, its number of half-edges
     upper_point = np.empty(MAX_EDGES_OF_POINT, np.int32)
     first_half_edge = np.empty(MAX_EDGES_OF_POINT, np.int64)
     num_half_edges = np.empty(MAX_EDGES_OF_POINT, np.int64)
-    for low in range(first, end):
+    for lower_point in range(first_point, end_point):
         num_edges = 0
-        for share in range(last.shape[0]):
-            next_half_edge = np.int64(last[share, low])
+        for chunk in range(last_half_edge.shape[0]):
+            next_half_edge = np.int64(last_half_edge[chunk, lower_point])
             while next_half_edge >= 0:
-                h = next_half_edge
-                next_half_edge = np.int64(mate[h])
-                mate[h] = NOT_SHELL
-                high = max(corners[h], corners[_next(h)])
-                e = 0
-                while e < num_edges and upper_point[e] != high:
-                    e += 1
-                if e == MAX_EDGES_OF_POINT:
+                half_edge = next_half_edge
+                next_half_edge = np.int64(mate_of_half_edge[half_edge])
+                mate_of_half_edge[half_edge] = NOT_SHELL
+                higher_point = max(corners[half_edge], corners[_next_half_edge(half_edge)])
+                edge = 0
+                while edge < num_edges and upper_point[edge] != higher_point:
+                    edge += 1
+                if edge == MAX_EDGES_OF_POINT:
                     continue
-                if e == num_edges:
-                    upper_point[e] = high
-                    first_half_edge[e] = h
-                    num_half_edges[e] = 0
+                if edge == num_edges:
+                    upper_point[edge] = higher_point
+                    first_half_edge[edge] = half_edge
+                    num_half_edges[edge] = 0
                     num_edges += 1
-                partner = first_half_edge[e]
-                num_half_edges[e] = num_half_edges[e] + 1
-                if num_half_edges[e] == 2:
-                    is_opposite = corners[partner] != corners[h]
-                    third_corner = corners[_next(_next(h))]
-                    if is_opposite and corners[_next(_next(partner))] != third_corner:
-                        mate[partner] = h
-                        mate[h] = partner
-                elif num_half_edges[e] == 3 and mate[partner] != NOT_SHELL:
-                    mate[mate[partner]] = NOT_SHELL
-                    mate[partner] = NOT_SHELL
+                partner = first_half_edge[edge]
+                num_half_edges[edge] = num_half_edges[edge] + 1
+                if num_half_edges[edge] == 2:
+                    is_opposite = corners[partner] != corners[half_edge]
+                    third_corner = corners[_next_half_edge(_next_half_edge(half_edge))]
+                    if (
+                        is_opposite
+                        and corners[_next_half_edge(_next_half_edge(partner))] != third_corner
+                    ):
+                        mate_of_half_edge[partner] = half_edge
+                        mate_of_half_edge[half_edge] = partner
+                elif num_half_edges[edge] == 3 and mate_of_half_edge[partner] != NOT_SHELL:
+                    mate_of_half_edge[mate_of_half_edge[partner]] = NOT_SHELL
+                    mate_of_half_edge[partner] = NOT_SHELL
 
 
 @kernel
-def label_shells(mate, shell):
+def label_shells(mate_of_half_edge, shell_of_face):
     """Find the shells: triangles that are connected over mates, and whose half-edges all have one.
 
     Args:
-        mate: see `pair_half_edges`, (3 m,) int32.
-        shell: receives, for each triangle, the lowest triangle of its shell, or NOT_SHELL, (m,)
-            int32.
+        mate_of_half_edge: the other half-edge at each half-edge's edge, NOT_SHELL for none, see
+            `pair_half_edges`, (3 m,) int32.
+        shell_of_face: receives, for each triangle, the lowest triangle of its shell, or NOT_SHELL,
+            (m,) int32.
     """
-    is_shell = np.ones(shell.shape[0], np.bool_)
-    for f in range(shell.shape[0]):
-        shell[f] = f
+    is_shell = np.ones(shell_of_face.shape[0], np.bool_)
+    for face in range(shell_of_face.shape[0]):
+        shell_of_face[face] = face
         for k in range(3):
-            h = np.int64(mate[3 * f + k])
-            if h == NOT_SHELL:
-                is_shell[f] = False
-            elif h // 3 < f:
-                unite(shell, np.int64(f), h // 3)
-    for f in range(shell.shape[0]):
-        shell[f] = find_root(shell, np.int64(f))
-        if not is_shell[f]:
-            is_shell[shell[f]] = False
-    for f in range(shell.shape[0]):
-        if not is_shell[shell[f]]:
-            shell[f] = NOT_SHELL
+            half_edge = np.int64(mate_of_half_edge[3 * face + k])
+            if half_edge == NOT_SHELL:
+                is_shell[face] = False
+            elif half_edge // 3 < face:
+                unite(shell_of_face, np.int64(face), half_edge // 3)
+    for face in range(shell_of_face.shape[0]):
+        shell_of_face[face] = find_root(shell_of_face, np.int64(face))
+        if not is_shell[face]:
+            is_shell[shell_of_face[face]] = False
+    for face in range(shell_of_face.shape[0]):
+        if not is_shell[shell_of_face[face]]:
+            shell_of_face[face] = NOT_SHELL

@@ -13,11 +13,11 @@ from navbake.baker.core.constants import APART, BOX, CAPSULE, CYLINDER, MEETS, S
 from navbake.baker.geometry.gjk_kernels import gjk_meets_prism
 from navbake.compiled import NO_REFCOUNT, subkernel
 
-MIN_PROVED_GAP = 1e-9  # a gap or an overlap larger than this is not due to rounding [m]
+MIN_PROVED_DISTANCE = 1e-9  # a gap or an overlap larger than this is not due to rounding [m]
 
 
 @subkernel(inline="always")
-def _point_gap(dx, dy, half, is_round):
+def _point_distance(dx, dy, half, is_round):
     """Return the distance in the plane from a point to a square or a disc around the origin [m].
 
     It is 0 inside. `half` is half of the square's edge, or the disc's radius [m].
@@ -28,58 +28,62 @@ def _point_gap(dx, dy, half, is_round):
 
 
 @subkernel(inline="always")
-def _plan_gap(solids, s, upright_axis, dx, dy, half, is_round):
+def _distance_from_above(solids, solid, upright_axis, dx, dy, half, is_round):
     """Return the distance from an upright box or cylinder to a prism, seen from above [m].
 
     It is negative if they overlap. For a box and a square prism it may be less than the distance.
 
     Args:
         solids: the solids, as `Solids`.
-        s: index of the solid.
+        solid: index of the solid.
         upright_axis: number of the solid's own axis that points up or down.
         dx, dy: the prism's axis, from the solid's centre [m].
         half: half of the prism's edge, or its radius [m].
         is_round: whether the prism is round.
     """
-    mat = solids.mat[s]
-    size = solids.size[s]
-    if solids.kind[s] == CYLINDER:
+    mat = solids.mat[solid]
+    size = solids.size[solid]
+    if solids.kind[solid] == CYLINDER:
         if is_round:
             return math.hypot(dx, dy) - size[0] - half
-        return _point_gap(dx, dy, half, NOT_ROUND) - size[0]
-    a = (upright_axis + 1) % 3
-    b = (upright_axis + 2) % 3
-    ax = mat[a]
-    ay = mat[3 + a]
-    bx = mat[b]
-    by = mat[3 + b]
-    on_a = abs(dx * ax + dy * ay) - size[a]
-    on_b = abs(dx * bx + dy * by) - size[b]
+        return _point_distance(dx, dy, half, NOT_ROUND) - size[0]
+    first_axis = (upright_axis + 1) % 3
+    second_axis = (upright_axis + 2) % 3
+    ax = mat[first_axis]
+    ay = mat[3 + first_axis]
+    bx = mat[second_axis]
+    by = mat[3 + second_axis]
+    beyond_first = abs(dx * ax + dy * ay) - size[first_axis]
+    beyond_second = abs(dx * bx + dy * by) - size[second_axis]
     if is_round:
-        return math.hypot(max(on_a, 0.0), max(on_b, 0.0)) - half
+        return math.hypot(max(beyond_first, 0.0), max(beyond_second, 0.0)) - half
     # two rectangles are apart when one of their four axes separates them
-    gap = max(on_a - half * (abs(ax) + abs(ay)), on_b - half * (abs(bx) + abs(by)))
-    gap = max(gap, abs(dx) - half - abs(ax) * size[a] - abs(bx) * size[b])
-    return max(gap, abs(dy) - half - abs(ay) * size[a] - abs(by) * size[b])
+    distance = max(
+        beyond_first - half * (abs(ax) + abs(ay)), beyond_second - half * (abs(bx) + abs(by))
+    )
+    distance = max(
+        distance, abs(dx) - half - abs(ax) * size[first_axis] - abs(bx) * size[second_axis]
+    )
+    return max(distance, abs(dy) - half - abs(ay) * size[first_axis] - abs(by) * size[second_axis])
 
 
 @subkernel(inline="always")
-def _axis_gap(solids, s, prism, half, is_round):
+def _axis_distance_bound(solids, solid, prism, half, is_round):
     """Return a lower bound of the distance between a capsule or cylinder and a prism [m].
 
     It is used where the solid leans, and for capsules. It is negative only if the two overlap.
 
     Args:
         solids: the solids, as `Solids`.
-        s: index of the solid.
+        solid: index of the solid.
         prism: the prism, as `Prism`.
         half: half of the prism's edge, or its radius [m].
         is_round: whether the prism is round.
     """
-    pos = solids.pos[s]
-    mat = solids.mat[s]
-    radius = solids.size[s, 0]
-    half_length = solids.size[s, 1]
+    pos = solids.pos[solid]
+    mat = solids.mat[solid]
+    radius = solids.size[solid, 0]
+    half_length = solids.size[solid, 1]
     dx = prism.x - pos[0]
     dy = prism.y - pos[1]
     ax = mat[2] * half_length
@@ -87,63 +91,72 @@ def _axis_gap(solids, s, prism, half, is_round):
     az = mat[8] * half_length
     plan_square = ax * ax + ay * ay  # of the axis seen from above
     # the point of the axis that is nearest to the prism's axis, seen from above
-    t = min(max((dx * ax + dy * ay) / plan_square, -1.0), 1.0) if plan_square > 0.0 else 0.0
-    px = dx - t * ax
-    py = dy - t * ay
-    pz = pos[2] + t * az
-    if solids.kind[s] == CAPSULE:  # the ball around that point proves most overlaps
-        height_gap = max(prism.low - pz, pz - prism.high, 0.0)
-        gap = math.hypot(_point_gap(px, py, half, is_round), height_gap) - radius
-        if gap < 0.0:
-            return gap
+    axis_fraction = (
+        min(max((dx * ax + dy * ay) / plan_square, -1.0), 1.0) if plan_square > 0.0 else 0.0
+    )
+    px = dx - axis_fraction * ax
+    py = dy - axis_fraction * ay
+    pz = pos[2] + axis_fraction * az
+    if solids.kind[solid] == CAPSULE:  # the ball around that point proves most overlaps
+        height_distance = max(prism.low - pz, pz - prism.high, 0.0)
+        distance = math.hypot(_point_distance(px, py, half, is_round), height_distance) - radius
+        if distance < 0.0:
+            return distance
     radius_sum = radius + (half if is_round else half * math.sqrt(2.0))
     return max(math.hypot(px, py) - radius_sum, 0.0)
 
 
 @subkernel(inline="always")
-def _gap(solids, s, prism, half, is_round):
+def _distance_bound(solids, solid, prism, half, is_round):
     """Return a lower bound of the distance between a solid and a prism [m].
 
     It is negative only if the two overlap, and 0 if nothing is known.
 
     Args:
         solids: the solids, as `Solids`.
-        s: index of the solid.
+        solid: index of the solid.
         prism: the prism, as `Prism`.
         half: half of the prism's edge, or its radius [m].
         is_round: whether the prism is round.
     """
-    kind = solids.kind[s]
-    pos = solids.pos[s]
+    kind = solids.kind[solid]
+    pos = solids.pos[solid]
     dx = prism.x - pos[0]
     dy = prism.y - pos[1]
     if kind == SPHERE:
-        height_gap = max(prism.low - pos[2], pos[2] - prism.high, 0.0)
-        return math.hypot(_point_gap(dx, dy, half, is_round), height_gap) - solids.size[s, 0]
+        height_distance = max(prism.low - pos[2], pos[2] - prism.high, 0.0)
+        return (
+            math.hypot(_point_distance(dx, dy, half, is_round), height_distance)
+            - solids.size[solid, 0]
+        )
     for axis in range(3):
-        is_upright = abs(solids.mat[s, 6 + axis]) >= 1.0 - 1e-12
+        is_upright = abs(solids.mat[solid, 6 + axis]) >= 1.0 - 1e-12
         if is_upright and (kind == BOX or (kind == CYLINDER and axis == 2)):
-            height_gap = max(solids.bounds[s, 2] - prism.high, prism.low - solids.bounds[s, 5])
-            return max(_plan_gap(solids, s, axis, dx, dy, half, is_round), height_gap)
+            height_distance = max(
+                solids.bounds[solid, 2] - prism.high, prism.low - solids.bounds[solid, 5]
+            )
+            return max(
+                _distance_from_above(solids, solid, axis, dx, dy, half, is_round), height_distance
+            )
     if kind in (CAPSULE, CYLINDER):
-        return _axis_gap(solids, s, prism, half, is_round)
+        return _axis_distance_bound(solids, solid, prism, half, is_round)
     return 0.0
 
 
 @subkernel(**NO_REFCOUNT)
-def solid_meets_prism(solids, s, prism, simplex):
+def solid_meets_prism(solids, solid, prism, simplex):
     """Decide whether a solid meets a prism.
 
     Args:
         solids: the solids, as `Solids`.
-        s: index of the solid.
+        solid: index of the solid.
         prism: the prism, as `Prism`.
-        simplex: room for the iteration of GJK, see `make_simplex`.
+        simplex: room for the iteration of GJK, see `allocate_simplex`.
 
     Returns:
         APART, MEETS or UNDECIDED.
     """
-    gap = _gap(solids, s, prism, prism.half, prism.is_round)
-    if abs(gap) > MIN_PROVED_GAP:
-        return APART if gap > 0.0 else MEETS
-    return gjk_meets_prism(solids, s, prism, simplex)
+    distance_bound = _distance_bound(solids, solid, prism, prism.half, prism.is_round)
+    if abs(distance_bound) > MIN_PROVED_DISTANCE:
+        return APART if distance_bound > 0.0 else MEETS
+    return gjk_meets_prism(solids, solid, prism, simplex)

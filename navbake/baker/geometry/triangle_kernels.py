@@ -28,55 +28,59 @@ def _cross(a, b, c):
 
 @subkernel(inline="always")
 def _length(x, y, z):
+    """Return the length of a vector."""
     return math.sqrt(x * x + y * y + z * z)
 
 
 @subkernel(**NO_REFCOUNT)
-def unit_normal(corners, t):
+def unit_normal(corners, triangle):
     """Return x, y and z of a triangle's unit normal.
 
     z is 0 for vertical triangles; all are 0 for triangles without area.
 
     Args:
         corners: (…, 3, 3) float64 [m].
-        t: index of the triangle.
+        triangle: index of the triangle.
     """
-    x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
+    x, y, z = _cross(corners[triangle, 0], corners[triangle, 1], corners[triangle, 2])
     length = _length(x, y, z)
     if not length > 0.0:
         return 0.0, 0.0, 0.0
-    up = z / length
-    return x / length, y / length, 0.0 if abs(up) < MAX_VERTICAL_UP else up
+    normal_z = z / length
+    return x / length, y / length, 0.0 if abs(normal_z) < MAX_VERTICAL_UP else normal_z
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def expand_mesh(vertices, faces, corners, bounds, facing, first, end):
+def expand_mesh(vertices, faces, corners, bounds, normal_z_percent, first, end):
     """Write triangles ``range(first, end)`` of a mesh as fields of `Facets`.
 
-    `facing` is 0 only for triangles for which `unit_normal` has a z of 0.
+    `normal_z_percent` is 0 only for triangles for which `unit_normal` has a z of 0.
 
     Args:
         vertices: (n, 3) float64 [m].
         faces: vertices of each triangle, (m, 3) int32.
-        corners, bounds, facing: receive the fields of `Facets`.
-        first, end: range of triangles.
+        corners: receives the corners of each triangle, (m, 3, 3) float64 [m].
+        bounds: receives the box around each triangle: lower, upper corner, (m, 6) float64 [m].
+        normal_z_percent: receives z of the unit normals in hundredths, rounded, (m,) int8.
+        first: index of the first triangle.
+        end: index past the last one.
     """
-    for t in range(first, end):
+    for triangle in range(first, end):
         for i in range(3):
             for k in range(3):
-                corners[t, i, k] = vertices[faces[t, i], k]
-        a = corners[t, 0]
-        b = corners[t, 1]
-        c = corners[t, 2]
+                corners[triangle, i, k] = vertices[faces[triangle, i], k]
+        a = corners[triangle, 0]
+        b = corners[triangle, 1]
+        c = corners[triangle, 2]
         for k in range(3):
-            bounds[t, k] = min(a[k], b[k], c[k])
-            bounds[t, 3 + k] = max(a[k], b[k], c[k])
+            bounds[triangle, k] = min(a[k], b[k], c[k])
+            bounds[triangle, 3 + k] = max(a[k], b[k], c[k])
         x, y, z = _cross(a, b, c)
         length = _length(x, y, z)
-        up = z / length if length > 0.0 else 0.0
-        facing[t] = np.rint(100.0 * up)
-        if facing[t] == 0 and abs(up) >= MAX_VERTICAL_UP:
-            facing[t] = 1 if up > 0.0 else -1
+        normal_z = z / length if length > 0.0 else 0.0
+        normal_z_percent[triangle] = np.rint(100.0 * normal_z)
+        if normal_z_percent[triangle] == 0 and abs(normal_z) >= MAX_VERTICAL_UP:
+            normal_z_percent[triangle] = 1 if normal_z > 0.0 else -1
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
@@ -87,11 +91,14 @@ def measure_areas(vertices, faces, area, first, end):
         vertices: (n, 3) float64 [m].
         faces: vertices of each triangle, (m, 3) int32.
         area: receives the areas, (m,) float64 [m²].
-        first, end: range of triangles.
+        first: index of the first triangle.
+        end: index past the last one.
     """
-    for f in range(first, end):
-        x, y, z = _cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
-        area[f] = _length(x, y, z) / 2.0
+    for face in range(first, end):
+        x, y, z = _cross(
+            vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]
+        )
+        area[face] = _length(x, y, z) / 2.0
 
 
 @kernel
@@ -108,22 +115,24 @@ def describe_triangles(vertices, faces):
     center = np.empty((faces.shape[0], 3))
     normal = np.empty((faces.shape[0], 3))
     area = np.empty(faces.shape[0])
-    for f in range(faces.shape[0]):
-        a = vertices[faces[f, 0]]
-        b = vertices[faces[f, 1]]
-        c = vertices[faces[f, 2]]
+    for face in range(faces.shape[0]):
+        a = vertices[faces[face, 0]]
+        b = vertices[faces[face, 1]]
+        c = vertices[faces[face, 2]]
         cross = _cross(a, b, c)
         length = _length(cross[0], cross[1], cross[2])
-        area[f] = length / 2
+        area[face] = length / 2
         for k in range(3):
-            center[f, k] = (a[k] + b[k] + c[k]) / 3
-            normal[f, k] = cross[k] / max(length, 1e-300)
+            center[face, k] = (a[k] + b[k] + c[k]) / 3
+            normal[face, k] = cross[k] / max(length, 1e-300)
     return center, normal, area
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def measure_part_volumes(vertices, faces, is_flipped, part, volume, area, first, end):
-    """Sum up the volumes and areas of parts ``range(first, end)`` of a mesh.
+def measure_part_volumes(
+    vertices, faces, is_flipped, part_of_face, volume, area, first_part, end_part
+):
+    """Sum up the volumes and areas of parts ``range(first_part, end_part)`` of a mesh.
 
     Triangles are added in their order.
 
@@ -131,30 +140,33 @@ def measure_part_volumes(vertices, faces, is_flipped, part, volume, area, first,
         vertices: (n, 3) float64 [m].
         faces: vertices of each triangle, (m, 3) int32.
         is_flipped: which triangles count as facing the other way, (m,) bool.
-        part: the part that each triangle belongs to, (m,) int32.
+        part_of_face: the part that each triangle belongs to, (m,) int32.
         volume: zeros, one for each part; receives the volume, positive for parts that face out,
             float64 [m³].
         area: zeros, one for each part; receives the area, float64 [m²].
-        first, end: range of parts.
+        first_part: number of the first part.
+        end_part: number past the last one.
     """
     origin = vertices[faces[0, 0]]
-    current_part = np.int64(first)
+    current_part = np.int64(first_part)
     volume_sum = 0.0
     area_sum = 0.0
-    for f in range(faces.shape[0]):
-        p = np.int64(part[f])
-        if not first <= p < end:
+    for face in range(faces.shape[0]):
+        face_part = np.int64(part_of_face[face])
+        if not first_part <= face_part < end_part:
             continue
-        if p != current_part:  # most triangles follow others of their part: sums stay in registers
+        if (
+            face_part != current_part
+        ):  # most triangles follow others of their part: sums stay in registers
             volume[current_part] = volume_sum
             area[current_part] = area_sum
-            current_part = p
-            volume_sum = volume[p]
-            area_sum = area[p]
-        first_corner = 2 if is_flipped[f] else 0
-        a = vertices[faces[f, first_corner]]
-        b = vertices[faces[f, 1]]
-        c = vertices[faces[f, 2 - first_corner]]
+            current_part = face_part
+            volume_sum = volume[face_part]
+            area_sum = area[face_part]
+        first_corner = 2 if is_flipped[face] else 0
+        a = vertices[faces[face, first_corner]]
+        b = vertices[faces[face, 1]]
+        c = vertices[faces[face, 2 - first_corner]]
         x, y, z = _cross(a, b, c)
         # from a corner of the mesh, so that rounding doesn't grow with the distance to the origin
         ox = a[0] - origin[0]
@@ -167,40 +179,44 @@ def measure_part_volumes(vertices, faces, is_flipped, part, volume, area, first,
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def bound_parts(vertices, faces, is_flipped, part, box, largest_area, largest_triangle):
+def bound_parts(
+    vertices, faces, is_flipped, part_of_face, part_boxes, largest_area, largest_triangle
+):
     """Find the box and the largest triangle of each part of a mesh.
 
     Args:
         vertices: (n, 3) float64 [m].
         faces: vertices of each triangle, (m, 3) int32.
         is_flipped: which triangles count as facing the other way, (m,) bool.
-        part: the part that each triangle belongs to, (m,) int32.
-        box: receives the lower and the upper corner of each part's box, (parts, 6) [m]; inf and
-            -inf before.
+        part_of_face: the part that each triangle belongs to, (m,) int32.
+        part_boxes: receives the lower and the upper corner of each part's box, (parts, 6) [m]; inf
+            and -inf before.
         largest_area: receives twice the area of each part's largest triangle, (parts,) [m²];
             negative before.
         largest_triangle: receives the index of that triangle, (parts,) int64; of several equally
             large triangles, the last one.
     """
-    for f in range(faces.shape[0]):
-        p = part[f]
-        first_corner = 2 if is_flipped[f] else 0
-        a = vertices[faces[f, first_corner]]
-        b = vertices[faces[f, 1]]
-        c = vertices[faces[f, 2 - first_corner]]
+    for face in range(faces.shape[0]):
+        face_part = part_of_face[face]
+        first_corner = 2 if is_flipped[face] else 0
+        a = vertices[faces[face, first_corner]]
+        b = vertices[faces[face, 1]]
+        c = vertices[faces[face, 2 - first_corner]]
         x, y, z = _cross(a, b, c)
         double_area = _length(x, y, z)
-        if double_area >= largest_area[p]:
-            largest_area[p] = double_area
-            largest_triangle[p] = f
+        if double_area >= largest_area[face_part]:
+            largest_area[face_part] = double_area
+            largest_triangle[face_part] = face
         for k in range(3):
-            box[p, k] = min(box[p, k], a[k], b[k], c[k])
-            box[p, 3 + k] = max(box[p, 3 + k], a[k], b[k], c[k])
+            part_boxes[face_part, k] = min(part_boxes[face_part, k], a[k], b[k], c[k])
+            part_boxes[face_part, 3 + k] = max(part_boxes[face_part, 3 + k], a[k], b[k], c[k])
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def find_nearest_axes(normal, axes, max_distance, nearest, first, end):
-    """Find the axis that each unit normal is nearest to, for normals ``range(first, end)``.
+def find_nearest_axes(normal, axes, max_distance, nearest_axis, first_normal, end_normal):
+    """Find the axis that each unit normal is nearest to.
+
+    This is done for the normals ``range(first_normal, end_normal)``.
 
     A normal may point along the axis or against it.
 
@@ -209,13 +225,14 @@ def find_nearest_axes(normal, axes, max_distance, nearest, first, end):
         axes: unit vectors with ascending z, (k, 3) float64.
         max_distance: every normal must have an axis within this distance, measured between the ends
             of the unit vectors.
-        nearest: receives the index of the nearest axis, (n,) int64.
-        first, end: range of normals.
+        nearest_axis: receives the index of the nearest axis, (n,) int64.
+        first_normal: index of the first normal.
+        end_normal: index past the last one.
     """
-    for n in range(first, end):
-        x = normal[n, 0]
-        y = normal[n, 1]
-        z = normal[n, 2]
+    for index in range(first_normal, end_normal):
+        x = normal[index, 0]
+        y = normal[index, 1]
+        z = normal[index, 2]
         first_axis = np.searchsorted(axes[:, 2], abs(z) - max_distance)
         largest_cosine = -1.0
         for k in range(first_axis, axes.shape[0]):
@@ -224,11 +241,13 @@ def find_nearest_axes(normal, axes, max_distance, nearest, first, end):
             cosine = abs(x * axes[k, 0] + y * axes[k, 1] + z * axes[k, 2])
             if cosine > largest_cosine:
                 largest_cosine = cosine
-                nearest[n] = k
+                nearest_axis[index] = k
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def find_facing_directions(corners, num_directions, direction, weight, weighted_angle, first, end):
+def find_facing_directions(
+    corners, num_directions, direction_of_triangle, weight, weighted_angle, first, end
+):
     """Find the horizontal direction that each of the triangles ``range(first, end)`` faces.
 
     Directions a quarter turn apart count as equal.
@@ -236,52 +255,55 @@ def find_facing_directions(corners, num_directions, direction, weight, weighted_
     Args:
         corners: corners of the triangles, (m, 3, 3) float64 [m].
         num_directions: how many directions a quarter turn is divided into.
-        direction: receives the number of the direction nearest to the triangle's, (m,) int32;
-            direction n is at ``n / num_directions`` of a quarter turn from x.
+        direction_of_triangle: receives the number of the direction nearest to the triangle's, (m,)
+            int32; direction n is at ``n / num_directions`` of a quarter turn from x.
         weight: receives twice the triangle's area as seen from the side, 0 for horizontal
             triangles, (m,) float64 [m²].
         weighted_angle: receives the weight times the angle from the nearest direction to the
             triangle's own, (m,) float64 [m² rad].
-        first, end: range of triangles.
+        first: index of the first triangle.
+        end: index past the last one.
     """
-    step = QUARTER_TURN / num_directions
-    for t in range(first, end):
-        x, y, _ = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
-        direction[t] = 0
-        weight[t] = math.sqrt(x * x + y * y)
-        weighted_angle[t] = 0.0
-        if weight[t] > 0.0:
+    angle_step = QUARTER_TURN / num_directions
+    for triangle in range(first, end):
+        x, y, _ = _cross(corners[triangle, 0], corners[triangle, 1], corners[triangle, 2])
+        direction_of_triangle[triangle] = 0
+        weight[triangle] = math.sqrt(x * x + y * y)
+        weighted_angle[triangle] = 0.0
+        if weight[triangle] > 0.0:
             angle = math.atan2(y, x) % QUARTER_TURN
-            nearest = np.int64(math.floor(angle / step + 0.5)) % num_directions
+            nearest_direction = np.int64(math.floor(angle / angle_step + 0.5)) % num_directions
             # wrapped, as the nearest direction may lie across the end of the quarter turn
-            offset = (angle - nearest * step + QUARTER_TURN / 2) % QUARTER_TURN - QUARTER_TURN / 2
-            weighted_angle[t] = weight[t] * offset
-            direction[t] = nearest
+            angle_offset = (
+                angle - nearest_direction * angle_step + QUARTER_TURN / 2
+            ) % QUARTER_TURN - QUARTER_TURN / 2
+            weighted_angle[triangle] = weight[triangle] * angle_offset
+            direction_of_triangle[triangle] = nearest_direction
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def measure_spans(corners, group, direction, low, high):
+def measure_spans(corners, group_of_triangle, direction, lowest, highest):
     """Measure how far groups of triangles extend along a direction, across it, and in height.
 
     Args:
         corners: (m, 3, 3) float64 [m].
-        group: of each triangle, (m,) int32.
+        group_of_triangle: the group of each triangle, (m,) int32.
         direction: horizontal unit vector of each group, (groups, 2) float64.
-        low: (groups, 3) of inf; receives the least coordinate along the direction, along its left
-            normal, and along z [m].
-        high: (groups, 3) of -inf; receives the greatest ones [m].
+        lowest: (groups, 3) of inf; receives the least coordinate along the direction, along its
+            left normal, and along z [m].
+        highest: (groups, 3) of -inf; receives the greatest ones [m].
     """
-    for t in range(corners.shape[0]):
-        g = group[t]
+    for triangle in range(corners.shape[0]):
+        group = group_of_triangle[triangle]
         for corner in range(3):
-            x = corners[t, corner, 0]
-            y = corners[t, corner, 1]
-            z = corners[t, corner, 2]
-            along = x * direction[g, 0] + y * direction[g, 1]
-            across = y * direction[g, 0] - x * direction[g, 1]
-            low[g, 0] = min(low[g, 0], along)
-            high[g, 0] = max(high[g, 0], along)
-            low[g, 1] = min(low[g, 1], across)
-            high[g, 1] = max(high[g, 1], across)
-            low[g, 2] = min(low[g, 2], z)
-            high[g, 2] = max(high[g, 2], z)
+            x = corners[triangle, corner, 0]
+            y = corners[triangle, corner, 1]
+            z = corners[triangle, corner, 2]
+            along = x * direction[group, 0] + y * direction[group, 1]
+            across = y * direction[group, 0] - x * direction[group, 1]
+            lowest[group, 0] = min(lowest[group, 0], along)
+            highest[group, 0] = max(highest[group, 0], along)
+            lowest[group, 1] = min(lowest[group, 1], across)
+            highest[group, 1] = max(highest[group, 1], across)
+            lowest[group, 2] = min(lowest[group, 2], z)
+            highest[group, 2] = max(highest[group, 2], z)

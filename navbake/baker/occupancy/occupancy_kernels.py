@@ -40,12 +40,12 @@ from navbake.baker.core.tiles import (
     window_near_box,
 )
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
-from navbake.baker.geometry.gjk_kernels import make_simplex
+from navbake.baker.geometry.gjk_kernels import allocate_simplex
 from navbake.baker.geometry.overlap_kernels import (
     ANY_GEOM,
+    allocate_polygons,
     is_beside_prism,
     is_line_blocked,
-    make_polygons,
     plane_meets_prism,
 )
 from navbake.baker.occupancy.volume_kernels import (
@@ -188,7 +188,7 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
         pending_heights=np.empty((4, 2)),
         geom_box=np.empty((1, 6)),
         plane=np.empty(1, np.int32),
-        scratch=VolumeScratch(make_simplex(), make_polygons()),
+        scratch=VolumeScratch(allocate_simplex(), allocate_polygons()),
     )
     list_geom = np.empty(FIRST_CAPACITY, np.int32)
     list_flags = np.empty(FIRST_CAPACITY, np.uint8)

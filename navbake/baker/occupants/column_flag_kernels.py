@@ -50,7 +50,7 @@ def flag_columns(hits, floor, ground, limits, above_heads, flags, first_cell, en
         top_height = z[end_hit - 1] if hit < end_hit else np.inf
         top_normal_z = normal[end_hit - 1, 2] if hit < end_hit else np.float32(0.0)
         # the first surface that is neither the floor nor within a step of the ground
-        lowest_counted = floor[cell] + SAME_HEIGHT if has_floor else ground + limits.step
+        lowest_counted = floor[cell] + SAME_HEIGHT if has_floor else ground + limits.max_step
         while hit < end_hit and z[hit] <= lowest_counted:
             hit += 1
         faces_up = hit < end_hit and normal[hit, 2] > 0.0

@@ -150,7 +150,7 @@ class HullRoomTest:
         limits = agent_limits(self.agent)
         is_gentle, top_z = _find_uppermost_surface(mesh_columns, limits)
         is_ground = is_gentle & ~_mark_tops(is_gentle, top_z, lattice, limits, bounds[0, 2])
-        is_ground &= _find_depth(mesh_columns, hull_columns) > limits.step + LIMIT_SLACK
+        is_ground &= _find_depth(mesh_columns, hull_columns) > limits.max_step + LIMIT_SLACK
         ground_area = is_ground.sum() * lattice.cell_size**2
         return GROUND if ground_area >= MIN_GROUND_AREA - LIMIT_SLACK else ""
 
@@ -268,7 +268,7 @@ def _mark_tops(
         widths=np.array([lattice.width]),
         free=is_gentle,
         floor=top_z,
-        max_rise=limits.step + LIMIT_SLACK,
+        max_rise=limits.max_step + LIMIT_SLACK,
         steps=np.empty((0, 2), dtype=np.int64),
     ).reshape(lattice.height, lattice.width)
     # a rim of cells beside the mesh
@@ -281,7 +281,7 @@ def _mark_tops(
     for axis, roll_shift in ((0, 1), (0, -1), (1, 1), (1, -1)):
         is_outline_edge = np.roll(padded_surfaces, roll_shift, axis) != padded_surfaces
         is_drop = is_outline_edge & (
-            padded_height - np.roll(padded_height, roll_shift, axis) > limits.step + LIMIT_SLACK
+            padded_height - np.roll(padded_height, roll_shift, axis) > limits.max_step + LIMIT_SLACK
         )
         num_outline_edges += np.bincount(
             padded_surfaces[is_outline_edge], minlength=len(num_outline_edges)
@@ -290,7 +290,7 @@ def _mark_tops(
     lowest_of_surface = np.full(len(num_outline_edges), np.inf)
     np.minimum.at(lowest_of_surface, padded_surfaces.ravel(), padded_height.ravel())
     is_top = num_drops >= MIN_DROP_SHARE * num_outline_edges
-    is_top &= lowest_of_surface > bottom + limits.step + LIMIT_SLACK
+    is_top &= lowest_of_surface > bottom + limits.max_step + LIMIT_SLACK
     is_top[0] = False  # cells of no surface
     for surface in np.flatnonzero(is_top).tolist():
         # an edge of the surface is half a cell from the centre of its outermost cell

@@ -21,13 +21,13 @@ from navbake.baker.core.arrays import NOT_ROUND, Prism
 from navbake.baker.core.constants import APART, OPEN_SURFACE
 from navbake.baker.core.tiles import cell_center_at, tile_window, window_near_box
 from navbake.baker.core.tolerances import TOUCH_DEPTH
-from navbake.baker.geometry.gjk_kernels import make_simplex
+from navbake.baker.geometry.gjk_kernels import allocate_simplex
 from navbake.baker.geometry.overlap_kernels import (
     X,
     Y,
-    clip_between,
+    allocate_polygons,
+    clip_polygon_between,
     is_beside_prism,
-    make_polygons,
     plane_meets_prism,
 )
 from navbake.baker.geometry.solid_kernels import solid_meets_prism
@@ -89,7 +89,7 @@ def _meets(voxels, solids, planes, shape_index, x, y, first_voxel, end_voxel, si
         shape_index: the index of a solid, or the number of solids plus the index of a plane.
         x, y: the column's middle line [m].
         first, end: range of voxels, counted from the bottom.
-        simplex: room for the iteration of GJK, see `make_simplex`.
+        simplex: room for the iteration of GJK, see `allocate_simplex`.
     """
     bottom = voxels.bottom + first_voxel * voxels.res + TOUCH_DEPTH
     top = voxels.bottom + end_voxel * voxels.res - TOUCH_DEPTH
@@ -188,7 +188,7 @@ def _fill_triangle(voxels, lattice, window, facets, triangle, label, polygons, s
         facets: the triangles, as `Facets`.
         triangle: index of the triangle.
         label: the label of its geom.
-        polygons: room for clipping, see `make_polygons`.
+        polygons: room for clipping, see `allocate_polygons`.
         strip_polygon: room for the triangle clipped to a strip, (12, 3) float64.
     """
     half_voxel = voxels.res / 2.0
@@ -199,17 +199,17 @@ def _fill_triangle(voxels, lattice, window, facets, triangle, label, polygons, s
     for col in range(first_col, end_col):
         x, _ = cell_center_at(lattice, first_row, col)
         x_limits = (x - half_voxel + TOUCH_DEPTH, x + half_voxel - TOUCH_DEPTH)
-        num_in_strip = clip_between(
-            facets.corners[triangle], np.int64(3), polygons.second, X, x_limits, strip_polygon
+        num_in_strip = clip_polygon_between(
+            facets.corners[triangle], np.int64(3), polygons.scratch, X, x_limits, strip_polygon
         )
         if num_in_strip == 0:
             continue
         for row in range(first_row, end_row):
             _, y = cell_center_at(lattice, row, col)
             y_limits = (y - half_voxel + TOUCH_DEPTH, y + half_voxel - TOUCH_DEPTH)
-            polygon = polygons.first
-            num_corners = clip_between(
-                strip_polygon, num_in_strip, polygons.second, Y, y_limits, polygon
+            polygon = polygons.polygon
+            num_corners = clip_polygon_between(
+                strip_polygon, num_in_strip, polygons.scratch, Y, y_limits, polygon
             )
             if num_corners > 0:
                 lowest = polygon[0, 2]
@@ -238,9 +238,9 @@ def fill_voxels(
             keeps the label that it has if that is lower.
         first_tile, end: range of tiles.
     """
-    polygons = make_polygons()
+    polygons = allocate_polygons()
     strip_polygon = np.empty((12, 3))
-    simplex = make_simplex()
+    simplex = allocate_simplex()
     for tile in range(first_tile, end_tile):
         window = tile_window(lattice, tile)
         for row in range(window[0], window[1]):

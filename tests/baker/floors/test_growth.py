@@ -76,14 +76,14 @@ def grow(floor, options):
         end=end.astype(np.int32),
         z=z,
         geom=none,
-        marks=np.zeros(len(z), dtype=np.uint8),
+        flags=np.zeros(len(z), dtype=np.uint8),
         normal=np.empty((len(z), 0), dtype=np.float32),
     )
     return grow_level(
-        labelled=LabelledSurfaces(surfaces, none, none[:0]),
-        level=np.repeat(stands.astype(np.int32) - 1, end - first).astype(np.int32),
+        labelled_surfaces=LabelledSurfaces(surfaces, none, none[:0]),
+        preliminary_level=np.repeat(stands.astype(np.int32) - 1, end - first).astype(np.int32),
         final_level=np.zeros(1, dtype=np.int64),
-        grown_level=0,
+        level_number=0,
         agent=AgentSettings(height=1.0, traversable_floor_height=STEP),
     )
 

@@ -59,7 +59,7 @@ def listed(surfaces):
     rows = []
     for cell in range(len(surfaces.first)):
         for j in range(surfaces.first[cell], surfaces.end[cell]):
-            marks = int(surfaces.marks[j])
+            marks = int(surfaces.flags[j])
             rows.append((cell, surfaces.z[j], bool(marks & STANDABLE), bool(marks & UNCOVERED)))
     return rows
 

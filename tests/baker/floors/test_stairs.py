@@ -21,7 +21,7 @@ from navbake.baker.floors.level_kernels import (
     SKIP_STAIR,
     Candidates,
     LevelRule,
-    assign_columns,
+    assign_surfaces_to_levels,
     find_largest_areas,
 )
 from navbake.baker.floors.surface_kernels import Surfaces
@@ -224,18 +224,18 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
         end=np.array([num], dtype=np.int32),
         z=z,
         geom=ids,
-        marks=np.zeros(num, dtype=np.uint8),
+        flags=np.zeros(num, dtype=np.uint8),
         normal=none,
     )
     candidates = Candidates(
-        group=ids.astype(np.int8),
-        component=np.arange(num, dtype=np.int32),
+        group_of_surface=ids.astype(np.int8),
+        component_of_surface=np.arange(num, dtype=np.int32),
         is_stair=np.array(is_stair),
     )
     level = np.empty(num, dtype=np.int32)
     grounds = np.arange(num_levels, dtype=np.float64)
     Blocks(surfaces.lattice).list_rows(
-        assign_columns,
+        assign_surfaces_to_levels,
         NO_HISTOGRAM_ROWS,
         surfaces,
         candidates,

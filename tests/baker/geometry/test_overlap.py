@@ -25,9 +25,9 @@ from navbake.baker.core.constants import (
     SPHERE,
     UNDECIDED,
 )
-from navbake.baker.geometry.gjk_kernels import gjk_meets_prism, make_simplex
+from navbake.baker.geometry.gjk_kernels import allocate_simplex, gjk_meets_prism
 from navbake.baker.geometry.overlap_kernels import (
-    make_polygons,
+    allocate_polygons,
     plane_meets_prism,
     triangle_meets_prism,
 )
@@ -36,9 +36,9 @@ from oracles.prisms import Prisms
 from oracles.surfaces import disc_meets, square_meets
 
 # parts of kernels as functions that Python can call
-make_simplex = numba.njit(make_simplex.py_func)
+allocate_simplex = numba.njit(allocate_simplex.py_func)
 gjk_meets_prism = numba.njit(gjk_meets_prism.py_func)
-make_polygons = numba.njit(make_polygons.py_func)
+allocate_polygons = numba.njit(allocate_polygons.py_func)
 plane_meets_prism = numba.njit(plane_meets_prism.py_func)
 triangle_meets_prism = numba.njit(triangle_meets_prism.py_func)
 
@@ -50,7 +50,7 @@ KINDS = {
     "cylinder": CYLINDER,
     "box": BOX,
 }
-SIMPLEX = make_simplex()
+SIMPLEX = allocate_simplex()
 FCL = {
     SPHERE: lambda s: fcl.Sphere(s[0]),
     CAPSULE: lambda s: fcl.Capsule(s[0], 2 * s[1]),
@@ -214,7 +214,7 @@ def random_triangle(rng: Generator, center: NDArray, size: float) -> NDArray:
 @pytest.mark.parametrize("is_round", [False, True], ids=["square", "disc"])
 def test_triangles(is_round: bool) -> None:
     rng = np.random.default_rng(int(is_round))
-    polygons = make_polygons()
+    polygons = allocate_polygons()
     counts = {True: 0, False: 0}
     for _ in range(4 * PAIRS):
         center, half, half_z, _ = random_prism(rng, is_round)

@@ -17,15 +17,15 @@ from navbake.baker.core.constants import (
     MEETS,
     SPHERE,
 )
-from navbake.baker.geometry.gjk_kernels import gjk_meets_prism, make_simplex
+from navbake.baker.geometry.gjk_kernels import allocate_simplex, gjk_meets_prism
 from navbake.baker.geometry.solid_kernels import solid_meets_prism
 
 # parts of kernels as functions that Python can call
-make_simplex = numba.njit(make_simplex.py_func)
+allocate_simplex = numba.njit(allocate_simplex.py_func)
 gjk_meets_prism = numba.njit(gjk_meets_prism.py_func)
 solid_meets_prism = numba.njit(solid_meets_prism.py_func)
 
-SIMPLEX = make_simplex()
+SIMPLEX = allocate_simplex()
 KINDS = {"sphere": SPHERE, "capsule": CAPSULE, "cylinder": CYLINDER, "box": BOX}
 KINDS["ellipsoid"] = ELLIPSOID
 
