@@ -39,6 +39,7 @@ from navbake.views.tables import level_table, make_table
 
 if TYPE_CHECKING:
     from navbake.config.settings import BakeConfig
+    from navbake.navgrid.grid import NavGrid
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
 
@@ -350,7 +351,9 @@ def bake(
                     f"expected a name that ends in {', '.join(options.GRID_SUFFIXES)} as `output`"
                 )
                 raise ConfigError(f"{problem} in {path}, got {output_path}")
-            _bake_and_report(config, output_path, threads, limits, not no_timings)
+            grid = _bake_and_report(config, output_path, threads, limits, not no_timings)
+            if radius:
+                _warn_of_what_radius_closes(grid, radius)
             written_paths.add(output_path.resolve())
     if failed_paths:
         print_error(f"{len(failed_paths)} of {len(configs)} failed")
@@ -384,8 +387,8 @@ def _bake_and_report(
     threads: int | None,
     limits: dict[str, float] | None,
     with_timings: bool,
-) -> None:
-    """Bake a grid, write it, and print its levels and warnings.
+) -> NavGrid:
+    """Bake a grid, write it, print its levels and warnings, and return it.
 
     Args:
         config: the settings.
@@ -419,7 +422,7 @@ def _bake_and_report(
     result.timings["write"] = time.perf_counter() - start_time
     if printing.VERBOSITY.quiet:
         print_warnings(result.warnings)
-        return
+        return result.grid
     with options.keep_stdout_for(output_path):
         if output_path != options.STDOUT:
             say(output_path)
@@ -428,6 +431,16 @@ def _bake_and_report(
             say(f"warning: {warning}")
         stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items())
         print(f"{sum(result.timings.values()):.2f} s: {stages}")
+    return result.grid
+
+
+def _warn_of_what_radius_closes(grid: NavGrid, radius: float) -> None:
+    """Print a warning of stairs, doors and links that the baked radius [m] closes for the agent."""
+    from navbake.runtime.passage import make_point_grid  # loads numpy
+    from navbake.runtime.search import Search
+
+    search_before = Search(make_point_grid(grid), radius=0.0)
+    printing.warn_of_closed_connections(search_before, Search(grid), radius)
 
 
 # --- output files -----------------------------------------------------------------------------

@@ -21,7 +21,12 @@ from navbake.cli.options import (
     argument,
     option,
 )
-from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
+from navbake.cli.printing import (
+    print_json,
+    print_warnings,
+    say_unless_quiet,
+    warn_of_closed_connections,
+)
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.formats.convert import encode_with, list_files, read_with
 from navbake.formats.format_table import GRID_FORMATS, ROUTE_FORMATS, FileFormat, find_format
@@ -30,7 +35,6 @@ from navbake.formats.source import write_files
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
     from navbake.runtime.paths import Path as Route
-    from navbake.runtime.search import Search
 
 # endings of sets of episodes that no grid has
 EPISODE_ONLY_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")
@@ -335,30 +339,11 @@ def inflate(
     ]
     share_text = f" ({free_areas[1] / free_areas[0]:.1%})" if free_areas[0] else ""
     if mode == "exact":
-        _warn_of_closed_connections(Search(grid_before), Search(grid_after), radius)
+        warn_of_closed_connections(Search(grid_before), Search(grid_after), radius)
     with options.keep_stdout_for(output):
         summary = f"{output}: {free_areas[1]:.2f} of {free_areas[0]:.2f} m² free{share_text}"
         total_radius = max(radius, previous_radius)
         say_unless_quiet(f"{summary} for an agent of radius {total_radius:g} m ({mode})")
-
-
-def _warn_of_closed_connections(search_before: Search, search_after: Search, radius: float) -> None:
-    """Print a warning that names what no agent can pass any more after an inflation.
-
-    Args:
-        search_before: a search on the grid before the inflation.
-        search_after: a search on the inflated grid.
-        radius: the radius of the inflation, for the warning [m].
-    """
-    from navbake.runtime.passage import find_lost_connections  # loads numpy
-
-    lost_connections = find_lost_connections(search_before, search_after)
-    if lost_connections:
-        names = ", ".join(name for name, _ in lost_connections)
-        num_before = search_before.islands.count
-        verb = "was" if num_before == 1 else "were"
-        islands_text = f"{search_after.islands.count} islands where there {verb} {num_before}"
-        print_warnings([f"a radius of {radius:g} m closes {names}: {islands_text}"])
 
 
 def routes(

@@ -17,6 +17,7 @@ from navbake.lazy import lazy
 from navbake.views.tables import Table, list_cell_facts, make_table
 
 if TYPE_CHECKING:
+    from navbake.runtime.search import Search
     from navbake.types import Json
 
 rich_console = lazy("rich.console")  # takes 0.1 s; for wide tables and progress
@@ -116,6 +117,25 @@ def print_causes(error: BaseException) -> None:
 def print_warnings(warnings: Iterable[str]) -> None:
     for warning in warnings:
         print_error(f"warning: {warning}")
+
+
+def warn_of_closed_connections(search_before: Search, search_after: Search, radius: float) -> None:
+    """Print a warning that names the stairs, doors and links that a larger radius closes.
+
+    Args:
+        search_before: a search on the grid for the smaller radius.
+        search_after: a search on the grid for the larger radius.
+        radius: the larger radius, for the warning [m].
+    """
+    from navbake.runtime.passage import find_lost_connections  # loads numpy
+
+    lost_connections = find_lost_connections(search_before, search_after)
+    if lost_connections:
+        names = ", ".join(name for name, _ in lost_connections)
+        num_before = search_before.islands.count
+        verb = "was" if num_before == 1 else "were"
+        islands_text = f"{search_after.islands.count} islands where there {verb} {num_before}"
+        print_warnings([f"a radius of {radius:g} m closes {names}: {islands_text}"])
 
 
 def is_terminal(stream: TextIO | None) -> bool:

@@ -291,6 +291,16 @@ def without_inflation(grid: NavGrid) -> NavGrid:
     return with_weights(grid, np.where(free, 1.0, np.inf))
 
 
+def make_point_grid(grid: NavGrid) -> NavGrid:
+    """Copy a baked grid for an agent of radius 0, which fits where the baked radius may not.
+
+    Args:
+        grid: a grid that was never inflated.
+    """
+    free = np.concatenate([level.free_for_point.ravel() for level in grid.levels])
+    return with_weights(grid, np.where(free, 1.0, np.inf))
+
+
 def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
     """Copy a grid with new weights, and without the record of its inflations.
 

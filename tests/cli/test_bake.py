@@ -238,3 +238,13 @@ def test_geoms_say_what_can_move(folder, run):
     assert status == 0
     roles = {geom["name"]: geom["role"] for geom in json.loads(out)["geoms"]}
     assert roles == {"floor": "structure", "ball": "movable", "boards": "structure that moves"}
+
+
+def test_bake_names_the_stairs_and_doors_that_its_radius_closes(run, tmp_path):
+    output = tmp_path / "house.grid.json"
+    status, _, err = run("bake", "house", "--radius", 0.45, "-o", output)
+    assert status == 0
+    assert "a radius of 0.45 m closes the stairs between level 0 and 1 near (1.50, 3.25)" in err
+    assert "door 'door_front'" in err
+    _, _, err = run("bake", "house", "--radius", 0.15, "-o", output)
+    assert "closes" not in err
