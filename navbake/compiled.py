@@ -44,7 +44,7 @@ from typing import Any, NamedTuple, TypeVar, cast, overload
 import numba
 
 from navbake.lazy import lazy
-from navbake.owners import ROOT, find_other_writer, find_other_writer_inside
+from navbake.owners import ROOT_ID, find_other_writer, find_other_writer_inside
 from navbake.processes import end_with_parent
 
 filelock = lazy("filelock")  # only needed to compile
@@ -56,7 +56,7 @@ PACKAGE_CACHE = PACKAGE_FOLDER / "__pycache__"
 CACHE_NAME = f"{PACKAGE}-kernels"  # of the folder for compiled code
 KERNEL_LIST = PACKAGE_FOLDER / "kernels.json"
 CACHE_REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
-REFUSAL = (
+REFUSAL_MESSAGE = (
     "compiled code in {} is not used, as {}, and would run as you; it is kept {}: "
     "set NUMBA_CACHE_DIR to a folder that only you can write, or remove the refused one"
 )
@@ -64,7 +64,7 @@ REFUSAL = (
 CACHE_DEPTH = 2
 MAX_PROCESSES = 4  # the most processes that compile at the same time
 # time until the first message on progress; the time to each later one is twice as long [s]
-FIRST_PROGRESS = 5.0
+FIRST_PROGRESS_DELAY = 5.0
 KERNELS: list[Any] = []
 """The kernels of all modules imported so far; each is the dispatcher that `njit` returned."""
 
@@ -161,38 +161,38 @@ def cache_folder() -> Path | None:
     """
     numba_folder = os.environ.get("NUMBA_CACHE_DIR")
     user_folder = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-    parents = [Path(numba_folder)] if numba_folder else [PACKAGE_CACHE, Path(user_folder)]
-    refused: dict[Path, str] = {}
-    folder = _find_folder(parents, refused)
-    if folder is None and refused:
+    parent_folders = [Path(numba_folder)] if numba_folder else [PACKAGE_CACHE, Path(user_folder)]
+    problem_of_folder: dict[Path, str] = {}
+    folder = _find_folder(parent_folders, problem_of_folder)
+    if folder is None and problem_of_folder:
         folder = _private_folder()
-    for refused_folder, problem in list(refused.items())[:1]:
+    for refused_folder, problem in list(problem_of_folder.items())[:1]:
         _warn_of_refusal(refused_folder, problem, folder)
     return folder
 
 
-def _find_folder(parents: list[Path], refused: dict[Path, str]) -> Path | None:
+def _find_folder(parent_folders: list[Path], problem_of_folder: dict[Path, str]) -> Path | None:
     """Return the first folder for compiled code that can be used; None if none can be.
 
     Args:
-        parents: The folders that it may be in.
-        refused: Receives the folders that another user may write, and who that is.
+        parent_folders: The folders that it may be in.
+        problem_of_folder: Receives the folders that another user may write, and who that is.
     """
-    readable: Path | None = None
-    for parent in parents:
+    readable_folder: Path | None = None
+    for parent in parent_folders:
         folder = Path(os.path.realpath(parent / CACHE_NAME))
         # nobody has asked for a new folder in the package, and looks for code there
         is_awaited = os.path.isdir(folder) or parent != PACKAGE_CACHE
         problem = _claim(folder)
         if problem and is_awaited:
-            refused[folder] = problem
+            problem_of_folder[folder] = problem
         if problem:
             continue
         if _is_writable(folder):
             return folder
         if os.path.isdir(folder):
-            readable = readable or folder
-    return None if readable is None else _link_files(readable)
+            readable_folder = readable_folder or folder
+    return None if readable_folder is None else _link_files(readable_folder)
 
 
 def _warn_of_refusal(refused_folder: Path, problem: str, folder: Path | None) -> None:
@@ -200,8 +200,8 @@ def _warn_of_refusal(refused_folder: Path, problem: str, folder: Path | None) ->
     if refused_folder in _refused_folders:
         return
     _refused_folders.add(refused_folder)
-    place = "in memory" if folder is None else f"in {folder}"
-    LOG.warning(REFUSAL.format(refused_folder, problem, place))
+    storage_text = "in memory" if folder is None else f"in {folder}"
+    LOG.warning(REFUSAL_MESSAGE.format(refused_folder, problem, storage_text))
 
 
 def _claim(folder: Path) -> str:
@@ -215,7 +215,7 @@ def _claim(folder: Path) -> str:
     with suppress(OSError):
         for parent in reversed(folder.parents):
             parent.mkdir(mode=0o755, exist_ok=True)
-        is_of_plain_user = hasattr(os, "geteuid") and os.geteuid() != ROOT
+        is_of_plain_user = hasattr(os, "geteuid") and os.geteuid() != ROOT_ID
         # root compiles for all users
         folder.mkdir(mode=0o700 if is_of_plain_user else 0o755, exist_ok=True)
     return find_other_writer(folder)  # another user may have made it in the meantime
@@ -235,24 +235,24 @@ def _link_files(folder: Path) -> Path | None:
 
     None if no temporary folder can be made.
     """
-    temporary = _make_temporary()
-    if temporary is not None:
+    temporary_folder = _make_temporary_folder()
+    if temporary_folder is not None:
         with suppress(OSError):
             for path in folder.rglob("*.nb[ic]"):
-                link = temporary / path.relative_to(folder)
+                link = temporary_folder / path.relative_to(folder)
                 link.parent.mkdir(parents=True, exist_ok=True)
                 link.symlink_to(path)
-    return temporary
+    return temporary_folder
 
 
-def _make_temporary() -> Path | None:
+def _make_temporary_folder() -> Path | None:
     """Make a folder for compiled code that is removed when this process ends; None if it can't."""
     try:
-        temporary = Path(tempfile.mkdtemp(prefix=f"{CACHE_NAME}-"))
+        temporary_folder = Path(tempfile.mkdtemp(prefix=f"{CACHE_NAME}-"))
     except OSError:
         return None
-    atexit.register(_remove_folder, temporary, os.getpid())
-    folder = Path(os.path.realpath(temporary)) / CACHE_NAME
+    atexit.register(_remove_folder, temporary_folder, os.getpid())
+    folder = Path(os.path.realpath(temporary_folder)) / CACHE_NAME
     return None if _claim(folder) else folder
 
 
@@ -269,24 +269,26 @@ def _private_folder(refused_folder: Path | None = None) -> Path | None:
         folder = Path(os.path.realpath(Path("~/.cache").expanduser() / CACHE_NAME))
         if folder != refused_folder and not _claim(folder) and _is_writable(folder):
             return folder
-    return _make_temporary()
+    return _make_temporary_folder()
 
 
 @cache
 def _module_folder(module: str) -> Path | None:
     """Return the folder for a module's compiled code; None to compile it in memory."""
-    name = f"{module.removeprefix(PACKAGE + '.')}-{digest_sources(module)}"
+    folder_name = f"{module.removeprefix(PACKAGE + '.')}-{digest_sources(module)}"
     folder = cache_folder()
     if folder is None:
         return None
-    problem = find_other_writer_inside(folder / name, CACHE_DEPTH)
+    problem = find_other_writer_inside(folder / folder_name, CACHE_DEPTH)
     if not problem:
-        return folder / name
+        return folder / folder_name
     private_folder = _private_folder(folder)
     _warn_of_refusal(folder, problem, private_folder)
-    if private_folder is None or find_other_writer_inside(private_folder / name, CACHE_DEPTH):
+    if private_folder is None or find_other_writer_inside(
+        private_folder / folder_name, CACHE_DEPTH
+    ):
         return None
-    return private_folder / name
+    return private_folder / folder_name
 
 
 def _is_kept_in(folder: Path, dispatcher: Any) -> bool:
@@ -305,35 +307,46 @@ def _remove_folder(folder: Path, process_id: int) -> None:
 
 @cache
 def _read_module(name: str) -> tuple[bytes, frozenset[str]]:
-    """Return a module's source, and the names of the package's modules that it imports."""
+    """Return a module's source, and the names of the package's modules that it imports.
+
+    Indented imports don't count: kernels use no names of them.
+    """
     path = PACKAGE_FOLDER.parent.joinpath(*name.split("."))
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     source = path.read_bytes()
-    pattern = rb"^\s*(?:from|import) (" + PACKAGE.encode() + rb"[\w.]*)"
-    imported = re.findall(pattern, source, re.M)
-    return source, frozenset(module.decode() for module in imported)
+    pattern = rb"^(?:from|import) (" + PACKAGE.encode() + rb"[\w.]*)"
+    imported_names = re.findall(pattern, source, re.M)
+    return source, frozenset(module.decode() for module in imported_names)
+
+
+def read_sources(module: str) -> dict[str, bytes]:
+    """Read the source of a module, and those of all package modules that it needs.
+
+    These are the modules that it imports, those that they import, and so on.
+
+    Returns:
+        Name of a module -> its source.
+    """
+    sources: dict[str, bytes] = {}
+    pending_modules = [module]
+    while pending_modules:
+        name = pending_modules.pop()
+        if name not in sources:
+            sources[name], imported_names = _read_module(name)
+            pending_modules += imported_names
+    return sources
 
 
 @cache
 def digest_sources(module: str) -> str:
-    """Return a hash of a module's source and of those of all package modules that it needs.
-
-    These are the modules that it imports, those that they import, and so on.
-    """
-    sources: dict[str, bytes] = {}
-    pending = [module]
-    while pending:
-        name = pending.pop()
-        if name not in sources:
-            sources[name], imported = _read_module(name)
-            pending += imported
+    """Return a hash of the sources of a module and of those that it needs, see `read_sources`."""
     digest = hashlib.sha256()
-    for name in sorted(sources):
-        digest.update(b"%s\0%s\0" % (name.encode(), sources[name]))
+    for name, source in sorted(read_sources(module).items()):
+        digest.update(b"%s\0%s\0" % (name.encode(), source))
     return digest.hexdigest()[:16]
 
 
-class Entry(NamedTuple):
+class KernelEntry(NamedTuple):
     """A kernel in the list ``kernels.json``, with one choice of types of its arguments."""
 
     name: str  #: The kernel's module and name, without the name of the package.
@@ -364,22 +377,24 @@ def import_object(name: str) -> Any:
 
 
 @cache
-def read_list() -> tuple[list[Entry], list[Entry]]:
+def read_kernel_list() -> tuple[list[KernelEntry], list[KernelEntry]]:
     """Read ``kernels.json``; return the entries that bakes need, and all other entries."""
     entries = json.loads(KERNEL_LIST.read_text(encoding="utf-8"))
-    bake_kernels = [Entry(*entry) for entry in entries["bake"]]
-    further_kernels = [Entry(*entry) for entry in entries["others"]]
+    bake_kernels = [KernelEntry(*entry) for entry in entries["bake"]]
+    further_kernels = [KernelEntry(*entry) for entry in entries["others"]]
     return bake_kernels, further_kernels
 
 
 def decode_type(encoded: Any) -> Any:
     """Convert a type as in `Entry.types` to a type of numba's."""
     if isinstance(encoded, dict):
-        ((name, fields),) = encoded.items()
-        field_types = [decode_type(field) for field in fields]
+        ((name, encoded_fields),) = encoded.items()
+        field_types = [decode_type(field) for field in encoded_fields]
         return numba.types.BaseTuple.from_types(field_types, import_object(name))
     if isinstance(encoded, list):
-        return numba.types.BaseTuple.from_types([decode_type(item) for item in encoded])
+        return numba.types.BaseTuple.from_types(
+            [decode_type(encoded_item) for encoded_item in encoded]
+        )
     name, *array_words = encoded.split()
     scalar = getattr(numba.types, "boolean" if name == "bool" else name)
     if not array_words:
@@ -389,7 +404,7 @@ def decode_type(encoded: Any) -> Any:
     return numba.types.Array(scalar, num_dimensions, order, "readonly" in array_words)
 
 
-def list_uncompiled(entries: Iterable[Entry]) -> list[Entry]:
+def list_uncompiled(entries: Iterable[KernelEntry]) -> list[KernelEntry]:
     """Return the entries whose kernels lack compiled code on disk for some of the entries' types.
 
     Files are only counted: a kernel with n entries needs n files.
@@ -416,7 +431,7 @@ def ensure_compiled(*prefixes: str) -> None:
         *prefixes: Beginnings of the names of the kernels to compile, such as ``formats.``. Without
             any, the kernels that bakes call are compiled.
     """
-    bake_kernels, further_kernels = read_list()
+    bake_kernels, further_kernels = read_kernel_list()
     if not prefixes:
         _compile(bake_kernels)
         return
@@ -430,12 +445,12 @@ def warm_up() -> list[str]:
     Returns:
         The names of kernels that still have none.
     """
-    entries = [entry for group in read_list() for entry in group]
+    entries = [entry for listed_kernels in read_kernel_list() for entry in listed_kernels]
     _compile(entries)
     return sorted({entry.name for entry in list_uncompiled(entries)})
 
 
-def _compile(entries: list[Entry]) -> None:
+def _compile(entries: list[KernelEntry]) -> None:
     """Compile the kernels of `entries` that have no code on disk, in a few processes.
 
     Progress is logged. A lock lets only one process at a time do this. Where no folder can be
@@ -444,11 +459,11 @@ def _compile(entries: list[Entry]) -> None:
     """
     folder = cache_folder()
     uncompiled = list_uncompiled(entries)
-    begin = time.monotonic()
+    start_time = time.monotonic()
     # a program that embeds Python cannot start another Python
     is_python = Path(sys.executable or "").name.lower().startswith("python")
     num_processes = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, MAX_PROCESSES) if is_python else 1
-    duration = max(map(_total_seconds, _divide(uncompiled, num_processes)), default=0)
+    duration = max(map(_total_seconds, _divide_by_time(uncompiled, num_processes)), default=0)
     if folder is None:
         reason = f"as no folder for compiled code can be written: {CACHE_REMEDY}"
         LOG.warning(f"compiling in memory: about {duration:.0f} s, in each process anew, {reason}")
@@ -457,90 +472,90 @@ def _compile(entries: list[Entry]) -> None:
     if folder is None or not uncompiled or not is_python:
         return  # each kernel is compiled when it is first called
 
-    timeout = FIRST_PROGRESS
+    timeout = FIRST_PROGRESS_DELAY
 
-    def wait(wait_for: Callable[..., object]) -> None:
+    def wait_with_progress(wait_function: Callable[..., object]) -> None:
         """Call a function with a timeout until it returns in time; log progress at each timeout."""
         nonlocal timeout
         while True:
             try:
-                wait_for(timeout=timeout)
+                wait_function(timeout=timeout)
                 return
             except (filelock.Timeout, subprocess.TimeoutExpired):
                 num_done = len(uncompiled) - len(list_uncompiled(uncompiled))
-                elapsed = time.monotonic() - begin
+                elapsed_time = time.monotonic() - start_time
                 LOG.warning(
-                    f"compiled {num_done} of {len(uncompiled)} functions after {elapsed:.0f} s"
+                    f"compiled {num_done} of {len(uncompiled)} functions after {elapsed_time:.0f} s"
                 )
                 timeout *= 2  # not to fill a log file
 
     lock = filelock.FileLock(folder / "compiling.lock")
-    helpers: list[subprocess.Popen[bytes]] = []
+    compile_processes: list[subprocess.Popen[bytes]] = []
     try:
         with suppress(OSError, NotImplementedError):  # of a file system without locks
-            wait(lock.acquire)
+            wait_with_progress(lock.acquire)
         # another process may have compiled some while this one waited
-        for share in _divide(list_uncompiled(uncompiled), num_processes):
-            helpers.append(_start_helper(share, folder))
-        for helper in helpers:
-            wait(helper.wait)
+        for group in _divide_by_time(list_uncompiled(uncompiled), num_processes):
+            compile_processes.append(_start_compile_process(group, folder))
+        for compile_process in compile_processes:
+            wait_with_progress(compile_process.wait)
     finally:
-        for helper in helpers:
-            helper.kill()  # after an error here, as by Ctrl-C
-            helper.wait()
+        for compile_process in compile_processes:
+            compile_process.kill()  # after an error here, as by Ctrl-C
+            compile_process.wait()
         lock.release()
 
 
-def _total_seconds(entries: list[Entry]) -> float:
+def _total_seconds(entries: list[KernelEntry]) -> float:
     return sum(entry.seconds for entry in entries)
 
 
-def _divide(entries: list[Entry], num_processes: int) -> list[list[Entry]]:
+def _divide_by_time(entries: list[KernelEntry], num_processes: int) -> list[list[KernelEntry]]:
     """Divide entries into at most `num_processes` groups that take about equally long to compile.
 
     The entries of a module stay together: they share code.
     """
-    by_module: dict[str, list[Entry]] = {}
+    by_module: dict[str, list[KernelEntry]] = {}
     for entry in entries:
         by_module.setdefault(entry.name.rpartition(".")[0], []).append(entry)
-    shares: list[list[Entry]] = [[] for _ in range(num_processes)]
+    groups: list[list[KernelEntry]] = [[] for _ in range(num_processes)]
     # the slowest module first, each to the group with the least to do
     for module_entries in sorted(by_module.values(), key=_total_seconds, reverse=True):
-        min(shares, key=_total_seconds).extend(module_entries)
-    return [share for share in shares if share]
+        min(groups, key=_total_seconds).extend(module_entries)
+    return [group for group in groups if group]
 
 
-def _start_helper(entries: list[Entry], folder: Path) -> subprocess.Popen[bytes]:
+def _start_compile_process(entries: list[KernelEntry], folder: Path) -> subprocess.Popen[bytes]:
     """Start a process that compiles entries into a folder."""
     # modules are found where this process finds them, and not in the current folder first
-    path = [*filter(None, sys.path), str(PACKAGE_FOLDER.parent)]
-    call = f"from {__name__} import compile_from_stdin; compile_from_stdin()"
-    code = f"import sys; sys.path[:] = {path!r}; {call}"
+    module_paths = [*filter(None, sys.path), str(PACKAGE_FOLDER.parent)]
+    call_code = f"from {__name__} import compile_from_stdin; compile_from_stdin()"
+    code = f"import sys; sys.path[:] = {module_paths!r}; {call_code}"
     environment = {
         **os.environ,
         "NUMBA_CACHE_DIR": str(folder.parent),
         # numba makes hundreds of messages that nobody sees: colouring takes a tenth of the time
         "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1",
     }
-    helper = subprocess.Popen(
+    compile_process = subprocess.Popen(
         [sys.executable, "-c", code],
         env=environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    assert helper.stdin is not None
-    with helper.stdin as pipe:
+    assert compile_process.stdin is not None
+    with compile_process.stdin as pipe:
         pipe.write(json.dumps(entries).encode())
-    return helper
+    return compile_process
 
 
 def compile_from_stdin() -> None:
-    """Compile the entries that stdin holds as JSON; a process of `_start_helper` runs this."""
+    """Compile the entries that stdin holds as JSON, in a process of `_start_compile_process`."""
     end_with_parent()
     os.umask(0o022)  # no other user may write what is made here, see `cache_folder`
     for entry in json.load(sys.stdin):
-        Entry(*entry).compile()
+        KernelEntry(*entry).compile()
 
 
 # if the program has not set up logging, messages are printed: compiling may take minutes

@@ -52,9 +52,9 @@ class NavbakeError(Exception):
         Characters that are not printable are escaped; the names of files may have such. The middle
         of a very long message is left out.
         """
-        text = printable(super().__str__())
-        is_short = len(text) <= MAX_BEGINNING + MAX_TEXT_END
-        return text if is_short else f"{text[:MAX_BEGINNING]} … {text[-MAX_TEXT_END:]}"
+        message = printable(super().__str__())
+        is_short = len(message) <= MAX_BEGINNING + MAX_TEXT_END
+        return message if is_short else f"{message[:MAX_BEGINNING]} … {message[-MAX_TEXT_END:]}"
 
 
 class ConfigError(NavbakeError):
@@ -100,7 +100,9 @@ def printable(message: str) -> str:
     """Escape all characters of a message that are not printable, such as line ends."""
     if message.isprintable():
         return message
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+    return "".join(
+        character if character.isprintable() else repr(character)[1:-1] for character in message
+    )
 
 
 def count_of(count: int, noun: str) -> str:

@@ -22,9 +22,9 @@ class lazy:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        value = getattr(import_module(self._name), attribute)
-        setattr(self, attribute, value)  # from now on it is read without this function
-        return value
+        module_member = getattr(import_module(self._name), attribute)
+        setattr(self, attribute, module_member)  # from now on it is read without this function
+        return module_member
 
 
 def resolve(where: str) -> Any:

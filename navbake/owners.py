@@ -11,7 +11,7 @@ import stat
 from functools import cache
 from pathlib import Path
 
-ROOT = 0  # the user ID of root
+ROOT_ID = 0  # the user ID of root
 WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 SEARCHABLE_BY_OTHERS = stat.S_IXGRP | stat.S_IXOTH
 
@@ -100,15 +100,15 @@ def _describe_writer(
         is_above: Whether it is a folder above the one in question; then it may be sticky.
         is_closed: Whether no other user can open it, whatever its own mode allows.
     """
-    owner = status.st_uid
-    if owner not in (ROOT, os.geteuid()) and owner != _find_unmapped_user():
-        return f"{path} belongs to {_name_user(owner)}"
-    writers = status.st_mode & WRITABLE_BY_OTHERS
-    if is_closed or not writers or (is_above and status.st_mode & stat.S_ISVTX):
+    owner_id = status.st_uid
+    if owner_id not in (ROOT_ID, os.geteuid()) and owner_id != _find_unmapped_user_id():
+        return f"{path} belongs to {_name_user(owner_id)}"
+    write_bits = status.st_mode & WRITABLE_BY_OTHERS
+    if is_closed or not write_bits or (is_above and status.st_mode & stat.S_ISVTX):
         return ""
-    if writers & stat.S_IWOTH:
+    if write_bits & stat.S_IWOTH:
         return f"all users may write {path}"
-    if owner != ROOT and _is_group_of(status.st_gid, owner):
+    if owner_id != ROOT_ID and _is_group_of(status.st_gid, owner_id):
         return ""
     return f"the group of {path} may write it"
 
@@ -133,7 +133,7 @@ def _is_group_of(group_id: int, user_id: int) -> bool:
 
 
 @cache
-def _find_unmapped_user() -> int | None:
+def _find_unmapped_user_id() -> int | None:
     """Return the user ID that a container without root's rights shows for all unknown owners.
 
     There, the files of root, of the container's image, too, have this owner. None elsewhere.
@@ -141,8 +141,8 @@ def _find_unmapped_user() -> int | None:
     """
     try:
         unmapped_id = int(Path("/proc/sys/kernel/overflowuid").read_text())
-        lines = Path("/proc/self/uid_map").read_text().splitlines()
-        for line in lines:
+        map_lines = Path("/proc/self/uid_map").read_text().splitlines()
+        for line in map_lines:
             first_id, _, num_ids = map(int, line.split())
             if first_id <= unmapped_id < first_id + num_ids:
                 return None

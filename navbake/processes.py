@@ -17,22 +17,22 @@ try:
 except ImportError:  # on Windows
     resource = None  # type: ignore[assignment]
 
-GIB = 1 << 30  # bytes
-END_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
+BYTES_PER_GIB = 1 << 30  # bytes
+PR_SET_PDEATHSIG = 1  # PR_SET_PDEATHSIG of prctl(2)
 # messages of failed allocations: of MuJoCo's own, of C++'s in MuJoCo, and of the system
 NO_MEMORY_TEXTS = ("could not allocate memory", "unknown exception", "cannot allocate memory")
 
 
-def end_with_parent(parent: int | None = None) -> None:
+def end_with_parent(parent_id: int | None = None) -> None:
     """On Linux, make the system kill this process when its parent ends.
 
     Args:
-        parent: Process id of the parent: if it has ended already, this process ends at once. None
-            to leave out that check.
+        parent_id: Process id of the parent: if it has ended already, this process ends at once.
+            None to leave out that check.
     """
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
-        if parent is not None and os.getppid() != parent:
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if parent_id is not None and os.getppid() != parent_id:
             os._exit(1)
 
 
@@ -45,19 +45,19 @@ def give_back_memory() -> None:
         library.malloc_trim(0)
 
 
-def free_memory() -> int:
+def measure_free_memory() -> int:
     """Return how much memory is available without swapping [bytes]; 2**62 if that is unknown."""
-    free = 2**62
+    free_bytes = 2**62
     # ValueError: a container's limit may be "max"; IndexError: a line may have no number
     with suppress(OSError, ValueError):
-        free = int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii"))
+        free_bytes = int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii"))
     with suppress(OSError, ValueError, IndexError):
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
-                return min(free, int(line.split()[1]) * 1024)
+                return min(free_bytes, int(line.split()[1]) * 1024)
     with suppress(AttributeError, ValueError, OSError):  # there is no sysconf on Windows
-        free = min(free, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    return free
+        free_bytes = min(free_bytes, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return free_bytes
 
 
 def limit_memory(gib: float | None) -> Callable[[], None]:
@@ -73,22 +73,22 @@ def limit_memory(gib: float | None) -> Callable[[], None]:
     if resource is None:
         return lambda: None
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if gib is None or gib * GIB >= sys.maxsize:
+    if gib is None or gib * BYTES_PER_GIB >= sys.maxsize:
         return lambda: None
     try:
         with open("/proc/self/statm", "rb") as file:
-            pages = int(file.read().split()[0])
+            num_pages = int(file.read().split()[0])
     except OSError:  # limits are kept on Linux only
         return lambda: None
     limits_before = resource.getrlimit(resource.RLIMIT_AS)
     hard_limit = limits_before[1]
-    max_bytes = pages * resource.getpagesize() + int(gib * GIB)
+    max_bytes = num_pages * resource.getpagesize() + int(gib * BYTES_PER_GIB)
     if max_bytes < (sys.maxsize if hard_limit == resource.RLIM_INFINITY else hard_limit):
         resource.setrlimit(resource.RLIMIT_AS, (max_bytes, hard_limit))
     return lambda: resource.setrlimit(resource.RLIMIT_AS, limits_before)
 
 
-def lacked_memory(error: BaseException) -> bool:
+def is_lack_of_memory(error: BaseException) -> bool:
     """Whether a lack of memory caused an error.
 
     A MemoryError counts always. If the process has a memory limit, the error's causes and messages
@@ -105,21 +105,23 @@ def lacked_memory(error: BaseException) -> bool:
             return True
         text = str(cause).lower()
         # navbake's own errors repeat their cause, and name files
-        if not isinstance(cause, NavbakeError) and any(words in text for words in NO_MEMORY_TEXTS):
+        if not isinstance(cause, NavbakeError) and any(
+            memory_text in text for memory_text in NO_MEMORY_TEXTS
+        ):
             return True
         cause = cause.__cause__ or cause.__context__
     return False
 
 
-def ending_of(status: int) -> str:
+def describe_exit(exit_status: int) -> str:
     """Describe how a process ended, such as ``exit status 1`` or ``SIGKILL``.
 
     Args:
-        status: The exit status as Python states it: negative for a signal.
+        exit_status: The exit status as Python states it: negative for a signal.
     """
-    if status >= 0:
-        return f"exit status {status}"
+    if exit_status >= 0:
+        return f"exit status {exit_status}"
     try:
-        return signal.Signals(-status).name
+        return signal.Signals(-exit_status).name
     except ValueError:  # unnamed signal
-        return f"signal {-status}"
+        return f"signal {-exit_status}"

@@ -120,7 +120,7 @@ def bake_sample() -> None:
 
 
 def encode_type(of: Any) -> Any:
-    """Write one of numba's types as the list has it, see `navbake.compiled.Entry`."""
+    """Write one of numba's types as the list has it, see `navbake.compiled.KernelEntry`."""
     if isinstance(of, types.Array):
         access = "" if of.mutable else " readonly"
         return f"{of.dtype} {of.ndim} {of.layout}{access}"

@@ -16,7 +16,14 @@ from pathlib import Path
 import pytest
 
 import navbake
-from navbake.compiled import KERNELS, decode_type, import_object, list_uncompiled, read_list
+from navbake.compiled import (
+    KERNELS,
+    decode_type,
+    import_object,
+    list_uncompiled,
+    read_kernel_list,
+    read_sources,
+)
 
 INNER = """from navbake.compiled import kernel
 
@@ -117,7 +124,7 @@ def test_all_is_compiled_beforehand_and_what_is_not_is_named(package, tmp_path):
 LONE = """
 import numpy as np
 from navbake import compiled
-compiled.FIRST_PROGRESS = 0.05
+compiled.FIRST_PROGRESS_DELAY = 0.05
 compiled.ensure_compiled("kernels.lone")
 from navbake.kernels.lone import lone
 print(lone(np.zeros(3)))
@@ -331,7 +338,7 @@ def test_kernels_of_others_stay_as_they_are(package):
 
 def test_the_list_names_kernels_with_their_types():
     """If it fails: run `python scripts/list_kernels.py`."""
-    for entry in [*read_list()[0], *read_list()[1]]:
+    for entry in [*read_kernel_list()[0], *read_kernel_list()[1]]:
         found = import_object(entry.name)
         assert found in KERNELS, entry.name
         assert len(entry.types) == found.py_func.__code__.co_argcount, entry.name
@@ -365,17 +372,17 @@ def test_the_list_has_what_a_bake_calls_which_is_little(tmp_path):
         [sys.executable, "-W", "ignore", "-c", CALLED, str(tmp_path / "a.grid.json")],
         cwd=Path(navbake.__file__).parents[1], stdout=subprocess.PIPE, text=True, check=True,
     )  # fmt: skip
-    names = [entry.name for entry in read_list()[0]]
+    names = [entry.name for entry in read_kernel_list()[0]]
     called = json.loads(done.stdout.splitlines()[-1])
     missing = [k for k, (n, _) in called.items() if names.count(k.removeprefix("navbake.")) < n]
-    assert missing == [] and list_uncompiled(read_list()[0]) == []
+    assert missing == [] and list_uncompiled(read_kernel_list()[0]) == []
     assert len(called) <= MOST
     assert sum(size for _, size in called.values()) <= MOST_BYTES
 
 
 def test_what_is_compiled_ahead_by_a_prefix_is_in_the_list():
     """A prefix of a module that was moved compiles nothing, and the first query waits."""
-    names = [entry.name for group in read_list() for entry in group]
+    names = [entry.name for group in read_kernel_list() for entry in group]
     prefixes = []
     for path in sorted(Path(navbake.__file__).parent.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -386,3 +393,14 @@ def test_what_is_compiled_ahead_by_a_prefix_is_in_the_list():
     assert len(prefixes) >= 6
     for prefix in prefixes:
         assert any(name.startswith(prefix) for name in names), prefix
+
+
+def test_kernels_depend_on_few_modules():
+    """Else a change of the settings or of a message would compile them anew."""
+    package = Path(navbake.__file__).parent
+    kernel_files = sorted(package.rglob("*_kernels.py"))
+    assert kernel_files
+    for path in kernel_files:
+        module = ".".join(path.relative_to(package.parent).with_suffix("").parts)
+        needed = read_sources(module)
+        assert len(needed) <= 20 and "navbake.config.settings" not in needed, module

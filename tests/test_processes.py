@@ -8,7 +8,7 @@ import pytest
 
 from navbake import processes as child
 from navbake.errors import SceneError
-from navbake.processes import lacked_memory, limit_memory
+from navbake.processes import is_lack_of_memory, limit_memory
 
 pytestmark = pytest.mark.skipif(child.resource is None, reason="Windows limits no process so")
 
@@ -38,25 +38,25 @@ LACKING = {
 
 @pytest.mark.parametrize("chain", LACKING.values(), ids=LACKING)
 def test_libraries_say_in_many_ways_that_memory_is_short(limited, chain):
-    assert lacked_memory(error_of(*chain))
+    assert is_lack_of_memory(error_of(*chain))
 
 
 def test_what_was_being_handled_counts_as_the_cause(limited):
     error = SceneError("broken")
     error.__context__ = MemoryError()
-    assert lacked_memory(error)
+    assert is_lack_of_memory(error)
 
 
 def test_other_errors_and_names_of_files_are_not_taken_for_it(limited):
-    assert not lacked_memory(error_of(ValueError("no such mesh"), SceneError("broken")))
-    assert not lacked_memory(SceneError("no scene file at unknown exception.xml"))
+    assert not is_lack_of_memory(error_of(ValueError("no such mesh"), SceneError("broken")))
+    assert not is_lack_of_memory(SceneError("no scene file at unknown exception.xml"))
 
 
 def test_without_a_limit_sizes_that_a_file_states_may_be_the_cause(monkeypatch):
     infinity = child.resource.RLIM_INFINITY
     monkeypatch.setattr(child.resource, "getrlimit", lambda _: (infinity, infinity))
     for name, chain in LACKING.items():
-        assert lacked_memory(error_of(*chain)) == (name == "Python")
+        assert is_lack_of_memory(error_of(*chain)) == (name == "Python")
 
 
 @pytest.mark.parametrize("gib", [None, float("inf"), 1e12, 2.0**33 - 1e-3])

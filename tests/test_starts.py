@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 import navbake
-from navbake.compiled import read_list
+from navbake.compiled import read_kernel_list
 
 ROOT = Path(__file__).parents[1]
 SCENE = """<mujoco model="stool">
@@ -210,7 +210,7 @@ def test_nothing_is_compiled_after_warm_up(empty_folder):
         check=True,
     )
     used = {name: n for name, n in json.loads(run.stdout.splitlines()[-1]).items() if n}
-    names = [f"navbake.{entry.name}" for entry in [*read_list()[0], *read_list()[1]]]
+    names = [f"navbake.{entry.name}" for entry in [*read_kernel_list()[0], *read_kernel_list()[1]]]
     assert len(used) > 20
     assert [name for name, n in used.items() if names.count(name) < n] == []
 

@@ -46,7 +46,7 @@ from navbake.formats.scene_files import find_inputs, scene_suffix
 from navbake.formats.source import write_bytes
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
-from navbake.processes import lacked_memory
+from navbake.processes import is_lack_of_memory
 from navbake.types import Json
 from navbake.yaml_text import apply_overrides
 
@@ -371,13 +371,13 @@ def bake_scene(plan: Plan, job: Job) -> SceneRow:
 
     Raises:
         MemoryError: the process lacked memory; it can't be trusted any more. It also replaces other
-            errors that `lacked_memory` recognizes. No other error is raised.
+            errors that `is_lack_of_memory` recognizes. No other error is raised.
     """
     begin_time = time.perf_counter()
     try:
         return _bake_and_write(plan, job, begin_time)
     except Exception as error:
-        if lacked_memory(error):
+        if is_lack_of_memory(error):
             raise MemoryError(str(error)) from error
         reason = str(error)
         if not isinstance(error, NavbakeError | OSError):

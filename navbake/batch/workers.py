@@ -30,7 +30,7 @@ from navbake._version import __version__
 from navbake.errors import NavbakeError, printable
 from navbake.files import scratch_folder
 from navbake.formats.source import import_extra
-from navbake.processes import end_with_parent, ending_of, limit_memory
+from navbake.processes import describe_exit, end_with_parent, limit_memory
 
 POLL_INTERVAL = 0.5  # how often the parent checks which jobs have begun [s]
 # A wait that lasts this much longer than `POLL_INTERVAL` shows that this process was suspended [s].
@@ -250,7 +250,7 @@ class Workers:
             return JobEnd(number, TOO_LONG, reason, seconds)
         if isinstance(error, ProcessExpired):
             preposition = "with" if error.exitcode >= 0 else "by"
-            reason = f"its process ended {preposition} {ending_of(error.exitcode)}"
+            reason = f"its process ended {preposition} {describe_exit(error.exitcode)}"
             stderr_line = self._last_stderr_line(error.pid)
             if stderr_line:
                 reason += f": {stderr_line}"

@@ -269,7 +269,7 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
             f"NO FOLDER CAN BE WRITTEN: each process compiles anew; {compiled.CACHE_REMEDY}",
         )
     else:
-        kernel_entries = [entry for group in compiled.read_list() for entry in group]
+        kernel_entries = [entry for group in compiled.read_kernel_list() for entry in group]
         num_compiled = len(kernel_entries) - len(compiled.list_uncompiled(kernel_entries))
         compiled_files = [path for path in folder.rglob("*.nb?") if path.is_file()]
         state_text = f"{num_compiled} of {len(kernel_entries)} functions are compiled"

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.lazy import resolve
 from navbake.navgrid.lattice import CELL_SLACK, LEAST_EDGE, MAX_COORDINATE, num_cells
-from navbake.processes import free_memory
+from navbake.processes import measure_free_memory
 from navbake.types import Bool, Float, Int, Vector3
 
 DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers are IDs
@@ -381,7 +381,7 @@ def check_memory(shape: Sequence[int], itemsize: int) -> None:
         itemsize: Memory for a voxel [bytes].
     """
     needed = min(math.prod(shape) * itemsize, HUGE_COUNT)
-    free = free_memory()
+    free = measure_free_memory()
     if needed > free:
         counts = (
             str(count) if count < 10**15 else f"{min(count, HUGE_COUNT):.3g}" for count in shape

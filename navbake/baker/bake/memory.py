@@ -7,7 +7,7 @@ import logging
 from navbake.baker.columns.column_sources import expands_on_request
 from navbake.baker.geometry.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
-from navbake.processes import free_memory
+from navbake.processes import measure_free_memory
 
 LOG = logging.getLogger(__name__)
 # Measured on bakes of 16 million cells, of 8 million triangles, and of 32 million triangles that
@@ -44,7 +44,7 @@ def warn_of_memory(structure: Shapes, lattice: Lattice, margin: float) -> None:
         margin: shapes within this distance of a tile of cells are listed for it [m].
     """
     needed_bytes = estimate_memory(structure, lattice, margin)
-    free_bytes = free_memory()
+    free_bytes = measure_free_memory()
     if needed_bytes <= free_bytes:
         return
     num_cells = lattice.width * lattice.height

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.tolerances import TOUCH_DEPTH
-from navbake.config.settings import AgentSettings
+
+if TYPE_CHECKING:
+    from navbake.config.settings import AgentSettings
 
 
 class Footprint(NamedTuple):

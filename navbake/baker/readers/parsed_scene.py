@@ -27,7 +27,7 @@ from navbake.baker.geometry.shapes import Mesh, hull_faces, tessellate
 from navbake.baker.readers.mesh import MAX_COORDINATE, NamedMesh, check_mesh, is_beyond_limit
 from navbake.errors import ConfigError, NavbakeError, SceneError
 from navbake.known_names import list_first, unique_name
-from navbake.processes import lacked_memory
+from navbake.processes import is_lack_of_memory
 from navbake.threads import baking
 from navbake.types import Float, Int, Int32
 
@@ -596,7 +596,7 @@ def compile_model(
         distinct_messages = dict.fromkeys(" ".join(message.split()) for message in messages)
         reason = "; ".join(line for line in distinct_messages if line)
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
-        hint = "" if lacked_memory(error) else hint
+        hint = "" if is_lack_of_memory(error) else hint
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
 
 

@@ -62,7 +62,7 @@ from navbake.formats.scene_files import (
 from navbake.formats.xml_files import find_root_tag, parse_xml
 from navbake.known_names import list_first, unique_name
 from navbake.lazy import resolve
-from navbake.processes import end_with_parent, ending_of, lacked_memory, limit_memory
+from navbake.processes import describe_exit, end_with_parent, is_lack_of_memory, limit_memory
 
 if TYPE_CHECKING:
     import trimesh
@@ -261,7 +261,7 @@ def load_isolated(
             raise SceneError(
                 f"MuJoCo did not compile {scene_path} within {limits.seconds:g} s: {hint}"
             )
-        exit_text = f"({ending_of(exit_status)})"
+        exit_text = f"({describe_exit(exit_status)})"
         if not (folder / STARTED_FILE).exists():
             hint = f"does {sys.executable!r} find navbake?"
             raise NavbakeError(
@@ -310,10 +310,10 @@ def compile_job(job_folder: str) -> None:
             named_leaves = scene_model.named_leaves
             mujoco.mj_saveModel(scene_model.model, str(folder / MODEL_FILE), None)
         except Exception as error:
-            if not lacked_memory(error) and not isinstance(error, NavbakeError):
+            if not is_lack_of_memory(error) and not isinstance(error, NavbakeError):
                 raise
             message = f"{settings.path} needs more than {limits.memory:g} GiB of memory"
-            failure = SceneError(message) if lacked_memory(error) else error
+            failure = SceneError(message) if is_lack_of_memory(error) else error
     result = CompileResult(warnings, failure, exact_meshes, named_leaves)
     (folder / RESULT_FILE).write_bytes(pickle.dumps(result))
 
