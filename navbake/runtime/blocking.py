@@ -282,13 +282,16 @@ def block(
 
     Args:
         grid: the grid, whose arrays are written; grids in its `fitted_grids` get the same obstacle.
-        cells: level, row and column, of one cell or as arrays; without the other shapes.
-        disc: centre, x, y, z or x, y, and radius [m].
-        box: lower and upper corner, x, y, z or x, y [m].
-        level: block this level only; then a position needs no z.
-        height: height of the disc [m]; the agent's if None.
-        margin: the agent's radius [m]. None for the radius that the grid was inflated to, or for
-            the baked one if the grid is not inflated.
+        cells: the cells to block: level, row and column, as numbers or as arrays. Pass exactly one
+            of `cells`, `disc` and `box`.
+        disc: an upright cylinder: its bottom's centre, world x, y, z or x, y [m], and its radius
+            [m].
+        box: lower and upper corner of a box along the axes, world x, y, z or x, y [m].
+        level: the only level to block; positions then need no z. None for all levels that the
+            obstacle reaches.
+        height: height of the disc [m]; None for the agent's height.
+        margin: radius of the agents that must not touch the obstacle [m]. None for the radius that
+            the grid was inflated to, or for the baked one if the grid is not inflated.
 
     Raises:
         QueryError: not exactly one of cells, disc and box is given, or it is not valid.

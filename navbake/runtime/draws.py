@@ -1,4 +1,4 @@
-"""Draws random places, poses and crowds of agents, and lists positions that steps reach.
+"""Draws random places, poses and crowds of agents, and lists reachable points of a lattice.
 
 Each public function does the work of the method of `navbake.runtime.path_finder.PathFinder` of the
 same name. `search` is up to date with the grid.
@@ -228,7 +228,9 @@ def random_pose(
 def reachable_positions(
     search: Search, start: ArrayLike, spacing: float, level: int | None
 ) -> Float:
-    """List the lattice positions that steps reach: `PathFinder.reachable_positions`.
+    """List the points of a square lattice that an agent reaches from a start, step by step.
+
+    This is the code of `PathFinder.reachable_positions`.
 
     Args:
         search: the search on the grid.
@@ -543,8 +545,9 @@ def place_crowd(
 
     Args:
         flat: the grid.
-        cell_parts: flat ids of the cells of each part. Agents are divided evenly among the parts;
-            agents that don't fit into a part go to other parts.
+        cell_parts: the cells where agents may stand, divided into parts, such as rooms: an array of
+            flat ids for each part. Each part gets about equally many agents. Agents that don't fit
+            into a part go to other parts.
         num_agents: how many agents.
         spacing: how far apart agents must be.
         rng: the generator.
@@ -742,8 +745,9 @@ def split_by_area(flat: FlatGrid, cells: Int, num_parts: int, first_fraction: fl
         flat: the grid.
         cells: flat ids, sorted by `sort_along_hilbert_curve`.
         num_parts: number of parts.
-        first_fraction: where the first part begins, as a fraction of the cells' total area, 0 to 1,
-            summed in their order. The cells before it belong to the last parts.
+        first_fraction: how much of the cells' total area lies before the first part, 0 to 1: a
+            random number gives random parts. Parts run from there to the last cell, and then on
+            from the first cell.
 
     Returns:
         The flat ids of each part, `num_parts` arrays in order.

@@ -239,10 +239,10 @@ class FlatGrid:
     def costs_between_stops(
         self, radius: float, least_weight: float, *, by_time: bool
     ) -> tuple[Float, Float]:
-        """Compute lower bounds of the costs of routes between the stops of links.
+        """Compute how little a route from each stop of a link to each other stop can cost.
 
-        On the floor, the bound is the octile distance times the smallest weight. Over links, it is
-        their cost.
+        Between stops, the floor costs at least the octile distance times the smallest weight. A
+        link costs what it costs. The bound is the cheapest combination of both.
 
         Args:
             radius: the agent's radius [m].
@@ -251,7 +251,7 @@ class FlatGrid:
 
         Returns:
             x, y of the k stops [m], shape (k, 2); and the bound from stop i to stop j, shape
-            (k, k). k is 0 if no link costs less than the bound over the floor.
+            (k, k). If no link makes a route cheaper than over the floor, k is 0.
         """
         is_passable = self.arcs.fits_radius(radius)
         stop_cells, stop_pairs = np.unique(self.arcs.ends[is_passable], return_inverse=True)
@@ -378,8 +378,9 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
         grid: a grid of one or several levels.
         agent: the agent: its speed counts, and which areas and links it may use. None for an agent
             at 1 m/s that may use all open links, and all areas except areas of infinite cost.
-        penalty: if given, the agent may use all links and areas, but at a high cost: passages that
-            it may not use cost this much more [m], and areas that bar it multiply weights by it.
+        penalty: None to keep the agent off links and areas that bar it. A number lets it use them
+            at a high cost: it is added to the cost of such a link [m], and multiplies the weights
+            of cells in such an area.
 
     Returns:
         The flat grid.
@@ -703,9 +704,9 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
     Args:
         flat: the grid.
         radius: the agent's radius [m]; links that are too narrow for it don't count.
-        moves: by flat id, a bit for each direction that an agent can move in from the cell, see
-            `navbake.runtime.grid_arrays.Graph`; if given, cells that a diagonal move joins are
-            connected, too.
+        moves: for an agent that may cut corners: by flat id, a bit for each direction that it can
+            move in from the cell, see `navbake.runtime.grid_arrays.Graph`. Cells that a diagonal
+            move joins are then connected, too. None to connect cells over their edges only.
     """
     layout = flat.layout
     floors = flat.floors

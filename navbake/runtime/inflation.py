@@ -1,17 +1,20 @@
 """Inflates a grid: blocked cells for a larger agent, costs near walls, and footprints.
 
-`navbake.runtime.surroundings` has the rule for blocked cells. A footprint must not overlap an
-occupied cell's square (touching is allowed) and needs a floor under its origin only.
+The docstring of `navbake.runtime.surroundings` has the rules for blocked cells. A footprint must
+not overlap an occupied cell's square (touching is allowed). It needs a floor under its origin only.
 
-In an inflated grid, free means that an agent fits at a cell's centre. A diagonal step therefore
-needs more: both of its cells must be free for a larger radius, so that their two discs cover the
-disc on its way. A line off the centres needs cells in which the agent fits anywhere. Or it needs
-cells with occupied squares of only their own level nearby; there, a sweep of the disc decides.
-Beside a step in the floor, whose place is known only to half a cell, moves lead from centre to
-centre.
+In an inflated grid, a cell is free if an agent fits at its centre. Other movements need more:
 
-Source: ``refine`` of the original client (sstk, ``NavScene.js``) for `minos` and the share of
-floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
+- A diagonal step needs two cells that are free for a larger radius. The larger discs round the two
+  centres cover the agent's disc all along the step.
+- A line off the centres needs cells in which the agent fits anywhere. It may also pass cells near
+  occupied squares of their own level. There, `navbake.runtime.line_kernels` sweeps the disc along
+  the line.
+- Beside a step in the floor, agents move from centre to centre only: the grid tells the step's
+  place only to half a cell.
+
+Source: ``refine`` of MINOS's client (``NavScene.js`` in sstk) for mode ``minos`` and for
+`surroundings.LEAST_FLOOR`; the inflation layer of nav2 (``nav2_costmap_2d``) for costs ``nav2``.
 """
 
 import math
@@ -51,12 +54,12 @@ COST_SLACK = 1e-9  # by which a cost may be rounded
 
 
 class Margins(NamedTuple):
-    """Least distances from an obstacle to a cell's centre [m].
+    """How far an obstacle must be from a cell's centre so that an agent can use the cell [m].
 
     Attributes:
-        standing: the distance from which an agent can stand on the cell.
-        diagonal: the distance from which an agent can step diagonally from the cell.
-        anywhere: the distance from which an agent can be anywhere in the cell.
+        standing: least distance at which an agent can stand at the centre.
+        diagonal: least distance at which it can also step from the centre to a diagonal neighbour.
+        anywhere: least distance at which it can stand at every point of the cell.
     """
 
     standing: float
@@ -65,15 +68,16 @@ class Margins(NamedTuple):
 
 
 class OffCenterMasks(NamedTuple):
-    """Masks of the cells where an agent fits off the cells' centres, by flat id.
+    """Where an agent fits that is not at a cell's centre: three masks, by flat id.
 
-    All of them are False beside a step of the floor.
+    All of them are False in cells beside a step in the floor.
 
     Attributes:
-        diagonal: whether the agent fits on a diagonal step from the cell.
-        anywhere: whether the agent fits anywhere in the cell.
-        sweepable: whether the agent fits anywhere in the cell, or only occupied squares of the
-            cell's own level are in its way.
+        diagonal: whether the agent fits on the way to a diagonal neighbour.
+        anywhere: whether the agent fits at every point of the cell.
+        sweepable: whether nothing but occupied squares of the cell's own level can be in the
+            agent's way. There, sweeping its disc over these squares decides exactly. True also
+            where `anywhere` is.
     """
 
     diagonal: Bool
@@ -93,18 +97,18 @@ def inflate(
 ) -> AnyGrid:
     """Inflate a grid for an agent of another radius: `SceneGrid2D.inflate`.
 
-    `navbake.runtime.surroundings` has the rule of mode ``exact``. If the grid has a layer
-    ``solid``, cells that only the baked disc blocked may become free. Costs ``nav2`` fall with the
-    distance from the cells that block by this rule: what a geom meets and what has no floor, but
-    not the hole in a level where another level's floor goes on at the same height, as at the top
-    of a stair.
+    Mode ``exact`` blocks cells by the rules in the docstring of `navbake.runtime.surroundings`. If
+    the grid has a layer ``solid``, `radius` replaces the radius of the bake. So it may be smaller,
+    too, and cells become free. Costs ``nav2`` depend on the distance to the nearest cell that
+    blocks: a cell that a geom overlaps, or that has no floor. The hole in a level at the top of a
+    stair doesn't block, as the floor of another level goes on there at the same height.
 
     Args:
         grid: the grid, which stays as it is.
         radius: the agent's radius [m], 0 to 10,000.
         clearance: distance beyond the radius in which cells cost more [m]. None means 0 with
             costs=``step``; with ``nav2``, the distance at which the cost has fallen to 1.
-        mode: ``exact``, or ``minos`` for the weights of the original client's ``refine``.
+        mode: ``exact``, or ``minos`` for the weights that MINOS's client computes (``refine``).
         costs: ``step`` for a fixed weight within the clearance, or ``nav2`` for costs by nav2's
             formula.
         scaling: how fast costs by nav2's formula fall with the distance [1/m], > 0.
@@ -223,9 +227,9 @@ def nav2_costs(
 ) -> NDArray[np.uint8]:
     """Compute the costs of nav2's inflation layer for a level's cells.
 
-    Distances are to the cells that block an inflation, see
-    `navbake.runtime.surroundings.measure_to_occupied`: so no cell that is free in an inflation for
-    the radius costs 253 or more.
+    A cell counts as occupied by the rules of `grid.inflate`, see
+    `navbake.runtime.surroundings.measure_to_occupied`. So each cell that is free in
+    ``grid.inflate(radius)`` costs 252 at most.
 
     Args:
         grid: the grid, of one level or several.
@@ -334,11 +338,11 @@ def ledges_setting(grid: NavGrid) -> str:
 
 
 def compute_margins(grid: NavGrid, radius: float | None = None) -> Margins:
-    """Compute how far an added obstacle must be from the centres of cells that stay free.
+    """Compute how far from a cell's centre an added obstacle leaves the cell usable.
 
     Args:
-        grid: the grid; where it isn't inflated, all distances are the radius.
-        radius: the agent's radius [m]; the grid's if None.
+        grid: the grid. If it isn't inflated, all three distances are the radius.
+        radius: the agent's radius [m]; None for the grid's.
 
     Raises:
         QueryError: the radius is no number from 0 to 10,000.
@@ -492,15 +496,15 @@ def _check_polygon(polygon: ArrayLike) -> Float:
 
 
 def count_runs(mask: Bool, runs: Int) -> Int32:
-    """Count the marked cells that a shape covers, for each cell on which its origin may lie.
+    """Count how many marked cells a shape covers when it is put on each cell of an array.
 
     Args:
-        mask: shape (rows, cols).
-        runs: the shape's runs of cells: row, first column and last column of each, relative to the
-            origin, shape (n, 3).
+        mask: the marked cells, bool, shape (rows, cols).
+        runs: the shape, as runs of cells side by side in a row. Each has a row, a first and a last
+            column, relative to the cell that the shape is put on; shape (n, 3).
 
     Returns:
-        The count for each cell as the shape's origin, int32, shape (rows, cols).
+        For each cell, the count with the shape put on it, int32, shape (rows, cols).
     """
     rows, cols = mask.shape
     padding = int(np.abs(runs).max(initial=0)) + 1

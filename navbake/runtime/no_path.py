@@ -280,10 +280,11 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
 
 
 def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the stairs, links and doors that are too narrow for the agent, or else the gap.
+    """Say which stairs, links or doors are too narrow for the agent, or where the gap is.
 
-    They are looked for on the route of an agent of radius 0. Where it can, this route avoids the
-    cells that are too narrow for the agent.
+    The function plans the route of an agent of radius 0, which avoids cells too narrow for the
+    real agent where it can. It names the stairs, links and doors on this route that the real agent
+    can't pass. If there are none, it gives the place and the width of the narrowest gap.
 
     Args:
         search: the search on the grid, up to date with added obstacles.
@@ -291,8 +292,8 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
         goals: flat ids of free cells.
 
     Returns:
-        A clause; None if the grid isn't inflated, or an agent of radius 0 can't
-        get to a goal, either.
+        A clause, such as ``door 'kitchen' is closed for a radius of 0.3 m, and 0.25 m passes``.
+        None if the grid isn't inflated, or if even an agent of radius 0 can't get to a goal.
     """
     grid = search.grid
     flat = search.flat
@@ -372,10 +373,10 @@ def _measure_gap(search: Search, cell: int, radius: float) -> float:
 
 
 def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Say which link or area bars the agent first on the route with the fewest barred ones.
+    """Say which link or area keeps the agent from the goal.
 
-    The route may use links and areas that the agent can't use, at a high penalty each, and links of
-    any width.
+    The function plans a route that may use links and areas that bar the agent, at a high penalty
+    each, and links of any width. It names the first link or area on it that the agent can't use.
 
     Args:
         search: the search on the grid, up to date with added obstacles.
@@ -541,5 +542,8 @@ def format_point(position: ArrayLike) -> str:
 
 
 def round_down(length: float) -> float:
-    """Round a length down to a millimetre; 0.35 stays 0.35, although a float lies below it."""
+    """Round a length [m] down to a whole number of millimetres.
+
+    Rounding errors of floats don't count: 0.35 stays 0.35.
+    """
     return math.floor(1000.0 * length + ROUNDING_ERROR) / 1000.0

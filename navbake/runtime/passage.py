@@ -1,9 +1,9 @@
 """Finds the widest agent that gets from one place to another, and where a wider one is stopped.
 
-A larger radius never frees a cell. So a bisection over the few radii at which cells may change is
-exact. These are the radii r at which a disc round a cell's centre touches a square or the centre of
-another cell: there (2 r / cell size)² is a whole number. One more is the baked radius: up to there,
-higher floors don't block.
+A larger radius never frees a cell, and cells get blocked at few radii only. So a bisection over
+these radii finds the exact answer. They are the radii r at which a disc round a cell's centre
+touches the square or the centre of another cell: there (2 r / cell size)² is a whole number. The
+baked radius is one more, as higher floors may block only larger agents.
 """
 
 import math
@@ -135,7 +135,7 @@ def find_widest(
     """Find the largest radius of an agent that can get from a cell to any of several goals.
 
     Args:
-        grid: without inflation.
+        grid: the grid for radius 0, see `without_inflation`.
         search: a search on a grid of the same cells, whose links and areas count.
         start_cell: flat id.
         goals: flat ids.
@@ -231,7 +231,7 @@ def find_bottleneck(
     as wide as the agent, or else a critical cell beside a diagonal step.
 
     Args:
-        grid: without inflation.
+        grid: the grid for radius 0, see `without_inflation`.
         search: a search on a grid of the same cells, whose agent plans.
         start_cell: flat id.
         goals: flat ids.
@@ -292,7 +292,9 @@ def without_inflation(grid: NavGrid) -> NavGrid:
 
 
 def make_point_grid(grid: NavGrid) -> NavGrid:
-    """Copy a baked grid for an agent of radius 0, which fits where the baked radius may not.
+    """Copy a baked grid for an agent of radius 0.
+
+    If the grid has a layer ``solid``, cells that are blocked only by the baked radius become free.
 
     Args:
         grid: a grid that was never inflated.
@@ -337,8 +339,8 @@ def similar_search(
             `search`.
         radius: links that are narrower than twice this are left out [m]; the radius of `search` if
             None.
-        penalty: if given, the agent may use links and areas that bar it, at a cost higher by this,
-            see `navbake.runtime.flat_grid.flatten`.
+        penalty: None to keep the agent off links and areas that bar it. A number lets it use them
+            at a higher cost, see `navbake.runtime.flat_grid.flatten`.
     """
     return Search(
         grid,
@@ -366,12 +368,14 @@ def find_route_cells(grid: NavGrid, search: Search, start_cell: int, goals: Int)
 
 
 def find_lost_connections(before: Search, after: Search) -> list[LostConnection]:
-    """Find what an agent can pass on one grid but no longer on another: links, doors and stairs.
+    """Find the links, doors and stairs that an agent can pass on one grid but not on another.
 
-    Stairs are steps between two levels that touch each other. They are impassable if no free step
-    is left that leads to at least 0.5 m² on each level; so a landing between blocked treads doesn't
-    count. A door is impassable if no cell under its leaf is free. A link is impassable if it is too
-    narrow for the agent, or fewer than two of its stops are free.
+    - A link is impassable if it is too narrow for the agent, or if fewer than two of its stops are
+      free.
+    - A door is impassable if no cell under its leaf is free.
+    - Stairs are a group of steps between two levels, side by side. They are passable if a free
+      step joins at least 0.5 m² of free floor on each of the two levels. A landing between blocked
+      treads is smaller.
 
     Args:
         before: a search on the first grid.

@@ -52,17 +52,16 @@ _SUGGESTIONS = {
 class PathFinder:
     """Plans paths on a grid, and answers queries about places on it.
 
-    A path steps over the edges and corners of free cells, to other levels where the grid has
-    `steps`, and takes the grid's open `links`. Floors of neighbours differ by at most the grid's
-    `traversableFloorHeight`. A step costs its length [m] times the weight of the cell that it leads
-    to, and times the cost of its area. A link has the cost that the
-    grid states for it, else its length. It takes the time that the grid states, else its cost
-    divided by the agent's speed.
+    A path leads from free cell to free cell, over their edges and corners, if their floors differ
+    by at most the grid's `traversableFloorHeight`. It leads to other levels over the grid's `steps`
+    and open `links`. A step costs its length [m] times the weight of the cell that it leads to,
+    times the cost of that cell's area. A link costs what the grid states, else its length. It takes
+    as long as the grid states, else its cost divided by the agent's speed.
 
-    For an agent, the grid is inflated to its radius, and steps that are too high for it don't
-    count. Cells of areas that bar it are not free. Links that bar it or are narrower than twice its
-    radius don't count. Without an agent, the grid is as it is, the speed is 1 m/s, all open links
-    that are wide enough count, and only areas of infinite cost bar.
+    With an agent, the grid is inflated to its radius. The agent takes no step that is too high for
+    it, no link that bars it or is narrower than twice its radius, and enters no area that bars it.
+    Without an agent, the grid is used as it is, at a speed of 1 m/s. All open links that are wide
+    enough for the grid's radius are used, and only areas of infinite cost are closed.
 
     In all methods
 
@@ -343,9 +342,9 @@ class PathFinder:
         """Find the widest agent that can get from a place to a goal, and its bottleneck.
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
-        for no larger one. Obstacles that `grid.block` added count. Areas and links that the agent
-        may not use are closed to it; its size doesn't count. An inflation of the grid doesn't
-        count, as far as the file also holds the grid without it.
+        for no larger one. Obstacles that `grid.block` added block the way, and so do areas and
+        links that the finder's agent may not use. The size of that agent plays no part, and neither
+        does an inflation of the grid, if the file still has the layers from before it.
 
         Args:
             start: world x, y, z [m], shape (3,).
@@ -471,7 +470,7 @@ class PathFinder:
         return places.room_at(self.search, position, level)
 
     def same_room(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
-        """Whether both positions are in one room.
+        """Whether both positions are in the same room; False if either is in no room.
 
         Args:
             a: world x, y, z [m], shape (3,).
@@ -489,7 +488,7 @@ class PathFinder:
     def room_near(
         self, position: ArrayLike, max_distance: float = math.inf, *, level: int | None = None
     ) -> str | None:
-        """Find the id of the room nearest on the position's level.
+        """Find the id of the room nearest to a position, on the position's level.
 
         Args:
             position: world x, y, z [m], shape (3,).
@@ -508,10 +507,10 @@ class PathFinder:
         """Find the id of the room that holds most cells of an object.
 
         Args:
-            name: of an object, door or wall, in the user data.
+            name: name of the object, door or wall in the grid's user data.
 
         Returns:
-            The id; None if its cells are in no room.
+            The room's id; None if no cell of the object is in a room.
 
         Raises:
             QueryError: the grid has no such name.
@@ -630,12 +629,13 @@ class PathFinder:
                 level by its z.
             same_level: the place must be on the position's level. A position on no level snaps to
                 the nearest floor in space.
-            same_room: the place must be in the position's room; there is none if the position is in
-                no room.
+            same_room: the place must be in the position's room. For a position in no room, no place
+                is found.
             room: take a cell of this room only.
             island: take a cell of this island only.
-            in_sight: no obstacle may be between position and place. From inside an object, the
-                line between them must leave the object within its room.
+            in_sight: no obstacle may be between position and place. A position inside an object,
+                such as a cup on a table, sees out of the object, but only within the position's
+                room: not through a wall at its back.
             max_distance: the largest distance of the place [m], >= 0.
 
         Returns:
@@ -665,12 +665,13 @@ class PathFinder:
     ) -> Float:
         """Move straight from a position towards another, and stop at cells that are not free.
 
-        The walk runs over the map from cell to cell and over steps to other levels, not over links,
-        and so never passes thin walls. It may end anywhere in a free cell, up to half a cell nearer
-        to obstacles than at its centre.
+        The walk goes from cell to neighbouring cell, so it never jumps over a thin wall. It takes
+        steps to other levels, but no links. It may end anywhere in a free cell, up to half a cell
+        nearer to obstacles than the cell's centre.
 
-        Sliding continues where the straight walk stops. A slide is at most as long as the rest of
-        the straight walk. It ends at the point nearest to `end` that such a slide can reach.
+        Where the straight walk stops, the agent may slide along what stops it. A slide is at most
+        as long as the rest of the straight walk, and ends at the point nearest to `end` that it can
+        reach.
 
         Args:
             start: world x, y, z [m], shape (3,), or (..., 3) for many.
@@ -715,11 +716,10 @@ class PathFinder:
     ) -> NearestObstacle | None:
         """Find the nearest point of an occupied cell's square on the position's level.
 
-        The area outside the grid has no obstacles. A cell of the level doesn't count where another
-        level continues it, for example at the top of stairs: where the other level has an
-        unoccupied floor at about the height of the floor at the position, and the level itself has
-        none there. About the height means less than the agent's height, minus a step, above or
-        below.
+        The area outside the grid has no obstacles. The level's hole at the top of stairs is no
+        obstacle, either: there, the level has no floor at about the position's height, but another
+        level has one that isn't occupied. Floors are at about the same height if they differ by
+        less than the agent's height minus a step.
 
         Args:
             position: world x, y, z [m], shape (3,).
@@ -937,8 +937,8 @@ class PathFinder:
                 on its level. None for a random heading anywhere.
             max_distance: largest distance from the target, in a straight line on the map [m].
             min_distance: smallest distance from the target [m], >= 0.
-            in_sight: no obstacle may be between agent and target, except the object that the target
-                is in, see `snap`.
+            in_sight: no obstacle may be between agent and target. The object that the target is in
+                doesn't hide it, see `snap`.
             same_room: the agent stands in the target's room.
             level: the target's level; without a target, the agent's.
             outdoors: whether the agent may stand in rooms that are outdoors.
@@ -1035,10 +1035,11 @@ class PathFinder:
     def reachable_positions(
         self, start: ArrayLike, spacing: float = 0.25, *, level: int | None = None
     ) -> Float:
-        """List the lattice positions that steps along x and y reach from a start, like AI2-THOR.
+        """List the points of a square lattice that an agent can reach, as AI2-THOR does.
 
-        The square lattice goes through the start, a free position. A step counts if `try_step`
-        reaches its end without sliding and the agent's disc is free of obstacles there.
+        The lattice lies along x and y and goes through the start. The agent moves from point to
+        neighbouring point, where `try_step` gets there without sliding and the agent's disc
+        overlaps no obstacle at the end.
 
         Args:
             start: world x, y, z [m], shape (3,); free.
@@ -1046,7 +1047,8 @@ class PathFinder:
             level: the start's level, for which x, y are then enough; None finds it by z.
 
         Returns:
-            World x, y and floor z [m], shape (n, 3): the start, then positions by number of steps.
+            World x, y and floor z [m], shape (n, 3): the start, then the other points, those that
+            take the fewest moves first.
 
         Raises:
             QueryError: the start isn't free or not valid, the spacing is too small, or there is no

@@ -83,10 +83,11 @@ class Follower:
     rest of the current one is blocked, or if the new one is shorter by more than a tenth.
     Without a new path, it drives up to the blocked part and waits.
 
-    It drives up to the stop of a link, and stands there until the base is at the link's next stop:
-    to call a lift, to jump or to climb is up to the caller. Meanwhile the next stop is the
-    waypoint, and nothing is planned again. The base is at the next stop if it is nearer to it than
-    to this stop, within the lookahead of it on the map, and within a step of it in height.
+    At a link, it drives up to the link's stop and commands no motion until the base is at the next
+    stop: the caller calls the lift, jumps or climbs. Meanwhile the next stop is the waypoint, and
+    the follower doesn't replan. The base counts as being at the next stop if it is nearer to it
+    than to this stop, no farther from it on the map than the lookahead, and no more than a step
+    above or below it.
 
     Attributes:
         path: the current path.

@@ -168,10 +168,10 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
 def cells_next_to_object(search: Search, name: str) -> Int:
     """List the free cells next to an object, or on it if it is no obstacle.
 
-    On each level, a search runs ring by ring from the object's cells, up to 1 m away, over cells
-    without obstacles. If it meets no free cell, for example from an object on a table, it also runs
-    over cells that only objects block. Each island's cells in its nearest ring and the next ring
-    are listed.
+    On each level, a search spreads from the object's cells in rings, up to 1 m away, over cells
+    without obstacles. If it meets no free cell, the object may stand on a table: the search then
+    also spreads over cells that only objects block. For each island that it meets, the result has
+    the island's cells in the first ring that meets it and in the ring after that.
 
     Args:
         search: the search on the grid, up to date with added obstacles.

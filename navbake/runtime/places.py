@@ -76,7 +76,7 @@ def island_at(search: Search, position: ArrayLike, level: int | None = None) -> 
 
 
 def room_at(search: Search, position: ArrayLike, level: int | None = None) -> str | None:
-    """Find the id of a position's room; None for none.
+    """Find the id of a position's room; None if the position is in no room.
 
     Args:
         search: the search on the grid.
@@ -90,7 +90,9 @@ def room_at(search: Search, position: ArrayLike, level: int | None = None) -> st
 def room_near(
     search: Search, position: ArrayLike, max_distance: float, level: int | None
 ) -> str | None:
-    """Find the id of the room nearest to a position, on the position's level; None for none.
+    """Find the id of the room nearest to a position, on the position's level.
+
+    None if no room is within the distance, or the position is in no cell.
 
     Args:
         search: the search on the grid.
@@ -112,7 +114,11 @@ def room_near(
 
 
 def room_of_object(search: Search, name: str) -> str | None:
-    """Find the id of the room that holds most cells of a named object; None for none.
+    """Find the id of the room that holds most cells of an object; None if none is in a room.
+
+    Args:
+        search: the search on the grid.
+        name: name of the object, door or wall in the grid's user data.
 
     Raises:
         QueryError: the grid has no such name.
@@ -128,7 +134,9 @@ def room_of_object(search: Search, name: str) -> str | None:
 def is_navigable(
     search: Search, position: ArrayLike, level: int | None, max_drop: float
 ) -> bool | Bool:
-    """Whether each position's cell is free, and the cell's floor at most `max_drop` below it.
+    """Whether an agent can stand at each position: `PathFinder.is_navigable`.
+
+    It can if the position's cell is free and the cell's floor is at most `max_drop` below.
 
     Args:
         search: the search on the grid.
@@ -204,11 +212,13 @@ def snap_to_cells(
     same_level: bool = True,
     max_distance: float = math.inf,
 ) -> tuple[Float, Int]:
-    """Find the nearest places in the cells of a mask, by the rule of `PathFinder.snap`.
+    """Find the place nearest to each position where an agent can stand in an allowed cell.
+
+    `PathFinder.snap` describes which place that is.
 
     Args:
         flat: the grid.
-        allowed: the mask, by flat id.
+        allowed: mask of the allowed cells, by flat id.
         positions: checked positions, world x, y, z [m], shape (..., 3), or x, y, shape (..., 2).
         level: the level of all positions; None finds each one's level by its z.
         same_level: whether a place must be on its position's level.

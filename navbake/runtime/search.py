@@ -83,8 +83,8 @@ class Search:
         agent: the agent that plans: an `Agent`, the name of one that the grid lists, or None.
         radius: the search leaves out links that are narrower than twice this [m]; None for the
             grid's radius.
-        penalty: if given, the agent may use links and areas that bar it, at a cost higher by this,
-            see `navbake.runtime.flat_grid.flatten`.
+        penalty: None to keep the agent off links and areas that bar it. A number lets it use them
+            at a higher cost, see `navbake.runtime.flat_grid.flatten`.
 
     Attributes:
         agent: the agent that plans.
@@ -172,7 +172,7 @@ class Search:
     # ---------------------------------------------------------------- the graph
 
     def graph_with_costs(self, by: str, *, reverse_links: bool = False) -> Graph:
-        """Return the graph whose steps have costs of one kind.
+        """Return the graph of the steps between cells, with costs in metres, seconds or lengths.
 
         Args:
             by: ``cost`` [m]; ``time`` [s]; or ``length`` [m], to which passages over links add
@@ -366,7 +366,7 @@ class Search:
         return is_allowed
 
     def mark_outdoors(self) -> Bool:
-        """Mark the cells in rooms that are outdoors, whether they are free or not, by flat id."""
+        """Mark the cells in rooms that are outdoors, free or not; bool, by flat id."""
         is_outdoor_room = np.array([False, *(room.outdoors for room in self.rooms.rooms)])
         is_outdoors: Bool = is_outdoor_room[self.rooms.number]
         return is_outdoors
@@ -426,8 +426,9 @@ class Search:
             point: world x, y [m], shape (2,) or (3,).
             cells: flat ids of the cells of `points`, shape (n,).
             points: world x, y [m], shape (n, 2) or (n, 3), C-contiguous.
-            room_numbers: the number of each cell's room, by flat id, if the line may start in
-                occupied cells; it must then leave them within the first one's room. Else empty.
+            room_numbers: empty if the point must not be in an occupied cell. Else the number of
+                each cell's room, by flat id: the line may then start inside an object, and must
+                leave the object's occupied cells without leaving the room of `cell`.
 
         Returns:
             The point's index in `points`, -1 for none.
@@ -581,7 +582,7 @@ class Search:
         return length
 
     def find_next_cells(self, goals: Int) -> tuple[Float, Int]:
-        """For each cell, compute the cost of the cheapest route to a goal, and its next cell.
+        """For each cell, find the next cell on the cheapest route to a goal, and the route's cost.
 
         Args:
             goals: flat ids of free cells, int64.

@@ -1,26 +1,28 @@
 """Finds the cells of a level where an agent of a given radius can't stand.
 
-The agent's centre is on a cell's centre. The rules:
+The agent is a disc whose centre is on a cell's centre. The rules:
 
-- Occupied cells: the agent must not overlap their squares. If the file has a layer ``solid``, only
-  the squares that geometry itself overlaps count (`SceneGrid2D.solid`). So the given radius
+- Occupied cells: the disc must not overlap their squares. If the file has a layer ``solid``, only
+  the squares that geometry itself overlaps are occupied (`SceneGrid2D.solid`). So the given radius
   replaces the baked one, and a cell that only the baked disc blocked may become free.
-- Higher floors in the disc: at most a step above the agent's floor. So a ledge blocks the agents
-  below it. The next-but-one tread of a stair blocks an agent whose disc overlaps it. In files that
-  have only the occupancy for the baked radius, this rule applies to larger radii only.
-- Lower floors in the disc: at most a step below the agent's floor, unless `ledges` is ``ignore``.
-  At each cell, of all levels' floors, the highest counts that isn't more than a step above the
-  agent's floor. So for an agent on a gallery, the room under it is no drop, but a stair beside it
-  is.
-- Slopes: on ramps, the bake links neighbours whose floors differ by more than a step. A floor is
-  neither too high nor too low if a straight line over steps and at least one such link leads there.
-- Other levels: their cells count where their floors are less than the agent's height, minus a step,
-  above or below the agent's floor. So an object under a landing doesn't block the stair to it.
+- Higher floors: no floor in the disc may be more than a step above the agent's floor. So a ledge
+  blocks the agents below it. The next-but-one tread of a stair blocks an agent whose disc overlaps
+  it. Files without ``solid`` have an occupancy that already includes this for the baked radius;
+  there, the rule applies to larger radii only.
+- Lower floors: no floor in the disc may be more than a step below the agent's floor, unless
+  `ledges` is ``ignore``. Where several levels have a floor in a cell, the highest one that isn't
+  more than a step above the agent's floor decides. So for an agent on a gallery, the room under it
+  is no drop, but a stair beside it is.
+- Slopes: on steep ramps, the bake joins neighbours whose floors differ by more than a step. A floor
+  is neither too high nor too low if the agent can walk there straight over such a slope.
+- Other levels: their occupied cells block where their floors are less than the agent's height,
+  minus a step, above or below the agent's floor. So an object under a landing doesn't block the
+  stair to it.
 - Outside the grid: nothing blocks beyond a grid of one level. In a grid of several levels, each
   level is cut to the cells with a floor; the area beyond has no floor and counts as occupied.
-- Cells without a floor that are not occupied, in files of other programs: as in the original
-  client, at least 0.7 of the cells in the disc must have a floor. Here this must hold for every
-  smaller radius too, so that a larger agent is never free where a smaller one isn't.
+- Cells without a floor that are not occupied, in files of other programs: at least 0.7 of the cells
+  in the disc must have a floor, as in MINOS's client. Here this must hold for every smaller radius
+  too, so that a larger agent is never free where a smaller one isn't.
 """
 
 from __future__ import annotations
@@ -55,8 +57,10 @@ class DiscOffsets(NamedTuple):
 
     Attributes:
         offsets: rows and columns from the cell to these cells, shape (n, 2), nearest first.
-        squared_distances: the squared distances to these cells, in half cells squared, shape (n,).
-        half_widths: the rows of the disc, see `navbake.runtime.inflation_kernels.dilate`.
+        squared_distances: the squared distances to these cells, shape (n,), in half cells, so that
+            they are whole numbers.
+        half_widths: for each row from the disc's middle up, how many columns the disc covers to
+            each side, then -1; see `navbake.runtime.inflation_kernels.dilate`.
     """
 
     offsets: Int
@@ -93,8 +97,9 @@ def find_blocked(
         level_number: number of the level.
         radius: the agent's radius [m], >= 0.
         ledges: ``avoid`` or ``ignore``, see `navbake.runtime.inflation.inflate`.
-        counts_own_occupied: if False, occupied cells of the agent's own level don't block, and
-            every cell of another level counts as occupied.
+        counts_own_occupied: True for the rules. False to find the cells that something other than
+            the own level's occupied cells may block: these don't block then, and all cells of other
+            levels count as occupied.
 
     Returns:
         bool, shape (height, width) of the level.
@@ -157,7 +162,10 @@ def block_by_floors(
     ledges: str,
     blocked: Bool,
 ) -> None:
-    """Update which cells are blocked, by the floors and the other levels near each cell.
+    """Apply the rules about floors and about other levels to the cells of a stack.
+
+    Cells get blocked near floors that are too high or too low, and near what is occupied on other
+    levels. Cells become free where only another level has a floor.
 
     Args:
         grid: the grid.
@@ -186,9 +194,9 @@ def block_by_floors(
 def measure_to_occupied(grid: NavGrid, level_number: int, max_distance: float) -> Int32:
     """Measure from each cell's centre to the centre of the nearest cell that counts as occupied.
 
-    The cells that count are those of `find_blocked`: `SceneGrid2D.solid`, which has cells without a
-    floor, too; but not where only other levels have a floor about as high as the cell's. There,
-    these levels' cells count.
+    The same cells count as occupied as in `find_blocked`: those of `SceneGrid2D.solid`, to which
+    cells without a floor belong, too. Where the level has no floor at about the height of the
+    measured cell's, but other levels have, the cells of these levels count instead.
 
     Args:
         grid: the grid; its weights don't count.
@@ -277,8 +285,9 @@ def find_disc_offsets(
 
     Args:
         radius: the disc's radius, in cells.
-        shape: rows and columns of the array; longer offsets are left out.
-        to_squares: whether the disc has to overlap the cells' squares, else their centres.
+        shape: rows and columns of the array that the offsets are for; longer offsets are left out.
+        to_squares: True for cells whose squares the disc overlaps, False for those whose centres
+            lie in it.
     """
     max_row_offset = min(math.ceil(radius) + 1, shape[0])
     max_col_offset = min(math.ceil(radius) + 1, shape[1])
@@ -320,7 +329,8 @@ def stack_levels(
     Args:
         grid: a grid of one or several levels.
         level_number: the agent's level.
-        margin: how far the arrays extend beyond the level's own cells at most [cells].
+        margin: by how many cells the arrays extend beyond the level's own cells, where other levels
+            have cells there.
 
     Returns:
         The stack; and the rows and columns of the level's own cells in it.
