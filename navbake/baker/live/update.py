@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,9 +36,6 @@ from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
-
-if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
-    pass
 
 # With fewer boxes of moved geoms than this, one thread is faster.
 MIN_BOXES_FOR_THREADS = 16

@@ -216,7 +216,7 @@ def _join_lists(
         num_entries = 0
         starts_by_row = np.split(list_start, np.searchsorted(cells, first_cells))
         for tile_row, list_starts in zip(first_tile_rows, starts_by_row, strict=True):
-            list_starts += num_entries  # a view: `first_entry` changes
+            list_starts += num_entries  # a view: this changes `list_start`
             geom, _ = lists_by_row[tile_row]
             num_entries += len(geom)
     if len(first_tile_rows) == 1:

@@ -419,11 +419,12 @@ class _SpaceGraph:
         for stair in np.flatnonzero(is_stair).tolist():
             if self._space_of[stair] != stair:
                 continue
-            min_distance = widest_distance[stair] - WIDTH_ROUGHNESS - CELL_ROUNDING
+            # of an opening as wide as the stair [half cells]
+            min_half_width = widest_distance[stair] - WIDTH_ROUGHNESS - CELL_ROUNDING
             neighbors = [
                 neighbor
                 for neighbor, contact in self._contacts[stair].items()
-                if contact.distance >= min_distance
+                if contact.distance >= min_half_width
             ]
             if neighbors:
                 lowest_neighbor = min(neighbors, key=lambda neighbor: (height[neighbor], neighbor))

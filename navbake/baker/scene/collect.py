@@ -181,7 +181,7 @@ def _apply_geoms_setting(
     Args:
         model: the model.
         geoms_setting: the value of `scene.geoms`.
-        geom_can_collide: for each geom, whether it can collide, (ngeom,).
+        can_collide: for each geom, whether it can collide, shape (ngeom,).
         any_can_collide: whether any geom that isn't excluded can collide.
     """
     if geoms_setting == "all":
