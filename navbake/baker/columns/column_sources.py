@@ -56,7 +56,10 @@ MAX_REPEATED_EXPANSION = 2.0
 
 
 class ChunkedShapes:
-    """A `ShapeSource` that expands triangles on each request: only those near the requested cells.
+    """Lists the shapes near requested cells, for scenes with too many triangles to keep in memory.
+
+    It implements `ShapeSource`. Triangles of meshes are computed anew on each request, and only
+    those near the requested cells. Solids and planes are few, and are kept.
 
     Attributes:
         lattice: the cells.
@@ -79,7 +82,7 @@ class ChunkedShapes:
         self._solids = tile_shapes(shapes, lattice, margin, no_meshes.expand())
 
     def row_chunks(self, num_in_memory: int = 1) -> list[RowChunk]:
-        """Split the lattice into chunks with few enough cells and triangles.
+        """Split the lattice into chunks of rows, so that the shapes near a chunk fit into memory.
 
         Args:
             num_in_memory: how many chunks will be in memory at a time.
@@ -124,12 +127,16 @@ class ChunkedShapes:
 
 
 def make_shape_source(shapes: Shapes, lattice: Lattice, margin: float) -> ShapeSource:
-    """Make a source of the shapes on a lattice.
+    """Make an object that lists the shapes near given rows or cells of a lattice.
 
     Args:
         shapes: the shapes.
         lattice: the cells.
-        margin: shapes within this distance of a tile count as over it [m].
+        margin: shapes within this distance of a tile of cells are listed for it [m].
+
+    Returns:
+        A `ChunkedShapes` if the scene has too many triangles to keep all in memory, else a
+        `TiledShapes`.
     """
     if expands_on_request(shapes, lattice, margin):
         return ChunkedShapes(shapes, lattice, margin)
@@ -137,16 +144,17 @@ def make_shape_source(shapes: Shapes, lattice: Lattice, margin: float) -> ShapeS
 
 
 def expands_on_request(shapes: Shapes, lattice: Lattice, margin: float) -> bool:
-    """Return whether triangles are expanded chunk by chunk, and not all at once.
+    """Return whether a scene has too many triangles to keep all of them in memory.
 
-    They are expanded at once if there are few of them, or if most of them are near several chunks
-    of rows. There may be more of them where the lattice is small, so that its columns stay in
-    memory.
+    If so, the triangles of each chunk of rows are computed from the meshes when the chunk is worked
+    on. But all are kept, however many they are, if meshes are so large that most triangles would be
+    computed for several chunks. The limit is higher for a lattice that is small enough for its
+    columns to stay in memory.
 
     Args:
         shapes: the shapes.
         lattice: the cells.
-        margin: shapes within this distance of a tile count as over it [m].
+        margin: shapes within this distance of a tile of cells are listed for it [m].
     """
     num_triangles = shapes.meshes.num_triangles
     boxes = shapes.meshes.boxes
@@ -164,10 +172,11 @@ def expands_on_request(shapes: Shapes, lattice: Lattice, margin: float) -> bool:
 
 
 def split_by_triangles(num_triangles: int, lattice: Lattice, num_in_memory: int) -> list[RowChunk]:
-    """Split a lattice into chunks of rows with few enough cells and triangles.
+    """Split a lattice into chunks of rows, each with few enough cells and triangles for memory.
 
     Args:
-        num_triangles: how many triangles are over the lattice; about evenly, as is assumed.
+        num_triangles: how many triangles lie over the whole lattice. They are assumed to be spread
+            evenly over it.
         lattice: the cells.
         num_in_memory: how many chunks will be in memory at a time.
     """
@@ -196,10 +205,10 @@ def split_cells(shapes: ShapeSource, cells: Int) -> Iterator[Int | slice]:
 
 
 class ColumnCaster:
-    """A `ColumnSource` that casts the columns of a lattice from shapes.
+    """Intersects the vertical lines through cells' centres with shapes; implements `ColumnSource`.
 
-    Columns of small lattices are cast once and kept. Columns of large lattices are cast on each
-    request; repeated requests return equal columns.
+    A line with all its hits is a column. The columns of a small lattice are computed once and kept.
+    Those of a large lattice are computed on each request; repeated requests return equal columns.
 
     Attributes:
         lattice: the cells.
@@ -260,10 +269,13 @@ class ColumnCaster:
             return next_columns()
 
     def columns_at(self, cells: Int | Int32) -> Columns:
-        """Return columns of the lattice that are valid for some cells, and maybe for others.
+        """Return the columns of some cells; implements `ColumnSource`.
 
         Args:
             cells: ids of the cells, in any order.
+
+        Returns:
+            Columns of the whole lattice. Those of `cells` are valid; all others may be invalid.
         """
         if self._all_columns is not None:
             return self._all_columns
@@ -307,12 +319,12 @@ class ColumnCaster:
 
 
 def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Columns:
-    """Collect all columns of a window of a lattice.
+    """Copy the columns of a window of a lattice to columns of the window's own lattice.
 
     Args:
-        source: the columns of the lattice.
-        window: the window.
-        lattice: the window's own lattice, whose cells are at the same places.
+        source: the columns of the whole lattice.
+        window: the rows and columns of that lattice to copy.
+        lattice: the lattice of the window alone; its cells are at the same places in the world.
     """
     builder = ColumnsBuilder(lattice)
     is_entire_lattice = lattice == source.lattice
@@ -325,12 +337,12 @@ def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Colu
 
 
 class WindowColumns(NamedTuple):
-    """A `ColumnSource` of a window of another source's lattice.
+    """Provides the columns of a window of a lattice; implements `ColumnSource`.
 
     Attributes:
-        source: the columns of the lattice.
-        window: the window.
-        lattice: the window's own lattice, whose cells are at the same places.
+        source: the columns of the whole lattice.
+        window: the rows and columns of that lattice which the window has.
+        lattice: the lattice of the window alone; its cells are at the same places in the world.
     """
 
     source: ColumnSource
@@ -342,10 +354,13 @@ class WindowColumns(NamedTuple):
         yield join_columns(self.source, self.window, self.lattice)
 
     def columns_at(self, cells: Int | Int32) -> Columns:
-        """Return columns of the lattice that are valid for some cells, and maybe for others.
+        """Return the columns of some cells; implements `ColumnSource`.
 
         Args:
             cells: ids of the cells in the window, in any order.
+
+        Returns:
+            Columns of the whole window. Those of `cells` are valid; all others may be invalid.
         """
         window_cells = unique_cells(self.lattice, cells)
         source_cells = self.to_source_cells(window_cells)
@@ -371,16 +386,20 @@ def unique_cells(lattice: Lattice, cells: Int | Int32) -> Int:
 def cast_cells(
     shapes: ShapeSource, agent: AgentSettings, max_crack_distance: float, cells: Int
 ) -> Columns:
-    """Cast the columns of some cells.
+    """Find all hits on the vertical lines through some cells' centres, and correct them.
+
+    Lines in seams between geoms are cast again beside them, steep facets of rough ground get the
+    normal of the ground around them, and cracks in floors are closed.
 
     Args:
         shapes: the shapes on the lattice.
-        agent: the agent, by whose slope, step and height floors are told from other surfaces.
-        max_crack_distance: how wide cracks may be to be closed, see `close_cracks` [m].
+        agent: the agent. Its slope, step and height decide which hits are floors.
+        max_crack_distance: a crack is closed if the floors on both sides are nearer to the line
+            than this [m], see `close_cracks`.
         cells: ids of the cells, ascending, (n,).
 
     Returns:
-        Columns of the lattice, of which only those of these cells are valid.
+        Columns of the whole lattice, of which only those of these cells are valid.
     """
     tiled_shapes = shapes.shapes_near_cells(cells)
     lattice = shapes.lattice

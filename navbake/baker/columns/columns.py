@@ -37,7 +37,7 @@ WORLD_AXES = np.eye(3)
 
 
 class RowChunk(NamedTuple):
-    """A range of rows of cells, of which a chunk of a lattice that is worked on at a time consists.
+    """A range of rows of a lattice: the part of a large lattice that is worked on at a time.
 
     Attributes:
         first: index of the first row.
@@ -48,7 +48,7 @@ class RowChunk(NamedTuple):
     end: int
 
     def cell_range(self, lattice: Lattice) -> tuple[int, int]:
-        """Return the id of the first cell, and the id after the last cell."""
+        """Return the id of the first cell in these rows, and the id after the last one."""
         return self.first * lattice.width, self.end * lattice.width
 
 
@@ -61,9 +61,10 @@ def split_into_row_chunks(
 
     Args:
         lattice: the cells.
-        num_in_memory: how many chunks will be in memory at a time; these together have about
-            `CELLS_PER_CHUNK` cells.
-        max_rows: about how many rows of cells the chunks in memory together have at most.
+        num_in_memory: how many chunks will be in memory at a time. If more than one, the chunks are
+            smaller: that many together have about `CELLS_PER_CHUNK` cells.
+        max_rows: about how many rows of cells all chunks in memory may have together; inf for no
+            limit.
     """
     rows_in_memory = min(CELLS_PER_CHUNK / lattice.width, max_rows)
     num_rows = max(int(rows_in_memory / (num_in_memory * TILE)), 1) * TILE
@@ -92,7 +93,7 @@ class TiledShapes:
         shapes: the shapes.
         lattice: the cells.
         facets: the listed triangles: all triangles of `shapes`, or some of them.
-        tile_index: which solids and facets lie over each tile.
+        tile_index: which solids and facets lie over each tile of 8 x 8 cells.
     """
 
     shapes: Shapes
@@ -115,7 +116,7 @@ class TiledShapes:
 
     @cached_property
     def tile_row_index(self) -> ShapeIndex:
-        """Return, for each row of tiles, the solids and facets that cover a cell's centre in it."""
+        """The solids and triangles that lie over a cell's centre, for each row of tiles."""
         solid_start, solid_item = list_by_tile_row(
             self.shapes.solids.bounds, RIM_WIDTH, self.lattice
         )
@@ -134,9 +135,9 @@ class TiledShapes:
 class Columns:
     """The columns of a lattice: where each cell's vertical line crosses the surfaces of a scene.
 
-    If only a chunk of rows has columns, `hits` has no other hits; but `hits.start` has an entry for
-    every cell of the lattice, so that kernels find a cell by its id. The entries of other rows have
-    no meaning.
+    The columns of a large lattice are computed for a chunk of its rows at a time. Then `hits` has
+    no hits of other rows. But `hits.start` still has an entry for every cell of the lattice, so
+    that kernels find a cell by its id; the entries of other rows have no meaning.
 
     Attributes:
         lattice: the cells.
@@ -168,7 +169,7 @@ class Columns:
 
     @property
     def start(self) -> Int:
-        """Return the index of each column's first hit, then the number of hits, (cells + 1,)."""
+        """The index of each column's first hit, and at the end the number of hits, (cells + 1,)."""
         return self.hits.start
 
     @property
@@ -187,11 +188,11 @@ class Columns:
         return self.hits.geom
 
     def crop(self, rows: slice, cols: slice, lattice: Lattice) -> "Columns":
-        """Crop the columns to a window; rows of the window that have no columns stay empty.
+        """Return the columns of a window; its rows that have no columns get columns without hits.
 
         Args:
-            rows, cols: the window.
-            lattice: the window's own lattice, whose cells are at the same places.
+            rows, cols: the window, as slices of the lattice's rows and columns.
+            lattice: the lattice of the window alone; its cells are at the same places in the world.
         """
         first_row, end_row = np.clip(self.valid_rows, rows.start, rows.stop).tolist()
         row_grid, col_grid = np.ogrid[first_row:end_row, cols]
@@ -224,15 +225,21 @@ class ColumnSource(Protocol):
         """Yield the columns of all rows, as chunks of rows in their order."""
 
     def columns_at(self, cells: Int | Int32) -> Columns:
-        """Return columns of the lattice that are valid for some cells, and maybe for others.
+        """Return the columns of some cells.
 
         Args:
             cells: ids of the cells, in any order.
+
+        Returns:
+            Columns of the whole lattice. Those of `cells` are valid; all others may be invalid.
         """
 
 
 class ShapeSource(Protocol):
-    """Protocol of objects that list shapes by tile: all shapes, or those near some cells."""
+    """Protocol of objects that list the shapes near given cells, by tiles of cells.
+
+    A source may keep all shapes in memory, or list those near the requested cells on each request.
+    """
 
     @property
     def lattice(self) -> Lattice:
@@ -243,7 +250,7 @@ class ShapeSource(Protocol):
         """Return whether shapes are listed anew on each request, for some rows or cells."""
 
     def row_chunks(self, num_in_memory: int = 1) -> list[RowChunk]:
-        """Split the lattice into chunks of rows whose shapes are listed at a time.
+        """Split the lattice into chunks of rows, so that the shapes near a chunk fit into memory.
 
         Args:
             num_in_memory: how many chunks will be in memory at a time.
@@ -323,14 +330,15 @@ def tile_shapes(
 
 
 def cast_columns(tiled_shapes: TiledShapes, rows: RowChunk | None = None) -> Columns:
-    """Intersect the vertical line through every cell's centre with all shapes.
+    """Find where the vertical lines through cells' centres cross shapes.
 
     A line crosses a solid's top and its underside, but only the front of a plane. A line that
     misses a shape's rim by at most 1e-7 m crosses it, so that a seam between two geoms never leaks.
 
     Args:
         tiled_shapes: the shapes on a lattice.
-        rows: the rows of cells to cast lines in, widened to entire rows of tiles; None for all.
+        rows: the rows whose cells' lines are cast; None for all. Other rows of the same tiles are
+            cast, too.
     """
     lattice = tiled_shapes.lattice
     cast_rows = rows or RowChunk(0, lattice.height)
@@ -351,16 +359,18 @@ def cast_columns(tiled_shapes: TiledShapes, rows: RowChunk | None = None) -> Col
 def cast_points(
     tiled_shapes: TiledShapes, cells: Int, points: Float, axes: Float = WORLD_AXES
 ) -> ColumnHits:
-    """Intersect lines through points with shapes, as `cast_columns` does.
+    """Find where the vertical lines through given points cross shapes, as `cast_columns` does.
+
+    Only the shapes over the tiles that `cells` says are tested.
 
     Args:
         tiled_shapes: the shapes on a lattice.
-        cells: for each line, the id of a cell that it is near to, (n,): the line is intersected
-            with the shapes over this cell's tile. Or two cells, (n, 2): it is intersected with the
-            shapes over all tiles in the rectangle that the cells span, and crosses a shape once for
-            each tile that the shape lies over.
+        cells: which shapes each line is tested with: those over the tile of the cell with this id,
+            shape (n,). With two cells for each line, shape (n, 2), those over all tiles in the
+            rectangle between the two; the line then has a hit for each of these tiles that a shape
+            lies over.
         points: x and y of each line, shape (n, 2) [m].
-        axes: the axes of a frame in which the lines are vertical, one in each row, shape (3, 3).
+        axes: the axes of the frame in which the lines are vertical, one in each row, shape (3, 3).
             The points, the returned normals, and the solids of the shapes are in this frame.
 
     Returns:
@@ -495,10 +505,10 @@ def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
 def gather_hits(
     arrays: Sequence[NDArray[Any]], first_old_hit: Int, num_old_hits: Int
 ) -> ColumnHits:
-    """Copy hits to new columns; each new column receives a range of the old hits.
+    """Copy hits to new columns: each new column receives the hits of one range of the old arrays.
 
     Args:
-        arrays: the old hits, `ColumnHits.entries`.
+        arrays: the arrays of the old hits, as `ColumnHits.entries` returns them.
         first_old_hit: index of the first old hit for each new column, (columns,).
         num_old_hits: how many old hits each new column receives, (columns,).
     """
@@ -521,7 +531,7 @@ def empty_hits(start: Int, num_hits: int) -> ColumnHits:
 def height_range(shapes: Shapes, lattice: Lattice) -> HeightRange:
     """Return a height 1 m below all shapes over a lattice, and one 1 m above them [m].
 
-    Infinite planes count as far as the lattice reaches.
+    A tilted infinite plane counts by its lowest and highest point over the lattice.
     """
     bounds = shapes.bounds
     heights = [0.0] if bounds is None else [float(bounds[0, 2]), float(bounds[1, 2])]

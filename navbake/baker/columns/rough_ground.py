@@ -46,7 +46,7 @@ LINES_PER_PASS = 1 << 20
 def foot_radius(lattice: Lattice) -> float:
     """Return the radius around a cell's centre in which the ground is sampled [m].
 
-    It is that of the ground that a foot covers, or the size of a cell if that is larger.
+    It is the radius of a foot, or the edge of a cell if that is larger.
     """
     return max(FOOT_RADIUS, lattice.cell_size)
 
@@ -175,9 +175,9 @@ class GroundPlane(NamedTuple):
 
     Attributes:
         normal: unit normals, (n, 3).
-        max_bump: the farthest that a sample is off its plane, in height, (n,) [m].
-        is_determined: whether the samples determine a plane, (n,); else the other values have no
-            meaning.
+        max_bump: the greatest vertical distance of a sample from its plane, (n,) [m].
+        is_determined: whether the samples determine a plane (they don't if they lie on a line),
+            (n,). If not, the other values have no meaning.
     """
 
     normal: Float

@@ -48,10 +48,12 @@ ALL_CELLS = np.empty(0, dtype=np.bool_)
 def resolve_seams(columns: Columns, tiled_shapes: TiledShapes, cells: Int | None = None) -> Columns:
     """Cast the lines that run exactly between two geoms again, a little to the east or north.
 
-    In scenes with round coordinates, many cells' centres lie where one geom ends and the next one
-    begins, and the columns have hits of both. Like rasterizers with their top-left rule, the bake
-    gives such a line to the geom east or north of this seam. Only faces of boxes and triangles that
-    are perpendicular to x or y are considered; no line runs in two other faces by chance.
+    In scenes with round coordinates, many cells' centres lie exactly where one geom ends and the
+    next one begins: on a seam. The column there has hits of both geoms. The bake decides as
+    rasterizers do by their top-left rule: the line belongs to the geom east or north of the seam.
+
+    A seam lies between faces of boxes, or triangles, that are perpendicular to x or y. At other
+    faces, a line meets two geoms at once only by chance, so these are not searched.
 
     Args:
         columns: the columns.

@@ -79,7 +79,7 @@ class Projection(NamedTuple):
     offset: complex
 
     def project(self, points: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """Project points, longitude + i latitude, to x + iy [m]."""
+        """Project points from longitude + i latitude [degrees] to x + iy in the world [m]."""
         easting, northing = self.transformer.transform(points.real, points.imag)
         projected = np.asarray(easting) + 1j * np.asarray(northing) - self.offset
         if not np.isfinite(projected).all():
@@ -102,7 +102,7 @@ class DoorLeaf(NamedTuple):
 
 
 class CarWall(NamedTuple):
-    """The position and size in plan of a wall of a lift's car, in the car's frame.
+    """A wall of a lift's car, seen from above: its position and size in the car's frame.
 
     Attributes:
         middle: x and y of its centre [m].
@@ -526,7 +526,7 @@ def _find_car_walls(half_sizes: tuple[float, float], doors: Json) -> Iterator[Ca
 
 
 def make_pose(position: ArrayLike, yaw: float = 0.0) -> Float:
-    """Return an upright pose, shape (4, 4).
+    """Return a pose that is turned about z only, as a matrix from its frame to the world, (4, 4).
 
     Args:
         position: x, y and z [m].

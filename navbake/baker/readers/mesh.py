@@ -92,7 +92,10 @@ class Triangles(NamedTuple):
 
 
 class StrayMeshError(SceneError):
-    """A mesh lies beyond `MAX_COORDINATE`; a reader may leave it out instead."""
+    """A mesh of a file lies farther from the origin than `MAX_COORDINATE`.
+
+    A reader may leave such a mesh out, as exporters leave stray objects behind.
+    """
 
 
 def read_named_meshes(
@@ -131,7 +134,10 @@ def read_named_meshes(
 
 
 def is_mesh_scene(scene: object) -> TypeGuard[trimesh.Scene | trimesh.Trimesh]:
-    """Return whether an object is a trimesh.Scene or a Trimesh; trimesh is imported only then."""
+    """Return whether an object is a trimesh.Scene or a trimesh.Trimesh.
+
+    If its class is not from trimesh, trimesh is not imported, which takes long.
+    """
     if not any(
         base_class.__module__.partition(".")[0] == "trimesh" for base_class in type(scene).__mro__
     ):
@@ -473,7 +479,7 @@ MIN_CHUNK = 1 << 16  # the fewest vertices or triangles that a thread reads at o
 
 
 def repair_obj(path: Path) -> bytes:
-    """Read an OBJ and rewrite it so that trimesh reads it correctly.
+    """Read an OBJ file, and rewrite what trimesh would misread.
 
     Returns:
         The text in UTF-8, without indents; vertices of faces are counted from the start of the
@@ -534,7 +540,7 @@ def repair_stl(path: Path) -> bytes:
 
 
 def repair_ply(path: Path) -> bytes:
-    """Read a PLY. Its text form is converted to UTF-8."""
+    """Read a PLY file; if it is in text form, convert it to UTF-8."""
     file_content = path.read_bytes()
     return _to_utf8(file_content) if b"format ascii" in file_content[:200] else file_content
 
@@ -692,17 +698,17 @@ def check_gltf(path: Path) -> Json:
 
 
 def scale_normalized_positions(header: Json) -> bool:
-    """Let nodes scale the meshes whose positions are normalized integers, in place.
+    """Make trimesh read positions that a glTF stores as normalized integers: let nodes scale them.
 
     trimesh reads the integers as they are. A normalized integer stands for itself divided by the
-    greatest one of its type, so a node with that scale, between the mesh and its node, has the
-    same effect (glTF 2.0, 3.6.2.2).
+    greatest one of its type, so a node with that scale, between the mesh and its node, has the same
+    effect (glTF 2.0, 3.6.2.2).
 
     Args:
         header: the JSON of a glTF file, whose nodes are changed.
 
     Returns:
-        Whether there are such meshes.
+        Whether the file has such meshes.
     """
     scales = {
         mesh_number: _find_normalized_scale(header, mesh)

@@ -74,8 +74,9 @@ class Orientation(NamedTuple):
     Attributes:
         direction: unit vector in the frame of the mesh, (3,).
         floor_area: area of the largest floor that faces this direction [m²].
-        furniture_area: area that is `MIN_FURNITURE_HEIGHT` to `MAX_FURNITURE_HEIGHT` above such
-            floors and belongs to no large flat surface [m²].
+        furniture_area: area of what seems to be furniture on such floors [m²]: it is
+            `MIN_FURNITURE_HEIGHT` to `MAX_FURNITURE_HEIGHT` above them, and belongs to no large
+            flat surface.
     """
 
     direction: Float
@@ -89,8 +90,8 @@ class TriangleSample(NamedTuple):
     Attributes:
         center: the triangles' centres, (n, 3) [m].
         normal: the triangles' unit normals, (n, 3).
-        area: the area that each triangle stands for: its own, times the number of triangles of the
-            mesh for each triangle of the sample, (n,) [m²].
+        area: the area that each triangle stands for, (n,) [m²]. If every k-th triangle of the mesh
+            is in the sample, it is k times the triangle's own area.
     """
 
     center: Float
@@ -101,12 +102,13 @@ class TriangleSample(NamedTuple):
 def orient_meshes(
     read_meshes: Callable[..., list[NamedMesh]], settings: SceneSettings, warnings: list[str]
 ) -> list[NamedMesh]:
-    """Read the meshes of a file, with the direction up that `scene.up` says.
+    """Read the meshes of a file, turned so that the direction that `scene.up` says is up.
 
-    For ``auto``, that is the axis that the file states. If it states none, it is z; or an axis near
-    y, with a warning, if the mesh looks as if it lay on its side (`lies_on_side`), and things
-    clearly stand on what faces along y (`find_orientations`). For ``level``, and for ``auto`` with
-    a scan that states no axis, it is the direction that `find_orientations` finds.
+    - ``auto``: the axis that the file states. If it states none: z. But if the mesh looks as if it
+      lay on its side (`lies_on_side`), and things clearly stand on surfaces that face along y, it
+      is an axis near y, and a warning says so. If a scan's file states none: as for ``level``.
+    - ``level``: the direction that `find_orientations` finds from the floors of the mesh.
+    - otherwise the axis or the vector that the setting states.
 
     Args:
         read_meshes: a function with the keyword ``up``, the direction in the file that is up;

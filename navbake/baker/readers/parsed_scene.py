@@ -129,8 +129,9 @@ class ParsedScene:
         decimals: the number of decimals that coordinates in metres are rounded to; None to keep
             all.
         named_leaves: names of the bodies that are leaves of doors, as the file says.
-        empty_bodies: names of bodies without geoms, which patterns of names match all the same:
-            those that settings exclude, and whose files are missing or broken.
+        empty_bodies: names of bodies that the file has, but that are left out because settings
+            exclude them and their files are missing or broken. Patterns of names match them
+            nevertheless.
     """
 
     geoms: list[ParsedGeom] = field(default_factory=list)
@@ -142,10 +143,10 @@ class ParsedScene:
 
 
 def check_count(num_geoms: int, path: Path) -> None:
-    """Raise an error if a scene has too many geoms. Nested instances of models can make millions.
+    """Raise an error if a scene has too many geoms: nested instances of models can make millions.
 
     Args:
-        num_geoms: the number of geoms, plus that of the models that contain them.
+        num_geoms: the number of geoms so far, plus the number of models that contain them.
         path: the scene's path, for the error.
 
     Raises:
@@ -635,14 +636,14 @@ def compile_spec(spec: mujoco.MjSpec, ground: float | None, warnings: list[str])
 def compile_geometry(
     spec: mujoco.MjSpec, ground: float | None, warnings: list[str]
 ) -> mujoco.MjModel:
-    """Compile a spec, with masses and inertias corrected where they are invalid.
+    """Compile a spec even if masses or inertias in it are invalid, as a bake doesn't use them.
 
-    A bake doesn't use them.
+    Invalid masses and inertias are corrected before the spec is compiled.
 
     Args:
         spec: the spec, which is changed.
-        ground: see `compile_spec`.
-        warnings: see `compile_spec`.
+        ground: z of an endless ground to add [m]; None for no ground.
+        warnings: the list to which MuJoCo's warnings are added.
 
     Returns:
         The compiled model.
@@ -654,7 +655,7 @@ def compile_geometry(
 
 
 def fill_mesh(mesh: mujoco.MjsMesh, vertices: Float, faces: Int | Int32) -> None:
-    """Set the triangles of a spec's mesh. They need not form a closed surface.
+    """Write triangles to a mesh of a spec. They need not form a closed surface.
 
     Args:
         mesh: the spec's mesh, which is changed.

@@ -104,7 +104,12 @@ class MeshKey(NamedTuple):
 
 
 class JointOfScope(NamedTuple):
-    """A ``<joint>``, and the scope of the world or model that contains it."""
+    """A ``<joint>``, and the scope of the world or model that contains it.
+
+    Attributes:
+        scope: the world or model.
+        element: the ``<joint>``.
+    """
 
     scope: Scope
     element: Element

@@ -122,7 +122,7 @@ class Scope:
         return f"{self.name}::{name}" if self.name else name
 
     def frame(self, name: str) -> Element:
-        """Return the element of a frame of this scope: a link, a joint or a frame."""
+        """Return the XML element of a frame of this scope: of a link, a joint or a frame."""
         return self._frames[name]
 
     def resolve(self, name: str) -> FrameInScope:

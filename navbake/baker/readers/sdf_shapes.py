@@ -139,7 +139,7 @@ def read_image_boxes(file: Path, pixel_size: float, threshold: float) -> list[Im
 
 
 def extrude_outlines(outlines: Sequence[Float], height: float) -> list[Mesh]:
-    """Make prisms of what outlines enclose, from z = 0 upwards.
+    """Divide the area that outlines enclose into convex prisms, from z = 0 upwards.
 
     Args:
         outlines: the corners x, y of each outline, closed or not, (n, 2) [m].
