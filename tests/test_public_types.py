@@ -43,6 +43,8 @@ REVEALED = {
     "finder.snap((1.0, 2.0, 0.0))": "ndarray[float64] | None",
     "finder.snap([(1.0, 2.0, 0.0), (3.0, 2.0, 0.0)])": "ndarray[float64]",
     "finder.is_navigable((1.0, 2.0, 0.0))": "bool",
+    "finder.room_at((1.0, 2.0, 0.0))": "str | None",
+    "finder.room_at([(1.0, 2.0, 0.0), (3.0, 2.0, 0.0)])": "ndarray[object_]",
     "finder.clearance((1.0, 2.0, 0.0))": "float",
     "finder.clearance([(1.0, 2.0, 0.0), (3.0, 2.0, 0.0)])": "ndarray[float64]",
     "finder.random_point()": "ndarray[float64]",

@@ -1,7 +1,8 @@
-"""The commands that query a grid: `info`, `rooms`, `why`, `path`."""
+"""The commands that query a grid: `info`, `rooms`, `why`, `path`, `sample`."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,7 +10,16 @@ from typer import BadParameter, Exit, Option
 
 import navbake
 from navbake.cli import options, printing
-from navbake.cli.options import OUTPUT_FLAGS, PLACE, PLACE_HELP, AsJson, GridFile, argument, option
+from navbake.cli.options import (
+    LEVEL_OPTION,
+    OUTPUT_FLAGS,
+    PLACE,
+    PLACE_HELP,
+    AsJson,
+    GridFile,
+    argument,
+    option,
+)
 from navbake.cli.printing import print_json, print_tables, print_warnings, say
 from navbake.errors import QueryError, count_of
 from navbake.views import tables
@@ -188,3 +198,59 @@ def path(
         options.write_picture(content, output, layers=("occupancy",), route=path_found)
     if not path_found:
         raise Exit(1)
+
+
+def sample(
+    grid: GridFile,
+    count: int = option("N", "How many places.", "-n", "--count", default=1, min=1),
+    seed: int = option("N", "Seed of the draw.", default=0, min=0),
+    room: str | None = option("NAME", "In this room only, by id or name."),
+    level: int | None = LEVEL_OPTION,
+    outdoors: bool = Option(True, help="Also in rooms that are outdoors, or indoors alone."),
+    spread: float | None = option(
+        "METRES", "At least so far from each other [m].  [default: any distance]", min=0.0
+    ),
+    radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
+    as_json: AsJson = False,
+) -> None:
+    """Draw places where an agent can stand, each with a heading.
+
+    The same seed gives the same places.
+
+    Example: navbake sample house.grid.json -n 5 --room kitchen --spread 0.8
+    """
+    import numpy as np  # --help does without it
+
+    content = navbake.load(grid)
+    if radius is not None:
+        content = content.inflate(radius)
+    finder = navbake.PathFinder(content)
+    rng = np.random.default_rng(seed)
+    if spread is None:
+        positions = finder.random_point(rng, count, room=room, level=level, outdoors=outdoors)
+        headings = rng.uniform(-math.pi, math.pi, count)
+    else:
+        positions, headings = finder.spawn(
+            rng, count, rooms=room, level=level, min_distance=spread, outdoors=outdoors
+        )
+    cells = [finder.cell_at(position) for position in positions]
+    levels = [cell.level for cell in cells if cell is not None]
+    room_ids = [finder.room_at(position) for position in positions.tolist()]
+    if as_json:
+        places = [
+            {"position": position, "heading": heading, "level": level, "room": room_id}
+            for position, heading, level, room_id in zip(
+                positions.tolist(), headings.tolist(), levels, room_ids, strict=True
+            )
+        ]
+        print_json({"scene_id": content.scene_id, "seed": seed, "places": places})
+        return
+    rows = []
+    for position, heading, level, room_id in zip(
+        positions, headings, levels, room_ids, strict=True
+    ):
+        x, y, z, rounded_heading = np.round([*position, heading], 3) + 0.0  # no -0.000
+        numbers = [f"{number:.3f}" for number in (x, y, z, rounded_heading)]
+        rows.append([*numbers, level, room_id])
+    column_names = ("x m", "y m", "z m", "heading rad", "level", "room")
+    print_tables(tables.make_table(column_names, rows, column_names[:5]))

@@ -28,7 +28,7 @@ from navbake.runtime.path_following import DriveLimits, Follower
 from navbake.runtime.paths import Goal, Path
 from navbake.runtime.places import MAX_DROP, NearestObstacle
 from navbake.runtime.search import Search
-from navbake.types import Bool, Float
+from navbake.types import Bool, Float, Int
 
 OnePosition: TypeAlias = Sequence[float]
 """x, y, z of one position, as a tuple or a list."""
@@ -411,20 +411,30 @@ class PathFinder:
 
     # ---------------------------------------------------------------- islands and rooms
 
-    def island_at(self, position: ArrayLike, *, level: int | None = None) -> int | None:
+    @overload
+    def island_at(self, position: OnePosition, *, level: int | None = None) -> int | None: ...
+    @overload
+    def island_at(self, position: ManyPositions, *, level: int | None = None) -> Int: ...
+    @overload
+    def island_at(self, position: ArrayLike, *, level: int | None = None) -> int | Int | None: ...
+    def island_at(self, position: ArrayLike, *, level: int | None = None) -> int | Int | None:
         """Find the number of the island that a position is on; 1 is the largest island.
 
         Args:
-            position: world x, y, z [m], shape (3,).
-            level: the position's level, for which x, y are then enough; None finds it by z.
+            position: world x, y, z [m], shape (3,), or (..., 3) for many.
+            level: the level of all positions, for which x, y are then enough; None finds each one's
+                level by its z.
 
         Returns:
-            The number; None where the position's cell isn't free.
+            The number, None where the position's cell isn't free; for many, an int64 array of
+            shape (...) with 0 there.
 
         Raises:
-            QueryError: the position is not valid, or there is no such level.
+            QueryError: a position is not valid, or there is no such level.
         """
-        return places.island_at(self.search, position, level)
+        if np.ndim(position) == 1:
+            return places.island_at(self.search, position, level)
+        return places.islands_at(self.search, position, level)
 
     def same_island(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether both positions are on one island, so that paths lead from each to the other.
@@ -454,20 +464,39 @@ class PathFinder:
         islands = self.islands
         return float(islands.areas[islands.check(island)])
 
-    def room_at(self, position: ArrayLike, *, level: int | None = None) -> str | None:
+    @overload
+    def room_at(self, position: OnePosition, *, level: int | None = None) -> str | None: ...
+    @overload
+    def room_at(
+        self, position: ManyPositions, *, level: int | None = None
+    ) -> NDArray[np.object_]: ...
+    @overload
+    def room_at(
+        self, position: ArrayLike, *, level: int | None = None
+    ) -> str | NDArray[np.object_] | None: ...
+    def room_at(
+        self, position: ArrayLike, *, level: int | None = None
+    ) -> str | NDArray[np.object_] | None:
         """Find the id of a position's room.
 
         Args:
-            position: world x, y, z [m], shape (3,).
-            level: the position's level, for which x, y are then enough; None finds it by z.
+            position: world x, y, z [m], shape (3,), or (..., 3) for many.
+            level: the level of all positions, for which x, y are then enough; None finds each one's
+                level by its z.
 
         Returns:
-            The id; None where the position is in no room.
+            The id, None where the position is in no room; for many, an array of shape (...) of
+            these.
 
         Raises:
-            QueryError: the position is not valid, or there is no such level.
+            QueryError: a position is not valid, or there is no such level.
+
+        Example:
+            >>> rooms = finder.room_at(positions)  # shape (n, 3)
         """
-        return places.room_at(self.search, position, level)
+        if np.ndim(position) == 1:
+            return places.room_at(self.search, position, level)
+        return places.rooms_at(self.search, position, level)
 
     def same_room(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether both positions are in the same room; False if either is in no room.

@@ -61,6 +61,40 @@ def find_bounds(search: Search) -> tuple[Float, Float]:
     return (centers - half_edge).min(axis=0), (centers + half_edge).max(axis=0)
 
 
+def islands_at(search: Search, positions: ArrayLike, level: int | None) -> Int:
+    """Find the numbers of the islands of positions; 0 where a position's cell isn't free.
+
+    Args:
+        search: the search on the grid.
+        positions: world x, y, z [m], shape (..., 3).
+        level: the level of all positions; None finds each one's level by its z.
+
+    Returns:
+        The numbers, shape (...), int64.
+    """
+    cells = search.flat.cells_at(positions, level)
+    numbers: Int = np.where(cells >= 0, search.islands.number[cells], 0).astype(np.int64)
+    return numbers
+
+
+def rooms_at(search: Search, positions: ArrayLike, level: int | None) -> NDArray[np.object_]:
+    """Find the ids of the rooms of positions; None where a position is in no room.
+
+    Args:
+        search: the search on the grid.
+        positions: world x, y, z [m], shape (..., 3).
+        level: the level of all positions; None finds each one's level by its z.
+
+    Returns:
+        The ids, shape (...), of str or None.
+    """
+    cells = search.flat.cells_at(positions, level)
+    room_numbers = np.where(cells >= 0, search.rooms.number[cells], 0)
+    id_of_number = np.array([None, *(room.id for room in search.rooms.rooms)], dtype=np.object_)
+    ids: NDArray[np.object_] = id_of_number[room_numbers]
+    return ids
+
+
 def island_at(search: Search, position: ArrayLike, level: int | None = None) -> int | None:
     """Find the number of the island of a position; None where it isn't free.
 

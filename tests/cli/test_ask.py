@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from functools import partial
 
+import numpy as np
 import pytest
 from typer import BadParameter
 
@@ -13,6 +14,8 @@ from door_scenes import LEAF, ROOMS, world
 from link_towers import DROP, LIFT, tower
 from navbake.cli.options import parse_place
 from project_paths import GOLDEN
+
+HOUSE = GOLDEN / "house.grid.json.gz"
 
 HOUSE, APARTMENT = (str(GOLDEN / f"{name}.grid.json.gz") for name in ("house", "apartment"))
 
@@ -267,3 +270,28 @@ def test_a_verification_is_added(folder, run):
     status, _, err = run("report", "room.grid.json", *arguments)
     assert status == 2
     assert "expected one for each GRID, 2, got 1" in err
+
+
+def test_sample_draws_places_by_room_and_apart(run):
+    arguments = "sample", HOUSE, "-n", 5, "--room", "0:2", "--spread", 0.8, "--json"
+    status, out, _ = run(*arguments)
+    assert status == 0 and run(*arguments)[1] == out
+    facts = json.loads(out)
+    assert facts["scene_id"] == "house"
+    finder = navbake.PathFinder(navbake.load(HOUSE))
+    positions = np.array([place["position"] for place in facts["places"]])
+    assert finder.is_navigable(positions).all()
+    assert {place["room"] for place in facts["places"]} == {"0:2"}
+    gaps = np.linalg.norm(positions[:, None] - positions, axis=2)[~np.eye(5, dtype=bool)]
+    assert gaps.min() >= 0.8 - 1e-9
+
+
+def test_sample_keeps_indoors_and_prints_a_table(run):
+    status, out, _ = run("sample", HOUSE, "-n", 60, "--no-outdoors", "--seed", 3)
+    lines = out.splitlines()
+    assert status == 0 and len(lines) == 61
+    assert lines[0].split() == ["x", "m", "y", "m", "z", "m", "heading", "rad", "level", "room"]
+    outdoors = {room.id for room in navbake.load(HOUSE).rooms if room.outdoors}
+    assert not outdoors & {line.split()[-1] for line in lines[1:]}
+    status, _, err = run("sample", HOUSE, "--room", "kitchn")
+    assert status == 1 and "no room 'kitchn'" in err

@@ -246,3 +246,19 @@ def test_islands_are_what_paths_join_where_corners_are_cut(seed):
     start = int(rng.choice(np.flatnonzero(search.flat.free)))
     joined = np.isfinite(search.compute_cost_field(np.array([start])))
     np.testing.assert_array_equal(finder.islands.number == finder.islands.number[start], joined)
+
+
+def test_rooms_and_islands_of_many_positions_are_those_of_each():
+    house = navbake.load(GOLDEN / "house.grid.json.gz").inflate(0.25)
+    finder = navbake.PathFinder(house)
+    rng = np.random.default_rng(4)
+    positions = rng.uniform((-6.5, -6.5, -0.5), (6.5, 6.5, 4.0), (4, 100, 3))
+    rooms = finder.room_at(positions)
+    islands = finder.island_at(positions)
+    assert rooms.shape == islands.shape == (4, 100) and islands.dtype == np.int64
+    for index in np.ndindex(4, 100):
+        assert rooms[index] == finder.room_at(positions[index])
+        assert islands[index] == (finder.island_at(positions[index]) or 0)
+    assert None in rooms and 0 in islands and len(set(rooms.ravel().tolist())) > 5
+    on_level = finder.room_at(positions[0, :, :2], level=1)
+    assert on_level.tolist() == [finder.room_at(xy, level=1) for xy in positions[0, :, :2]]
