@@ -129,7 +129,7 @@ class JsonPath:
 
 
 def check_whole_number(value: object, place: JsonPath, minimum: int) -> int:
-    """Return a value as a whole number, after a check; 59.0 is valid, true is not.
+    """Check that a value is a whole number, and return it as an int; 59.0 is one, true is not.
 
     Args:
         value: the number as parsed.
@@ -149,7 +149,7 @@ def check_whole_number(value: object, place: JsonPath, minimum: int) -> int:
 
 
 def check_number(value: object, place: JsonPath, *, positive: bool = False) -> float:
-    """Return a finite number, after a check; a whole number becomes an int, so that JSON has no .0.
+    """Check that a value is a finite number, and return it; 59.0 becomes the int 59.
 
     Args:
         value: the number as parsed.
@@ -173,7 +173,7 @@ def check_number(value: object, place: JsonPath, *, positive: bool = False) -> f
 
 
 def check_vector(value: object, place: JsonPath) -> Vector3:
-    """Return three finite numbers as floats, after a check.
+    """Check that a value is a list of three finite numbers, and return them as floats.
 
     Args:
         value: the list as parsed.
@@ -191,7 +191,7 @@ def check_vector(value: object, place: JsonPath) -> Vector3:
 
 
 def check_object(value: object, place: JsonPath) -> Json:
-    """Return a JSON object, after a check that it is one.
+    """Check that a value is a JSON object, and return it.
 
     Args:
         value: the object as parsed.
@@ -223,7 +223,7 @@ def check_optional_object(content: Json, key: str, place: JsonPath) -> Json:
 
 
 def check_json(value: JsonValue, place: JsonPath) -> JsonValue:
-    """Return a value after a check that it is JSON and not nested too deep.
+    """Check that a value can be written as JSON and isn't nested too deep, and return it.
 
     All values of one depth are checked at once: that is faster than a Python call for each.
 
@@ -235,7 +235,8 @@ def check_json(value: JsonValue, place: JsonPath) -> JsonValue:
         The value itself.
 
     Raises:
-        FormatError: the value holds something that JSON lacks, or more than 64 levels.
+        FormatError: the value holds something that JSON lacks, or more than 64 lists and objects
+            in each other.
     """
     values_at_depth = [value]
     for _ in range(MAX_DEPTH):

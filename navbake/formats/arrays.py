@@ -30,10 +30,10 @@ def decode_array(
     default: object = None,
     null: float = np.nan,
 ) -> NDArray[Any]:
-    """Decode an array: an object with ``data``, or a bare list, which is raw.
+    """Decode the array of a layer of a level, as a NavGrid file has it.
 
-    Of ``{"datatype", "length", "encoding", "data"}``, only ``data`` is required; ``dataType`` is an
-    alias of ``datatype``.
+    The file has an object ``{"datatype", "length", "encoding", "data"}``, of which only ``data`` is
+    required, or the bare list of the cells' values. ``dataType`` is an alias of ``datatype``.
 
     Args:
         value: the array as parsed.
@@ -41,8 +41,7 @@ def decode_array(
         shape: height and width of the level.
         allowance: what the array's memory is taken from.
         default: the datatype that the metadata state for the array; float64 if None.
-        null: the number that replaces ``null`` in arrays of floats, also in raw data (where the
-            original client keeps ``null``).
+        null: the number that replaces ``null`` in arrays of floats.
 
     Returns:
         The array, of this shape, with the datatype that the file states.

@@ -7,12 +7,12 @@ With the settings written beside it, the scene bakes to the cells of the grid:
   above it. If there is none, it rises over all floors, so that its top doesn't count as a floor.
 - Adjacent cells with the same heights share a box (`cover_with_quads`). Boxes are a thousandth of a
   cell smaller on each side, so that none reaches into an adjacent cell.
-- Blocked cells that are not connected with a free cell, even through other blocked cells, become
-  unknown: a bake derives the floor under objects from the floor beside them.
-- If there are several levels, the same places are free at the same heights. But where levels
-  interleave, for example at the top of a stair, a tread may be on the level below.
-- The settings have the cells' size and place, and the levels' grounds. The agent has no radius: the
-  blocked cells already include the radius of the grid's agent. Floors of any size are kept.
+- A group of blocked cells becomes unknown if no free cell is beside it: a bake derives the floor
+  under objects from the floor beside them.
+- If there are several levels, the scene bakes to the same free places at the same heights. But
+  where levels overlap in height, as at the top of a stair, a tread may change to the level below.
+- The settings state the cells' size and place, the levels' grounds, and an agent of radius 0, as
+  the walls already include the radius of the grid's agent. The bake keeps floors of any size.
 """
 
 from __future__ import annotations

@@ -113,10 +113,10 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
     """Make a mesh of a grid's free cells.
 
     Each free cell is covered once; the mesh has holes at all other cells. A quad covers a rectangle
-    of cells of one room whose floor is a plane within the tolerance. The plane is horizontal, or a
-    slope that three cells or more in a line follow, up to the grid's `maxSlope` (45 degrees if it
-    states none). So a stair becomes horizontal treads, and a ramp a slope; but a stair whose treads
-    are all one cell deep becomes a slope, too.
+    of cells of one room whose floor is a plane within the tolerance. The plane is horizontal, or
+    sloped where at least three cells in a line rise evenly, up to the grid's `maxSlope` (45 degrees
+    if it states none). So a stair becomes horizontal treads, and a ramp a slope. A stair whose
+    treads are all one cell deep becomes a slope, too.
 
     There are no risers. Where two quads meet, their heights differ by the step between the cells'
     floors, plus at most the rise of each quad over half a cell. A free cell without floor height
@@ -259,7 +259,7 @@ def find_room_colors(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
 
 
 class GlbBuffer:
-    """The single buffer of a GLB, and its views and accessors."""
+    """Collects the binary data of a GLB file: its buffer, with glTF's views and accessors of it."""
 
     def __init__(self) -> None:
         self._data = bytearray()

@@ -37,15 +37,15 @@ class FileFormat(NamedTuple):
             given, as ``module:function``; None for a format of single files.
         inflates: whether `convert.encode_as` inflates the grid for the option ``radius``, so that
             the writer need not.
-        loses: kinds of content that the format has no place for, of ``heights`` (of the floor),
-            ``steps`` (between levels), ``areas``, ``links``, ``agents`` and ``doors``. A warning
-            names what a grid has of them.
-        closes: which free cells are occupied in the format's files, since a robot must not go there
-            and the format can't say why: ``stairs`` (see
-            `navbake.formats.map_losses.find_stair_cells`), and ``areas`` that bar the agent.
-        lays_closed_cells: whether the writer lays these cells over its values itself: it takes
-            their masks as `closed_masks`. Otherwise `convert.encode_with` closes them in the grid
-            that the writer gets.
+        loses: the kinds of content that the format can't hold: some of ``heights`` (of the floor),
+            ``steps`` (between levels), ``areas``, ``links``, ``agents`` and ``doors``. If a grid
+            has such content, a warning says so.
+        closes: which free cells are written as occupied, to keep robots out where the format can't
+            say why: ``stairs`` (see `navbake.formats.map_losses.find_stair_cells`) and ``areas``
+            that bar the agent.
+        lays_closed_cells: True if the writer marks the cells of `closes` itself, by an option
+            `closed_masks`. If False, `convert.encode_with` makes them occupied in the grid that it
+            passes to the writer.
     """
 
     name: str

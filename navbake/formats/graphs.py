@@ -278,8 +278,8 @@ class RoomWay:
 
     Attributes:
         rooms: the ids of both rooms, in the grid's order.
-        kind: ``door``, ``open`` (an opening without a door) or ``link`` (a step or
-            a link between cells that aren't neighbours, for example to another level).
+        kind: ``door``, ``open`` (an opening without a door) or ``link`` (a step to another level,
+            or a named link).
         door: the door's id, None unless the kind is ``door``.
         state: the door's current state, None unless the kind is ``door``.
         passable: whether steps lead through the connection now; always False for a connection to
@@ -310,7 +310,7 @@ class RoomGraph:
         rooms: the rooms in the grid's table of rooms, in its order, then the rooms that are not in
             the table.
         ways: the connections, sorted by rooms, kind and position; two rooms may have several. A
-            door that leads out of all rooms leads to ``(outside)``.
+            door with a room on only one side leads to ``(outside)``.
         level_names: the names of the grid's levels.
     """
 
@@ -602,7 +602,18 @@ def encode_graphml(grid: NavGrid, path: Path) -> Files:
 
 
 def encode_gml(grid: NavGrid, path: Path) -> Files:
-    """Encode a grid's rooms as GML; otherwise as `encode_graphml`."""
+    """Encode a grid's rooms as GML, with the same attributes as `encode_graphml`.
+
+    Args:
+        grid: the grid.
+        path: the path of the file.
+
+    Returns:
+        The file's content by its path.
+
+    Raises:
+        MissingDependencyError: networkx is not installed.
+    """
     room_graph = _number_edges(make_room_graph(grid).to_networkx())
     return {path: encode_networkx(room_graph, as_gml=True)}
 

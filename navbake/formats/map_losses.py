@@ -1,8 +1,9 @@
-"""Finds the cells that a map closes because it can't say more of them, and describes what is lost.
+"""Finds free cells that a map must show as occupied, and describes what a map can't hold of a grid.
 
-A map without heights shows a stair as free floor. A planner of wheeled robots would plan up the
-stair, so such a map has the stair's cells as occupied, unless its user wants them free. A map
-without areas would let robots into the areas that bar them, so these are occupied as well.
+A map without heights shows a stair as flat floor, and a planner of wheeled robots would plan up the
+stair. So navbake writes the stair's cells as occupied, unless its user wants them free. A map
+without areas would let robots into areas that bar them, so their cells are written as occupied,
+too.
 """
 
 from __future__ import annotations
@@ -42,12 +43,13 @@ MAX_NAMES = 5  # of links, areas and agents in the line that tells what is lost
 
 
 class ClosedCells(NamedTuple):
-    """The free cells that a file has as occupied, as its format has no stairs and no areas.
+    """The free cells of a grid that a file shows as occupied, so that no robot drives there.
 
-    A planner that reads the file can't know that it must not drive there.
+    The file's format can't say that a cell is on a stair, or in an area that bars the robot.
 
     Attributes:
-        stair_masks: for each level, the floors that only steps lead to, shape (height, width),
+        stair_masks: for each level, the cells of stairs, and of floors that can be reached only
+            over stairs or other rises between cells, see `find_stair_cells`; shape (height, width),
             bool.
         barred_masks: for each level, the cells of areas that bar the agent, of the same shape.
     """
@@ -70,11 +72,11 @@ def find_closed_cells(
     agent: str | Agent | None = None,
     closes_areas: bool = True,
 ) -> ClosedCells:
-    """Find the free cells that a map without heights and areas has as occupied.
+    """Find the free cells that a map without heights and areas must show as occupied.
 
     Args:
         grid: the grid, not inflated for the map.
-        stairs: ``occupied`` to close floors that only steps lead to, see `find_stair_cells`;
+        stairs: ``occupied`` to close stairs and the floors beyond them, see `find_stair_cells`;
             ``free`` to close none. None means ``occupied``.
         agent: the agent that the map is for: its name in the grid, or the agent itself. None means
             any: only areas that bar all agents are closed.
@@ -111,25 +113,29 @@ def find_closed_cells(
 
 
 def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
-    """Find the free cells of a level that only steps lead to from the level's commonest ground.
+    """Find the stairs of a level, and the floors that a wheeled robot reaches only over stairs.
 
-    The commonest ground is the commonest height of the largest smooth floor; a floor outdoors
-    counts for a quarter of its size, so that it is the rooms' floor for all but small buildings.
-    Cells whose floor lies within a step (the grid's `traversableFloorHeight`) of it are ground, and
-    so is all that a smooth floor leads to from there, such as a ramp and what it leads to. The
-    remaining cells are stairs, landings and platforms, or lie below a ledge. A floor is smooth
-    where it rises from cell to cell by no more than the grid's largest slope allows, and by less
-    than the riser of a stair, or as evenly as no stair does (see `_find_ramp_steps`).
+    A floor is smooth where it rises from cell to cell by no more than the grid's largest slope
+    allows, and by less than the riser of a stair. A rise by more is smooth, too, if it is as even
+    as that of a ramp (see `_find_ramp_steps`).
 
-    A part of the level that no free cell connects with the ground has a commonest ground of its
-    own, unless a step of the grid's table leads there from another level.
+    The ground height of the level is the commonest height of its largest smooth floor. A floor
+    outdoors counts for a quarter of its size, so that the floor of the rooms is taken except in
+    small buildings. A cell is ground if its floor is within a step (the grid's
+    `traversableFloorHeight`) of the ground height. A robot reaches the ground, and all that smooth
+    floor joins to it, such as a ramp and the floor at its top. All other free cells are found:
+    stairs, landings, platforms, and floors below a ledge.
+
+    A part of the level that no free cells connect with the ground gets a ground height of its own,
+    unless a step from another level leads to it.
 
     Args:
         grid: the grid.
         level_number: the level's number.
 
     Returns:
-        Shape (height, width), bool; all False if the grid has no floor heights.
+        Mask of the found cells, shape (height, width), bool; all False if the grid has no floor
+        heights.
     """
     level = grid.levels[level_number]
     is_free = level.free
@@ -189,13 +195,15 @@ def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
 
 
 def find_commonest_height(floor: Float) -> float:
-    """Return the commonest of some floors' heights, to a centimetre; the lowest of several.
+    """Find the commonest height of some floors, with heights rounded to a centimetre.
+
+    If several heights are equally common, the lowest one counts.
 
     Args:
         floor: the heights [m], not NaN, shape (n,), n > 0.
 
     Returns:
-        The mean of the floors at the commonest height [m].
+        The mean of the heights that round to the commonest one [m].
     """
     bins = np.round(floor / HEIGHT_BIN)
     heights, counts = np.unique(bins, return_counts=True)
@@ -265,7 +273,7 @@ def _find_ramp_steps(floor: Float, slope_rise: float, cell_size: float) -> Int:
 
 
 def close_cells(grid: NavGrid, masks: Sequence[Bool]) -> NavGrid:
-    """Return a grid in which some more cells are occupied.
+    """Copy a grid, with some cells made occupied.
 
     Args:
         grid: the grid, which stays as it is.
@@ -293,17 +301,17 @@ def describe_losses(
     level: int | None = None,
     agent: str | Agent | None = None,
 ) -> list[str]:
-    """Describe what a grid holds and a format does not.
+    """Describe the content of a grid that is lost when it is written in a format.
 
     Args:
         grid: the grid.
-        kinds: the kinds of content that the format has no place for, see `FileFormat.loses`.
-        closed_cells: the cells that the file has as occupied for that.
+        kinds: the kinds of content that the format can't hold, see `FileFormat.loses`.
+        closed_cells: the free cells that the file shows as occupied.
         level: the number of the only level that is written, None for all.
         agent: the agent that the file is for, None for any.
 
     Returns:
-        A phrase for each kind of content that is lost: ``steps between levels (24)``.
+        A phrase for each kind of content that is lost, such as ``steps between levels (24)``.
     """
     from navbake.runtime.blocking import find_agent  # loads the run time
 

@@ -173,10 +173,10 @@ def _make_pose(position: Iterable[float], heading: float = 0.0) -> Json:
 
 
 def find_headings(positions: Float) -> list[float]:
-    """Find the heading at each point of a path: the direction to the next point at another x, y.
+    """Find the heading at each point of a path: the direction to the next point, seen from above.
 
-    From the last such point on, the heading stays. Seen from above, a path that goes nowhere, such
-    as one that only rises, has the heading 0.
+    Points straight above or below are skipped, as in a lift. The points at the path's end keep the
+    last heading. A path that only rises has the heading 0.
 
     Args:
         positions: the path's points, shape (n, 3) [m].

@@ -117,8 +117,8 @@ def encode_nav2(
             costs by nav2's formula; not in mode ``trinary``. With it, `radius` is the radius of the
             grid's agent by default.
         scaling: nav2's ``cost_scaling_factor`` [1/m]; 10 if None.
-        closed_masks: for each level, the free cells that are occupied in the map, as it has no
-            heights and no areas, see `navbake.formats.map_losses.ClosedCells`; shape (height,
+        closed_masks: for each level, the free cells that the map must show as occupied (stairs, and
+            areas that bar the robot, see `navbake.formats.map_losses.ClosedCells`), shape (height,
             width), bool. They are not inflated. None for no such cells.
 
     Returns:
@@ -218,11 +218,11 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
     ``navbake.ground``), unknown ones have none. In modes ``scale`` and ``raw``, values of 1
     to 98 become weights of nav2's costs; 99 is blocked.
 
-    If the map's yaw is a whole number of quarter turns, the cells are only rearranged. The yaw may
-    be off by so little that the map's farthest corner moves by a tenth of a cell. Any other map is
-    resampled on cells along the world's axes: a cell has the value of the map at its centre, but is
-    occupied if occupied cells of the map cover 1 % of it, so that no wall gets a gap. The content
-    of the YAML is kept as ``nav2`` in the metadata.
+    If the map's yaw is a whole number of quarter turns, the cells are only rearranged. That is also
+    done for a yaw so near to one that no corner of the map is off by more than a tenth of a cell.
+    Any other map is resampled on cells along the world's axes: a cell has the value of the map at
+    its centre, but is occupied if occupied cells of the map cover 1 % of it, so that no wall gets a
+    gap. The content of the YAML is kept as ``nav2`` in the metadata.
 
     Args:
         path: the YAML.

@@ -54,7 +54,7 @@ ROUND_MULTIPLIERS = (1.0, 0.5, 0.1, 0.05, 0.01)  # tried in this order [m/s]
 
 
 class Zone(NamedTuple):
-    """A part of a level that can be named: a room or a polygon."""
+    """A room or a named polygon of a level, which a mask of a costmap filter can mark."""
 
     names: tuple[str, ...]  # all names that it can be given by
     level: int  # number of its level
@@ -63,7 +63,7 @@ class Zone(NamedTuple):
 
 
 class FilterScale(NamedTuple):
-    """What a speed mask's values stand for: the limit ``base + multiplier * value``.
+    """How the values of a speed mask become speed limits: ``base + multiplier * value``.
 
     Attributes:
         type: nav2's number of the type of filter, such as `SPEED_PERCENT`.

@@ -81,11 +81,11 @@ CELLS_AT_ONCE = 1 << 16  # cells whose user data are encoded at once, to limit m
 def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     """Read a NavGrid file, plain or gzipped (detected by its content).
 
-    ``type``, ``width``, ``height``, ``cellSize`` and ``min`` are required; a level without
-    ``cellSize`` or ``unit`` has the value of its MultiLevelGrid. Without ``weights``, a cell weighs
-    infinity if it is occupied or has no floor height, else 1; an attribute that the file lacks
-    doesn't count. ``null`` is infinity in weights and NaN in float attributes, also in raw data,
-    where the original client keeps it.
+    ``type``, ``width``, ``height``, ``cellSize`` and ``min`` are required. A level without
+    ``cellSize`` or ``unit`` has the value of its MultiLevelGrid. In a file without ``weights``, a
+    cell that is occupied or has no floor height weighs infinity, any other cell 1. (A file may also
+    lack the occupancy or the floor heights; then the other one decides.) ``null`` is infinity in
+    weights, and NaN in attributes of floats.
 
     The ``userData`` of a file of 1 MiB and more are parsed when they are first used or saved; their
     faults raise a FormatError only then.
@@ -151,7 +151,8 @@ def read_multi_level_grid(
     """Make a MultiLevelGrid from the content of a file.
 
     Args:
-        content: the parsed file; instead of a layer's array, it may have a `ReadLayer`.
+        content: the parsed file. In place of a layer's array, it may hold a `ReadLayer`, a function
+            that reads the array from elsewhere.
         top: the top of the file, for errors.
         allowance: what the arrays' memory is taken from.
         key: the key of the levels in the file, for errors.
@@ -196,7 +197,8 @@ def read_level(
     """Make a level from its content in a file.
 
     Args:
-        content: the parsed level; instead of a layer's array, it may have a `ReadLayer`.
+        content: the parsed level. In place of a layer's array, it may hold a `ReadLayer`, a
+            function that reads the array from elsewhere.
         place: its location in the file, for errors.
         allowance: what the arrays' memory is taken from.
         defaults: ``cellSize``, ``unit`` and ``metadata`` of the MultiLevelGrid, which count where
@@ -275,7 +277,7 @@ def read_level(
 
 
 def read_metadata(content: Json, place: JsonPath) -> Json:
-    """Return the metadata of a grid or level after a check of the parts that readers rely on.
+    """Check the metadata of a grid or level where readers rely on them, and return them.
 
     Args:
         content: the parsed grid or level.
@@ -327,7 +329,7 @@ def _read_user_data(value: JsonValue, place: JsonPath, num_cells: int) -> UserDa
 
 
 def check_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
-    """Return a grid after a check of its levels' sizes and places, and of all its tables.
+    """Check a grid's levels, their sizes and places, and all its tables; return the grid.
 
     Args:
         grid: the grid that a reader made of a file.

@@ -45,11 +45,11 @@ OccupancyValues: TypeAlias = NDArray[np.int8]
 
 
 def compute_occupancy_values(grid: NavGrid, number: int) -> OccupancyValues:
-    """Compute the values of a level's cells.
+    """Compute the value of each cell of a level in a ``nav_msgs/OccupancyGrid``.
 
-    A free cell is 0, or has a cost if its weight is above 1. A blocked cell is unknown if it has no
-    floor (and the grid has floor heights), else occupied if its occupancy isn't 0. All other
-    blocked cells are 99: only an inflation or an added obstacle blocks them.
+    A free cell is 0, or 1 to 98 if its weight is above 1. A blocked cell is unknown (-1) if it has
+    no floor and the grid has floor heights. Otherwise it is occupied (100) if its occupancy isn't
+    0. All other blocked cells are 99: only an inflation or an added obstacle blocks them.
 
     Args:
         grid: the grid.
@@ -74,8 +74,8 @@ def compute_costmap_values(
 ) -> OccupancyValues:
     """Compute the values of a level's costmap: its obstacles inflated by nav2's formula.
 
-    Cells blocked for the robot for other reasons (a drop, another level's obstacle) cost as much
-    as those within the radius of an obstacle.
+    A cell where the robot can't stand for another reason (a drop, an obstacle on another level) has
+    the same value as one within `radius` of an obstacle.
 
     Args:
         grid: the grid, not inflated.
@@ -185,10 +185,10 @@ def align_with_axes(
 ) -> tuple[OccupancyValues, Lattice]:
     """Resample a map with any yaw onto cells along the world's axes.
 
-    If the yaw is a whole number of quarter turns (or off by so little that the map's farthest
-    corner moves by a tenth of a cell), the cells are only rearranged. Otherwise a new cell has the
-    value of the map at its centre, or -1 outside of the map; but the new cell is occupied if
-    occupied cells of the map cover at least 1 % of it.
+    If the yaw is a whole number of quarter turns, the cells are only rearranged. That is also done
+    for a yaw so near to one that no corner of the map is off by more than a tenth of a cell.
+    Otherwise a new cell has the value of the map at its centre, or -1 outside of the map. But it is
+    occupied if occupied cells of the map cover at least 1 % of it.
 
     Args:
         values: the map's values, shape (height, width), int8.

@@ -58,7 +58,8 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     Args:
         grid: the voxels; those with an ID count as occupied.
         kind: ``bt`` or ``ot``.
-        free: whether to write known voxels that are not occupied as free, not as unknown.
+        free: whether to write voxels that are known to be empty as free. If False, they are
+            unknown in the file, as are all voxels that aren't occupied.
 
     Returns:
         The content of the file.

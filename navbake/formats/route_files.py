@@ -432,10 +432,19 @@ def encode_lif(graph: RouteGraph) -> bytes:
 def read_lif(path: str | PathLike[str]) -> RouteGraph:
     """Read a graph from a file of the Layout Interchange Format (LIF), version 1 or 2.
 
-    Each layout is a level. In version 2, layouts stand in origins; the positions of all origins are
-    read as positions of one frame. Nodes get the names that the file states; if two nodes have the
-    same name, all nodes get their ids as names. If an edge has several types of vehicles, the first
-    one's speed is used.
+    Each layout becomes a level. Version 2 groups layouts under ``origins``: their positions are
+    taken as they are, as if all origins had the same frame. Nodes keep their names; if two nodes
+    have the same name, all nodes are named by their ids. If an edge states speeds for several types
+    of vehicles, the first one is used.
+
+    Args:
+        path: the path of the file.
+
+    Returns:
+        The graph.
+
+    Raises:
+        FormatError: the file is no LIF, or is broken.
     """
     content, name = source.read_json(path, expected="a LIF (JSON)")
     reader = _GraphReader(name)
@@ -531,9 +540,9 @@ def _check_objects(content: Json, key: str, place: JsonPath) -> list[Json]:
 def encode_rmf(graph: RouteGraph) -> bytes:
     """Encode a graph as a navigation graph of Open-RMF.
 
-    A lift has a vertex in its car on each level that it serves, with lanes from and to the landings
-    there. What Open-RMF would misread stands in navbake's own entry: lanes between levels, lanes
-    over lifts, and nodes on the floor of a car, which is there on one level at a time.
+    A lift has a vertex in its car on each level that it serves, with lanes to and from the landings
+    there. Open-RMF would misread lanes between levels, lanes over lifts, and nodes on the floor of
+    a car. So these are written under the key ``navbake``, which Open-RMF ignores.
     """
     level_names = _unique_level_names(graph)
     levels: list[Json] = [{"vertices": [], "lanes": []} for _ in level_names]
@@ -855,7 +864,7 @@ def read_gml(path: str | PathLike[str]) -> RouteGraph:
     """Read a graph from GML.
 
     Its nodes must have ``x`` and ``y`` [m], or ``graphics`` with these, as yEd and Gephi write
-    them. Nodes are named by their labels, or by their ids if a label is missing or stands twice.
+    them. Nodes are named by their labels, or by their ids if a label is missing or not unique.
     """
     networkx_module = source.import_extra("networkx")
     content, name = source.read_bytes(path)

@@ -104,10 +104,12 @@ def find_inputs(
     """List the existing files that a scene consists of.
 
     For MJCF, these are all files that an element refers to, also in included files and attached
-    models. In which folder a file is depends on the compiler's settings and on MuJoCo's version. So
-    files in all possible folders count: one too many only costs a bake, one too few leaves a stale
-    grid. For URDF, the files are the meshes; for glTF, the buffers; for SDF, models, meshes and
-    height fields; for USD, all layers.
+    models. In which folder MuJoCo looks depends on the compiler's settings and on its version. So
+    the file of that name in each possible folder is listed: a file too many at worst bakes a scene
+    again for nothing, but a file too few would leave a grid that is out of date.
+
+    For URDF, the files are the meshes; for glTF, the buffers; for SDF, models, meshes and height
+    fields; for USD, all layers.
 
     Args:
         scene: the scene's file.
@@ -224,15 +226,19 @@ def _list_sdf_inputs(
 def list_mesh_paths(urdf: Path, name: str, packages: RosPackages) -> Iterator[Path]:
     """Yield the possible paths of a URDF's mesh, in the order of search.
 
-    A mesh ``package://pkg/meshes/a.dae`` is searched in the folders of the settings that hold the
-    package. Then any mesh is searched by its path as written, in the URDF's folder and in all
-    folders above; then in the package as ROS finds it. At last the first part of the path is
-    dropped, and so on: this finds a mesh without ROS.
+    The order for a mesh such as ``package://pkg/meshes/a.dae``:
+
+    1. the package in the folders that the settings state;
+    2. ``pkg/meshes/a.dae`` in the URDF's folder, and in each folder above it;
+    3. the package as ROS finds it;
+    4. ``meshes/a.dae``, then ``a.dae``, in the folders of 2: so meshes are found without ROS.
+
+    For a plain path, 1 and 3 are left out.
 
     Args:
         urdf: the URDF.
-        name: the mesh's name in it.
-        packages: the folders of packages.
+        name: the mesh's file name, as the URDF states it.
+        packages: finds the folders of packages.
     """
     scheme, _, bare_name = name.rpartition("://")
     mesh_path = Path(bare_name)

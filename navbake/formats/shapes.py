@@ -105,7 +105,7 @@ class Shape:
 
 
 def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
-    """Find the rooms, walkable areas and doors of a grid as shapes.
+    """Find the rooms and walkable areas of a grid as polygons, and its doors as lines.
 
     Polygons run exactly along the cells' edges. A room's polygon encloses all of its cells, also
     occupied ones; a walkable area's polygon encloses the free cells of a level. Cells that only

@@ -109,8 +109,8 @@ def read_bytes(
     Args:
         source: a path, the file's content, or the file opened in binary mode.
         beginnings: the first bytes that the file must have, or a tuple of possible ones; b"" for
-            any. At most 1 MiB is read of a file that begins differently: it may be a device that
-            never ends.
+            any. A file that begins differently is not read further than 1 MiB, as it may be a
+            device that never ends.
         expected: a description of the expected file, for errors.
         remedy: what to do about a wrong file, for errors.
 
@@ -404,17 +404,19 @@ def read_header(
     numbers: Mapping[str, tuple[int, type]],
     defaults: Mapping[str, list[str]] | None = None,
 ) -> tuple[dict[str, list[str]], list[list[JsonValue]], int]:
-    """Read the header lines of a voxel file, up to the line ``data``: binvox or OctoMap.
+    """Read the header of a binvox or OctoMap file: lines of a name and values, up to ``data``.
 
     Args:
         data: the content of the file.
         source: the file's name, for errors.
-        numbers: first word of a line that must hold numbers -> their count and type (int or float).
-        defaults: first word of a line that may be missing -> the further words that count then.
+        numbers: name of a line whose values must be numbers -> how many, and their type (int or
+            float).
+        defaults: name of a line that may be missing -> the values that it has then, as text.
 
     Returns:
-        Three results. First word of each line -> its further words, for comments (``#``), too. For
-        each entry of `numbers`, the list of the line's numbers. The offset of the data [bytes].
+        Three results: name of each line -> its values as text, where a comment's name begins with
+        ``#``; for each entry of `numbers`, the line's numbers; and the offset of the data after the
+        header [bytes].
 
     Raises:
         FormatError: a line is missing, or its numbers are not those that are expected.

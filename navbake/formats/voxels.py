@@ -77,8 +77,8 @@ def write_voxels(
         grid: the voxels.
         path: the file, which ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of
             ``a.npz`` is ``a.npz.names.json``.
-        free: for an octree: whether to write known voxels that are not occupied as free, not as
-            unknown.
+        free: for an octree, whether to write voxels that are known to be empty as free. If False,
+            they are unknown in the file, as are all voxels that aren't occupied.
         layout: the layout of a binvox, see `encode_binvox`.
         mapping: the new IDs in a binvox, see `map_ids`.
 
@@ -166,7 +166,7 @@ def id_table_path(path: str | PathLike[str]) -> Path:
 
 
 def map_ids(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
-    """Return a grid with its IDs replaced by new ones, 0 to 255.
+    """Give the IDs of voxels new numbers from 0 to 255, as a binvox needs them.
 
     Args:
         grid: the voxels.
@@ -257,14 +257,16 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
 
 
 def find_airsim_position(grid: VoxelGrid) -> Float:
-    """Find the position that puts a file of AirSim's layout where the voxels are.
+    """Compute the position that a file of AirSim's layout lacks, from the voxels themselves.
+
+    `read_binvox` needs it as `position`, to put the voxels of the file back where they were. It is
+    the position for which AirSim's simCreateVoxelGrid makes this grid.
 
     Args:
         grid: the voxels.
 
     Returns:
-        The position of the grid that AirSim would have been asked for, and that `read_binvox` takes
-        as `position`: world x, y, z [m], shape (3,), float64. AirSim's own frame is (x, -y, -z).
+        World x, y, z [m], shape (3,), float64. In AirSim's own frame, it is (x, -y, -z).
     """
     is_even = np.array(grid.shape) % 2 == 0
     position: Float = grid.bounds.mean(axis=0) - is_even * AIRSIM_SHIFT * grid.res

@@ -80,14 +80,17 @@ class StartTag(NamedTuple):
 
 
 def list_start_tags(content: bytes, attribute_names: Set[str]) -> list[StartTag]:
-    """List the first element of an XML file, and all others that have one of some attributes.
+    """List the elements of an XML file that have at least one of some attributes.
 
-    Of a broken file, these are the elements before its fault.
+    The file's first element is always listed. Of a broken file, only elements before its fault are.
 
     Args:
-        content: the file's content. Bytes that are not UTF-8 become what `os` makes of them in
-            names of files.
-        attribute_names: names of attributes.
+        content: the file's content. Bytes that are not UTF-8 are decoded as `os.fsdecode` does it,
+            so that they may stand in names of files.
+        attribute_names: names of the attributes.
+
+    Returns:
+        The elements' start tags, in the file's order.
     """
     collector = _TagCollector(attribute_names)
     parser = expat.ParserCreate("utf-8")  # TinyXML-2 ignores the encoding that a file states

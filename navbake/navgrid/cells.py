@@ -30,7 +30,7 @@ CellsLike = Cell | Cells | tuple[ArrayLike, ArrayLike, ArrayLike]
 
 
 class Layer(NamedTuple):
-    """How `values_at` computes one layer of a grid."""
+    """A layer of a grid by name, such as ``floor``: how `values_at` computes its arrays."""
 
     compute: Callable[
         [NavGrid], list[NDArray[Any]]

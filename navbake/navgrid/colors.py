@@ -51,7 +51,14 @@ def to_linear(color: NDArray[Any]) -> NDArray[Any]:
 
 
 def darken_rooms(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the colours of rooms' occupied cells, from those of their free cells, (..., 3)."""
+    """Darken colours of rooms, for the rooms' occupied cells.
+
+    Args:
+        rgb: Red, green and blue of free cells, 0 to 255, shape (..., 3).
+
+    Returns:
+        The darker colours, of the same shape.
+    """
     mixed_rgb = rgb * (1 - OCCUPIED_SHARE) + np.array(rgb_of(OCCUPIED)) * OCCUPIED_SHARE
     return np.round(mixed_rgb).astype(np.uint8)
 
@@ -90,12 +97,15 @@ def color_rooms(grid: NavGrid, level_number: int) -> NDArray[np.uint8]:
 
 
 def find_neighbours(part_of_cell: NDArray[Any], max_gap: int) -> set[tuple[int, int]]:
-    """Find the pairs of parts of a plan that are close to each other along a row or a column.
+    """Find which parts of a plan, such as rooms, are neighbours.
+
+    Two parts are neighbours if they touch in a row or column of cells, or if only a gap of cells of
+    no part, such as a wall, lies between them there.
 
     Args:
         part_of_cell: Number of the part of each cell, from 1; 0 for no part. Shape (height, width),
             integers.
-        max_gap: How many cells of no part, such as a wall's, may be between two neighbours.
+        max_gap: Largest width of a gap between neighbours [cells].
 
     Returns:
         Pairs of part numbers, the smaller number first.

@@ -181,10 +181,10 @@ def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
 def with_door_names(
     user_data: UserData, doors: Sequence[Door], level: int, num_levels: int
 ) -> UserData:
-    """Return the user data of a level in which each cell names its doors.
+    """Copy the user data of a level, with the names of doors for the doors' current states.
 
-    A cell lists as ``doors`` those that block it when closed or in their current state. It lists
-    those that block it in their current state as ``objects``, too.
+    ``doors`` of a cell's entry gets the ids of the doors that block the cell, either when closed or
+    in their current state. ``objects`` gets those that block it in their current state.
 
     Args:
         user_data: The user data, which may still list doors for their former states.
@@ -255,7 +255,7 @@ def _with_door_ids(entry: Json, door_ids: set[str], blocking_ids: set[str]) -> J
 
 
 class DoorLine(NamedTuple):
-    """The line of a door's closed leaf on a level."""
+    """A door on a level as a line from jamb to jamb, along its closed leaf."""
 
     id: str  #: Id of the door.
     state: str  #: ``closed``, ``open``, ``removed``; else ``modelled``.

@@ -459,9 +459,9 @@ class SceneGrid2D(GridBase):
     def floor_height(self) -> NDArray[np.float32]:
         """The floor's Y [file units], shape (height, width), float32, NaN for no floor.
 
-        Without ``floorHeight`` in the file, free cells have the level's ground as their floor. With
-        ``useCellFloorHeight: false``, free cells and cells with a stored floor have it. Read-only
-        unless it is the attribute itself.
+        Without ``floorHeight`` in the file, free cells have the level's ground as their floor. If
+        the file says ``useCellFloorHeight: false``, the ground is the floor of free cells and of
+        cells with a number in ``floorHeight``. Read-only unless it is the attribute itself.
         """
         stored_floor = self.attributes.get("floorHeight")
         if stored_floor is None or not self.uses_cell_floors:
@@ -508,9 +508,9 @@ class SceneGrid2D(GridBase):
     def solid(self) -> NDArray[np.uint8]:
         """1 where a geom overlaps the cell's square or there is no floor; (height, width), uint8.
 
-        A bake stores this layer if the agent's disc, around the cell's centre, reaches beyond the
-        square; otherwise it equals `occupancy`. Inflation for other agents starts from it.
-        Read-only unless it is the attribute itself.
+        `inflate` starts from this layer. `occupancy` is also 1 where a geom overlaps only the disc
+        of the bake's agent round the cell's centre. If that disc fits into a cell, both are equal,
+        and the file has no layer ``solid``. Read-only unless it is the attribute itself.
         """
         stored_layer = self.attributes.get("solid")
         if stored_layer is None or not self.navbake:  # other programs may use the name for anything

@@ -210,7 +210,7 @@ class GridMethods:
     # ---------------------------------------------------------------- grids made of the grid
 
     def with_doors(self, states: Mapping[str, str] | str) -> Self:
-        """Return the grid with doors in other states; it equals a bake with the doors in these.
+        """Return the grid with doors in other states, as a bake with these states would make it.
 
         Args:
             states: ``modelled``, ``open``, ``closed`` or ``removed``: one state for all doors; or
@@ -264,11 +264,11 @@ class GridMethods:
 
         In mode ``exact``, a cell stays free if the open disc of `radius` around its centre overlaps
         no occupied cell's square, and no floor that is more than a step higher or lower. In mode
-        ``minos``, the weights are those of the original client's ``refine``, cell for cell.
+        ``minos``, the weights are those that MINOS's client computes (``refine``), cell for cell.
 
         A blocked cell stays blocked, unless only the disc of the baked radius blocked it (see
-        `SceneGrid2D.solid`); ``minos`` also frees cells at radius 0 with a clearance. Occupancy
-        stays as it was baked. The metadata list each inflation under ``inflation``.
+        `SceneGrid2D.solid`). With radius 0 and a clearance, ``minos`` frees other blocked cells,
+        too. Occupancy stays as it was baked. The metadata list each inflation under ``inflation``.
 
         Args:
             radius: Radius of the agent [m], 0 to 10,000.
@@ -277,10 +277,10 @@ class GridMethods:
                 fallen to 1.
             mode: ``exact`` or ``minos``.
             costs: The least weight of a cell within the clearance. ``step``: 10. ``nav2``: the cost
-                of nav2's inflation layer, ``floor(252 exp(-scaling (d - radius)))``, where d is the
-                distance from the centre of the nearest cell that a geom meets or that has no
-                floor. A hole in the level where another level's floor goes on at the same height
-                is none, as at the top of a stair; what is occupied there counts.
+                of nav2's inflation layer, ``floor(252 exp(-scaling (d - radius)))``. There, d is
+                the distance to the centre of the nearest cell that a geom overlaps or that has no
+                floor. At the top of a stair, another level's floor goes on at the same height:
+                d then counts that level's occupied cells, not the hole in this level.
             scaling: nav2's ``cost_scaling_factor`` [1/m], > 0; for costs ``nav2``.
             ledges: In mode ``exact``: ``avoid`` keeps the disc off floors that are more than a step
                 lower, ``ignore`` lets it overhang them.
@@ -572,10 +572,11 @@ class GridMethods:
                 nav2's ``inflation_radius`` [m]; not in mode ``trinary``. The radius in the formula
                 is `radius`, or the grid's if that is None.
             scaling: nav2's ``cost_scaling_factor`` [1/m], with `inflation`; None for 10.
-            stairs: ``occupied``, or ``free`` to leave floors free that only steps lead to from the
-                level's commonest ground, as a map has no heights; None means ``occupied``.
-            agent: The agent whose barred areas are occupied: its name in the grid, or the agent
-                itself. None closes those that bar all agents.
+            stairs: A map has no heights, so a robot would plan up a stair. ``occupied`` closes
+                stairs, and floors that a wheeled robot reaches only over stairs. ``free`` leaves
+                them free. None means ``occupied``.
+            agent: The agent that the map is for, by its name in the grid or as an `Agent`: areas
+                that bar it are occupied. None for areas that bar all agents.
 
         Returns:
             The paths of the written files.
@@ -621,10 +622,11 @@ class GridMethods:
             path: Name of the image, which ends in ``.png``; maps of several levels have numbers.
             level: Write the map of this level only, 0 is the lowest.
             radius: Inflate the grid for a robot of this radius first [m]; see `inflate`.
-            stairs: ``occupied``, or ``free`` to leave floors free that only steps lead to from the
-                level's commonest ground, as a map has no heights; None means ``occupied``.
-            agent: The agent whose barred areas are occupied: its name in the grid, or the agent
-                itself. None closes those that bar all agents.
+            stairs: A map has no heights, so a robot would plan up a stair. ``occupied`` closes
+                stairs, and floors that a wheeled robot reaches only over stairs. ``free`` leaves
+                them free. None means ``occupied``.
+            agent: The agent that the map is for, by its name in the grid or as an `Agent`: areas
+                that bar it are occupied. None for areas that bar all agents.
 
         Returns:
             The paths of the written files.
@@ -701,10 +703,10 @@ class GridMethods:
         """Make a mesh of the free cells, for Recast, Blender, Unity and others.
 
         The mesh covers each free cell once, and nothing else. A rectangle of cells of one room
-        becomes one quad if its floor is a plane within the tolerance. A quad is level, or sloped
-        where at least three cells in a line rise evenly, up to the grid's ``maxSlope`` (45 degrees
-        if the file states none). So stairs become level treads, and ramps become slopes. Stairs
-        whose treads are all one cell deep become a slope, too.
+        becomes one quad if its floor is a plane within the tolerance. A quad is horizontal, or
+        sloped where at least three cells in a line rise evenly, up to the grid's ``maxSlope`` (45
+        degrees if the file states none). So stairs become horizontal treads, and ramps become
+        slopes. Stairs whose treads are all one cell deep become a slope, too.
 
         There are no risers. Where two quads meet, their heights differ by the step between the
         floors of the cells, plus at most the rise of each quad over half a cell. A free cell

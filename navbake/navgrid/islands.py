@@ -87,10 +87,11 @@ def label_islands(
 ) -> Int32:
     """Number the connected parts of free cells by the rule of `find_islands`.
 
-    A run is a row of connected cells side by side. Each run points at the lowest run known to be
-    connected with it, at first itself. Alternately, the ends of all pairs of connected runs are
-    hooked, the higher to the lower, and all pointers are followed to their ends, until all pairs
-    have equal ends (Shiloach and Vishkin, 1982).
+    The algorithm is that of Shiloach and Vishkin (1982). A run is a row of connected cells side by
+    side. Each run has a pointer to a connected run of a lower number, at first to itself. Two steps
+    alternate until all runs of a part point to the same one: for each pair of connected runs, the
+    higher of the two runs that they point to gets a pointer to the lower one; then all pointers are
+    followed to their ends.
 
     Args:
         first_cells: First flat id of each level, then the number of all cells, shape (levels + 1,).
@@ -180,8 +181,9 @@ def _join_linked(island_of_run: Int, linked_islands: Int) -> Int:
 def islands_of(grid: GridBase) -> list[Int32]:
     """Return the islands stored in the file, or else the cached result of `find_islands`.
 
-    A stored layer ``island`` is used only if navbake wrote the file (in files of other programs it
-    may mean anything), no obstacle blocks a cell, and it tells all islands apart.
+    A stored layer ``island`` is used under three conditions: navbake wrote the file (in files of
+    other programs the layer may mean anything), no added obstacle blocks a cell, and the grid has
+    no more islands than the layer's uint16 can number.
 
     Returns:
         For each level, the number of each cell's island, shape (height, width), int32. The arrays
@@ -218,12 +220,13 @@ def measure_clearance(level: SceneGrid2D, cells: CellRange | None = None) -> NDA
     """Measure the distance from each free cell to the nearest cell that is not free [m].
 
     The distance is measured between centres, and half a cell is subtracted. Cells outside the grid
-    are not free. Cells that only the disc of the baked radius blocks count as free: see
-    `SceneGrid2D.free_for_point`.
+    are not free. Cells that only the disc of the baked radius blocks count as free (see
+    `SceneGrid2D.free_for_point`), but their own clearance is 0.
 
     Args:
         level: The level.
-        cells: Measure these cells only, as if there were no cells around them; None for all.
+        cells: Measure in this range of cells only, and ignore blocked cells beyond it; None for all
+            cells.
 
     Returns:
         The clearance [m], of the shape of the level or of `cells`, float32; 0 in cells that are
@@ -248,17 +251,17 @@ def measure_clearance(level: SceneGrid2D, cells: CellRange | None = None) -> NDA
 
 
 def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
-    """Group steps into stairs.
+    """Group the steps between levels into stairs.
 
-    Steps are in one group if they join the same two levels, and their cells on the first of these
-    levels touch, also at corners.
+    Steps belong to one stair if they join the same two levels, and their cells on the first of
+    these levels touch, also at corners.
 
     Args:
         grid: The grid.
         steps: Some rows of its `step_array`, shape (n, 4).
 
     Yields:
-        For each group its rows of `steps`, shape (k, 4); sorted by the two levels.
+        The rows of `steps` of each stair, shape (k, 4). Stairs are sorted by the levels they join.
     """
     from scipy import ndimage  # scipy loads slowly
 

@@ -54,9 +54,9 @@ def num_cells(extent: float, cell_size: float, rounding: float = 0.0) -> int:
     Args:
         extent: Length to cover [m].
         cell_size: Edge of a cell [m], > 0.
-        rounding: By how much the extent may be too large because of rounding [m]. An excess over a
-            whole number of cells adds no cell if it is smaller than `rounding` plus 1e-6 of a
-            cell.
+        rounding: By how much the extent may be too large because of rounding [m]. If the extent is
+            longer than a whole number of cells by less than `rounding` plus 1e-6 of a cell, no cell
+            is added for the rest.
     """
     return max(1, math.ceil((extent - rounding) / cell_size - CELL_SLACK))
 
@@ -163,14 +163,14 @@ class Lattice(NamedTuple):
         return (rows >= 0) & (cols >= 0) & (rows < self.height) & (cols < self.width)
 
     def window(self, bounds: Float, margin: float = 0.0) -> tuple[slice, slice] | None:
-        """Return the rows and columns that a box covers, and one more row or column on each side.
+        """Find the window of cells that a box covers, with one more row and column on each side.
 
         Args:
             bounds: Lower and upper corner of the box, shape (2, 2) or (2, 3), world frame [m].
             margin: Length by which the box is enlarged on each side [m].
 
         Returns:
-            The range of rows and the range of columns; None if no cell of the lattice is in them.
+            The rows and the columns, cut to the lattice; None if the window misses the lattice.
         """
         x_low, y_low = bounds[0, :2] - margin
         x_high, y_high = bounds[1, :2] + margin

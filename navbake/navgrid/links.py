@@ -93,7 +93,9 @@ def parse_agents(entries: JsonValue) -> dict[str, Agent]:
 
 @dataclass(frozen=True)
 class Area:
-    """An area of the grid. In the layer ``area``, its cells have its place in the table, from 1.
+    """An area of the grid, where cells cost more, speed is limited, or agents may not enter.
+
+    The layer ``area`` holds the number of each cell's area: 1 for the first of `grid.areas`.
 
     Attributes:
         name: Its name, unique in the grid.
@@ -167,10 +169,10 @@ def _make_duplicate_error(name: str, place: str) -> FormatError:
 
 @dataclass(frozen=True)
 class Step:
-    """A step between two cells that can't be derived from the heights of the cells' floors.
+    """A step between two cells that the grid lists, as the floors' heights don't tell it.
 
-    It can be taken in both directions. It joins two levels, or two neighbouring cells of a ramp
-    that rises by more than a step over a cell.
+    It joins cells of two levels, or two neighbouring cells of a steep ramp, whose floors differ by
+    more than the agent's highest step. It can be taken in both directions.
 
     Attributes:
         level: Level of the first cell.
@@ -359,7 +361,8 @@ def parse_steps(entries: JsonValue, cell_counts: Sequence[int]) -> Int:
     """Check and convert the steps of ``metadata.navbake.links``.
 
     Args:
-        entries: The table: a list of entries, a flat list of integers, or None.
+        entries: The table: a list with four integers for each step and an object for each named
+            link; or, without named links, one list of all steps' integers; or None for no table.
         cell_counts: Number of cells of each level.
 
     Returns:
@@ -385,7 +388,7 @@ def parse_links(entries: JsonValue, cell_counts: Sequence[int]) -> tuple[Link, .
     """Check and convert the named links of ``metadata.navbake.links``.
 
     Args:
-        entries: The table: a list of entries, a flat list of integers, or None.
+        entries: The table, as `parse_steps` takes it. Its steps are left out.
         cell_counts: Number of cells of each level.
 
     Raises:

@@ -21,21 +21,21 @@ NonNegative = Annotated[float, msgspec.Meta(ge=0, le=1e10)]
 Table = TypeVar("Table")
 Arrays = Mapping[str, NDArray[Any]]
 
-# Other names that the original client has for datatypes; source: sstk's `TypeUtils.js`
+# Other names that MINOS's client has for datatypes; source: sstk's `TypeUtils.js`
 DATATYPE_ALIASES = {"uint8clamped": "uint8", "uchar": "uint8"}
 
 
 def datatype_name(array_type: str) -> str:
-    """Return the datatype of an array type: "uint8" for "Uint8Array" or "uchar"."""
+    """Return numpy's name of a file's array type: "uint8" for "Uint8Array" and for "uchar"."""
     name = array_type.lower().removesuffix("array")
     return DATATYPE_ALIASES.get(name, name)
 
 
 def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
-    """Make the entries ``cellAttributes`` for the attributes of a grid, in their order.
+    """Make the list ``cellAttributes`` of a file's metadata: an entry for each attribute.
 
-    An entry of the metadata is kept, but its ``type`` is replaced if the array has another one. If
-    levels differ in the dtype of an attribute, the dtype on the first level counts.
+    Entries that the metadata already have are kept, but ``type`` is corrected if it isn't the type
+    of the array. If levels differ in the dtype of an attribute, the first level's dtype counts.
 
     Args:
         metadata: The metadata of the grid.
@@ -129,7 +129,10 @@ def cut_metadata(metadata: Json, level: int) -> Json:
 
 
 def unflatten(links: JsonValue) -> JsonValue:
-    """Return the entries of a table of links; a flat list of integers becomes rows of four."""
+    """Split a flat list of steps' integers into one list of four for each step.
+
+    Any other table of links is returned unchanged, see `navbake.navgrid.links.parse_steps`.
+    """
     if isinstance(links, list) and links and not isinstance(links[0], list | tuple | dict):
         return [links[i : i + 4] for i in range(0, len(links), 4)]
     return links

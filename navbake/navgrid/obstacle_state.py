@@ -36,10 +36,11 @@ class ObstacleState:
     """The added obstacles of one level.
 
     Attributes:
-        count: For each of the four layers, how many obstacles have each cell in it, shape
-            (4, height, width), uint16.
-        weights: Weights of the level without obstacles, shape (height, width).
-        occupied: Name -> attribute of the level without obstacles, for `OCCUPIED_ATTRIBUTES`.
+        count: How many obstacles affect each cell in each of four ways, shape (4, height, width),
+            uint16. The ways, the first index, are `OCCUPIED`, `BLOCKED`, `NO_DIAGONAL` and
+            `NO_OFF_CENTER`.
+        weights: Weights of the level as they are without obstacles, shape (height, width).
+        occupied: The attributes of `OCCUPIED_ATTRIBUTES` by name, as they are without obstacles.
         max_clearance: Largest clearance without obstacles [cells]; None if the level has no layer
             ``clearance``, or one that means something else.
         revision: Number of changes so far.
@@ -64,7 +65,14 @@ class ObstacleState:
         return bool(self.count.any())
 
     def mask_of(self, layer: int) -> Bool:
-        """Mark the cells that any obstacle has in a layer, such as `BLOCKED`; (height, width)."""
+        """Mark the cells that any obstacle affects in one way.
+
+        Args:
+            layer: `OCCUPIED`, `BLOCKED`, `NO_DIAGONAL` or `NO_OFF_CENTER`.
+
+        Returns:
+            bool, shape (height, width).
+        """
         return np.asarray(self.count[layer] > 0)
 
     def log_change(self, cells: CellRange) -> None:
@@ -74,7 +82,10 @@ class ObstacleState:
         del self._log[:-MAX_LOG]
 
     def changes_since(self, revision: int) -> list[CellRange] | None:
-        """Return the cells that changed after a revision; None if the log has lost some."""
+        """Return the ranges of cells that changed after a revision, in order.
+
+        None if the log no longer has all of them: then any cell may have changed.
+        """
         num_missed = self.revision - revision
         if num_missed > len(self._log):
             return None

@@ -83,9 +83,9 @@ class Room:
 
 
 def has_building(rooms: Sequence[Room]) -> bool:
-    """Return whether a building stands in the open: rooms with outdoors round them.
+    """Return whether the rooms are a building with an area outdoors round it.
 
-    That is so if, on a level with a room that is outdoors, the other rooms have at least
+    They are if some level has a room that is outdoors, and other rooms of at least
     `MIN_BUILDING_AREA` together.
     """
     yard_levels = {room.level for room in rooms if room.outdoors}
@@ -170,7 +170,7 @@ Runs = list[int]
 
 
 def to_runs(cells: Int) -> Runs:
-    """Pack ascending cell ids, shape (n,), into runs."""
+    """Pack ascending cell ids, shape (n,), into runs: first id, number of ids, and so on."""
     starts = np.flatnonzero(np.diff(cells, prepend=-2) != 1)
     counts = np.diff(starts, append=len(cells))
     runs: Runs = np.stack([cells[starts], counts], axis=1).ravel().tolist()
@@ -178,7 +178,7 @@ def to_runs(cells: Int) -> Runs:
 
 
 def from_runs(runs: Sequence[int]) -> Int:
-    """Unpack runs into ascending cell ids, shape (n,), int64."""
+    """Unpack the runs that `to_runs` made into ascending cell ids, shape (n,), int64."""
     pairs = np.array(runs, dtype=np.int64).reshape(-1, 2)
     if not len(pairs):
         return np.empty(0, dtype=np.int64)
@@ -218,10 +218,10 @@ class Door:
 
     @property
     def like(self) -> str | None:
-        """For a door whose state is ``modelled``: whether that is like ``closed`` or like ``open``.
+        """The state that the modelled state equals: ``closed`` or ``open``, by the blocked cells.
 
-        The door blocks the same cells in both states. None if the door has another state, or blocks
-        other cells than when it is closed or open.
+        None if the door's current state isn't ``modelled``, or if it now blocks other cells than
+        when it is closed or open.
         """
         modelled_cells = self.cells.get("modelled")
         if self.state != "modelled" or modelled_cells is None:

@@ -188,7 +188,7 @@ def _add_inflation_entry(metadata: Json, entry: Json) -> Json:
 
 
 def _refine_weights(level: SceneGrid2D, radius: float, outer_radius: float) -> Float:
-    """Compute the weights of the original client's ``refine``.
+    """Compute the weights that MINOS's client computes (``refine`` of its ``NavScene.js``).
 
     Args:
         level: a grid of one level.
@@ -338,7 +338,7 @@ def ledges_setting(grid: NavGrid) -> str:
 
 
 def compute_margins(grid: NavGrid, radius: float | None = None) -> Margins:
-    """Compute how far from a cell's centre an added obstacle leaves the cell usable.
+    """Compute how far an added obstacle must be from a cell's centre so that the cell stays usable.
 
     Args:
         grid: the grid. If it isn't inflated, all three distances are the radius.

@@ -116,10 +116,10 @@ def make_tensors(
 def with_goals(
     tensors: GridTensors, goals: Sequence[Goal] | Sequence[Sequence[Goal]]
 ) -> GridTensors:
-    """Return tensors with other goals; all other arrays are shared with the new ones.
+    """Return tensors with other goals, faster than by making new tensors.
 
-    It takes a search for each goal, where new tensors would take all layers, too. Obstacles count
-    as they were when the tensors were made.
+    Only the paths to the goals are computed anew; all other arrays are shared with the given
+    tensors. Obstacles count as they were when these were made.
 
     Args:
         tensors: the tensors.
@@ -408,7 +408,7 @@ def _sort_free_cells(
 def find_smallest_true(
     condition: Callable[[Float], Bool], low: Float, high: Float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """Find, by bisection, the smallest number of a dtype for which each of n conditions is true.
+    """For each of n conditions, find the smallest number of a dtype that meets it, by bisection.
 
     Args:
         condition: takes n numbers, and returns whether each condition holds at its number, shape
@@ -435,7 +435,9 @@ def find_smallest_true(
 def find_first_in_cells(
     x_min: float, col_width: float, num_cols: int, dtype: Floating
 ) -> NDArray[np.floating]:
-    """Find the smallest x that a dtype can hold in each column, and beyond the last column.
+    """Find where columns begin: the smallest number of a dtype that lies in each column.
+
+    With these numbers, one comparison tells exactly in which column an x of the dtype lies.
 
     Args:
         x_min: the first column's edge [m].
@@ -444,7 +446,8 @@ def find_first_in_cells(
         dtype: the dtype of the numbers.
 
     Returns:
-        x, shape (num_cols + 1,) [m].
+        The smallest x in each column, then the smallest x beyond the last one, shape
+        (num_cols + 1,) [m].
     """
     col_numbers = np.arange(num_cols + 1, dtype=np.float64)
     edges = x_min + col_numbers * col_width
@@ -458,7 +461,7 @@ def find_first_in_cells(
 def find_lowest_within_step(
     floors: Float, max_step: float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """Find, for each floor, the lowest z that a dtype can hold at most a step below the floor.
+    """For each floor, find the lowest z that still is on it: at most a step below the floor.
 
     Args:
         floors: z of floors, shape (n,) [m].
@@ -466,7 +469,7 @@ def find_lowest_within_step(
         dtype: the dtype of the numbers.
 
     Returns:
-        z, shape (n,) [m].
+        The lowest z of the dtype for each floor, shape (n,) [m].
     """
     heights, height_of_floor = np.unique(floors, return_inverse=True)
     # bounds beyond the rounding of the exact thresholds

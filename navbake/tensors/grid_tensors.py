@@ -44,10 +44,10 @@ class PaddedShape(NamedTuple):
 
 
 class SceneSearches(tuple["Search", ...]):
-    """The search on each scene's grid.
+    """The search on each scene's grid, as a tuple that JAX takes for a constant.
 
-    Any two are equal: no compiled function reads them, so JAX does not compile a function anew for
-    tensors that differ in them alone.
+    Two such tuples always compare as equal. So JAX doesn't compile a function again for tensors
+    that differ only in their searches, which no compiled function reads.
     """
 
     __slots__ = ()
@@ -107,7 +107,9 @@ class GridTensors:
     room: Array  # by cell, int32, 0 for no room
     area: Array  # by cell, int32, 0 for no area
     island: Array  # by cell, int32, numbered from 1 through all scenes; 0 where it isn't free
-    clearance: Array  # by cell [m], see `navbake.navgrid.islands.clearance`; 0 where it isn't free
+    clearance: (
+        Array  # by cell [m], see `navbake.navgrid.islands.measure_clearance`; 0 where it isn't free
+    )
     cost: Array  # at ``goal * n + cell``, the cost of the cheapest path to the goal
     # at ``goal * n + cell``, int32, the id of the next cell on that path; at the goal it is the
     # cell's own id, without a path -1
@@ -191,9 +193,10 @@ def locate_in_scenes(
 def clamp_to_level(
     tensors: GridTensors, x: Array, y: Array, level: Array | int
 ) -> tuple[Array, Array]:
-    """Find the cells of positions x, y on one level, and whether the positions are on the level.
+    """Find the cell of each position x, y on a level; positions outside get a cell at its edge.
 
-    Rounding finds the nearest edge; an exact comparison tells on which side of it the position is.
+    Rounding finds the nearest edge between cells. Then an exact comparison tells on which side of
+    the edge the position is.
 
     Args:
         tensors: the tensors.
@@ -202,8 +205,8 @@ def clamp_to_level(
         level: the level's index among the levels of all scenes, or an index for each position.
 
     Returns:
-        Ids of cells, valid ones also for positions outside the level; and whether the positions are
-        in them; both of shape (...).
+        Ids of cells; and whether each position is on the level, and so in this cell; both of shape
+        (...).
     """
     xp = tensors.xp
     shape = tensors.shape
@@ -280,7 +283,16 @@ def as_array(tensors: GridTensors, values: Array) -> Array:
 
 
 def check_scenes(tensors: GridTensors, scene_id: Ids, shape: tuple[int, ...]) -> Array:
-    """Broadcast scene numbers to a shape, -1 for unknown ones; None for tensors of one scene.
+    """Check the scene of each position, and broadcast scene numbers to a shape.
+
+    Args:
+        tensors: the tensors.
+        scene_id: an integer or integers; None only for tensors of one scene.
+        shape: the shape of the positions, without the last axis.
+
+    Returns:
+        Integers of this shape, -1 for unknown scenes; None for tensors of one scene, unless
+        `scene_id` is an array.
 
     Raises:
         QueryError: there are several scenes and none is given, or they don't fit the shape.
@@ -299,7 +311,12 @@ def check_scenes(tensors: GridTensors, scene_id: Ids, shape: tuple[int, ...]) ->
 
 
 def check_number(number: int | np.integer, label: str, count: int) -> int:
-    """Check the number of one scene or goal, and return it; `label` names it in errors.
+    """Check the number of one scene or goal, and return it.
+
+    Args:
+        number: the number.
+        label: what it numbers, such as ``goal``, for errors.
+        count: how many there are.
 
     Raises:
         QueryError: it is not from 0 to count - 1.

@@ -114,7 +114,10 @@ def island(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
 
 
 def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """Return whether an agent can stand at each position, by the `max_drop` of `make_tensors`.
+    """Return whether an agent can stand at each position.
+
+    It can if the position's cell is free, and its floor at most `max_drop` below the position, see
+    `make_tensors`.
 
     Args:
         t: the tensors.
@@ -137,9 +140,10 @@ def clearance(
 ) -> Array:
     """Return the distance from each position to the nearest cell that isn't free.
 
-    `PathFinder.clearance` measures from the position to obstacles. This function looks up a layer,
-    `navbake.navgrid.islands.clearance`, instead: the distance from a free cell's centre to the
-    nearest centre of a cell that isn't free, minus half a cell; 0 in cells that aren't free.
+    `PathFinder.clearance` measures from the position to obstacles. This function looks up the
+    distance of the position's cell instead, see `navbake.navgrid.islands.measure_clearance`: from
+    the cell's centre to the nearest centre of a cell that isn't free, minus half a cell. It is 0 in
+    cells that aren't free.
 
     Args:
         t: the tensors.
