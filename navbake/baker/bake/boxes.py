@@ -1,12 +1,13 @@
-"""Finds the box of each level (`bbox`), from which the original client finds a position's level.
+"""Finds the box of each level (`bbox`), by which the original client finds a position's level.
 
-The client takes the first level whose box contains a position, edges included; if no box does, it
-fails. So a box begins below the lowest floor of its level, and ends below the next box above its
-cells. If levels interleave (a stair of one level rises past the lowest tread of the next), a box
-ends where the client finds the wrong level for the fewest free cells.
+The original client is the program that the grid's JSON format was made for: `NavScene.js` of sstk.
+It takes the first level whose box contains a position, edges included; if no box does, it fails. So
+a box begins below the lowest floor of its level, and ends below the next box above its cells. If
+levels interleave (a stair of one level rises past the lowest tread of the next), a box ends where
+the client finds the wrong level for the fewest free cells.
 
-Source: sstk's `NavScene.js`, `positionToCell`. The client's grid of a level has
-one more column and one more row, after the last ones.
+Source: sstk's `NavScene.js`, `positionToCell`. The client's grid of a level has one more column and
+one more row, after the last ones.
 """
 
 from __future__ import annotations
@@ -32,13 +33,16 @@ LENGTH_DECIMALS = 9  # decimals of all other lengths: what is smaller is roundin
 
 
 class LevelBoxes(NamedTuple):
-    """The rectangle and the box of each level, lowest level first.
+    """The rectangle of cells and the bounding box of each level, lowest level first.
+
+    The boxes are for the original client, the program that the grid's JSON format was made for
+    (`NavScene.js` of sstk): it finds a position's level by them.
 
     Attributes:
         windows: the rectangle of each level: rows and columns of the lattice.
-        boxes: the box of each level, file frame.
-        num_misplaced: the number of free cells (with all doors open) that the original client puts
-            on a wrong level, or on no level.
+        boxes: the box of each level, in the frame of the grid's file.
+        num_misplaced: the number of free cells for which the original client finds a wrong level,
+            or none, with all doors open. This may happen where levels interleave.
         misplaced_levels: the numbers of the levels that these cells belong to, ascending.
     """
 
@@ -58,11 +62,11 @@ def find_level_boxes(
     """Crop each level to its own rectangle of the lattice, and find its box.
 
     A single level keeps the whole lattice. Its box is the scene's, enlarged where a floor lies
-    outside. Several levels are each cropped to the cells that have a floor. A level's box spans its
-    rectangle; where the scene ends in the outer half of the rectangle's last cells, the box ends
-    there, too. In height, it spans from `BOX_MARGIN` below the level's lowest floor to `BOX_GAP`
-    below the next box above it, or to the scene's top. An agent on the highest floor is inside of
-    the highest level's box. Doors change neither rectangles nor boxes.
+    outside. Several levels are each cropped to the cells that have a floor, and a level's box spans
+    its rectangle. Only where the scene ends in the outer half of the rectangle's last cells, the
+    box ends there, too. In height, it spans from `BOX_MARGIN` below the level's lowest floor to
+    `BOX_GAP` below the next box above it, or to the scene's top. An agent on the highest floor is
+    inside of the highest level's box. Doors change neither rectangles nor boxes.
 
     Args:
         levels: the levels on the whole lattice, lowest first.
@@ -72,8 +76,8 @@ def find_level_boxes(
         agent_height: height of the agent [m].
 
     Returns:
-        The rectangles, the boxes, how many free cells the original client misplaces, and on which
-        levels.
+        The rectangles, the boxes, and the free cells for which the original client finds a wrong
+        level by these boxes.
     """
     floors = [level.floor.astype(np.float32) for level in levels]  # as written to a file
     lowest_floors = [float(np.fmin.reduce(floor, axis=None)) for floor in floors]

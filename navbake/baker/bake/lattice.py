@@ -81,7 +81,7 @@ def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
 
 
 def box_rounding(scene: Scene, bounds: Float, cell_size: float) -> float:
-    """Return by how much the extents of a scene's box may be too large because of rounding [m].
+    """Return by how much rounding may have enlarged the extents of a scene's box [m].
 
     Args:
         scene: the posed scene.
@@ -146,15 +146,15 @@ def extend_lattice(
     """Extend a lattice to the whole scene, or far around it, by whole cells.
 
     On each side it is extended by at most MAX_EXTENSION, or by the lattice's own longer side if
-    that is more: farther away, nothing decides what is a floor. Where that would be too many cells,
-    it is extended equally to all sides, as far as `max_cells` allow.
+    that is more. What is farther away has no influence on the floors. If that would be too many
+    cells, it is extended equally to all sides, as far as `max_cells` allows.
 
     Args:
         lattice: the lattice to extend.
         bounds: the scene's box, shape (2, 3) [m]; None for an endless scene, for which the lattice
             stays as it is.
         max_cells: the most cells that the extended lattice may have.
-        rounding: by how much the box's extents may be too large because of rounding [m].
+        rounding: by how much rounding may have enlarged the box's extents, see `box_rounding` [m].
 
     Returns:
         The extended lattice, and the window of it that is `lattice`.

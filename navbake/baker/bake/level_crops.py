@@ -55,7 +55,7 @@ def crop_steps(steps: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
         width: the number of columns of the whole lattice.
 
     Returns:
-        The rows of `steps`, with each cell's id replaced by its id on its level's own rectangle.
+        The same rows as `steps`; each cell's id is that on its level's own rectangle.
     """
     cropped_steps = steps.copy()
     for level_number, window in enumerate(boxes.windows):

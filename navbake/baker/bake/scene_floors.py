@@ -117,10 +117,10 @@ def measure_holes(
 ) -> Float:
     """Measure the holes in a level's floor that `floors.fill` closes, or would close.
 
-    These are the holes that floor surrounds, up to the size of the holes that scanning leaves.
+    Such a hole is surrounded by floor, and no larger than the holes that a scan usually has.
 
     Args:
-        level: the level; its holes may be closed already.
+        level: the level; its holes may have been closed already, they are measured nevertheless.
         columns: the vertical columns of the structure.
         tile_index: the structure's geometry, by tiles of the same lattice.
         config: all settings.

@@ -213,7 +213,8 @@ class Stages:
     def column_blocks(self) -> ColumnSource:
         """The hits of `columns`, in chunks of rows, so that they need not all be in memory.
 
-        All stages after the floors read these, from `floor_columns`.
+        All stages after the floors read these. They come from `floor_columns`, cropped to the
+        lattice.
         """
         columns = self.floor_columns
         if columns.lattice == self.lattice:
@@ -318,7 +319,10 @@ class Stages:
 
     @cached_property
     def room_flags(self) -> RoomFlags:
-        """The facts about cells from which rooms are found, together with settings and leaves."""
+        """What is true of each cell: whether it is open, a hole, under the sky, and so on.
+
+        Rooms are found from this, from settings, and from closed leaves.
+        """
         cells = self.standing_cells
         standing_occupants = self.standing_occupants
         with self.clock.stage("rooms"):
@@ -399,7 +403,7 @@ class Stages:
 
     @property
     def movable_inputs(self) -> MovableSearchInputs:
-        """The floors and the occupancy of structure, over which movables are searched for."""
+        """What the search for movables reads: the floors, and the cells that structure occupies."""
         return MovableSearchInputs(
             lattice=self.lattice,
             floors=self.floors,

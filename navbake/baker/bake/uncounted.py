@@ -42,9 +42,10 @@ def warn_uncounted(
     footprint: Footprint,
     agent: AgentSettings,
 ) -> list[str]:
-    """Warn of drawn geoms that don't count, and would block floor that is free without them.
+    """Warn of drawn geoms that stand on free floor, but don't block it, because they can't collide.
 
-    Their contype and conaffinity are 0: they can't collide, or in a ``<contact><pair>`` alone.
+    Such geoms don't count in the bake: their contype and conaffinity are 0. If they collide at all,
+    it is with the geoms of a ``<contact><pair>``.
 
     Args:
         scene: the posed scene.

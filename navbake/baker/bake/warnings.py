@@ -137,9 +137,11 @@ def warn_of_structure(
         occupancy: the cells of each level that structure occupies.
         standing_occupants: the structure in each cell; None where it was not needed.
         rooms: the rooms, with their warnings.
-        boxes: the levels' boxes, and how many cells the original client misplaces.
+        boxes: the levels' boxes, and for how many cells the original client finds a wrong level by
+            them.
         hole_areas: the area of each hole in the floor of a mesh [m²], shape (n,).
-        uncounted_warnings: the warnings of things on the floor that don't count.
+        uncounted_warnings: the warnings of `warn_uncounted`: drawn geoms on the floor that don't
+            count.
 
     Returns:
         The warnings, one printable line each.

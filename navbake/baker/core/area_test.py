@@ -19,8 +19,8 @@ class AreaTest(NamedTuple):
 
     Attributes:
         min_cells: how many cells have to remain.
-        radius: radius of the disc [cells]. Of some marked cells, a cell remains if all cells of the
-            disc around it are marked.
+        radius: radius of the disc [cells]. A marked cell remains if all cells of the disc around it
+            are marked, too.
         half_widths: for each row of the disc, from ``-radius`` to `radius`, how many cells the row
             has on either side of its middle, (2 radius + 1,) int64; -1 for rows that need no test.
     """
@@ -32,10 +32,11 @@ class AreaTest(NamedTuple):
 
 @lru_cache(maxsize=4)  # several tests of a scene need the same disc, and so do scenes of a batch
 def disc_half_widths(disc_radius: float, shorter_side: int) -> Int:
-    """Compute `AreaTest.half_widths` of the disc of all cells nearer than a radius to its centre.
+    """Compute how wide each row of a disc is: `AreaTest.half_widths`.
 
-    If no cell of the lattice is as far from the outside as the radius, no cell can remain. Testing
-    the disc's first, middle and last row is then enough: one of them is always partly outside.
+    The disc has the cells that are nearer to its centre than the radius. If the lattice is too
+    narrow for the disc, no cell can remain after erosion, as the disc's first, middle or last row
+    is always partly outside. Then only these three rows have a half width, and all others -1.
 
     Args:
         disc_radius: the radius, which need not be a whole number [cells].

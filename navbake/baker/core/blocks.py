@@ -52,10 +52,11 @@ class Blocks:
     def list_rows(
         self, kernel: Callable[..., int], empty_arrays: tuple[NDArray[Any], ...], *args: object
     ) -> tuple[Int, list[NDArray[Any]]]:
-        """List rows of numbers for all blocks, by `list_rows` of this module.
+        """Call a kernel that lists rows of numbers for each block, on all threads.
 
         Args:
-            kernel: lists the rows of some blocks, as the function `list_rows` describes.
+            kernel: lists the rows of some blocks; its arguments are those that the function
+                `list_rows` of this module describes.
             empty_arrays: arrays without entries, which have the dtypes, and the shapes after the
                 first axis, of the arrays that receive the rows.
             args: the kernel's first arguments.
@@ -124,16 +125,16 @@ def list_rows(
     *args: object,
     least: int = 1,
 ) -> tuple[Int, list[NDArray[Any]]]:
-    """List rows of numbers for some blocks or cells, on all threads.
+    """Call a kernel that lists rows of numbers for some blocks or cells, on all threads.
 
     A row of numbers is spread over several arrays: it has an entry in each of them.
 
     Args:
         kernel: ``kernel(*args, blocks, row_counts, row_arrays, begin, end)`` writes the rows of
             ``blocks[begin:end]`` into the arrays `row_arrays`, from their first entry on, and into
-            ``row_counts[begin:end]`` how many rows each block has. It returns `end`, or the
-            index of the first block that had no room. It is then called again from that block on,
-            with arrays that have more room.
+            ``row_counts[begin:end]`` how many rows each block has. It returns `end`, or the index
+            of the first block that had no room. It is then called again from that block on, with
+            arrays that have more room.
         blocks: ids of the blocks or cells, (k,).
         empty_arrays: arrays without entries, which have the dtypes, and the shapes after the first
             axis, of the arrays that receive the rows.

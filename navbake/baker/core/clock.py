@@ -52,7 +52,8 @@ class StageClock:
     def add_to_stage(self, name: str) -> Iterator[None]:
         """Add the time of the code in the ``with`` block to a stage.
 
-        The block may stand before, within or after that of `stage`. Progress is not reported.
+        The block may come before, within or after the ``with`` block of `stage` for the same name.
+        Its begin and end are not reported as progress.
         """
         start_time = time.perf_counter()
         self._nested_seconds.append(0.0)

@@ -20,7 +20,7 @@ def label_components(pairs: Int, num_nodes: int) -> Int32:
         num_nodes: number of nodes; nodes are numbered from 0.
 
     Returns:
-        The component of each node, shape (count,).
+        The component of each node, shape (num_nodes,).
     """
     labels: Int32 = number_components(np.ascontiguousarray(pairs, dtype=np.int64), num_nodes)
     return labels
@@ -88,11 +88,12 @@ def count_cells_by_label(labels: Int32, num_labels: int) -> Int:
     """Count the cells of each label.
 
     Args:
-        labels: the label of each cell, from 0 to ``count - 1``, shape (rows, cols).
+        labels: the label of each cell, from 0 to ``num_labels - 1``, shape (rows, cols).
         num_labels: number of labels, including label 0.
 
     Returns:
-        How many cells each label has, shape (count,); cells with label 0 are not counted.
+        How many cells each label has, shape (num_labels,). Cells with label 0 are not counted, so
+        the first entry is 0.
     """
     _, first_col, end_col, label = find_row_runs(labels)
     return np.bincount(label, end_col - first_col, num_labels).astype(np.int64)

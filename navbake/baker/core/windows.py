@@ -43,12 +43,15 @@ def list_differing_pairs(values: NDArray[Any]) -> Int:
 
 
 def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
-    """Clip boxes in x and y to the lattice and a margin around it; heights are unchanged.
+    """Cut off the parts of boxes that lie farther from the lattice than a margin, in x and y.
 
     Args:
         lattice: the cells.
         boxes: lower corner, upper corner, shape (n, 6) [m].
         margin: how far beyond the lattice boxes may reach [m].
+
+    Returns:
+        The boxes, shape (n, 6) [m]; their heights are unchanged.
     """
     x_min, y_min, x_max, y_max = lattice.bounds
     lower_limits = np.array([x_min - margin, y_min - margin, -np.inf])
@@ -108,8 +111,8 @@ def crop_cells(cells: Int, window: Window, width: int) -> tuple[Int, Bool]:
         width: number of columns of the lattice.
 
     Returns:
-        The ids on the window's lattice of the m cells inside of it, shape (m,); and a mask of these
-        cells, shape (n,).
+        The ids that the m cells inside of the window have on the window's own lattice, shape (m,);
+        and a mask of these cells among `cells`, shape (n,).
     """
     rows, cols = window
     row, col = np.divmod(cells, width)

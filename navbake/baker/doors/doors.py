@@ -44,9 +44,10 @@ STATE_TEXTS = {
 
 @dataclass(frozen=True, eq=False)
 class ClassifiedLeaf:
-    """A door leaf, classified as a door or as an obstacle that stays in its modelled pose.
+    """A body that may be a door (a leaf), classified as a door or as an obstacle.
 
-    It depends on floors and rooms, and not on movables.
+    An obstacle stays in its modelled pose. The classification depends on floors and rooms, and not
+    on movables.
 
     Attributes:
         leaf: the geometry of the leaf in each state.
@@ -76,9 +77,9 @@ class ClassifiedLeaf:
         return self.blocked["closed"]
 
     def state(self, wanted_state: str) -> str:
-        """Return the wanted state if the door has it, else ``modelled``.
+        """Return the wanted state if the door has that state, else ``modelled``.
 
-        All doors have the state ``removed``.
+        All doors have the state ``removed``, in which they block nothing.
         """
         return (
             wanted_state
@@ -89,7 +90,7 @@ class ClassifiedLeaf:
 
 @dataclass(frozen=True)
 class DoorInputs:
-    """The inputs on which it depends whether a leaf is a door.
+    """What decides whether a leaf is a door, apart from the leaf itself.
 
     Attributes:
         columns: hits of structure on the vertical line through each cell's centre.

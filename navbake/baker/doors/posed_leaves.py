@@ -148,7 +148,7 @@ def pose_leaves(
         scene: the scene of the candidates.
         candidates: the door candidates to pose.
         lattice: the whole lattice.
-        reach: how far from the geometry cells are considered [m].
+        reach: cells farther from a leaf than this are left out [m].
 
     Returns:
         A leaf for each candidate, in the same order.

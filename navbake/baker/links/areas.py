@@ -53,7 +53,7 @@ class MarkedArea(NamedTuple):
 
     Attributes:
         masks: for each level, a mask of the area's cells, (height, width), bool.
-        width: the width of the area at its narrowest place [m], NaN if unknown.
+        width: the width of the area where it is narrowest [m], NaN if unknown.
         warnings: warnings about the area, one line each.
     """
 

@@ -48,10 +48,10 @@ Crossings = NDArray[np.void]
 
 
 class Landings(NamedTuple):
-    """Whether each line over a gap ends in the cell that it has reached; arrays of shape (n,).
+    """For lines over a gap that have reached a cell: whether they end there; arrays of shape (n,).
 
     Attributes:
-        level: number of the level whose floor the line may end on, int64.
+        level: number of the level whose floor in that cell the line may end on, int64.
         has_landed: whether the line ends on that floor, bool.
         continues: whether a line that doesn't end here continues to the next cell, bool.
     """
@@ -122,9 +122,9 @@ class CrossingGroup(NamedTuple):
     Attributes:
         crossings: all crossings of the group.
         middle: the crossing in the middle of the group.
-        width: the width of the strip that the agent's disc covers on all crossings of the group
-            [m]: the distance between the outermost crossings, plus the disc's diameter, or plus the
-            edge of a cell if that is longer.
+        width: the width of the strip that an agent covers which moves on any crossing of the group
+            [m]: the distance between the outermost crossings, plus the agent's diameter, or plus
+            the edge of a cell if that is longer.
     """
 
     crossings: Crossings
@@ -220,7 +220,8 @@ class LinkSearch(NamedTuple):
             is_start: mask of the cells that lines start from, shape (height, width), bool.
             directions: indices into `DIRECTIONS`.
             max_gap: the widest gap between the two ends [m].
-            check_landing: the test that decides in which cell a line ends.
+            check_landing: the test that decides in which cell a line ends, and on which level; it
+                returns `Landings`.
 
         Returns:
             The lines that land, an array of `CROSSING`.

@@ -66,11 +66,12 @@ class Baker:
     structure, which does not move, and are kept. See ``docs/live.md``.
 
     A grid is never written to: each update makes a new grid, which shares unchanged arrays with the
-    last one. So any thread may read `grid` while a second thread updates. A `PathFinder` keeps
-    its grid until its method `use` is called with the new grid.
+    last one. So any thread may read `grid` while a second thread updates. A `PathFinder` keeps its
+    grid until its method `use` is called with the new grid.
 
     Args:
-        scene, data, exclude, robot, settings: see `navbake.bake`.
+        scene, data, exclude, robot, settings: the scene, its pose, what is left out, and settings,
+            as for `navbake.bake`.
         threads: number of threads, >= 1; all cores if None.
 
     Raises:

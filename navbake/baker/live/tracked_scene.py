@@ -57,7 +57,7 @@ class PoseArrays(NamedTuple):
 
 
 class PoseSnapshot(NamedTuple):
-    """The values of one pose. They are compared with the values of the next pose to find changes.
+    """The values of one pose, with which those of the next pose are compared to find what changed.
 
     Attributes:
         geom_attributes: the model's arrays that decide which geoms the bake uses, as bytes.
@@ -181,7 +181,7 @@ class TrackedScene:
         bodies: Mapping[str, ArrayLike] | None,
         joints: Mapping[str, float] | None,
     ) -> SceneChange:
-        """Find what the next pose changes. The current scene stays as it is until `commit`.
+        """Find what the next pose changes. The current scene is replaced only by `commit`.
 
         Args:
             data: the data whose joint positions and mocap bodies are the next pose; the current

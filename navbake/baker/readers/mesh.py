@@ -432,10 +432,10 @@ def _to_world(
 
 
 def is_beyond_limit(vertices: Float) -> bool:
-    """Return whether a mesh has finite coordinates, and some of them beyond `MAX_COORDINATE`.
+    """Return whether a mesh lies beyond `MAX_COORDINATE` with at least one of its vertices.
 
     Args:
-        vertices: shape (n, 3) [m].
+        vertices: shape (n, 3) [m]. If a coordinate is not finite, False is returned.
     """
     if not len(vertices):
         return False

@@ -75,8 +75,8 @@ class MarkedRooms(NamedTuple):
         names: the rooms' names, None for a room without a name. Room number k + 1 has ``names[k]``.
         labels: for each level, the number of each cell's room, 0 for none, shape (height, width).
         warnings: warnings for the user, one line each.
-        covered: like `labels`, but cells whose floor is up to a step above the room's own floor (on
-            a podium, for example) also have the room's number. Empty if it equals `labels`.
+        covered: like `labels`, but a room also has the cells over its floor whose own floor is up
+            to a step higher (on a podium, for example). Empty if it equals `labels`.
         outdoors: the numbers of the rooms that are outdoors.
     """
 
@@ -277,7 +277,8 @@ def mark_rooms(
         scene: the scene, whose geoms and sites may mark rooms.
         columns: hits of structure on the vertical line through each cell's centre.
         levels: the floors of all levels.
-        settings: which sources there are, and their patterns and polygons.
+        settings: `rooms`: its `sources` say which of geoms, sites and polygons mark rooms; patterns
+            and polygons say which of them.
         agent: the agent that stands in the volumes of sites.
 
     Returns:
@@ -298,7 +299,8 @@ def find_markers(model: mujoco.MjModel, settings: RoomSettings) -> tuple[list[in
 
     Args:
         model: MuJoCo's model of the scene.
-        settings: which sources there are, and their patterns.
+        settings: `rooms`: its `sources` say whether geoms and sites mark rooms, its patterns say
+            which.
 
     Returns:
         Ids of geoms, and ids of sites, ascending.

@@ -381,13 +381,14 @@ def _find_previous_crossings(crossings: _Crossings, scan: Scan) -> Int:
 class SpaceMerger:
     """Joins the spaces (connected parts of the floor) on both sides of gaps, pair by pair.
 
-    The spaces beside a gap are measured along lines of cells parallel to it. Such a line may end at
-    a third space. After a join, a gap is measured again only if one of its own two spaces was
-    joined to such a third space.
+    Whether two spaces are joined depends on the width of the gap between them, divided by the width
+    of each space. Widths of spaces are measured along lines of cells parallel to the gap. Such a
+    line may end at a third space. If that is later joined to one of the two, the space has become
+    wider, and the gap is measured again.
 
     Attributes:
-        space_of: label -> the space that it belongs to after the joins so far: the least of all
-            labels that belong to that space, int32.
+        space_of: for each label of `SeparatedSpaces.label`, the number of the space that it belongs
+            to after the joins so far, int32. A space's number is the least of its labels.
     """
 
     def __init__(
@@ -451,9 +452,9 @@ class SpaceMerger:
     def join_spaces(self) -> None:
         """Join the spaces on both sides of all gaps that are too wide to separate rooms.
 
-        First come the gaps that are nearly as wide as the wider of their two spaces (and so as
-        both), then those that are nearly as wide as the narrower one, or too wide for a door. This
-        way, a gap across a room next to a doorway is decided before the doorway.
+        A gap is too wide if it is nearly as wide as one of its two spaces, or wider than a door.
+        Gaps that are nearly as wide as both spaces come first. So a gap that spans a whole room is
+        joined before a doorway next to it is decided.
         """
         for compares_with_wider in (True, False):
             queue = list[tuple[tuple[bool, float], int]]()
@@ -522,11 +523,11 @@ class SpaceMerger:
         return share
 
     def list_close_calls(self) -> list[CloseCall]:
-        """List the gaps between large spaces for which joining the spaces was a close decision.
+        """List the gaps for which it was a close decision whether they separate two large spaces.
 
-        At such a gap, the gap's width divided by that of the narrower space beside it is within
-        `CLOSE_SHARE` of the limit `JOIN_SHARE_OF_NARROWER`, from which on the spaces are joined. A
-        warning names these gaps.
+        At such a gap, the gap's width divided by that of the narrower space beside it differs by at
+        most `CLOSE_SHARE` from the limit `JOIN_SHARE_OF_NARROWER`, from which on the spaces are
+        joined. A warning names these gaps.
         """
         is_close = np.abs(self._deciding_share - JOIN_SHARE_OF_NARROWER) <= CLOSE_SHARE
         is_close &= self._width * self._cell_size >= MIN_CLOSE_WIDTH
@@ -563,7 +564,7 @@ class SpaceMerger:
         return bool(self.space_of[label_above] != self.space_of[label_below])
 
     def measure(self, gaps: Int) -> None:
-        """Measure the shares of gaps: a gap's width, divided by that of the space on either side.
+        """Measure the two shares of gaps: a gap's width, divided by that of the space on each side.
 
         Args:
             gaps: the numbers of the gaps to measure, shape (n,).
@@ -600,8 +601,8 @@ class SpaceMerger:
             gap: the gap's number.
 
         Returns:
-            The numbers of the gaps that were measured again. They are beside one of the two spaces,
-            and the lines that measured them had met the other.
+            The numbers of the gaps that were measured again, because one of the two spaces is
+            beside the gap, and a line that measured it had ended at the other.
         """
         space_above, space_below = self.space_of[self._labels[gap]].tolist()
         affected_gaps = self._gaps_beside[space_above] & self._gaps_meeting[space_below]

@@ -61,7 +61,7 @@ class LeafMarks(NamedTuple):
             frames, and of small pockets between leaves, shape (height, width).
         not_separating: a mask of the open cells of all other leaves.
         cells_beyond: ids of cells in the spaces on both sides of separating leaves: the first cell
-            beyond the leaf on each line of sight.
+            beyond the leaf, on each line at a right angle to it.
     """
 
     separating: Bool

@@ -352,8 +352,8 @@ class SpaceContact(NamedTuple):
     """The boundary along which two spaces touch.
 
     Attributes:
-        distance: how far the place on the boundary that is farthest from walls is from them, half
-            of the opening's width [half cells].
+        distance: half of the opening's width: the distance to the nearest wall, from the place on
+            the boundary where that is greatest [half cells].
         length: the number of edges between a cell of one space and a cell of the other.
     """
 
@@ -566,7 +566,8 @@ def assign_covered(room_number: Int32, room_under: Int32, segment: Int32) -> Int
 
     Args:
         room_number: the marked room of each cell, 0 for none, shape (height, width).
-        room_under: the marked room whose floor lies under each cell's floor, 0 for none.
+        room_under: the marked room over whose floor each cell's own floor lies, 0 for none, shape
+            (height, width).
         segment: the part of the floor between gaps that each cell belongs to, 0 for none.
 
     Returns:

@@ -456,7 +456,7 @@ def _refine_angle(position: Float, bin_number: int, bin_width: float, line_width
 
 
 def make_direction(angle: float, shape: tuple[int, ...]) -> WallDirection:
-    """Make a direction from its angle, with all cells marked as near to its walls.
+    """Make a direction of walls from its angle; all cells are marked as near to such walls.
 
     Args:
         angle: the direction, see `WallPoints.angle` [°].
@@ -505,9 +505,9 @@ def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArra
 
 
 class RotatedWalls(NamedTuple):
-    """Walls in a frame in which one direction of walls points up.
+    """Walls in a frame in which one direction of walls is vertical.
 
-    So rays along this direction are cast like the vertical lines through cells.
+    Horizontal rays along this direction can then be cast like the vertical lines through cells.
 
     Attributes:
         axes: the frame's axes x, y and z as rows, in the world frame, shape (3, 3).
@@ -522,7 +522,10 @@ class RotatedWalls(NamedTuple):
 
 
 class WallRays:
-    """Casts horizontal rays from cells to the geometry of walls, at `RAY_HEIGHT` over the floor."""
+    """Measures horizontal distances from cells to walls, at `RAY_HEIGHT` over the cells' floor.
+
+    Rays are cast at the exact geometry of walls. Distances that were measured once are kept.
+    """
 
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
         """Choose and tile the geometry that rays can meet.
@@ -750,7 +753,7 @@ def _choose_triangles(triangles: Facets, heights: Float) -> list[NDArray[Any]]:
 
 
 def find_windows(is_low: Bool, is_wall: Bool, cell_size: float) -> Bool:
-    """Mark the cells of sills and parapets that continue a wall, in the mesh of a whole building.
+    """Mark the cells of a building's mesh where a wall goes on as a sill or a parapet.
 
     Sills and furniture both block cells, but don't reach as high as walls: these are low cells. A
     sill, unlike furniture, leads from one piece of wall to the next along the wall's direction

@@ -35,7 +35,8 @@ class CarFloor(NamedTuple):
 
     Attributes:
         cells: ids of the cells that the floor covers, ascending.
-        outline: ids of the cells that any geometry of the car covers; they may repeat.
+        outline: ids of the cells over which any part of the car lies, seen from above; an id may
+            occur several times.
         height: z of the floor's highest point [m].
         geom: the id of the geom that most of the floor belongs to.
     """
@@ -114,7 +115,7 @@ def find_cars(
     agent: AgentSettings,
     cell_size: float,
 ) -> list[int]:
-    """Find the cars of lifts, if the settings of links have rules for lifts.
+    """Find the bodies that are cars of lifts, if the settings of links have rules for lifts.
 
     Args:
         model: the model.
@@ -125,7 +126,7 @@ def find_cars(
         cell_size: edge of the cells by which floors are measured [m].
 
     Returns:
-        The ids of the bodies, ascending.
+        The ids of the bodies, ascending; none without a rule for lifts.
     """
     subtree_ends = find_subtree_ends(model)
     car_bodies = set[int]()

@@ -64,7 +64,12 @@ class GeomSelection(NamedTuple):
 
 
 class CountDecision(NamedTuple):
-    """Whether a geom counts, and why."""
+    """Whether a geom counts, and why.
+
+    Attributes:
+        counted: whether the geom takes part in the bake.
+        reason: why it does or does not.
+    """
 
     counted: bool
     reason: str
@@ -304,7 +309,7 @@ def _make_single_part(
 
 
 class MeshTriangles:
-    """A cache of the triangles that represent a model's meshes, for each mesh and mode.
+    """A cache of the triangles that represent a model's meshes, by mesh and by mesh mode.
 
     Args:
         model: the model.
@@ -385,7 +390,8 @@ def collect_shapes(
         meshes: a cache of the triangles of the model's meshes; None for a new one.
 
     Returns:
-        The shapes; geom id -> `GeomReport.shape`; and warnings.
+        The shapes; geom id -> how the geom is represented, in the words of `GeomReport.shape`; and
+        warnings.
 
     Raises:
         SceneError: a geom is broken, or its pose or size is not finite.
@@ -496,8 +502,8 @@ def drawn_box_of_planes(
         plane_ids: geom ids of the planes.
 
     Returns:
-        The lowest and the highest corner, shape (2, 3), world frame [m]; None if each of the planes
-        is drawn endless, along at least one side.
+        The lowest and the highest corner, shape (2, 3), world frame [m]; None if all planes are
+        endless along at least one side. Such planes are left out of the box.
     """
     corners = list[Float]()
     for geom in plane_ids:

@@ -52,7 +52,10 @@ ROOM_OVER_FLOOR = 2
 
 @dataclass(eq=False)
 class HullRoomTest:
-    """Tests whether the hull of a mesh hides room for an agent, or ground, in a posed model.
+    """Tests what the convex hull of a mesh would hide: room for an agent, or ground.
+
+    MuJoCo collides a mesh as its hull. The hull of a building fills its rooms, and that of a
+    terrain covers its valleys.
 
     Attributes:
         model: the model.

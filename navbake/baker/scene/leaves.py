@@ -74,7 +74,7 @@ class DoorCandidate:
         return self.positions.get(state, self.positions.get("modelled"))
 
     def only(self, shapes: Shapes) -> Shapes:
-        """Return the shapes of the geoms that belong to this candidate."""
+        """Return those of some shapes that belong to this candidate's geoms."""
         return shapes.only(mark_candidate_geoms(len(shapes.is_endless), [self]))
 
 
@@ -279,13 +279,16 @@ def _find_positions(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> d
 
 
 def find_largest_side(extents: Extents, geoms: Int) -> int:
-    """Return the id of the geom with the largest upright face: its longer side times its height.
+    """Return the geom whose bounding box has the largest upright face (longer side times height).
 
-    If no geom has a finite face, the first geom is returned.
+    If no geom has a finite face, it is the first geom.
 
     Args:
-        extents: bounding boxes of all geoms.
+        extents: upright bounding boxes of all geoms.
         geoms: ids of the geoms to choose from, shape (n,), n >= 1.
+
+    Returns:
+        The geom's id.
     """
     face_areas = (extents.long_side * (extents.top - extents.bottom))[geoms]
     return int(geoms[0] if np.isnan(face_areas).all() else geoms[np.nanargmax(face_areas)])

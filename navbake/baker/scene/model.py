@@ -319,7 +319,7 @@ def compile_job(job_folder: str) -> None:
 
 
 def limit_mesh_cache(num_bytes: int) -> None:
-    """Limit MuJoCo's cache of mesh files; with it, scenes that use the same files load faster.
+    """Limit the size of MuJoCo's cache of mesh files, which all scenes of the process share.
 
     Args:
         num_bytes: the largest size of the cache [bytes].

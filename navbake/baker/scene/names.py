@@ -154,8 +154,8 @@ def warn_unmatched(
 def find_subtree_ends(model: mujoco.MjModel) -> Int:
     """Return for each body the id after its last descendant, shape (nbody,).
 
-    Bodies are numbered depth first: a body and its descendants have the ids
-    ``range(body, ends[body])``.
+    MuJoCo numbers bodies depth first. So body b and its descendants have the ids from b up to, and
+    not including, entry b of the result.
     """
     subtree_ends = list(range(1, model.nbody + 1))
     parents = model.body_parentid.tolist()
@@ -165,7 +165,7 @@ def find_subtree_ends(model: mujoco.MjModel) -> Int:
 
 
 def geoms_of_bodies(model: mujoco.MjModel, first_body: int, end_body: int) -> Int:
-    """Return the ids of the geoms of the bodies ``range(first, end)``, ascending.
+    """Return the ids of the geoms of the bodies ``range(first_body, end_body)``, ascending.
 
     Args:
         model: the model.
@@ -177,7 +177,7 @@ def geoms_of_bodies(model: mujoco.MjModel, first_body: int, end_body: int) -> In
 
 
 def mark_geoms_of_bodies(model: mujoco.MjModel, first_body: int, end_body: int) -> Bool:
-    """Return a mask of the geoms of the bodies ``range(first, end)``, shape (ngeom,).
+    """Return a mask of the geoms of the bodies ``range(first_body, end_body)``, shape (ngeom,).
 
     Args:
         model: the model.

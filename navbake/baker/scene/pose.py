@@ -182,7 +182,7 @@ def data_with_joints(
 
 
 def place_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Compute the poses of all geoms from the joint positions and mocap bodies.
+    """Compute the poses of all geoms in a model's data from its joint positions and mocap bodies.
 
     Args:
         model: the model.

@@ -42,8 +42,8 @@ class SceneRoles(NamedTuple):
             (ngeom,), uint8.
         movable: for each body, whether it can move and carries no floor, shape (nbody,), bool.
         is_structure_body: for each body, whether it is structure, shape (nbody,), bool.
-        mover_of_body: for each movable body, the id of its topmost movable ancestor, or its own id;
-            for other bodies, their own ids, shape (nbody,).
+        mover_of_body: for each body, the id of the body that it moves with: of a movable body, its
+            topmost movable ancestor or itself; of any other body, itself; shape (nbody,).
         leaves: the door candidates, ascending by body id.
         cars: ids of the bodies that are cars of lifts, ascending.
         pattern_warnings: warnings of patterns of doors that match nothing, one line each.

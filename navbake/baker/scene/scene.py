@@ -99,9 +99,9 @@ class Scene:
         id: the scene's id, from the settings or the file name.
         geoms: for each geom, whether and how it is baked.
         shapes: the geometry of the geoms that count, world frame.
-        bounds: lowest and highest x, y, z of all finite geoms of the structure, (2, 3) [m]; where
-            all of the structure is endless planes, those of the rectangles that MuJoCo draws for
-            them; None if these are endless, too.
+        bounds: lowest and highest x, y, z of all finite geoms of the structure, (2, 3) [m]. If all
+            structure is endless planes, those of the rectangles that MuJoCo draws for the planes;
+            None if it draws these endless, too.
         digest: sha256 of the posed model: its geoms, their poses, and how they can move.
         warnings: the warnings about the scene, one line each.
         hints: the warnings that say why there may be no floor: axes or units look wrong, or a sky
@@ -111,12 +111,14 @@ class Scene:
         selections: for each geom, whether it counts and how it is represented.
         exact_meshes: geom id -> mesh in the world frame, see `SceneModel`.
         meshes: a cache of the triangles of the model's meshes, for geoms in other poses.
-        roles: for each geom, its role, see `SceneRoles`.
+        roles: for each geom, its role: LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE or
+            LEAF, (ngeom,), uint8.
         movable: for each body, whether it can move and carries no floor, (nbody,).
         is_structure_body: for each body, whether it is structure, (nbody,).
-        mover_of_body: see `SceneRoles`.
-        actuated_bodies: ids of the bodies that actuators move; of such a body with a movable
-            ancestor, the id of the topmost one.
+        mover_of_body: for each body, the id of the body that it moves with: of a movable body, its
+            topmost movable ancestor or itself; of any other body, itself; (nbody,).
+        actuated_bodies: ids of the bodies that actuators move. If such a body has a movable
+            ancestor, the id of the topmost one stands for it.
         named_leaves: names of the bodies that are leaves of doors, as the scene's file says.
         leaves: the door candidates, ascending by body id.
         cars: ids of the bodies that are cars of lifts, ascending.
@@ -147,7 +149,7 @@ class Scene:
 
     @property
     def mover_of(self) -> Int:
-        """For each geom, the `mover_of_body` of its body, (ngeom,)."""
+        """For each geom, the id of the body that it moves with, see `mover_of_body`, (ngeom,)."""
         mover_of_geom: Int = self.mover_of_body[self.model.geom_bodyid]
         return mover_of_geom
 
@@ -158,7 +160,7 @@ class Scene:
 
     @cached_property
     def structure(self) -> Shapes:
-        """The geometry of the structure."""
+        """The geometry of the structure: of the geoms from which floors, walls and rooms come."""
         return self.shapes.only(self.is_structure)
 
     @property
@@ -175,7 +177,8 @@ class CountedGeoms(NamedTuple):
     Attributes:
         selections: for each geom, whether it counts and how it is represented.
         shapes: the geometry of the geoms that count, world frame.
-        shape_kinds: geom id -> `GeomReport.shape`, for the geoms that count.
+        shape_kinds: for the geoms that count: geom id -> how it is represented, in the words of
+            `GeomReport.shape`.
         roles: the roles of geoms and bodies.
         warnings: messages of one line.
         sky_warnings: those of `warnings` that name skies that are left out, at most one.
@@ -274,7 +277,8 @@ def load_scene_file(settings: SceneSettings, limits: CompileLimits | None = None
 
     Args:
         settings: the scene's path, and how to read it.
-        limits: see `load_scene`.
+        limits: limits for MuJoCo's compiler, which then runs in a child process; None to compile in
+            this process, without limits.
 
     Returns:
         The compiled model.
@@ -520,10 +524,10 @@ def _warn_size(
 
 
 class DigestedNames(NamedTuple):
-    """The part of a scene's digest that depends on names, which never change.
+    """The part of a scene's digest that depends on names; computed once, as names never change.
 
     Attributes:
-        geom_hash: a hash object that was fed the geoms' names, the start of a digest.
+        geom_hash: a hash object that was fed the geoms' names, with which each digest begins.
         sites: the names of sites, as bytes, (n,).
         joints: the names of joints, as bytes, (n,).
     """
@@ -534,7 +538,7 @@ class DigestedNames(NamedTuple):
 
 
 def digest_names(model: mujoco.MjModel) -> DigestedNames:
-    """Compute the part of a scene's digest that depends on names, which never change."""
+    """Compute the part of a scene's digest that depends on the model's names."""
     geom_hash = hashlib.sha256()
     for names in all_names(model).geoms:
         geom_hash.update("\0".join(names).encode() + b"\n")

@@ -26,18 +26,19 @@ SOLID_TYPES = range(constants.SPHERE, constants.BOX + 1)
 def find_skies(
     model: mujoco.MjModel, data: mujoco.MjData, is_counted: Bool, min_room: float
 ) -> list[int]:
-    """Find the skies of a scene: solids that enclose all other geoms, and room for an agent.
+    """Find the skies of a scene: solids around all other geoms, with room for an agent inside.
 
-    Several solids that enclose each other are all skies. Geoms that can move are no skies, and need
-    not be enclosed, so that a sky is one in any pose. There is no sky in a scene with a plane that
-    counts, nor where the enclosed geoms cover less than `MIN_INNER_AREA`.
+    A sky is a box or another solid that only serves as a background. If several solids enclose each
+    other, all are skies. A geom that can move is no sky. It also need not be inside of a sky, so
+    that the same geoms are skies in any pose. A scene has no sky if a plane in it counts, or if
+    what a solid encloses covers less than `MIN_INNER_AREA`.
 
     Args:
         model: the model.
         data: its pose.
         is_counted: for each geom, whether it counts, shape (ngeom,), bool.
-        min_room: the least distance from the lowest of the enclosed geoms' tops to the solid's top
-            [m].
+        min_room: how high the top of a sky has to be at least over the lowest of the tops of the
+            geoms inside of it [m].
 
     Returns:
         The ids of the geoms, the largest first.

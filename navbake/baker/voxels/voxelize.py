@@ -59,7 +59,7 @@ UNMATCHED = "other"  # name of the ID of geoms that no pattern matches
 
 
 class GridOptions(TypedDict, total=False):
-    """Keyword arguments of `Voxelizer.create` that `create_voxel_grid` passes on.
+    """The options of `create_voxel_grid`, which it passes on to `Voxelizer.create`.
 
     Attributes:
         size: what the grid covers along x, y and z [m], in place of the numbers of voxels.
@@ -233,7 +233,7 @@ class Voxelizer:
         return grid
 
     def fill(self, place: Placement, segments: Segments | None = None) -> VoxelGrid:
-        """Fill the voxel grid of a placement, with the scene in its current pose.
+        """Make the voxel grid of a given place and size, with the scene in its current pose.
 
         Args:
             place: where the grid lies, and its numbers of voxels.
