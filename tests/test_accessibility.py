@@ -12,8 +12,8 @@ import pytest
 import navbake
 from browser import needs_browser, open_browser, wait_until
 from navbake.auditor.audit import audit
+from navbake.batch.index import INDEX_NAME
 from navbake.batch.page import write_page
-from navbake.cli.batch import INDEX_NAME
 from navbake.views.report import write_report
 from project_paths import GOLDEN, ROOT
 

@@ -430,19 +430,20 @@ def _count_wrong_cells(facts: Facts, door: Door, door_cells: list[Bool]) -> tupl
     """
     num_levels = len(facts.levels)
     cells_by_state = [door.cells_in(state, num_levels) for state in door.cells]
-    present_cells = door.cells_in(door.state, num_levels)
+    cells_by_level_in_state = door.cells_in(door.state, num_levels)
     num_open = 0
     num_occupied = 0
     for level_number, level in enumerate(facts.levels):
         is_occupied = level.occupancy.ravel() != 0
-        present_level_cells = present_cells[level_number]
+        cells_in_state = cells_by_level_in_state[level_number]
         cells_of_any_state = np.concatenate(
             [cells_by_level[level_number] for cells_by_level in cells_by_state]
         )
-        absent_cells = np.setdiff1d(cells_of_any_state, present_level_cells)
-        absent_cells = absent_cells[~door_cells[level_number].ravel()[absent_cells]]
-        num_open += int(np.count_nonzero(~is_occupied[present_level_cells]))
-        num_occupied += int(np.count_nonzero(is_occupied[absent_cells]))
+        cells_in_other_states = np.setdiff1d(cells_of_any_state, cells_in_state)
+        is_door = door_cells[level_number].ravel()[cells_in_other_states]
+        cells_in_other_states = cells_in_other_states[~is_door]
+        num_open += int(np.count_nonzero(~is_occupied[cells_in_state]))
+        num_occupied += int(np.count_nonzero(is_occupied[cells_in_other_states]))
     return num_open, num_occupied
 
 

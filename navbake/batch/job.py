@@ -55,9 +55,9 @@ notebook = lazy("navbake.views.notebook")  # loads Pillow
 # statuses of a row
 OK = "ok"
 FAILED = "failed"
-NOT_BAKED = "left"
+LEFT = "left"  # the batch ended before the scene
 NOT_RECORDED = "new"  # the reason to bake a scene that has no record
-RAISED = "error"  # a row's `how` if the bake raised an error and the process goes on
+ERROR = "error"  # a row's `how` if the bake raised an error and the worker process goes on
 SECONDS_DECIMALS = 4  # decimals of durations in a row
 # Size of the cache of meshes that MuJoCo keeps in a worker [bytes]; MuJoCo's default is 500 MB.
 MESH_CACHE_SIZE = 64 << 20
@@ -383,11 +383,11 @@ def bake_scene(plan: Plan, job: Job) -> SceneRow:
         if not isinstance(error, NavbakeError | OSError):
             reason = f"{traceback.format_exception_only(error)[-1].strip()} (an unexpected error)"
         seconds = time.perf_counter() - begin_time
-        row = record_failure(plan, job, RAISED, printable(reason), seconds)
+        row = record_failure(plan, job, ERROR, printable(reason), seconds)
         disk_full_error = store.find_disk_full_error(error)
         if disk_full_error is not None:
             folder_name = store.without_secrets(os.fspath(plan.scene_folder(job)))
-            row = begin_row(plan, job, NOT_BAKED)
+            row = begin_row(plan, job, LEFT)
             row["error"] = str(store.make_write_error(f"into {folder_name}", disk_full_error))
         return row
 

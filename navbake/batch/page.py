@@ -22,7 +22,7 @@ import numpy as np
 
 from navbake.batch import store
 from navbake.batch.index import read_index
-from navbake.batch.job import FAILED, NOT_BAKED, OK, current_time, read_record, write_record
+from navbake.batch.job import FAILED, LEFT, OK, current_time, read_record, write_record
 from navbake.batch.products import GRID_NAME, MEASURE_CLASSES, THUMBNAIL_NAME
 from navbake.errors import NavbakeError, count_of, printable
 from navbake.formats.navgrid import read_navgrid
@@ -37,7 +37,7 @@ PICTURE_POLICY = "'self' file: data:"  # thumbnails are beside the page
 MIN_WRITE_INTERVAL = 15.0  # shortest time between two writes of a running batch's page [s]
 MAX_WRITE_SHARE = 0.01  # largest share of the batch's time that goes into writing its page
 
-SHOWN_STATUSES = (OK, FAILED, NOT_BAKED)
+SHOWN_STATUSES = (OK, FAILED, LEFT)
 CHART_KEYS = ("free_area", "cells", "rooms", "seconds")
 # keys of a row that the page's data has unchanged
 ROW_KEYS = ("id", "status", "source", "version", "ended", "levels", "doors", *CHART_KEYS)
@@ -119,7 +119,7 @@ def draw_thumbnails(folder: store.Folder, show_progress: Callable[[float], None]
         How many thumbnails couldn't be drawn.
 
     Raises:
-        FullError: the folder has no room.
+        DiskFullError: the folder has no room.
     """
     has_thumbnail = _find_thumbnails(folder)
     num_failed = 0

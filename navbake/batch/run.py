@@ -28,7 +28,7 @@ from navbake._version import __version__
 from navbake.batch import index, store
 from navbake.batch.job import (
     FAILED,
-    NOT_BAKED,
+    LEFT,
     NOT_RECORDED,
     OK,
     Inspection,
@@ -223,7 +223,7 @@ def run_batch(
                             row = record_failure(
                                 plan, job, job_end.how, job_end.value, job_end.seconds
                             )
-                        if row["status"] == NOT_BAKED:  # there is no room for other scenes, either
+                        if row["status"] == LEFT:  # there is no room for other scenes, either
                             result.stopped = row["error"]
                             break
                         rows[job.id] = row
@@ -244,7 +244,7 @@ def run_batch(
                 if job.id not in rows and isinstance(plan.folder, Path):
                     with suppress(NavbakeError):
                         remove_leftovers(Path(plan.scene_folder(job)), min_age=0)
-            result.rows = [rows.get(job.id) or begin_row(plan, job, NOT_BAKED) for job in jobs]
+            result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
             try:
                 index.write_index(plan.folder, result.rows, plan.has_table, batch_slice)
             except store.DiskFullError as error:

@@ -135,7 +135,7 @@ def check_id(scene_id: str, place: str) -> None:
     r"""Check that an id can be a folder in the output folder on any operating system.
 
     Args:
-        name: the id; its parts are separated by slashes.
+        scene_id: the id; its parts are separated by slashes.
         place: where the scene is named, for errors.
 
     Raises:

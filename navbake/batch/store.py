@@ -204,8 +204,9 @@ def read_file(path: str | Path) -> bytes:
 def write_file(folder: Folder, name: str, content: bytes | Iterable[bytes]) -> None:
     """Write a file atomically from bytes, or from pieces of bytes.
 
-    Raises a FullError if the folder has no room, and a NavbakeError if the file can't be written
-    for another reason.
+    Raises:
+        DiskFullError: the folder has no room.
+        NavbakeError: the file can't be written for another reason.
     """
     with _name_file_in_errors("write", folder):
         if isinstance(folder, Path):
@@ -438,7 +439,7 @@ def find_disk_full_error(error: BaseException | None) -> OSError | None:
 
 
 def make_write_error(destination: str, error: OSError) -> NavbakeError:
-    """Return the error to raise for a failed write; a FullError if there is no room.
+    """Return the error to raise for a failed write; a DiskFullError if there is no room.
 
     Args:
         destination: completes the text ``cannot write …``: ``into out``, for example.

@@ -371,19 +371,24 @@ def run_on_ray(
     prepare: Callable[[], None] | None = None,
     on_event: OnJobEvent = lambda event, job_end: None,
 ) -> Generator[JobEnd, None, None]:
-    """Run jobs on a Ray cluster; yield the end of each job as it ends, as `Workers.run` does.
-
-    All nodes must be able to import `work`. The arguments that aren't listed here are those of
-    `Workers`.
+    """Run jobs on a Ray cluster, and yield the end of each as it ends, as `Workers.run` does.
 
     Args:
-        count: the largest number of tasks at once; None for the cluster's number of CPUs. More
-            tasks than CPUs are submitted, so that an autoscaling cluster grows.
+        jobs: the jobs, which must be picklable.
+        work: a function at module level that does one job; its result must be picklable. All nodes
+            must be able to import it.
+        count: the largest number of tasks at once. None for twice the cluster's number of CPUs:
+            tasks that wait for a CPU make an autoscaling cluster grow.
         address: the cluster's address; ``local`` starts a cluster on this machine's loopback device
             for the batch; None for ``RAY_ADDRESS``, else ``local``.
         probe_file: an existing file in the output folder. A node that doesn't see it doesn't share
             the folder, which is an error. None for no such check.
+        limits: the limits of each job.
+        prepare: a function at module level that each worker process calls before its job.
         on_event: is called when a job is submitted, and after it was retried.
+
+    Yields:
+        The end of each job, in the order in which the jobs end.
 
     Raises:
         NavbakeError: there is no cluster, a node can't do the jobs, or ray isn't installed.

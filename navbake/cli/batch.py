@@ -51,7 +51,6 @@ else:  # --help loads neither MuJoCo nor numpy
     store = lazy("navbake.batch.store")
     workers = lazy("navbake.batch.workers")
 
-INDEX_NAME = "index.jsonl"
 MAX_LISTED_SCENES = 5  # most scenes that a line of --plan names
 
 

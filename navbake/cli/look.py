@@ -10,7 +10,7 @@ from typer import BadParameter
 
 import navbake
 from navbake.cli import options, printing
-from navbake.cli.batch import INDEX_NAME, draw_missing_thumbnails
+from navbake.cli.batch import draw_missing_thumbnails
 from navbake.cli.options import (
     GRID_SUFFIXES,
     LEVEL_OPTION,
@@ -92,6 +92,7 @@ def report(
             ("--audit", with_audit, False, "grids: a batch audits its grids itself"),
             ("--verify", bool(verifications), False, "grids"),
         )
+        from navbake.batch.index import INDEX_NAME
         from navbake.batch.page import PAGE_NAME, write_page
 
         if len(grids) > 1 or not os.path.isfile(grids[0] / INDEX_NAME):

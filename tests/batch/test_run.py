@@ -411,7 +411,7 @@ def test_memory_that_a_library_lacked_is_for_the_worker_to_tell(scenes, here, mo
 
     monkeypatch.setattr("navbake.batch.job.run_bake", bake)
     assert {row["how"] for row in run(*ALL)[1].rows} == {"error"}  # nothing limits this process
-    monkeypatch.setattr("navbake.batch.job.lacked_memory", lambda error: True)
+    monkeypatch.setattr("navbake.batch.job.is_lack_of_memory", lambda error: True)
     with pytest.raises(MemoryError, match="MuJoCo cannot load it"):
         run(*ALL)
 

@@ -712,24 +712,24 @@ def _cut_surface(surface: Surface, height: float) -> Surface:
     )
 
 
-def _make_caps(surface: Surface, height: float, is_solid: Bool) -> Surface:
+def _make_caps(drawn_triangles: Surface, height: float, is_solid: Bool) -> Surface:
     """Make the caps that close cut solids, darker than the solids.
 
     The section of a convex solid is convex: its cap is a fan of triangles round its middle.
 
     Args:
-        surface: a surface, not yet cut.
+        drawn_triangles: triangles of solids and of other geoms, not yet cut.
         height: world z of the cut [m].
         is_solid: whether each geom is a convex solid, see `Drawing.solid`.
     """
-    assert surface.geom is not None and surface.colors is not None
-    solid_faces = surface.faces[is_solid[surface.face_geoms]]
-    mesh = trimesh.Trimesh(surface.vertices, solid_faces, process=False)
+    assert drawn_triangles.geom is not None and drawn_triangles.colors is not None
+    solid_faces = drawn_triangles.faces[is_solid[drawn_triangles.face_geoms]]
+    mesh = trimesh.Trimesh(drawn_triangles.vertices, solid_faces, process=False)
     cut_lines, cut_faces = intersections.mesh_plane(
         mesh, [0, 0, 1], [0, 0, height], return_faces=True
     )
     first_vertices = solid_faces[cut_faces, 0]
-    geoms, group_of_line = np.unique(surface.geom[first_vertices], return_inverse=True)
+    geoms, group_of_line = np.unique(drawn_triangles.geom[first_vertices], return_inverse=True)
     position_sums = [
         np.bincount(group_of_line, cut_lines[:, :, axis].mean(axis=1)) for axis in range(3)
     ]
@@ -744,7 +744,7 @@ def _make_caps(surface: Surface, height: float, is_solid: Bool) -> Surface:
         vertices,
         np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3),
         np.repeat(geoms[group_of_line], 3).astype(np.int32),
-        np.repeat(surface.colors[first_vertices] * shade_factors, 3, axis=0),
+        np.repeat(drawn_triangles.colors[first_vertices] * shade_factors, 3, axis=0),
     )
 
 
