@@ -31,15 +31,15 @@ _is_ending = False  # whether the command has ended, so that only Python's own e
 def main() -> None:
     """Run the command line of this process; after Ctrl-C, exit with status 130 and no traceback.
 
-    Ctrl-C raises SystemExit wherever Python is, so that temporary files are removed; so does
-    SIGTERM, with status 143. KeyboardInterrupt would not do: after one that passed through `exec`,
-    ``python -m`` ignores the exit status. Libraries may turn the exception into an error of their
-    own, as numpy does while it is imported, so any error after a signal counts as its effect.
+    Ctrl-C raises SystemExit wherever Python is, so that temporary files are removed. SIGTERM does
+    the same, with status 143. A library may turn SystemExit into an error of its own, as numpy does
+    while it is imported, so any error after a signal counts as its effect. KeyboardInterrupt is not
+    used: after one that passed through `exec`, ``python -m`` ignores the exit status.
 
-    The exception may also never be raised, while code in C runs; a library may catch it; and it may
-    stop a thread or a lock half way, so that Python waits for ever at its end. So a thread, see
-    `_watch_signals`, ends the process SIGNAL_TIMEOUT after the first signal in any case, and at
-    once at another Ctrl-C.
+    SystemExit doesn't always end the process. While code in C runs, it isn't raised; a library may
+    catch it; and it may interrupt code that holds a lock or starts a thread, so that Python waits
+    for ever at its end. Therefore a thread, see `_watch_signals`, ends the process SIGNAL_TIMEOUT
+    after the first signal, and at once at another Ctrl-C.
     """
     global _is_ending
     gc.set_threshold(GARBAGE_THRESHOLD)

@@ -1,8 +1,8 @@
 """Writes files as a whole or not at all, makes temporary folders, and encodes CSV.
 
-Who makes a temporary file or folder holds a lock on it while it is needed. The system releases the
-lock when the process ends, however it ends: so a file that nobody holds is a leftover. Where there
-are no such locks (Windows, some network file systems), it is one after a day.
+A process holds a lock on each temporary file or folder that it needs. The system releases the lock
+when the process ends, however it ends. So a temporary file that nobody holds is a leftover. Where
+there are no such locks (Windows, some network file systems), it is a leftover after a day.
 """
 
 import csv

@@ -257,7 +257,10 @@ class Measures:
 
     @property
     def distance(self) -> float:
-        """Length of the shortest path to the goal, through all stops not reached yet [m]."""
+        """Length of the shortest path from the last position to the goal [m].
+
+        The path goes through all stops that are not reached yet. NaN for exploring, which has none.
+        """
         return self._distances[-1]
 
     def step(self, position: ArrayLike, time: float | None = None) -> float:

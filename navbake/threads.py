@@ -81,9 +81,9 @@ def run_in_chunks(
 def run_beside(task: Callable[..., Result], *args: object) -> Callable[[], Result]:
     """Start a function on another thread.
 
-    The kernels that it starts may use as many threads as those that this thread starts. If the
-    function has not begun when its result is needed (there is one thread, or all are busy), it runs
-    on the waiting thread.
+    Kernels that the function calls may use as many threads as those that this thread calls. If the
+    function has not begun when its result is needed (all threads are busy, or there is only one),
+    it runs on the thread that waits for it.
 
     Args:
         task: The function.
@@ -126,13 +126,13 @@ def _run_kernel(
 
 
 def num_threads() -> int:
-    """Return the most threads on which the kernels run that this Python thread starts."""
+    """Return the largest number of threads for a kernel that this Python thread calls."""
     return int(getattr(_limit, "count", None) or numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
 @contextmanager
 def limit_threads(count: int | None) -> Iterator[None]:
-    """In a with statement, limit the threads of the kernels that this Python thread starts.
+    """In a with statement, limit the number of threads for kernels that this Python thread calls.
 
     Args:
         count: The largest number of threads, >= 1; None changes nothing.

@@ -1,10 +1,11 @@
-"""Writes YAML, and reads it.
+"""Writes YAML, and reads it, also from strangers.
 
 Scalars are read as in YAML 1.2. A key that stands twice in a mapping is an error.
 
-All YAML is read here, whoever wrote it. Few lines of aliases can stand for values without end, so
-what aliases repeat is counted. libyaml, which is fast, splits the text; what it finds is put
-together in Python, whose limit of recursion refuses deep nesting (libyaml's own composer crashes).
+A file must neither fill the memory nor crash the process. A few lines with aliases can stand for
+endlessly many values, so the values that aliases repeat are counted. Deep nesting is an error,
+because Python code with a limit of recursion puts the values together. Only the parser is libyaml,
+which is fast; its own composer crashes at deep nesting.
 """
 
 from __future__ import annotations

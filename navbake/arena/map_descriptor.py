@@ -38,14 +38,15 @@ OBSTACLE = "#"
 
 
 def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
-    """Encode a map.
+    """Encode a map as a map descriptor: two hex strings, in the format of this module's docstring.
 
     Args:
         explored: Shape (rows, cols), row 0 at the top, true for explored squares.
         obstacles: Of the same shape, true for squares with an obstacle; ignored where unexplored.
 
     Returns:
-        Part 1 and part 2, in capitals; part 2 is empty if nothing is explored.
+        Part 1, the explored squares; and part 2, the obstacles in them, empty if nothing is
+        explored. Hex digits are capitals.
 
     Raises:
         FormatError: The arrays have different shapes, or no squares.
@@ -74,14 +75,14 @@ def _to_hex(bits: NDArray[Any]) -> str:
 
 
 def decode(part1: str, part2: str, shape: Sequence[int] = ARENA_SHAPE) -> tuple[Bool, Bool]:
-    """Decode a map; the inverse of `encode`.
+    """Decode a map from its two hex strings; the inverse of `encode`.
 
     Lower-case letters are accepted. Part 2 may be padded with 0s to a whole hex digit only, instead
     of a whole byte.
 
     Args:
-        part1: Part 1 of the map descriptor.
-        part2: Part 2 of the map descriptor.
+        part1: The hex string that says which squares are explored.
+        part2: The hex string that says which explored squares have an obstacle.
         shape: Rows and columns of the arena, >= 1 each.
 
     Returns:
@@ -350,10 +351,16 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
     )
 
     def cell_ranges(offset: float, num_squares: int, num_cells: int) -> tuple[Int, Int]:
-        """Return the cells that each square overlaps along an axis: the first, and the one after.
+        """Return the range of rows, or of columns, that each row or column of squares overlaps.
 
-        They are indices into the padded array. `offset` is the distance from the level's first
-        cell to the first square [m].
+        Args:
+            offset: the distance from the level's first row or column to that of the squares [m].
+            num_squares: the number of rows or columns of squares.
+            num_cells: the number of rows or columns of the level.
+
+        Returns:
+            The first index of each range and its end, exclusive: indices into `is_occupied`, which
+            has one more cell around the level. Shape (num_squares,) each.
         """
         edges = (offset + np.arange(num_squares + 1) * squares.cell_size) / lattice.cell_size
         start = np.floor(edges[:-1] + CELL_SLACK).astype(np.int64) + 1
@@ -422,14 +429,14 @@ class ExploredMap:
         square: float = SQUARE_EDGE,
         corner: Sequence[float] = (0.0, 0.0),
     ) -> ExploredMap:
-        """Make the map that a map descriptor describes: which squares are explored, and obstacles.
+        """Make a map from a map descriptor, the two hex strings that `descriptor` returns.
 
         Args:
-            part1: Part 1 of the map descriptor.
-            part2: Part 2 of the map descriptor.
+            part1: The hex string that says which squares are explored.
+            part2: The hex string that says which explored squares are obstacles.
             shape: Rows and columns, >= 1 each.
             square: Edge of a square [m], > 0.
-            corner: World x, y of the lower left corner [m].
+            corner: World x, y of the arena's lower left corner [m].
 
         Raises:
             FormatError: The descriptor is broken, or the shape is not valid.
@@ -539,7 +546,7 @@ class ExploredMap:
         return ranges
 
     def descriptor(self) -> tuple[str, str]:
-        """Return part 1 and part 2 of the map descriptor; see `encode`."""
+        """Return the map as a map descriptor: two hex strings, see `encode`."""
         return encode(self.explored, self.obstacles)
 
     def __str__(self) -> str:

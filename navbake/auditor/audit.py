@@ -77,7 +77,10 @@ def check_order(facts: Facts) -> Iterator[Finding]:
 
 
 def check_boxes(facts: Facts) -> Iterator[Finding]:
-    """Finds: free cells of a level that lie outside of its box, or in the box of a lower level."""
+    """Finds: free cells of a level that lie outside of its box, or in the box of a lower level.
+
+    The box (`bbox` in the file) is the range of x, y and z that belongs to the level.
+    """
     boxes = [level.bbox_yup for level in facts.levels]
     for level_number, box in enumerate(boxes):
         if box is None:

@@ -112,10 +112,14 @@ def check_weights(facts: Facts) -> Iterator[Finding]:
 def mark_cells_inflation_may_block(grid: GridBase, level_number: int, max_distance: float) -> Bool:
     """Mark the cells of a level that an inflation may have blocked.
 
-    A cell is marked if there is a reason in a square around it: an occupied cell, a cell without a
-    floor, a floor more than a step higher or lower, a floor of another level that is less than the
-    agent's height from the heights of this level, or the edge of the level. The square is slightly
-    larger than `max_distance`, so that no reason is missed.
+    A cell is marked if a square around it has one of these reasons:
+
+    - an occupied cell, a cell without a floor, or the edge of the level;
+    - a floor that is more than a step higher or lower;
+    - a floor of another level that is higher than this level's lowest floor less the agent's
+      height, and lower than its highest floor plus the agent's height.
+
+    The square reaches slightly farther than `max_distance`, so that no reason is missed.
 
     Args:
         grid: the grid.
@@ -300,15 +304,16 @@ class _Jumps(NamedTuple):
 
 
 def find_differing_pairs(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
-    """Yield pairs of cells side by side, then pairs above each other, whose values differ.
+    """Find the pairs of cells of a level, a distance apart, whose values differ.
 
     Args:
         values: the value of each cell, shape (height, width).
-        gap: the distance between both cells of a pair, in columns or rows.
+        gap: the distance between both cells of a pair [columns or rows].
 
     Yields:
-        The flat ids of the left or upper cells of the pairs, shape (n,), and the offset to add to
-        an id to get the pair's second cell.
+        Two times: for pairs in the same row, then for pairs in the same column, the ids
+        (``row * width + col``) of the left or upper cells, shape (n,), and the number to add to an
+        id to get the id of the pair's other cell.
     """
     width = values.shape[1]
     is_right_different = values[:, :-gap] != values[:, gap:]
@@ -329,9 +334,10 @@ class _Gap(NamedTuple):
 def check_cut_off(facts: Facts) -> Iterator[Finding]:
     """Finds: islands that only one to three blocked cells separate, with all doors open.
 
-    The blocked cells form a line one cell thick. More such cells between the same two islands are
-    taken for a thin wall. But if some of them are not occupied, only these count: they are a gap in
-    the wall that an inflation blocked. The floors on both sides must be at most a step apart.
+    A cell separates two islands if they lie on opposite sides of it, with floors at most a step
+    apart. If more than three cells separate two islands, they are taken for a thin wall. But if
+    some of the cells are not occupied, only these are counted: they are a gap in the wall that an
+    inflation blocked.
     """
     gaps = sorted(_find_gaps(facts), key=lambda gap: -gap.area)
     for gap in gaps[:MAX_GAPS]:

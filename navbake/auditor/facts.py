@@ -111,7 +111,8 @@ def number_islands(
         step_limit: how far the floors of connected neighbours may lie apart [m].
         links: links that connect both ways: level and cell of both ends, shape (n, 4).
         one_way_links: links that lead from their first end to their second end only, shape (n, 4).
-            They connect two cells if they lead, one after the other, from each to the other.
+            They connect two cells only if some lead from the first to the second, and some lead
+            back.
 
     Returns:
         The island of each cell of each level, numbered from 1 by descending size; 0 for unmarked

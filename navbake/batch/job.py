@@ -65,7 +65,7 @@ RECORD_ONLY_KEYS = ("more", "content", "settings", "products")  # keys of a reco
 
 
 class Plan(NamedTuple):
-    """The options of a batch: where it writes, and what it makes of each scene, how."""
+    """The options of a batch: its output folder, its settings, and what it makes of each scene."""
 
     folder: store.Folder  #: The output folder, a Path or a URL.
     settings: Json  #: The settings that all scenes share, by section.
@@ -89,8 +89,8 @@ class Plan(NamedTuple):
     def trusted_urls(self, job: Job) -> list[str]:
         """Return the paths and URLs by which the user named a scene's files.
 
-        They are the list or the scene, and files of room outlines. What a list on the web names
-        isn't among them.
+        These are the list (or the scene, if it isn't in a list), and the file of room outlines in
+        the batch's settings. They don't include what a list names, as others may have written it.
         """
         settings = [self.settings, apply_overrides({}, self.overrides)]
         settings += [] if job.list else [job.settings]
@@ -220,9 +220,17 @@ class Inspection(NamedTuple):
 
 
 def inspect_scenes(plan: Plan, jobs: Sequence[Job]) -> list[Inspection]:
-    """Find the input files and digests of scenes, several at once, as stores respond slowly.
+    """Find the input files and digests of scenes.
 
-    It reads the scenes, whose files may be strangers': call it in a worker process.
+    All scenes are read at the same time, because stores respond slowly. Call it in a worker
+    process, since the files may be those of strangers.
+
+    Args:
+        plan: the batch's options.
+        jobs: the scenes.
+
+    Returns:
+        An inspection for each scene, in order; that of a scene that can't be read has `error`.
     """
 
     def inspect(job: Job) -> Inspection:
@@ -246,7 +254,9 @@ def make_broken_inspection(reason: str) -> Inspection:
 def find_record(
     plan: Plan, job: Job, sizes: Mapping[str, int] | None = None
 ) -> tuple[Json | None, str]:
-    """Find the record of a scene whose made files exist; the scene itself isn't read.
+    """Read a scene's record, and check that the files that the batch made are still there.
+
+    The scene itself isn't read.
 
     Args:
         plan: the batch's options.
@@ -281,7 +291,7 @@ def find_record(
 def check_record(
     plan: Plan, job: Job, record: Json, inspection: Inspection
 ) -> tuple[SceneRow | None, str]:
-    """Check whether a scene is done: its recorded key is the same.
+    """Check whether a scene is done: whether its key is still the one in its record.
 
     Args:
         plan: the batch's options.

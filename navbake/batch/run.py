@@ -332,9 +332,10 @@ def _encode_member(name: str, content: bytes) -> Iterator[bytes]:
 
 
 class Inspector:
-    """Inspects scenes in worker processes with limits, each scene once.
+    """Finds the input files and digests of scenes, without baking them; each is read only once.
 
-    Scenes are strangers' files: none of them is read in this process, which has no limits.
+    The scenes may be files of strangers. So they are read in worker processes, which have limits of
+    time and memory.
 
     Args:
         plan: the batch's options.
@@ -351,7 +352,7 @@ class Inspector:
         self._inspections: dict[str, Inspection] = {}  # by the scene's id
 
     def inspect(self, jobs: Iterable[Job]) -> list[Inspection]:
-        """Return the inspections of scenes, in order."""
+        """Return the input files and digests of each scene, in order."""
         jobs = list(jobs)
         new_jobs = [job for job in jobs if job.id not in self._inspections]
         groups: list[tuple[Job, ...]] = []

@@ -429,7 +429,7 @@ class Mirror(ExitStack):
 def find_disk_full_error(error: BaseException | None) -> OSError | None:
     """Find the error of a full disk among an error and its causes; None if there is none.
 
-    That is an error of the operating system with a number of `FULL_DISK_REMEDIES`.
+    That is an OSError whose `errno` is a key of `FULL_DISK_REMEDIES`.
     """
     while error is not None:
         if isinstance(error, OSError) and error.errno in FULL_DISK_REMEDIES:

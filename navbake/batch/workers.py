@@ -122,11 +122,19 @@ class Workers:
     def run(
         self, jobs: Sequence[Any], on_event: OnJobEvent = lambda event, job_end: None
     ) -> Generator[JobEnd, None, None]:
-        """Run picklable jobs, and yield the end of each as it ends.
+        """Run jobs, and yield the end of each as it ends.
 
-        A job that crashed its worker or took too much memory is run again after all other jobs, in
-        a process of its own, since an earlier job in the same process may be the cause. Only that
-        second run counts as an attempt. A job that took too long has used up an attempt at once.
+        Each job has ``limits.retries + 1`` attempts. A job that crashed its worker or took too much
+        memory is run again after all other jobs, in a process of its own: an earlier job in the
+        same process may have been the cause, so this first failure doesn't count as an attempt. A
+        job that took too long has used up an attempt.
+
+        Args:
+            jobs: the jobs, which must be picklable.
+            on_event: is called when a job begins, and when it will be run again.
+
+        Yields:
+            The end of each job, in the order in which the jobs end.
 
         Raises:
             NavbakeError: no worker process starts.

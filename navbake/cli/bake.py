@@ -456,11 +456,13 @@ def list_output_files(
 ) -> list[Path]:
     """Return the output file of each CONFIG.
 
+    Without `output` and `name`, it is the file that the settings name (`output`), or else
+    ``<id>.grid.json`` in the current folder.
+
     Args:
         jobs: the path of each CONFIG, and its settings.
-        output: a file, which is the output; or a folder to write into. None for the output that the
-            settings name, if `name` is None, too; else for the current folder.
-        name: the name of a file in the folder, see `expand_file_name`; None for the scene's id.
+        output: the output file, or a folder to write into; None for the current folder.
+        name: the file's name in the folder, see `expand_file_name`; None for the scene's id.
     """
     if output is not None and not is_folder(output):
         return [Path(output) for _ in jobs]

@@ -128,11 +128,15 @@ def _relative_path(path: Path, folder: Path) -> str:
 
 
 def find_grids(content: EpisodeSet, folder: Path) -> list[Path]:
-    """Find the grids that a set names in a folder, such as that of a batch.
+    """Find the grids of a set of episodes in a folder, such as that of a batch.
+
+    The set's header names the grids' files. If a name is ``a/b/grid.json``, the grid may be
+    ``a/b/grid.json``, ``b/grid.json`` or ``grid.json`` in the folder, or be in the folder of its
+    scene's name there.
 
     Args:
         content: the set.
-        folder: the folder. Folders at the beginning of the names in the set may be missing in it.
+        folder: the folder to search.
 
     Returns:
         The path of each grid of the set's header.

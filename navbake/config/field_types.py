@@ -54,7 +54,7 @@ def replace_error_text(text: str) -> WrapValidator:
 
 
 class AlsoAcceptsInSchema:
-    """Adds short forms of a setting to its JSON Schema: those that a validator expands.
+    """Adds the short forms that a setting accepts, such as ``rooms: none``, to its JSON Schema.
 
     Args:
         *types: The types of the short forms, as JSON Schema names them, such as ``null``.
@@ -97,7 +97,7 @@ def section(model: type[BaseModel], text: str) -> Any:
 
 
 def to_path(value: object) -> Path:
-    """Convert text to a path; raises pydantic's error for what is none."""
+    """Convert text to a path; raise pydantic's error for a value that can't be a path."""
     if isinstance(value, str | PathLike) and str(value) and can_be_path(str(value)):
         return Path(value)
     raise expected_error("a path")
@@ -231,7 +231,11 @@ KEYS_OF_OTHER_TOOLS |= {"file": "scene.path", "robot": "agent", "scale": "scene.
 
 
 class ShortForm(NamedTuple):
-    """A value that is not a mapping, but that people often write in place of a section."""
+    """A value that people often write where a section, a mapping, is expected.
+
+    For example, they write ``scene: house.xml`` for ``scene: {path: house.xml}``. The error's
+    message then shows the section.
+    """
 
     key: str  # the key that the value belongs to
     kinds: tuple[type, ...]  # the types of such values
@@ -325,12 +329,15 @@ def _find_source_of_value(location: Location, source: str, overrides: Sequence[s
 def find_unknown_key(
     settings: Mapping[str, Any], sections: Sections, section: str = ""
 ) -> str | None:
-    """Describe the first key that no section has; None if all are known.
+    """Find the first key that is no setting, and write the message about it.
 
     Args:
         settings: Nested mappings, as read from YAML.
         sections: The class of each section.
         section: The dotted key of the section that `settings` belongs to; "" for the top.
+
+    Returns:
+        The error's message, without the file; None if all keys are known.
     """
     for key, value in settings.items():
         if section in sections and key not in _list_keys(sections, section):

@@ -49,13 +49,18 @@ def overlay_settings(
     place: str,
     section: str = "",
 ) -> dict[str, Any]:
-    """Merge settings key by key. A section without keys changes nothing.
+    """Merge settings key by key: those of one mapping replace those of another.
+
+    A section that has no keys in `upper_settings` keeps those of `lower_settings`.
 
     Args:
         lower_settings: Nested mappings of settings.
         upper_settings: Nested mappings of settings, which replace those of `lower_settings`.
         place: What `upper_settings` was read from, for messages.
         section: Dotted key of the section that both mappings belong to; "" for the top.
+
+    Returns:
+        The merged settings, a new mapping.
 
     Raises:
         ConfigError: `upper_settings` has keys for a section of which `lower_settings` has a plain

@@ -99,7 +99,10 @@ class AreaSettings(Settings):
 
     @property
     def keeps_out(self) -> bool:
-        """Whether the area bars any agent. It then covers every cell that it touches."""
+        """Whether some or all agents may not enter.
+
+        Then the area covers all cells that it touches, not only those whose centre is in it.
+        """
         return self.cost == "inf" or self.agents is not None
 
     @model_validator(mode="after")

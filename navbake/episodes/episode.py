@@ -116,7 +116,7 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def measures(self) -> dict[str, float | None]:
-        """Measure of the episode -> its value, for each of `CLASS_EDGES`."""
+        """The episode's values of the measures in `CLASS_EDGES`, by which episodes are grouped."""
         return {
             "distance": self.distance,
             "ratio": self.ratio,

@@ -75,8 +75,8 @@ class Stops(NamedTuple):
         goals: the goals of the episode.
         places: for each stop an array of the places that belong to it, world x, y, z [m], shape
             (n, 3).
-        distance_fields: for each stop an array, indexed by the cell's flat id: the distance from
-            each cell to the stop [m], inf where there is no path.
+        distance_fields: for each stop an array with the distance from each cell of the grid to the
+            stop [m], inf where there is no path; indexed by flat id.
         lengths_after: for each stop the length of the path from there through all later stops [m].
             If a stop has several places, this is a lower bound: each leg begins at the place that
             is nearest to the next stop.
@@ -130,7 +130,8 @@ def find_goal_cells(finder: PathFinder, goal: Goal) -> Int:
         goal: the goal.
 
     Returns:
-        The cells' flat ids, each once; empty if there are none.
+        The cells' flat ids (numbers among the cells of all levels), each once; empty if there are
+        none.
     """
     flat_grid = finder.search.flat
     if goal.room is not None:
@@ -197,11 +198,12 @@ class GoalFinder:
 
     @cached_property
     def choices(self) -> dict[str, list[str]]:
-        """Label -> names of the objects, or ids of the rooms, that are goals of one episode.
+        """The possible goals of an episode: label -> names of its objects, or ids of its rooms.
 
-        If the task has patterns for categories, the labels are these categories. If it has plain
-        patterns, each object or room that matches one is a label of its own. Without patterns, the
-        labels are the categories of all objects, or the ids of all indoor rooms.
+        An episode has a label, and all objects or rooms of the label are its goals. If the task has
+        patterns for categories, the labels are these categories. If it has plain patterns, each
+        object or room that matches one is a label of its own. Without patterns, the labels are the
+        categories of all objects, or the ids of all indoor rooms.
 
         Raises:
             QueryError: no object or room matches a pattern.
@@ -295,9 +297,10 @@ class GoalFinder:
 
     @cached_property
     def object_cells(self) -> dict[str, Int]:
-        """Object name -> ascending flat ids of the cells whose user data list the object.
+        """The cells that each object stands in: its name -> flat ids, ascending.
 
-        Walls and doors are left out.
+        A flat id is a cell's number among the cells of all levels. The cells are those whose user
+        data list the object. Walls and doors are left out.
         """
         cells_of_name: dict[str, list[Int]] = {}
         walls_and_doors: set[str] = set()

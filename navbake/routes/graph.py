@@ -102,9 +102,10 @@ class RouteGraph(RouteGraphMethods):
 
     @property
     def costs(self) -> Any:
-        """Entry (i, j) is the cost of the cheapest lane from node i to node j [m].
+        """The costs of the lanes as a sparse matrix, a scipy csr_array, shape (n, n).
 
-        A scipy csr_array, shape (n, n), without entries for nodes that no lane joins.
+        Entry (i, j) is the cost of the cheapest lane from node i to node j [m]. There is no entry
+        if no lane leads from i to j.
         """
         cheapest_costs: dict[tuple[int, int], float] = {}
         for lane in split_two_way_lanes(self.lanes):
@@ -208,7 +209,7 @@ class RouteGraph(RouteGraphMethods):
 
 
 def split_two_way_lanes(lanes: Iterable[Lane]) -> list[Lane]:
-    """Replace each lane for both directions by two lanes: one there, followed by one back."""
+    """Replace each lane for both directions by two lanes, the second from its end to its start."""
     one_way_lanes = []
     for lane in lanes:
         one_way_lanes.append(replace(lane, two_way=False))

@@ -84,7 +84,14 @@ def is_in_car(car: LiftCar, x: float, y: float, margin: float = 0.0) -> bool:
 
 
 def list_landings(graph: RouteGraph) -> dict[str, list[int]]:
-    """List the nodes that are joined by lanes over lifts: lift -> indices, ascending."""
+    """List the landings of each lift: the nodes that lanes over the lift join.
+
+    Args:
+        graph: the graph.
+
+    Returns:
+        Name of a lift -> indices of its landings, ascending.
+    """
     landings: dict[str, set[int]] = {}
     for lane in graph.lanes:
         if lane.kind == LIFT and lane.link is not None:
@@ -95,11 +102,15 @@ def list_landings(graph: RouteGraph) -> dict[str, list[int]]:
 def plan_cars(graph: RouteGraph) -> dict[str, CarPlan]:
     """Find the car of each lift that a graph has lanes over, and the place where agents ride.
 
-    The place is the middle of the car, or where the landings are if these lie inside of it at one
-    place. A car that the graph doesn't know is taken to be a square between the landings.
+    The place is the middle of the car. But if landings lie inside of the car, all at the same x, y,
+    it is there. If the graph lists no car for a lift, a square in the middle of the landings is
+    taken for the car.
+
+    Args:
+        graph: the graph.
 
     Returns:
-        Lift -> its plan, in the order of the graph's lanes.
+        Name of a lift -> its plan, in the order of the graph's lanes.
     """
     car_of_lift = {car.name: car for car in graph.cars}
     plans = {}
@@ -133,7 +144,7 @@ def make_car_stops(graph: RouteGraph, plans: Iterable[CarPlan]) -> list[CarStop]
 
     Args:
         graph: the graph.
-        plans: the cars, of `plan_cars`.
+        plans: the cars, as `plan_cars` returns them.
     """
     landings = list_landings(graph)
     names = {node.name for node in graph.nodes}
@@ -178,7 +189,7 @@ def find_nodes_in_cars(
 
     Args:
         graph: the graph.
-        plans: the cars, of `plan_cars`.
+        plans: the cars, as `plan_cars` returns them.
         margin: how far beside a car a node counts as over its floor [m].
 
     Returns:

@@ -113,8 +113,8 @@ class LevelArrays(NamedTuple):
     Attributes:
         floor: Heights of the floors, (height, width) [m], NaN for none.
         is_free: Whether each cell is free, (height, width).
-        row_shift: A row of level 0's lattice and this number add up to the row of this level.
-        col_shift: The same for columns.
+        row_shift: What to add to a row of level 0's lattice to get the row on this level.
+        col_shift: What to add to a column of level 0's lattice to get the column on this level.
     """
 
     floor: Float
@@ -124,10 +124,10 @@ class LevelArrays(NamedTuple):
 
 
 def compute_floor_tolerance(*coordinates: float) -> float:
-    """Return by how much a floor may differ from a surface in height [m].
+    """Return by how much the height of a floor may differ from that of a surface [m].
 
     Args:
-        coordinates: World coordinates [m].
+        coordinates: World coordinates of the place [m]; far from the origin, rounding is coarser.
     """
     return FLOOR_TOLERANCE + FLOOR_TOLERANCE_SHARE * max(map(abs, coordinates))
 
@@ -135,12 +135,15 @@ def compute_floor_tolerance(*coordinates: float) -> float:
 class FloorCheck:
     """Checks floors by MuJoCo's rays, and searches for places to stand that no level has.
 
-    Places that are a step apart form a region. A region that no level has is a fault if steps lead
-    to it. It is also a fault if it is as large as a floor, has few drops at its outline, and either
-    is mostly surrounded by walls (so it is a level), or has hardly a place to stand below it (so it
-    is a ground). Any other region may be the top of furniture, a shelf or a roof, and is ignored. A
-    region that no steps lead to is a fault only if the settings of the bake leave no floors out, or
-    if the grid has no floor at all. Ridges are no places to stand, see `RidgeProbe`.
+    Places that steps connect form a region. A region that no level has is a fault in two cases:
+
+    - Steps lead to it from the grid's floors.
+    - It is as large as a floor, has few drops at its outline, and either is mostly surrounded by
+      walls (so it is a level), or has hardly a place to stand below it (so it is a ground). This
+      counts only if the settings of the bake leave no floors out, or if the grid has no floor.
+
+    Any other region may be the top of furniture, a shelf or a roof, and is ignored. Ridges are no
+    places to stand, see `RidgeProbe`.
 
     Rows and columns of cells refer to the lowest level's lattice. Cells may lie outside it.
 

@@ -74,13 +74,15 @@ class Patches(NamedTuple):
 def split_mesh_parts(vertices: Float, faces: Int) -> list[ClassifiedPart]:
     """Split a mesh into its connected parts, and classify each by what it encloses.
 
-    Vertices at the same position count as one vertex. Triangles with two corners at one position,
-    and duplicates of triangles, are dropped. Then open surfaces are peeled off: triangles at an
-    edge that no other triangle shares, until there is none. The rest are patches of triangles,
-    connected over edges at which two of them meet; triangles wound against most of their patch's
-    area are inverted. Membranes (see `_drop_membranes`) are dropped. Patches that close each
-    other's edges are one part. It is closed if triangles run through each of its edges as often in
-    one direction as in the other.
+    1. Vertices at the same position count as one vertex. Triangles with two corners at one
+       position, and duplicates of triangles, are dropped.
+    2. Open surfaces are peeled off: triangles with an edge that no other triangle shares, until no
+       such triangle is left.
+    3. The remaining triangles form patches: they are connected over edges at which exactly two of
+       them meet. Triangles wound against most of their patch's area are inverted. Membranes (see
+       `_drop_membranes`) are dropped.
+    4. Patches that close each other's edges are one part. It encloses a volume if triangles run
+       through each of its edges as often in one direction as in the other.
 
     Args:
         vertices: The positions of the vertices, (n, 3) [m].

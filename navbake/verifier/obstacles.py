@@ -226,7 +226,7 @@ class Obstacles:
         return self.geom_names[self.shapes[obstacle].geom]
 
     def overlapping(self, low: ArrayLike, high: ArrayLike) -> list[int]:
-        """Return the obstacles whose bounding boxes overlap a box, in ascending order.
+        """Return the ids of the obstacles whose bounding boxes overlap a box, ascending.
 
         Args:
             low: The lower corner of the box, (3,) [m]; may be infinite.
@@ -237,7 +237,7 @@ class Obstacles:
         return obstacles
 
     def support(self, obstacle: int, direction: Float) -> float:
-        """Return the support function of a convex obstacle or a half-space.
+        """Return how far a convex obstacle or a half-space reaches in a direction.
 
         Args:
             obstacle: The obstacle's id.

@@ -120,9 +120,14 @@ class VerticalLine(NamedTuple):
         )
 
     def has_upward_hit(self, low: float, high: float) -> bool:
-        """Return whether a surface between two heights [m] faces up, be it inside of a solid.
+        """Return whether the line meets an upward surface between two heights.
 
-        On a steep surface, the heights may differ by what it rises over `EDGE_TOLERANCE`.
+        A surface inside of a solid counts as well. A surface may lie below `low` or above `high` by
+        the distance `EDGE_TOLERANCE`, measured at right angles to the surface.
+
+        Args:
+            low: The lower height [m].
+            high: The upper height [m].
         """
         for hit in self.hits:
             if hit.normal_z < MIN_UPWARD_NORMAL_Z:
@@ -133,7 +138,9 @@ class VerticalLine(NamedTuple):
         return False
 
     def standable_hits(self, agent_height: float, min_normal_z: float) -> list[SurfaceHit]:
-        """Return the surfaces that an agent can stand on, lowest first, one at each height.
+        """Return the surfaces that an agent can stand on, lowest first.
+
+        Of several surfaces at the same height, one is returned.
 
         Args:
             agent_height: The least free height above a surface [m].
@@ -266,9 +273,9 @@ class ObstacleProbe:
             position: World x, y, z [m].
             height_tolerance: How far above or below the position the surface may be [m].
             max_distance: How far beside the position the surface may be [m].
-            min_normal_z: For surfaces whose unit normal has at least this z, the height may differ
-                by more: by what the slope rises from one cast line to the next. By default for no
-                surface.
+            min_normal_z: A surface counts as a slope to walk on if its unit normal has at least
+                this z. A slope may lie farther above or below the position: by as much as it rises
+                from one cast line to the next. By default, no surface counts as one.
         """
         x, y, z = position
         half_width = max_distance + EDGE_TOLERANCE

@@ -30,11 +30,11 @@ LineAt = Callable[[int, int], VerticalLine]
 
 
 class RunEnd(NamedTuple):
-    """How a row of cells that an agent can walk along ends.
+    """How far an agent can walk along a row or column of cells, and what ends the walk.
 
     Attributes:
-        num_cells: The number of cells, without the first one.
-        is_drop: Whether it ends at a drop.
+        num_cells: The number of cells that it enters; the first cell doesn't count.
+        is_drop: Whether the walk ends at a drop, and not at a wall.
     """
 
     num_cells: int
@@ -42,9 +42,10 @@ class RunEnd(NamedTuple):
 
 
 class RidgeProbe:
-    """Says which places to stand are on ridges.
+    """Says which places to stand are on ridges: between two drops that are less than 0.4 m apart.
 
-    Rows and columns of cells refer to one lattice. Cells may lie outside it.
+    `is_ridge` takes the row and the column of a cell, and the height of the place [m]. The cell may
+    lie outside the lattice.
 
     Args:
         probe: The obstacles that can carry floors.

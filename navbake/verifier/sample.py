@@ -59,16 +59,16 @@ class AgentSizes(NamedTuple):
 
 
 class InflatedGrid(NamedTuple):
-    """A grid, inflated as it is to be verified, and why the inflation may have blocked cells.
+    """A grid, inflated for a radius, and how far the inflation reached.
 
     Attributes:
         grid: The grid, inflated for the radius.
         radius: The radius of the cylinder that has to fit on free cells [m]; None for the baked
             footprint.
-        inflation_reach: An inflation blocks a cell because of something nearby. This is the largest
-            distance of that from the cell's centre [m]; 0 for a grid that is not inflated.
-        by_centers: Whether the inflation blocks a cell because of any occupied cell within that
-            distance, as in the mode ``minos``; otherwise only because of cells with a solid.
+        inflation_reach: The largest distance from a cell's centre at which something may have made
+            the inflation block the cell [m]; 0 for a grid that is not inflated.
+        by_centers: Whether every occupied cell within that distance makes the inflation block a
+            cell, as in the mode ``minos``; otherwise only cells with a solid do.
     """
 
     grid: NavGrid
@@ -424,19 +424,22 @@ def make_volumes(
     neighborhood: CellNeighborhood,
     radius: float | None = None,
 ) -> list[CellPrisms]:
-    """Make the volume over each cell that has to be empty: over its square and over a disc.
+    """Make the volume over each cell that must be empty if the cell is free.
+
+    For the agent of the bake, it is the union of two prisms, over the cell's square and over the
+    agent's disc, from a step above the cell's floor up to the agent's height. For a larger agent,
+    the disc's prism begins a step above the highest floor under the disc, and ends at the agent's
+    height above the lowest one.
 
     Args:
         sample: The cells.
         agent: The agent that the grid was baked for.
         neighborhood: The floors of the grid.
-        radius: The radius of a larger agent [m]; None for the volume of the bake. The larger
-            agent's prism begins a step above the highest floor under it, and ends at the agent's
-            height above the lowest one.
+        radius: The radius of a larger agent [m]; None for the agent of the bake.
 
     Returns:
-        One or two sets of prisms, each with a prism over each cell. A prism that lies inside the
-        other one is left out.
+        The prisms over all squares, those over all discs, or both. If one footprint contains the
+        other, only the prisms of the larger footprint are returned.
     """
     half_cell = sample.level.lattice.cell_size / 2
     floor_heights = sample.floor

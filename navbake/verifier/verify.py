@@ -65,8 +65,8 @@ def verify(
         seed: The seed of the sample and of the paths, >= 0.
         radius: The radius of the cylinder that has to fit on free cells [m], >= 0, and that is
             swept along paths. If None, the radius of the grid's inflation; for a grid without
-            inflation, the baked footprint. If the grid is not inflated, or for a smaller radius, it
-            is inflated for this one.
+            inflation, the baked footprint. A grid without inflation, or with one for a smaller
+            radius, is first inflated for this radius.
         paths: The number of paths to plan, and to sweep the cylinder along, >= 0.
         tolerance: The depth up to which touches are attributed to rounding [m], > 0; at most a
             quarter of a cell's edge, and of the height of the volume over a cell.

@@ -253,16 +253,18 @@ class StopPoint(NamedTuple):
 
 
 class Connection(NamedTuple):
-    """A named link; or a stair or a steep ramp, which is a group of steps from cell to cell.
+    """What pictures show as one connection: a named link, a stair or a steep ramp.
 
-    The steps of a group begin in cells that touch.
+    The grid's table of steps lists pairs of cells between which agents can go. A stair is a group
+    of such pairs between the same two levels, whose first cells touch each other. A steep ramp is
+    a group within one level.
 
     Attributes:
-        name: the link's name; of a group, a name such as ``stair 1``.
-        kind: the link's kind; of a group, `STAIR` or `STEEP_RAMP`.
-        stops: the link's stops; of a group, the mean positions of its two ends.
-        link: the link; None for a group.
-        num_steps: how many pairs of cells the group joins (not treads); 0 for a link.
+        name: the link's name; for a stair or ramp, its kind and number, such as ``stair 1``.
+        kind: the link's kind; or `STAIR` or `STEEP_RAMP`.
+        stops: the link's stops; for a stair or ramp, the mean positions of its two ends.
+        link: the link; None for a stair or ramp.
+        num_steps: the number of pairs of cells of the stair or ramp (not of treads); 0 for a link.
     """
 
     name: str

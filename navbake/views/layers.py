@@ -95,7 +95,12 @@ class ColorScale(NamedTuple):
         return np.round(np.stack(channels, axis=1)).astype(np.uint8)
 
     def color(self, values: Reals) -> NDArray[np.uint8]:
-        """Return the colours of finite values, shape (…, 3); values beyond the bar are clipped."""
+        """Return the colours of values, shape (…, 3), 0 to 255.
+
+        Args:
+            values: finite values, shape (…). Those below or above `self.values` get the colour at
+                that end of the bar.
+        """
         positions = np.interp(values, self.values, self.positions)
         shades = np.round(positions * (SHADES - 1)).astype(np.intp)
         painted: NDArray[np.uint8] = self.bar(SHADES).take(shades, axis=0)
@@ -581,7 +586,14 @@ def _show_disagreements(grid: NavGrid, level_number: int, findings: Sequence[Fin
 
 
 def choose_kind_colors(kinds: Iterable[str]) -> dict[str, str]:
-    """Choose colours: kind of mark -> colour; if there are many kinds, some share a colour."""
+    """Choose a colour for each kind of mark; if there are many kinds, some share a colour.
+
+    Args:
+        kinds: the kinds of the marks in a picture, in any order, also repeated.
+
+    Returns:
+        Kind -> its colour.
+    """
     return {
         kind: colors.MARKS[index % len(colors.MARKS)]
         for index, kind in enumerate(sorted(set(kinds)))

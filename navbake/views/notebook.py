@@ -134,7 +134,7 @@ def draw_levels(grid: NavGrid, max_side: int, path: Path | None = None) -> Image
 
 
 def encode_png(image: Image.Image) -> bytes:
-    """Encode a picture as PNG; one of at most 256 colours takes one byte per pixel."""
+    """Encode a picture as PNG; with at most 256 colours, it is stored as indices into a palette."""
     if image.mode == "RGB" and image.getcolors(256) is not None:
         image = image.convert("P", palette=Image.Palette.ADAPTIVE, colors=256)
     content = io.BytesIO()

@@ -299,9 +299,9 @@ def wrap_text(text: str, width: float, max_lines: int = 3) -> str:
 
 
 def escape_undrawable(text: str) -> str:
-    """Escape the characters of a text that can't be drawn; all kinds of spaces can be.
+    """Escape the characters of a text that can't be drawn, such as line ends.
 
-    `str.isprintable` counts no space but the ASCII one as printable.
+    Spaces of all kinds stay, although `str.isprintable` accepts only the ASCII space.
     """
     is_space = [unicodedata.category(letter) == "Zs" for letter in text]
     return "".join(

@@ -39,7 +39,7 @@ NUM_BAR_COLORS = 64  # number of colours of a color scale's bar
 
 
 class VerifiedFinding(TypedDict):
-    """The fields of a verification's finding in JSON that a page needs."""
+    """A finding in the JSON of `VerifyReport.to_json`, with only the fields that a page shows."""
 
     kind: str
     level: int
@@ -48,7 +48,7 @@ class VerifiedFinding(TypedDict):
 
 
 class Verification(TypedDict):
-    """The fields of a verification's report in JSON that a page needs."""
+    """The JSON of `VerifyReport.to_json`, with only the fields that a page shows."""
 
     ok: bool
     checked: int

@@ -117,10 +117,12 @@ def plan_of(
 def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -> VoxelGrid:
     """Make voxels of a level's occupied cells, from `step` to `height` over their floors.
 
-    Cells without a floor are filled from `step` to `height` over the level's ground. Voxels have
-    the cells' edge. Their lattice starts `step` above the ground, or whole voxels below that where
-    floors are lower. A voxel is filled if it overlaps its cell's range by more than float32
-    rounding. Rooms and weights are left out.
+    Occupied cells without a floor are filled from `step` to `height` over the level's ground. A
+    voxel is filled if it overlaps this range of heights by more than float32 rounding.
+
+    The edge of a voxel is that of a cell. The lowest layer of voxels begins `step` above the
+    level's ground; where floors are lower than the ground, there are further layers below it. Rooms
+    and weights are left out.
 
     Args:
         level: A level with ``occupancy`` and ``floorHeight``.

@@ -506,10 +506,10 @@ def render_legend(panels: Sequence[Panel], color_of_mark: Mapping[str, str] | No
 
     Args:
         panels: the panels of the shown levels, the lowest first.
-        color_of_mark: meaning of a kind of mark that is drawn -> its colour.
+        color_of_mark: the meaning of each kind of mark on the page, such as a path -> its colour.
 
     Returns:
-        HTML: the color scales of the highest levels, and the meanings of colours.
+        HTML: color scales, of the highest levels if there are too many; and what colours mean.
     """
     scales = [(panel.title, panel.scale) for panel in panels[::-1] if panel.scale is not None]
     html_parts = []

@@ -139,7 +139,8 @@ class MeshBatch(NamedTuple):
     """A mesh that several geoms of one colour show, so that it is sent once.
 
     Attributes:
-        content: the mesh in its own frame, lit as it is at the first of the geoms, as GLB.
+        content: the mesh as GLB, in its own frame. Its colours contain the light, which is computed
+            once, for the rotation of the first geom.
         geoms: the geoms' ids, shape (n,).
         rotations: the geoms' rotations, quaternions w, x, y, z, shape (n, 4).
         positions: the geoms' positions, world frame [m], shape (n, 3).
@@ -754,17 +755,19 @@ def _make_caps(drawn_triangles: Surface, height: float, is_solid: Bool) -> Surfa
 def make_floor_surface(
     level: SceneGrid2D, *, with_holes: bool = True, max_rectangles: int = MAX_RECTANGLES
 ) -> Surface:
-    """Make the surface on which a level's layers are drawn; it has a rectangle for each flat part.
+    """Make the surface of a level's floors, on which its layers are drawn as a texture.
+
+    Each flat part of the floors, which may be a slope, is one rectangle.
 
     Args:
         level: the level.
         with_holes: whether to leave out the cells without a floor; otherwise they lie at the
             level's ground.
-        max_rectangles: if the surface would have more rectangles than this, it follows the floor
-            less closely.
+        max_rectangles: the largest number of rectangles; if more would be needed, the surface
+            follows the floors less closely.
 
     Returns:
-        A surface whose picture has a pixel for each cell.
+        The surface. Its texture has a pixel for each cell of the level, see `draw_overlay`.
     """
     floor = level.floor.astype(np.float64)
     cell_size = level.lattice.cell_size
@@ -944,7 +947,10 @@ class Hit(NamedTuple):
 
 
 class PickCandidate(NamedTuple):
-    """A cell that the user may have clicked; the smallest candidate, as a tuple, is the best."""
+    """A cell that the user may have clicked.
+
+    Candidates are compared as tuples, field by field: the smallest one is the best.
+    """
 
     without_floor: bool
     is_above: bool  # whether the floor is above the clicked point

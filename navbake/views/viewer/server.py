@@ -161,16 +161,17 @@ class PageServer(AbstractContextManager["PageServer"]):
     def is_allowed(self, headers: Message, *, is_page: bool = False) -> bool:
         """Return whether a request may be answered.
 
-        Its header Host must be the page's own address, or the host of an allowed origin; if the
-        page listens at all addresses, any numeric address with its port is its own. This prevents
-        DNS rebinding. Its header Origin, if it has one, must be a page at that address, or one of
-        the allowed origins. Browsers leave out Origin when they load an image or a script: then
-        Sec-Fetch-Site, if the request has it, must say that it comes from a page at that address.
-        A link from another site may lead to the page itself.
+        - Host must be the page's own address, or the host of an allowed origin. If the page listens
+          at all addresses, any numeric address with its port is its own. This prevents DNS
+          rebinding.
+        - Origin must be a page at the address in Host, or one of the allowed origins.
+        - Without Origin, which browsers leave out when they load an image or a script,
+          Sec-Fetch-Site must say that a page at the address in Host makes the request. Clients that
+          leave out both are allowed. So is a link from another site to the page itself.
 
         Args:
             headers: The headers of the request.
-            is_page: Whether it asks for the page itself.
+            is_page: Whether the request asks for the page itself.
         """
         host_headers = headers.get_all("Host", [])
         origin_headers = headers.get_all("Origin", [])

@@ -101,7 +101,7 @@ class Line(NamedTuple):
 
 
 class ShownNodes(NamedTuple):
-    """The nodes of viser's scene that are drawn under a name, and what they were drawn for."""
+    """Nodes of viser's scene that were drawn together, and the value for which they were drawn."""
 
     key: object  # the nodes are replaced when this value changes
     nodes: list[viser.SceneNodeHandle]

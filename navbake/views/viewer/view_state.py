@@ -259,8 +259,8 @@ class Inspection(NamedTuple):
         facts: the description of the cell, see `navbake.views.describe.describe_cell`.
         clicked: the name of the clicked object, None for none.
         highlighted: the corners of the drawn triangles of the objects that block the cell, world
-            frame [m], shape (n, 3, 3). If there are no such objects, it is those of the clicked
-            object, provided that the grid lists it in the cell.
+            frame [m], shape (n, 3, 3). If nothing blocks the cell, those of the clicked object, if
+            the grid lists that object in the cell.
         outline: the corners of the cell, the first one repeated at the end, world frame [m],
             shape (5, 3).
     """
@@ -275,7 +275,7 @@ def cache_results_by(*fields: str) -> Callable[[Callable[..., Result]], Callable
     """Make a decorator of `ViewState` methods that caches their last `NUM_CACHED` results.
 
     Args:
-        fields: the fields of `Choices` that the result depends on.
+        fields: the names of the fields of `Choices` that the result depends on.
 
     Returns:
         A decorator of methods that take the choices and, optionally, the number of a level.
@@ -576,8 +576,8 @@ class ViewState:
     def episode_path(self, choices: Choices) -> Float:
         """Return the path of the chosen episode: world x, y, z [m], shape (n, 3).
 
-        If the episode has no path of its own, it is the shortest path in the shown grid; a sequence
-        of goals then has none. Without a path, the array is empty.
+        If the episode stores no path, the shortest path in the shown grid is planned; for a
+        sequence of goals, none is. Without a path, the array is empty.
         """
         run = self.runs.get(choices.episode)
         if run is None or run.episode is None:
