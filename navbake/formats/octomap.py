@@ -36,15 +36,17 @@ COLOR_NODE_BYTES = 8
 COLOR_BYTES = slice(4, 7)
 # OctoMap's clamping thresholds: the log-odds of certainly free or occupied voxels, as bytes
 CERTAIN_ODDS = np.array([[math.log(p / (1 - p))] for p in (0.1192, 0.971)], "<f4").view(np.uint8)
-# states of nodes, as bits: the states of several nodes are joined by bitwise or. MIXED and
-# MIXED_FREE are nodes whose children differ; all voxels in a MIXED_FREE node are free or unknown
+# states of nodes, as bits: the states of several nodes are joined by bitwise or. A mixed node has
+# children of different states; some voxel in it is occupied, or all are free or unknown
 UNKNOWN = 1
 FREE = 2
 OCCUPIED = 4
-MIXED_FREE = 8
-MIXED = 16
-NODE_STATES = np.full(32, MIXED_FREE, np.uint8)  # bitwise or of the children's states -> state
-NODE_STATES[[state for state in range(32) if state & (OCCUPIED | MIXED)]] = MIXED
+MIXED_WITHOUT_OCCUPIED = 8
+MIXED_WITH_OCCUPIED = 16
+# bitwise or of the children's states -> state
+NODE_STATES = np.full(32, MIXED_WITHOUT_OCCUPIED, np.uint8)
+HAS_OCCUPIED = (np.arange(32) & (OCCUPIED | MIXED_WITH_OCCUPIED)) != 0
+NODE_STATES[HAS_OCCUPIED] = MIXED_WITH_OCCUPIED
 NODE_STATES[[UNKNOWN, FREE, OCCUPIED]] = [UNKNOWN, FREE, OCCUPIED]
 # state of a child -> its bits in the node's entry: two in a ``.bt``, one in an ``.ot``
 CHILD_BITS = {"bt": np.full(17, 3, np.int64), "ot": np.ones(17, np.int64)}
@@ -95,7 +97,7 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         states = child_states[0::2] | child_states[1::2]
         states = states[:, 0::2] | states[:, 1::2]
         states = NODE_STATES[states[:, :, 0::2] | states[:, :, 1::2]]
-        parent_places = np.argwhere(states >= MIXED_FREE)  # of nodes with children
+        parent_places = np.argwhere(states >= MIXED_WITHOUT_OCCUPIED)  # of nodes with children
         i, j, k = parent_places.T
         half_x, half_y, half_z = states.shape
         octets = child_states.reshape(half_x, 2, half_y, 2, half_z, 2)
@@ -112,7 +114,7 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         if depth == 1:
             num_nodes += len(parent_places)  # the root
         if has_odds:  # leaves have entries as well, of no children
-            node, child = np.nonzero((children != UNKNOWN) & (children < MIXED_FREE))
+            node, child = np.nonzero((children != UNKNOWN) & (children < MIXED_WITHOUT_OCCUPIED))
             leaf_keys = parent_keys[node] | (child << 3 * level + 5) | depth
             sort_keys.append(leaf_keys)
             entries.append(np.zeros_like(leaf_keys))
@@ -120,7 +122,8 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     sort_indices = np.argsort(np.concatenate(sort_keys))
     nodes = np.concatenate(entries)[sort_indices].astype("<u2")
     if has_odds:  # a node has the greatest log-odds of its children
-        is_occupied = (np.concatenate(node_states)[sort_indices] & (OCCUPIED | MIXED)) != 0
+        sorted_states = np.concatenate(node_states)[sort_indices]
+        is_occupied = (sorted_states & (OCCUPIED | MIXED_WITH_OCCUPIED)) != 0
         odds = CERTAIN_ODDS[is_occupied.astype(np.int64)]
         nodes = np.append(odds, nodes[:, None].astype(np.uint8), axis=1)
     res = f"{grid.res:g}"  # six digits, as OctoMap writes it, if they are exact

@@ -299,7 +299,7 @@ def read_binvox(
     *,
     layout: BinvoxLayout = "auto",
     position: ArrayLike = (0.0, 0.0, 0.0),
-    res: float | None = None,
+    voxel_edge: float | None = None,
     max_voxels: int | None = None,
 ) -> VoxelGrid:
     """Read a binvox file, versions 1 and 2.
@@ -314,9 +314,9 @@ def read_binvox(
             scale and adds a note to the grid's notes.
         position: the position of AirSim's grid, which its files lack, world frame [m].
             AirSim's frame is north, east, down: its (n, e, d) is (n, -e, -d) here.
-        res: the edge of AirSim's voxels [m]. Its files only have the requested size, which may
-            exceed the grid's by a part of a voxel. If None, it is computed from the sizes and
-            counts.
+        voxel_edge: the edge of AirSim's voxels [m], `res` of the grid. AirSim's files lack it: they
+            have the size that was asked for, which may exceed the voxels by less than one. If None,
+            the edge is computed from this size and the counts of voxels.
         max_voxels: the largest number of voxels, see `read_voxels`.
 
     Returns:
@@ -374,21 +374,21 @@ def read_binvox(
 
     # AirSim cuts counts, it does not round them, so the true edge is the least of these or less
     edges = -2 * np.array(header.translate) / (nx, ny, nz)
-    edge = float(edges.min()) if res is None else float(res)
-    if res is not None and not (math.isfinite(edge) and edge > 0):
-        message = f"expected `res`, the edge of AirSim's voxels, to be > 0 m, got {res}"
-        raise FormatError(message, key="res", value=res, expected="a number > 0")
+    edge = float(edges.min()) if voxel_edge is None else float(voxel_edge)
+    if voxel_edge is not None and not (math.isfinite(edge) and edge > 0):
+        message = f"expected `voxel_edge` of AirSim's voxels to be > 0 m, got {voxel_edge}"
+        raise FormatError(message, key="voxel_edge", value=voxel_edge, expected="a number > 0")
     if not edge > 0:
         message = f"expected a negative `translate` in AirSim's layout in {name}"
         raise FormatError(message, path=name, key="translate", value=header.translate)
     # the middle of the first voxel, from the grid's position
     first_middle = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge
     center = check_three(position, "the position to be x, y, z [m]")
-    is_unsure = res is None and edges.max() > edge * (1 + AIRSIM_TOLERANCE)
+    is_unsure = voxel_edge is None and edges.max() > edge * (1 + AIRSIM_TOLERANCE)
     notes.append(
         f"{name}: laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "
         f"north, east, up, voxels of {edge:g} m"
-        f"{' at most (give `res`: the sizes are no whole multiples)' if is_unsure else ''}, "
+        f"{' at most (give `voxel_edge`: the sizes are no whole multiples)' if is_unsure else ''}, "
         f"round ({', '.join(f'{coordinate:g}' for coordinate in center)})"
     )
     x, y, z = (center + first_middle - edge / 2).tolist()

@@ -369,7 +369,7 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
     radius = grid.inflated_radius
     if radius == 0.0:
         return None
-    ledges = ledges_setting(grid)
+    ledge_rule = ledges_setting(grid)
     diagonal = []
     anywhere = []
     sweepable = []
@@ -386,12 +386,12 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
             has_no_step[second] &= ~is_step
         cell_size = level.lattice.cell_size
         anywhere_radius = _anywhere_radius(radius, cell_size)
-        is_blocked = find_blocked(grid, number, anywhere_radius, ledges)
+        is_blocked = find_blocked(grid, number, anywhere_radius, ledge_rule)
         is_blocked_by_floors = find_blocked(
-            grid, number, anywhere_radius, ledges, counts_own_occupied=False
+            grid, number, anywhere_radius, ledge_rule, counts_own_occupied=False
         )
         is_blocked_diagonally = find_blocked(
-            grid, number, _diagonal_radius(radius, cell_size), ledges
+            grid, number, _diagonal_radius(radius, cell_size), ledge_rule
         )
         diagonal.append((has_no_step & ~is_blocked_diagonally).ravel())
         anywhere.append((has_no_step & ~is_blocked).ravel())

@@ -252,8 +252,8 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
     weights = np.where(is_free, np.where(flat.free, 1.0, DOOR_WEIGHT), np.inf)
     doorless_grid = with_weights(doorless_grid, weights)
     if grid.inflated_radius:
-        ledges = ledges_setting(grid)
-        doorless_grid = doorless_grid.inflate(grid.inflated_radius, ledges=ledges)
+        ledge_rule = ledges_setting(grid)
+        doorless_grid = doorless_grid.inflate(grid.inflated_radius, ledges=ledge_rule)
     route = find_route_cells(doorless_grid, search, start_cell, goals)
     blocked_cells = NO_CELLS if route is None else route[~flat.free[route]]
     # a door blocks all cells from which the agent's disc reaches it
@@ -302,8 +302,8 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
         return None
     point_search = similar_search(without_inflation(grid.without_obstacles()), search)
     point_grid = point_search.grid
-    ledges = ledges_setting(grid)
-    widest = find_widest(point_grid, search, start_cell, goals, ledges)
+    ledge_rule = ledges_setting(grid)
+    widest = find_widest(point_grid, search, start_cell, goals, ledge_rule)
     if widest is None:
         return None
     radius = widest.radius

@@ -527,8 +527,8 @@ class Search:
         passage_seconds = np.zeros_like(step_lengths)
         links: list[TakenLink] = []
         step_sources, step_targets = flat.step_ends()
-        planned_graph = self.graph_with_costs(by)
-        planned_costs = flat.arcs.seconds if by == "time" else flat.arcs.cost
+        planning_graph = self.graph_with_costs(by)
+        planning_arc_costs = flat.arcs.seconds if by == "time" else flat.arcs.cost
         for index in np.flatnonzero(route.by_link).tolist():
             ends = route.cells[index - 1 : index + 1]
             steps = np.flatnonzero((step_sources == ends[0]) & (step_targets == ends[1]))
@@ -537,9 +537,9 @@ class Search:
             is_candidate &= flat.arcs.fits_radius(self.radius)
             if not is_candidate.any():
                 continue
-            arc = int(np.argmin(np.where(is_candidate, planned_costs, np.inf)))
-            weight = planned_graph.uniform_weight or planned_graph.weight[ends[1]]
-            if not len(steps) or planned_costs[arc] < step_lengths[index] * weight:
+            arc = int(np.argmin(np.where(is_candidate, planning_arc_costs, np.inf)))
+            weight = planning_graph.uniform_weight or planning_graph.weight[ends[1]]
+            if not len(steps) or planning_arc_costs[arc] < step_lengths[index] * weight:
                 links.append(TakenLink(index, self.grid.links[flat.arcs.link[arc]].name))
                 step_lengths[index] = 0.0
                 passage_cost[index] = flat.arcs.cost[arc]

@@ -169,8 +169,8 @@ def test_airsims_sizes_may_be_no_whole_multiples():
     header = b"#binvox 1\ndim 3 3 2\ntranslate -0.5 -0.35 -0.5\nscale 1\ndata\n"
     data = header + bytes([1, 18])  # 1 × 0.7 × 1 m at 0.3 m
     grid = read_binvox(data, layout="airsim")
-    assert grid.res == pytest.approx(1 / 3) and "at most (give `res`" in grid.notes[0]
-    grid = read_binvox(data, layout="airsim", res=0.3)
+    assert grid.res == pytest.approx(1 / 3) and "at most (give `voxel_edge`" in grid.notes[0]
+    grid = read_binvox(data, layout="airsim", voxel_edge=0.3)
     assert grid.res == 0.3 and "at most" not in grid.notes[0]
     with pytest.raises(FormatError, match="negative `translate`"):
         read_binvox(data.replace(b"-0.5 -0.35", b"0.5 0.35"), layout="airsim")
@@ -196,7 +196,7 @@ def test_a_file_comes_back_in_place_at_the_position_that_its_note_states(tmp_pat
     grid = grid_of(rng.random(shape) < 0.5, (-1.0, 3.25, 0.5), 0.5)
     grid.save(tmp_path / "a.binvox", layout="airsim")
     position = find_airsim_position(grid)
-    back = read_binvox(tmp_path / "a.binvox", position=position, layout="airsim", res=0.5)
+    back = read_binvox(tmp_path / "a.binvox", position=position, layout="airsim", voxel_edge=0.5)
     np.testing.assert_array_equal(back.values, grid.values)
     np.testing.assert_allclose(back.origin, grid.origin, atol=1e-12)
     (note,) = grid.notes
@@ -237,8 +237,8 @@ def test_files_by_the_rules_whose_scale_is_one_are_no_airsim_files(low):
     [
         ({"position": "here"}, "position to be x, y, z"),
         ({"position": (1, 2)}, "position to be x, y, z"),
-        ({"res": float("nan")}, "`res`.* > 0 m, got nan"),
-        ({"res": -0.1}, "`res`.* > 0 m, got -0.1"),
+        ({"voxel_edge": float("nan")}, "`voxel_edge`.* > 0 m, got nan"),
+        ({"voxel_edge": -0.1}, "`voxel_edge`.* > 0 m, got -0.1"),
     ],
 )
 def test_what_airsim_was_asked_for_may_be_wrong(asked, culprit):

@@ -422,8 +422,8 @@ def _to_world(
     if stray_meshes and not world_meshes:
         check_mesh(stray_meshes[0], path)
     if stray_meshes and warnings is not None:
-        listed_names = list_first([repr(mesh.name) for mesh in stray_meshes])
-        warning = f"mesh {listed_names} of {path} left out: it lies beyond {MAX_COORDINATE:g} m"
+        names_text = list_first([repr(mesh.name) for mesh in stray_meshes])
+        warning = f"mesh {names_text} of {path} left out: it lies beyond {MAX_COORDINATE:g} m"
         if warning not in warnings:
             warnings.append(warning)
     if not world_meshes:

@@ -304,9 +304,9 @@ def build_model(
             continue
         geoms.append(geom)
     if stray_names:
-        listed_names = list_first([repr(name) for name in stray_names], max_names=5)
+        names_text = list_first([repr(name) for name in stray_names], max_names=5)
         warnings.append(
-            f"geom {listed_names} of {path} left out: it lies beyond {MAX_COORDINATE:g} m"
+            f"geom {names_text} of {path} left out: it lies beyond {MAX_COORDINATE:g} m"
         )
     if stray_names and not geoms:
         problem_text = f"all geometry lies beyond {MAX_COORDINATE:g} m, as {stray_names[0]!r}"

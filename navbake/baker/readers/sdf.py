@@ -438,9 +438,9 @@ class _WorldReader:
             meshes = read_named_meshes(file, up, warnings=file_warnings)
             matching_meshes = [mesh for mesh in meshes if submesh in ("", mesh.name)]
             if not matching_meshes:
-                listed_names = ", ".join(sorted(mesh.name for mesh in meshes)[:20])
+                names_text = ", ".join(sorted(mesh.name for mesh in meshes)[:20])
                 raise SceneError(
-                    f"no submesh {submesh!r} in {file}, of {element_text}: it has {listed_names}"
+                    f"no submesh {submesh!r} in {file}, of {element_text}: it has {names_text}"
                 )
             vertices, faces = join_meshes(matching_meshes)
             if is_centered:

@@ -410,12 +410,12 @@ def _mark_by_sites(
         for label, is_standing_place in zip(labels, standing_masks, strict=True):
             label[is_standing_place & (label == 0)] = len(room_names)
     if small_sites:
-        listed_names = ", ".join(small_sites[:MAX_LISTED_SITES])
+        names_text = ", ".join(small_sites[:MAX_LISTED_SITES])
         ellipsis = ", …" if len(small_sites) > MAX_LISTED_SITES else ""
         warnings = [
             *warnings,
             f"sites that hold less than {settings.min_area:g} m² of floor (`rooms.min_area`) are "
-            f"no rooms: {listed_names}{ellipsis}",
+            f"no rooms: {names_text}{ellipsis}",
         ]
     return MarkedRooms(room_names, labels, warnings)
 

@@ -419,8 +419,8 @@ def _drop_missing_textures(spec: mujoco.MjSpec, path: Path, warnings: list[str])
             texture.width = 1
             texture.height = 1
     if missing_files:
-        listed_names = list_first([repr(name) for name in missing_files])
-        warnings.append(f"texture {listed_names} of {path} not found: drawn plain")
+        names_text = list_first([repr(name) for name in missing_files])
+        warnings.append(f"texture {names_text} of {path} not found: drawn plain")
 
 
 def read_urdf(
@@ -479,8 +479,8 @@ def read_urdf(
                         link.remove(visual)
             if dropped_meshes and warnings is not None:
                 reason = "as it is only drawn, and visuals don't count here"
-                listed_names = list_first([repr(name) for name in dropped_meshes])
-                warnings.append(f"mesh {listed_names} of {path} not found: left out, {reason}")
+                names_text = list_first([repr(name) for name in dropped_meshes])
+                warnings.append(f"mesh {names_text} of {path} not found: left out, {reason}")
         missing_names = [*dict.fromkeys(find_missing_meshes(root))]
         if missing_names:
             raise SceneError(_describe_missing_meshes(path, missing_names))

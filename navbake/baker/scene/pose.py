@@ -97,10 +97,9 @@ def _check_name(
     """
     names = [model_name for model_name in names_at(model, addresses.tolist()) if model_name]
     if name not in names:
-        listed_names = list_first(names, 20) or "none with a name"
+        names_text = list_first(names, 20) or "none with a name"
         raise ConfigError(
-            f"no {object_kind} {name!r} for `scene.{setting_key}`: {settings.path} has "
-            f"{listed_names}"
+            f"no {object_kind} {name!r} for `scene.{setting_key}`: {settings.path} has {names_text}"
         )
 
 
