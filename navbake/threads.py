@@ -1,7 +1,7 @@
 """Runs compiled kernels on several Python threads, each of which takes chunks of the work.
 
-Kernels release the GIL. They are used in place of numba's own parallel loops: they compile in a
-fraction of the time, and work after a fork and from any thread.
+Kernels release the GIL, so they run in parallel. numba's own parallel loops are not used: they take
+several times as long to compile, and fail after a fork, or when several threads start them.
 """
 
 import _thread

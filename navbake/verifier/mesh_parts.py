@@ -1,7 +1,7 @@
 """Splits meshes into their connected parts, and decides which of them enclose a volume.
 
-It has the definition of the bake, in code of its own: the bake floods, this computes connected
-components of graphs.
+Parts are defined as in the bake, but found by code of this module's own: connected components of
+graphs, where the bake uses flood fills.
 """
 
 from __future__ import annotations

@@ -289,10 +289,9 @@ def place_grid(
 
     Args:
         position: Centre of the grid, world x, y, z [m]; None for the centre of `bounds`.
-        cells: Numbers of voxels along x, y and z.
-        size: Lengths along x, y and z that whole voxels are to cover [m]. Give one of `cells` and
-            `size`; or none of both, and the grid covers `bounds`, with corners on multiples of
-            `res`.
+        cells: Numbers of voxels along x, y and z; None for as many as `size` or `bounds` need.
+        size: Lengths along x, y and z that whole voxels are to cover [m]. With neither `cells` nor
+            `size`, the grid covers `bounds`, and its corners are multiples of `res`.
         res: Edge of a voxel [m], >= 1e-5.
         bounds: Lower and upper corner of the scene's box, shape (2, 3) [m]; None if the scene is
             endless.

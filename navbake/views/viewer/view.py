@@ -682,7 +682,7 @@ def watch_grid(
 def find_watched_files(paths: Iterable[Path]) -> list[Path]:
     """List files, and all files that the scenes among them refer to; each is listed once.
 
-    If a file is missing, all paths are listed where it could be.
+    For a missing file, every path at which it is looked for is listed.
     """
     files: dict[Path, None] = {}
     for path in paths:
