@@ -189,6 +189,10 @@ def hold_lock(descriptor: int, path: str | PathLike[str]) -> bool:
 
     The lock holds until the descriptor and its copies are closed, or the process ends.
 
+    Args:
+        descriptor: The descriptor of the open file or folder.
+        path: Its path.
+
     Returns:
         Whether the path is still there: it may have been removed just before it was locked.
     """

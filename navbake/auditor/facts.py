@@ -380,7 +380,12 @@ class Facts:
         return x, y, z if np.isfinite(z) else level.ground
 
     def first_place(self, level_number: int, is_marked: Bool) -> Vector3:
-        """Return the position of the first marked cell of a level, world x, y and z [m]."""
+        """Return the position of the first marked cell of a level, world x, y and z [m].
+
+        Args:
+            level_number: the level's index.
+            is_marked: the marked cells, at least one, shape (height, width).
+        """
         row, col = np.unravel_index(int(np.argmax(is_marked)), is_marked.shape)
         return self.place(level_number, int(row), int(col))
 

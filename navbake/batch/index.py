@@ -198,7 +198,15 @@ def read_index(folder: store.Folder, name: str = INDEX_NAME) -> dict[str, SceneR
 
 
 def merge_rows(folder: store.Folder, names: Iterable[str]) -> dict[str, SceneRow]:
-    """Merge the rows of several index files: scene's id -> the row of the scene that ended last."""
+    """Merge the rows of several index files.
+
+    Args:
+        folder: the output folder.
+        names: the names of the files in it; missing files are skipped.
+
+    Returns:
+        Id of a scene -> its row; of several rows of a scene, the one that ended last.
+    """
     rows: dict[str, SceneRow] = {}
     for name in names:
         for id, row in read_index(folder, name).items():

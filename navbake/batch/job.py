@@ -403,7 +403,13 @@ def bake_scene(plan: Plan, job: Job) -> SceneRow:
 
 
 def begin_row(plan: Plan, job: Job, status: str) -> SceneRow:
-    """Return a scene's row of the index with the fields that every row has."""
+    """Return a scene's row of the index with the fields that every row has.
+
+    Args:
+        plan: the batch's options.
+        job: the scene.
+        status: ``ok``, ``failed`` or ``left``.
+    """
     return {"id": job.id, "status": status, "source": _index_path(plan, job.source)}
 
 
@@ -437,7 +443,7 @@ def prepare_worker(products: Iterable[str], thumbnail: bool) -> None:
     All modules are loaded by this, so that their loading doesn't count in the first scene's time.
 
     Args:
-        products: see `products.parse_products`.
+        products: the batch's products, as `products.parse_products` returns them.
         thumbnail: whether to make a thumbnail, too.
     """
     limit_mesh_cache(MESH_CACHE_SIZE)

@@ -69,7 +69,16 @@ class CarStop:
 
 
 def to_car_frame(car: LiftCar, x: Coordinates, y: Coordinates) -> tuple[Coordinates, Coordinates]:
-    """Convert world x and y to the frame of a car: x along its width, y along its depth [m]."""
+    """Convert world x and y to the frame of a car.
+
+    Args:
+        car: the car.
+        x: world x [m], a number or an array.
+        y: world y [m], likewise.
+
+    Returns:
+        x along the car's width and y along its depth, from its middle [m].
+    """
     cos = math.cos(car.yaw)
     sin = math.sin(car.yaw)
     dx = x - car.x
@@ -78,7 +87,14 @@ def to_car_frame(car: LiftCar, x: Coordinates, y: Coordinates) -> tuple[Coordina
 
 
 def is_in_car(car: LiftCar, x: float, y: float, margin: float = 0.0) -> bool:
-    """Whether world x, y [m] lies over a car's floor, or beside it by less than a margin [m]."""
+    """Return whether a point lies over the floor of a car, seen from above.
+
+    Args:
+        car: the car.
+        x: world x [m].
+        y: world y [m].
+        margin: how far beside the floor the point may lie [m].
+    """
     car_x, car_y = to_car_frame(car, x, y)
     return abs(car_x) < car.width / 2 + margin and abs(car_y) < car.depth / 2 + margin
 
