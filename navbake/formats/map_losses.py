@@ -80,7 +80,7 @@ def find_closed_cells(
             ``free`` to close none. None means ``occupied``.
         agent: the agent that the map is for: its name in the grid, or the agent itself. None means
             any: only areas that bar all agents are closed.
-        closes_areas: whether areas that bar the agent are closed.
+        closes_areas: whether the cells of areas that bar the agent are found, too.
 
     Returns:
         The cells.

@@ -43,7 +43,7 @@ class RosPackages:
     """Finds the folders of ROS packages by the packages' names.
 
     Args:
-        folders: the folders of the settings, see `list_stated`: each one contains packages, or is
+        folders: the folders of the setting `scene.model_path`: each one contains packages, or is
             itself the folder of a package.
     """
 
@@ -51,7 +51,7 @@ class RosPackages:
         self._folders = folders
 
     def list_stated(self, name: str) -> Iterator[Path]:
-        """Yield the possible folders of a package in the folders of the settings.
+        """Yield the folders where a package may be, by the setting `scene.model_path`.
 
         Args:
             name: the package's name.
@@ -60,7 +60,7 @@ class RosPackages:
             yield from _list_package_folders(folder, name)
 
     def list_installed(self, name: str) -> Iterator[Path]:
-        """Yield the possible folders of a package by ROS's variables, in the order of search.
+        """Yield the folders where a package may be, by ROS's environment variables, in ROS's order.
 
         Args:
             name: the package's name.
@@ -136,7 +136,13 @@ class FuelFile(NamedTuple):
     path: str
 
     def list_in_folder(self, folder: Path) -> Iterator[Path]:
-        """Yield the possible paths of the file in a folder of models, by any case of its name."""
+        """Yield the possible paths of the file in a folder of models.
+
+        The model's folder is found whatever the case of its name.
+
+        Args:
+            folder: a folder that contains the folders of models.
+        """
         for model_folder in _list_equal_names(folder, self.name):
             yield model_folder / self.path
 

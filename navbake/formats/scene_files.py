@@ -75,14 +75,13 @@ class FileAccess(Protocol):
 
 
 def check_inputs(scene: Path, folders: Sequence[Path] = ()) -> None:
-    """Raise a SceneError for inputs that MuJoCo can't read.
+    """Check that MuJoCo can open a scene's files.
 
-    These are a scene's path that is not UTF-8, and pipes and devices, on which it would wait for
-    ever.
+    It can't open a path that isn't UTF-8, and would wait for ever for a pipe or a device.
 
     Args:
         scene: the scene's file.
-        folders: `scene.model_path`.
+        folders: the folders of the setting `scene.model_path`.
 
     Raises:
         SceneError: there is such an input.

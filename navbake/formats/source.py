@@ -462,7 +462,7 @@ def read_header(
 
 
 def check_named(path: Path) -> None:
-    """Raise a FormatError if a file's name isn't UTF-8, so that no other file can contain it.
+    """Check that a file's name is UTF-8, so that another file can contain it.
 
     Raises:
         FormatError: the name isn't UTF-8.

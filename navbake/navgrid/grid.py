@@ -116,7 +116,7 @@ class GridBase(GridMethods):
         return f"{type(self).__name__}({self.scene_id!r}, {facts})"
 
     def describe_radius(self) -> str:
-        """Say for which radius the grid is, and whether it was inflated for it."""
+        """Describe the grid's radius in words, and whether it comes from a bake or an inflation."""
         verb = "inflated" if self.inflated_radius else "baked"
         return f"{verb} for a radius of {self.radius:g} m"
 

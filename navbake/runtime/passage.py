@@ -85,7 +85,7 @@ def find_passage(
         start: world x, y, z [m].
         goal: a position, several of them, or ``room:NAME``.
         level: the level of positions; None finds each one's level by its z.
-        ledges: ``avoid`` or ``ignore``.
+        ledges: ``avoid`` to keep agents away from drops, or ``ignore``, see `grid.inflate`.
 
     Returns:
         The radius and the bottleneck; None if not even a point passes.
@@ -139,7 +139,7 @@ def find_widest(
         search: a search on a grid of the same cells, whose links and areas count.
         start_cell: flat id.
         goals: flat ids.
-        ledges: ``avoid`` or ``ignore``.
+        ledges: ``avoid`` to keep agents away from drops, or ``ignore``, see `grid.inflate`.
         cut_corners: whether diagonal steps past blocked corners are allowed.
 
     Returns:

@@ -648,8 +648,9 @@ class PathFinder:
         """Find the nearest place where an agent can stand, for one position or each of many.
 
         If the position's own cell is allowed and its floor at most 0.5 m below, that is the
-        position itself, put on the floor. Else it is the nearest centre of a cell: on the map
-        of the position's level, or in space on any level.
+        position itself, put on the floor. Else it is the centre of the nearest allowed cell.
+        Nearest means on the map, on the position's level; without `same_level`, in 3D, on any
+        level.
 
         Args:
             position: world x, y, z [m], shape (3,), or (..., 3) for many. `same_room` and

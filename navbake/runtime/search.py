@@ -94,7 +94,7 @@ class Search:
         flat: the grid's cells.
         graph: the steps between cells, and their costs [m].
         free_diagonally: mask of the free cells with room for a diagonal step, by flat id.
-        off_center: where the agent may be off the centres of cells.
+        off_center: where the agent fits that is not at a cell's centre.
         version: how often `update` has found cells that obstacles blocked or freed.
 
     Raises:
@@ -282,11 +282,11 @@ class Search:
         compute: Callable[[], CachedResult],
         limit: int = MAX_CACHED,
     ) -> CachedResult:
-        """Return a function's result, cached for each key and state of the grid's obstacles.
+        """Return a function's result, from the cache if obstacles haven't changed in between.
 
         Args:
-            kind: name of the kind of results.
-            key: tells results of one kind apart.
+            kind: name of the kind of results, such as ``islands``.
+            key: tells results of one kind apart, such as by their goal; None if there is only one.
             compute: the function; called if its result isn't in the cache.
             limit: how many results of the kind stay in the cache, the most recently used ones.
         """

@@ -141,7 +141,7 @@ def find_free(grid: NavGrid, radius: float, ledges: str) -> Bool:
     Args:
         grid: a grid of one or several levels.
         radius: the agent's radius [m], >= 0.
-        ledges: ``avoid`` or ``ignore``.
+        ledges: ``avoid`` to keep agents away from drops, or ``ignore``.
 
     Returns:
         bool, by flat id.
@@ -173,7 +173,7 @@ def block_by_floors(
         stack: the cells of this level and those around it, from `stack_levels`.
         radius: the agent's radius [m].
         offsets: rows and columns from an agent's cell to the cells that it overlaps, shape (n, 2).
-        ledges: ``avoid`` or ``ignore``.
+        ledges: ``avoid`` to keep agents away from drops, or ``ignore``.
         blocked: whether each cell of the stack is blocked, bool, shape (rows, cols), written.
     """
     level = grid.levels[level_number]
