@@ -54,12 +54,19 @@ ROUND_MULTIPLIERS = (1.0, 0.5, 0.1, 0.05, 0.01)  # tried in this order [m/s]
 
 
 class Zone(NamedTuple):
-    """A room or a named polygon of a level, which a mask of a costmap filter can mark."""
+    """A room or a named polygon of a level, which a mask of a costmap filter can mark.
 
-    names: tuple[str, ...]  # all names that it can be given by
-    level: int  # number of its level
-    room_index: int | None  # the room's index on its level; None for a polygon
-    mask: Bool | None  # the polygon's cells, shape (height, width); None for a room
+    Attributes:
+        names: all names that a user may give for it.
+        level: number of its level.
+        room_index: the room's index on its level; None for a polygon.
+        mask: the polygon's cells, bool, shape (height, width); None for a room.
+    """
+
+    names: tuple[str, ...]
+    level: int
+    room_index: int | None
+    mask: Bool | None
 
 
 class FilterScale(NamedTuple):

@@ -336,7 +336,16 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
     """Read a graph of nav2's Route Server.
 
     A lane's ``speed_limit`` is a percentage of the agent's speed, which is 1 m/s if the file
-    doesn't state it. It counts only if the lane has no ``abs_speed_limit``.
+    doesn't state it. It is ignored if the lane also has an ``abs_speed_limit``.
+
+    Args:
+        path: the path of the file.
+
+    Returns:
+        The graph.
+
+    Raises:
+        FormatError: the file is broken.
     """
     content, name = source.read_json(path, expected="a GeoJSON FeatureCollection")
     reader = _GraphReader(name)
@@ -664,7 +673,17 @@ def _list_rmf_doors(
 
 
 def read_rmf(path: str | PathLike[str]) -> RouteGraph:
-    """Read a graph from a navigation graph of Open-RMF."""
+    """Read a graph from a navigation graph of Open-RMF.
+
+    Args:
+        path: the path of the file.
+
+    Returns:
+        The graph.
+
+    Raises:
+        FormatError: the file is broken.
+    """
     content, name = source.read_yaml_source(path, expected="a navigation graph")
     reader = _GraphReader(name)
     top = check_object(content, reader.top)
@@ -848,7 +867,17 @@ def _to_networkx(graph: RouteGraph) -> networkx.MultiDiGraph[str]:
 
 
 def read_graphml(path: str | PathLike[str]) -> RouteGraph:
-    """Read a graph from GraphML; its nodes must have ``x`` and ``y`` [m]."""
+    """Read a graph from GraphML; its nodes must have ``x`` and ``y`` [m].
+
+    Args:
+        path: the path of the file.
+
+    Returns:
+        The graph.
+
+    Raises:
+        FormatError: the file is broken.
+    """
     networkx_module = source.import_extra("networkx")
     content, name = source.read_bytes(path)
     try:
@@ -865,6 +894,15 @@ def read_gml(path: str | PathLike[str]) -> RouteGraph:
 
     Its nodes must have ``x`` and ``y`` [m], or ``graphics`` with these, as yEd and Gephi write
     them. Nodes are named by their labels, or by their ids if a label is missing or not unique.
+
+    Args:
+        path: the path of the file.
+
+    Returns:
+        The graph.
+
+    Raises:
+        FormatError: the file is broken.
     """
     networkx_module = source.import_extra("networkx")
     content, name = source.read_bytes(path)

@@ -148,9 +148,11 @@ def find_inputs(
     inputs: set[Path] = set()
 
     def add_existing(candidates: Iterable[Path], only_first: bool = False) -> None:
-        """Add the possible paths of a file that exist, or only the first of them.
+        """Add the paths of a file that exist to `inputs`; if none exists and `with_missing`, all.
 
-        If none exists and `with_missing` is set, add all.
+        Args:
+            candidates: the possible paths of the file, in the order of search.
+            only_first: whether to add only the first existing path.
         """
         candidates = list(candidates)
         existing = [path for path in candidates if exists(path)]

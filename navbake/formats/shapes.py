@@ -488,7 +488,13 @@ class _FeaturePlace(NamedTuple):
         )
 
     def check(self, is_valid: bool, expected: str, value: object) -> None:
-        """Raise a FormatError unless `is_valid`: this was expected, but the file has this value."""
+        """Raise a FormatError with this location if a value is not valid.
+
+        Args:
+            is_valid: whether the value is valid.
+            expected: what was expected, for the error.
+            value: the value, as parsed.
+        """
         if is_valid:
             return
         if value is None:

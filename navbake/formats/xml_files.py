@@ -149,13 +149,13 @@ class _Target(Protocol):
     """Receives what a parser finds, as `ElementTree.TreeBuilder` does."""
 
     def start(self, tag: str, attrs: dict[str, str], /) -> object:
-        """An element begins."""
+        """Receive the beginning of an element: its name and attributes."""
 
     def end(self, tag: str, /) -> object:
-        """An element ends."""
+        """Receive the end of an element: its name."""
 
     def data(self, data: str, /) -> object:
-        """There is text in an element."""
+        """Receive a piece of the text in an element."""
 
 
 class _TagCollector:

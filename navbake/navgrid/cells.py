@@ -30,12 +30,15 @@ CellsLike = Cell | Cells | tuple[ArrayLike, ArrayLike, ArrayLike]
 
 
 class Layer(NamedTuple):
-    """A layer of a grid by name, such as ``floor``: how `values_at` computes its arrays."""
+    """A layer that `values_at` looks up, such as ``floor``.
 
-    compute: Callable[
-        [NavGrid], list[NDArray[Any]]
-    ]  # takes a grid, returns an array for each level
-    outside: float  # the value of positions outside the grid
+    Attributes:
+        compute: Computes the layer of a grid: an array for each level, shape (height, width).
+        outside: The value of positions outside the grid.
+    """
+
+    compute: Callable[[NavGrid], list[NDArray[Any]]]
+    outside: float
 
 
 LAYERS = {
@@ -226,11 +229,14 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
 
 
 def check_level(level: int | None, num_levels: int) -> None:
-    """Raise a QueryError for a level that does not exist.
+    """Check that a level exists.
 
     Args:
-        level: Number of the level, 0 is the lowest; None passes.
+        level: Number of the level, 0 is the lowest; None is valid.
         num_levels: Number of levels of the grid.
+
+    Raises:
+        QueryError: There is no such level.
     """
     if level is None:
         return

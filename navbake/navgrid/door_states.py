@@ -380,7 +380,11 @@ def find_leaf_ends(grid: NavGrid, door: Door, level_number: int) -> Ends | None:
         is_free = np.pad(level.free, 1)  # no cell outside the grid is free
 
         def count_obstacles(axis: Float) -> int:
-            """Count the blocked cells among the two next to the ends of the leaf along an axis."""
+            """Count at how many ends of the leaf the next cell is blocked, 0 to 2.
+
+            Args:
+                axis: Unit vector x, y along which the leaf is taken to run.
+            """
             normal = _point_right(np.array([-axis[1], axis[0]]))
             distances = centers @ axis
             offset = np.median(centers @ normal) * normal

@@ -369,10 +369,10 @@ class SceneGrid2D(GridBase):
         return [self]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Return the new level, with other metadata if they are given.
+        """Replace the level, as `MultiLevelGrid.with_levels` does for grids of several levels.
 
         Args:
-            levels: A list with the new level alone.
+            levels: A list with the new level alone, which is returned.
             metadata: The new metadata; None to keep the metadata of the new level.
         """
         (level,) = levels

@@ -42,7 +42,10 @@ FLOOR_ROUNDING = 1e-5  # [m]: rounding error of floor heights, which files hold 
 
 
 class BlockArguments(TypedDict):
-    """The arguments of `block`, so that the same obstacle can be added to another grid."""
+    """The arguments of a call of `block`, by which the same obstacle is added to other grids.
+
+    `block` describes each of them.
+    """
 
     cells: Cell | Cells | None
     disc: tuple[ArrayLike, float] | None

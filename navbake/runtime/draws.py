@@ -673,7 +673,7 @@ def _draw_crowd(
     is_taken = np.zeros(flat.num_cells, dtype=np.bool_)
 
     def throw_darts(cells: Int) -> Int:
-        """Draw random cells, and return the drawn ones that are not taken."""
+        """Draw `NUM_DARTS` of some cells at random, and return those where an agent may stand."""
         darts = cells[draw_cell_indices(flat, cells, rng, NUM_DARTS)] if len(cells) else cells
         return darts[~is_taken[darts]]
 

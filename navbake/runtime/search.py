@@ -65,7 +65,13 @@ class TakenLink(NamedTuple):
 
 
 class RouteCosts(NamedTuple):
-    """The cost of a route [m], how long it takes [s], and the named links that it takes."""
+    """What a route costs, and the named links that it takes.
+
+    Attributes:
+        cost: the route's cost [m].
+        seconds: how long the agent takes for it [s].
+        links: the links, in the route's order.
+    """
 
     cost: float
     seconds: float

@@ -35,7 +35,14 @@ MAX_Z = 1e30  # positions this high or higher are invalid [m]
 
 
 class PaddedShape(NamedTuple):
-    """The number of scenes, and the largest numbers of levels, rows and columns of any scene."""
+    """The shape that the cells of all scenes are padded to.
+
+    Attributes:
+        scenes: number of scenes.
+        levels: the largest number of levels of a scene.
+        rows: the largest number of rows of a level.
+        cols: the largest number of columns of a level.
+    """
 
     scenes: int
     levels: int
@@ -107,9 +114,8 @@ class GridTensors:
     room: Array  # by cell, int32, 0 for no room
     area: Array  # by cell, int32, 0 for no area
     island: Array  # by cell, int32, numbered from 1 through all scenes; 0 where it isn't free
-    clearance: (
-        Array  # by cell [m], see `navbake.navgrid.islands.measure_clearance`; 0 where it isn't free
-    )
+    # by cell [m], see `navbake.navgrid.islands.measure_clearance`; 0 where it isn't free
+    clearance: Array
     cost: Array  # at ``goal * n + cell``, the cost of the cheapest path to the goal
     # at ``goal * n + cell``, int32, the id of the next cell on that path; at the goal it is the
     # cell's own id, without a path -1
