@@ -26,15 +26,16 @@ def read_leaves(data, odds, has_odds, leaves):
         data: the nodes' bytes, shape (m,), uint8. In a ``.bt``, a node with children has 2 bytes, 2
             bits for each child. In an ``.ot``, each node has 4 bytes of log-odds, and a byte whose
             bits say which children exist.
-        odds: the log-odds of each node of an ``.ot``, float32; a node of 0 or more is occupied.
+        odds: the log-odds of each node of an ``.ot``, float32. A leaf is occupied if they are 0 or
+            more.
         has_odds: whether the data come from an ``.ot``.
         leaves: receives a row for each leaf: its lowest key along x, y and z, its level (its edge
             is 2**level voxels), and 1 if it is occupied; shape (n, 5), int32. Empty to only count
             the leaves.
 
     Returns:
-        The number of leaves, the number of bytes that were read, and the number of nodes. The first
-        is OVERRUN or TOO_DEEP if the data are wrong.
+        The number of leaves, the number of bytes that were read, and the number of nodes. If the
+        data are wrong, OVERRUN or TOO_DEEP takes the place of the number of leaves.
     """
     writes_leaves = leaves.shape[0] > 0
     # rows (level, x, y, z) of nodes to be read; level 16 is the root, level 0 a voxel; at most 8
@@ -96,7 +97,7 @@ def read_leaves(data, odds, has_odds, leaves):
 
 @kernel
 def fill_leaves(leaves, first_keys, values, is_known):
-    """Write leaves into voxels.
+    """Fill the voxels that the leaves of an octree cover with the leaves' states.
 
     Args:
         leaves: the leaves, see `read_leaves`, shape (n, 5), int32.

@@ -17,8 +17,9 @@ FIRST_CAPACITY = 1024
 def cover_planes(labels, heights, tolerance, max_rise):
     """Cover all cells whose label isn't 0 by rectangles of one label and one plane each.
 
-    A rectangle's plane has the height of its first cell there. It is horizontal, or has the slope
-    of the next two cells to the right, below, or both, if these rise evenly.
+    A rectangle's plane goes through the floor of its upper left cell. It is horizontal, or follows
+    the slope to the next two cells on the right, to the next two below, or both, where these rise
+    evenly.
 
     Args:
         labels: the label of each cell, shape (height, width), int32.

@@ -78,7 +78,9 @@ class Links(NamedTuple):
 
 
 class FloorHeights(NamedTuple):
-    """The heights of floors, world z [m]. A cell without a floor counts as no step.
+    """The heights of floors, world z [m].
+
+    A cell without a floor counts as being at the height of all its neighbours.
 
     Attributes:
         z: by cell, NaN for no floor; the ground on a level whose file has no heights.
@@ -92,22 +94,23 @@ class FloorHeights(NamedTuple):
 
 
 class Graph(NamedTuple):
-    """The steps that an agent can take. A step costs its length [m] times its target's weight.
+    """The steps that an agent can take between cells, and their costs.
 
-    If paths are planned by time, weights are seconds for each metre [s/m].
+    A step costs its length [m] times the weight of the cell that it leads to. If paths are planned
+    by time, weights are seconds for each metre [s/m].
 
     Attributes:
         layout: where the cells lie.
         links: the links that the agent may use.
         moves: by cell, a bit for each direction that a step leads in, uint8.
         weight: by cell, inf where it isn't free.
-        uniform_weight: the weight of all free cells; 0 if their weights differ.
+        uniform_weight: the weight of all free cells if it is the same; 0 if weights differ.
         least_weight: the smallest weight of a free cell, >= 0.
-        bucket_width: the range of costs in a bucket of the queue, see
+        bucket_width: costs that differ by less than this share a bucket of the search's queue, see
             `navbake.runtime.search_kernels`.
         num_buckets: number of buckets, a power of two.
-        link_saving: the most by which links can make a route to the goals cheaper than the search's
-            estimate, a cost, >= 0.
+        link_saving: the search estimates the remaining cost without links. Links make no route
+            cheaper than this estimate by more than `link_saving`, a cost, >= 0.
     """
 
     layout: Layout
@@ -122,15 +125,15 @@ class Graph(NamedTuple):
 
 
 class OffCenter(NamedTuple):
-    """Where an agent of a radius may be off the centres of cells.
+    """Where an agent of a given radius fits, apart from the centres of cells.
 
     Attributes:
         anywhere: by cell, whether the agent fits at every point of the cell.
-        sweepable: by cell, whether sweeping the agent's disc over solid squares can decide if the
-            agent fits: if `anywhere` is true, or only solid squares of the cell's own level are
-            near.
+        sweepable: by cell, whether nothing but solid squares of the cell's own level can be in the
+            agent's way. There, sweeping its disc over these squares decides whether it fits. True
+            also where `anywhere` is.
         solid_before: entry i is the number of solid cells with flat ids below i, shape (n + 1,).
-        radius: the agent's radius [m]; 0 if only free cells count.
+        radius: the agent's radius [m]; 0 for an agent that fits at every point of free cells.
         is_solid_outside: whether the area beyond a level's cells is solid.
     """
 
@@ -142,9 +145,10 @@ class OffCenter(NamedTuple):
 
 
 class Visits(NamedTuple):
-    """How a search reached the cells, and memory for its queue.
+    """How a search reached each cell, and memory for its queue.
 
-    It is reused from search to search, so that no search has to clear it.
+    Searches share it one after the other. Marks have the number of their search, so that none has
+    to be cleared.
 
     Attributes:
         mark: by cell, bits that `navbake.runtime.search_kernels` explains.
@@ -232,7 +236,7 @@ def floor_at(floors, level, cell):
 
 @subkernel
 def clamp_to_cell(layout, cell, x, y):
-    """Clamp a point to a cell's square, `EDGE_MARGIN` inside of the square's edges.
+    """Find the point of a cell's square nearest to a point, `EDGE_MARGIN` inside of its edges.
 
     Args:
         layout: `Layout`.

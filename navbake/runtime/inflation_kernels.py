@@ -31,10 +31,12 @@ class LevelStack(NamedTuple):
 
     Attributes:
         floor: world z of the floor [m], NaN for none, shape (levels, rows, cols), float32.
-        occupied: `SceneGrid2D.solid`, and 1 beyond a level's rectangle, shape of `floor`, uint8.
-        slopes: for each cell, the directions in which a link leads to a neighbour, on any level,
-            whose floor is more than a step higher or lower: bits EAST, NORTH, WEST and SOUTH,
-            uint8. Shape of `floor`, or (0, 0, 0) if there are no such links.
+        occupied: `SceneGrid2D.solid` of each level, and 1 outside of the level's own rectangle;
+            shape of `floor`, uint8.
+        slopes: for each cell, the directions in which a step of the grid's table leads up or down a
+            steep ramp, to a neighbour on any level whose floor is higher or lower by more than
+            `max_step`: bits EAST, NORTH, WEST and SOUTH, uint8. Shape of `floor`, or (0, 0, 0) if
+            there are no such steps.
         level: index in the arrays of the level that the agent is on.
         max_step: largest difference of neighbours' floors that an agent can step over [m].
         height: the agent's height [m].
@@ -52,15 +54,15 @@ class LevelStack(NamedTuple):
 def dilate(is_occupied, half_width):
     """Mark the cells that a shape covers when it is centred on any of the occupied cells.
 
-    The shape must be symmetric, and its rows must get no wider away from its middle.
+    The shape must be like a disc: symmetric, and no wider away from its middle row.
 
     Args:
         is_occupied: uint8, shape (rows, cols).
-        half_width: the shape, int32: entry i is how many columns to each side the shape covers i
-            rows from its middle. -1 where it covers none, as in the last entry.
+        half_width: the shape, int32. Entry i is how many columns it covers to each side, i rows
+            above and below its middle; -1 for none. The last entry must be -1.
 
     Returns:
-        bool, shape (rows, cols).
+        The marked cells, bool, shape (rows, cols).
     """
     num_rows, num_cols = is_occupied.shape
     max_distance = half_width.shape[0] - 1
@@ -95,10 +97,10 @@ def dilate(is_occupied, half_width):
 
 @kernel
 def block_near_holes(has_floor, is_checked, offsets, squared_lengths, least_share, blocked):
-    """Block the cells around which too few cells have a floor.
+    """Block the cells near which too large a part of the cells has no floor.
 
-    A cell is blocked if the share of cells with a floor is too small within any distance up to the
-    radius.
+    A cell is blocked if, within any distance from it up to the radius, the fraction of cells that
+    have a floor is less than `least_share`.
 
     Args:
         has_floor: bool, shape (rows, cols).
@@ -106,8 +108,8 @@ def block_near_holes(has_floor, is_checked, offsets, squared_lengths, least_shar
         offsets: rows and columns from a cell to the cells within the radius, the nearest first,
             int64, shape (n, 2).
         squared_lengths: the squared length of each of `offsets`, in cells squared, shape (n,).
-        least_share: the least share of the cells within a distance that must have a floor.
-        blocked: bool, shape (rows, cols), written.
+        least_share: the fraction of the cells within a distance that must have a floor, 0 to 1.
+        blocked: set to True in the cells that get blocked, bool, shape (rows, cols).
     """
     num_rows, num_cols = has_floor.shape
     for row in range(num_rows):
@@ -131,23 +133,25 @@ def block_near_holes(has_floor, is_checked, offsets, squared_lengths, least_shar
 def block_by_floors(
     stack, lowest, highest, offsets, higher_floors_block, lower_floors_block, blocked
 ):
-    """Update which cells are blocked, by the floors around each cell on all levels.
+    """Update which cells of a level are blocked, by the floors of all levels near each cell.
 
-    First, with several levels, the cells that are not occupied and are near another level's floor
-    of about their height are decided again. Such a cell is blocked if an agent there overlaps an
-    occupied cell of a level whose floor is about as high as the agent's. Where only other levels
-    have such a floor, the agent's own level doesn't count; where none has, only its own does. So
-    cells may become free.
+    First, the levels' occupied cells are combined, for cells near another level's floor of about
+    the same height. At each place that the agent overlaps, the levels count whose floor there is
+    about as high as the agent's; where none has such a floor, the agent's own level counts. The
+    cell is blocked if one of these levels is occupied there. Else it becomes free, unless it is
+    occupied itself.
 
     Then cells are blocked near floors that are more than a step higher, and near drops, unless a
-    slope leads there. A higher floor of another level blocks only if it is less than the agent's
-    height and a slab's thickness above. Patches whose floors differ little are skipped.
+    slope leads there. A higher floor of another level blocks only if it is above the agent's floor
+    by less than the agent's height and a slab's thickness. Patches of cells whose floors differ
+    little are skipped.
 
     Args:
         stack: `LevelStack`.
-        lowest: for each level and patch, the lowest floor in all patches that an offset can reach
-            from the patch [m], shape (levels, patch rows, patch columns).
-        highest: the highest floor in these patches [m], of the same shape.
+        lowest: z of the lowest floor near each patch of cells, on each level, shape (levels, patch
+            rows, patch columns) [m]; inf for no floor. Near are the patches to which `offsets` lead
+            from the patch.
+        highest: z of the highest floor there, -inf for none, of the same shape [m].
         offsets: rows and columns from an agent's cell to the cells that the agent overlaps, int64,
             shape (n, 2).
         higher_floors_block: whether floors more than a step higher block.
@@ -266,22 +270,21 @@ def _is_occupied_at_height(floor, occupied, level, floor_z, row, col, overlap):
 
 @kernel
 def measure_near_levels(stack, lowest, highest, offsets, squared_lengths, squared_distances):
-    """Measure from cells near another level's floor to the nearest cell that is occupied there.
+    """Update the distances to occupied cells, for cells near another level's floor.
 
-    Cells count as occupied by the rule of `block_by_floors`. Cells that are occupied
-    themselves, or not near another level's floor, keep their distances.
+    The levels' occupied cells are combined as in `block_by_floors`. Cells that are occupied
+    themselves, or not near another level's floor of about the same height, keep their distances.
 
     Args:
         stack: `LevelStack`.
-        lowest: for each level and patch, the lowest floor in all patches that an offset can reach
-            from the patch [m], shape (levels, patch rows, patch columns).
-        highest: the highest floor in these patches [m], of the same shape.
+        lowest: z of the lowest floor near each patch of cells, as in `block_by_floors`.
+        highest: z of the highest floor there.
         offsets: rows and columns from a cell to the cells to search, nearest first, int64, shape
             (n, 2).
         squared_lengths: the squared length of each offset, in cells squared, int64, shape (n,).
-        squared_distances: receives the squared distance from each cell of the level to that cell,
-            in cells squared, -1 where no offset leads to an occupied cell; int32, shape (rows,
-            cols).
+        squared_distances: written: the squared distance from each cell to the nearest occupied
+            cell, in cells squared; -1 where no offset leads to an occupied cell; int32, shape
+            (rows, cols).
     """
     floor = stack.floor
     occupied = stack.occupied

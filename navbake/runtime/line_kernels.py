@@ -45,9 +45,9 @@ LEAST_SHARE = (
 
 @subkernel
 def is_walkable(start, end, layout, level, moves, is_allowed):
-    """Whether all cells that a line touches are allowed, and an agent can step between them.
+    """Whether an agent can walk along a line: over allowed cells only, and by steps it can take.
 
-    A line also touches a cell if it only meets the cell's edge or corner.
+    All cells that the line touches must be allowed, also if it meets only their edge or corner.
 
     Args:
         start: u, v of the line's start.
@@ -104,6 +104,12 @@ def crossed_cells(start, end, layout, level):
 
     Cells that the line only touches at a corner are left out.
 
+    Args:
+        start: u, v of the line's start.
+        end: u, v of its end.
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        level: number of the level.
+
     Returns:
         The flat ids of the n cells, in the line's order; and n + 1 fractions of the line's length,
         0 to 1: the line is in cell i from fraction i to fraction i + 1.
@@ -144,8 +150,14 @@ def crossed_cells(start, end, layout, level):
 def line_cost(start, end, level, graph):
     """Compute the cost of a straight line between two points x, y [m].
 
-    The cost is the sum over the cells that the line crosses: the line's length within the cell, in
-    units of the cell size, times the cell's weight.
+    For each cell that the line crosses, the line's length within the cell is multiplied by the
+    cell's weight. The cost is the sum. Lengths are in cells, not in metres.
+
+    Args:
+        start: world x, y of the line's start [m].
+        end: world x, y of its end [m].
+        level: number of the level.
+        graph: `navbake.runtime.grid_arrays.Graph`.
     """
     start_in_cells = to_cell_units(graph.layout, level, start[0], start[1])
     end_in_cells = to_cell_units(graph.layout, level, end[0], end[1])
@@ -228,8 +240,8 @@ def _largest_u(u0, v0, u1, v1, v_low, v_high, radius):
 def can_pass(start, end, level, graph, off_center):
     """Whether an agent can move along a line between two points x, y of a level [m].
 
-    It can if it fits anywhere in every cell that the line touches. It also can if all of these
-    cells are `sweepable`, and its disc overlaps no solid square along the line.
+    It can if it fits at every point of every cell that the line touches. It also can if all of
+    these cells are `sweepable`, and its disc overlaps no solid square along the line.
 
     Args:
         start: world x, y of the line's start [m].
@@ -260,9 +272,10 @@ def can_pass(start, end, level, graph, off_center):
 def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
     """Turn a route of cells into a polyline.
 
-    The polyline runs through the cells' centres. If smooth, it is straight wherever `can_pass`
-    allows that and the cost is no higher. It begins at `start` and ends at `end`. Where one of them
-    is NaN, or too near to obstacles, the centre of the first or last cell takes its place.
+    The polyline runs through the cells' centres. If it is pulled straight, it leaves out centres
+    where `can_pass` allows a straight line that costs no more. It begins at `start` and ends at
+    `end`. If one of them is NaN, or too near to obstacles, the centre of the first or last cell is
+    used.
 
     Args:
         route: flat ids, shape (n,), int64.
@@ -275,9 +288,9 @@ def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
         off_center: `navbake.runtime.grid_arrays.OffCenter`.
 
     Returns:
-        World x, y, floor z of the polyline's points [m], shape (m, 3); the level of each point,
-        shape (m,); and, where a link leads from a point to the next one, the index in `route` of
-        the cell that the link leads to, else 0, shape (m,).
+        Three arrays of m points. World x, y and floor z [m], shape (m, 3). The level of each point,
+        shape (m,). For a point from which a link leads to the next point, the index in `route` of
+        the cell that the link leads to, 0 for other points, shape (m,).
     """
     layout = graph.layout
     num_cells = route.shape[0]

@@ -40,9 +40,9 @@ class RowCells(NamedTuple):
 def locate(layout, floors, level, positions):
     """Find the cell that each position is in.
 
-    With a level, it is that level's cell at x, y, whatever its floor. Otherwise, it is the cell
-    with the highest floor that is at most `max_step` above the position. If there is none, the
-    levels without a floor there are compared by their ground in the same way.
+    With a level, it is that level's cell at x, y. Otherwise it is the cell at x, y, of all levels,
+    with the highest floor that is at most `max_step` above the position. If no level has such a
+    floor, the grounds of the levels that have no floor there count as floors.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
@@ -250,13 +250,15 @@ def find_nearest_obstacles(layout, floors, occupied, overlap, level, max_distanc
 def find_nearest_cell(
     layout, mask, floor, distance_kind, ground, overlap, level, point, max_distance
 ):
-    """Find the cell of a level, of those in a mask, that is nearest to a point.
+    """Find the cell of a mask that is nearest to a point, on one level.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
         mask: by cell, bool.
         floor: world z of the floor by cell, NaN for none [m].
-        distance_kind: which distance counts: `CENTER_ON_MAP`, `CENTER_IN_SPACE` or `TO_OBSTACLE`.
+        distance_kind: what is measured from the point: `CENTER_ON_MAP` and `CENTER_IN_SPACE` for
+            the distance to a cell's centre in 2D or 3D, or `TO_OBSTACLE` for the distance to the
+            square of an occupied cell.
         ground: for `CENTER_IN_SPACE`, z of cells without a floor [m].
         overlap: for `TO_OBSTACLE`, floors whose heights differ by less than this count as equally
             high [m].

@@ -68,7 +68,7 @@ QUEUE_FULL = 1
 
 @kernel
 def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level, window, moves):
-    """Compute the moves that lead from the cells in a window of a level, and write them to `moves`.
+    """Compute in which directions an agent can move from each cell of a window, into `moves`.
 
     A move leads to a free neighbour whose floor differs by at most `max_step`, or by more on a
     slope. A diagonal move needs more, unless the agent may cut corners: both cells beside it are
@@ -157,10 +157,10 @@ def plan_buckets(
     longest_step: float,
     highest_passage_cost: float = 0.0,
 ) -> tuple[float, int]:
-    """Compute the width of the queue's buckets, and how many of them a search needs.
+    """Compute the width of the buckets of a search's queue, and how many buckets it needs.
 
-    The width is `BUCKET_SHARE` of the cost of the cheapest step, or more if that would take more
-    than `MAX_BUCKETS` buckets.
+    The width is `BUCKET_SHARE` of the cost of the cheapest step. It is larger if more than
+    `MAX_BUCKETS` buckets were needed otherwise.
 
     Args:
         cell_size: edge of the smallest cell [m].
@@ -227,9 +227,9 @@ def _lower_bound(row, col, box, cost_per_cell):
 def find_route(graph, sources, goals, search_number, visits):
     """Find the cheapest route from one of several sources to one of several goals.
 
-    The module's docstring describes the algorithm. Without goals, all cells are reached, and steps
-    are followed backwards: ``visits.cost`` is then the cost of the route from each cell to the
-    nearest source, and ``graph.links`` must be reversed.
+    The module's docstring describes the algorithm. Without goals, the search reaches all cells and
+    follows steps backwards: ``visits.cost`` is then the cost of the route from each cell to the
+    source that is cheapest to reach. For that, ``graph.links`` must be reversed.
 
     Args:
         graph: `navbake.runtime.grid_arrays.Graph`.

@@ -87,8 +87,8 @@ def first_in_sight(layout, links, floors, is_passable, room_numbers, cell, point
         links: steps to other levels, `navbake.runtime.grid_arrays.Links`.
         floors: `navbake.runtime.grid_arrays.FloorHeights`.
         is_passable: by cell, bool.
-        room_numbers: the number of each cell's room, int32; if it isn't empty, the line may start
-            in cells that are not passable, see `walk_line`.
+        room_numbers: empty if lines must start in a passable cell. Else the number of each cell's
+            room, int32: lines may then start inside an object, see `walk_line`.
         cell: flat id of the point's cell.
         point: world x, y [m].
         cells: flat ids of the cells of `points`, shape (n,).
@@ -124,9 +124,10 @@ def walk_line(layout, links, floors, is_passable, room_numbers, cell, x0, y0, x1
         links: steps to other levels, `navbake.runtime.grid_arrays.Links`.
         floors: `navbake.runtime.grid_arrays.FloorHeights`.
         is_passable: by cell, bool.
-        room_numbers: number of each cell's room, int32. If it isn't empty, the line may start in
-            cells that are not passable, as long as they are in the first one's room, until it
-            leaves them.
+        room_numbers: empty if the line must start in a passable cell. Else the number of each
+            cell's room, int32: the line may then begin with cells that are not passable, if they
+            are all in the room of the first one. From its first passable cell on, the walk ends
+            at the next cell that isn't passable.
         cell: flat id of the start's cell.
         x0: world x of the start [m].
         y0: world y of the start [m].
@@ -134,8 +135,8 @@ def walk_line(layout, links, floors, is_passable, room_numbers, cell, x0, y0, x1
         y1: world y of the end [m].
 
     Returns:
-        The flat id of the last cell; and the fraction of the line's length at which the line leaves
-        that cell, 1 if it ends there.
+        The flat id of the last cell that the walk reaches; and the fraction of the line's length at
+        which the line leaves that cell, 1 if the line ends in it.
     """
     x_length = x1 - x0
     y_length = y1 - y0
