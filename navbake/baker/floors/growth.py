@@ -77,8 +77,8 @@ def grow_level(
     """Find the floor of one level: where an agent can stand, and where it goes on under things.
 
     Args:
-        labelled_surfaces: all surfaces; those labelled with a region are surfaces that floors don't
-            grow onto.
+        labelled_surfaces: all surfaces; those of the labelled regions are surfaces that floors
+            don't grow onto.
         preliminary_level: the preliminary number of each surface's level, see
             `LevelAssignment.preliminary_level`.
         final_level: the final number for each preliminary one, see `LevelAssignment.final_level`.

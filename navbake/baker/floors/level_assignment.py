@@ -77,7 +77,7 @@ NO_SHRINKING = AreaTest(0, 0, np.empty(0, dtype=np.int64))
 
 
 def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightRange]:
-    """Return, for each level of the configuration, the heights of the surfaces that it may have.
+    """Return the range of heights in which each level of the configuration may have a floor.
 
     A range begins `CONFIGURED_GROUND_TOLERANCE` below the level's ground. It ends at the level's
     top, or where the range of the next level begins, if that is lower.
@@ -103,7 +103,7 @@ def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightR
 class RegionLevelCounts(NamedTuple):
     """How many surfaces each region has on each level: a table of three columns, shape (n,) each.
 
-    A region and a level may stand in several entries; their numbers are then to be added up.
+    The same region and level may have several entries, whose numbers have to be added up.
 
     Attributes:
         region: id of the region, int32.
@@ -126,8 +126,8 @@ class LevelAssignment(NamedTuple):
             int32. Preliminary numbers also count levels that have no surface in the end.
         final_level: for each preliminary number, the index of the level in `grounds`, int64.
         counts: how many surfaces each region has on each level.
-        surfaces_without_level: surfaces left out because other surfaces of their columns have all
-            levels.
+        surfaces_without_level: summaries of the surfaces that are on no level, because their
+            columns have more surfaces than there are levels.
     """
 
     grounds: list[float]
@@ -141,14 +141,14 @@ class LevelAssignment(NamedTuple):
 class ComponentLevels(NamedTuple):
     """How many surfaces each component has on each level: a table of columns, shape (n,) each.
 
-    A component is the part of a region in one block of cells. A component and a level may stand in
-    several entries; their numbers are then to be added up.
+    A component is the part of a region in one block of cells. The same component and level may have
+    several entries, whose numbers have to be added up.
 
     Attributes:
         component: index of the component in `Regions.components`, int64.
         level: preliminary number of the level, see `LevelAssignment.preliminary_level`;
-            NO_FREE_LEVEL or less for surfaces without a level, as other surfaces of their columns
-            have all levels, int64.
+            NO_FREE_LEVEL or less for surfaces without a level, because their columns have more
+            surfaces than there are levels, int64.
         num_surfaces: how many surfaces of the component are on the level, int64.
         lowest_z: the lowest height of these surfaces, float64 [m].
     """
@@ -164,8 +164,8 @@ class SurfaceLevels(NamedTuple):
 
     Attributes:
         grounds: the heights at which levels begin, ascending [m].
-        skips_floors: whether floors rather than stairs are left out, in columns with more surfaces
-            of floors and stairs than there are levels.
+        skips_floors: which surfaces are left out in columns that have more surfaces than there are
+            levels: those of floors if True, those of stairs if False.
         level_of_surface: the level of each surface, see `assign_surfaces_to_levels`, int32.
         component_levels: how many surfaces each component has on each level.
     """
@@ -209,9 +209,9 @@ class AssignmentInput(NamedTuple):
 
     Attributes:
         regions: all regions.
-        candidates: the surfaces to assign, and which of these belong to stairs.
+        candidates: the surfaces to assign (the candidates), and which of these belong to stairs.
         is_stacked: whether any candidate lies above another one.
-        tolerance: how far below a ground the floors of its level may lie [m].
+        tolerance: how far below the ground of a level its floors may lie [m].
         agent: the agent, of which the step and slope are used.
         settings: the settings of `floors`; `min_area` and `shrink` are used.
     """
@@ -231,7 +231,7 @@ def assign_levels(
     agent: AgentSettings,
     settings: FloorSettings,
 ) -> LevelAssignment:
-    """Find the levels, and assign the surfaces of some regions to them.
+    """Find the levels (storeys) of a scene, and assign the surfaces of floors to them.
 
     Args:
         regions: all regions.

@@ -56,8 +56,8 @@ class LevelFloor:
         name: the configured name, or ``level <number>``, the lowest level being 0.
         ground: the level's ground height [m].
         floor: floor heights, NaN for none, shape (height, width), float64 [m].
-        standable: where the floor is a standable surface or closes a hole, shape (height, width),
-            bool.
+        standable: where an agent can stand on the floor, or the floor closes a hole, shape (height,
+            width), bool. Elsewhere the floor only goes on under things.
         unseen: where the floor closes a hole, shape (height, width), bool; None if holes stay open.
     """
 
@@ -70,14 +70,14 @@ class LevelFloor:
 
 @dataclass(frozen=True)
 class Floors:
-    """The floors of all levels, the links between cells of them, and what warnings report.
+    """The floors of all levels, the links between them, and surfaces of which warnings tell.
 
     Attributes:
         levels: the floor of each level, lowest first.
         links: pairs of neighboring cells that an agent can walk between though they are on
             different levels, or though only a slope joins them, shape (n, 4), int64. Columns: the
             lower level, its cell, the upper level, its cell; cells are ids on the whole lattice.
-        tops: large tops and shelves, which are no floors, the largest first.
+        tops: large surfaces of furniture and other things, which are no floors, the largest first.
         roofs: roofs to report, which are no floors, the largest first.
         small_starts: small surfaces that are floors only because a position of `floors.from` lies
             on them, the largest first.
@@ -88,8 +88,8 @@ class Floors:
         enclosed_by_planes: floors inside of infinite planes; `Patch.geom` is the plane.
         voids: floors of levels that are left out because no path leads to them and nobody can stand
             upright there, the largest first.
-        surfaces_without_level: surfaces left out because other surfaces of their columns have all
-            levels.
+        surfaces_without_level: surfaces that are on no level, because their columns have more
+            surfaces than there are levels.
     """
 
     levels: list[LevelFloor]
@@ -223,10 +223,11 @@ def find_reached_levels(
     is_start: Bool,
     level_settings: Sequence[LevelSettings] | None,
 ) -> ReachedLevels:
-    """Assign floors to levels, and leave out voids or unreached floors.
+    """Assign floors to levels, and leave out those that no agent gets to.
 
     With `floors.reach: steps`, the floors that no path from a start leads to are left out.
-    Otherwise voids are left out, unless `floors.voids` is set or the configuration has levels.
+    Otherwise only voids are left out: levels that no path leads to and in which nobody can stand
+    upright. They are kept if `floors.voids` is set, or if the configuration has levels.
 
     Args:
         region_context: all regions, and the hits of all columns.
@@ -348,9 +349,10 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
 
 
 def crop_floors(floors: Floors, window: Window) -> Floors:
-    """Crop the floors of a whole scene to a window.
+    """Crop the floors of a whole scene to the window that is baked.
 
-    Patches outside of the window are left out, and so are levels without a standable surface in it.
+    Left out are levels without a place to stand in the window, and the surfaces outside of it of
+    which warnings would tell.
 
     Args:
         floors: the floors on the whole lattice.

@@ -61,8 +61,8 @@ class EdgeEndings(NamedTuple):
         ending: WALL, BARRIER, DROP, BORDER or OPEN, uint8.
         floor_height: the height of the floor that a DROP leads to, NaN at other edges [m].
         floor_region: the region of that floor, -1 at other edges, int32.
-        is_beyond_known: whether it is known what lies beyond the edge, bool. It is unknown where
-            the lattice ends and the scene goes on; where both end, it is known that nothing does.
+        is_beyond_known: whether it is known what lies beyond the edge, bool. It is unknown at a
+            side of the lattice beyond which the scene goes on.
     """
 
     ending: NDArray[np.uint8]
@@ -100,7 +100,8 @@ class RegionContext(NamedTuple):
         agent: the agent whose floors are found.
         settings: the settings of `floors`.
         is_occupied: tests whether something stands on a floor in some cells.
-        is_cropped: at which sides the lattice crops the scene, see `mark_cropped_sides`.
+        is_cropped: whether the scene goes on beyond the lattice's sides east, south, west and
+            north, shape (4,), bool.
         edges: the edges of the large regions.
         num_cells_beyond: how many cells beyond an edge, straight out of the region, are searched
             for lower floors.
@@ -117,10 +118,9 @@ class RegionContext(NamedTuple):
     num_cells_beyond: int
 
     def cast_ahead(self, cells: Int) -> None:
-        """Cast the columns of some cells together, as casting them in smaller sets takes longer.
+        """Cast the columns of many cells at once, so that later requests for some of them are fast.
 
-        A `ColumnSource` keeps at least the columns that it cast last. So later requests for some of
-        these cells cast nothing.
+        A `ColumnSource` keeps at least the columns that it cast last.
 
         Args:
             cells: ids of all cells whose columns will be needed.
@@ -174,7 +174,7 @@ class RegionContext(NamedTuple):
         return edges
 
     def classify_barriers(self, edges: RegionEdges, agent: AgentSettings) -> NDArray[np.uint8]:
-        """Classify edges by what stands in the two cells at each of them, see `classify_edges`.
+        """Classify edges by what stands in the two cells at each of them, and nothing else.
 
         Args:
             edges: the edges.
@@ -182,8 +182,9 @@ class RegionContext(NamedTuple):
                 context's agent.
 
         Returns:
-            WALL, BARRIER, BORDER or OPEN for each edge, shape (edges,), uint8. Edges that
-            `classify_edges` makes a DROP, or a BARRIER for something farther out, are OPEN here.
+            WALL, BARRIER, BORDER or OPEN for each edge, shape (edges,), uint8, as `classify_edges`
+            explains them. An edge is OPEN if nothing stands in its two cells, also if a floor lies
+            below, or something stands farther out.
         """
         outer_cells = neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
         ending = np.full(len(outer_cells), OPEN, dtype=np.uint8)
@@ -269,7 +270,7 @@ class RegionContext(NamedTuple):
     def mark_known_beyond(self, ending: NDArray[np.uint8], direction: Int) -> Bool:
         """Mark the edges for which it is known what lies beyond them.
 
-        That is unknown only for edges at sides of the lattice where the scene goes on.
+        It is unknown only at those sides of the lattice beyond which the scene goes on.
 
         Args:
             ending: how the region ends at each edge, WALL to OPEN, shape (edges,).
@@ -282,16 +283,17 @@ class RegionContext(NamedTuple):
         return is_beyond_known
 
     def fraction_of_edges(self, edges: RegionEdges, is_marked: Bool, is_counted: Bool) -> Float:
-        """Compute for each region the fraction of its counted edges that a mask marks.
+        """Compute for each region which fraction of its edges a mask marks.
 
         Args:
             edges: the edges.
             is_marked: the mask, shape (edges,).
-            is_counted: the edges to count, of which it is known what lies beyond, shape (edges,).
+            is_counted: all other edges are left out, such as those where it is unknown what lies
+                beyond, shape (edges,).
 
         Returns:
-            Fractions from 0 to 1, shape (regions,), float64; NaN for regions without an edge to
-            count.
+            Fractions from 0 to 1, shape (regions,), float64; NaN for regions without a counted
+            edge.
         """
         num_marked = np.bincount(edges.region, is_marked & is_counted, len(self.is_large))
         num_counted = np.bincount(edges.region, is_counted, len(self.is_large))
@@ -315,7 +317,8 @@ def make_region_context(
         regions: all regions.
         is_large: which of them are large enough for floors, shape (regions,), bool.
         columns: the hits of all columns.
-        is_cropped: at which sides the lattice crops the scene, see `mark_cropped_sides`.
+        is_cropped: whether the scene goes on beyond the lattice's sides east, south, west and
+            north, shape (4,), bool.
         agent: the agent whose floors are found.
         settings: the settings of `floors`.
         is_occupied: tests whether something stands on a floor in some cells.
@@ -362,12 +365,12 @@ def find_highest_below(
         labelled_surfaces: all surfaces, and the regions whose surfaces count.
         cells: ids of cells, shape (n,).
         limits: for each cell, the height below which the surface must lie, shape (n,) [m].
-        excluded_regions: for each cell, a region that must not have a surface there at any height,
-            or else SAME_REGION is returned, shape (n,); None to rule out no region.
+        excluded_regions: for each cell, a region. If it has a surface in the cell, at any height,
+            the answer for the cell is SAME_REGION, shape (n,); None for no such regions.
 
     Returns:
-        The ids of the surfaces, NO_SURFACE if there is none, SAME_REGION if the cell is ruled out;
-        and the regions of the surfaces, -1 for none; shape (n,) each.
+        The ids of the surfaces, NO_SURFACE if there is none, or SAME_REGION; and the regions of the
+        surfaces, -1 for none; shape (n,) each.
     """
     if excluded_regions is None:
         excluded_regions = np.full(len(cells), -2, dtype=np.int32)  # no region's id
@@ -455,7 +458,8 @@ def neighbor_cells(lattice: Lattice, cells: Int, direction: Int | int, distance:
 def probe_ranges(agent: AgentSettings) -> tuple[HeightRange, HeightRange]:
     """Return two thin ranges of heights above a floor [m]: at an agent's feet, and at its head.
 
-    The first begins at the agent's step, so that it meets only what no step gets over.
+    What an agent can't step over meets the first range, as that begins at the agent's step. What is
+    as high as a wall meets both.
     """
     feet_height = agent.traversable_floor_height
     head_height = agent.height

@@ -214,7 +214,7 @@ class ReachedRegions(NamedTuple):
 
     Attributes:
         is_reached: whether a path of steps and slopes leads from a start to the region.
-        is_void: whether the region is on no other levels than voids. A void is a level that no path
+        is_void: whether all levels that the region is on are voids. A void is a level that no path
             leads to and in which nobody can stand upright.
     """
 

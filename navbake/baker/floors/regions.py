@@ -70,7 +70,7 @@ class Components(NamedTuple):
         return len(self.measures)
 
     def pairs_of_kind(self, kind: int) -> Int:
-        """Return the entries of `pairs` of one kind (JOINED, LINKED or STACKED), shape (n, 4)."""
+        """Return those of `pairs` that have one kind (JOINED, LINKED or STACKED), shape (n, 4)."""
         _, _, kinds, _ = self.pairs.T
         pairs: Int = self.pairs[kinds == kind]
         return pairs
@@ -129,7 +129,7 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
 class RegionStacks(NamedTuple):
     """Which regions lie directly above each other: a table of pairs, shape (n,) each.
 
-    A pair may stand in several entries; their numbers of cells are then to be added up.
+    The same pair may have several entries, whose numbers of cells have to be added up.
 
     Attributes:
         upper: the upper region, int32.

@@ -86,15 +86,14 @@ class RejectedRegions(NamedTuple):
 def find_rejected_regions(
     region_context: RegionContext, height_ranges: Sequence[HeightRange], height_fields: Int32
 ) -> RejectedRegions:
-    """Find the large regions that are no floors.
+    """Find the large regions that are no floors but tops of things, shelves or roofs.
 
-    If no other floor is left in the scene, or on a level of the configuration, the roofs there
-    count as floors.
+    Roofs count as floors if the scene, or a level of the configuration, would have no other floor.
 
     Args:
         region_context: all regions with their edges.
-        height_ranges: the heights [low, high) of the levels of the configuration [m]; empty if
-            it has none.
+        height_ranges: the heights [low, high) of the levels of the configuration [m]; empty if it
+            has none.
         height_fields: the ids of the geoms that are height fields, shape (n,).
     """
     regions = region_context.regions
@@ -492,7 +491,7 @@ def _mark_over_walls(region_context: RegionContext, is_candidate: Bool) -> Bool:
 
 
 def mark_over_wall_tops(region_context: RegionContext, roof_surfaces: RegionSurfaces) -> Bool:
-    """Mark the surfaces of a roof under which the top of a wall touches the roof or lies within it.
+    """Mark the surfaces of a roof that lie on a wall: its top touches the roof, or lies within it.
 
     Args:
         region_context: the hits of all columns, and the agent.

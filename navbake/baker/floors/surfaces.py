@@ -60,9 +60,9 @@ def may_slopes_join(lattice: Lattice, agent: AgentSettings) -> bool:
 
 
 def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -> Surfaces:
-    """Find the surfaces that floors may consist of, in all columns.
+    """Find the surfaces that floors may consist of: where the columns cross geometry that faces up.
 
-    Surfaces are numbered block of cells by block of cells, which makes kernels a third faster.
+    The surfaces of one block of cells follow each other, which makes kernels a third faster.
 
     Args:
         columns: the hits of all columns.

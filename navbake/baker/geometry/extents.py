@@ -154,10 +154,10 @@ def _measure_triangles(shapes: Shapes, extents: Extents) -> None:
 
 
 class FacingAreas:
-    """Sums up the areas of vertical faces by the direction that they face, for groups of triangles.
+    """Finds the horizontal direction that most vertical faces of a group of triangles face.
 
-    So the direction that most of a group's faces face can be found. A face counts by its area as
-    seen from the side. Directions a quarter turn apart count as equal.
+    A face counts by its area as seen from the side. Directions a quarter turn apart count as equal.
+    Triangles are added bit by bit, so that they need not all be in memory.
     """
 
     def __init__(self, num_groups: int) -> None:

@@ -180,7 +180,7 @@ class Shapes:
 
     @cached_property
     def boxes(self) -> Float:
-        """Boxes around the geoms, shape (n, 6), infinite for planes: lower, upper corner [m].
+        """Boxes around the geoms: lower, upper corner, shape (n, 6) [m]; infinite for planes.
 
         A large height field has several boxes, one around each of its pieces.
         """
@@ -208,10 +208,10 @@ class Shapes:
         self.meshes.__dict__.pop("expanded", None)
 
     def facets_in_batches(self) -> Iterator[Facets]:
-        """Yield all triangles in batches of about `TRIANGLES_PER_BATCH`, never dividing a mesh.
+        """Yield all triangles in batches of about `TRIANGLES_PER_BATCH`, which saves memory.
 
-        Triangles that are no more than that, or that are expanded already, are yielded at once, and
-        are kept.
+        A mesh is never divided. If there are no more triangles than that, or if all are in memory
+        already, they are yielded as one batch, and stay in memory.
         """
         if (
             "expanded" in self.meshes.__dict__
@@ -359,8 +359,8 @@ def support_distances(kind: Int32, direction: Float, size: Float) -> Float:
 def height_field_pieces(heights: Float, size: Float) -> Iterator[Mesh]:
     """Make a closed mesh of a height field, in pieces: its top, some rows at a time; then the rest.
 
-    The rest is its four sides and its bottom. Its cells are split from their lower corner to their
-    upper one, as MuJoCo's rays and collisions split them.
+    The rest is its four sides and its bottom. Each cell of the top is split into two triangles
+    along the diagonal along which MuJoCo's rays and collisions split it.
 
     Args:
         heights: 0 to 1, shape (rows, cols), row 0 at the smallest y.
@@ -464,8 +464,8 @@ def hull_faces(vertices: Float) -> Int32 | None:
         vertices: shape (n, 3) [m].
 
     Returns:
-        Vertices of each triangle, counter-clockwise from outside, shape (m, 3); None if the points
-        are fewer than four or in a plane.
+        Vertices of each triangle, counter-clockwise from outside, shape (m, 3); None if there are
+        fewer than four points, or all lie in a plane.
     """
     try:
         hull = spatial.ConvexHull(vertices)
@@ -508,7 +508,7 @@ def triangle_areas(vertices: Float, faces: Int32) -> Float:
 
 
 def bounding_box(points: Float) -> Float:
-    """Return the box around points; coordinates where a point has a NaN are NaN.
+    """Return the box around points. If a coordinate of a point is NaN, that of the box is, too.
 
     Args:
         points: shape (n, 3) [m].

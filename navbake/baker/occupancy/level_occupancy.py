@@ -29,13 +29,13 @@ OPEN_ABOVE = 100.0
 
 
 class LevelOccupancy(NamedTuple):
-    """The occupancy of those checked cells of a level that have a floor.
+    """Which of some checked cells of a level are occupied, and the geoms in them.
 
     Attributes:
         cells: ids of the checked cells that have a floor, shape (n,).
         occupancy: the occupancy of these cells.
-        lists: where the list of each cell's occupants begins; all arrays are empty if no lists were
-            requested.
+        lists: where the list of each cell's geoms begins in `occupancy.geom`; all arrays are empty
+            if no lists were requested.
     """
 
     cells: Int

@@ -95,7 +95,7 @@ def check_occupancy(
     floors: Float,
     lists: OccupantLists = NO_LISTS,
 ) -> CellOccupancy:
-    """Check whether a geom meets the footprint over the floors of cells.
+    """Check which cells are occupied: over whose floor a geom meets the agent's footprint.
 
     The footprint is an upright prism over the cell's square and the agent's disc, usually from the
     highest step to the agent's height above the floor. If the cell's vertical line crosses a geom

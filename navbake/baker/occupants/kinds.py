@@ -102,9 +102,9 @@ class OccupantSizes(NamedTuple):
     Attributes:
         min_bottom_over_floor: the least height of the geom's bottom over the floor of a cell that
             it occupies [m]; inf where it occupies no cell, and for an endless plane.
-        max_top_over_bottom: the greatest height of the geom's top over its bottom, or over the
-            floor of a cell that it occupies where the floor is higher than its bottom [m]; -inf
-            where it occupies no cell, and for an endless plane.
+        max_top_over_bottom: how high the geom rises at most in a cell that it occupies: from its
+            bottom to its top, or from the cell's floor where that is higher than the bottom [m];
+            -inf where it occupies no cell, and for an endless plane.
         area: the area that the geom occupies on the level where that is largest [m²].
         area_at_wall_height: the same, counting only cells that it occupies within `WALL_HEIGHTS`
             [m²]; 0 for geoms whose shape is not that of walls, see `mark_wall_candidates`.
@@ -262,7 +262,7 @@ def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
 
 
 def match_wall_names(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]:
-    """Mark the geoms whose names match a pattern of walls.
+    """Mark the geoms that the patterns of the settings name as walls.
 
     A pattern is compared with the names of the geom, of its mesh, of its body, and of all bodies
     above that one.

@@ -27,7 +27,7 @@ def find_lost_floors(
     lattice: Lattice,
     agent: AgentSettings,
 ) -> dict[int, float]:
-    """Find the movable bodies whose tops would be floor, where structure has no floor below them.
+    """Find the movable bodies (a bridge, a stage) whose tops would be floor if they could not move.
 
     Args:
         shapes: all geometry that the bake uses.
@@ -39,8 +39,8 @@ def find_lost_floors(
         agent: the agent that would stand on the tops.
 
     Returns:
-        Body id -> the area of the body's top without a floor below it [m²]. Bodies with less than
-        `MIN_LOST_AREA` are left out.
+        Body id -> the area of the body's top where structure has no floor below it [m²]. Bodies
+        with less than `MIN_LOST_AREA` are left out.
     """
     min_area = MIN_LOST_AREA - LIMIT_SLACK
     cell_area = lattice.cell_size**2

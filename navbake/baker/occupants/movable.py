@@ -385,14 +385,13 @@ def _mark_geoms_near(shapes: Shapes, cells: Int, lattice: Lattice, max_distance:
 def name_occupants(
     standing: StandingOccupants, movable: MovableOccupants, level: int, window: Window
 ) -> UserData:
-    """Return the names of the geoms in a level's cells, under the original client's keys.
+    """Return the names of the geoms in a level's cells, under the keys of the grid's JSON format.
 
     `objects` names all things between the floor and the next storey, also those that an agent
     stands on (rugs, pallets), except walls and the building's own floors, ceilings and stairs.
     `walls` names the walls there. `blockers` names the geoms that the agent's disc or the cell's
     square meets within the agent's height; it is left out where it has the same names as `objects`
-    and `walls` together.
-    `navbake.navgrid.door_states.with_door_names` adds the doors.
+    and `walls` together. `navbake.navgrid.door_states.with_door_names` adds the doors.
 
     Args:
         standing: the structure in the cells.
@@ -401,8 +400,8 @@ def name_occupants(
         window: the rows and columns of the lattice that the grid holds.
 
     Returns:
-        By cell id on the window, sorted names under each key that has any. They are computed when
-        first read.
+        For each cell of the window that has any: key -> sorted names, by cell id on the window.
+        They are computed when they are first read.
     """
     # deferred: planning and plotting don't need it
     return UserData(partial(_name_cells, standing, movable.entries[level], level, window))

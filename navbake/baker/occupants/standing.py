@@ -74,7 +74,8 @@ class StandingOccupants:
         kinds: for each geom, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
         room_kinds: like `kinds`, but for finding rooms: panes, and geoms with the shape of a wall,
             are WALL regardless of their names.
-        names: for each geom, the name under which user data lists it, see `name_geoms`.
+        names: for each geom, the name under which user data lists it: that of its topmost body, see
+            `name_geoms`.
         warnings: warnings about wall patterns, one line each.
     """
 
@@ -85,15 +86,15 @@ class StandingOccupants:
     warnings: list[str]
 
     def mark_walls(self, level: int) -> tuple[Bool, Bool]:
-        """Mark the cells of a level that a wall blocks, and those that something lower blocks.
+        """Mark the cells of a level that a wall blocks, and those that a sill or the like blocks.
 
         Args:
             level: number of the level.
 
         Returns:
             A mask of the cells that a wall occupies and blocks; and a mask of the cells that the
-            mesh of a whole building blocks (as a sill, for example) without reaching into
-            `WALL_HEIGHTS`; both (height, width), bool.
+            mesh of a whole building blocks without reaching into `WALL_HEIGHTS`, as at a sill; both
+            (height, width), bool.
         """
         occupants = self.levels[level]
         cells = np.arange(len(occupants.first))
