@@ -31,7 +31,7 @@ from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import level_kernels as kernels
 from navbake.baker.floors.component_kernels import HEIGHT_BIN, JoinRule, cross_tabulate
 from navbake.baker.floors.level_kernels import (
-    ALL_WINDOWS,
+    ALL_BANDS,
     LOWEST_SURFACES,
     NO_FREE_LEVEL,
     Candidates,
@@ -179,16 +179,16 @@ class SurfaceLevels(NamedTuple):
 class HeightHistogram(NamedTuple):
     """How many surfaces lie at each height: a table of columns, shape (n,) each.
 
-    A window and a bin may stand in several entries; their numbers are then to be added up.
+    A band and a bin may stand in several entries; their numbers are then to be added up.
 
     Attributes:
-        window: number of the window of heights, see `HeightSelection`, int64.
-        height_bin: number of a bin of heights inside of the window, see `height_bin`, int64.
+        band: number of the band of heights, see `HeightSelection`, int64.
+        height_bin: number of a bin of heights inside of the band, see `height_bin`, int64.
         num_surfaces: how many surfaces lie in the bin, int64.
         lowest_z: the lowest height of these surfaces, float64 [m].
     """
 
-    window: Int
+    band: Int
     height_bin: Int
     num_surfaces: Int
     lowest_z: Float
@@ -420,33 +420,33 @@ def _find_next_ground(
     """
     area_test = make_area_test(assignment_input.regions.lattice, assignment_input.settings)
     for top in height_limits:
-        # before shrinking, to skip windows with too few surfaces
-        selection = HeightSelection(ground, ALL_WINDOWS, half_step, top)
+        # before shrinking, to skip bands with too few surfaces
+        selection = HeightSelection(ground, ALL_BANDS, half_step, top)
         histogram = _count_heights(assignment_input, selection, NO_SHRINKING)
-        windows, window_index = np.unique(histogram.window, return_inverse=True)
-        sums = np.bincount(window_index, histogram.num_surfaces)
-        num_in_window = dict(zip(windows.tolist(), sums.tolist(), strict=True))
-        # two windows of half a step each, the lower one first
-        first_windows = {
-            first
-            for window in num_in_window
-            for first in (window - 1, window)
-            if first >= windows[0]
+        bands, band_index = np.unique(histogram.band, return_inverse=True)
+        sums = np.bincount(band_index, histogram.num_surfaces)
+        num_in_band = dict(zip(bands.tolist(), sums.tolist(), strict=True))
+        # two bands of half a step each, the lower one first
+        lower_bands = {
+            lower_band
+            for band in num_in_band
+            for lower_band in (band - 1, band)
+            if lower_band >= bands[0]
         }
-        for window in sorted(first_windows):
-            end = (window + 2) * half_step
-            num_surfaces = num_in_window.get(window, 0) + num_in_window.get(window + 1, 0)
+        for band in sorted(lower_bands):
+            end = (band + 2) * half_step
+            num_surfaces = num_in_band.get(band, 0) + num_in_band.get(band + 1, 0)
             if num_surfaces < area_test.min_cells or end > top:
                 continue
             # stairs and thresholds are too narrow to remain after shrinking
-            selection = HeightSelection(ground, window, half_step, end)
+            selection = HeightSelection(ground, band, half_step, end)
             remaining = _count_heights(assignment_input, selection, area_test)
             if remaining.num_surfaces.sum() < area_test.min_cells:
                 continue
             if len(remaining.num_surfaces):
                 return remaining.most_common_height()
-            in_windows = np.isin(histogram.window, [window, window + 1])
-            return histogram.select(in_windows).most_common_height()
+            in_bands = np.isin(histogram.band, [band, band + 1])
+            return histogram.select(in_bands).most_common_height()
     return None
 
 
@@ -470,7 +470,7 @@ def _count_heights(
         area_test,
     )
     return HeightHistogram(
-        window=rows[:, 0], height_bin=rows[:, 1], num_surfaces=rows[:, 3], lowest_z=low
+        band=rows[:, 0], height_bin=rows[:, 1], num_surfaces=rows[:, 3], lowest_z=low
     )
 
 

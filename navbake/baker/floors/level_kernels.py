@@ -27,9 +27,9 @@ MOVE_STAIR = 1
 MOVE_FLOOR = 10_000
 SKIP_STAIR = 100
 SKIP_FLOOR = 10_000_000
-# Values in place of the number of a window of heights
-NO_WINDOW = -(1 << 62)  # the surface isn't counted
-ALL_WINDOWS = -(1 << 61)  # surfaces in all windows are counted, each under its window's number
+# Values in place of the number of a band of heights
+NO_BAND = -(1 << 62)  # the surface isn't counted
+ALL_BANDS = -(1 << 61)  # surfaces in all bands are counted, each under its band's number
 LOWEST_SURFACES = -(1 << 60)  # stairs are counted, too, and all heights under this number
 # Values in place of the level of a candidate when other surfaces of its column have all levels
 NO_FREE_LEVEL = -2  # the candidate lies at no ground
@@ -56,20 +56,20 @@ class Candidates(NamedTuple):
 class HeightSelection(NamedTuple):
     """Which of the candidates (surfaces to assign to levels) `count_heights` counts, by height.
 
-    Window n of heights goes from ``n * half_step`` to ``(n + 1) * half_step``.
+    Heights are divided into bands: band n goes from ``n * half_step`` to ``(n + 1) * half_step``.
 
     Attributes:
         ground: the ground of a level [m]. A candidate is counted only if another candidate of its
             column lies below it and at or above this height. If the ground is -inf, only the lowest
             candidate of each column is counted.
-        window: the number of a window: candidates in it and in the window above it are counted.
-            ALL_WINDOWS counts them at all heights; LOWEST_SURFACES does, too, stairs included.
-        half_step: the height of a window, half of the agent's highest step [m].
+        band: the number of a band: candidates in it and in the band above it are counted.
+            ALL_BANDS counts them at all heights; LOWEST_SURFACES does, too, stairs included.
+        half_step: the height of a band, half of the agent's highest step [m].
         top: only surfaces below this height are counted [m].
     """
 
     ground: float
-    window: int
+    band: int
     half_step: float
     top: float = math.inf
 
@@ -141,21 +141,19 @@ def mark_candidates(
 
 
 @subkernel(inline="always")
-def _window_of(surfaces, candidates, j, selection, is_lowest):
-    """Return the number of the window of heights in which surface j is counted, or NO_WINDOW.
+def _band_of(surfaces, candidates, j, selection, is_lowest):
+    """Return the number of the band of heights in which surface j is counted, or NO_BAND.
 
     `selection` is a `HeightSelection`; `is_lowest` is whether j is the lowest candidate of its
     column that lies at or above `selection.ground`.
     """
     if is_lowest != (selection.ground == -math.inf):
-        return NO_WINDOW
-    if selection.window == LOWEST_SURFACES:
+        return NO_BAND
+    if selection.band == LOWEST_SURFACES:
         return LOWEST_SURFACES
-    window = np.int64(math.floor(surfaces.z[j] / selection.half_step))
-    is_selected = (
-        selection.window == ALL_WINDOWS or selection.window <= window <= selection.window + 1
-    )
-    return window if is_selected and not _is_stair(candidates, j) else NO_WINDOW
+    band = np.int64(math.floor(surfaces.z[j] / selection.half_step))
+    is_selected = selection.band == ALL_BANDS or selection.band <= band <= selection.band + 1
+    return band if is_selected and not _is_stair(candidates, j) else NO_BAND
 
 
 @subkernel(**NO_REFCOUNT)
@@ -204,14 +202,14 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, colum
                         break
                     if z < selection.ground - LIMIT_SLACK:
                         continue
-                    window = _window_of(surfaces, candidates, j, selection, is_lowest)
+                    band = _band_of(surfaces, candidates, j, selection, is_lowest)
                     is_lowest = False
-                    if window == NO_WINDOW:
+                    if band == NO_BAND:
                         continue
                     if is_marking:
                         mask[row - row0 + radius, col - col0 + radius] = 1
                         continue
-                    row_index = count_row(rows, num_before, num, window, height_bin(z), 0)
+                    row_index = count_row(rows, num_before, num, band, height_bin(z), 0)
                     if row_index < 0:
                         return row_index
                     lowest[row_index] = min(lowest[row_index], z) if row_index < num else z
@@ -236,7 +234,7 @@ def count_heights(surfaces, candidates, selection, area_test, blocks, counts, co
         area_test: an `AreaTest`, by whose disc the cells are shrunk; with radius 0 they are not.
         blocks: ids of blocks of cells.
         counts: receives how many rows each block has.
-        columns: two arrays that receive the rows: the number of a window, a `height_bin`, a 0
+        columns: two arrays that receive the rows: the number of a band, a `height_bin`, a 0
             without a meaning, and the number of surfaces, (n, 4) int64; and the lowest height of
             these surfaces, (n,) float64 [m].
         begin: index in `blocks` of the first block to count.

@@ -743,18 +743,20 @@ def _extend_chains(is_low, is_wall, rows_to_next, is_next_wall, next_chains, cha
     rows = is_low.shape[0]
     for row in range(max(0, -rows_to_next), min(rows, rows - rows_to_next)):
         is_at_wall = is_next_wall[row + rows_to_next]
-        next_chain_bits = next_chains[row + rows_to_next]
+        bits_of_next_cell = next_chains[row + rows_to_next]
         row_above = max(row - 1, 0)
         row_below = min(row + 1, rows - 1)
-        if next_chain_bits == 0 and not is_at_wall:  # most cells: no chain can begin or go on here
+        if (
+            bits_of_next_cell == 0 and not is_at_wall
+        ):  # most cells: no chain can begin or go on here
             continue
         chain_bits = (
-            EXACT_CHAIN if is_low[row] and (is_at_wall or next_chain_bits & EXACT_CHAIN) else 0
+            EXACT_CHAIN if is_low[row] and (is_at_wall or bits_of_next_cell & EXACT_CHAIN) else 0
         )
         if not (is_wall[row_above] or is_wall[row] or is_wall[row_below]):
             for chain_row in range(row_above, row_below + 1):
                 side = chain_row - row + 1
-                if is_low[chain_row] and (is_at_wall or next_chain_bits & TOUCHING_BITS[side]):
+                if is_low[chain_row] and (is_at_wall or bits_of_next_cell & TOUCHING_BITS[side]):
                     chain_bits |= 1 << side
         chains[row] = chain_bits
 
