@@ -481,7 +481,7 @@ def list_sides(
     first_tile,
     end_tile,
 ):
-    """List the pieces of floor on both sides of cracks in which cells' lines run.
+    """Find the cells whose vertical line runs in a crack, and list the floor on both sides of it.
 
     A line runs in a crack if it crosses no floor, and pieces of floor at that height lie on
     opposite sides of it.

@@ -54,7 +54,7 @@ class LineHits(NamedTuple):
 
 @subkernel
 def allocate_hits(num_hits):
-    """Allocate room for `num_hits` hits."""
+    """Allocate `LineHits` with room for `num_hits` hits."""
     z = np.empty(num_hits)
     normal = np.empty((num_hits, 3), np.float32)
     geom = np.empty(num_hits, np.int32)
@@ -86,9 +86,9 @@ def copy_hit(hits, source_index, target_hits, target_index):
 
     Args:
         hits: `LineHits` to copy from.
-        source_index: number of the hit.
+        source_index: index of the hit.
         target_hits: `LineHits` to copy to, the same or another one.
-        target_index: number of the copy.
+        target_index: index at which the copy is written.
     """
     target_hits.z[target_index] = hits.z[source_index]
     for axis in range(3):
@@ -231,11 +231,12 @@ def _drop_superfluous_hits(hits, first, end, facets):
 
 @subkernel(inline="always")
 def finish_line(hits, first, end, facets, scratch_hits, scratch_index):
-    """Turn the collected hits of a line into a column: sort them, and keep each crossing once.
+    """Turn the collected hits of a line into a column: sorted, with one hit for each crossing.
 
     Args:
-        hits: `LineHits`; the line has the hits ``first:end``. They are sorted in place; the last
-            ones get DROPPED as their geom.
+        hits: `LineHits`; the line has the hits ``first:end``. They are sorted in place. Hits that
+            are left out, because another one stands for the same crossing, come last, with DROPPED
+            as their geom.
         first: index of the line's first hit.
         end: index past its last hit.
         facets: the triangles, as `Facets`.

@@ -116,7 +116,9 @@ def hit_triangle(
         facets: the triangles in the world frame.
         facet_index: index of the triangle in `facets`.
         x, y: the line [m].
-        edge_limits: `_edge_limit` of the edges opposite to corners 0, 1 and 2, or NO_LIMITS.
+        edge_limits: for the edges opposite to corners 0, 1 and 2: the edge function from which on
+            its sign alone says on which side of the edge the line runs, and its distance to the
+            edge isn't computed [m²]; NO_LIMITS to compute it always.
         hits: `LineHits` to write into.
         hit_index: index in `hits` at which to write.
         is_writing: whether to write the hit.

@@ -66,8 +66,8 @@ class Lines(NamedTuple):
 
     Attributes:
         points: x and y in the frame, (n, 2) float64 [m].
-        tiles: by line, the first and the last tile of a rectangle of tiles; the line is intersected
-            with the shapes over these tiles; (n, 2) int64.
+        tiles: for each line, the first and the last tile of a rectangle of tiles, (n, 2) int64. The
+            line is only intersected with the shapes over these tiles.
         axes: the axes of the frame, one in each row, (3, 3) float64. Solids are in this frame
             already.
     """
@@ -583,24 +583,30 @@ def cast_lines(
     first_group,
     end_group,
 ):
-    """Intersect the lines of groups ``range(first_group, end_group)`` with all shapes.
+    """Find where vertical lines cross all shapes, and write the hits, or count them.
 
-    It is called twice: first with empty hits, to count, then with room for the hits.
+    This is done for the groups of lines ``range(first_group, end_group)``. It is called twice:
+    first with empty arrays for the hits, to count them, then with room for as many.
+
+    A line through an edge that triangles share hits all of these triangles. Hits that would count
+    the same crossing again have DROPPED as their geom; the caller removes them.
 
     Args:
         lattice: the cells, as `Lattice`.
-        lines: lines through points, in groups of LINES_PER_CALL; or none, for lines through the
-            centres of the lattice's cells, in groups of a row of tiles each.
+        lines: lines through points, as `Lines`; LINES_PER_CALL of them are a group. If it has no
+            lines, those through the centres of all cells of the lattice are cast; the lines of a
+            row of tiles are a group.
         geometry: the shapes, as `Geometry`.
         shape_index: the shapes by tile for lines through points, else by row of tiles.
         is_crossed: for each entry of `shape_index.triangle_item`, whether any line of its row of
             tiles crosses the triangle, bool; written while counting, read while writing. Unused for
             lines through points.
-        column_hits: `ColumnHits`. While counting, all arrays but `start` are empty, and
-            ``start[line + 1]`` receives the number of the line's hits. While writing, `start` has
-            the running sums of these numbers, and the other arrays receive the hits; the last hits
-            of a column may have the geom DROPPED.
-        num_dropped: receives, for each group, the number of DROPPED hits, int64.
+        column_hits: `ColumnHits`. While counting, all arrays but `start` are empty, and entry i + 1
+            of `start` receives the number of hits of line i. While writing, `start` has the running
+            sums of these numbers, and the other arrays receive the hits of line i from ``start[i]``
+            on, dropped ones last.
+        num_dropped: receives, for each group, the number of DROPPED hits, int64; written while
+            writing hits.
         first_group: number of the first group.
         end_group: number past the last one.
     """

@@ -124,7 +124,12 @@ class ShapeIndex(NamedTuple):
 
 
 class HeightRange(NamedTuple):
-    """A range of heights, from `low` to `high` [m]."""
+    """A range of heights, from `low` to `high` [m].
+
+    Attributes:
+        low: the lower end [m].
+        high: the upper end [m].
+    """
 
     low: float
     high: float

@@ -58,7 +58,7 @@ def block_of(lattice, row, col):
 
 @subkernel(inline="always")
 def cell_bit(row, col):
-    """Return the bit that stands for a cell, given its row and column within its tile, int64."""
+    """Return an int64 with the one bit that stands for the cell at a row and column of a tile."""
     return np.int64(1) << (row * TILE + col)
 
 
@@ -222,7 +222,7 @@ def list_boxes_by_tile(
     first_chunk,
     end_chunk,
 ):
-    """Count, or list, the boxes over each tile, for a range of chunks of the boxes.
+    """List the boxes over each tile, or count them, for some chunks of the boxes.
 
     It is called twice: first with an empty `box_of_item`, to count; then with room for the lists.
 

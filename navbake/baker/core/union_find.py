@@ -50,7 +50,7 @@ def number_components(pairs, num_nodes):
         num_nodes: number of nodes; nodes are numbered from 0.
 
     Returns:
-        The component of each node, (count,) int32.
+        The component of each node, (num_nodes,) int32.
     """
     parent = np.arange(num_nodes)
     for k in range(pairs.shape[1]):

@@ -46,7 +46,10 @@ END_COL = 6
 
 
 class JoinRule(NamedTuple):
-    """The limits within which surfaces of neighboring cells are connected, or else linked.
+    """Which surfaces of neighboring cells are connected, and which are only linked.
+
+    Connected surfaces are in one component. Linked surfaces are not, but the pair of their
+    components is listed, for example because an agent can step from one to the other.
 
     Attributes:
         max_step: two surfaces of the same group, see `label_blocks`, are connected if their heights
@@ -80,7 +83,7 @@ class ComponentNumbering(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def count_row(rows, first_row, num_rows, first, second, third):
-    """Count one more occurrence of three numbers, such as a pair of components and its kind.
+    """Count one more occurrence of three numbers, such as two components and the kind of pair.
 
     The count stands in the row that begins with these numbers. If none of the latest
     NUM_RECENT_ROWS rows does, a row is appended.
@@ -311,8 +314,10 @@ def list_pairs(
         blocks: ids of blocks of cells.
         row_counts: receives how many rows each block has.
         row_arrays: one array that receives the rows, (n, 4) int64: the numbers of two components
-            over all blocks; the kind of the pair, JOINED (only across borders), LINKED or STACKED;
-            and how often they meet.
+            over all blocks; the kind of the pair; and how often they meet. Kinds: JOINED if the two
+            are connected across the border of their blocks; LINKED if surfaces of them are linked,
+            see `JoinRule`; STACKED if the first lies above the second in a cell, with no other
+            component in between.
         begin: index in `blocks` of the first block to list.
         end: index past the last one.
 

@@ -124,7 +124,11 @@ def grow_level(
 
 
 def find_level_links(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:
-    """Find the steps between levels, and the neighboring cells that only a slope joins.
+    """Find the pairs of neighboring cells that only a step between levels, or only a slope, joins.
+
+    These are steps from a floor of one level to a floor of another. They are also places on one
+    level where the floors of two neighboring cells differ by more than a step, but a slope joins
+    them.
 
     Args:
         regions: all regions.
@@ -132,8 +136,8 @@ def find_level_links(regions: Regions, assignment: LevelAssignment, agent: Agent
         agent: the agent, of which the step and slope are used.
 
     Returns:
-        The links, sorted, shape (n, 4), int64. Columns: the lower level, its cell, the upper level,
-        its cell; the levels are equal where only a slope joins two cells of one level.
+        The links, sorted, shape (n, 4), int64. Columns: the lower level, the cell on it, the upper
+        level, the cell on it; both levels are the same where a slope joins two cells of one level.
     """
     by_slopes = may_slopes_join(regions.lattice, agent)
     if len(assignment.grounds) == 1 and not by_slopes:

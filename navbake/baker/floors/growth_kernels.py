@@ -42,7 +42,8 @@ class GrowthState(NamedTuple):
         max_step: the highest step [m].
         floor_height: the height of the floor in each cell, float64 [m]; NaN where there is none.
         ring_of_cell: for each cell, the number of the ring in which its floor grew (0 where an
-            agent can stand), NO_FLOOR or OPEN_CELL - j, int32.
+            agent can stand); NO_FLOOR; or, where the floor may still grow, OPEN_CELL less the index
+            of the cell's lowest surface at which it can, int32.
         can_grow: whether the floor can grow at each surface: CANNOT_GROW, CAN_GROW or
             CAN_GROW_NO_HIGHER, uint8. `start_growth` writes it, for the surfaces of cells in which
             no agent can stand.
@@ -84,8 +85,9 @@ def _can_grow_at(labelled_surfaces, growth_state, stop, surface, lowest_z, highe
 def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays, begin, end):
     """Write a level's floor where an agent can stand, and list the cells into which it may grow.
 
-    This is done for the cells of ``blocks[begin:end]``. A labelled region is one that the floor
-    doesn't grow onto, such as a roof or the top of furniture. A floor can grow at a surface if
+    The first ring of growth may reach the listed cells. This is done for the cells of
+    ``blocks[begin:end]``. A labelled region is one that the floor doesn't grow onto, such as a roof
+    or the top of furniture. A floor can grow at a surface if
 
     - the surface is on no level and belongs to no labelled region;
     - no surface of a labelled region lies above it by a step or less (one on a level may);
@@ -304,7 +306,7 @@ def list_links(
     begin,
     end,
 ):
-    """List where an agent steps from one level to another, and where only slopes join two cells.
+    """List the pairs of neighboring cells that only a step between levels, or only a slope, joins.
 
     Each cell of ``blocks[begin:end]`` is paired with its eastern and its southern neighbor. This is
     a kernel for `navbake.baker.core.blocks.list_rows`.
@@ -318,8 +320,8 @@ def list_links(
         blocks: ids of blocks of cells.
         row_counts: receives how many links each block has.
         row_arrays: one array that receives the links, (n, 4) int64: the lower level and its cell,
-            then the upper level and its cell. The levels may be equal where a slope joins two
-            surfaces that no step joins.
+            then the upper level and its cell. The two levels are the same where a slope joins two
+            surfaces of one level that no step joins.
         begin: index in `blocks` of the first block.
         end: index past the last one.
 

@@ -179,11 +179,13 @@ class SurfaceLevels(NamedTuple):
 class HeightHistogram(NamedTuple):
     """How many surfaces lie at each height: a table of columns, shape (n,) each.
 
-    A band and a bin may stand in several entries; their numbers are then to be added up.
+    Heights are divided into bands, half of the agent's highest step high, and into finer bins. The
+    same band and bin may have several entries, whose numbers have to be added up.
 
     Attributes:
-        band: number of the band of heights, see `HeightSelection`, int64.
-        height_bin: number of a bin of heights inside of the band, see `height_bin`, int64.
+        band: number of the band: band n begins at n times half a step, int64.
+        height_bin: number of a bin of heights inside of the band: bin n is HEIGHT_BIN high, and its
+            middle is at n times HEIGHT_BIN, int64.
         num_surfaces: how many surfaces lie in the bin, int64.
         lowest_z: the lowest height of these surfaces, float64 [m].
     """

@@ -80,8 +80,8 @@ class LevelRule(NamedTuple):
     Attributes:
         grounds: the heights at which levels begin, ascending, (levels,) float64 [m].
         tolerance: how far below a ground the floors of its level may lie [m].
-        skip_floors: which surfaces are left out in columns with more surfaces to assign than there
-            are levels: floors, the lower ones first, if True; stairs if False.
+        skip_floors: which surfaces are left out in columns that have more candidates than there are
+            levels: those of floors, the lower ones first, if True; those of stairs if False.
     """
 
     grounds: Float
@@ -483,8 +483,8 @@ def find_largest_areas(lower_of_step, upper_of_step, floor_area, steps_by_lower,
             int64.
 
     Returns:
-        For each plateau, the area of the largest floor that is reached by going up, and of the
-        largest that is reached by going down, (plateaus,) int64 each, in surfaces; 0 for none.
+        For each plateau, how many surfaces the largest floor has that is reached by going up, and
+        the largest that is reached by going down, (plateaus,) int64 each; 0 for none.
     """
     largest_above = np.zeros_like(floor_area)
     largest_below = np.zeros_like(floor_area)

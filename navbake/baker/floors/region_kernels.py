@@ -177,8 +177,8 @@ def mark_large_regions(
         labelled_surfaces: a `LabelledSurfaces` with the regions.
         boxes: the rows and columns of each region, see `Regions.box`, (n, 4).
         regions: ids of regions.
-        first_block: indices into `blocks`: ``regions[n]`` lies in ``blocks[start[n]:start[n +
-            1]]``.
+        first_block: indices into `blocks`: ``regions[n]`` lies in the blocks from entry
+            ``first_block[n]`` up to, and not including, entry ``first_block[n + 1]``.
         blocks: ids of blocks of cells, region by region.
         area_test: an `AreaTest`: the disc to shrink by, and how many cells have to remain.
         is_large: receives, for each region, whether it is large enough.
@@ -323,11 +323,11 @@ def find_surfaces_below(
     Args:
         labelled_surfaces: a `LabelledSurfaces` with the regions whose surfaces count.
         cells: ids of cells, (n,) int64.
-        excluded_regions: for each cell, the region that rules the cell out if it has a surface
-            there at any height, (n,) int32.
+        excluded_regions: for each cell, a region. If it has a surface in the cell, at any height,
+            the answer for the cell is SAME_REGION, (n,) int32.
         height_limits: for each cell, the height below which the surface must lie, (n,) [m].
-        surfaces_below: receives the surfaces' ids; NO_SURFACE if there is none, SAME_REGION if the
-            cell is ruled out, (n,) int64.
+        surfaces_below: receives the surfaces' ids; NO_SURFACE if there is none, or SAME_REGION,
+            (n,) int64.
         regions_below: receives the surfaces' regions, -1 for none, (n,) int32.
         begin: index in `cells` of the first cell.
         end: index past the last one.
@@ -357,8 +357,8 @@ def mark_hole_edges(cells, directions, first_edge_of_region, lattice, is_in_hole
     Args:
         cells: the cell of each edge, region by region, (edges,).
         directions: the direction out of the region at each edge, (edges,).
-        first_edge_of_region: the n-th region has the edges ``first_edge_of_region[n]:start[n +
-            1]``.
+        first_edge_of_region: the n-th region has the edges from ``first_edge_of_region[n]`` up to,
+            and not including, ``first_edge_of_region[n + 1]``.
         lattice: the `Lattice` of the cells.
         is_in_hole: receives, for each edge, whether it is at a hole's rim, (edges,) bool.
     """

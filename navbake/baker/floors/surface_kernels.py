@@ -40,9 +40,10 @@ MAX_SIDE_UP = 0.05
 
 
 class Surfaces(NamedTuple):
-    """The FLOOR_LIKE surfaces of all cells: cell i has the surfaces ``first[i]:end[i]``.
+    """The surfaces that floors may consist of: cell i has the surfaces ``first[i]:end[i]``.
 
-    Surfaces are numbered block of cells by block of cells, not in the order of cell ids.
+    A surface is a place where the vertical line through a cell's centre crosses geometry that faces
+    up. Surfaces are numbered block of cells by block of cells, not in the order of cell ids.
 
     Attributes:
         lattice: the `Lattice` of the cells.
@@ -51,7 +52,9 @@ class Surfaces(NamedTuple):
         z: heights, ascending in a cell, shape (n,), float64 [m].
         geom: MuJoCo's geom ids, shape (n,), int32; for an ENCLOSED surface, the id of the mesh or
             plane around it.
-        flags: bits FLOOR_LIKE, STANDABLE, UNCOVERED and ENCLOSED, shape (n,), uint8.
+        flags: bits, shape (n,), uint8: FLOOR_LIKE, a floor may continue there; STANDABLE, an agent
+            can stand there; UNCOVERED, STANDABLE with nothing above; ENCLOSED, an agent could stand
+            there if the closed mesh or the plane around it were hollow.
         normal: unit normals, shape (n, 3), float32; (n, 0) where no slope rises by more than a step
             over a cell.
     """
@@ -168,7 +171,8 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
     the first is marked. A STANDABLE hit is UNCOVERED if the column has no hit above it.
 
     In a building that leans, the line over a tread may cross the side of the next tread, at most a
-    step higher. Then the side covers the lower tread, which is STANDABLE nevertheless.
+    step higher. That side is then the next hit above the lower tread, which is STANDABLE
+    nevertheless.
 
     This is a kernel for `navbake.baker.core.blocks.list_rows`.
 

@@ -47,7 +47,7 @@ class Simplex(NamedTuple):
     Attributes:
         points: the corners, (4, 3) float64 [m]; the first ones are valid.
         is_kept: which corners the nearest point of a face depends on, (4,) bool.
-        is_kept_best: the value of `keep` for the nearest face so far, (4,) bool.
+        is_kept_best: the value of `is_kept` for the face that is the nearest so far, (4,) bool.
         nearest: the simplex' nearest point to the origin, (3,) float64 [m].
         trial_nearest: the nearest point to the origin of the face that is tried, (3,) float64 [m].
     """

@@ -92,7 +92,7 @@ def clip_polygon(points, num_corners, clipped, axis, limit, sign):
     """Clip a polygon by a plane across an axis: keep where ``sign * (coordinate - limit) >= 0``.
 
     Args:
-        points: corners, (>= num, 3) float64 [m].
+        points: corners, (>= num_corners, 3) float64 [m].
         num_corners: number of corners.
         clipped: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64.
         axis: which coordinate: X, Y or Z.
@@ -129,7 +129,7 @@ def clip_polygon_between(points, num_corners, scratch, axis, limits, clipped):
     """Clip a polygon to a range of a coordinate.
 
     Args:
-        points: corners, (>= num, 3) float64 [m].
+        points: corners, (>= num_corners, 3) float64 [m].
         num_corners: number of corners.
         scratch: room for a polygon in between, (MAX_CORNERS, 3) float64.
         axis: which coordinate: X, Y or Z.

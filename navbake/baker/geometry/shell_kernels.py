@@ -67,7 +67,8 @@ def weld_points(points, num_chunks, number_of_point, first_chunk, end_chunk):
     chunk has its own filter and its own hash table with open addressing.
 
     Args:
-        points: bits of the coordinates, (n, 3) uint64.
+        points: x, y and z of each point: the bits of float64 numbers, read as integers, (n, 3)
+            uint64.
         num_chunks: number of chunks.
         number_of_point: receives the number of each point, (n,) int32.
         first_chunk: number of the first chunk to work on.
@@ -134,8 +135,9 @@ def chain_edges(
 ):
     """Chain the half-edges that have the same lower point: each refers to the one before it.
 
-    Triangles are divided into chunks, ranges for one thread each. This is done for the chunks
-    ``range(first_chunk, end_chunk)``, each with its own chains.
+    The lower point of a half-edge is that of its two ends that has the lower number. Triangles are
+    divided into chunks, each with its own chains, so that several threads work side by side. This
+    is done for the chunks ``range(first_chunk, end_chunk)``.
 
     Args:
         point_of_vertex: the point of each vertex, see `weld_points`, (n,) int32.
@@ -144,7 +146,7 @@ def chain_edges(
         is_proper: receives whether a triangle has three different points, (m,) bool; the half-edges
             of other triangles are in no chain.
         last_half_edge: -1 everywhere; ``last_half_edge[chunk, lower_point]`` receives the last
-            half-edge in the chain of point `lower_point`, (shares, n) int32.
+            half-edge in the chain of point `lower_point`, (chunks, n) int32.
         previous_half_edge: receives the half-edge before each half-edge in its chain, -1 for none,
             (3 m,) int32.
         first_chunk: number of the first chunk to work on.

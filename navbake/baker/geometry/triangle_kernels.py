@@ -54,7 +54,8 @@ def unit_normal(corners, triangle):
 def expand_mesh(vertices, faces, corners, bounds, normal_z_percent, first, end):
     """Write triangles ``range(first, end)`` of a mesh as fields of `Facets`.
 
-    `normal_z_percent` is 0 only for triangles for which `unit_normal` has a z of 0.
+    `normal_z_percent` is 0 for vertical triangles only: where it would be rounded to 0 for another
+    triangle, it is 1 or -1.
 
     Args:
         vertices: (n, 3) float64 [m].
@@ -189,10 +190,10 @@ def bound_parts(
         faces: vertices of each triangle, (m, 3) int32.
         is_flipped: which triangles count as facing the other way, (m,) bool.
         part_of_face: the part that each triangle belongs to, (m,) int32.
-        part_boxes: receives the lower and the upper corner of each part's box, (parts, 6) [m]; inf
-            and -inf before.
-        largest_area: receives twice the area of each part's largest triangle, (parts,) [m²];
-            negative before.
+        part_boxes: receives the lower and the upper corner of each part's box, (parts, 6) [m]; the
+            caller fills it with inf and -inf.
+        largest_area: receives twice the area of each part's largest triangle, (parts,) [m²]; the
+            caller fills it with a negative number.
         largest_triangle: receives the index of that triangle, (parts,) int64; of several equally
             large triangles, the last one.
     """
@@ -289,9 +290,9 @@ def measure_spans(corners, group_of_triangle, direction, lowest, highest):
         corners: (m, 3, 3) float64 [m].
         group_of_triangle: the group of each triangle, (m,) int32.
         direction: horizontal unit vector of each group, (groups, 2) float64.
-        lowest: (groups, 3) of inf; receives the least coordinate along the direction, along its
-            left normal, and along z [m].
-        highest: (groups, 3) of -inf; receives the greatest ones [m].
+        lowest: receives the least coordinate along the direction, along its left normal, and along
+            z, (groups, 3) [m]; the caller fills it with inf.
+        highest: receives the greatest ones, (groups, 3) [m]; the caller fills it with -inf.
     """
     for triangle in range(corners.shape[0]):
         group = group_of_triangle[triangle]

@@ -54,7 +54,13 @@ SEARCH_MARGIN = 2.0 * TOUCH_DEPTH
 
 
 class ShapeArrays(NamedTuple):
-    """The shapes of all geoms: primitives, triangles and planes, each in the order of geom ids."""
+    """The shapes of all geoms: primitives, triangles and planes, each in the order of geom ids.
+
+    Attributes:
+        solids: the primitives.
+        facets: the triangles.
+        planes: the infinite planes.
+    """
 
     solids: Solids
     facets: Facets
@@ -91,8 +97,8 @@ class OccupantLists(NamedTuple):
             height above the floor, (n,) float64 [m].
         first: receives, for each query, where its list begins, (n,) int32; see `check_tiles`.
         floor_geom: receives the id of the geom whose surface is the floor, -1 for none, (n,) int32.
-        gap_below: receives how far below the floor the next surface of another geom lies that is
-            not too steep for a floor, inf for none, (n,) float64 [m].
+        gap_below: receives how far below the floor the next surface of another geom lies, inf for
+            none, (n,) float64 [m]. Surfaces that are too steep for a floor don't count.
         is_wall_candidate: for each geom id, whether AT_WALL_HEIGHT is tested, (ngeom,) bool.
         wall_low: height above the floor at which the prism of AT_WALL_HEIGHT begins [m].
         wall_high: height above the floor at which that prism ends [m].
@@ -184,9 +190,9 @@ def make_envelope(lattice, footprint, queries, lists, query, row, col):
 
 @subkernel(inline="always")
 def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
-    """Return whether a shape of a geom meets a prism: APART, MEETS, or UNDECIDED.
+    """Decide whether a shape of a geom meets a prism.
 
-    UNDECIDED means that rounding errors prevent a proof; it is returned for solids only.
+    A prism is a square or a disc, extruded between two heights.
 
     Args:
         shape_arrays: all shapes.
@@ -194,6 +200,10 @@ def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
         shape: number of the plane, solid or triangle.
         prism: a square or a disc between two heights.
         scratch: room for the test.
+
+    Returns:
+        APART or MEETS, which are proved; or, for solids only, UNDECIDED if rounding prevents a
+        proof.
     """
     if shape_kind == PLANE_KIND:
         return MEETS if plane_meets_prism(shape_arrays.planes, shape, prism) else APART
@@ -270,9 +280,9 @@ def describe_floor(hits, cell, floor, min_up):
         min_up: least z of the unit normal of a surface that is not too steep for a floor.
 
     Returns:
-        The geom's id, -1 if the cell's line hits no such surface at the floor's height; and the
-        distance from the floor to the highest surface of another geom, at or below the floor, that
-        is not too steep, inf for none [m].
+        The geom's id, -1 if the cell's line hits no such surface at the floor's height; and how far
+        below the floor the highest surface of another geom lies, among those at or below the floor
+        that are not too steep, inf for none [m].
     """
     floor_geom = np.int32(-1)
     gap_below = np.inf

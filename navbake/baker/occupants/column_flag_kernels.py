@@ -18,7 +18,7 @@ COLUMN_FLAGS = (EMPTY, HOLE, STEEP_GROUND, SKY, TALL)
 
 @kernel(nogil=True)
 def flag_columns(hits, floor, ground, limits, above_heads, flags, first_cell, end_cell):
-    """Write the `COLUMN_FLAGS` of the cells ``[begin, end)`` of a level.
+    """Write the `COLUMN_FLAGS` of the cells ``range(first_cell, end_cell)`` of a level.
 
     A cell without a floor is a HOLE if nothing is in the way of the agent's body there. Only
     surfaces more than a step above the level's ground count: there is none, or the lowest of them

@@ -52,8 +52,8 @@ class LevelOccupants(NamedTuple):
             candidates have it.
         floor_geom: the id of the geom whose surface is the cell's floor, -1 for none, (cells,),
             int32.
-        gap_below: how far below the floor the next surface of a different geom lies that is not too
-            steep for a floor [m], inf for none, (cells,), float64.
+        gap_below: how far below the floor the next surface of another geom lies [m], inf for none;
+            surfaces that are too steep for a floor don't count; (cells,), float64.
     """
 
     lattice: Lattice
@@ -82,9 +82,10 @@ class GeomHeights(NamedTuple):
     Attributes:
         low: height of the lower end [m], NaN for an endless plane, float64.
         high: height of the upper end [m], NaN for an endless plane, float64.
-        on_floor_gap: by geom id, the widest gap [m] between the geom's surface and the floor below
-            it at which the geom lies on that floor, float64.
-        cover_gap: the widest such gap [m] at which a geom only covers the floor, for all geoms.
+        on_floor_gap: by geom id: the geom counts as lying on the floor below it if its own surface
+            is at most this high above that floor [m], float64.
+        cover_gap: a geom only covers the floor below it (a rug) if its surface is at most this high
+            above that floor [m].
     """
 
     low: Float
@@ -192,7 +193,7 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, first_b
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def mark_walls(occupants, kinds, cells, is_wall, is_low_wall, first_index, end_index):
-    """Mark which of ``cells[begin:end]`` a wall blocks, and which a low wall blocks.
+    """Mark which of ``cells[first_index:end_index]`` a wall blocks, and which a low wall blocks.
 
     In a marked cell the wall is over the cell's square (OCCUPYING) and meets the agent's footprint
     (BLOCKING). The mesh of a whole building counts as a wall in a cell where it is AT_WALL_HEIGHT,

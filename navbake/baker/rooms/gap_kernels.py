@@ -71,7 +71,7 @@ class Gaps(NamedTuple):
     """The gaps of one scan direction, as parallel arrays of n gaps.
 
     A gap is a strip of marked cells between two spaces (connected parts of the floor), which goes
-    on from column to column.
+    on from column to column. "Above" and "below" a gap mean lower and higher row numbers.
 
     Attributes:
         first_col: the gap's first column, shape (n,), int64.
@@ -101,8 +101,8 @@ class Scan(NamedTuple):
         shift: for each column, how many rows lower a line is than in the first column, shape
             (cols,).
         depths: the distances behind gaps at which spaces are measured, shape (depths,) [rows].
-        leans: for each depth, how many columns to the right a perpendicular of the direction gets
-            as it goes up by that depth, shape (depths,).
+        leans: for each depth: a line perpendicular to the direction that goes up by that depth gets
+            this many columns to the right, shape (depths,).
     """
 
     label: Int32
@@ -179,7 +179,8 @@ class LineEnd(NamedTuple):
     Attributes:
         length: how far the line runs in its space [columns].
         num_openings: the number of columns in which the line runs behind a further opening to the
-            opposite space, up to where the walk along the line ended.
+            opposite space. They are counted as far as the line was followed, which may be farther
+            than `length`.
         num_passed_openings: the number of such columns within `length`.
         last_cell: the id of the line's last cell, -1 if it does not end at a wall.
         opening_cell: the id of the last cell of these openings, in the line of the gap; -1 for
@@ -766,17 +767,18 @@ def _extend_chains(is_low, is_wall, rows_to_next, is_next_wall, next_chains, cha
 
 @kernel(nogil=True)
 def sweep_distances(is_target, reach, column_distance, squared_distance, start, stop):
-    """Compute squared distances to target cells, in two calls: along columns, then along rows.
+    """Measure how far each cell is from the nearest target: first along columns, then along rows.
 
-    A squared Euclidean distance is the sum of two squares, one per axis (Saito and Toriwaki, 1994).
-    In the second call, all columns within `reach` are compared, which the compiler vectorizes.
+    It takes two calls, as a squared Euclidean distance is the sum of two squares, one per axis
+    (Saito and Toriwaki, 1994). In the second call, all columns within `reach` are compared, which
+    the compiler vectorizes.
 
     Args:
         is_target: the target cells, bool.
         reach: the largest distance that is measured; larger ones become ``reach + 1`` [cells].
         column_distance: the distance of each cell to the nearest target in its column, int16. The
-            first call writes the columns ``range(first, end)``; the second call reads all.
-        squared_distance: receives the squared distances of the rows ``range(first, end)``, int32;
+            first call writes the columns ``range(start, stop)``; the second call reads all.
+        squared_distance: receives the squared distances of the rows ``range(start, stop)``, int32;
             empty in the first call.
         start: the first column; in the second call, the first row.
         stop: the last column or row, plus 1.

@@ -50,7 +50,7 @@ class Voxels(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def _label(column, first_voxel, end_voxel, label):
-    """Give the voxels ``first:end`` of a column a label.
+    """Give the voxels ``first_voxel:end_voxel`` of a column a label.
 
     A voxel that has a lower label already (other than 0, for an empty voxel) keeps it.
     """
@@ -80,7 +80,7 @@ def _fill_between(voxels, column, bottom, top, label):
 
 @subkernel(**NO_REFCOUNT)
 def _meets(voxels, solids, planes, shape_index, x, y, first_voxel, end_voxel, simplex):
-    """Return whether a solid or a plane meets any of the voxels ``first:end`` of a column.
+    """Return whether a solid or a plane meets any of the given voxels of a column.
 
     Args:
         voxels: the grid, as `Voxels`.
@@ -88,7 +88,8 @@ def _meets(voxels, solids, planes, shape_index, x, y, first_voxel, end_voxel, si
         planes: the infinite planes, as `Planes`.
         shape_index: the index of a solid, or the number of solids plus the index of a plane.
         x, y: the column's middle line [m].
-        first, end: range of voxels, counted from the bottom.
+        first_voxel: index of the first of these voxels, counted from the bottom.
+        end_voxel: index past the last one.
         simplex: room for the iteration of GJK, see `allocate_simplex`.
     """
     bottom = voxels.bottom + first_voxel * voxels.res + TOUCH_DEPTH
@@ -225,18 +226,19 @@ def _fill_triangle(voxels, lattice, window, facets, triangle, label, polygons, s
 def fill_voxels(
     voxels, lattice, solids, facets, planes, tile_index, hits, labels, first_tile, end_tile
 ):
-    """Label the voxels of tiles ``range(first_tile, end)`` that geoms meet.
+    """Label the voxels of the tiles ``range(first_tile, end_tile)`` that geoms meet.
 
     Args:
         voxels: the grid to fill, as `Voxels`.
-        lattice: the lattice whose cells are the voxels' columns: the voxels ``values[i, j]`` are
-            over the cell at row ``ny - 1 - j``, column i.
-        solids, facets, planes: the shapes.
+        lattice: the lattice whose cells lie under the voxels: entry (i, j) of `voxels.values` is
+            the stack of voxels over the cell at row ``ny - 1 - j``, column i.
+        solids, facets, planes: the shapes, as `Solids`, `Facets` and `Planes`.
         tile_index: the solids and facets over each tile of the lattice.
         hits: hits of the columns' middle lines with the facets, as `ColumnHits`.
         labels: the label of each geom, by geom id, > 0, in the dtype of the grid's values. A voxel
             keeps the label that it has if that is lower.
-        first_tile, end: range of tiles.
+        first_tile: number of the first tile.
+        end_tile: number past the last one.
     """
     polygons = allocate_polygons()
     strip_polygon = np.empty((12, 3))
