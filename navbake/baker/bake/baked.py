@@ -58,9 +58,10 @@ class BakedStructure:
         lattice: the cells that are baked.
         floors: the levels with their floors.
         layers: for each level, the layers that follow from structure alone.
-        occupants: the structure in each cell; None where neither names nor rooms need it.
+        occupants: the structure in each cell; None if the settings ask for no names in cells, and
+            rooms don't need it.
         rooms: the room of each cell.
-        boxes: the rectangle of rows and columns, and the bounding box, of each level.
+        boxes: the rectangle of cells, and the bounding box, of each level.
         link_geometry: the structure that an agent on a link may collide with; None without links.
         settings_metadata: the settings and their digest, as written to a file.
         steps: the steps between levels, with cells counted on each level's own rectangle.

@@ -66,7 +66,7 @@ def find_level_boxes(
     its rectangle. Only where the scene ends in the outer half of the rectangle's last cells, the
     box ends there, too. In height, it spans from `BOX_MARGIN` below the level's lowest floor to
     `BOX_GAP` below the next box above it, or to the scene's top. An agent on the highest floor is
-    inside of the highest level's box. Doors change neither rectangles nor boxes.
+    inside of the highest level's box. Whether doors are open or closed has no influence on either.
 
     Args:
         levels: the levels on the whole lattice, lowest first.

@@ -252,7 +252,7 @@ class Stages:
 
     @property
     def extents(self) -> Extents | None:
-        """Bounding boxes of the structure's geoms; None where neither names nor rooms need them."""
+        """Upright boxes around the structure's geoms; None if neither names nor rooms need them."""
         return self._floors_and_extents[1]
 
     @cached_property

@@ -41,10 +41,10 @@ MAX_NAMED_BODIES = 3  # movable bodies that a warning names
 
 
 class PatchWarning(NamedTuple):
-    """How a bake warns of patches: surfaces that became no floor, or a floor though they are small.
+    """How a bake warns of surfaces that became no floor, or that are a floor though they are small.
 
     Attributes:
-        min_area: the least area of a patch that is warned of [m²].
+        min_area: the least area of connected surfaces (a patch) that is warned of [m²].
         text: a format string. Its fields: ``what`` describes the largest patch, ``keep`` says how a
             user keeps that patch as a floor; ``area`` [m²], ``z`` [m] and ``name`` are the largest
             patch's; ``cells`` is the number of cells of all patches together.

@@ -377,7 +377,12 @@ class WindowColumns(NamedTuple):
 
 
 def unique_cells(lattice: Lattice, cells: Int | Int32) -> Int:
-    """Return ids of cells in ascending order, without repeats."""
+    """Return ids of cells in ascending order, each once.
+
+    Args:
+        lattice: the lattice of the cells.
+        cells: the ids, in any order.
+    """
     is_requested = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
     is_requested[cells] = True
     return np.flatnonzero(is_requested)

@@ -61,8 +61,8 @@ def split_into_row_chunks(
 
     Args:
         lattice: the cells.
-        num_in_memory: how many chunks will be in memory at a time. If more than one, the chunks are
-            smaller: that many together have about `CELLS_PER_CHUNK` cells.
+        num_in_memory: how many chunks will be in memory at a time; so many together have about
+            `CELLS_PER_CHUNK` cells.
         max_rows: about how many rows of cells all chunks in memory may have together; inf for no
             limit.
     """
@@ -518,7 +518,12 @@ def gather_hits(
 
 
 def empty_hits(start: Int, num_hits: int) -> ColumnHits:
-    """Allocate room for `num_hits` hits; `start` becomes `ColumnHits.start`, without a copy."""
+    """Allocate columns whose hits are to be written.
+
+    Args:
+        start: index of each column's first hit, then the number of hits; used without a copy.
+        num_hits: how many hits there is room for.
+    """
     return ColumnHits(
         start=start,
         z=np.empty(num_hits),
@@ -578,7 +583,7 @@ def list_by_tile(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, In
 
 
 def list_by_tile_row(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, Int32]:
-    """List, for each row of tiles, the boxes that cover a cell's centre there.
+    """List, for each row of tiles, the boxes that lie over the centre of a cell there.
 
     Args:
         boxes: lower corner, upper corner, shape (n, 6) [m].

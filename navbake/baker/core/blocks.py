@@ -23,7 +23,7 @@ FIRST_CAPACITY = 4096
 
 
 class Blocks:
-    """The blocks of a lattice.
+    """The blocks of a lattice: squares of BLOCK x BLOCK cells that are worked on one by one.
 
     Attributes:
         lattice: the cells.

@@ -183,7 +183,7 @@ class Regions:
         return self.surfaces.lattice
 
     def label_surfaces(self, is_selected: Bool) -> LabelledSurfaces:
-        """Return all surfaces, with the region of those that belong to a selected region.
+        """Return all surfaces for kernels, labelled with the regions that are selected.
 
         Args:
             is_selected: the selected regions, shape (regions,), bool.

@@ -37,8 +37,8 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     its triangles run along each edge as often in one direction as in the other. A closed part that
     faces out encloses a volume. A closed part that faces in bounds a cavity if it lies inside of a
     part that faces out, and then counts as enclosing, too. By itself it is a room drawn from
-    inside, and encloses nothing. Stray triangles at a closed part don't open it, nor do membranes
-    across its inside.
+    inside, and encloses nothing. A closed part stays closed if stray triangles touch it, or if a
+    membrane lies across its inside.
 
     In closed parts, a triangle that faces to the other side than most triangles around it is
     flipped, see `mesh_part_kernels`. Left out are duplicates of triangles, and triangles with two

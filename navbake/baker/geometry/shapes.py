@@ -158,8 +158,8 @@ class Shapes:
         solids: the primitives.
         planes: the planes that are infinite along both sides.
         meshes: the geoms that are made of triangles.
-        is_endless: marks the planes with one infinite side, whose triangles extend
-            ENDLESS_HALF_SIZE there and don't count for `bounds`, shape (ngeom,), bool.
+        is_endless: marks the planes with one infinite side, shape (ngeom,), bool. They are made of
+            triangles that extend ENDLESS_HALF_SIZE along that side, and don't count for `bounds`.
     """
 
     solids: Solids
@@ -273,7 +273,7 @@ class Shapes:
         return Shapes(solids, planes, meshes, self.is_endless)
 
     def solids_in_frame(self, axes: Float) -> Shapes:
-        """Return the solids alone, in a rotated frame.
+        """Return the solids (and neither planes nor meshes) in a rotated frame.
 
         Args:
             axes: axes of the frame, as its rows, shape (3, 3).
@@ -484,7 +484,7 @@ def hull_faces(vertices: Float) -> Int32 | None:
 
 
 def choose_num_chunks(num_items: int) -> int:
-    """Return into how many chunks, one for each thread, points or triangles are divided.
+    """Return into how many chunks points or triangles are divided, so that each thread gets one.
 
     Args:
         num_items: how many points or triangles there are.

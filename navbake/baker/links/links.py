@@ -98,7 +98,7 @@ def bake_links(
 
 
 def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
-    """Place the stops of the settings' links on cells, and find the links of the settings' rules.
+    """Make the links of the settings: place the stops of those listed, and find those of the rules.
 
     A stop is left out if no free cell is nearby, or if it is on the same cell as an earlier stop. A
     link with fewer than two stops is left out.

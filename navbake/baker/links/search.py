@@ -95,7 +95,8 @@ class CollisionGeometry(NamedTuple):
     """The geometry that an agent on a link may collide with.
 
     Attributes:
-        sources: the geometry, in several parts; a place is free if none of them blocks it.
+        sources: the geometry in several parts, such as structure and movables; a place is free if
+            no part blocks it.
         footprint: the volume over a cell that has to be free.
         window: the part of the whole lattice that the geometry is on; None for all of it.
     """

@@ -98,7 +98,7 @@ def check_level_occupancy(
 def select_list_entries(
     list_starts: Int32, geom: Int32, flags: NDArray[np.uint8], cells: Int
 ) -> tuple[Int, Int32, NDArray[np.uint8]]:
-    """Return the entries of some cells from the lists of geoms, ordered by cell and then geom.
+    """Return the geoms that are listed for some cells, ordered by cell and then geom.
 
     Args:
         list_starts: by cell id, the index into `geom` at which the cell's list begins. The list
@@ -108,7 +108,8 @@ def select_list_entries(
         cells: cell ids, shape (n,).
 
     Returns:
-        For each entry the index of its cell in `cells`, its geom id, and its flags.
+        For each pair of a cell and a geom in it: the index of the cell in `cells`, the geom's id,
+        and its flags.
     """
     begins = list_starts[cells]
     list_lengths = np.zeros(len(cells), dtype=np.int64)

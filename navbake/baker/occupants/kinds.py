@@ -169,7 +169,8 @@ class ClassifiedGeoms(NamedTuple):
 
     Attributes:
         kinds: for each geom, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
-        room_kinds: like `kinds`, but for finding rooms, see `StandingOccupants`.
+        room_kinds: like `kinds`, but for finding rooms: panes, and geoms with the shape of a wall,
+            are WALL whatever their names are.
         warnings: warnings about patterns of walls, one line each.
     """
 
@@ -186,7 +187,7 @@ def classify_geoms(
     agent: AgentSettings,
     settings: NameSettings,
 ) -> ClassifiedGeoms:
-    """Classify geoms, and warn of patterns of walls that match nothing.
+    """Classify geoms: walls, meshes of a whole building, floors and ceilings, or things.
 
     Args:
         scene: the scene of the geoms.
@@ -269,6 +270,10 @@ def match_wall_names(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[
 
     Returns:
         A mask by geom id, and a warning for each pattern that matches nothing.
+
+    Args:
+        scene: the scene of the geoms.
+        patterns: the patterns of `names.walls`.
     """
     is_match = np.zeros(len(scene.geoms), dtype=np.bool_)
     warnings: list[str] = []
@@ -305,6 +310,14 @@ def mark_wall_geoms(
 
     Static pieces that continue in the line of a wall (parapets, lintels, stubs, windows) are walls,
     too, unless they carry floors. Excluded geoms are no walls in any case.
+
+    Args:
+        scene: the scene of the geoms.
+        extents: upright bounding boxes of the geoms.
+        sizes: the heights of the geoms over floors, and the areas that they occupy.
+        floor_geoms: the geoms whose surfaces are floors.
+        excluded: mask by geom id of the geoms that are no walls, such as meshes of a whole
+            building.
     """
     names = [" ".join(geom_names).lower() for geom_names in all_names(scene.model).geoms]
     has_wall_name = np.array([bool(WALL_NAME.search(name)) for name in names], dtype=np.bool_)
@@ -339,6 +352,11 @@ def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
 
     A pane is as thin, long and tall as a wall, and begins near a floor or a sill. Each of its two
     ends meets a wall, or a second pane in the same opening.
+
+    Args:
+        extents: upright bounding boxes of the geoms.
+        sizes: the heights of the geoms over floors, and the areas that they occupy.
+        is_wall: mask by geom id of the walls.
     """
     is_pane = _mark_slender(extents, THIN_WALLS[0])
     is_pane &= extents.top - extents.bottom >= MIN_WALL_HEIGHT
@@ -610,7 +628,7 @@ def classify_floor_geoms(
 def mark_ceilings(
     extents: Extents, min_height_above_floor: Float, is_static: Bool, agent: AgentSettings
 ) -> Bool:
-    """Mark the geoms that are ceilings or roofs; returns a mask by geom id, (ngeom,).
+    """Mark the geoms that are ceilings or roofs.
 
     They are static, at least `CEILING_WIDTH` wide along both axes, not taller than wide, and above
     an agent's head over every floor below them.
@@ -621,6 +639,9 @@ def mark_ceilings(
             there is none.
         is_static: for each geom, whether it is static.
         agent: the agent; its height is read.
+
+    Returns:
+        A mask by geom id, shape (ngeom,), bool.
     """
     is_flat = extents.top - extents.bottom <= extents.short_side
     is_above_heads = min_height_above_floor >= agent.height - LIMIT_SLACK

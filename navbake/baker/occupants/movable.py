@@ -55,7 +55,8 @@ class OccupantEntries(NamedTuple):
     Attributes:
         cell: cell ids, int64.
         geom: geom ids, int32.
-        flags: how the geom lies in the cell, see `LevelOccupants.flags`, uint8.
+        flags: bits that say which volumes over the cell's floor the geom meets, see
+            `LevelOccupants.flags`, uint8.
     """
 
     cell: Int

@@ -160,7 +160,8 @@ def gather_flags(
         floors: the floors of all levels, at least one.
         column_flags: for each level, the flags of its cells, see `flag_columns`, shape (cells,),
             uint8.
-        standing_occupants: the structure that stands in the cells; None if walls are not needed.
+        standing_occupants: the structure that stands in the cells, of which walls are read; None if
+            rooms are found without walls.
         occupied: for each level, a mask of the cells without a floor or with structure at an
             agent's height, see `LevelFlags.occupied`.
         settings: how rooms are marked.

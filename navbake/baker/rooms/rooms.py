@@ -82,7 +82,7 @@ class Rooms:
         index: for each level, the index of each cell's room, shape (height, width).
         table: the rooms, ordered by level and index; `with_neighbours` adds their neighbours.
         openings: the openings between rooms of a level.
-        links: pairs of rooms on different levels that a step joins.
+        links: pairs of rooms on different levels between which an agent can step.
         lattice: the whole lattice.
         open_cells: for each level, a mask of the cells that may be in a room, shape (height,
             width), see `LevelFlags.is_open`.

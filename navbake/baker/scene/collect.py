@@ -93,8 +93,8 @@ def select_geoms(
     - ``collision`` counts geoms that can collide (contype or conaffinity is not 0).
     - ``auto`` does the same; but if all geoms that can collide are excluded, all geoms count.
     - ``visual`` counts geoms that are drawn (alpha above 0, in a group that MuJoCo's viewers draw).
-      A geom that can collide is not counted if its body (not the world) has drawn geoms of another
-      group that can't collide: those are its visuals.
+      But a geom that can collide is left out if its body has visuals: drawn geoms of another group
+      that can't collide. (The world body's geoms are never left out for this reason.)
     - ``all`` counts all geoms.
 
     With `scene.meshes: auto`, a mesh that can collide is represented by its hull, as in MuJoCo,

@@ -86,9 +86,9 @@ def find_roles(
 ) -> SceneRoles:
     """Find the role of each geom that counts: structure, movable, or a leaf of a door.
 
-    Bodies that `floors.movable` names, cars of lifts, and the descendants of both carry floors:
-    they are structure though they move. If no geom would be structure, all bodies count as
-    structure in their present pose.
+    Geoms that can't move are structure. So are those of bodies that move and carry floors: bodies
+    that `floors.movable` names, cars of lifts, and the descendants of both. If no geom would be
+    structure, all bodies count as structure in their present pose.
 
     Args:
         model: the model.

@@ -159,7 +159,8 @@ class Voxelizer:
         """Load a scene.
 
         Args:
-            scene: see `create_voxel_grid`.
+            scene: the path of a scene or of settings, settings, or a scene in memory, as for
+                `navbake.bake`.
             data: the pose of a scene in memory, see `navbake.bake`.
             ignore: name patterns of bodies that are left out, with all bodies below them.
             exclude, robot: bodies and geoms that are left out, too, see `navbake.bake`.
@@ -389,9 +390,9 @@ def label_geoms(scene: Scene, segments: Segments) -> Labels:
 
     Args:
         scene: the scene.
-        segments: ``geom``, ``body``, ``top``, a mapping of name patterns (``*``, ``?``, ``[…]``)
-            to IDs from 1, or a list of patterns, whose IDs are 1, 2, 3, …. One pattern is a list
-            of one.
+        segments: ``geom``, ``body``, ``top``, a mapping of name patterns (``*``, ``?``, ``[…]``) to
+            IDs from 1, or a list of patterns, whose IDs are 1, 2, 3, …. A single pattern is the
+            same as a list of that pattern alone.
 
     Raises:
         ConfigError: `segments` is none of these, or an ID is out of range.
