@@ -53,9 +53,10 @@ class ClassifiedLeaf:
         leaf: the geometry of the leaf in each state.
         is_door: whether the leaf is a door. A leaf that is no door has no rooms.
         rooms: the ids of the rooms on both sides; None for the outside.
-        blocked: state -> for each level, ids of the cells that the leaf blocks, see `LeafCells`.
-        blocked_squares: state -> for each level, ids of the cells whose square overlaps the leaf,
-            see `LeafCells`.
+        blocked: state -> for each level, ids of the cells where the leaf overlaps an agent at the
+            cell's centre, see `LeafCells`.
+        blocked_squares: state -> for each level, ids of the cells whose own square overlaps the
+            leaf; empty if the agent is no wider than a cell.
         carried_floor: the warning that an agent could walk on the door's top; empty if none could.
     """
 

@@ -79,9 +79,9 @@ def grow_level(
     Args:
         labelled_surfaces: all surfaces; those of the labelled regions are surfaces that floors
             don't grow onto.
-        preliminary_level: the preliminary number of each surface's level, see
-            `LevelAssignment.preliminary_level`.
-        final_level: the final number for each preliminary one, see `LevelAssignment.final_level`.
+        preliminary_level: the preliminary number of each surface's level, negative for none.
+            Preliminary numbers also count levels that have no surface in the end.
+        final_level: the level's final number for each preliminary number.
         level_number: the final number of the level whose floor is found.
         agent: the agent, of which the height and step are used.
     """

@@ -146,8 +146,8 @@ class ComponentLevels(NamedTuple):
 
     Attributes:
         component: index of the component in `Regions.components`, int64.
-        level: preliminary number of the level, see `LevelAssignment.preliminary_level`;
-            NO_FREE_LEVEL or less for surfaces without a level, because their columns have more
+        level: preliminary number of the level, which also counts levels that have no surface in the
+            end; NO_FREE_LEVEL or less for surfaces without a level, because their columns have more
             surfaces than there are levels, int64.
         num_surfaces: how many surfaces of the component are on the level, int64.
         lowest_z: the lowest height of these surfaces, float64 [m].
@@ -166,7 +166,8 @@ class SurfaceLevels(NamedTuple):
         grounds: the heights at which levels begin, ascending [m].
         skips_floors: which surfaces are left out in columns that have more surfaces than there are
             levels: those of floors if True, those of stairs if False.
-        level_of_surface: the level of each surface, see `assign_surfaces_to_levels`, int32.
+        level_of_surface: the level of each surface as an index of `grounds`, -1 for surfaces that
+            are not assigned, NO_FREE_LEVEL or less where all levels are taken, int32.
         component_levels: how many surfaces each component has on each level.
     """
 

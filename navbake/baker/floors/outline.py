@@ -79,8 +79,8 @@ class ListedEdges(NamedTuple):
         cell: the cell on the region's side, shape (edges,), int64.
         surface_id: the region's surface in that cell, shape (edges,), int64.
         direction: EAST, SOUTH, WEST or NORTH, out of the region, shape (edges,), int64.
-        has_drop: 1 if a lower surface of another region lies beyond, else 0, see `list_edges`,
-            shape (edges,), int64.
+        has_drop: 1 if another region has a surface more than a step lower in the cells beyond the
+            edge, else 0, shape (edges,), int64.
     """
 
     region: Int32

@@ -85,7 +85,7 @@ class Components(NamedTuple):
         return label_components(self.pairs_of_kind(JOINED)[:, :2].T, self.num)
 
     def linked_pairs(self, merged_component: Int32) -> tuple[Int, Int]:
-        """Find the pairs of different merged components that a link joins.
+        """Find the pairs of different merged components that are linked, see `JoinRule`.
 
         Args:
             merged_component: the merged component of each component, as `merge` returns it.
@@ -258,7 +258,8 @@ def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GRO
     Args:
         surfaces: all surfaces.
         agent: the agent, of which the step and slope are used.
-        group: the group of each surface, see `find_components`; a region lies in one group.
+        group: the group of each surface, negative to leave it out, shape (surfaces,). A region lies
+            in one group. If empty, all standable surfaces are in the same group.
     """
     components = find_components(surfaces, region_join_rule(surfaces.lattice, agent), group)
     merged_component = components.merge()

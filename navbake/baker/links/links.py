@@ -68,7 +68,8 @@ def bake_links(
         geometry: the structure that agents on links may collide with; None without settings of
             links.
         leaves: all classified leaves, doors or not.
-        is_obstacle_geom: for each geom, see `mark_obstacle_geoms`, (ngeom,).
+        is_obstacle_geom: for each geom, whether it belongs to a movable or to a leaf that is no
+            door, (ngeom,), bool.
         occupied: for each level, a mask of the cells that anything except doors occupies, shape
             (height, width).
         config: all settings.

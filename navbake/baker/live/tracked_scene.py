@@ -186,7 +186,8 @@ class TrackedScene:
         Args:
             data: the data whose joint positions and mocap bodies are the next pose; the current
                 pose if None.
-            bodies: bodies with a free joint, and mocap bodies, by name, see `Baker.update`.
+            bodies: bodies with a free joint, and mocap bodies, by name: x, y, z [m], or x, y, z and
+                a quaternion w, x, y, z.
             joints: positions of hinges and slides, by name [rad or m].
 
         Returns:

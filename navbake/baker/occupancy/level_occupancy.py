@@ -66,10 +66,11 @@ def check_level_occupancy(
         footprint: the volume over a floor that has to be free.
         cells: cell ids, ascending.
         level: the floors.
-        level_ceiling: height at which the level ends [m], see `find_level_ceilings`.
+        level_ceiling: height at which the level ends: the next level's ground, inf for the highest
+            level [m].
         agent: the agent; its height and largest slope are read.
-        wall_candidates: mask by geom id of the geoms that are tested for AT_WALL_HEIGHT, bool;
-            None to list no occupants.
+        wall_candidates: mask by geom id of the geoms that are tested for AT_WALL_HEIGHT, bool; None
+            to list no occupants.
 
     Returns:
         The cells that have a floor, their occupancy, and the lists of their occupants.

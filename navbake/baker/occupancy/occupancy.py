@@ -78,7 +78,8 @@ class CellOccupancy(NamedTuple):
             agent's disc, shape (n,), bool.
         geom: the lists of the geoms in each cell, one after the other: geom ids, and -1 at the end
             of each list, int32; see `check_tiles`.
-        flags: the flags of each entry of `geom`, see `volume_kernels`, uint8.
+        flags: for each entry of `geom`, bits that say which volumes over the cell's floor the geom
+            meets, see `volume_kernels`, uint8.
     """
 
     occupied: Bool

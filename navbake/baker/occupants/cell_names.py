@@ -57,7 +57,7 @@ def name_cells(
             several times.
         bits: the bits OBJECTS, WALLS and BLOCKERS of each pair of cell and geom, shape (n,); a pair
             with 0 is dropped.
-        names: by geom id, see `name_geoms`.
+        names: the name of each geom, that of its topmost body, by geom id.
         lattice: the whole lattice.
         window: the rows and columns of the lattice that the grid holds.
 

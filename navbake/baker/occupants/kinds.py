@@ -296,7 +296,7 @@ def match_wall_names(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[
 def mark_wall_geoms(
     scene: Scene, extents: Extents, sizes: OccupantSizes, floor_geoms: FloorGeoms, excluded: Bool
 ) -> Bool:
-    """Mark, by geom id, the geoms whose shapes or names are those of walls.
+    """Mark, by geom id, the geoms that are walls by their shapes or by their names.
 
     By its shape, a geom is a wall if it is static and vertical, begins near a floor, rises at least
     1.5 m, and is long and at most 0.25 m thick. A geom up to 0.5 m thick has to be longer. A geom

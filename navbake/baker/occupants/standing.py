@@ -57,7 +57,8 @@ class StandingCells(NamedTuple):
     Attributes:
         occupancy: the cells that structure occupies.
         occupants: for each level, the geoms in its cells; empty if they were not requested.
-        column_flags: for each level, the flags of each cell's vertical line, see `flag_columns`.
+        column_flags: for each level, bits of each cell that the hits on its vertical line decide
+            (empty, a hole, steep, under the sky, something tall), see `flag_columns`.
     """
 
     occupancy: Occupancy

@@ -51,9 +51,9 @@ class Scope:
         element: the ``<world>`` or ``<model>``.
         file: the file that contains the element.
         parent: the world or model that contains this one; None for a world.
-        name: the full name, with those of the enclosing models, such as ``house::door``; empty for
-            a world.
-        local_name: the name without those of enclosing models; empty for a world.
+        name: the full name, which begins with the names of the enclosing models, such as
+            ``house::door``; empty for a world.
+        local_name: the name alone, such as ``door``; empty for a world.
         depth: how many models and worlds contain this one.
         is_static: whether the model, or an enclosing one, is static.
         is_merged: whether the model is merged into the enclosing one, by ``<include

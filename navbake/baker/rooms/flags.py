@@ -158,8 +158,8 @@ def gather_flags(
         scene: the scene, whose geoms and sites may mark rooms.
         columns: hits of structure on the vertical line through each cell's centre.
         floors: the floors of all levels, at least one.
-        column_flags: for each level, the flags of its cells, see `flag_columns`, shape (cells,),
-            uint8.
+        column_flags: for each level, bits of its cells that the hits on their vertical lines
+            decide, see `flag_columns`, shape (cells,), uint8.
         standing_occupants: the structure that stands in the cells, of which walls are read; None if
             rooms are found without walls.
         occupied: for each level, a mask of the cells without a floor or with structure at an

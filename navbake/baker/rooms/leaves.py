@@ -266,7 +266,8 @@ def mark_visible(sight_cells: Int, is_open: Bool, floor: Float) -> Bool:
     Args:
         sight_cells: ids of cells along lines, -1 outside the lattice, shape (…, steps), see
             `LeafLines`.
-        is_open: the level's open cells, see `LevelFlags`, shape (height, width).
+        is_open: the level's cells that have a floor and are in no wall or window, shape (height,
+            width).
         floor: z of the level's floors, NaN for none, shape (height, width) [m].
 
     Returns:

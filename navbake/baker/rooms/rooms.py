@@ -491,8 +491,8 @@ def find_openings(
         floors: for each level, z of the floors, NaN for none, shape (height, width) [m].
         occupied: for each level, a mask of the cells without a floor or with structure at an
             agent's height, see `LevelFlags.occupied`.
-        links: links between cells, see `Floors`, shape (n, 4); those within a level are slopes,
-            all others are ignored.
+        links: pairs of cells that a step between levels, or only a slope, joins, see
+            `Floors.links`, shape (n, 4). Only the slopes are used, which join cells of one level.
         max_step: the highest step [m].
 
     Returns:

@@ -459,7 +459,8 @@ def make_direction(angle: float, shape: tuple[int, ...]) -> WallDirection:
     """Make a direction of walls from its angle; all cells are marked as near to such walls.
 
     Args:
-        angle: the direction, see `WallPoints.angle` [°].
+        angle: the angle, 0 to 180 [°]: 0 along a row of the lattice, 90 along a column, and 45
+            where the direction goes one row down per column.
         shape: the shape of the lattice, (height, width).
     """
     swapped = 45.0 < angle < 135.0

@@ -324,7 +324,8 @@ class MeshTriangles:
 
         Args:
             mesh: the mesh's id.
-            mesh_mode: how the mesh is represented, see `represent_mesh`.
+            mesh_mode: how the mesh is represented: ``hull``, ``shell``, ``surface`` or ``auto``,
+                see `represent_mesh`.
 
         Raises:
             SceneError: the mesh is broken.

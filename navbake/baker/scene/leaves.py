@@ -74,7 +74,7 @@ class DoorCandidate:
         return self.positions.get(state, self.positions.get("modelled"))
 
     def only(self, shapes: Shapes) -> Shapes:
-        """Return those of some shapes that belong to this candidate's geoms."""
+        """Return the part of some shapes that belongs to this candidate's geoms."""
         return shapes.only(mark_candidate_geoms(len(shapes.is_endless), [self]))
 
 

@@ -132,8 +132,8 @@ class SceneModel(NamedTuple):
 def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
     """Load and compile a scene file.
 
-    `scene.ground` is added as an endless plane on a new body. Both come last, so that no other ids
-    change.
+    The ground that `scene.ground` asks for is added as an endless plane on a new body. Both come
+    last, so that the ids of all others stay the same.
 
     Args:
         settings: the scene's path, and how to read it.
@@ -212,7 +212,8 @@ class CompileResult(NamedTuple):
     Attributes:
         warnings: warnings of MuJoCo and of the reader.
         error: the reason that there is no model; None if there is one.
-        exact_meshes: geom id -> mesh in the world frame, see `SceneModel`.
+        exact_meshes: geom id -> mesh in the world frame, for the meshes that the model has only a
+            tetrahedron for.
         named_leaves: names of the bodies that are leaves of doors, as the file says.
     """
 

@@ -109,7 +109,8 @@ class Scene:
         model: the compiled model. It has a tetrahedron in place of each mesh of `exact_meshes`.
         data: the model's data in the pose that is baked.
         selections: for each geom, whether it counts and how it is represented.
-        exact_meshes: geom id -> mesh in the world frame, see `SceneModel`.
+        exact_meshes: geom id -> mesh in the world frame: the meshes that a model has only a
+            tetrahedron for, see `SceneModel`.
         meshes: a cache of the triangles of the model's meshes, for geoms in other poses.
         roles: for each geom, its role: LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE or
             LEAF, (ngeom,), uint8.
@@ -568,7 +569,8 @@ def start_digest(
     Args:
         model: the model.
         data: the model's pose.
-        exact_meshes: geom id -> mesh in the world frame, see `SceneModel`.
+        exact_meshes: geom id -> mesh in the world frame, for the meshes that the model has only a
+            tetrahedron for.
         names: the part of the digest that depends on names; computed if None.
 
     Returns:
