@@ -153,7 +153,7 @@ class Columns:
 
     @property
     def valid_rows(self) -> RowChunk:
-        """Return the rows that have columns."""
+        """The rows that have columns: `row_chunk`, or all rows."""
         return self.row_chunk or RowChunk(0, self.lattice.height)
 
     def select_rows(self, rows: RowChunk) -> "Columns":

@@ -15,7 +15,7 @@ from navbake.types import Bool, Int
 
 
 class AreaTest(NamedTuple):
-    """The area test of floors: erode the cells by a disc, then count the remaining ones.
+    """Decides whether cells are enough for a floor: erode them by a disc, and count what remains.
 
     Attributes:
         min_cells: how many cells have to remain.

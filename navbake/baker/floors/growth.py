@@ -42,7 +42,7 @@ class GrownFloor(NamedTuple):
 def grow_floors(
     regions: Regions, assignment: LevelAssignment, is_growth_barrier: Bool, agent: AgentSettings
 ) -> list[GrownFloor]:
-    """Find the floor of each level: where an agent can stand, and where it goes on under things.
+    """Find the floors of all levels, and how far they go on under tables, beds and other things.
 
     Args:
         regions: all regions.

@@ -679,7 +679,10 @@ class _ShapeReader(NamedTuple):
 
 
 def parse_sdf(file: Path) -> Element:
-    """Parse an XML file as Gazebo does, and return its ``<sdf>`` element.
+    """Parse an SDF file, and return its ``<sdf>`` element, the root.
+
+    Args:
+        file: the file.
 
     Raises:
         SceneError: the XML is broken, or no SDF.

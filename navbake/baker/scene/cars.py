@@ -75,7 +75,7 @@ def find_lift_joints(
 
 
 def measure_car(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> CarFloor | None:
-    """Measure the floor of a body that may be a lift's car.
+    """Find the floor inside of a body that may be a lift's car: its cells, height and main geom.
 
     Args:
         shapes: the geometry of the body and its descendants, and nothing else.
