@@ -282,7 +282,14 @@ class GlbBuffer:
         return len(self._views) - 1
 
     def add_indices(self, faces: NDArray[np.uint32]) -> int:
-        """Append vertex indices, an array of any shape; return the number of their accessor."""
+        """Append the vertex indices of triangles.
+
+        Args:
+            faces: the indices, uint32, of any shape.
+
+        Returns:
+            The number of their accessor.
+        """
         return self._add(np.ravel(faces), "SCALAR", INDEX_TARGET)
 
     def add_vectors(self, values: NDArray[Any], **fields: JsonValue) -> int:
@@ -298,9 +305,13 @@ class GlbBuffer:
         return self._add(values, f"VEC{values.shape[1]}", VERTEX_TARGET, **fields)
 
     def add_positions(self, vertices: NDArray[np.float32]) -> int:
-        """Append vertices, shape (n, 3), n > 0, with their bounds, which glTF demands.
+        """Append the positions of vertices, with their bounds, which glTF demands.
 
-        Return the number of their accessor.
+        Args:
+            vertices: the positions, float32, shape (n, 3), n > 0.
+
+        Returns:
+            The number of their accessor.
         """
         lower_corner = vertices.min(axis=0).tolist()
         upper_corner = vertices.max(axis=0).tolist()

@@ -197,7 +197,11 @@ def find_headings(positions: Float) -> list[float]:
 
 
 def define_message(message_type: str) -> str:
-    """Return the definition of a ROS 2 message, followed by those of its fields' types."""
+    """Return the text that defines a ROS 2 message, with the messages that it contains.
+
+    Args:
+        message_type: its type, such as ``nav_msgs/Path``.
+    """
     definitions: dict[str, str] = {}
 
     def add_type(name: str) -> None:

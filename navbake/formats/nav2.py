@@ -287,7 +287,10 @@ def read_map(
 
 
 def list_images(path: str | PathLike[str]) -> list[Path]:
-    """List the image files that `read_nav2` reads for a YAML.
+    """List the image files that `read_nav2` reads besides a map's YAML.
+
+    Args:
+        path: the YAML.
 
     Raises:
         FormatError: the YAML can't be read, or nav2's keys are missing or broken.

@@ -183,7 +183,10 @@ def parse_fuel_address(uri: str) -> FuelFile | None:
 
 
 def equal_model_names(name: str, other_name: str) -> bool:
-    """Return whether two names are one model's on Fuel: case, blanks and ``_`` don't matter."""
+    """Return whether two names stand for the same model on Fuel.
+
+    Upper and lower case are equal, and so are a blank and ``_``.
+    """
     return _normalize(name) == _normalize(other_name)
 
 

@@ -56,7 +56,7 @@ NAMING_ATTRIBUTES = frozenset({*ALL_FOLDER_ATTRIBUTES, *ALL_FILE_ATTRIBUTES})
 
 
 def scene_suffix(path: str | os.PathLike[str]) -> str:
-    """Return the ending that tells the kind of a scene's file, such as ``.building.yaml``."""
+    """Return the ending of a scene's file that tells its kind: ``.xml``, ``.building.yaml``."""
     name = os.path.basename(os.fsdecode(path)).lower()
     for suffix in BUILDING_SUFFIXES:
         if name.endswith(suffix):
@@ -300,9 +300,14 @@ def _list_model_folders(file: Path, folders: Sequence[Path]) -> Iterator[Path]:
 
 
 def find_model_file(path: Path) -> Path:
-    """Return the SDF in a model's folder; a path that is no folder is returned as it is.
+    """Find the SDF file of a model of Gazebo.
 
-    If the folder's model.config lists several files, the one with the latest version of SDF counts.
+    Args:
+        path: the model's folder, or already its file.
+
+    Returns:
+        The file that the folder's ``model.config`` lists; of several, the one with the latest
+        version of SDF; without that list, ``model.sdf``. If `path` is no folder, `path` itself.
     """
     if not path.is_dir():
         return path

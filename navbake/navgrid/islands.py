@@ -179,7 +179,9 @@ def _join_linked(island_of_run: Int, linked_islands: Int) -> Int:
 
 
 def islands_of(grid: GridBase) -> list[Int32]:
-    """Return the islands stored in the file, or else the cached result of `find_islands`.
+    """Return the islands of a grid, as stored in its file, or else as `find_islands` finds them.
+
+    What `find_islands` finds is cached until the grid changes.
 
     A stored layer ``island`` is used under three conditions: navbake wrote the file (in files of
     other programs the layer may mean anything), no added obstacle blocks a cell, and the grid has

@@ -207,6 +207,9 @@ def find_outline_fault(points: ArrayLike) -> str | None:
 
     Args:
         points: Corners in order, shape (n, 2), the first not repeated at the end.
+
+    Returns:
+        A phrase for an error message; None for a valid outline.
     """
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     if len(corners) > MAX_CORNERS:

@@ -139,12 +139,15 @@ def unflatten(links: JsonValue) -> JsonValue:
 
 
 def cut_levels(levels: list[Json], level: int) -> list[Json]:
-    """Return a list with the entry of one level alone."""
+    """Cut a list with an entry for each level down to one level's entry."""
     return levels[level : level + 1]
 
 
 def cut_links(links: JsonValue, level: int) -> list[JsonValue]:
-    """Return the steps within a level, and the named links with at least two stops on it."""
+    """Cut a table of links down to one level, which becomes level 0.
+
+    Steps within the level are kept, and named links with at least two stops on it.
+    """
     level_links: list[JsonValue] = []
     for entry in unflatten(links):
         if isinstance(entry, dict):
@@ -166,7 +169,10 @@ def cut_links(links: JsonValue, level: int) -> list[JsonValue]:
 
 
 def cut_rooms(rooms: list[Json], level: int) -> list[Json]:
-    """Return the rooms of a level, without neighbours on other levels."""
+    """Cut a table of rooms down to one level, which becomes level 0.
+
+    The rooms' neighbours on other levels are left out.
+    """
     rooms_elsewhere = {room["id"] for room in rooms if room["level"] != level}
     level_rooms = []
     for room in rooms:
@@ -182,7 +188,10 @@ def cut_rooms(rooms: list[Json], level: int) -> list[Json]:
 
 
 def cut_doors(doors: list[Json], level: int) -> list[Json]:
-    """Return the doors with cells on a level, without their cells on other levels."""
+    """Cut a table of doors down to one level, which becomes level 0.
+
+    Doors with cells on the level are kept, without their cells on other levels.
+    """
     level_doors = []
     for door in doors:
         # a door beside a stair may be on two levels: it is in the tables of both

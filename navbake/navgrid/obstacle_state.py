@@ -76,7 +76,11 @@ class ObstacleState:
         return np.asarray(self.count[layer] > 0)
 
     def log_change(self, cells: CellRange) -> None:
-        """Log that cells have changed."""
+        """Log that an obstacle has changed cells, so that searches update them.
+
+        Args:
+            cells: The range of these cells.
+        """
         self.revision += 1
         self._log.append(cells)
         del self._log[:-MAX_LOG]

@@ -237,6 +237,10 @@ def reachable_positions(
         start: world x, y, z [m].
         spacing: the spacing of the lattice [m], at least a cell's size.
         level: the start's level; None finds it by z.
+
+    Returns:
+        World x, y and floor z of the points [m], shape (n, 3): the start, then the other points,
+        those that take the fewest moves first.
     """
     flat = search.flat
     radius = search.grid.radius

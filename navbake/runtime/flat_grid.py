@@ -81,7 +81,7 @@ class FlatGrid:
         return int(self.layout.start[-1])
 
     def cells_of(self, level: int) -> slice:
-        """Return the range of the flat ids of a level's cells."""
+        """Return the range of the flat ids of a level's cells, to slice arrays by flat id."""
         return slice(int(self.layout.start[level]), int(self.layout.start[level + 1]))
 
     def level_of(self, cells: Int | int) -> Int:
@@ -274,6 +274,9 @@ class FlatGrid:
             radius: the agent's radius [m].
             by_time: whether arcs cost seconds; if False, metres.
             are_reversed: whether each arc leads from its end to its start.
+
+        Returns:
+            Steps and arcs, in the arrays that kernels take.
         """
         is_passable = self.arcs.fits_radius(radius)
         if not is_passable.any():
@@ -523,7 +526,10 @@ class RoomMap:
 
 
 def map_rooms(grid: NavGrid) -> RoomMap:
-    """Number the rooms of a grid; rooms missing in its table get the id ``level:index``."""
+    """Number the rooms of a grid, and find the number of each cell's room.
+
+    A room that cells have but the grid's table lacks gets the id ``level:index``, such as ``0:2``.
+    """
     rooms = list(grid.rooms)
     numbers_by_level = []
     for level_number, level in enumerate(grid.levels):
@@ -556,6 +562,13 @@ def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
 
     A cell is in a door if the door blocks it when closed or in its current state. In a file of
     another program without a table of doors, the user data of cells name their doors.
+
+    Args:
+        grid: the grid whose doors are found.
+        flat: the same grid, or one of the same cells.
+
+    Returns:
+        Flat id of a cell -> the ids of the doors that it is in, for the cells that are in any.
     """
     doors_by_cell: DoorMap = {}
     first_cells = flat.layout.start.tolist()
@@ -687,7 +700,11 @@ class IslandMap:
         )
 
     def reached_from(self, island: int) -> tuple[int, ...]:
-        """List the islands reachable from one: itself first, then the others, ascending."""
+        """List the islands to which paths lead from an island, also over one-way links.
+
+        Returns:
+            The numbers of the islands: the given one first, then the others, ascending.
+        """
         reached_islands = np.array([island])
         while True:
             is_from_reached = np.isin(self.one_way_links[:, 0], reached_islands)

@@ -47,7 +47,10 @@ class NearestObstacle:
 
 
 def find_bounds(search: Search) -> tuple[Float, Float]:
-    """Compute the lower and upper corner of the box of all free cells' floors, world [m].
+    """Compute the bounding box of all free cells' floors: `PathFinder.bounds`.
+
+    Returns:
+        The lower and the upper corner, world x, y, z [m], shape (3,) each.
 
     Raises:
         QueryError: no cell is free.

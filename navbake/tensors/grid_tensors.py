@@ -236,7 +236,12 @@ def clamp_to_level(
 
 
 def first_level(tensors: GridTensors, scene_id: Ids) -> Array | int:
-    """Return the index of each scene's lowest level among the levels of all scenes."""
+    """Return the index of each scene's lowest level among the levels of all scenes.
+
+    Args:
+        tensors: the tensors.
+        scene_id: an integer or integers, -1 for unknown scenes, which count as 0; None for 0.
+    """
     if scene_id is None:
         return 0
     return tensors.xp.where(scene_id >= 0, scene_id, 0) * tensors.shape.levels
@@ -361,7 +366,13 @@ def check_numbers(
 
 
 def broadcast(tensors: GridTensors, values: Array, shape: tuple[int, ...], label: str) -> Array:
-    """Broadcast values to a shape; `label` names them in errors.
+    """Broadcast values to a shape.
+
+    Args:
+        tensors: the tensors.
+        values: the values.
+        shape: the shape of the result.
+        label: what the values are, for errors.
 
     Raises:
         QueryError: the values can't be broadcast to the shape.
