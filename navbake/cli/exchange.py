@@ -30,6 +30,12 @@ from navbake.cli.printing import (
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.formats.convert import encode_with, list_files, read_with
 from navbake.formats.format_table import GRID_FORMATS, ROUTE_FORMATS, FileFormat, find_format
+from navbake.formats.scene_files import (
+    SDF_SUFFIXES,
+    STAGE_SUFFIXES,
+    XML_SUFFIXES,
+    scene_suffix,
+)
 from navbake.formats.source import write_files
 
 if TYPE_CHECKING:
@@ -40,6 +46,9 @@ if TYPE_CHECKING:
 EPISODE_ONLY_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")
 ROUTE_ONLY_SUFFIXES = (".graphml", ".gml", ".lif")  # of files that are read; no grid has these
 ROUTE_FORMAT_NAMES = tuple(form.name for form in ROUTE_FORMATS)
+
+SCENE_SUFFIXES = XML_SUFFIXES | SDF_SUFFIXES | STAGE_SUFFIXES | {".mjb"}
+"""Endings of scenes, which no format of grids has."""
 
 # Functions import what reads grids only when they run, so that --help stays quick.
 
@@ -279,6 +288,9 @@ def _find_format(path: Path, name: str | None, hints: tuple[str, str], **table: 
     Raises:
         BadParameter: there is no such format.
     """
+    if not table["writing"] and name is None and scene_suffix(path) in SCENE_SUFFIXES:
+        problem = f"{path} is a scene: bake it first, navbake bake {path}"
+        raise BadParameter(problem, param_hint=hints[1])
     try:
         return find_format(path, name, **table)
     except FormatError as error:

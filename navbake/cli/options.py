@@ -256,6 +256,16 @@ def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
             raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
 
 
+# What typer says of a value of a wrong type, in pydantic's words -> the same in ours
+TYPE_ERRORS = {
+    r"Input should be a valid number\b[^']*?(?=, got|$)": "expected a number",
+    r"Input should be a valid integer\b[^']*?(?=, got|$)": "expected a whole number",
+    r"Input should be greater than or equal to": "expected a number >=",
+    r"Input should be greater than": "expected a number >",
+    r"Input should be less than or equal to": "expected a number <=",
+}
+
+
 class NavbakeCommand(TyperCommand):
     """A command whose help lists --output first and shows no Python types.
 
@@ -263,15 +273,16 @@ class NavbakeCommand(TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        option_words = [word_part for word in args for word_part in word.split("=", 1)]
         try:
             return list(super().parse_args(ctx, args))
         except BadParameter as error:
-            for name in error.param.opts if error.param else ():
-                value = (
-                    option_words[option_words.index(name) + 1] if name in option_words[:-1] else ""
-                )
-                if value not in error.message:
+            from pydantic import ValidationError  # typer has loaded it by now
+
+            for pattern, plain_text in TYPE_ERRORS.items():
+                error.message = re.sub(pattern, plain_text, error.message)
+            if isinstance(error.__cause__, ValidationError):
+                value = error.__cause__.errors()[0]["input"]
+                if repr(value) not in error.message:
                     error.message += f", got {value!r}"
             raise
 

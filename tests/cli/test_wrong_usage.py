@@ -34,6 +34,12 @@ CASES = [
     ("why house.json.gz 1,1 --at 1,2", 2, "got '1,2' and '1,1'"),
     ("why house.json.gz --at 1.5 0.2", 2, "got '1.5' and '0.2'"),
     ("inflate house.json.gz -o a.json", 2, "expected one radius"),
+    ("convert room.xml a.yaml", 2, "room.xml is a scene: bake it first, navbake bake room.xml"),
+    # numbers
+    ("bake room.yaml --radius 30cm", 2, "expected a number, got '30cm'"),
+    ("inflate house.json.gz 30cm -o a.json", 2, "'RADIUS': expected a number, got '30cm'"),
+    ("sample house.json.gz --seed=x", 2, "'--seed': expected a whole number, got 'x'"),
+    ("sample house.json.gz -n 0", 2, "expected a number >= 1, got '0'"),
     # files that are not there, or something else
     ("info none.json", 1, "none.json"),
     ("rooms none.json", 1, "none.json"),
