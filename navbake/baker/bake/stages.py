@@ -386,7 +386,7 @@ class Stages:
 
     @cached_property
     def is_obstacle_geom(self) -> Bool:
-        """For each geom, whether it only blocks cells, (ngeom,); see `mark_obstacle_geoms`."""
+        """For each geom, whether it is of a movable, or of a leaf that is no door, (ngeom,)."""
         return mark_obstacle_geoms(self.scene, self.doors, self.config)
 
     @cached_property

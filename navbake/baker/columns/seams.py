@@ -284,9 +284,9 @@ def close_cracks(
 
     A line runs in a crack if floors lie on two opposite sides of it, each nearer than
     `max_crack_distance`, their heights differ by at most a step, and the line itself crosses no
-    floor at that height. The lower of the two floors is added to the column as an open surface; of
-    several such floors within a step of each other, only the lowest is added. The result for a cell
-    does not depend on other cells.
+    floor at that height. The lower of the two floors is added to the column, as a surface that
+    encloses nothing. Of several such floors within a step of each other, only the lowest is added.
+    The result for a cell does not depend on other cells.
 
     Args:
         columns: the columns.

@@ -71,7 +71,7 @@ def make_area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
 
 
 def is_large_enough(lattice: Lattice, settings: FloorSettings, is_marked: Bool) -> bool:
-    """Return whether the marked cells are large enough for a floor, see `make_area_test`.
+    """Return whether marked cells are enough for a floor: `min_area` is left after `shrink`.
 
     Args:
         lattice: the cells.
@@ -82,7 +82,7 @@ def is_large_enough(lattice: Lattice, settings: FloorSettings, is_marked: Bool) 
 
 
 def keeps_min_cells(area_test: AreaTest, is_marked: Bool) -> bool:
-    """Return whether at least `AreaTest.min_cells` marked cells of a window remain after erosion.
+    """Return whether the marked cells of a window pass an area test: enough remain after erosion.
 
     Args:
         area_test: the area test of the lattice.

@@ -29,9 +29,9 @@ NO_RUNS = np.empty((0, 6), dtype=np.int64)
 def find_ridges(region_context: RegionContext, positions: list[list[float]]) -> Bool:
     """Find ridges: the surfaces of large regions where these are narrower than 0.4 m.
 
-    A ridge has a drop on both sides. Its width follows from the rows of cells that cross it along x
-    and along y. A row that ends at a wall, or at a surface within a step, has no drop there, and
-    counts as endless.
+    A ridge has a drop on both sides. Its width is measured along rows of cells that cross it along
+    x and along y, from drop to drop. A row that ends at a wall, or at a surface within a step, ends
+    at no drop; the region isn't narrow there.
 
     Args:
         region_context: all regions, and the hits of all columns.

@@ -200,7 +200,7 @@ class FacingAreas:
             np.add.at(self._area_times_angle, flat_index, weighted_angle[: len(batch)])
 
     def find_angles(self) -> Float:
-        """Find the direction that most vertical faces of each group face.
+        """Find the horizontal direction that the largest area of each group's vertical faces faces.
 
         Returns:
             For each group, the angle of that direction from x, from 0 to a quarter turn, shape

@@ -64,8 +64,8 @@ def name_cells(
     Returns:
         The fields of `navbake.navgrid.user_data.SharedEntries`: the ids on the window of the cells
         with names, ascending; for each of them, the index of its entry; and the entries, which hold
-        sorted names by key. An entry has ``blockers`` only where these are not the same names as
-        its objects and walls together.
+        sorted names by key. An entry has no ``blockers`` if they are the same names as its objects
+        and walls together.
     """
     # names are numbered by their first geoms, so that they keep the order of the scene's geoms
     number_of_name: dict[str, int] = {}

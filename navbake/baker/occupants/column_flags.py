@@ -24,14 +24,15 @@ def flag_columns(
     agent: AgentSettings,
     flags: NDArray[np.uint8],
 ) -> None:
-    """Write the `COLUMN_FLAGS` of a range of cells, for a level's floor and ground.
+    """Write what the hits on cells' vertical lines say about a level's cells, for finding rooms.
 
     Args:
         hits: hits of structure on the vertical lines of these cells only, in the cells' order.
         level: the floor of each cell, and the height of the ground.
         cells: the range of cell ids.
         agent: the agent; its height, highest step and largest slope are read.
-        flags: receives the flags, indexed by cell id on the whole lattice, uint8.
+        flags: receives the bits `COLUMN_FLAGS` (empty, a hole, steep, under the sky, something
+            tall) of these cells, indexed by cell id on the whole lattice, uint8.
     """
     floor = level.floor.ravel()[cells]
     run_in_chunks(

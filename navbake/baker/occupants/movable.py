@@ -86,8 +86,8 @@ class MovableOccupants(NamedTuple):
         entries: for each level and row chunk, the geoms in its cells.
         blocked: for each level, a mask of the cells that these geoms or structure block, (height,
             width), bool.
-        blocked_squares: the same for the cell's own square, without the agent's disc; None if it
-            would equal `blocked`.
+        blocked_squares: like `blocked`, but only what overlaps the cell's own square counts, not
+            what only the agent's disc reaches; None if it would equal `blocked`.
         num_blocked_alone: for each body, the number of cells that it blocks and structure doesn't.
     """
 

@@ -124,7 +124,7 @@ def find_standing_cells(
     wall_candidates: Bool | None,
     clock: StageClock,
 ) -> StandingCells:
-    """Find the structure in all cells, and the flags of their vertical lines for finding rooms.
+    """Find the structure in all cells, and what their vertical lines say about them for rooms.
 
     Args:
         columns: hits of structure on the vertical line through each cell's centre.

@@ -532,7 +532,7 @@ def _edge_nodes(cells: Int, width: int) -> tuple[Int, Int]:
 
 
 def find_widest_distances(label: Int32, squared_distance: Int32, num_labels: int) -> Int32:
-    """Find how far the widest place of each labelled area is from walls.
+    """Find how wide each labelled area is at its widest place: how far that is from walls.
 
     Args:
         label: the label of each cell, 0 for none, shape (height, width).
@@ -542,7 +542,8 @@ def find_widest_distances(label: Int32, squared_distance: Int32, num_labels: int
         num_labels: number of labels, including label 0.
 
     Returns:
-        By label, the largest squared distance of all nodes on its cells, shape (num_labels,).
+        For each label, the largest squared distance of all nodes on its cells, shape (num_labels,),
+        int32 [half cells squared].
     """
     widest_in_rows = np.maximum(
         squared_distance[1::2], np.maximum(squared_distance[:-2:2], squared_distance[2::2])
@@ -595,10 +596,10 @@ def assign_unmarked(
 
     Marked rooms are those that geoms, sites or polygons mark. A segment (a part of the floor
     between gaps) without a marked room becomes a new room. In a segment with marked rooms, each
-    connected area that belongs to none of them becomes a new room, unless it is smaller than
-    `min_area`, or nowhere half a metre wide though its segment is. Such an area is added to the
-    marked room that it touches most. If it touches none, it becomes a room only if a closed door
-    leaf leads into it.
+    connected area that belongs to none of them becomes a new room if it is large enough. It is too
+    small if it is smaller than `min_area`; or if it is nowhere half a metre wide, while its segment
+    is. Such an area is added to the marked room that it touches most. If it touches none, it
+    becomes a room only if a closed door leaf leads into it.
 
     Args:
         room_number: the marked room of each cell, 0 for none, shape (height, width).

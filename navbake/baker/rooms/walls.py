@@ -215,7 +215,8 @@ class WallDirection(NamedTuple):
             steeper than 45° to the rows.
         shift: for each column of the scan, how many rows lower a line of cells is than in the first
             column, (cols,), int64.
-        slope: how many rows the direction goes down per column of the scan, -1 to 1.
+        slope: how many rows the direction goes down from one column of the scan to the next, -1 to
+            1.
         length_per_column: the length of a line from one column to the next, 1 to √2 [cells].
         is_near_wall: a mask of the cells near walls in this direction, shape (height, width), not
             swapped.
