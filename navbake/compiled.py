@@ -370,7 +370,7 @@ def import_object(name: str) -> Any:
     """Import a function or class of the package.
 
     Args:
-        name: Its module and name, without the name of the package.
+        name: Its module and name, without the name of the package: ``runtime.search.Search``.
     """
     module, _, name = name.rpartition(".")
     return getattr(importlib.import_module(f"{PACKAGE}.{module}"), name)
@@ -386,7 +386,13 @@ def read_kernel_list() -> tuple[list[KernelEntry], list[KernelEntry]]:
 
 
 def decode_type(encoded: Any) -> Any:
-    """Convert a type as in `Entry.types` to a type of numba's."""
+    """Convert an entry of `KernelEntry.types` to a type of numba's.
+
+    Args:
+        encoded: What ``kernels.json`` has for a type: a text such as ``float64`` or ``int32 2 C``
+            (an array: dtype, dimensions, layout); a list of types for a tuple; or ``{name: types of
+            its fields}`` for a NamedTuple.
+    """
     if isinstance(encoded, dict):
         ((name, encoded_fields),) = encoded.items()
         field_types = [decode_type(field) for field in encoded_fields]

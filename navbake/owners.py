@@ -44,18 +44,18 @@ def find_other_writer(path: str | os.PathLike[str]) -> str:
 
 
 def find_other_writer_inside(folder: Path, depth: int) -> str:
-    """Say which other user owns, or may write, a folder or what lies in it.
+    """Say which other user owns a folder or what lies in it, or may write there.
 
-    The folders above it are not looked at: `find_other_writer` does that. If the one right above
-    lets nobody else in, only owners count: then no other user can open what lies below, and a
-    shared group of this user may well have write permission there.
+    The folders above it are not looked at: `find_other_writer` does that. But if other users can't
+    enter the folder right above, they can't open what lies below. Then only owners count, and it is
+    no fault that a group has the permission to write.
 
     Args:
         folder: The folder; it need not exist.
         depth: How many levels of folders to look into, at least 1.
 
     Returns:
-        As `find_other_writer`.
+        What lets another user in, such as ``/tmp/kernels belongs to bob``; "" if nothing does.
     """
     if not hasattr(os, "geteuid"):  # Windows
         return ""

@@ -304,12 +304,12 @@ def _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, 
         solid: index of the solid.
         lattice: the cells, as `Lattice`.
         rows: the first row to cast lines in, and the row after the last one.
+        ray: a `Ray` to cast.
+        middle_hits: room for the hits of the line through the solid's middle, as `LineHits`.
         hits: `LineHits` of the rows' lines, which are written.
         next_hit: for each line of the rows, where its next hit goes in `hits`, int64; advanced by 1
             for each hit.
         is_writing: whether to write hits; else they are only counted.
-        ray: a `Ray` to cast.
-        middle_hits: room for the hits of the line through the solid's middle, as `LineHits`.
     """
     box = solids.bounds[solid]
     cell_size = lattice.cell_size
@@ -359,13 +359,13 @@ def _cast_plane(
         plane: index of the plane.
         lattice: the cells, as `Lattice`.
         rows: the first row to cast lines in, and the row after the last one.
+        heights: heights below and above all shapes, from which rays are cast.
+        ray: a `Ray` to cast.
+        middle_hits: room for the hits of one line, as `LineHits`.
         hits: `LineHits` of the rows' lines, which are written.
         next_hit: for each line of the rows, where its next hit goes in `hits`, int64; advanced by 1
             for each hit.
         is_writing: whether to write hits; else they are only counted.
-        heights: heights below and above all shapes, from which rays are cast.
-        ray: a `Ray` to cast.
-        middle_hits: room for the hits of one line, as `LineHits`.
     """
     is_horizontal = _is_upright(planes.mat[plane])
     num_hits = np.int64(0)
@@ -423,16 +423,16 @@ def _cast_tile_row(
 
     Args:
         lattice: the cells, as `Lattice`.
+        geometry: the shapes, as `Geometry`.
+        shape_index: the shapes over each row of tiles.
         is_crossed: see `cast_lines`; written while counting, read while writing, bool.
+        tile_row: number of the row of tiles.
+        ray: a `Ray` to cast.
+        middle_hits: room for the hits of one line, as `LineHits`.
         hits: `LineHits` of the lines, which are written.
         next_hit: for each line, where its next hit goes in `hits`, int64; advanced by 1 for each
             hit.
         is_writing: whether to write hits; else they are only counted.
-        geometry: the shapes, as `Geometry`.
-        shape_index: the shapes over each row of tiles.
-        tile_row: number of the row of tiles.
-        ray: a `Ray` to cast.
-        middle_hits: room for the hits of one line, as `LineHits`.
     """
     solids = geometry.solids
     facets = geometry.facets

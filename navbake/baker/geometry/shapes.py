@@ -327,8 +327,9 @@ def support_distances(kind: Int32, direction: Float, size: Float) -> Float:
     """Compute how far solids extend from their centres in a direction: their support functions.
 
     Args:
-        kind, size: fields of `Solids`.
+        kind: the kind of each solid, as in `Solids`, shape (n,).
         direction: a unit vector in the frame of each solid, shape (n, 3).
+        size: the size of each solid, as in `Solids`, shape (n, 3).
 
     Returns:
         Distances, shape (n,) [m].

@@ -70,9 +70,10 @@ class Baker:
     grid until its method `use` is called with the new grid.
 
     Args:
-        scene, data, exclude, robot, settings: the scene, its pose, what is left out, and settings,
-            as for `navbake.bake`.
+        scene, data, exclude, robot: the scene, its pose, and what is left out, as for
+            `navbake.bake`.
         threads: number of threads, >= 1; all cores if None.
+        **settings: settings, as for `navbake.bake`.
 
     Raises:
         ConfigError: a setting is wrong.

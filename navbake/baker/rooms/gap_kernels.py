@@ -520,8 +520,9 @@ def _measure_line(scan, gaps, line, space_of, met_spaces, lines, chosen_index, d
     counted first.
 
     Args:
-        scan, gaps, space_of: see `measure_gaps`.
+        scan, gaps: see `measure_gaps`.
         line: a `LineBehindGap`.
+        space_of: see `measure_gaps`.
         met_spaces: receives (gap, space) for each third space that the line meets.
         lines: a `GapLines` that receives the results.
         chosen_index: the gap's index in `lines`.
