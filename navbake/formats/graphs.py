@@ -181,9 +181,9 @@ class CellGraph:
 def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     """Make the graph of a grid's free cells, as they are now.
 
-    The steps are those of `PathFinder`: over edges and corners of cells whose floors differ by at
-    most the grid's `traversableFloorHeight`, and over steps and links, with the same rules for
-    corners, ramps and the margins of inflated grids. So shortest paths have the same costs.
+    The edges are the steps of `PathFinder`: over edges and corners of cells whose floors differ by
+    at most the grid's `traversableFloorHeight`, and over the grid's steps and links. The rules for
+    corners, ramps and inflated grids are the same, too. So shortest paths have the same costs.
 
     Args:
         grid: the grid.
@@ -284,9 +284,9 @@ class RoomWay:
         state: the door's current state, None unless the kind is ``door``.
         passable: whether steps lead through the connection now; always False for a connection to
             the outside, where the grid ends.
-        width: the width [m]. Of a door, it is the door's length; of an opening, the straight
-            distance from its first to its last free cell, both included; of a link, the longer
-            extent of the cells that it starts from.
+        width: the width [m]: for a door, from jamb to jamb; for an opening, from its first to its
+            last free cell, both included; for a link, the longer side of the rectangle round the
+            cells that it starts from.
         position: the middle of the connection on the floor, world x, y, z [m].
         length: the distance from the first room's centre straight to `position`, and on to the
             second room's centre [m].

@@ -260,10 +260,15 @@ def list_mesh_paths(urdf: Path, name: str, packages: RosPackages) -> Iterator[Pa
 def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[Path]:
     """Yield the possible paths of a file that an SDF names, in the order of search.
 
-    The file is searched in the SDF's folder (unless the name has a scheme, such as ``model://…``),
-    in `folders`, in the folders of the environment variables `MODEL_PATHS`, and last in all folders
-    above the SDF and their subfolders ``models``. So a checkout of a world with its models needs no
-    variable. A model of Fuel is searched in these folders by any case of its name, and then in the
+    The order of search:
+
+    1. the SDF's folder, unless the name has a scheme, such as ``model://…``;
+    2. `folders`;
+    3. the folders in the environment variables `MODEL_PATHS`;
+    4. all folders above the SDF, and their subfolders ``models``: so a checkout of a world with its
+       models needs no variable.
+
+    A model of Fuel is searched in these folders, whatever the case of its name, and then in the
     caches of Fuel.
 
     Args:

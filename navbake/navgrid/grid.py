@@ -521,9 +521,9 @@ class SceneGrid2D(GridBase):
     def free_for_point(self) -> Bool:
         """True where an agent without a radius can stand, as far as the file shows it.
 
-        Shape (height, width), bool. These are the free cells and, with a layer ``solid``, the cells
-        that are blocked only because the disc of the baked radius or the margin of an added
-        obstacle reaches something. In an inflated grid, they are the free cells alone.
+        Shape (height, width), bool. It is True in all free cells. If the grid has a layer ``solid``
+        and was not inflated, it is also True in blocked cells whose own square nothing overlaps:
+        only the disc of the baked radius, or the margin of an added obstacle, blocks them.
         """
         free = self.free
         if "solid" not in self.attributes or not self.navbake or "inflation" in self.metadata:

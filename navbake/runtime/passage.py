@@ -227,8 +227,9 @@ def find_bottleneck(
 
     Cells that are free for the widest agent, but not for the next larger one, are critical. The
     route avoids critical cells where it can. The bottleneck is the middle of the first run of
-    critical cells on the route. If the route has none, it is the stop before the link that is just
-    as wide as the agent, or else a critical cell beside a diagonal step.
+    critical cells on the route. If the route has none, a link or a diagonal step limits the radius:
+    the bottleneck is then the stop before the link that is just as wide as the agent, or a critical
+    cell beside the diagonal step.
 
     Args:
         grid: the grid for radius 0, see `without_inflation`.

@@ -172,8 +172,8 @@ class Follower:
             position: the base's position, world x, y, z [m], shape (3,).
 
         Returns:
-            World x, y, z [m], shape (3,): on the path within the lookahead; while the base waits,
-            its own position, and at the stop of a link the next stop.
+            World x, y, z [m], shape (3,): a point on the path, within the lookahead. While the base
+            waits, it is the base's own position; at the stop of a link, it is the next stop.
 
         Raises:
             QueryError: the position is not valid.
