@@ -150,6 +150,9 @@ def use_all() -> None:
         navbake.load(foreign).inflate(0.3)
         table = trimesh.creation.box((2.0, 2.0, 1.0))
         navbake.bake(trimesh.Trimesh(table.vertices, table.faces[:-1]))  # it is not closed
+        cavity = trimesh.creation.box((1.0, 1.0, 0.5))
+        cavity.invert()
+        navbake.bake(trimesh.util.concatenate([table, cavity]))  # as meshes that are drawn may be
         sill = np.zeros((40, 40), dtype=np.bool_)
         sill[20, 15:25] = True  # no sample has one
         wall = (np.arange(40) == 20)[:, None] & ~sill

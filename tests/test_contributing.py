@@ -74,8 +74,8 @@ def test_every_path_and_name_of_the_tables_exists() -> None:
 @pytest.mark.parametrize(
     ("second_cell", "missing"),
     [
-        ("`grow_level` in `navbake/baker/floors/growth.py`", []),
-        ("`grow_level` in `growth.py`", ["growth.py", "grow_level"]),
+        ("`grow_levels` in `navbake/baker/floors/growth.py`", []),
+        ("`grow_levels` in `growth.py`", ["growth.py", "grow_levels"]),
         ("`grow_cellar` in `navbake/baker/floors/growth.py`", ["grow_cellar"]),
         ("`TrackedScene.move` in `navbake/baker/live/tracked_scene.py`", []),
         ("`TrackedScene.rest` in `navbake/baker/live/tracked_scene.py`", ["TrackedScene.rest"]),

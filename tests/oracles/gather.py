@@ -7,14 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import Columns, TiledShapes
-from navbake.baker.core.arrays import HeightRange, Prism
+from navbake.baker.core.arrays import Prism
 from navbake.baker.core.constants import APART, MEETS, OPEN_SURFACE, UNDECIDED
 from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.baker.geometry.gjk_kernels import allocate_simplex
 from navbake.baker.geometry.overlap_kernels import (
-    ANY_GEOM,
     allocate_polygons,
-    is_line_blocked,
     plane_meets_prism,
     triangle_meets_prism,
 )
@@ -24,7 +22,6 @@ from navbake.baker.geometry.solid_kernels import solid_meets_prism
 allocate_simplex = numba.njit(allocate_simplex.py_func)
 plane_meets_prism = numba.njit(plane_meets_prism.py_func)
 solid_meets_prism = numba.njit(solid_meets_prism.py_func)
-is_line_blocked = numba.njit(is_line_blocked.py_func)
 triangle_meets_prism = numba.njit(triangle_meets_prism.py_func)
 allocate_polygons = numba.njit(allocate_polygons.py_func)
 
@@ -44,9 +41,13 @@ def prisms_over(
     ]
 
 
-def line_meets(columns: Columns, cell: int, prism: Prism, geom: int = ANY_GEOM) -> bool:
-    band = HeightRange(prism.low, prism.high)
-    return is_line_blocked(columns.hits, cell, band, np.int32(geom))
+def line_meets(columns: Columns, cell: int, prism: Prism, geom: int | None = None) -> bool:
+    """Whether a column's line crosses a geom (any, if None) in a prism, or runs inside of it."""
+    hits = range(columns.start[cell], columns.start[cell + 1])
+    of_geom = [i for i in hits if geom is None or columns.geom[i] == geom]
+    above = [i for i in of_geom if columns.z[i] >= prism.high and columns.hits.closed[i]]
+    inside = sum(1 if columns.normal[i, 2] > 0 else -1 for i in above)
+    return inside > 0 or any(prism.low < columns.z[i] < prism.high for i in of_geom)
 
 
 def geoms_that_meet(tiled: TiledShapes, prisms: list[Prism]) -> dict[int, int]:

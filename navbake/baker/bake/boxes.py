@@ -104,7 +104,11 @@ def find_level_boxes(
         for floor, is_occupied in zip(free_floors, occupied_by_level, strict=True):
             floor[is_occupied] = np.nan
     tops, num_misplaced = _find_tops(
-        free_floors, windows, bottoms, round(highest_top, LENGTH_DECIMALS)
+        free_floors,
+        windows=windows,
+        bottoms=bottoms,
+        lowest_floors=np.array(lowest_floors),
+        highest_top=round(highest_top, LENGTH_DECIMALS),
     )
     boxes = [_to_file_frame(*box) for box in zip(box_sides, bottoms, tops, strict=True)]
     return LevelBoxes(
@@ -121,7 +125,11 @@ def rounded_ground(level: LevelFloor) -> float:
 
 
 def _find_tops(
-    free_floors: list[Float], windows: list[Window], bottoms: list[float], highest: float
+    free_floors: list[Float],
+    windows: list[Window],
+    bottoms: list[float],
+    lowest_floors: Float,
+    highest_top: float,
 ) -> tuple[list[float], Int]:
     """Find the top of each level's box, the lowest level first, as the client searches.
 
@@ -130,15 +138,34 @@ def _find_tops(
             the client misplaces become NaN.
         windows: the rectangle of each level.
         bottoms: the bottom of each level's box [m].
-        highest: the top of the highest box [m].
+        lowest_floors: the lowest floor of each level, free or not, shape (levels,) [m].
+        highest_top: the top of the highest box [m].
 
     Returns:
         The tops [m], and how many free cells of each level the client misplaces.
     """
     tops = []
     num_misplaced = np.zeros(len(free_floors), dtype=np.int64)
+    # the levels in the order of their lowest floors, and the index in it before which there are no
+    # levels with a number of at least k, for each k
+    ascending_levels = np.argsort(lowest_floors, kind="stable")
+    index_of_level = np.argsort(ascending_levels)
+    first_index = np.minimum.accumulate(index_of_level[::-1])[::-1].tolist()
+    first_index.append(len(ascending_levels))
     for k, (floor, window, bottom) in enumerate(zip(free_floors, windows, bottoms, strict=True)):
-        levels_above = range(k + 1, len(free_floors))
+        highest_floor = float(floor[~np.isnan(floor)].max(initial=-np.inf))
+        levels_above = []
+        # the box ends below this height: levels whose floors are all higher do not matter
+        height_limit = np.inf
+        for j in ascending_levels[first_index[k + 1] :].tolist():
+            if lowest_floors[j] > height_limit:
+                break
+            if j <= k:
+                continue
+            levels_above.append(j)
+            is_over_all_floors = bottoms[j] > highest_floor
+            if height_limit == np.inf and is_over_all_floors and _are_adjacent(window, windows[j]):
+                height_limit = max(float(lowest_floors[j]), highest_floor, bottom) + 2 * BOX_MARGIN
         floors_above = [free_floors[j][window] for j in levels_above]
         heights_above = np.concatenate([np.empty(0), *(z[z >= bottom] for z in floors_above)])
         last = _last_floor(floor[~np.isnan(floor)], heights_above)
@@ -153,7 +180,7 @@ def _find_tops(
         limit = min([*limits, next_floor - BOX_MARGIN])
         # The next float below, so that the top stays below the limit however large both are.
         below = min(round(limit - BOX_GAP, BOX_DECIMALS), np.nextafter(limit, -np.inf))
-        tops.append(max(highest if limit > highest else float(below), last, bottom))
+        tops.append(max(highest_top if limit > highest_top else float(below), last, bottom))
         for j, z in zip([k, *levels_above], [floor, *floors_above], strict=True):
             is_misplaced = z > tops[k] if j == k else (z >= bottom) & (z <= tops[k])
             num_misplaced[j] += np.count_nonzero(is_misplaced)

@@ -8,7 +8,7 @@ import numpy as np
 
 from navbake.baker.bake.baked import BakedStructure, GridDoor, StructureLayers
 from navbake.baker.bake.boxes import LevelBoxes
-from navbake.baker.core.windows import Window, crop_cells
+from navbake.baker.core.windows import Window
 from navbake.baker.doors.doors import ClassifiedLeaf, find_door_cells, is_stuck, make_door
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.occupants.movable import MovableOccupants
@@ -58,12 +58,15 @@ def crop_steps(steps: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
         The same rows as `steps`; each cell's id is that on its level's own rectangle.
     """
     cropped_steps = steps.copy()
-    for level_number, window in enumerate(boxes.windows):
-        for level_column, cell_column in ((0, 1), (2, 3)):
-            is_on_level = cropped_steps[:, level_column] == level_number
-            cells = cropped_steps[is_on_level, cell_column]
-            # Each of them has a floor, so that none lies outside of the rectangle.
-            cropped_steps[is_on_level, cell_column] = crop_cells(cells, window, width)[0]
+    # first row, first column and width of each level's rectangle
+    rectangles = np.array(
+        [(rows.start, cols.start, cols.stop - cols.start) for rows, cols in boxes.windows]
+    )
+    for level_column, cell_column in ((0, 1), (2, 3)):
+        first_row, first_col, rectangle_width = rectangles[steps[:, level_column]].T
+        row, col = np.divmod(steps[:, cell_column], width)
+        # Each cell has a floor, so that none lies outside of its rectangle.
+        cropped_steps[:, cell_column] = (row - first_row) * rectangle_width + col - first_col
     step_rows: list[list[int]] = cropped_steps.tolist()
     return step_rows
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.core.arrays import Facets, ShapeIndex, Solids
+from navbake.baker.core.bisection_kernels import first_from
 from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER
 from navbake.baker.core.tiles import TILE, cell_center_at, tile_window, window_near_box
 from navbake.baker.core.tolerances import LIMIT_SLACK
@@ -216,11 +217,16 @@ def _has_floor(column_hits, cell, z, max_step, min_up):
 
     A floor is a surface whose unit normal has a z of at least `min_up`.
     """
-    has_floor = False
-    for i in range(column_hits.start[cell], column_hits.start[cell + 1]):
-        is_near = abs(column_hits.z[i] - z) <= max_step
-        has_floor = has_floor or (is_near and column_hits.normal[i, 2] >= min_up)
-    return has_floor
+    stop = column_hits.start[cell + 1]
+    # from a little lower, as the difference is rounded
+    lowest_z = z - max_step - LIMIT_SLACK
+    first_hit = first_from(column_hits.z, column_hits.start[cell], stop, lowest_z)
+    for i in range(first_hit, stop):
+        if column_hits.z[i] - z > max_step:
+            break
+        if abs(column_hits.z[i] - z) <= max_step and column_hits.normal[i, 2] >= min_up:
+            return True
+    return False
 
 
 @subkernel(**NO_REFCOUNT)

@@ -43,6 +43,9 @@ FIRST_ROW = 3
 FIRST_COL = 4
 END_ROW = 5
 END_COL = 6
+# Columns of the heights of `label_blocks`
+LOWEST = 0
+HIGHEST = 1
 
 
 class JoinRule(NamedTuple):
@@ -151,7 +154,7 @@ def _are_joined(surfaces, group_of_surface, rule, surface_a, surface_b, directio
 
 
 @subkernel(inline="always")
-def _max_rise(rule):
+def max_rise_of(rule):
     """Return an upper limit of the difference in height between connected or linked surfaces [m].
 
     It is infinite if slopes connect surfaces.
@@ -203,20 +206,20 @@ def label_blocks(
         blocks: ids of blocks of cells.
         row_counts: receives how many components each block has.
         row_arrays: two arrays that receive the rows: seven numbers of each component, at the
-            indices from NUM_SURFACES to END_COL, (n, 7) int64; and its lowest height, (n,) float64
-            [m].
+            indices from NUM_SURFACES to END_COL, (n, 7) int64; and its lowest and its highest
+            height, at the indices LOWEST and HIGHEST, (n, 2) float64 [m].
         begin: index in `blocks` of the first block to label.
         end: index past the last one.
 
     Returns:
         The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    measures, lowest_z = row_arrays
+    measures, heights = row_arrays
     first_surface = surfaces.first
     end_surface = surfaces.end
     z = surfaces.z
     lattice = surfaces.lattice
-    max_rise = _max_rise(rule)
+    max_rise = max_rise_of(rule)
     num_before = 0
     width = lattice.width
     for block_index in range(begin, end):
@@ -271,10 +274,11 @@ def label_blocks(
                         root = -2 - component_of_surface[root]
                     if component_of_surface[root] < -1:  # the root has no number yet
                         row_index = num_before + num_components
-                        if row_index == lowest_z.shape[0]:
+                        if row_index == heights.shape[0]:
                             return block_index
                         measures[row_index, :] = 0
-                        lowest_z[row_index] = z[j]
+                        heights[row_index, LOWEST] = z[j]
+                        heights[row_index, HIGHEST] = z[j]
                         # surfaces are visited in the order of cells: this is the first one
                         measures[row_index, FIRST_SURFACE] = cell * MAX_RANK + min(
                             rank, MAX_RANK - 1
@@ -290,7 +294,8 @@ def label_blocks(
                     measures[row_index, FIRST_COL] = min(measures[row_index, FIRST_COL], col)
                     measures[row_index, END_ROW] = row + 1
                     measures[row_index, END_COL] = max(measures[row_index, END_COL], col + 1)
-                    lowest_z[row_index] = min(lowest_z[row_index], z[j])
+                    heights[row_index, LOWEST] = min(heights[row_index, LOWEST], z[j])
+                    heights[row_index, HIGHEST] = max(heights[row_index, HIGHEST], z[j])
                     rank += 1
         row_counts[block_index] = num_components
         num_before += num_components
@@ -331,7 +336,7 @@ def list_pairs(
     rows = row_arrays[0]
     num_rows = np.int64(0)
     width = lattice.width
-    max_rise = _max_rise(rule)
+    max_rise = max_rise_of(rule)
     number_in_block = numbering.number_in_block
     first_number_of_block = numbering.first_number_of_block
     overall_number = numbering.overall_number

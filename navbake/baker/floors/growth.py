@@ -18,7 +18,7 @@ from navbake.baker.floors.region_kernels import LabelledSurfaces
 from navbake.baker.floors.regions import Regions
 from navbake.baker.floors.surfaces import may_slopes_join
 from navbake.config.settings import AgentSettings
-from navbake.threads import LEAST_CELLS
+from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 NO_CELLS = np.empty(0, dtype=np.int64)
@@ -54,27 +54,23 @@ def grow_floors(
     Returns:
         The floors, the lowest level first.
     """
-    labelled_surfaces = regions.label_surfaces(is_growth_barrier)
-    return [
-        grow_level(
-            labelled_surfaces,
-            assignment.preliminary_level,
-            assignment.final_level,
-            level_number,
-            agent,
-        )
-        for level_number in range(len(assignment.grounds))
-    ]
+    return grow_levels(
+        regions.label_surfaces(is_growth_barrier),
+        preliminary_level=assignment.preliminary_level,
+        final_level=assignment.final_level,
+        num_levels=len(assignment.grounds),
+        agent=agent,
+    )
 
 
-def grow_level(
+def grow_levels(
     labelled_surfaces: LabelledSurfaces,
     preliminary_level: Int32,
     final_level: Int,
-    level_number: int,
+    num_levels: int,
     agent: AgentSettings,
-) -> GrownFloor:
-    """Find the floor of one level: where an agent can stand, and where it goes on under things.
+) -> list[GrownFloor]:
+    """Find the floors of all levels: where an agent can stand, and where they go on under things.
 
     Args:
         labelled_surfaces: all surfaces; those of the labelled regions are surfaces that floors
@@ -82,23 +78,55 @@ def grow_level(
         preliminary_level: the preliminary number of each surface's level, negative for none.
             Preliminary numbers also count levels that have no surface in the end.
         final_level: the level's final number for each preliminary number.
-        level_number: the final number of the level whose floor is found.
+        num_levels: how many levels there are.
         agent: the agent, of which the height and step are used.
+
+    Returns:
+        The floors, the lowest level first.
     """
     surfaces = labelled_surfaces.surfaces
     num_cells = surfaces.lattice.width * surfaces.lattice.height
-    growth_state = GrowthState(
-        surfaces=surfaces,
-        preliminary_level=preliminary_level,
-        final_level=final_level,
-        level_number=level_number,
-        agent_height=agent.height,
-        max_step=agent.traversable_floor_height,
-        floor_height=np.empty(num_cells),
-        ring_of_cell=np.empty(num_cells, dtype=np.int32),
-        can_grow=np.empty(len(surfaces.z), dtype=np.uint8),
+    highest_level_below = np.empty(len(surfaces.z), dtype=np.int32)
+    lowest_level_above = np.empty(len(surfaces.z), dtype=np.int32)
+    run_in_chunks(
+        kernels.bound_levels,
+        num_cells,
+        surfaces,
+        preliminary_level,
+        final_level,
+        highest_level_below,
+        lowest_level_above,
+        least=LEAST_CELLS,
     )
-    blocks = Blocks(surfaces.lattice)
+    can_grow = np.empty(len(surfaces.z), dtype=np.uint8)
+    floors = []
+    for level_number in range(num_levels):
+        growth_state = GrowthState(
+            surfaces=surfaces,
+            preliminary_level=preliminary_level,
+            final_level=final_level,
+            highest_level_below=highest_level_below,
+            lowest_level_above=lowest_level_above,
+            level_number=level_number,
+            agent_height=agent.height,
+            max_step=agent.traversable_floor_height,
+            floor_height=np.empty(num_cells),
+            ring_of_cell=np.empty(num_cells, dtype=np.int32),
+            can_grow=can_grow,
+        )
+        _grow_level(labelled_surfaces, growth_state)
+        floors.append(GrownFloor(growth_state.floor_height, growth_state.ring_of_cell))
+    return floors
+
+
+def _grow_level(labelled_surfaces: LabelledSurfaces, growth_state: GrowthState) -> None:
+    """Find the floor of one level: where an agent can stand, and where it goes on under things.
+
+    Args:
+        labelled_surfaces: see `grow_levels`.
+        growth_state: the level; its `floor_height`, `ring_of_cell` and `can_grow` are written.
+    """
+    blocks = Blocks(growth_state.surfaces.lattice)
     _, (open_cells,) = blocks.list_rows(
         kernels.start_growth, (NO_CELLS,), labelled_surfaces, growth_state
     )
@@ -120,7 +148,6 @@ def grow_level(
     # cells into which no floor grew
     not_reached = open_cells[growth_state.ring_of_cell[open_cells] < NO_FLOOR]
     growth_state.ring_of_cell[not_reached] = NO_FLOOR
-    return GrownFloor(growth_state.floor_height, growth_state.ring_of_cell)
 
 
 def find_level_links(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.core.bisection_kernels import first_above, first_from
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.floors.region_kernels import region_of_surface
@@ -18,6 +19,8 @@ from navbake.baker.floors.surface_kernels import Surfaces, slopes_join
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int, Int32
 
+# Value of `GrowthState.lowest_level_above`: more than all numbers of levels
+NO_LEVEL_ABOVE = np.int32(2**31 - 1)
 # Values of `GrowthState.can_grow`
 CANNOT_GROW = 0  # the floor can't grow at the surface
 CAN_GROW = 1  # the floor can grow at the surface
@@ -37,6 +40,10 @@ class GrowthState(NamedTuple):
         preliminary_level: the preliminary number of each surface's level, negative for none, int32.
         final_level: for each preliminary number, the level's number when levels without surfaces
             are left out, int64.
+        highest_level_below: for each surface, the highest final number of the levels of it and of
+            the lower surfaces in its cell, -1 if these have no level, int32; see `bound_levels`.
+        lowest_level_above: for each surface, the lowest final number of the levels of it and of the
+            higher surfaces in its cell, NO_LEVEL_ABOVE if these have no level, int32.
         level_number: the final number of the level whose floor grows.
         agent_height: the agent's height [m].
         max_step: the highest step [m].
@@ -45,13 +52,15 @@ class GrowthState(NamedTuple):
             agent can stand); NO_FLOOR; or, where the floor may still grow, OPEN_CELL less the index
             of the cell's lowest surface at which it can, int32.
         can_grow: whether the floor can grow at each surface: CANNOT_GROW, CAN_GROW or
-            CAN_GROW_NO_HIGHER, uint8. `start_growth` writes it, for the surfaces of cells in which
-            no agent can stand.
+            CAN_GROW_NO_HIGHER, uint8. `start_growth` writes it, for the surfaces between the levels
+            below and above, in cells in which no agent can stand.
     """
 
     surfaces: Surfaces
     preliminary_level: Int32
     final_level: Int
+    highest_level_below: Int32
+    lowest_level_above: Int32
     level_number: int
     agent_height: float
     max_step: float
@@ -79,6 +88,39 @@ def _can_grow_at(labelled_surfaces, growth_state, stop, surface, lowest_z, highe
         if growth_state.preliminary_level[i] < 0 and region_of_surface(labelled_surfaces, i) >= 0:
             return False
     return True
+
+
+@kernel(nogil=True, **NO_REFCOUNT)
+def bound_levels(
+    surfaces, preliminary_level, final_level, highest_level_below, lowest_level_above, begin, end
+):
+    """Find the bounds of the levels below and above each surface, in the cells ``[begin, end)``.
+
+    The bounds ascend in each cell, also where levels don't: so they can be bisected for the
+    surfaces near a level.
+
+    Args:
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        preliminary_level: the preliminary number of each surface's level, negative for none, int32.
+        final_level: the final number of the level for each preliminary number, int64.
+        highest_level_below: receives the bound below each surface, see `GrowthState`.
+        lowest_level_above: receives the bound above each surface, see `GrowthState`.
+        begin: id of the first cell.
+        end: id past the last cell.
+    """
+    for cell in range(begin, end):
+        first_surface = surfaces.first[cell]
+        stop = surfaces.end[cell]
+        highest_level = np.int32(-1)
+        for j in range(first_surface, stop):
+            if preliminary_level[j] >= 0:
+                highest_level = max(highest_level, np.int32(final_level[preliminary_level[j]]))
+            highest_level_below[j] = highest_level
+        lowest_level = NO_LEVEL_ABOVE
+        for j in range(stop - 1, first_surface - 1, -1):
+            if preliminary_level[j] >= 0:
+                lowest_level = min(lowest_level, np.int32(final_level[preliminary_level[j]]))
+            lowest_level_above[j] = lowest_level
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
@@ -117,6 +159,9 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
     ring_of_cell = growth_state.ring_of_cell
     lattice = surfaces.lattice
     can_grow = growth_state.can_grow
+    level_number = growth_state.level_number
+    highest_level_below = growth_state.highest_level_below
+    lowest_level_above = growth_state.lowest_level_above
     for block_index in range(begin, end):
         num_cells_before = num_cells
         row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
@@ -126,25 +171,29 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
                 stop = surfaces.end[cell]
                 floor_height[cell] = math.nan
                 ring_of_cell[cell] = NO_FLOOR
-                lowest_z = -math.inf
-                highest_z = math.inf
-                for j in range(first_surface, stop):
-                    if growth_state.preliminary_level[j] < 0:
-                        continue
-                    level = growth_state.final_level[growth_state.preliminary_level[j]]
-                    z = surfaces.z[j]
-                    # the floor may grow between the levels below and above, with room for an agent
-                    if level == growth_state.level_number:
-                        floor_height[cell] = z
+                # the level's surfaces of the cell are in [first_on_level, stop_on_level)
+                first_on_level = first_from(highest_level_below, first_surface, stop, level_number)
+                stop_on_level = first_above(lowest_level_above, first_surface, stop, level_number)
+                for j in range(first_on_level, stop_on_level):
+                    level = growth_state.preliminary_level[j]
+                    if level >= 0 and growth_state.final_level[level] == level_number:
+                        floor_height[cell] = surfaces.z[j]
                         ring_of_cell[cell] = 0
-                    elif level < growth_state.level_number:
-                        lowest_z = z + growth_state.agent_height - LIMIT_SLACK
-                    elif highest_z == math.inf:
-                        highest_z = z - growth_state.agent_height + LIMIT_SLACK
                 if ring_of_cell[cell] == 0:
                     continue
+                # the floor may grow between the levels below and above, with room for an agent
+                lowest_z = -math.inf
+                highest_z = math.inf
+                below = first_from(lowest_level_above, first_surface, stop, level_number) - 1
+                if below >= first_surface:
+                    lowest_z = surfaces.z[below] + growth_state.agent_height - LIMIT_SLACK
+                above = first_above(highest_level_below, first_surface, stop, level_number)
+                if above < stop:
+                    highest_z = surfaces.z[above] - growth_state.agent_height + LIMIT_SLACK
                 highest_growable = np.int64(-1)
-                for j in range(first_surface, stop):
+                for j in range(first_from(surfaces.z, first_surface, stop, lowest_z), stop):
+                    if surfaces.z[j] > highest_z:
+                        break
                     can_grow[j] = CANNOT_GROW
                     if _can_grow_at(labelled_surfaces, growth_state, stop, j, lowest_z, highest_z):
                         can_grow[j] = CAN_GROW

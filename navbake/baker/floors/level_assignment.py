@@ -577,20 +577,20 @@ def _move_grounds_down_once(
     first_part, second_part = components.linked_pairs(part_of_component)
     from_part = np.append(first_part, second_part)
     to_part = np.append(second_part, first_part)
-    lowered_grounds = list(grounds)
-    for level_number in range(1, len(grounds)):
-        is_from_below = level_of_part[from_part] == level_number - 1
-        is_to_level = level_of_part[to_part] == level_number
-        steps_to_level = from_part[is_from_below & is_to_level]
-        steps_elsewhere = from_part[is_from_below & ~is_to_level]
-        leads_to_level = np.bincount(steps_to_level, minlength=num_parts) > 0
-        leads_elsewhere = np.bincount(steps_elsewhere, minlength=num_parts) > 0
-        is_near = lowest_of_part >= grounds[level_number] - max_step - LIMIT_SLACK
-        belongs_to_level = has_floor & leads_to_level & ~leads_elsewhere & is_near
-        if belongs_to_level.any():
-            lowest_part = round(float(lowest_of_part[belongs_to_level].min()), GROUND_DECIMALS)
-            lowered_grounds[level_number] = min(grounds[level_number], lowest_part)
-    return lowered_grounds
+    # parts from which all steps lead to the level above
+    is_up = level_of_part[to_part] == level_of_part[from_part] + 1
+    leads_up = np.bincount(from_part[is_up], minlength=num_parts) > 0
+    leads_elsewhere = np.bincount(from_part[~is_up], minlength=num_parts) > 0
+    ground_above = np.append(grounds, np.inf)[level_of_part + 1]
+    is_near = lowest_of_part >= ground_above - max_step - LIMIT_SLACK
+    belongs_above = has_floor & leads_up & ~leads_elsewhere & is_near
+    # the lowest part that belongs to each level, infinite where none does
+    lowest_part = np.full(len(grounds), np.inf)
+    np.minimum.at(lowest_part, level_of_part[belongs_above] + 1, lowest_of_part[belongs_above])
+    return [
+        min(ground, round(lowest_z, GROUND_DECIMALS)) if lowest_z < np.inf else ground
+        for ground, lowest_z in zip(grounds, lowest_part.tolist(), strict=True)
+    ]
 
 
 def _resolve_full_columns(
@@ -653,8 +653,10 @@ def _list_regions_without_level(
     """
     component_levels = surface_levels.component_levels
     has_no_level = component_levels.level <= NO_FREE_LEVEL
-    region_ids = np.unique(regions.region_of_component[component_levels.component[has_no_level]])
-    return [regions.surfaces_of(region) for region in region_ids.tolist()]
+    region_ids = np.unique(
+        regions.region_of_component[component_levels.component[has_no_level]]
+    ).astype(np.int64)
+    return regions.list_surfaces(region_ids)
 
 
 def _choose_extra_ground(
@@ -814,9 +816,12 @@ def _drop_empty_levels(
 def _name_levels(configured_names: list[str | None]) -> list[str]:
     """Return a different name for each level: the configured one, or else ``level <number>``."""
     names: list[str] = []
+    used_names = set[str]()
+    reserved_names = set(configured_names)
     for level_number, configured_name in enumerate(configured_names):
         name = configured_name or f"level {level_number}"
-        while name in names or (not configured_name and name in configured_names):
+        while name in used_names or (not configured_name and name in reserved_names):
             name += "'"
         names.append(name)
+        used_names.add(name)
     return names

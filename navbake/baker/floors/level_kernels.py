@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.core.bisection_kernels import first_from
 from navbake.baker.core.tiles import BLOCK, block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.component_kernels import count_row, height_bin
@@ -105,8 +106,9 @@ def mark_candidates(
 
     Args:
         labelled_surfaces: a `LabelledSurfaces` with the regions whose surfaces are candidates.
-        height_ranges: only surfaces in these ranges [low, high) of heights are candidates, (n, 2)
-            float64 [m]; if empty, surfaces at all heights.
+        height_ranges: only surfaces in these ranges [low, high) of heights are candidates; the
+            ranges ascend, none overlaps the next, (n, 2) float64 [m]. If empty, surfaces at all
+            heights.
         group_of_surface: receives, for each surface, 0 for a candidate, else -1.
         has_stacked_candidates: receives, for each block of cells, whether a cell of it has more
             than one candidate.
@@ -121,18 +123,20 @@ def mark_candidates(
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
                 num_candidates = 0
+                range_index = 0  # the first range that does not end below the surface
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
                     group_of_surface[j] = -1
                     if region_of_surface(labelled_surfaces, j) < 0:
                         continue
-                    is_in_range = height_ranges.shape[0] == 0
-                    for range_index in range(height_ranges.shape[0]):
-                        if (
-                            height_ranges[range_index, 0]
-                            <= surfaces.z[j]
-                            < height_ranges[range_index, 1]
-                        ):
-                            is_in_range = True
+                    while (
+                        range_index < height_ranges.shape[0]
+                        and height_ranges[range_index, 1] <= surfaces.z[j]
+                    ):
+                        range_index += 1
+                    is_in_range = height_ranges.shape[0] == 0 or (
+                        range_index < height_ranges.shape[0]
+                        and height_ranges[range_index, 0] <= surfaces.z[j]
+                    )
                     if is_in_range:
                         group_of_surface[j] = 0
                         num_candidates += 1
@@ -194,13 +198,13 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, colum
                     continue
                 is_lowest = True
                 cell = row * lattice.width + col
-                for j in range(surfaces.first[cell], surfaces.end[cell]):
-                    if candidates.group_of_surface[j] < 0:
-                        continue
+                stop = surfaces.end[cell]
+                lowest_z = selection.ground - LIMIT_SLACK
+                for j in range(first_from(surfaces.z, surfaces.first[cell], stop, lowest_z), stop):
                     z = surfaces.z[j]
                     if z >= selection.top or (selection.ground == -math.inf and not is_lowest):
                         break
-                    if z < selection.ground - LIMIT_SLACK:
+                    if candidates.group_of_surface[j] < 0:
                         continue
                     band = _band_of(surfaces, candidates, j, selection, is_lowest)
                     is_lowest = False

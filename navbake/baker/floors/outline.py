@@ -373,7 +373,7 @@ def find_highest_below(
         surfaces, -1 for none; shape (n,) each.
     """
     if excluded_regions is None:
-        excluded_regions = np.full(len(cells), -2, dtype=np.int32)  # no region's id
+        excluded_regions = np.full(len(cells), -1, dtype=np.int32)
     surface_below = np.empty(len(cells), dtype=np.int64)
     regions_below = np.empty(len(cells), dtype=np.int32)
     run_in_chunks(

@@ -20,6 +20,7 @@ from navbake.baker.floors.outline import (
     make_region_context,
     neighbor_cells,
 )
+from navbake.baker.floors.region_kernels import RegionSurfaces
 from navbake.baker.floors.regions import (
     Patch,
     Regions,
@@ -243,15 +244,14 @@ def find_voids(
     if np.isin(level_numbers, counts.level[is_reached[counts.region]]).all():
         return ReachedRegions(is_reached, is_void)
     num_with_low_headroom = count_surfaces_below_headroom(region_context)
-    low_levels = []
-    for level_number in level_numbers.tolist():
-        regions_on_level = np.unique(counts.region[counts.level == level_number])
-        if (
-            num_with_low_headroom[regions_on_level].sum()
-            / region_context.regions.num_surfaces[regions_on_level].sum()
-            >= VOID_SHARE
-        ):
-            low_levels.append(level_number)
+    # the regions on each level, without repeats
+    num_regions = region_context.regions.num
+    pair_ids = np.unique(counts.level * num_regions + counts.region)
+    level, region = np.divmod(pair_ids, num_regions)
+    num_on_level = np.bincount(level, region_context.regions.num_surfaces[region])
+    num_low_on_level = np.bincount(level, num_with_low_headroom[region])
+    low_share = num_low_on_level[level_numbers] / num_on_level[level_numbers]
+    low_levels = level_numbers[low_share >= VOID_SHARE]
     is_on_low_level = np.isin(counts.level, low_levels)
     if not has_starts and len(low_levels) < len(level_numbers):
         high_level_counts = RegionLevelCounts._make(column[~is_on_low_level] for column in counts)
@@ -277,64 +277,72 @@ def find_unreached_floors(
         is_reached: which regions are reached, shape (regions,), bool.
     """
     counts = assignment.counts
-    row_is_reached = is_reached[counts.region]
-    unreached = []
-    for level in np.unique(counts.level[~row_is_reached]).tolist():
-        on_level = counts.level == level
-        is_unreached = on_level & ~row_is_reached
-        size = np.bincount(
-            counts.region[is_unreached],
-            counts.num_surfaces[is_unreached],
-            minlength=regions.num,
-        )
-        is_reported = size > 0
-        is_whole_level = not (row_is_reached & on_level).any()
-        if not is_whole_level:
-            area = size * regions.lattice.cell_size**2
-            is_reported &= area >= REPORTED_AREA - LIMIT_SLACK
-        if is_reported.any():
-            patch = _describe_on_level(
-                regions, assignment, level, is_reported, largest_region=int(size.argmax())
-            )
-            unreached.append(UnreachedFloors(level, patch, is_whole_level))
-    return unreached
+    num_regions = regions.num
+    # how many surfaces each region has on each level
+    pair_ids, pair_of_row = np.unique(
+        counts.level * num_regions + counts.region, return_inverse=True
+    )
+    level, region = np.divmod(pair_ids, num_regions)
+    num_surfaces = np.bincount(pair_of_row, counts.num_surfaces)
+    num_levels = len(assignment.grounds)
+    is_partly_reached = np.bincount(level, is_reached[region], num_levels) > 0
+    area = num_surfaces * regions.lattice.cell_size**2
+    is_large = area >= REPORTED_AREA - LIMIT_SLACK
+    is_reported = ~is_reached[region] & (is_large | ~is_partly_reached[level])
+    patches = _describe_on_levels(regions, assignment, pair_ids[is_reported])
+    return [
+        UnreachedFloors(level_number, patch, is_whole_level=not is_partly_reached[level_number])
+        for level_number, patch in patches.items()
+    ]
 
 
-def _describe_on_level(
-    regions: Regions,
-    assignment: LevelAssignment,
-    level_number: int,
-    is_selected: Bool,
-    largest_region: int,
-) -> Patch:
-    """Summarize the surfaces that some regions have on a level as a patch.
+def _describe_on_levels(
+    regions: Regions, assignment: LevelAssignment, pair_ids: Int
+) -> dict[int, Patch]:
+    """Summarize the surfaces that some regions have on some levels, a patch for each level.
 
     Args:
         regions: all regions.
         assignment: the level of each surface.
-        level_number: index of the level in `assignment.grounds`.
-        is_selected: the regions, shape (regions,), bool.
-        largest_region: the region on which the patch has its position; one of the marked regions.
+        pair_ids: pairs of a level and a region that has surfaces on it, each as the number
+            ``level * regions.num + region``, ascending, shape (n,).
+
+    Returns:
+        Number of a level -> its patch, whose position is on the region with the most surfaces
+        there.
     """
-    surfaces_on_level = {}
-    for region in np.flatnonzero(is_selected).tolist():
-        region_surfaces = regions.surfaces_of(region)
-        preliminary_level = assignment.preliminary_level[region_surfaces.surface_id]
-        final_level = assignment.final_level[np.maximum(preliminary_level, 0)]
-        is_on_level = (preliminary_level >= 0) & (final_level == level_number)
-        surfaces_on_level[region] = region_surfaces.select(is_on_level)
-    lattice = regions.lattice
-    row, col = np.divmod(surfaces_on_level[largest_region].cell, lattice.width)
-    geoms = np.concatenate([region_surfaces.geom for region_surfaces in surfaces_on_level.values()])
-    cells = np.concatenate([region_surfaces.cell for region_surfaces in surfaces_on_level.values()])
-    return Patch(
-        geom=int(np.bincount(geoms).argmax()),
-        area=len(cells) * lattice.cell_size**2,
-        position=find_nearest_position(
-            lattice, surfaces_on_level[largest_region], row.mean(), col.mean()
-        ),
-        cells=cells.astype(np.int32),
+    region_ids = np.unique(pair_ids % regions.num)
+    surfaces_by_region = regions.list_surfaces(region_ids)
+    if not surfaces_by_region:
+        return {}
+    # the surfaces of all these regions, and the pair of each of them
+    surfaces = RegionSurfaces._make(map(np.concatenate, zip(*surfaces_by_region, strict=True)))
+    region = np.repeat(
+        region_ids, [len(region_surfaces.cell) for region_surfaces in surfaces_by_region]
     )
+    preliminary_level = assignment.preliminary_level[surfaces.surface_id]
+    final_level = assignment.final_level[np.maximum(preliminary_level, 0)]
+    pair_of_surface = np.where(preliminary_level >= 0, final_level * regions.num + region, -1)
+    by_pair = np.argsort(pair_of_surface, kind="stable")
+    first_of_pair = np.searchsorted(pair_of_surface[by_pair], pair_ids, side="left")
+    end_of_pair = np.searchsorted(pair_of_surface[by_pair], pair_ids, side="right")
+    # number of a level -> for each region of a pair, the indices of its surfaces on the level
+    indices_on_level: dict[int, list[Int]] = {}
+    for pair_id, first, end in zip(pair_ids.tolist(), first_of_pair, end_of_pair, strict=True):
+        indices_on_level.setdefault(pair_id // regions.num, []).append(by_pair[first:end])
+    lattice = regions.lattice
+    patches = {}
+    for level_number, indices_by_region in indices_on_level.items():
+        largest_surfaces = surfaces.select(max(indices_by_region, key=len))
+        level_surfaces = surfaces.select(np.concatenate(indices_by_region))
+        row, col = np.divmod(largest_surfaces.cell, lattice.width)
+        patches[level_number] = Patch(
+            geom=int(np.bincount(level_surfaces.geom).argmax()),
+            area=len(level_surfaces.cell) * lattice.cell_size**2,
+            position=find_nearest_position(lattice, largest_surfaces, row.mean(), col.mean()),
+            cells=level_surfaces.cell.astype(np.int32),
+        )
+    return patches
 
 
 def find_enclosed_floors(
@@ -362,8 +370,7 @@ def find_enclosed_floors(
     regions = find_regions(surfaces, agent, group)
     is_large = find_large_regions(regions, regions.num_surfaces > 0, settings)
     patches = []
-    for region in np.flatnonzero(is_large).tolist():
-        region_surfaces = regions.surfaces_of(region)
+    for region_surfaces in regions.list_surfaces(np.flatnonzero(is_large)):
         num_edges = 0
         num_continuing = 0
         for direction in range(4):

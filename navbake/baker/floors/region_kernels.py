@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from navbake.baker.core.bisection_kernels import first_from
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.union_find import find_root, unite
@@ -32,11 +33,15 @@ class LabelledSurfaces(NamedTuple):
         component_of_surface: the component of each surface, -1 for none, int32. A component is the
             part of a region in one block of cells, see `Components`.
         region_of_component: the region of each component, -1 if the region is not selected, int32.
+        lowest_z: the lowest height of each region, selected or not, float64 [m].
+        highest_z: the highest height of each region, selected or not, float64 [m].
     """
 
     surfaces: Surfaces
     component_of_surface: Int32
     region_of_component: Int32
+    lowest_z: Float
+    highest_z: Float
 
 
 class RegionSurfaces(NamedTuple):
@@ -54,9 +59,9 @@ class RegionSurfaces(NamedTuple):
     geom: Int32
     surface_id: Int
 
-    def select(self, mask: Bool) -> "RegionSurfaces":
-        """Return the surfaces that a mask of shape (n,) marks."""
-        return RegionSurfaces._make(array[mask] for array in self)
+    def select(self, selection: Bool | Int | slice) -> "RegionSurfaces":
+        """Return some of the surfaces: by a mask of shape (n,), by their indices, or a range."""
+        return RegionSurfaces._make(array[selection] for array in self)
 
 
 class RegionEdges(NamedTuple):
@@ -134,18 +139,24 @@ def _find_surface_below(labelled_surfaces, row, col, excluded_region, height_lim
     """Return the id of the highest surface in a cell that lies below the height `height_limit` [m].
 
     Surfaces of the regions of `labelled_surfaces` count. Returns NO_SURFACE if there is none,
-    SAME_REGION if `excluded_region` has a surface in the cell, at any height.
+    SAME_REGION if `excluded_region` has a surface in the cell, at any height; a negative
+    `excluded_region` excludes none.
     """
     surfaces = labelled_surfaces.surfaces
-    highest_surface = NO_SURFACE
     cell = row * surfaces.lattice.width + col
-    for j in range(surfaces.first[cell], surfaces.end[cell]):
-        cell_region = region_of_surface(labelled_surfaces, j)
-        if cell_region == excluded_region:
-            return SAME_REGION
-        if cell_region >= 0 and surfaces.z[j] < height_limit:
-            highest_surface = np.int64(j)
-    return highest_surface
+    first_surface = np.int64(surfaces.first[cell])
+    stop = np.int64(surfaces.end[cell])
+    if excluded_region >= 0:
+        lowest_z = labelled_surfaces.lowest_z[excluded_region]
+        for j in range(first_from(surfaces.z, first_surface, stop, lowest_z), stop):
+            if surfaces.z[j] > labelled_surfaces.highest_z[excluded_region]:
+                break
+            if region_of_surface(labelled_surfaces, j) == excluded_region:
+                return SAME_REGION
+    surface = first_from(surfaces.z, first_surface, stop, height_limit) - 1
+    while surface >= first_surface and region_of_surface(labelled_surfaces, surface) < 0:
+        surface -= 1
+    return surface if surface >= first_surface else NO_SURFACE
 
 
 @subkernel(**NO_REFCOUNT)

@@ -40,9 +40,10 @@ from navbake.types import Bool, Float, Int, Int32
 # Stands for the groups of surfaces where surfaces are not divided into groups
 NO_GROUPS = np.empty(0, dtype=np.int32)
 # Empty arrays with the dtypes and shapes of what kernels list: rows of three numbers and their
-# count, heights, and measures of components
+# count, heights, the lowest and highest heights of components, and other measures of these
 NO_ROWS = np.empty((0, 4), dtype=np.int64)
 NO_HEIGHTS = np.empty(0)
+NO_HEIGHT_RANGES = np.empty((0, 2))
 NO_MEASURES = np.empty((0, 7), dtype=np.int64)
 
 
@@ -55,6 +56,7 @@ class Components(NamedTuple):
         measures: seven numbers of each component, such as how many surfaces it has, see
             `label_blocks`, shape (components, 7).
         lowest_z: the lowest height of each component, shape (components,) [m].
+        highest_z: the highest height of each component, shape (components,) [m].
         pairs: pairs of components that meet, as `list_pairs` lists them, shape (n, 4).
     """
 
@@ -62,6 +64,7 @@ class Components(NamedTuple):
     block: Int
     measures: Int
     lowest_z: Float
+    highest_z: Float
     pairs: Int
 
     @property
@@ -114,8 +117,13 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
     """
     blocks = Blocks(surfaces.lattice)
     number_in_block = np.empty(len(surfaces.z), dtype=np.int32)
-    block_of_component, (measures, lowest_z) = blocks.list_rows(
-        kernels.label_blocks, (NO_MEASURES, NO_HEIGHTS), surfaces, group, rule, number_in_block
+    block_of_component, (measures, heights) = blocks.list_rows(
+        kernels.label_blocks,
+        (NO_MEASURES, NO_HEIGHT_RANGES),
+        surfaces,
+        group,
+        rule,
+        number_in_block,
     )
     numbering = ComponentNumbering(
         number_in_block=number_in_block,
@@ -123,7 +131,14 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
         overall_number=np.empty(len(surfaces.z), dtype=np.int32),
     )
     _, (pairs,) = blocks.list_rows(kernels.list_pairs, (NO_ROWS,), surfaces, group, rule, numbering)
-    return Components(numbering.overall_number, block_of_component, measures, lowest_z, pairs)
+    return Components(
+        number=numbering.overall_number,
+        block=block_of_component,
+        measures=measures,
+        lowest_z=heights[:, kernels.LOWEST],
+        highest_z=heights[:, kernels.HIGHEST],
+        pairs=pairs,
+    )
 
 
 class RegionStacks(NamedTuple):
@@ -157,6 +172,7 @@ class Regions:
         box: the smallest rectangle of cells around each region: first row, first column, and the
             row and the column past the last ones, shape (regions, 4).
         lowest_z: the lowest height of each region, shape (regions,) [m].
+        highest_z: the highest height of each region, shape (regions,) [m].
     """
 
     surfaces: Surfaces
@@ -166,6 +182,7 @@ class Regions:
     num_uncovered: Int
     box: Int
     lowest_z: Float
+    highest_z: Float
 
     @property
     def num(self) -> int:
@@ -192,7 +209,13 @@ class Regions:
         region_of_component = np.where(is_marked, self.region_of_component, np.int32(-1)).astype(
             np.int32
         )
-        return LabelledSurfaces(self.surfaces, self.components.number, region_of_component)
+        return LabelledSurfaces(
+            self.surfaces,
+            component_of_surface=self.components.number,
+            region_of_component=region_of_component,
+            lowest_z=self.lowest_z,
+            highest_z=self.highest_z,
+        )
 
     def region_of(self, surface_ids: Int) -> Int32:
         """Return the region of each surface id, -1 for surfaces without a region."""
@@ -210,20 +233,40 @@ class Regions:
 
     def surfaces_of(self, region: int) -> RegionSurfaces:
         """Return the surfaces of a region, in the order of cell ids."""
+        return self.list_surfaces(np.array([region]))[0]
+
+    def list_surfaces(self, regions: Int) -> list[RegionSurfaces]:
+        """Return the surfaces of each of some regions, in the order of cell ids.
+
+        Args:
+            regions: ids of regions, ascending, shape (n,).
+        """
+        if not len(regions):
+            return []
         surfaces = self.surfaces
-        row0, col0, row1, col1 = self.box[region].tolist()
-        # only the cells in the region's box have to be searched
+        # only the cells in the box around all the regions have to be searched
+        row0, col0 = self.box[regions, :2].min(axis=0).tolist()
+        row1, col1 = self.box[regions, 2:].max(axis=0).tolist()
         in_box = np.add.outer(np.arange(row0, row1) * self.lattice.width, np.arange(col0, col1))
         cells = in_box.ravel()
         cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
-        in_region = self.region_of(surface_ids) == region
-        surface_ids = surface_ids[in_region]
-        return RegionSurfaces(
-            cell=cells[cell_index[in_region]],
+        is_selected = np.zeros(self.num + 1, dtype=np.bool_)  # the last entry is for no region
+        is_selected[regions] = True
+        region = self.region_of(surface_ids)
+        in_regions = np.flatnonzero(is_selected[region])
+        # sorted once, so that the columns are not searched again for each region
+        by_region = in_regions[np.argsort(region[in_regions], kind="stable")]
+        surface_ids = surface_ids[by_region]
+        region_surfaces = RegionSurfaces(
+            cell=cells[cell_index[by_region]],
             z=surfaces.z[surface_ids],
             geom=surfaces.geom[surface_ids],
             surface_id=surface_ids,
         )
+        first_of_region = np.searchsorted(region[by_region], regions)
+        end_of_region = np.append(first_of_region[1:], len(by_region))
+        ranges = zip(first_of_region.tolist(), end_of_region.tolist(), strict=True)
+        return [region_surfaces.select(slice(first, end)) for first, end in ranges]
 
     def mark_in_range(self, is_tested: Bool, heights: HeightRange) -> Bool:
         """Mark the regions that have a surface in a range of heights.
@@ -235,9 +278,13 @@ class Regions:
         Returns:
             A mask, shape (regions,), bool.
         """
-        is_in_range = np.zeros_like(is_tested)
-        for region in np.flatnonzero(is_tested).tolist():
-            z = self.surfaces_of(region).z
+        is_in_range = is_tested & (heights.low <= self.lowest_z) & (self.lowest_z < heights.high)
+        # regions that begin below the range, and end in it or above it
+        reaches_in = is_tested & (self.lowest_z < heights.low) & (heights.low <= self.highest_z)
+        region_ids = np.flatnonzero(reaches_in)
+        surfaces_by_region = self.list_surfaces(region_ids)
+        for region, region_surfaces in zip(region_ids, surfaces_by_region, strict=True):
+            z = region_surfaces.z
             is_in_range[region] = ((heights.low <= z) & (z < heights.high)).any()
         return is_in_range
 
@@ -285,6 +332,9 @@ def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GRO
         num_uncovered=sums[by_first_surface, kernels.NUM_UNCOVERED],
         box=np.hstack([first_cells, end_cells])[by_first_surface],
         lowest_z=np.minimum.reduceat(components.lowest_z[sort_indices], first_component)[
+            by_first_surface
+        ],
+        highest_z=np.maximum.reduceat(components.highest_z[sort_indices], first_component)[
             by_first_surface
         ],
     )
@@ -429,8 +479,7 @@ def describe_regions(
             empty, surfaces at all heights.
     """
     patches = []
-    for region in np.flatnonzero(is_described).tolist():
-        surfaces = regions.surfaces_of(region)
+    for surfaces in regions.list_surfaces(np.flatnonzero(is_described)):
         if height_ranges:
             z = surfaces.z
             is_in_range = [(z >= heights.low) & (z < heights.high) for heights in height_ranges]

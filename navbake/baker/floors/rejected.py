@@ -470,8 +470,8 @@ def _mark_over_walls(region_context: RegionContext, is_candidate: Bool) -> Bool:
     eaves_cells = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
     # all regions count, also furniture
     labelled_surfaces = regions.label_surfaces(np.ones_like(is_candidate))
-    for region in np.flatnonzero(is_candidate).tolist():
-        region_surfaces = regions.surfaces_of(region)
+    region_ids = np.flatnonzero(is_candidate)
+    for region, region_surfaces in zip(region_ids, regions.list_surfaces(region_ids), strict=True):
         _, region_below = find_highest_below(
             labelled_surfaces, region_surfaces.cell, region_surfaces.z
         )
@@ -545,7 +545,8 @@ def mark_reported_roofs(region_context: RegionContext, is_roof: Bool, is_floor: 
     area = num_surfaces * region_context.regions.lattice.cell_size**2
     is_large = is_roof & (area >= REPORTED_ROOF_AREA - LIMIT_SLACK)
     # a large roof without walls under it may be a deck, which was meant as a floor
-    for region in np.flatnonzero(is_large & ~is_reported).tolist():
-        region_surfaces = region_context.regions.surfaces_of(region)
+    region_ids = np.flatnonzero(is_large & ~is_reported)
+    surfaces_by_region = region_context.regions.list_surfaces(region_ids)
+    for region, region_surfaces in zip(region_ids, surfaces_by_region, strict=True):
         is_reported[region] = not mark_over_wall_tops(region_context, region_surfaces).any()
     return is_reported

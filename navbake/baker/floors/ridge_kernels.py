@@ -6,8 +6,10 @@ edge of a region to the edge on the other side, as in run-length encoding of bin
 
 import numpy as np
 
+from navbake.baker.core.bisection_kernels import first_from
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.floors.component_kernels import max_rise_of
 from navbake.baker.floors.region_kernels import region_of_surface
 from navbake.baker.floors.surface_kernels import EAST, SOUTH, STANDABLE, slopes_join
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
@@ -39,7 +41,13 @@ def _find_joined_surface(surfaces, rule, surface, cell, axis, sign):
         if neighbor < 0 or neighbor >= lattice.width * lattice.height:
             return np.int64(-1)
     nearest_surface = np.int64(-1)
-    for i in range(surfaces.first[neighbor], surfaces.end[neighbor]):
+    # a little more, as sums are rounded
+    max_rise = max_rise_of(rule) + LIMIT_SLACK
+    stop = surfaces.end[neighbor]
+    lowest_z = surfaces.z[surface] - max_rise
+    for i in range(first_from(surfaces.z, surfaces.first[neighbor], stop, lowest_z), stop):
+        if surfaces.z[i] > surfaces.z[surface] + max_rise:
+            break
         if not surfaces.flags[i] & STANDABLE:
             continue
         rise = abs(surfaces.z[i] - surfaces.z[surface])

@@ -97,41 +97,17 @@ def count_planes_around(planes, lattice, cell, z):
 
 
 @subkernel(inline="always")
-def _height_above(hits, hit, stop):
-    """Return the height of the next hit above a hit of a column [m]; infinity if there is none.
-
-    Hits within SAME_HEIGHT are not above it. `stop` is the index past the column's last hit.
-    """
-    for j in range(hit + 1, stop):
-        if hits.z[j] - hits.z[hit] > SAME_HEIGHT:
-            return hits.z[j]
-    return math.inf
-
-
-@subkernel(**NO_REFCOUNT)
-def _count_enclosing_solids(hits, hit, stop):
-    """Count the closed meshes, and the other solids, that a hit of a column lies inside of.
-
-    A solid whose underside is at the hit's height (within SAME_HEIGHT) encloses it; one whose top
-    is there does not. `stop` is the index past the column's last hit.
+def _winding_at(hits, hit):
+    """Return how a hit of a column changes the number of solids around the line, going down.
 
     Returns:
-        The number of closed meshes, and the number of other solids.
+        The change of the number of closed meshes, and of the number of other solids: 1 where the
+        line enters one, -1 where it leaves one, else 0.
     """
-    z = hits.z
-    normal = hits.normal
-    closed = hits.closed
-    num_meshes = 0
-    num_solids = 0
-    for j in range(hit + 1, stop):
-        if z[j] - z[hit] <= SAME_HEIGHT:
-            continue
-        winding = 1 if normal[j, 2] > 0.0 else -1
-        if closed[j] == CLOSED_SURFACE:
-            num_meshes += winding
-        elif closed[j] != OPEN_SURFACE:
-            num_solids += winding
-    return num_meshes, num_solids
+    winding = 1 if hits.normal[hit, 2] > 0.0 else -1
+    if hits.closed[hit] == CLOSED_SURFACE:
+        return winding, 0
+    return 0, winding if hits.closed[hit] != OPEN_SURFACE else 0
 
 
 @subkernel(inline="always")
@@ -204,8 +180,23 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
         enclosed_z = -math.inf  # height of the last enclosed surface
         gentle_z = -math.inf  # height of the last surface within the slope
         gentle_row = num_rows
+        # the closed meshes, and the other solids, that the hit lies inside of: one whose underside
+        # is at the hit's height (within SAME_HEIGHT) is around it, one whose top is there is not
+        num_meshes = 0
+        num_solids = 0
+        for hit in range(first_hit, stop):
+            mesh_winding, solid_winding = _winding_at(hits, hit)
+            num_meshes += mesh_winding
+            num_solids += solid_winding
+        next_above = first_hit  # the next hit above the hit, not at its height
         for hit in range(first_hit, stop):
             z = hits.z[hit]
+            while next_above < stop and hits.z[next_above] - z <= SAME_HEIGHT:
+                mesh_winding, solid_winding = _winding_at(hits, next_above)
+                num_meshes -= mesh_winding
+                num_solids -= solid_winding
+                next_above += 1
+            height_above = hits.z[next_above] if next_above < stop else math.inf
             normal_z = hits.normal[hit, 2]
             is_gentle = normal_z >= agent_limits.min_up
             # too steep, and no bump that is low enough to step over
@@ -215,8 +206,6 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
                 continue
             if not is_gentle and normal_z <= MAX_SIDE_UP and gentle_z - standable_z > SAME_HEIGHT:
                 # the side of a tread covers the tread below, which is the floor
-                num_meshes, num_solids = _count_enclosing_solids(hits, hit, stop)
-                height_above = _height_above(hits, hit, stop)
                 has_headroom = height_above - gentle_z >= agent_limits.headroom - LIMIT_SLACK
                 if num_meshes + num_solids <= 0 and has_headroom:
                     standable_z = gentle_z
@@ -232,12 +221,10 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
             if is_gentle:
                 gentle_z = z
                 gentle_row = num_rows
-                height_above = _height_above(hits, hit, stop)
                 if (
                     z - standable_z > SAME_HEIGHT
                     and height_above - z >= agent_limits.headroom - LIMIT_SLACK
                 ):
-                    num_meshes, num_solids = _count_enclosing_solids(hits, hit, stop)
                     num_planes, plane_geom = count_planes_around(planes, lattice, cells[index], z)
                     # only closed meshes, or only planes, are around the hit
                     in_meshes_or_planes_alone = num_solids <= 0 and (

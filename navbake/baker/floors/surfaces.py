@@ -129,8 +129,18 @@ def find_highest_within_step(
         Heights, shape (n,) [m]; NaN for a cell without such a surface.
     """
     highest_z = np.full(len(z), np.nan)
-    for k in range(int((end_surface - first_surface).max(initial=0))):
-        height = heights[np.minimum(first_surface + k, end_surface - 1)]
-        is_near = (first_surface + k < end_surface) & (abs(height - z) <= max_step + LIMIT_SLACK)
-        highest_z[is_near] = height[is_near]
+    if not len(heights):
+        return highest_z
+    # bisect in all cells at once: the first surface that is more than a step higher
+    begin = first_surface.astype(np.int64)
+    end = end_surface.astype(np.int64)
+    for _ in range(int((end - begin).max(initial=0)).bit_length()):
+        middle = (begin + end) // 2
+        height = heights[np.minimum(middle, len(heights) - 1)]
+        is_above = height - z > max_step + LIMIT_SLACK
+        end = np.where((begin < end) & is_above, middle, end)
+        begin = np.where((begin < end) & ~is_above, middle + 1, begin)
+    height = heights[begin - 1]
+    is_near = (begin > first_surface) & (abs(height - z) <= max_step + LIMIT_SLACK)
+    highest_z[is_near] = height[is_near]
     return highest_z

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.core.arrays import HeightRange, Prism
+from navbake.baker.core.bisection_kernels import first_above
 from navbake.baker.core.constants import OPEN_SURFACE
 from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
@@ -23,8 +24,8 @@ MAX_CORNERS = 12
 X = np.int64(0)
 Y = np.int64(1)
 Z = np.int64(2)
-# In place of a geom's id: all geoms count
-ANY_GEOM = np.int32(-1)
+# For how many hits of a column the first array of counts has room
+FIRST_CAPACITY = 64
 
 
 class Polygons(NamedTuple):
@@ -219,29 +220,49 @@ def plane_meets_prism(planes, plane, prism):
     return depth - prism.half * reach < 0.0
 
 
-@subkernel(**NO_REFCOUNT)
-def is_line_blocked(hits, cell, heights, geom):
-    """Return whether a column's line crosses a geom in a range of heights, or runs inside of one.
+@subkernel
+def count_enclosing(hits, cell, num_enclosing):
+    """Count how many closed shapes a column's line is inside of, just below each of its hits.
 
-    It runs inside of a geom if, above the range, it leaves geoms more often than it enters them.
+    They are counted from above: a line that leaves a shape there had entered it below.
 
     Args:
         hits: the columns, as `ColumnHits`.
         cell: index of the column.
-        heights: the range, as `HeightRange`.
-        geom: MuJoCo's id of the geom, or ANY_GEOM.
+        num_enclosing: an array to write into, int64.
+
+    Returns:
+        The counts, with a 0 after them; `num_enclosing`, or a larger array if it is too small.
     """
-    winding = 0
-    for hit in range(hits.start[cell + 1] - 1, hits.start[cell] - 1, -1):
-        if hits.z[hit] <= heights.low:
-            break
-        if geom != ANY_GEOM and hits.geom[hit] != geom:
-            continue
-        if hits.z[hit] < heights.high:
-            return True
-        if hits.closed[hit]:
-            winding += 1 if hits.normal[hit, 2] > 0.0 else -1
-    return winding > 0
+    first_hit = hits.start[cell]
+    num_hits = hits.start[cell + 1] - first_hit
+    if num_hits + 1 > num_enclosing.shape[0]:
+        num_enclosing = np.empty(2 * num_hits + 2, np.int64)
+    num_enclosing[num_hits] = 0
+    for rank in range(num_hits - 1, -1, -1):
+        winding = 0
+        if hits.closed[first_hit + rank]:
+            winding = 1 if hits.normal[first_hit + rank, 2] > 0.0 else -1
+        num_enclosing[rank] = num_enclosing[rank + 1] + winding
+    return num_enclosing
+
+
+@subkernel(**NO_REFCOUNT)
+def is_line_blocked(hits, cell, heights, num_enclosing):
+    """Return whether a column's line crosses a geom in a range of heights, or runs inside of one.
+
+    Args:
+        hits: the columns, as `ColumnHits`.
+        cell: index of the column.
+        heights: the range, as `HeightRange`; its ends don't belong to it.
+        num_enclosing: the column's counts, see `count_enclosing`.
+    """
+    first_hit = hits.start[cell]
+    stop = hits.start[cell + 1]
+    hit = first_above(hits.z, first_hit, stop, heights.low)
+    if hit < stop and hits.z[hit] < heights.high:
+        return True
+    return num_enclosing[hit - first_hit] > 0
 
 
 @kernel(nogil=True)
@@ -251,7 +272,8 @@ def find_blocked_lines(cells, low_z, high_z, hits, is_blocked, first_test, end_t
     Something is in the way if the column's line crosses a geom there, or runs inside of one.
 
     Args:
-        cells: index of the column of each test, (n,) int64.
+        cells: index of the column of each test, (n,) int64. It is fastest if the tests of a column
+            follow each other.
         low_z: the lower height of each test, (n,) float64 [m].
         high_z: the upper height of each test, (n,) float64 [m].
         hits: the columns' hits, as `ColumnHits`.
@@ -259,7 +281,9 @@ def find_blocked_lines(cells, low_z, high_z, hits, is_blocked, first_test, end_t
         first_test: index of the first test.
         end_test: index past the last test.
     """
+    num_enclosing = np.empty(FIRST_CAPACITY, np.int64)
     for test in range(first_test, end_test):
-        is_blocked[test] = is_line_blocked(
-            hits, cells[test], HeightRange(low_z[test], high_z[test]), ANY_GEOM
-        )
+        if test == first_test or cells[test] != cells[test - 1]:
+            num_enclosing = count_enclosing(hits, cells[test], num_enclosing)
+        heights = HeightRange(low_z[test], high_z[test])
+        is_blocked[test] = is_line_blocked(hits, cells[test], heights, num_enclosing)

@@ -15,7 +15,7 @@ from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.limits import agent_limits
 from navbake.baker.core.tolerances import TOUCH_DEPTH
-from navbake.baker.floors.levels import Floors, LevelFloor
+from navbake.baker.floors.levels import Floors
 from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import NO_LISTS, CellOccupancy, check_occupancy
 from navbake.baker.occupancy.volume_kernels import OccupantLists
@@ -53,35 +53,46 @@ def check_level_occupancy(
     tiled_shapes: TiledShapes,
     footprint: Footprint,
     cells: Int,
-    level: LevelFloor,
-    level_ceiling: float,
+    floors: Floors,
     agent: AgentSettings,
     wall_candidates: Bool | None,
-) -> LevelOccupancy:
-    """Check which cells of a level are occupied by geoms, and list the geoms in each cell.
+) -> list[LevelOccupancy]:
+    """Check which cells of each level are occupied by geoms, and list the geoms in each cell.
+
+    All levels are checked in one pass over the geoms.
 
     Args:
         columns: the geoms' hits on the vertical line through each cell's centre.
         tiled_shapes: the geoms near the cells.
         footprint: the volume over a floor that has to be free.
         cells: cell ids, ascending.
-        level: the floors.
-        level_ceiling: height at which the level ends: the next level's ground, inf for the highest
-            level [m].
+        floors: the floors of all levels.
         agent: the agent; its height and largest slope are read.
         wall_candidates: mask by geom id of the geoms that are tested for AT_WALL_HEIGHT, bool; None
             to list no occupants.
 
     Returns:
-        The cells that have a floor, their occupancy, and the lists of their occupants.
+        For each level, its cells that have a floor, their occupancy, and the lists of their
+        occupants. All levels' lists are in the same arrays.
     """
-    floor = level.floor.ravel()[cells]
-    has_floor = ~np.isnan(floor)
-    floor_cells = cells[has_floor]
-    heights = floor[has_floor]
+    # the floors of all levels, in ascending order of cells, and of heights in a cell
+    floor_by_level = np.stack([level.floor.ravel()[cells] for level in floors.levels], axis=1)
+    has_floor = ~np.isnan(floor_by_level)
+    cell_index, level_number = np.nonzero(has_floor)
+    heights = floor_by_level[has_floor]
+    if np.any((np.diff(cell_index) == 0) & (np.diff(heights) < 0)):  # levels interleave
+        order = np.lexsort((heights, cell_index))
+        cell_index = cell_index[order]
+        level_number = level_number[order]
+        heights = heights[order]
+    floor_cells = cells[cell_index]
+    # index of each level's floor in each cell among all these floors
+    floor_index = np.empty(has_floor.shape, dtype=np.int64)
+    floor_index[cell_index, level_number] = np.arange(len(heights))
     lists = NO_LISTS
     if wall_candidates is not None:
-        ceiling = np.minimum(level_ceiling, heights + OPEN_ABOVE)
+        level_ceilings = np.array(find_level_ceilings(floors))
+        ceiling = np.minimum(level_ceilings[level_number], heights + OPEN_ABOVE)
         lists = OccupantLists(
             ceiling=np.maximum(ceiling, heights + agent.height) - TOUCH_DEPTH,
             first=np.empty(len(floor_cells), dtype=np.int32),
@@ -93,7 +104,23 @@ def check_level_occupancy(
             min_up=agent_limits(agent).min_up,
         )
     occupancy = check_occupancy(columns, tiled_shapes, footprint, floor_cells, heights, lists)
-    return LevelOccupancy(floor_cells, occupancy, lists)
+    occupancy_by_level = []
+    for is_on_level, level_floor_index in zip(has_floor.T, floor_index.T, strict=True):
+        on_level = level_floor_index[is_on_level]
+        level_lists = lists
+        if wall_candidates is not None:
+            level_lists = lists._replace(
+                ceiling=lists.ceiling[on_level],
+                first=lists.first[on_level],
+                floor_geom=lists.floor_geom[on_level],
+                gap_below=lists.gap_below[on_level],
+            )
+        cell_occupancy = occupancy._replace(
+            occupied=occupancy.occupied[on_level],
+            square_occupied=occupancy.square_occupied[on_level],
+        )
+        occupancy_by_level.append(LevelOccupancy(cells[is_on_level], cell_occupancy, level_lists))
+    return occupancy_by_level
 
 
 def select_list_entries(

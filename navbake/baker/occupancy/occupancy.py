@@ -111,13 +111,17 @@ def check_occupancy(
         cells: cell ids, shape (n,), int64, in any order; a cell may be repeated.
         floors: height of each cell's floor, shape (n,), float64 [m].
         lists: settings for the lists of occupants, and arrays that receive where they begin;
-            `cells` then have to be ascending. NO_LISTS to list none.
+            `cells`, and the floors in each of them, then have to be ascending. NO_LISTS to list
+            none.
 
     Returns:
         The occupancy of each cell, shape (n,), and the lists of occupants.
     """
-    if len(cells) and np.any(cells[1:] < cells[:-1]):  # the kernel goes tile by tile
-        sort_indices = np.argsort(cells, kind="stable")
+    # the kernel goes tile by tile, and bisects the floors of a cell
+    is_descending = cells[1:] < cells[:-1]
+    is_descending |= (cells[1:] == cells[:-1]) & (floors[1:] < floors[:-1])
+    if is_descending.any():
+        sort_indices = np.lexsort((floors, cells))
         place_in_order = np.empty_like(sort_indices)
         place_in_order[sort_indices] = np.arange(len(sort_indices))
         sorted_occupancy = check_occupancy(
@@ -135,6 +139,7 @@ def check_occupancy(
     queries = Queries(
         cell=cells,
         floor=np.ascontiguousarray(floors),
+        reach=np.empty(len(cells)),
         flags=query_flags,
         tested_flags=np.zeros(len(cells), dtype=np.uint8),
         geom_flags=np.zeros(len(cells), dtype=np.uint8),

@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.arrays import ColumnHits, HeightRange
+from navbake.baker.core.bisection_kernels import first_above, first_from
 from navbake.baker.core.constants import APART, MEETS
 from navbake.baker.core.tiles import (
     TILE,
@@ -42,8 +43,8 @@ from navbake.baker.core.tiles import (
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
 from navbake.baker.geometry.gjk_kernels import allocate_simplex
 from navbake.baker.geometry.overlap_kernels import (
-    ANY_GEOM,
     allocate_polygons,
+    count_enclosing,
     is_beside_prism,
     is_line_blocked,
     plane_meets_prism,
@@ -105,6 +106,9 @@ class TileState(NamedTuple):
             of a floor), and the index past its last query, (TILE, 2) int64.
         first_query: for each cell of the tile, the index of its first query, (TILE, TILE) int64.
         end_query: for each cell, the index past its last query, (TILE, TILE) int64.
+        first_near: for each cell, the index of its first query near the current geom's heights,
+            (TILE, TILE) int64.
+        end_near: for each cell, the index past the last such query, (TILE, TILE) int64.
         heights: lowest and highest z of all prisms that are tested, (2,) float64 [m].
         open_cells: a bit for each cell for which further geoms are tested, (1,) int64.
         pending: for each flag, a bit for each cell in which the current geom is to be tested
@@ -120,6 +124,8 @@ class TileState(NamedTuple):
     row_queries: Int
     first_query: Int
     end_query: Int
+    first_near: Int
+    end_near: Int
     heights: Float
     open_cells: Int
     pending: Int
@@ -182,6 +188,8 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
         row_queries=np.zeros((TILE, 2), np.int64),
         first_query=np.empty((TILE, TILE), np.int64),
         end_query=np.empty((TILE, TILE), np.int64),
+        first_near=np.empty((TILE, TILE), np.int64),
+        end_near=np.empty((TILE, TILE), np.int64),
         heights=np.empty(2),
         open_cells=np.empty(1, np.int64),
         pending=np.empty(4, np.int64),
@@ -190,6 +198,7 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
         plane=np.empty(1, np.int32),
         scratch=VolumeScratch(allocate_simplex(), allocate_polygons()),
     )
+    num_enclosing = np.empty(FIRST_CAPACITY, np.int64)
     list_geom = np.empty(FIRST_CAPACITY, np.int32)
     list_flags = np.empty(FIRST_CAPACITY, np.uint8)
     list_geom[0] = -1
@@ -215,6 +224,7 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
         )
         num_entries = np.int64(-1)
         while num_entries < 0:
+            num_enclosing = _check_lines(task, num_enclosing)
             num_entries = _check_tile(task, tiles, tile, entries)
             if num_entries < 0:
                 entries = _make_entries(4 * entries.geom.shape[0])
@@ -283,8 +293,8 @@ def _find_queries(lattice, window, cells, row_queries):
     return num_queries
 
 
-@subkernel(**NO_REFCOUNT)
-def _check_lines(task):
+@subkernel
+def _check_lines(task, num_enclosing):
     """Decide the queries of a tile that the vertical line through the cell's centre decides.
 
     A query is a cell with the height of a floor. It is occupied if the line hits a surface between
@@ -295,6 +305,10 @@ def _check_lines(task):
 
     Args:
         task: a `TileTask`, whose queries, lists and tile state receive the results.
+        num_enclosing: an array for `count_enclosing`.
+
+    Returns:
+        `num_enclosing`, or a larger array.
     """
     queries = task.queries
     lists = task.lists
@@ -316,22 +330,28 @@ def _check_lines(task):
             floor = queries.floor[query]
             col = cell - row * task.lattice.width
             tile_col = col - task.window[2]
-            if tile_state.end_query[tile_row, tile_col] == 0:
+            is_first = tile_state.end_query[tile_row, tile_col] == 0
+            if is_first:
                 tile_state.first_query[tile_row, tile_col] = query
+                num_enclosing = count_enclosing(hits, cell, num_enclosing)
             tile_state.end_query[tile_row, tile_col] = query + 1
             agent_heights = HeightRange(floor + footprint.low, floor + footprint.high)
-            is_blocked = is_line_blocked(hits, cell, agent_heights, ANY_GEOM)
+            is_blocked = is_line_blocked(hits, cell, agent_heights, num_enclosing)
             queries.flags[query] = BLOCKING | BLOCKING_SQUARE | BLOCKED_BY_LINE if is_blocked else 0
             if is_listing:
                 lists.first[query] = 0
                 floor_geom, gap_below = describe_floor(hits, cell, floor, lists.min_up)
                 lists.floor_geom[query] = floor_geom
                 lists.gap_below[query] = gap_below
+            envelope = make_envelope(task.lattice, footprint, queries, lists, query, row, col)
+            queries.reach[query] = envelope.high
+            if not is_first:
+                queries.reach[query] = max(envelope.high, queries.reach[query - 1])
             if is_listing or not is_blocked:
-                envelope = make_envelope(task.lattice, footprint, queries, lists, query, row, col)
                 tile_state.heights[0] = min(tile_state.heights[0], envelope.low)
                 tile_state.heights[1] = max(tile_state.heights[1], envelope.high)
                 tile_state.open_cells[0] |= cell_bit(tile_row, tile_col)
+    return num_enclosing
 
 
 # ---------------------------------------------------------------- the geoms over a tile
@@ -340,6 +360,8 @@ def _check_lines(task):
 @subkernel(**NO_REFCOUNT)
 def _check_tile(task, tiles, tile, entries):
     """Test all geoms over a tile against the prisms over the floors of the tile's queries.
+
+    `_check_lines` comes before it.
 
     A tile has TILE x TILE cells; a query is a cell with the height of a floor.
 
@@ -360,7 +382,6 @@ def _check_tile(task, tiles, tile, entries):
     planes = task.shape_arrays.planes
     tile_state = task.tile_state
     geom_box = tile_state.geom_box
-    _check_lines(task)
     num_entries = np.int64(0)  # see `list_end` above
     next_plane = 0
     next_solid = tiles.solid_start[tile]
@@ -474,7 +495,17 @@ def _check_geom(task, shape_kind, shapes, geom, entries, num_entries):
             tile_row = row - window[0]
             tile_col = col - window[2]
             first_query = tile_state.first_query[tile_row, tile_col]
-            for query in range(first_query, tile_state.end_query[tile_row, tile_col]):
+            end_query = tile_state.end_query[tile_row, tile_col]
+            first_near = first_above(
+                queries.reach, first_query, end_query, tile_state.geom_box[0, 2]
+            )
+            # the lowest of the prisms begins at the floor, or higher
+            end_near = first_from(
+                queries.floor, first_near, end_query, tile_state.geom_box[0, 5] + SAME_HEIGHT
+            )
+            tile_state.first_near[tile_row, tile_col] = first_near
+            tile_state.end_near[tile_row, tile_col] = end_near
+            for query in range(first_near, end_near):
                 queries.tested_flags[query] = 0
                 envelope = make_envelope(lattice, footprint, queries, task.lists, query, row, col)
                 if is_beside_prism(tile_state.geom_box, 0, envelope):
@@ -532,8 +563,8 @@ def _check_geom(task, shape_kind, shapes, geom, entries, num_entries):
                 if (disc_cells | square_cells) & cell_bit(tile_row, tile_col) == 0:
                     continue
                 open_flags = np.int64(0)
-                first_query = tile_state.first_query[tile_row, tile_col]
-                for query in range(first_query, tile_state.end_query[tile_row, tile_col]):
+                first_near = tile_state.first_near[tile_row, tile_col]
+                for query in range(first_near, tile_state.end_near[tile_row, tile_col]):
                     if queries.tested_flags[query] & ~queries.geom_flags[query]:
                         volumes = make_volumes(
                             lattice, footprint, queries, task.lists, query, row, col
@@ -574,7 +605,8 @@ def _begin_geom(task, shape_kind, geom, query, volumes):
             tested_flags |= AT_WALL_HEIGHT
         # the geom's own winding number proves BLOCKING only where that of all geoms does, too
         provable = OCCUPYING | AT_WALL_HEIGHT | (BLOCKING if query_flags & BLOCKED_BY_LINE else 0)
-        flags_on_line = find_flags_on_line(task.hits, queries.cell[query], geom, volumes)
+        highest = task.tile_state.geom_box[0, 5] + SAME_HEIGHT
+        flags_on_line = find_flags_on_line(task.hits, queries.cell[query], geom, highest, volumes)
         geom_flags = flags_on_line & provable & tested_flags
     elif not query_flags & BLOCKING:
         tested_flags |= BLOCKING
@@ -658,9 +690,8 @@ def _keep_flags(task, window_near_geom, geom, entries, num_entries):
         for col in range(window_near_geom[2], window_near_geom[3]):
             tile_row = row - task.window[0]
             tile_col = col - task.window[2]
-            is_open = is_listing
-            first_query = tile_state.first_query[tile_row, tile_col]
-            for query in range(first_query, tile_state.end_query[tile_row, tile_col]):
+            first_near = tile_state.first_near[tile_row, tile_col]
+            for query in range(first_near, tile_state.end_near[tile_row, tile_col]):
                 flags = np.int64(queries.geom_flags[query])
                 if queries.tested_flags[query] and flags:
                     # the square is a part of the footprint, or lies in its disc
@@ -684,10 +715,14 @@ def _keep_flags(task, window_near_geom, geom, entries, num_entries):
                         entries.flags[num_entries] = flags
                         num_entries += 1
                 queries.tested_flags[query] = 0
+            is_open = is_listing
+            query = tile_state.first_query[tile_row, tile_col]
+            while not is_open and query < tile_state.end_query[tile_row, tile_col]:
                 query_flags = np.int64(queries.flags[query])
-                is_open |= not query_flags & BLOCKING or (
+                is_open = not query_flags & BLOCKING or (
                     footprint.radius > 0.0 and not query_flags & BLOCKING_SQUARE
                 )
+                query += 1
             if not is_open:
                 tile_state.open_cells[0] &= ~cell_bit(tile_row, tile_col)
     return num_entries

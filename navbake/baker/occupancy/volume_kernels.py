@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.arrays import NOT_ROUND, Facets, Planes, Prism, Solids
+from navbake.baker.core.bisection_kernels import first_above
 from navbake.baker.core.constants import APART, MEETS
 from navbake.baker.core.tiles import cell_center_at
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
@@ -72,7 +73,9 @@ class Queries(NamedTuple):
 
     Attributes:
         cell: cell ids, ascending, int64.
-        floor: height of the floor, float64 [m].
+        floor: height of the floor, ascending in each cell, float64 [m].
+        reach: receives the highest z of the prisms over this floor and the lower ones in its cell,
+            float64 [m].
         flags: receives BLOCKING, BLOCKING_SQUARE, MAYBE_BLOCKING and MAYBE_BLOCKING_SQUARE if any
             geom has them, and BLOCKED_BY_LINE, uint8.
         tested_flags: the flags that the current geom is tested for, overwritten by each geom,
@@ -82,6 +85,7 @@ class Queries(NamedTuple):
 
     cell: Int
     floor: Float
+    reach: Float
     flags: NDArray[np.uint8]
     tested_flags: NDArray[np.uint8]
     geom_flags: NDArray[np.uint8]
@@ -220,18 +224,19 @@ def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
 
 
 @subkernel(**NO_REFCOUNT)
-def find_flags_on_line(hits, cell, geom, volumes):
+def find_flags_on_line(hits, cell, geom, highest, volumes):
     """Return the flags of a geom that the vertical line through a cell's centre proves.
 
     The line proves that the geom meets a prism over the floor if it hits the geom between the
     prism's lower and upper height, or runs inside of the geom there: then the winding number above
-    is positive. This does what `is_line_blocked` does, for three prisms in one pass over the hits.
+    is positive. This does what `is_line_blocked` does, for one geom and three prisms.
     It never returns BLOCKING_SQUARE.
 
     Args:
         hits: hits on the vertical line through each cell's centre, as `ColumnHits`.
         cell: cell id.
         geom: geom id.
+        highest: a height that no hit of the geom lies above [m].
         volumes: the prisms over the floor of the cell, as `Volumes`.
     """
     occupying = volumes.occupying
@@ -243,7 +248,9 @@ def find_flags_on_line(hits, cell, geom, volumes):
     winding_occupying = 0
     winding_blocking = 0
     winding_at_wall = 0
-    for hit in range(hits.start[cell + 1] - 1, hits.start[cell] - 1, -1):
+    first = hits.start[cell]
+    end = first_above(hits.z, first, hits.start[cell + 1], highest)
+    for hit in range(end - 1, first - 1, -1):
         z = hits.z[hit]
         if z <= lowest:
             break
@@ -286,13 +293,15 @@ def describe_floor(hits, cell, floor, min_up):
     """
     floor_geom = np.int32(-1)
     gap_below = np.inf
-    for hit in range(hits.start[cell], hits.start[cell + 1]):
-        if hits.z[hit] == floor and hits.normal[hit, 2] >= min_up:
-            floor_geom = hits.geom[hit]
+    first = hits.start[cell]
+    end = first_above(hits.z, first, hits.start[cell + 1], floor)
+    for hit in range(end - 1, first - 1, -1):
+        if hits.z[hit] < floor:
             break
-    for hit in range(hits.start[cell], hits.start[cell + 1]):
-        if hits.z[hit] > floor:
-            break
+        if hits.normal[hit, 2] >= min_up:
+            floor_geom = hits.geom[hit]  # of several, the first one
+    for hit in range(end - 1, first - 1, -1):
         if hits.normal[hit, 2] >= min_up and hits.geom[hit] != floor_geom:
             gap_below = floor - hits.z[hit]
+            break
     return floor_geom, gap_below

@@ -67,16 +67,15 @@ def name_cells(
         sorted names by key. An entry has no ``blockers`` if they are the same names as its objects
         and walls together.
     """
-    # names are numbered by their first geoms, so that they keep the order of the scene's geoms
+    # names are numbered by their first geoms, so that they keep the order of the scene's geoms;
+    # only the names of the level's own geoms are
+    level_geoms, geom_index = np.unique(geoms, return_inverse=True)
+    names = [names[geom] for geom in level_geoms.tolist()]
     number_of_name: dict[str, int] = {}
     name_of_geom = np.array(
-        [
-            number_of_name.setdefault(name_numbers, number)
-            for number, name_numbers in enumerate(names)
-        ],
-        np.int64,
+        [number_of_name.setdefault(name, number) for number, name in enumerate(names)], np.int64
     )
-    cells, name_numbers, bits = _merge_pairs(cells, name_of_geom[geoms], bits, len(names))
+    cells, name_numbers, bits = _merge_pairs(cells, name_of_geom[geom_index], bits, len(names))
     name_and_bits = name_numbers * NUM_BITS_VALUES + bits
     if window != (slice(0, lattice.height), slice(0, lattice.width)):
         cells, is_inside = crop_cells(cells, window, lattice.width)

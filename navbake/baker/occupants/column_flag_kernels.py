@@ -5,6 +5,7 @@ A cell can be empty, a hole, steep ground, under the sky, or hold something tall
 
 import numpy as np
 
+from navbake.baker.core.bisection_kernels import first_above
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.compiled import kernel
 
@@ -51,8 +52,7 @@ def flag_columns(hits, floor, ground, limits, above_heads, flags, first_cell, en
         top_normal_z = normal[end_hit - 1, 2] if hit < end_hit else np.float32(0.0)
         # the first surface that is neither the floor nor within a step of the ground
         lowest_counted = floor[cell] + SAME_HEIGHT if has_floor else ground + limits.max_step
-        while hit < end_hit and z[hit] <= lowest_counted:
-            hit += 1
+        hit = first_above(z, hit, end_hit, lowest_counted)
         faces_up = hit < end_hit and normal[hit, 2] > 0.0
         if has_floor:
             if top_height <= floor[cell] + limits.headroom + LIMIT_SLACK:

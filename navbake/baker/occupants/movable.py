@@ -28,11 +28,7 @@ from navbake.baker.core.windows import Window, cells_near_boxes
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.level_occupancy import (
-    check_level_occupancy,
-    find_level_ceilings,
-    select_list_entries,
-)
+from navbake.baker.occupancy.level_occupancy import check_level_occupancy, select_list_entries
 from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells
@@ -329,18 +325,16 @@ def _find_movables_over_cells(
         columns = index_by_cell(lattice, cells, cast_points(tiled_shapes, cells, centers))
     no_wall_candidates = np.zeros(len(shapes.is_endless), dtype=np.bool_)
     movables_by_level = []
-    level_ceilings = find_level_ceilings(inputs.floors)
-    for level, level_ceiling in zip(inputs.floors.levels, level_ceilings, strict=True):
-        level_occupancy = check_level_occupancy(
-            columns,
-            tiled_shapes,
-            footprint=inputs.footprint,
-            cells=cells,
-            level=level,
-            level_ceiling=level_ceiling,
-            agent=inputs.agent,
-            wall_candidates=no_wall_candidates,
-        )
+    occupancy_by_level = check_level_occupancy(
+        columns,
+        tiled_shapes,
+        footprint=inputs.footprint,
+        cells=cells,
+        floors=inputs.floors,
+        agent=inputs.agent,
+        wall_candidates=no_wall_candidates,
+    )
+    for level_occupancy in occupancy_by_level:
         occupancy = level_occupancy.occupancy
         cell_index, geom, flags = select_list_entries(
             level_occupancy.lists.first,

@@ -23,7 +23,6 @@ from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.level_occupancy import (
     LevelOccupancy,
     check_level_occupancy,
-    find_level_ceilings,
 )
 from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.occupants import occupant_kernels as kernels
@@ -138,30 +137,27 @@ def find_standing_cells(
     """
     lattice = columns.lattice
     num_cells = lattice.width * lattice.height
-    level_ceilings = find_level_ceilings(floors)
     occupied = [np.isnan(level.floor) for level in floors.levels]
     blocked_squares = None
     if footprint.radius > 0.0:
         blocked_squares = [mask.copy() for mask in occupied]
     column_flags = [np.zeros(num_cells, dtype=np.uint8) for _ in floors.levels]
-    occupants_builders = list[OccupantsBuilder]()
+    occupants_builder = None
     if wall_candidates is not None:
-        occupants_builders = [OccupantsBuilder(lattice) for _ in floors.levels]
+        occupants_builder = OccupantsBuilder(lattice, len(floors.levels))
     for chunk in columns.row_chunks():
         tiled_shapes = chunk.nearby_shapes or tiles.shapes_near_rows(chunk.valid_rows)
         first_cell, end_cell = chunk.valid_rows.cell_range(lattice)
-        cells = np.arange(first_cell, end_cell)
-        for level_number, level in enumerate(floors.levels):
-            level_occupancy = check_level_occupancy(
-                chunk,
-                tiled_shapes,
-                footprint=footprint,
-                cells=cells,
-                level=level,
-                level_ceiling=level_ceilings[level_number],
-                agent=agent,
-                wall_candidates=wall_candidates,
-            )
+        occupancy_by_level = check_level_occupancy(
+            chunk,
+            tiled_shapes,
+            footprint=footprint,
+            cells=np.arange(first_cell, end_cell),
+            floors=floors,
+            agent=agent,
+            wall_candidates=wall_candidates,
+        )
+        for level_number, level_occupancy in enumerate(occupancy_by_level):
             occupied[level_number].reshape(-1)[level_occupancy.cells] = (
                 level_occupancy.occupancy.occupied
             )
@@ -170,8 +166,8 @@ def find_standing_cells(
                 level_blocked_squares[level_occupancy.cells] = (
                     level_occupancy.occupancy.square_occupied
                 )
-            if occupants_builders:
-                occupants_builders[level_number].append(level_occupancy, end_cell / num_cells)
+        if occupants_builder is not None:
+            occupants_builder.append(occupancy_by_level, end_cell / num_cells)
         with clock.add_to_stage("rooms"):
             hits = chunk.hits._replace(start=chunk.start[first_cell : end_cell + 1])
             for level_number, level in enumerate(floors.levels):
@@ -180,41 +176,46 @@ def find_standing_cells(
                 )
     return StandingCells(
         occupancy=Occupancy(occupied, blocked_squares),
-        occupants=[builder.occupants for builder in occupants_builders],
+        occupants=[] if occupants_builder is None else occupants_builder.occupants,
         column_flags=column_flags,
     )
 
 
 class OccupantsBuilder:
-    """Collects the occupants of a level while its cells are checked in chunks.
+    """Collects the occupants of all levels while their cells are checked in chunks."""
 
-    Attributes:
-        occupants: the occupants of all cells; cells that were not appended have empty lists.
-    """
-
-    def __init__(self, lattice: Lattice) -> None:
+    def __init__(self, lattice: Lattice, num_levels: int) -> None:
         num_cells = lattice.width * lattice.height
         self._num_entries = 0
-        self.occupants = LevelOccupants(
-            lattice=lattice,
-            first=np.zeros(num_cells, dtype=np.int32),
-            geom=np.empty(0, dtype=np.int32),
-            flags=np.empty(0, dtype=np.uint8),
-            floor_geom=np.full(num_cells, -1, dtype=np.int32),
-            gap_below=np.full(num_cells, np.inf),
-        )
+        self._geom = np.empty(0, dtype=np.int32)
+        self._flags = np.empty(0, dtype=np.uint8)
+        self._levels = [
+            LevelOccupants(
+                lattice=lattice,
+                first=np.zeros(num_cells, dtype=np.int32),
+                geom=self._geom,
+                flags=self._flags,
+                floor_geom=np.full(num_cells, -1, dtype=np.int32),
+                gap_below=np.full(num_cells, np.inf),
+            )
+            for _ in range(num_levels)
+        ]
 
-    def append(self, level_occupancy: LevelOccupancy, appended_fraction: float) -> None:
+    def append(
+        self, occupancy_by_level: Sequence[LevelOccupancy], appended_fraction: float
+    ) -> None:
         """Append the occupants of some cells.
 
         Args:
-            level_occupancy: the cells and their lists.
+            occupancy_by_level: for each level, the cells and their lists, which are in the same
+                arrays for all levels, see `check_level_occupancy`.
             appended_fraction: the fraction of all cells that have been appended after this call, in
                 (0, 1].
         """
+        occupancy = occupancy_by_level[0].occupancy
         first_entry = self._num_entries
-        end_entry = first_entry + len(level_occupancy.occupancy.geom)
-        if end_entry > len(self.occupants.geom):
+        end_entry = first_entry + len(occupancy.geom)
+        if end_entry > len(self._geom):
             capacity = (
                 int(end_entry * SPARE_FACTOR / appended_fraction)
                 if appended_fraction < 1.0
@@ -222,17 +223,25 @@ class OccupantsBuilder:
             )
             geom = np.empty(capacity, dtype=np.int32)
             flags = np.empty(capacity, dtype=np.uint8)
-            geom[:first_entry] = self.occupants.geom[:first_entry]
-            flags[:first_entry] = self.occupants.flags[:first_entry]
-            self.occupants = self.occupants._replace(geom=geom, flags=flags)
-        self.occupants.geom[first_entry:end_entry] = level_occupancy.occupancy.geom
-        self.occupants.flags[first_entry:end_entry] = level_occupancy.occupancy.flags
-        self.occupants.first[level_occupancy.cells] = level_occupancy.lists.first + np.int32(
-            first_entry
-        )
-        self.occupants.floor_geom[level_occupancy.cells] = level_occupancy.lists.floor_geom
-        self.occupants.gap_below[level_occupancy.cells] = level_occupancy.lists.gap_below
+            geom[:first_entry] = self._geom[:first_entry]
+            flags[:first_entry] = self._flags[:first_entry]
+            self._geom = geom
+            self._flags = flags
+        self._geom[first_entry:end_entry] = occupancy.geom
+        self._flags[first_entry:end_entry] = occupancy.flags
+        for occupants, level_occupancy in zip(self._levels, occupancy_by_level, strict=True):
+            cells = level_occupancy.cells
+            occupants.first[cells] = level_occupancy.lists.first + np.int32(first_entry)
+            occupants.floor_geom[cells] = level_occupancy.lists.floor_geom
+            occupants.gap_below[cells] = level_occupancy.lists.gap_below
         self._num_entries = end_entry
+
+    @property
+    def occupants(self) -> list[LevelOccupants]:
+        """The occupants of each level; cells that were not appended have empty lists."""
+        return [
+            occupants._replace(geom=self._geom, flags=self._flags) for occupants in self._levels
+        ]
 
 
 def classify_occupants(
@@ -307,28 +316,34 @@ def _measure_levels(
     max_top_over_bottom = np.full(num_geoms, -np.inf)
     is_stood_on = np.zeros(num_geoms, dtype=np.bool_)
     blocks = np.arange(Blocks(lattice).num)
-    counts = np.zeros((len(levels), kernels.NUM_COUNTS, num_geoms), dtype=np.int64)
-    for level_number, (occupants, level) in enumerate(zip(levels, floors.levels, strict=True)):
+    total_counts = np.zeros((num_geoms, kernels.NUM_COUNTS), dtype=np.int64)  # of all levels
+    largest_counts = np.zeros((num_geoms, kernels.NUM_COUNTS), dtype=np.int64)  # of any level
+    for occupants, level in zip(levels, floors.levels, strict=True):
         floor_layers = FloorLayers(level.floor.ravel(), level.standable.ravel())
         _, (block_counts, block_heights) = list_rows(
             kernels.measure_blocks, blocks, NO_ROWS, occupants, floor_layers, geom_heights
         )
         row_geoms = block_counts[:, kernels.GEOM]
-        np.add.at(counts[level_number].T, row_geoms, block_counts[:, : kernels.NUM_COUNTS])
+        # counted for the level's own geoms alone, which are few of a tower's
+        level_geoms, geom_index = np.unique(row_geoms, return_inverse=True)
+        level_counts = np.zeros((len(level_geoms), kernels.NUM_COUNTS), dtype=np.int64)
+        np.add.at(level_counts, geom_index, block_counts[:, : kernels.NUM_COUNTS])
+        total_counts[level_geoms] += level_counts
+        largest_counts[level_geoms] = np.maximum(largest_counts[level_geoms], level_counts)
         is_stood_on[row_geoms[block_counts[:, kernels.IS_STANDABLE] > 0]] = True
         np.minimum.at(min_bottom_over_floor, row_geoms, block_heights[:, kernels.LOWER_END])
         np.maximum.at(max_top_over_bottom, row_geoms, block_heights[:, kernels.EXTENT_UP])
-    cell_area = lattice.cell_size**2
+    area = (largest_counts * lattice.cell_size**2).astype(np.float64, copy=False)
     sizes = OccupantSizes(
         min_bottom_over_floor=min_bottom_over_floor,
         max_top_over_bottom=max_top_over_bottom,
-        area=counts[:, kernels.NUM_CELLS].max(axis=0) * cell_area,
-        area_at_wall_height=counts[:, kernels.NUM_AT_WALL_HEIGHT].max(axis=0) * cell_area,
+        area=area[:, kernels.NUM_CELLS],
+        area_at_wall_height=area[:, kernels.NUM_AT_WALL_HEIGHT],
     )
     floor_counts = FloorCounts(
-        num_cells=counts[:, kernels.NUM_FLOORS].sum(axis=0),
-        num_on_floors=counts[:, kernels.NUM_ON_FLOORS].sum(axis=0),
-        num_covering=counts[:, kernels.NUM_COVERS].sum(axis=0),
+        num_cells=total_counts[:, kernels.NUM_FLOORS],
+        num_on_floors=total_counts[:, kernels.NUM_ON_FLOORS],
+        num_covering=total_counts[:, kernels.NUM_COVERS],
         is_stood_on=is_stood_on,
     )
     return sizes, floor_counts

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import growth
-from navbake.baker.floors.growth import grow_level
+from navbake.baker.floors.growth import grow_levels
 from navbake.baker.floors.region_kernels import LabelledSurfaces
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.config.settings import AgentSettings
@@ -79,13 +79,14 @@ def grow(floor, options):
         flags=np.zeros(len(z), dtype=np.uint8),
         normal=np.empty((len(z), 0), dtype=np.float32),
     )
-    return grow_level(
-        labelled_surfaces=LabelledSurfaces(surfaces, none, none[:0]),
+    (floor_of_level,) = grow_levels(
+        labelled_surfaces=LabelledSurfaces(surfaces, none, none[:0], z[:0], z[:0]),
         preliminary_level=np.repeat(stands.astype(np.int32) - 1, end - first).astype(np.int32),
         final_level=np.zeros(1, dtype=np.int64),
-        level_number=0,
+        num_levels=1,
         agent=AgentSettings(height=1.0, traversable_floor_height=STEP),
     )
+    return floor_of_level
 
 
 @settings(deadline=None)  # its kernels may be compiled first
