@@ -137,7 +137,6 @@ def random_point_near(
     room: str | None,
     level: int | None,
     anywhere: bool,
-    outdoors: bool,
 ) -> Float:
     """Draw places near a position, uniformly by area.
 
@@ -146,13 +145,7 @@ def random_point_near(
     cells = _find_cells_near(search, position, min_distance, max_distance, straight, level)
     if room is not None:
         cells = cells[search.rooms.number[cells] == search.rooms.find(room)]
-    if not outdoors:
-        cells = cells[~search.mark_outdoors()[cells]]
-    limits = {
-        "room": room,
-        **_describe_distances(min_distance, max_distance),
-        **_describe_outdoors(outdoors),
-    }
+    limits = {"room": room, **_describe_distances(min_distance, max_distance)}
     return _draw_places(search, cells, rng, count, anywhere, limits)
 
 

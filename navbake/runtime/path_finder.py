@@ -882,7 +882,6 @@ class PathFinder:
         room: str | None = None,
         level: int | None = None,
         anywhere: bool = False,
-        outdoors: bool = True,
     ) -> Float:
         """Draw places near a position, uniformly by area.
 
@@ -900,7 +899,6 @@ class PathFinder:
             level: the position's level, for which x, y are then enough; None finds it by z.
             anywhere: draw points anywhere in the cells, up to half a cell nearer to obstacles; else
                 the cells' centres.
-            outdoors: whether places in rooms that are outdoors are drawn, too.
 
         Returns:
             World x, y and floor z [m], float64: shape (3,), or (count, 3).
@@ -923,7 +921,6 @@ class PathFinder:
             room=room,
             level=level,
             anywhere=anywhere,
-            outdoors=outdoors,
         )
 
     def any_free_in_annulus(

@@ -147,10 +147,10 @@ def with_yard(grid):
 @pytest.mark.parametrize("task", ["point", "explore", "room"])
 def test_outdoors_is_left_out_where_there_are_rooms(task):
     episodes = make_episodes(with_yard(plan()), task, make_rules(min_distance=0.5), count=30)
-    assert {episode.room for episode in episodes} == {"0:2"}
+    assert {episode.room for episode in episodes.episodes} == {"0:2"}
     rules = make_rules(min_distance=0.5, outdoors=True)
     episodes = make_episodes(with_yard(plan()), task, rules, count=30)
-    assert {episode.room for episode in episodes} == {"0:1", "0:2"}
+    assert {episode.room for episode in episodes.episodes} == {"0:1", "0:2"}
 
 
 def test_outdoors_is_taken_where_no_building_stands():
@@ -158,14 +158,14 @@ def test_outdoors_is_taken_where_no_building_stands():
     hall, hut = grid.metadata["navbake"]["rooms"]
     grid.metadata["navbake"]["rooms"] = [hall, {**hut, "area": 7.0}]
     episodes = make_episodes(grid, sampler=make_rules(min_distance=0.5), count=30)
-    assert {episode.room for episode in episodes} == {"0:1", "0:2"}
+    assert {episode.room for episode in episodes.episodes} == {"0:1", "0:2"}
 
 
 def test_outdoors_is_taken_where_nothing_else_is_free():
     grid = with_yard(plan())
     grid.attributes["occupancy"] = grid.occupancy | (grid.room_index == 2)
     episodes = make_episodes(grid, count=20)
-    assert {episode.room for episode in episodes} == {"0:1"}
+    assert {episode.room for episode in episodes.episodes} == {"0:1"}
 
 
 def test_rejections_are_counted():

@@ -143,7 +143,7 @@ def test_what_a_binvox_header_only_claims_is_not_reserved(monkeypatch):
 
 def test_the_rule_is_the_same_on_every_system(monkeypatch):
     # where the system does not say how much memory is free, the rule of the file still holds
-    monkeypatch.setattr("navbake.voxels.grid.free_memory", lambda: 2**62)
+    monkeypatch.setattr("navbake.voxels.grid.measure_free_memory", lambda: 2**62)
     with pytest.raises(FormatError, match="more memory than a file of"):
         read_octomap(tree_with_one_leaf(10))
     assert FREE_BYTES == 256 << 20 and MAX_VOXELS == 2**31

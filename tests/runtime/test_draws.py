@@ -235,9 +235,6 @@ def test_places_outdoors_are_left_out_on_request():
         rng = np.random.default_rng(0)
         near = house.rooms[0].centroid
         points = finder.random_point(rng, 400, outdoors=is_allowed)
-        points_near = finder.random_point_near(
-            rng, near, 50.0, 400, straight=True, outdoors=is_allowed
-        )
         poses = [finder.random_pose(rng, outdoors=is_allowed) for _ in range(100)]
         facing = [
             finder.random_pose(rng, near, 50.0, in_sight=False, outdoors=is_allowed)
@@ -246,6 +243,6 @@ def test_places_outdoors_are_left_out_on_request():
         starts = finder.spawn(rng, 40, outdoors=is_allowed).positions
         pose_points = [pose.position for pose in poses]
         facing_points = [pose.position for pose in facing]
-        for places in (points, points_near, pose_points, facing_points, starts):
+        for places in (points, pose_points, facing_points, starts):
             rooms = {finder.room_at(place) for place in places}
             assert bool(rooms & outdoors) == is_allowed

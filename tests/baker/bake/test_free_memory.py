@@ -13,7 +13,7 @@ FLOOR = "<mujoco><worldbody><geom type='box' size='2 2 .1'/></worldbody></mujoco
 def test_too_little_memory_is_told(monkeypatch, caplog, tmp_path):
     scene = tmp_path / "floor.xml"
     scene.write_text(FLOOR)
-    monkeypatch.setattr(memory, "free_memory", lambda: 1000)
+    monkeypatch.setattr(memory, "measure_free_memory", lambda: 1000)
     with caplog.at_level(logging.WARNING):
         grid = navbake.bake(scene)
     text = caplog.text
