@@ -63,8 +63,10 @@ REFUSAL_MESSAGE = (
 # in a module's folder, numba makes a folder for each place of the package; files are in these
 CACHE_DEPTH = 2
 MAX_PROCESSES = 4  # the most processes that compile at the same time
-# time until the first message on progress; the time to each later one is twice as long [s]
+# Time until the first message on progress. The time to each later one is twice as long, up to the
+# second value [s]
 FIRST_PROGRESS_DELAY = 5.0
+MAX_PROGRESS_DELAY = 20.0
 KERNELS: list[Any] = []
 """The kernels of all modules imported so far; each is the dispatcher that `njit` returned."""
 
@@ -474,7 +476,9 @@ def _compile(entries: list[KernelEntry]) -> None:
         reason = f"as no folder for compiled code can be written: {CACHE_REMEDY}"
         LOG.warning(f"compiling in memory: about {duration:.0f} s, in each process anew, {reason}")
     elif uncompiled:
-        LOG.warning(f"compiling for this machine, once: about {duration:.0f} s")
+        LOG.warning(
+            f"compiling for this machine, once: about {duration:.0f} s, more where it is busy"
+        )
     if folder is None or not uncompiled or not is_python:
         return  # each kernel is compiled when it is first called
 
@@ -488,12 +492,18 @@ def _compile(entries: list[KernelEntry]) -> None:
                 wait_function(timeout=timeout)
                 return
             except (filelock.Timeout, subprocess.TimeoutExpired):
-                num_done = len(uncompiled) - len(list_uncompiled(uncompiled))
+                pending = list_uncompiled(uncompiled)
+                num_done = len(uncompiled) - len(pending)
                 elapsed_time = time.monotonic() - start_time
-                LOG.warning(
-                    f"compiled {num_done} of {len(uncompiled)} functions after {elapsed_time:.0f} s"
-                )
-                timeout *= 2  # not to fill a log file
+                text = f"compiled {num_done} of {len(uncompiled)} functions"
+                text += f" after {elapsed_time:.0f} s"
+                pending_seconds = _total_seconds(pending)
+                if num_done:
+                    # as fast as so far, whatever the list of kernels says of another machine
+                    speed = (_total_seconds(uncompiled) - pending_seconds) / elapsed_time
+                    text += f": about {pending_seconds / speed:.0f} s left"
+                LOG.warning(text)
+                timeout = min(2 * timeout, MAX_PROGRESS_DELAY)
 
     lock = filelock.FileLock(folder / "compiling.lock")
     compile_processes: list[subprocess.Popen[bytes]] = []
