@@ -35,7 +35,7 @@ ALIGNMENT_TOLERANCE = 1e-3  # by which cells of two levels may be misaligned [ce
 BOX_SLACK = 1e-4  # by which a cell may lie outside its level's box [m]
 MAX_IN_LOWER_BOXES = 0.5  # share of a level's free cells that may lie in lower levels' boxes
 DEFAULT_MAX_SLOPE = 45.0  # of ramps, if the grid states no other [degrees]
-MAX_LINK_LENGTH = 1.5  # between the ends of a step, seen from above [cells]
+MAX_STEP_LENGTH = 1.5  # between the ends of a step, seen from above [cells]
 AREA_TOLERANCE = 0.01  # share by which a room's area and that in its entry may differ
 CENTER_TOLERANCE = 0.1  # distance of a room's centre from the one in its entry [cells]
 MIN_ROOM_AREA = 1.0  # floors with less area than this need no way out [m²]
@@ -130,7 +130,7 @@ def check_links(facts: Facts) -> Iterator[Finding]:
     max_rise = _find_max_step_rise(facts)
     rises = np.abs(starts - ends)[:, 2]
     lengths = np.hypot(*(starts - ends)[:, :2].T)
-    is_too_far = lengths > MAX_LINK_LENGTH * facts.levels[0].lattice.cell_size
+    is_too_far = lengths > MAX_STEP_LENGTH * facts.levels[0].lattice.cell_size
     for is_wrong, destination in (
         (np.isnan(rises), "to cells without a floor"),
         (is_too_far, "to cells that aren't neighbours"),

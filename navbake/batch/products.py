@@ -92,12 +92,12 @@ def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
 
 
 def _check_values(kind: str, values: list[str], text: str) -> list[str]:
-    """Check the values of a product; return them normalized, see `parse_products`.
+    """Check what follows the kind of a product after colons, and return it normalized.
 
     Args:
-        kind: the kind of product.
-        values: its values.
-        text: the whole product, for errors.
+        kind: the kind of product, such as ``picture``.
+        values: the texts between the colons, such as names of layers.
+        text: the whole product as the user wrote it, for errors.
     """
     if kind == "picture":
         if not set(values) <= LAYERS.keys():

@@ -382,7 +382,16 @@ def encode_minos(content: EpisodeSet, _: str) -> bytes:
 
 
 def read_minos(text: bytes, _: str) -> Fields:
-    """Read the fields of a set from MINOS's table of episode states."""
+    """Read MINOS's table of episode states, a CSV file.
+
+    Args:
+        text: the file's content.
+        _: the name of the file, which is not needed.
+
+    Returns:
+        The header, which is empty, as the table has none; and for each row the keyword arguments of
+        an `Episode`.
+    """
     rows = list(csv.DictReader(io.StringIO(text.decode(), newline="")))
     episode_ids = [row.get("episodeId") or "" for row in rows]
     if not _are_minos_ids(episode_ids):  # tables without the column, and joined ones

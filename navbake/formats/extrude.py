@@ -228,12 +228,12 @@ def _make_settings(
 
 
 def _write_scene(
-    name: str, box_groups: list[_Boxes], settings: Json, settings_name: str
+    name: str, box_groups: list[_Boxes], settings: Json, settings_file_name: str
 ) -> Iterator[str]:
     """Yield the lines of the scene's MJCF."""
     grid_settings = settings["grid"]
     cells_text = f"cells of {grid_settings['cell_size']!r} m, bounds {grid_settings['bounds']}"
-    settings_text = f"with the settings in {_format_comment(settings_name)}: {cells_text}"
+    settings_text = f"with the settings in {_format_comment(settings_file_name)}: {cells_text}"
     yield f"<mujoco model={quoteattr(''.join(filter(str.isprintable, name)))}>\n"
     yield f"  <!-- It bakes to the cells that it was made of {settings_text} -->\n{SCENE_HEAD}"
     for boxes in box_groups:

@@ -476,11 +476,11 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
                 expected=f"{noun} up to {limit:g} m",
                 hint=hint,
             )
-    grid_without_obstacles: NavGrid = grid.without_obstacles()
-    fitted_grid = grid_without_obstacles
+    grid_without_added: NavGrid = grid.without_obstacles()
+    fitted_grid = grid_without_added
     radius = agent.radius
     if agent.step is not None and agent.step < grid.max_step - SIZE_TOLERANCE:
-        fitted_grid = _limit_steps(grid_without_obstacles, agent.step)
+        fitted_grid = _limit_steps(grid_without_added, agent.step)
     if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SIZE_TOLERANCE):
         check_radius(radius)
         if radius < grid.inflated_radius:
@@ -493,7 +493,7 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
                 hint=hint,
             )
         fitted_grid = fitted_grid.inflate(radius, ledges=ledges_setting(grid))
-    if fitted_grid is grid_without_obstacles:
+    if fitted_grid is grid_without_added:
         return grid
     grid.fitted_grids = grid.fitted_grids or WeakSet()
     grid.fitted_grids.add(fitted_grid)

@@ -205,10 +205,10 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
     """
     grid = search.grid
     flat = search.flat
-    grid_without_obstacles = grid.without_obstacles()
-    if grid_without_obstacles is grid:
+    grid_without_added = grid.without_obstacles()
+    if grid_without_added is grid:
         return None
-    route = find_route_cells(grid_without_obstacles, search, start_cell, goals)
+    route = find_route_cells(grid_without_added, search, start_cell, goals)
     if route is None:
         return None
     blocked_indices = np.flatnonzero(~flat.free[route])

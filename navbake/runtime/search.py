@@ -121,12 +121,12 @@ class Search:
         self.cut_corners = cut_corners
         self.version = 0
         self.radius = self.grid.radius if radius is None else radius
-        grid_without_obstacles = self.grid.without_obstacles()
-        self.flat = flat_grid.flatten(grid_without_obstacles, self.agent, penalty)
+        grid_without_added = self.grid.without_obstacles()
+        self.flat = flat_grid.flatten(grid_without_added, self.agent, penalty)
         self._cache: dict[str, dict[Hashable, object]] = {}
         flat = self.flat
         # of the grid without obstacles; None if only free cells count
-        self._masks_without_obstacles = find_off_center_masks(grid_without_obstacles)
+        self._masks_without_obstacles = find_off_center_masks(grid_without_added)
         masks_without_obstacles = self._masks_without_obstacles or OffCenterMasks(
             flat.free, flat.free, flat.free
         )
@@ -136,7 +136,7 @@ class Search:
             sweepable=masks_without_obstacles.sweepable & flat.free,
         )
         self.free_diagonally = self._masks.diagonal
-        self.off_center = self._make_off_center(grid_without_obstacles)
+        self.off_center = self._make_off_center(grid_without_added)
         least_weight = flat.weight[flat.free].min(initial=0.0)
         if least_weight < 0:
             raise QueryError(
@@ -158,12 +158,12 @@ class Search:
             self._update_moves(number, (0, level.height, 0, level.width))
         self.update()
 
-    def _make_off_center(self, grid_without_obstacles: NavGrid) -> OffCenter:
+    def _make_off_center(self, grid_without_added: NavGrid) -> OffCenter:
         """Make `off_center`, with the solid cells of the grid without obstacles."""
         solid_before = np.zeros(1, dtype=np.int32)
         if self._masks_without_obstacles is not None:
             solid = np.concatenate(
-                [level.solid.ravel() != 0 for level in grid_without_obstacles.levels]
+                [level.solid.ravel() != 0 for level in grid_without_added.levels]
             )
             solid_before = np.append(np.int32(0), np.cumsum(solid, dtype=np.int32))
         off_center: OffCenter = arrays.OffCenter(
@@ -178,11 +178,11 @@ class Search:
     # ---------------------------------------------------------------- the graph
 
     def graph_with_costs(self, by: str, *, reverse_links: bool = False) -> Graph:
-        """Return the graph of the steps between cells, with costs in metres, seconds or lengths.
+        """Return the graph of the steps between cells, with the costs that a search minimizes.
 
         Args:
-            by: ``cost`` [m]; ``time`` [s]; or ``length`` [m], to which passages over links add
-                their costs.
+            by: ``cost`` for lengths times the cells' weights [m]; ``time`` for seconds; ``length``
+                for lengths alone [m]. Links add their own costs to lengths.
             reverse_links: whether each link leads from its end to its start.
         """
         if by == "cost" and not (reverse_links and len(self.flat.arcs.ends)):

@@ -97,9 +97,9 @@ def find_blocked(
         level_number: number of the level.
         radius: the agent's radius [m], >= 0.
         ledges: ``avoid`` or ``ignore``, see `navbake.runtime.inflation.inflate`.
-        counts_own_occupied: True for the rules. False to find the cells that something other than
-            the own level's occupied cells may block: these don't block then, and all cells of other
-            levels count as occupied.
+        counts_own_occupied: whether the level's own occupied cells block, as the rules say. False
+            finds an upper bound of what other levels, drops and holes block alone, whatever stands
+            on other levels: all cells of other levels count as occupied then.
 
     Returns:
         bool, shape (height, width) of the level.

@@ -31,10 +31,17 @@ if TYPE_CHECKING:
     from matplotlib.legend import Legend
 
     class PanelAxes(Axes):
-        """The axes of a panel, with sizes that are needed before the figure is laid out."""
+        """The axes on which one level's map is drawn.
 
-        title_width: float  # largest width of the title [inches]
-        min_pixels_per_metre: float  # the map's scale is at least this
+        The size of the figure is chosen so that titles and scales of all its maps fit.
+
+        Attributes:
+            title_width: the largest width of the title [inches].
+            min_pixels_per_metre: the least scale of the map.
+        """
+
+        title_width: float
+        min_pixels_per_metre: float
 
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.

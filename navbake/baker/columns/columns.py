@@ -55,14 +55,13 @@ class RowChunk(NamedTuple):
 def split_into_row_chunks(
     lattice: Lattice, num_in_memory: int = 1, max_rows: float = math.inf
 ) -> list[RowChunk]:
-    """Split a lattice into chunks of rows, of about `CELLS_PER_CHUNK` cells each.
+    """Split a lattice into chunks of rows, so that all chunks in memory have about the same size.
 
-    A chunk consists of entire rows of tiles.
+    They have about `CELLS_PER_CHUNK` cells together. A chunk consists of entire rows of tiles.
 
     Args:
         lattice: the cells.
-        num_in_memory: how many chunks will be in memory at a time; so many together have about
-            `CELLS_PER_CHUNK` cells.
+        num_in_memory: how many chunks will be in memory at a time.
         max_rows: about how many rows of cells all chunks in memory may have together; inf for no
             limit.
     """

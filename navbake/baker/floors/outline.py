@@ -182,9 +182,10 @@ class RegionContext(NamedTuple):
                 context's agent.
 
         Returns:
-            WALL, BARRIER, BORDER or OPEN for each edge, shape (edges,), uint8, as `classify_edges`
-            explains them. An edge is OPEN if nothing stands in its two cells, also if a floor lies
-            below, or something stands farther out.
+            The kind of each edge, shape (edges,), uint8. WALL: something stands in the way of the
+            agent's head and feet. BARRIER: something stands in the way of the feet alone. BORDER:
+            the lattice ends there. OPEN: nothing stands in the two cells, even if a floor lies
+            below.
         """
         outer_cells = neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
         ending = np.full(len(outer_cells), OPEN, dtype=np.uint8)

@@ -19,7 +19,7 @@ from navbake.baker.scene.model import SceneModel, check_data
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
 from navbake.baker.scene.pose import data_with_joints, place_geoms
 from navbake.baker.scene.roles import LEAF, LEFT_OUT, MOVING_STRUCTURE, assign_roles
-from navbake.baker.scene.scene import Scene, digest_names, load_scene, start_digest
+from navbake.baker.scene.scene import Scene, digest_names, load_scene, start_hashing
 from navbake.config.settings import BakeConfig
 from navbake.errors import QueryError
 from navbake.known_names import suggest
@@ -226,7 +226,7 @@ class TrackedScene:
             digest = scene.digest
             wait_for_digest: Callable[[], str] = lambda: digest  # noqa: E731
         else:
-            wait_for_digest = start_digest(model, next_data, old_scene.exact_meshes, self._names)
+            wait_for_digest = start_hashing(model, next_data, old_scene.exact_meshes, self._names)
             is_changed_geom = is_moved & (old_scene.roles != LEFT_OUT)
             shapes = self._move_shapes(next_data, is_changed_geom)
             scene = replace(old_scene, shapes=shapes, digest="", data=next_data)

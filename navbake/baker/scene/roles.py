@@ -71,7 +71,7 @@ def find_movable_bodies(model: mujoco.MjModel) -> Bool:
 
 
 def mark_structure(roles: NDArray[np.uint8]) -> Bool:
-    """Return a mask of the geoms that are structure, static or moving, shape (ngeom,)."""
+    """Return a mask of the geoms that are structure, whether they can move or not, (ngeom,)."""
     is_structure: Bool = (roles == STATIC_STRUCTURE) | (roles == MOVING_STRUCTURE)
     return is_structure
 

@@ -222,7 +222,7 @@ def load_scene(
     exact_meshes = scene_model.exact_meshes
     with catch_warnings() as pose_warnings:
         data = pose_model(model, settings) if scene_model.data is None else scene_model.data
-    wait_for_digest = run_beside(lambda: start_digest(model, data, exact_meshes)())
+    wait_for_digest = run_beside(lambda: start_hashing(model, data, exact_meshes)())
     meshes = MeshTriangles(model)
     try:
         counted_geoms = _count_geoms(scene_model, data, meshes, config)
@@ -555,7 +555,7 @@ def _join_names(model: mujoco.MjModel, addresses: Int32) -> NDArray[np.uint8]:
     return np.frombuffer("\0".join(names).encode(), dtype=np.uint8)
 
 
-def start_digest(
+def start_hashing(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     exact_meshes: dict[int, NamedMesh],

@@ -53,10 +53,11 @@ OWN_SITES = ("same-origin", "none")  # of Sec-Fetch-Site; none: the user has typ
 
 
 class PageServer(AbstractContextManager["PageServer"]):
-    """A server of an empty page at an address of this machine.
+    """The server of the viewer's page, which stands in front of viser's server.
 
     viser's own server answers everybody. Therefore it listens at a random address of the loopback
-    network, and this server forwards only allowed requests to it, see `is_allowed`.
+    network, and this server forwards only allowed requests to it, see `is_allowed`. The page is
+    empty until the viewer adds a scene to `viser`.
 
     Attributes:
         viser: the viser.ViserServer.
