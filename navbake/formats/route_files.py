@@ -197,7 +197,9 @@ class _GraphReader:
             place: its location in the file, for errors.
         """
         for key in (start, end):
-            if not isinstance(key, int | str | tuple) or key not in self.nodes:
+            parts = key if isinstance(key, tuple) else (key,)
+            has_hash = all(isinstance(part, int | str) for part in parts)
+            if not has_hash or key not in self.nodes:
                 place.refuse("the id of a node", key)
         start_position = self.nodes[start].node.position
         end_position = self.nodes[end].node.position

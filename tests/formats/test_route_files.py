@@ -479,6 +479,8 @@ def changed(graph, **changes):
         ("a.json", '{"layouts": [{"nodes": [{"nodeId": "a"}]}]}', "nodePosition"),
         ("a.yaml", "levels: {L1: {vertices: [3]}}", r"vertices\[0\]"),
         ("a.yaml", "levels: {L1: {lanes: [[0, 1]]}}", "expected the id of a node"),
+        ("a.yaml", "levels: {L1: {lanes: [[0, {a: 1}]]}}", "expected the id of a node"),
+        ("a.yaml", "levels: {L1: {lanes: [[[0], 1]]}}", "expected the id of a node"),
         ("a.yaml", "levels: {}\nnavbake: {lanes: [[99, 0]]}", "the number of a node, got 99 at"),
         ("a.yaml", "levels: {}\nnavbake: {lanes: [[[1], 0]]}", "the number of a node, got a list"),
         ("a.yaml", 'levels: {L1: {vertices: [[0, 0, {navbake: {number: 1}}]]}}\n'
