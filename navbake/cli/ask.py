@@ -230,8 +230,11 @@ def sample(
         positions = finder.random_point(rng, count, room=room, level=level, outdoors=outdoors)
         headings = rng.uniform(-math.pi, math.pi, count)
     else:
+        rooms = None if room is None else [room]
+        if room is None and not outdoors:
+            rooms = [indoor.id for indoor in content.rooms if not indoor.outdoors]
         positions, headings = finder.spawn(
-            rng, count, rooms=room, level=level, min_distance=spread, outdoors=outdoors
+            rng, count, rooms=rooms, level=level, min_distance=spread
         )
     cells = [finder.cell_at(position) for position in positions]
     levels = [cell.level for cell in cells if cell is not None]

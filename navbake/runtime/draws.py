@@ -67,7 +67,6 @@ class SpawnRules(NamedTuple):
             radius.
         facing: a position or a heading [rad]; None for random headings.
         stratify: ``area``, ``room``, ``island`` or None.
-        outdoors: whether agents may start in rooms that are outdoors.
     """
 
     rooms: str | Sequence[str] | None
@@ -78,7 +77,6 @@ class SpawnRules(NamedTuple):
     min_distance: float | None
     facing: ArrayLike | None
     stratify: str | None
-    outdoors: bool
 
 
 class Spacing(NamedTuple):
@@ -441,18 +439,15 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
         plural = "s" if len(islands) > 1 else ""
         place_text += f" on island{plural} {', '.join(map(str, islands))}"
 
-    if not rules.outdoors:
-        place_text += " indoors"
-
     def find_cells() -> Int:
-        allowed = search.mark_allowed(level=level, islands=islands, outdoors=rules.outdoors)
+        allowed = search.mark_allowed(level=level, islands=islands)
         if room_numbers:
             allowed = allowed & np.isin(search.rooms.number, room_numbers)
         if agent_clearance is not None:
             allowed = allowed & find_free(grid, agent_clearance, ledges_setting(grid))
         return sort_along_hilbert_curve(search.flat, np.flatnonzero(allowed))
 
-    key = (room_numbers, level, islands, agent_clearance, rules.outdoors)
+    key = (room_numbers, level, islands, agent_clearance)
     cells = search.cached_result("spawns", key, find_cells)
     if not len(cells):
         clearance_text = "" if agent_clearance is None else f" with {agent_clearance:g} m round"

@@ -1006,7 +1006,6 @@ class PathFinder:
         min_distance: float | None = None,
         facing: ArrayLike | None = None,
         stratify: str | None = None,
-        outdoors: bool = True,
     ) -> Spawns:
         """Draw collision-free start poses for many agents.
 
@@ -1033,7 +1032,6 @@ class PathFinder:
                 ``island`` draw about equally many agents in each room or island; with ``room``, no
                 agent stands in a cell without a room. Agents that don't fit into a part are drawn
                 in other parts.
-            outdoors: whether agents may start in rooms that are outdoors.
 
         Returns:
             ``positions``, world x, y and floor z [m], shape (n, 3), and ``headings`` [rad],
@@ -1055,7 +1053,6 @@ class PathFinder:
             min_distance=min_distance,
             facing=facing,
             stratify=stratify,
-            outdoors=outdoors,
         )
         return draws.spawn(self.search, rng, n, rules)
 

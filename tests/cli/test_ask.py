@@ -295,3 +295,10 @@ def test_sample_keeps_indoors_and_prints_a_table(run):
     assert not outdoors & {line.split()[-1] for line in lines[1:]}
     status, _, err = run("sample", HOUSE, "--room", "kitchn")
     assert status == 1 and "no room 'kitchn'" in err
+
+
+def test_sample_keeps_indoors_and_apart(run):
+    status, out, _ = run("sample", HOUSE, "-n", 20, "--no-outdoors", "--spread", 0.8, "--json")
+    outdoors = {room.id for room in navbake.load(HOUSE).rooms if room.outdoors}
+    assert status == 0
+    assert not outdoors & {place["room"] for place in json.loads(out)["places"]}
