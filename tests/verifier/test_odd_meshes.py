@@ -8,6 +8,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 import navbake
 from navbake.baker.core.constants import OPEN_SURFACE as BAKED_OPEN
@@ -80,3 +81,18 @@ def test_a_box_on_a_height_field_is_no_ground():
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="field")
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[1, 1, 0.3], pos=[0, 0, 0.3])
     assert not navbake.bake(spec).at((0, 0, 1)).free
+
+
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+def test_a_mesh_whose_steep_facets_are_all_clearly_steep():
+    floor = trimesh.creation.box(
+        (4.0, 4.0, 0.1), trimesh.transformations.translation_matrix([0, 0, -0.05])
+    )
+    corners = [(2.1, -2, 0), (2.15, -2, 3), (2.15, 2, 3), (2.1, 2, 0)]
+    steep = trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False)
+    for mesh in (
+        trimesh.util.concatenate([floor, steep]),
+        KINDS[1](np.random.default_rng(20261190)),
+    ):
+        grid = navbake.bake(mesh, grid={"cell_size": 0.1})
+        assert navbake.verify(grid, mesh, sample=200).ok

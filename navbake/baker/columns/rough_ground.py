@@ -91,6 +91,8 @@ def replace_rough_ground_normals(
         is_steep = _mark_clearly_steep(columns, tiled_shapes, limits, pass_cells, pass_hits)
         pass_cells = pass_cells[~is_steep]
         pass_hits = pass_hits[~is_steep]
+        if not len(pass_hits):
+            continue
         plane_normal, is_ground = _mark_flat_ground(
             columns, tiled_shapes, limits, pass_cells, pass_hits
         )
