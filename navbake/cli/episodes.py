@@ -12,7 +12,7 @@ import navbake
 from navbake.cli import options
 from navbake.cli.options import OUTPUT_FLAGS, AsJson, argument, flag, option
 from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
-from navbake.errors import ConfigError, QueryError
+from navbake.errors import ConfigError, QueryError, count_of
 from navbake.files import encode_csv
 from navbake.known_names import suggest
 from navbake.views.tables import make_table
@@ -102,11 +102,12 @@ def episodes(
     say_unless_quiet(f"{output}: {len(episode_set)} episodes, {num_rejected} draws refused")
     for reason, num_draws in rejected_draws.items():
         say_unless_quiet(f"  {num_draws:>8} {reason}")
-    yards = [] if sampler_rules.outdoors else list(filter(None, map(_yard_area, loaded_grids)))
-    if yards:
+    yard_areas = [area for area in map(_yard_area, loaded_grids) if area > 0.0]
+    if yard_areas and not sampler_rules.outdoors:
+        scenes_text = count_of(len(yard_areas), "scene")
         say_unless_quiet(
-            f"outdoors is left out, {sum(yards):.0f} m² of {len(yards)} "
-            f"scene{'s' if len(yards) > 1 else ''}: `--rule outdoors=true` takes it in"
+            f"outdoors is left out, {sum(yard_areas):.0f} m² of {scenes_text}: "
+            "`--rule outdoors=true` takes it in"
         )
     if len(episode_set) < count:
         say(f"only {len(episode_set)} of {count}: the rules refuse the rest")

@@ -411,7 +411,6 @@ def collect_shapes(
         [data.geom_xpos[counted_ids], data.geom_xmat[counted_ids], model.geom_size[counted_ids]]
     )
     is_finite = (np.abs(pose_numbers) <= MAX_LENGTH).all(axis=1)  # NaN isn't
-    is_ground = mark_ground_planes(model, data)
     # Iterating over lists is faster than over arrays.
     geom_rows = zip(
         counted_ids.tolist(),
@@ -431,7 +430,7 @@ def collect_shapes(
             continue
         if geom_type == constants.PLANE:
             half_sides = model.geom_size[geom, :2]
-            if is_ground[geom] or (half_sides <= 0).all():
+            if _is_ground_plane(model, data, geom) or (half_sides <= 0).all():
                 plane_geoms.append(geom)
                 shape_kinds[geom] = "half-space"
                 continue
@@ -469,27 +468,18 @@ def collect_shapes(
     return shapes, shape_kinds, list(warnings.values())
 
 
-def mark_ground_planes(model: mujoco.MjModel, data: mujoco.MjData) -> Bool:
-    """Mark the planes that are endless ground: they stand, can collide, and face up within 45°.
+def _is_ground_plane(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> bool:
+    """Return whether a plane is endless ground: it stands, can collide, and faces up within 45°.
 
     MuJoCo collides a plane as endless, whatever its size: the size is only drawn. A plane that
     faces to the side or down is a wall or a ceiling, as large as it is drawn: as endless, it would
     fill all that is behind it.
-
-    Args:
-        model: the model.
-        data: the model's pose.
-
-    Returns:
-        A mask by geom id, shape (ngeom,), bool.
     """
-    body = model.geom_bodyid
-    stands = (model.body_weldid[body] == 0) & (model.body_mocapid[body] < 0)
-    can_collide = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    faces_up = data.geom_xmat[:, 8] >= np.sqrt(0.5)
-    is_plane = model.geom_type == constants.PLANE
-    is_ground: Bool = is_plane & stands & can_collide & faces_up
-    return is_ground
+    body = model.geom_bodyid[geom]
+    stands = model.body_weldid[body] == 0 and model.body_mocapid[body] < 0
+    can_collide = model.geom_contype[geom] != 0 or model.geom_conaffinity[geom] != 0
+    faces_up = data.geom_xmat[geom, 8] >= np.sqrt(0.5)
+    return bool(stands and can_collide and faces_up)
 
 
 def drawn_box_of_planes(
