@@ -169,14 +169,16 @@ def _cross_surface(part: Surface, x: Float, y: Float) -> PartColumns:
 
 
 def cross_all(
-    parts: list[Part], x: Float, y: Float, min_up: float
+    parts: list[Part], x: Float, y: Float, min_normal_z: float
 ) -> tuple[list[PartColumns], np.ndarray]:
     """Cross all parts, and mark the lines that are too near to a rim to tell, shape (n,), bool."""
     columns = [cross_part(part, x, y) for part in parts]
     unsure = np.zeros(len(x), dtype=bool)
     for part, column in zip(parts, columns, strict=True):
         unsure |= np.isinf(column.z).any(axis=0)
-        unsure |= ((column.up > min_up - 2e-6) & (column.up < min_up - 1e-7)).any(axis=0)
+        unsure |= ((column.up > min_normal_z - 2e-6) & (column.up < min_normal_z - 1e-7)).any(
+            axis=0
+        )
         if isinstance(part, HalfSpace):
             continue
         for dx, dy in NUDGES:
@@ -184,8 +186,8 @@ def cross_all(
             if nearby.z.shape != column.z.shape:
                 return columns, np.ones(len(x), dtype=bool)
             unsure |= (np.isnan(nearby.z) != np.isnan(column.z)).any(axis=0)
-            faces_up = ~np.isnan(column.z) & (column.up >= min_up)
-            unsure |= (faces_up != (~np.isnan(nearby.z) & (nearby.up >= min_up))).any(axis=0)
+            faces_up = ~np.isnan(column.z) & (column.up >= min_normal_z)
+            unsure |= (faces_up != (~np.isnan(nearby.z) & (nearby.up >= min_normal_z))).any(axis=0)
     return columns, unsure
 
 

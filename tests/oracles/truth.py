@@ -70,22 +70,22 @@ class Truth:
     def __post_init__(self) -> None:
         self._lay_cells()
         self._parts: list[Part] = [part_of(thing) for thing in self.things]
-        min_up = math.cos(math.radians(self.rules.max_slope))
+        min_normal_z = math.cos(math.radians(self.rules.max_slope))
         lined_up = [part_of(widen(thing, RIM)) for thing in self.things]
         lined_up = lined_up if self.snapped else self._parts
         x, y = self.x, self.y
         if self.snapped:  # a line in two faces belongs to what lies east or north of them
             x, y = (at + np.where(self._on_seam(k, at), BESIDE, 0.0) for k, at in ((0, x), (1, y)))
-        self._columns, unsure = cross_all(lined_up, x, y, min_up)
+        self._columns, unsure = cross_all(lined_up, x, y, min_normal_z)
         if unsure.any() and not self.snapped:
             raise UnsureError("a line runs along a rim")
         z = np.concatenate([c.z for c in self._columns])
         up = np.concatenate([c.up for c in self._columns])
         self._all_z = z
         with np.errstate(invalid="ignore"):
-            self.top = np.where(up >= min_up - SURE, z, np.nan)
+            self.top = np.where(up >= min_normal_z - SURE, z, np.nan)
             self._rise = self.rules.cell_size * np.sqrt(np.clip(1 - up**2, 0, None)) / up
-            self._steep = np.where((up > 0) & ~(up >= min_up - SURE), z, np.nan)
+            self._steep = np.where((up > 0) & ~(up >= min_normal_z - SURE), z, np.nan)
         self._refuse_leaning_sides(up)
         self.standable = np.stack([self._is_standable(k) for k in range(len(self.top))])
         self.counted = self._count_sheets()

@@ -41,7 +41,7 @@ from navbake.threads import run_beside
 from navbake.types import Bool, Int, Int32
 
 # Columns of lattices with at most this many cells stay in memory: they take about 100 bytes a cell
-MAX_CELLS_KEPT = 1 << 22
+MAX_CELLS_IN_MEMORY = 1 << 22
 # How many chunks of rows are in memory at a time: the one that the caller works on, and the next
 CHUNKS_IN_MEMORY = 2
 # Up to this many triangles are expanded once and stay in memory: about 130 bytes each
@@ -52,7 +52,7 @@ MAX_TRIANGLES_BESIDE_COLUMNS = 1 << 23
 TRIANGLES_PER_CHUNK = 1 << 19
 # More triangles are expanded chunk by chunk, again and again. If that would expand each triangle
 # more than this many times on average, all are expanded once and stay in memory nevertheless
-MAX_REPEATED_EXPANSION = 2.0
+MAX_EXPANSIONS_PER_TRIANGLE = 2.0
 
 
 class ChunkedShapes:
@@ -78,8 +78,8 @@ class ChunkedShapes:
         self.lattice = lattice
         self._shapes = shapes
         self._margin = margin
-        no_meshes = shapes.meshes.only(np.zeros(len(shapes.meshes.geom), dtype=np.bool_))
-        self._solids = tile_shapes(shapes, lattice, margin, no_meshes.expand())
+        empty_meshes = shapes.meshes.only(np.zeros(len(shapes.meshes.geom), dtype=np.bool_))
+        self._solids = tile_shapes(shapes, lattice, margin, empty_meshes.expand())
 
     def row_chunks(self, num_in_memory: int = 1) -> list[RowChunk]:
         """Split the lattice into chunks of rows, so that the shapes near a chunk fit into memory.
@@ -105,11 +105,11 @@ class ChunkedShapes:
         """Return all shapes near some cells (ids), and maybe others; implements `ShapeSource`."""
         boxes = self._shapes.meshes.boxes
         margin = self._margin + foot_radius(self.lattice)
-        tile_start, mesh_of_item = list_by_tile(boxes, margin, self.lattice)
+        tile_start, mesh_indices_by_tile = list_by_tile(boxes, margin, self.lattice)
         holds_cell = np.zeros(len(tile_start) - 1, dtype=np.bool_)
         holds_cell[tile_of(self.lattice, cells)] = True
         is_near = np.zeros(len(boxes), dtype=np.bool_)
-        is_near[mesh_of_item[np.repeat(holds_cell, np.diff(tile_start))]] = True
+        is_near[mesh_indices_by_tile[np.repeat(holds_cell, np.diff(tile_start))]] = True
         return self._expand(is_near)
 
     def _expand(self, is_near: Bool) -> TiledShapes:
@@ -119,9 +119,9 @@ class ChunkedShapes:
             is_near: marks the meshes whose triangles are listed, shape (meshes,).
         """
         facets = self._shapes.meshes.only(is_near).expand()
-        tile_start, facet_of_item = list_by_tile(facets.bounds, self._margin, self.lattice)
+        tile_start, facet_indices_by_tile = list_by_tile(facets.bounds, self._margin, self.lattice)
         tile_index = self._solids.tile_index._replace(
-            triangle_start=tile_start, triangle_item=facet_of_item
+            triangle_start=tile_start, triangle_item=facet_indices_by_tile
         )
         return TiledShapes(self._shapes, self.lattice, facets, tile_index)
 
@@ -144,21 +144,23 @@ def make_shape_source(shapes: Shapes, lattice: Lattice, margin: float) -> ShapeS
 
 
 def expands_on_request(shapes: Shapes, lattice: Lattice, margin: float) -> bool:
-    """Return whether a scene has too many triangles to keep all of them in memory.
+    """Return whether triangles are computed for each chunk of rows, or kept in memory all at once.
 
-    If so, the triangles of each chunk of rows are computed from the meshes when the chunk is worked
-    on. But all are kept, however many they are, if meshes are so large that most triangles would be
-    computed for several chunks. The limit is higher for a lattice that is small enough for its
-    columns to stay in memory.
+    They are computed chunk by chunk if there are more than a limit, which is higher for a lattice
+    that is small enough for its columns to stay in memory. If meshes are so large that most
+    triangles would be computed for several chunks, all are kept nevertheless.
 
     Args:
         shapes: the shapes.
         lattice: the cells.
         margin: shapes within this distance of a tile of cells are listed for it [m].
+
+    Returns:
+        True if they are computed chunk by chunk.
     """
     num_triangles = shapes.meshes.num_triangles
     boxes = shapes.meshes.boxes
-    keeps_columns = lattice.width * lattice.height <= MAX_CELLS_KEPT
+    keeps_columns = lattice.width * lattice.height <= MAX_CELLS_IN_MEMORY
     max_triangles = (
         MAX_TRIANGLES_BESIDE_COLUMNS if keeps_columns else MAX_TRIANGLES_EXPANDED_AT_ONCE
     )
@@ -167,8 +169,10 @@ def expands_on_request(shapes: Shapes, lattice: Lattice, margin: float) -> bool:
     chunks = split_by_triangles(int(num_triangles.sum()), lattice, CHUNKS_IN_MEMORY)
     chunk_length = chunks[0].end * lattice.cell_size
     mesh_lengths = boxes[:, 4] - boxes[:, 1] + 2 * margin
-    num_expanded = num_triangles * (1.0 + mesh_lengths / chunk_length)  # for all chunks together
-    return bool(num_expanded.sum() <= MAX_REPEATED_EXPANSION * num_triangles.sum())
+    num_expanded_triangles = num_triangles * (
+        1.0 + mesh_lengths / chunk_length
+    )  # for all chunks together
+    return bool(num_expanded_triangles.sum() <= MAX_EXPANSIONS_PER_TRIANGLE * num_triangles.sum())
 
 
 def split_by_triangles(num_triangles: int, lattice: Lattice, num_in_memory: int) -> list[RowChunk]:
@@ -238,7 +242,7 @@ class ColumnCaster:
         self._last_cells: Int = np.empty(0, dtype=np.int64)  # of the last call of `columns_at`
         self._last_columns: Columns | None = None
         with clock.stage("columns"):
-            if self.lattice.width * self.lattice.height <= MAX_CELLS_KEPT:
+            if self.lattice.width * self.lattice.height <= MAX_CELLS_IN_MEMORY:
                 self._all_columns = self._cast_all()
 
     def row_chunks(self) -> Iterator[Columns]:
@@ -331,8 +335,8 @@ def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Colu
     for columns in source.row_chunks():
         if is_entire_lattice and columns.row_chunk is None:
             return columns
-        cropped = columns if is_entire_lattice else columns.crop(*window, lattice)
-        builder.add(cropped, cropped.valid_rows)
+        cropped_columns = columns if is_entire_lattice else columns.crop(*window, lattice)
+        builder.add(cropped_columns, cropped_columns.valid_rows)
     return builder.build()
 
 

@@ -29,9 +29,9 @@ CELLS_PER_CHUNK = 1 << 20
 # Fewer lines than this are not worth a call on another thread
 MIN_POINTS_PER_CALL = 1024
 # Boxes are listed on several threads, in this many chunks for each, if there are more than
-# MIN_BOXES_PER_TILE boxes for each tile; fewer are listed on one thread
-CHUNKS_PER_THREAD = 2
-MIN_BOXES_PER_TILE = 4
+# MIN_BOXES_PER_TILE_FOR_THREADS boxes for each tile; fewer are listed on one thread
+BOX_CHUNKS_PER_THREAD = 2
+MIN_BOXES_PER_TILE_FOR_THREADS = 4
 WORLD_AXES = np.eye(3)
 """The axes of the world frame, in which lines are vertical."""
 
@@ -163,8 +163,8 @@ class Columns:
         old_start = self.start[first_cell : end_cell + 1]
         start = np.zeros(len(self.start), dtype=np.int64)  # whose pages cost nothing until written
         np.subtract(old_start, first_hit, out=start[first_cell : end_cell + 1])
-        arrays = [array[first_hit:end_hit] for array in self.hits.entries]
-        return Columns(self.lattice, ColumnHits(start, *arrays), rows)
+        hit_arrays = [array[first_hit:end_hit] for array in self.hits.entries]
+        return Columns(self.lattice, ColumnHits(start, *hit_arrays), rows)
 
     @property
     def start(self) -> Int:
@@ -187,7 +187,9 @@ class Columns:
         return self.hits.geom
 
     def crop(self, rows: slice, cols: slice, lattice: Lattice) -> "Columns":
-        """Return the columns of a window; its rows that have no columns get columns without hits.
+        """Return the columns of a window of the lattice.
+
+        The columns of rows of the window that are not in `valid_rows` have no hits.
 
         Args:
             rows, cols: the window, as slices of the lattice's rows and columns.
@@ -348,9 +350,9 @@ def cast_columns(tiled_shapes: TiledShapes, rows: RowChunk | None = None) -> Col
         tiled_shapes,
         lines=Lines(np.empty((0, 2)), np.empty((0, 2), dtype=np.int64), WORLD_AXES),
         shape_index=tiled_shapes.tile_row_index,
-        groups=tile_rows,
+        group_range=tile_rows,
         start=np.zeros(lattice.width * lattice.height + 1, dtype=np.int64),
-        lines_of_groups=slice(first_cell, end_cell + 1),
+        start_slice=slice(first_cell, end_cell + 1),
     )
     return Columns(lattice, hits, rows and cast_rows)
 
@@ -360,14 +362,14 @@ def cast_points(
 ) -> ColumnHits:
     """Find where the vertical lines through given points cross shapes, as `cast_columns` does.
 
-    Only the shapes over the tiles that `cells` says are tested.
+    A line is tested only with the shapes over the tiles that `cells` names.
 
     Args:
         tiled_shapes: the shapes on a lattice.
-        cells: which shapes each line is tested with: those over the tile of the cell with this id,
-            shape (n,). With two cells for each line, shape (n, 2), those over all tiles in the
-            rectangle between the two; the line then has a hit for each of these tiles that a shape
-            lies over.
+        cells: ids of cells. With one for each line, shape (n,), the line is tested with the shapes
+            over the cell's tile. With two, shape (n, 2), it is tested with the shapes over each
+            tile of the rectangle between the two cells; a shape over several of these tiles gives
+            the line a hit for each.
         points: x and y of each line, shape (n, 2) [m].
         axes: the axes of the frame in which the lines are vertical, one in each row, shape (3, 3).
             The points, the returned normals, and the solids of the shapes are in this frame.
@@ -375,17 +377,17 @@ def cast_points(
     Returns:
         The hits; column i belongs to line i.
     """
-    tiles = tile_of(tiled_shapes.lattice, cells)
-    if tiles.ndim == 1:
-        tiles = np.stack([tiles, tiles], axis=1)
+    tiles_of_lines = tile_of(tiled_shapes.lattice, cells)
+    if tiles_of_lines.ndim == 1:
+        tiles_of_lines = np.stack([tiles_of_lines, tiles_of_lines], axis=1)
     return _cast_groups(
         tiled_shapes,
-        lines=Lines(np.ascontiguousarray(points), tiles, axes),
+        lines=Lines(np.ascontiguousarray(points), tiles_of_lines, axes),
         shape_index=tiled_shapes.tile_index,
-        groups=range(-(-len(points) // LINES_PER_CALL)),
+        group_range=range(-(-len(points) // LINES_PER_CALL)),
         start=np.zeros(len(points) + 1, dtype=np.int64),
-        lines_of_groups=slice(None),
-        least=MIN_POINTS_PER_CALL // LINES_PER_CALL,
+        start_slice=slice(None),
+        min_groups_per_call=MIN_POINTS_PER_CALL // LINES_PER_CALL,
     )
 
 
@@ -394,10 +396,10 @@ def _cast_groups(
     *,
     lines: Lines,
     shape_index: ShapeIndex,
-    groups: range,
+    group_range: range,
     start: Int,
-    lines_of_groups: slice,
-    least: int = 1,
+    start_slice: slice,
+    min_groups_per_call: int = 1,
 ) -> ColumnHits:
     """Intersect lines with shapes, group by group of lines, on all threads; see `cast_lines`.
 
@@ -405,24 +407,24 @@ def _cast_groups(
         tiled_shapes: the shapes.
         lines: lines through points; without points, the lines run through the centres of cells.
         shape_index: the shapes by tile for lines through points, else by row of tiles.
-        groups: numbers of the groups to cast: of `LINES_PER_CALL` lines through points, or of the
-            lines of a row of tiles.
+        group_range: numbers of the groups to cast: of `LINES_PER_CALL` lines through points, or of
+            the lines of a row of tiles.
         start: zeros, (lines + 1,) int64; becomes `ColumnHits.start`.
-        lines_of_groups: the part of `start` that belongs to these lines, with the entry after the
+        start_slice: the part of `start` that belongs to these lines, with the entry after the
             last one.
-        least: smallest number of groups for one call, see `run_in_chunks`.
+        min_groups_per_call: smallest number of groups for one call, see `run_in_chunks`.
     """
     shapes = tiled_shapes.shapes
     geometry = Geometry(
         shapes.solids, tiled_shapes.facets, shapes.planes, tiled_shapes.height_range
     )
-    num_dropped = np.zeros(groups.stop, dtype=np.int64)
+    num_dropped = np.zeros(group_range.stop, dtype=np.int64)
     is_crossed = np.empty(len(shape_index.triangle_item), dtype=np.bool_)
 
     def cast_all(hits: ColumnHits) -> None:
         run_in_chunks(
             cast_lines,
-            len(groups),
+            len(group_range),
             tiled_shapes.lattice,
             lines,
             geometry,
@@ -430,60 +432,64 @@ def _cast_groups(
             is_crossed,
             hits,
             num_dropped,
-            least=least,
-            begin=groups.start,
+            least=min_groups_per_call,
+            begin=group_range.start,
         )
 
     cast_all(empty_hits(start, 0))  # without room for hits, they are only counted
-    hit_ends = start[lines_of_groups]
+    hit_ends = start[start_slice]
     np.cumsum(hit_ends, out=hit_ends)
     hits = empty_hits(start, int(hit_ends[-1]))
     if len(hits.z):
         cast_all(hits)
     if num_dropped.any():
         lines_per_group = LINES_PER_CALL if len(lines.points) else TILE * tiled_shapes.lattice.width
-        hits = _remove_dropped_hits(hits, groups, lines_per_group, num_dropped)
+        hits = _remove_dropped_hits(hits, group_range, lines_per_group, num_dropped)
     return hits
 
 
 def _remove_dropped_hits(
-    hits: ColumnHits, groups: range, lines_per_group: int, num_dropped: Int
+    hits: ColumnHits, group_range: range, lines_per_group: int, num_dropped: Int
 ) -> ColumnHits:
     """Remove the hits that are marked as superfluous, by DROPPED in place of their geom.
 
     Args:
         hits: the hits; `start` is changed.
-        groups: numbers of the groups of lines.
+        group_range: numbers of the groups of lines.
         lines_per_group: how many lines a group has.
         num_dropped: how many hits of each group are DROPPED, shape (groups.stop,).
     """
     num_dropped_before = np.append(0, np.cumsum(num_dropped))
-    first_hit_of_group = hits.start[groups.start * lines_per_group :: lines_per_group][
-        : len(groups)
+    first_hit_of_group = hits.start[group_range.start * lines_per_group :: lines_per_group][
+        : len(group_range)
     ]
-    group_limits = [*first_hit_of_group.tolist(), len(hits.z)]
+    hit_limits_of_groups = [*first_hit_of_group.tolist(), len(hits.z)]
     remaining_hits = empty_hits(hits.start, len(hits.z) - int(num_dropped_before[-1]))
 
     def copy_remaining(first_group: int, end_group: int) -> None:
         for group in range(first_group, end_group):
-            old_begin, old_end = group_limits[group - groups.start : group - groups.start + 2]
-            new_begin = old_begin - int(num_dropped_before[group])
-            new_end = old_end - int(num_dropped_before[group + 1])
+            old_first_hit, old_end_hit = hit_limits_of_groups[
+                group - group_range.start : group - group_range.start + 2
+            ]
+            new_first_hit = old_first_hit - int(num_dropped_before[group])
+            new_end_hit = old_end_hit - int(num_dropped_before[group + 1])
             hit_ends = hits.start[group * lines_per_group + 1 : (group + 1) * lines_per_group + 1]
-            is_remaining = hits.geom[old_begin:old_end] != DROPPED
-            hit_ends[:] = new_begin + np.append(0, np.cumsum(is_remaining))[hit_ends - old_begin]
+            is_remaining = hits.geom[old_first_hit:old_end_hit] != DROPPED
+            hit_ends[:] = (
+                new_first_hit + np.append(0, np.cumsum(is_remaining))[hit_ends - old_first_hit]
+            )
             remaining_indices = np.flatnonzero(is_remaining)
             for old_array, new_array in zip(hits.entries, remaining_hits.entries, strict=True):
-                new_range = new_array[new_begin:new_end]
+                new_entries = new_array[new_first_hit:new_end_hit]
                 np.take(
-                    old_array[old_begin:old_end],
+                    old_array[old_first_hit:old_end_hit],
                     remaining_indices,
                     axis=0,
-                    out=new_range,
+                    out=new_entries,
                     mode="clip",
                 )
 
-    run_in_chunks(copy_remaining, len(groups), begin=groups.start)
+    run_in_chunks(copy_remaining, len(group_range), begin=group_range.start)
     return remaining_hits
 
 
@@ -502,18 +508,18 @@ def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
 
 
 def gather_hits(
-    arrays: Sequence[NDArray[Any]], first_old_hit: Int, num_old_hits: Int
+    old_hit_arrays: Sequence[NDArray[Any]], first_old_hit: Int, num_old_hits: Int
 ) -> ColumnHits:
     """Copy hits to new columns: each new column receives the hits of one range of the old arrays.
 
     Args:
-        arrays: the arrays of the old hits, as `ColumnHits.entries` returns them.
+        old_hit_arrays: the arrays of the old hits, as `ColumnHits.entries` returns them.
         first_old_hit: index of the first old hit for each new column, (columns,).
         num_old_hits: how many old hits each new column receives, (columns,).
     """
     start = np.concatenate([[0], np.cumsum(num_old_hits)])
     old_indices = np.repeat(first_old_hit - start[:-1], num_old_hits) + np.arange(start[-1])
-    return ColumnHits(start, *(array[old_indices] for array in arrays))
+    return ColumnHits(start, *(array[old_indices] for array in old_hit_arrays))
 
 
 def empty_hits(start: Int, num_hits: int) -> ColumnHits:
@@ -620,13 +626,13 @@ def _list_boxes(
         return np.zeros(num_tiles + 1, dtype=np.int64), np.empty(0, dtype=np.int32)
     thread_count = num_threads()
     num_chunks = 1
-    if thread_count > 1 and len(boxes) > MIN_BOXES_PER_TILE * num_tiles:
+    if thread_count > 1 and len(boxes) > MIN_BOXES_PER_TILE_FOR_THREADS * num_tiles:
         # no more counts than boxes, however many threads there are
-        num_chunks = min(CHUNKS_PER_THREAD * thread_count, len(boxes) // num_tiles)
-    next_index = np.zeros((num_chunks, num_tiles), dtype=np.int64)
+        num_chunks = min(BOX_CHUNKS_PER_THREAD * thread_count, len(boxes) // num_tiles)
+    next_list_index = np.zeros((num_chunks, num_tiles), dtype=np.int64)
     tile_range_of_box = np.empty((len(boxes), 4), dtype=np.int32)
 
-    def list_boxes(box_of_item: Int32) -> None:
+    def list_boxes(box_indices_by_tile: Int32) -> None:
         run_in_chunks(
             list_boxes_by_tile,
             num_chunks,
@@ -635,16 +641,16 @@ def _list_boxes(
             lattice,
             by_tile_row,
             tile_range_of_box,
-            next_index,
-            box_of_item,
+            next_list_index,
+            box_indices_by_tile,
         )
 
     list_boxes(np.empty(0, dtype=np.int32))  # without room, the boxes are only counted
     tile_start = np.zeros(num_tiles + 1, dtype=np.int64)
-    np.cumsum(next_index.sum(axis=0), out=tile_start[1:])
+    np.cumsum(next_list_index.sum(axis=0), out=tile_start[1:])
     # each chunk's boxes over a tile follow those of the chunks before it
-    next_index[:] = np.cumsum(next_index, axis=0) - next_index + tile_start[:-1]
-    box_of_item = np.empty(tile_start[-1], dtype=np.int32)
-    if len(box_of_item):
-        list_boxes(box_of_item)
-    return tile_start, box_of_item
+    next_list_index[:] = np.cumsum(next_list_index, axis=0) - next_list_index + tile_start[:-1]
+    box_indices_by_tile = np.empty(tile_start[-1], dtype=np.int32)
+    if len(box_indices_by_tile):
+        list_boxes(box_indices_by_tile)
+    return tile_start, box_indices_by_tile

@@ -1,10 +1,10 @@
 """Find cracks: cells whose vertical line crosses no floor, between floors on opposite sides of it.
 
-What an agent can stand on is divided into convex pieces. A piece is a triangle or a face of a box
-that keeps the slope limit; or the part of a round solid's surface that keeps it, which is described
-by a point or a segment, and a radius. Seen from above, the direction from a line to the nearest
-point of a piece is perpendicular to the piece's edge. So the directions to the two sides of a crack
-are opposite.
+The surfaces that an agent can stand on are divided into convex pieces. A piece is a triangle or a
+face of a box within the slope limit; or the part of a round solid's surface within it, which is
+described by a point or a segment, and a radius. Seen from above, the direction from a line to the
+nearest point of a piece is perpendicular to the piece's edge. So the directions to the two sides of
+a crack are opposite.
 
 A side is a piece beside a line, stored as a row of numbers; the constants from DIRECTION to
 PREVIOUS are the indices of its numbers.
@@ -25,10 +25,10 @@ from navbake.types import Float, Int
 
 # A surface that a ray hits belongs to a piece of floor if its height differs from the piece's by at
 # most this plus the piece's radius [m]
-SAME_PIECE = 1e-3
+MAX_PIECE_HEIGHT_ERROR = 1e-3
 # Directions count as equal if the cosine of the angle between them is at least this (26 degrees),
 # and as opposite if it is at most the negative of this
-SAME_DIRECTION = 0.9
+MIN_SAME_DIRECTION_COSINE = 0.9
 # Indices of the numbers of a side
 DIRECTION = 0  # x, then y of the unit vector from the line to the nearest point of the piece
 DISTANCE = 2  # distance from the line to that point, seen from above [m]
@@ -37,7 +37,7 @@ RADIUS = 4  # radius of the piece, 0 for triangles and boxes [m]
 GEOM = 5  # the piece's geom id
 CELL = 6  # the id of the line's cell
 PREVIOUS = 7  # index of the previous side of the same cell, or -1
-NUM_COLUMNS = 8
+NUMBERS_PER_SIDE = 8
 # At most this many heights are kept at which all cells of a tile have a floor; to forget others
 # costs time alone
 MAX_COMMON_HEIGHTS = 8
@@ -61,18 +61,18 @@ class CrackScratch(NamedTuple):
     """Arrays that `_list_in_tile` works in, allocated once for many tiles.
 
     Attributes:
-        candidates: sides that may bound a crack, see the module's docstring, (n, NUM_COLUMNS)
-            float64.
+        candidate_sides: sides that may bound a crack, see the module's docstring, (n,
+            NUMBERS_PER_SIDE) float64.
         corners: the corners of a piece of floor, (4, 3) float64 [m].
         box: the box around a piece: lower corner, upper corner, (1, 6) float64 [m].
         nearest_point: the point of a piece nearest to a line, (3,) float64 [m].
         common_heights: heights at which all cells of a tile have a floor, (MAX_COMMON_HEIGHTS,)
             float64 [m].
-        last_side_of_cell: index in `candidates` of the last side of each cell of a tile, -1 for
-            none, (TILE * TILE,) int64.
+        last_side_of_cell: index in `candidate_sides` of the last side of each cell of a tile, -1
+            for none, (TILE * TILE,) int64.
     """
 
-    candidates: Float
+    candidate_sides: Float
     corners: Float
     box: Float
     nearest_point: Float
@@ -81,10 +81,10 @@ class CrackScratch(NamedTuple):
 
 
 @subkernel
-def _make_scratch(num_candidates):
-    """Allocate a `CrackScratch` with room for `num_candidates` sides."""
+def _make_scratch(num_candidate_sides):
+    """Allocate a `CrackScratch` with room for `num_candidate_sides` sides."""
     return CrackScratch(
-        np.empty((num_candidates, NUM_COLUMNS)),
+        np.empty((num_candidate_sides, NUMBERS_PER_SIDE)),
         np.empty((4, 3)),
         np.empty((1, 6)),
         np.empty(3),
@@ -94,7 +94,7 @@ def _make_scratch(num_candidates):
 
 
 @subkernel(**NO_REFCOUNT)
-def _write_piece(solids, facets, shape_number, face_axis, min_up, corners):
+def _write_piece(solids, facets, shape_number, face_axis, min_normal_z, corners):
     """Write the corners of a piece of floor: a triangle, a box's upper face, or a solid's top.
 
     Args:
@@ -102,7 +102,7 @@ def _write_piece(solids, facets, shape_number, face_axis, min_up, corners):
         shape_number: index into `facets` if `face_axis` is -1, else into `solids`.
         face_axis: -1 for a triangle; for a box, the number of its own axis across which the face
             lies, the upper one of two; 0 for the upper part of a round solid.
-        min_up: least z of a unit normal within the slope limit.
+        min_normal_z: least z of a unit normal within the slope limit.
         corners: receives the corners, (4, 3) float64 [m].
 
     Returns:
@@ -120,7 +120,7 @@ def _write_piece(solids, facets, shape_number, face_axis, min_up, corners):
         normal_x = uy * vz - uz * vy
         normal_y = uz * vx - ux * vz
         normal_z = ux * vy - uy * vx
-        if not normal_z > 0.0 or normal_z * normal_z < min_up * min_up * (
+        if not normal_z > 0.0 or normal_z * normal_z < min_normal_z * min_normal_z * (
             normal_x * normal_x + normal_y * normal_y + normal_z * normal_z
         ):
             return 0, 0.0
@@ -140,33 +140,35 @@ def _write_piece(solids, facets, shape_number, face_axis, min_up, corners):
             offset_along = size[first_axis] if i in (1, 2) else -size[first_axis]
             offset_across = size[second_axis] if i >= 2 else -size[second_axis]
             for k in range(3):
-                center = pos[k] + face_sign * size[face_axis] * mat[3 * k + face_axis]
+                face_center = pos[k] + face_sign * size[face_axis] * mat[3 * k + face_axis]
                 corners[i, k] = (
-                    center
+                    face_center
                     + offset_along * mat[3 * k + first_axis]
                     + offset_across * mat[3 * k + second_axis]
                 )
-        return 4 if face_sign * mat[6 + face_axis] >= min_up else 0, 0.0
+        return 4 if face_sign * mat[6 + face_axis] >= min_normal_z else 0, 0.0
     # the part of a sphere that faces up within the slope: its radius seen from above, and the
     # height of its rim over the centre
-    radius = size[0] * math.sqrt(max(1.0 - min_up * min_up, 0.0))
-    rise = size[0] * min_up
+    radius = size[0] * math.sqrt(max(1.0 - min_normal_z * min_normal_z, 0.0))
+    rim_height = size[0] * min_normal_z
     half_length = 0.0
     num_corners = 1
-    if kind == CYLINDER and abs(mat[8]) >= min_up:  # its upper end
+    if kind == CYLINDER and abs(mat[8]) >= min_normal_z:  # its upper end
         radius = size[0] * abs(mat[8])
-        rise = 0.0
+        rim_height = 0.0
         half_length = size[1]
     elif kind in (CYLINDER, CAPSULE):
         half_length = size[1]
         num_corners = 2
     elif size[1] > 0.0:  # an ellipsoid, as if it stood upright, by its smaller horizontal radius
         radius = radius * min(1.0, size[1] / size[0])
-        rise = size[2] * min_up
+        rim_height = size[2] * min_normal_z
     for i in range(num_corners):
-        offset = half_length if (mat[8] >= 0.0) == (i == 0) else -half_length
+        offset_along_axis = half_length if (mat[8] >= 0.0) == (i == 0) else -half_length
         for k in range(3):
-            corners[i, k] = pos[k] + offset * mat[3 * k + 2] + (rise if k == 2 else 0.0)
+            corners[i, k] = (
+                pos[k] + offset_along_axis * mat[3 * k + 2] + (rim_height if k == 2 else 0.0)
+            )
     return num_corners, radius
 
 
@@ -212,19 +214,19 @@ def _horizontal_distance(corners, num_corners, radius, x, y, nearest_point):
 
 
 @subkernel(**NO_REFCOUNT)
-def _has_floor(column_hits, cell, z, max_step, min_up):
+def _has_floor(column_hits, cell, z, max_step, min_normal_z):
     """Return whether a cell's line crosses a floor at most `max_step` above or below height z [m].
 
-    A floor is a surface whose unit normal has a z of at least `min_up`.
+    A floor is a surface whose unit normal has a z of at least `min_normal_z`.
     """
-    stop = column_hits.start[cell + 1]
+    end_hit = column_hits.start[cell + 1]
     # from a little lower, as the difference is rounded
     lowest_z = z - max_step - LIMIT_SLACK
-    first_hit = first_from(column_hits.z, column_hits.start[cell], stop, lowest_z)
-    for i in range(first_hit, stop):
+    first_hit = first_from(column_hits.z, column_hits.start[cell], end_hit, lowest_z)
+    for i in range(first_hit, end_hit):
         if column_hits.z[i] - z > max_step:
             break
-        if abs(column_hits.z[i] - z) <= max_step and column_hits.normal[i, 2] >= min_up:
+        if abs(column_hits.z[i] - z) <= max_step and column_hits.normal[i, 2] >= min_normal_z:
             return True
     return False
 
@@ -253,18 +255,18 @@ def _find_common_heights(lattice, column_hits, window, is_selected, limits, comm
             if num_heights < 0:
                 num_heights = 0
                 for i in range(column_hits.start[cell], column_hits.start[cell + 1]):
-                    is_floor = column_hits.normal[i, 2] >= limits.min_up
+                    is_floor = column_hits.normal[i, 2] >= limits.min_normal_z
                     if is_floor and num_heights < MAX_COMMON_HEIGHTS:
                         common_heights[num_heights] = column_hits.z[i]
                         num_heights += 1
-            num_common = 0
+            num_common_heights = 0
             for k in range(num_heights):
                 if _has_floor(
-                    column_hits, cell, common_heights[k], limits.max_step / 2.0, limits.min_up
+                    column_hits, cell, common_heights[k], limits.max_step / 2.0, limits.min_normal_z
                 ):
-                    common_heights[num_common] = common_heights[k]
-                    num_common += 1
-            num_heights = num_common
+                    common_heights[num_common_heights] = common_heights[k]
+                    num_common_heights += 1
+            num_heights = num_common_heights
     return num_heights
 
 
@@ -298,7 +300,7 @@ def _bounds_crack(sides, side, last_side, max_step):
     direction. Only sides within a step of its height count.
 
     Args:
-        sides: sides, (m, NUM_COLUMNS) float64, see the module's docstring.
+        sides: sides, (m, NUMBERS_PER_SIDE) float64, see the module's docstring.
         side: index of a side.
         last_side: index of the last side of the same cell.
         max_step: the highest step [m].
@@ -310,12 +312,14 @@ def _bounds_crack(sides, side, last_side, max_step):
             sides[side, DIRECTION] * sides[other_side, DIRECTION]
             + sides[side, DIRECTION + 1] * sides[other_side, DIRECTION + 1]
         )
-        slack = sides[side, RADIUS] + sides[other_side, RADIUS] + 2.0 * SAME_PIECE
-        if abs(sides[side, HEIGHT] - sides[other_side, HEIGHT]) <= max_step + slack:
-            is_nearer = sides[other_side, DISTANCE] < sides[side, DISTANCE] - SAME_PIECE
-            if cosine >= SAME_DIRECTION and is_nearer:
+        height_tolerance = (
+            sides[side, RADIUS] + sides[other_side, RADIUS] + 2.0 * MAX_PIECE_HEIGHT_ERROR
+        )
+        if abs(sides[side, HEIGHT] - sides[other_side, HEIGHT]) <= max_step + height_tolerance:
+            is_nearer = sides[other_side, DISTANCE] < sides[side, DISTANCE] - MAX_PIECE_HEIGHT_ERROR
+            if cosine >= MIN_SAME_DIRECTION_COSINE and is_nearer:
                 return False
-            has_opposite = has_opposite or cosine <= -SAME_DIRECTION
+            has_opposite = has_opposite or cosine <= -MIN_SAME_DIRECTION_COSINE
         other_side = np.int64(sides[other_side, PREVIOUS])
     return has_opposite
 
@@ -348,7 +352,7 @@ def _list_in_tile(
         max_crack_distance: how far from the line the floors on both sides may be [m].
         is_selected: mask of the cells whose lines are tested, (cells,) bool; if empty, all cells.
         scratch: a `CrackScratch`.
-        sides: receives the sides from row `num_sides` on, (m, NUM_COLUMNS) float64.
+        sides: receives the sides from row `num_sides` on, (m, NUMBERS_PER_SIDE) float64.
         num_sides: how many sides are listed already.
 
     Returns:
@@ -357,52 +361,52 @@ def _list_in_tile(
     solids = geometry.solids
     facets = geometry.facets
     tile_index = geometry.tile_index
-    candidates = scratch.candidates
+    candidate_sides = scratch.candidate_sides
     corners = scratch.corners
     box = scratch.box
     nearest_point = scratch.nearest_point
     common_heights = scratch.common_heights
     last_side_of_cell = scratch.last_side_of_cell
-    first_shape = tile_index.solid_start[tile]
-    end_of_solids = tile_index.solid_start[tile + 1]
-    triangle_shift = tile_index.triangle_start[tile] - end_of_solids
-    end_shape = tile_index.triangle_start[tile + 1] - triangle_shift
+    first_entry = tile_index.solid_start[tile]
+    end_of_solid_entries = tile_index.solid_start[tile + 1]
+    triangle_entry_shift = tile_index.triangle_start[tile] - end_of_solid_entries
+    end_entry = tile_index.triangle_start[tile + 1] - triangle_entry_shift
     window = tile_window(lattice, tile)
     num_common_heights = -1
-    num_candidates = 0
+    num_candidate_sides = 0
     max_step = limits.max_step + LIMIT_SLACK
-    if end_shape - first_shape > 1:
+    if end_entry - first_entry > 1:
         num_common_heights = _find_common_heights(
             lattice, column_hits, window, is_selected, limits, common_heights
         )
     last_side_of_cell[:] = -1
     # the solids over the tile, then the triangles
-    for shape_index in range(first_shape, end_shape if num_common_heights >= 0 else first_shape):
+    for entry in range(first_entry, end_entry if num_common_heights >= 0 else first_entry):
         shape_number = np.int64(0)
         face_axis = -1
         num_faces = 0
-        if shape_index >= end_of_solids:
-            shape_number = np.int64(tile_index.triangle_item[shape_index + triangle_shift])
+        if entry >= end_of_solid_entries:
+            shape_number = np.int64(tile_index.triangle_item[entry + triangle_entry_shift])
             if facets.normal_z_percent[shape_number] < max(
-                100.0 * limits.min_up - 1.0, 1.0
+                100.0 * limits.min_normal_z - 1.0, 1.0
             ):  # rounded
                 continue
         else:
-            shape_number = np.int64(tile_index.solid_item[shape_index])
+            shape_number = np.int64(tile_index.solid_item[entry])
             face_axis = 0
             num_faces = 3 if solids.kind[shape_number] == BOX else 1
         while face_axis < num_faces:
-            if num_sides + num_candidates + TILE * TILE > candidates.shape[0]:
+            if num_sides + num_candidate_sides + TILE * TILE > candidate_sides.shape[0]:
                 return -1
             # most triangles have floor all around: corners are written only where there is none
             num_corners = -1
             radius = 0.0
-            if shape_index >= end_of_solids:
+            if entry >= end_of_solid_entries:
                 for k in range(6):
                     box[0, k] = facets.bounds[shape_number, k]
             else:
                 num_corners, radius = _write_piece(
-                    solids, facets, shape_number, face_axis, limits.min_up, corners
+                    solids, facets, shape_number, face_axis, limits.min_normal_z, corners
                 )
                 for k in range(3):
                     box[0, k] = math.inf
@@ -411,8 +415,8 @@ def _list_in_tile(
                         box[0, k] = min(box[0, k], corners[i, k])
                         box[0, 3 + k] = max(box[0, 3 + k], corners[i, k])
             # a line over the piece mostly has a floor near all of its heights: the piece itself
-            middle = (box[0, 2] + box[0, 5]) / 2.0
-            max_offset = max_step - (box[0, 5] - box[0, 2]) / 2.0
+            middle_z = (box[0, 2] + box[0, 5]) / 2.0
+            max_height_difference = max_step - (box[0, 5] - box[0, 2]) / 2.0
             row_first = window[0]
             row_end = window[0]
             col_first = 0
@@ -427,12 +431,12 @@ def _list_in_tile(
                 for col in range(col_first, col_end):
                     cell = row * lattice.width + col
                     if not (is_selected.shape[0] == 0 or is_selected[cell]) or _has_floor(
-                        column_hits, cell, middle, max_offset, limits.min_up
+                        column_hits, cell, middle_z, max_height_difference, limits.min_normal_z
                     ):
                         continue
                     if num_corners < 0:
                         num_corners, _ = _write_piece(
-                            solids, facets, shape_number, face_axis, limits.min_up, corners
+                            solids, facets, shape_number, face_axis, limits.min_normal_z, corners
                         )
                     if num_corners == 0:
                         continue
@@ -441,11 +445,11 @@ def _list_in_tile(
                         corners, num_corners, radius, x, y, nearest_point
                     )
                     if not 0.0 < distance < max_crack_distance or _has_floor(
-                        column_hits, cell, nearest_point[2], max_step, limits.min_up
+                        column_hits, cell, nearest_point[2], max_step, limits.min_normal_z
                     ):
                         continue
                     cell_in_tile = (row - window[0]) * TILE + col - window[2]
-                    side = candidates[num_candidates]
+                    side = candidate_sides[num_candidate_sides]
                     side[DIRECTION] = nearest_point[0] / (distance + radius)
                     side[DIRECTION + 1] = nearest_point[1] / (distance + radius)
                     side[DISTANCE] = distance
@@ -455,22 +459,22 @@ def _list_in_tile(
                     side[PREVIOUS] = last_side_of_cell[cell_in_tile]
                     side[GEOM] = (
                         solids.geom[shape_number]
-                        if shape_index < end_of_solids
+                        if entry < end_of_solid_entries
                         else facets.geom[shape_number]
                     )
-                    last_side_of_cell[cell_in_tile] = num_candidates
-                    num_candidates += 1
+                    last_side_of_cell[cell_in_tile] = num_candidate_sides
+                    num_candidate_sides += 1
             face_axis += 1
-    for cell_in_tile in range(TILE * TILE if num_candidates > 1 else 0):
+    for cell_in_tile in range(TILE * TILE if num_candidate_sides > 1 else 0):
         side_number = last_side_of_cell[cell_in_tile]
         while side_number >= 0:
             if _bounds_crack(
-                candidates, side_number, last_side_of_cell[cell_in_tile], limits.max_step
+                candidate_sides, side_number, last_side_of_cell[cell_in_tile], limits.max_step
             ):
-                for k in range(NUM_COLUMNS):
-                    sides[num_sides, k] = candidates[side_number, k]
+                for k in range(NUMBERS_PER_SIDE):
+                    sides[num_sides, k] = candidate_sides[side_number, k]
                 num_sides += 1
-            side_number = np.int64(candidates[side_number, PREVIOUS])
+            side_number = np.int64(candidate_sides[side_number, PREVIOUS])
     return num_sides
 
 
@@ -504,12 +508,12 @@ def list_sides(
         end_tile: number past the last one.
 
     Returns:
-        An array whose rows are sides, see the module's docstring, (m, NUM_COLUMNS) float64; and how
-        many of its first rows are valid.
+        An array whose rows are sides, see the module's docstring, (m, NUMBERS_PER_SIDE) float64;
+        and how many of its first rows are valid.
     """
     geometry = TiledGeometry(solids, facets, tile_index)
     scratch = _make_scratch(256)
-    sides = np.empty((256, NUM_COLUMNS))
+    sides = np.empty((256, NUMBERS_PER_SIDE))
     num_sides = np.int64(0)
     for tile in range(first_tile, end_tile):
         while True:
@@ -527,10 +531,10 @@ def list_sides(
             )
             if new_num_sides >= 0:
                 break
-            scratch = _make_scratch(2 * scratch.candidates.shape[0])
-            larger_sides = np.empty((2 * sides.shape[0], NUM_COLUMNS))
+            scratch = _make_scratch(2 * scratch.candidate_sides.shape[0])
+            larger_sides = np.empty((2 * sides.shape[0], NUMBERS_PER_SIDE))
             for n in range(num_sides):
-                for k in range(NUM_COLUMNS):
+                for k in range(NUMBERS_PER_SIDE):
                     larger_sides[n, k] = sides[n, k]
             sides = larger_sides
         num_sides = new_num_sides

@@ -26,8 +26,8 @@ from navbake.types import Bool, Float, Int32
 # never leak [m]
 RIM_WIDTH = 1e-7
 # Values of `LineHits.facet` of hits on other shapes than triangles
-OF_SOLID = np.int32(-1)
-OF_PLANE = np.int32(-2)
+HIT_OF_SOLID = np.int32(-1)
+HIT_OF_PLANE = np.int32(-2)
 # Value of `geom` of dropped hits; they stand after the last valid hit of their column
 DROPPED = np.int32(-1)
 # Values of `LineHits.is_at_edge`; for plain bools, numba would compile functions again
@@ -40,7 +40,7 @@ class LineHits(NamedTuple):
 
     Attributes:
         z, normal, geom, closed: as in `ColumnHits`.
-        facet: the index of the triangle that is hit, OF_SOLID or OF_PLANE, (n,) int32.
+        facet: the index of the triangle that is hit, HIT_OF_SOLID or HIT_OF_PLANE, (n,) int32.
         is_at_edge: whether a triangle is hit at most RIM_WIDTH from its edge, (n,) bool.
     """
 
@@ -64,20 +64,22 @@ def allocate_hits(num_hits):
 
 
 @subkernel
-def view_hits(column_hits, first, end):
+def view_hits(column_hits, first_hit, end_hit):
     """Return some hits of columns as `LineHits`, so that writing to these writes to the columns.
 
     Args:
         column_hits: the columns, as `ColumnHits`.
-        first: index of the first hit.
-        end: index past the last one.
+        first_hit: index of the first hit.
+        end_hit: index past the last one.
     """
-    z = column_hits.z[first:end]
-    normal = column_hits.normal[first:end]
+    z = column_hits.z[first_hit:end_hit]
+    normal = column_hits.normal[first_hit:end_hit]
     geom = column_hits.geom
-    closed = column_hits.closed[first:end]
-    facet = np.empty(end - first, np.int32)
-    return LineHits(z, normal, geom[first:end], closed, facet, np.empty(end - first, np.bool_))
+    closed = column_hits.closed[first_hit:end_hit]
+    facet = np.empty(end_hit - first_hit, np.int32)
+    return LineHits(
+        z, normal, geom[first_hit:end_hit], closed, facet, np.empty(end_hit - first_hit, np.bool_)
+    )
 
 
 @subkernel(forceinline=True)
@@ -100,41 +102,41 @@ def copy_hit(hits, source_index, target_hits, target_index):
 
 
 @subkernel(forceinline=True)
-def _is_less(first_hits, first_index, second_hits, second_index):
-    """Return whether a hit of `first_hits` comes before one of `second_hits` in a column.
+def _is_less(hits_a, index_a, hits_b, index_b):
+    """Return whether a hit of `hits_a` comes before one of `hits_b` in a column.
 
     The lower hit comes first; of two at one height, the one of the lower geom id; of two of one
     geom, the one on an underside.
     """
-    if first_hits.z[first_index] != second_hits.z[second_index]:
-        return first_hits.z[first_index] < second_hits.z[second_index]
-    if first_hits.geom[first_index] != second_hits.geom[second_index]:
-        return first_hits.geom[first_index] < second_hits.geom[second_index]
-    return (first_hits.normal[first_index, 2] > 0.0) < (second_hits.normal[second_index, 2] > 0.0)
+    if hits_a.z[index_a] != hits_b.z[index_b]:
+        return hits_a.z[index_a] < hits_b.z[index_b]
+    if hits_a.geom[index_a] != hits_b.geom[index_b]:
+        return hits_a.geom[index_a] < hits_b.geom[index_b]
+    return (hits_a.normal[index_a, 2] > 0.0) < (hits_b.normal[index_b, 2] > 0.0)
 
 
 @subkernel(inline="always")
-def _sort_hits(hits, first, end, scratch_hits, scratch_index):
-    """Sort the hits ``first:end`` of a line by insertion, in the order of `_is_less`.
+def _sort_hits(hits, first_hit, end_hit, scratch_hits, scratch_index):
+    """Sort the hits ``first_hit:end_hit`` of a line by insertion, in the order of `_is_less`.
 
     `scratch_hits` is a `LineHits` with room for one hit at index `scratch_index`.
     """
-    for i in range(first + 1, end):
+    for i in range(first_hit + 1, end_hit):
         if not _is_less(hits, i, hits, i - 1):
             continue
         copy_hit(hits, i, scratch_hits, scratch_index)
         j = i
-        while j > first and _is_less(scratch_hits, scratch_index, hits, j - 1):
+        while j > first_hit and _is_less(scratch_hits, scratch_index, hits, j - 1):
             copy_hit(hits, j - 1, hits, j)
             j -= 1
         copy_hit(scratch_hits, scratch_index, hits, j)
 
 
 @subkernel(inline="always")
-def _has_hit_at_edge(hits, first, end):
-    """Return whether any of the hits ``first:end`` of a line is at the edge of a triangle."""
+def _has_hit_at_edge(hits, first_hit, end_hit):
+    """Return whether any hit of ``first_hit:end_hit`` of a line is at the edge of a triangle."""
     is_at_edge = hits.is_at_edge
-    for i in range(first, end):  # noqa: SIM110 (numba has no generators in `any`)
+    for i in range(first_hit, end_hit):  # noqa: SIM110 (numba has no generators in `any`)
         if is_at_edge[i]:
             return True
     return False
@@ -150,17 +152,17 @@ def _is_same_part(hits, first_hit, second_hit, facets):
 
 
 @subkernel(inline="always")
-def _drop_duplicate_hits(hits, first, end, facets):
+def _drop_duplicate_hits(hits, first_hit, end_hit, facets):
     """Drop one of two hits on neighboring triangles, where a line runs through their shared edge.
 
-    The line has the hits ``first:end``. Returns the index past the last hit that remains.
+    The line has the hits ``first_hit:end_hit``. Returns the index past the last hit that remains.
     """
-    remaining_end = first
-    for i in range(first, end):
+    remaining_end = first_hit
+    for i in range(first_hit, end_hit):
         is_duplicate = False
         if hits.is_at_edge[i]:
             j = remaining_end - 1
-            while j >= first and hits.z[i] - hits.z[j] <= SAME_HEIGHT:
+            while j >= first_hit and hits.z[i] - hits.z[j] <= SAME_HEIGHT:
                 is_same_side = (hits.normal[i, 2] > 0.0) == (hits.normal[j, 2] > 0.0)
                 if hits.is_at_edge[j] and is_same_side and _is_same_part(hits, i, j, facets):
                     is_duplicate = True
@@ -173,15 +175,15 @@ def _drop_duplicate_hits(hits, first, end, facets):
 
 
 @subkernel(inline="always")
-def _steepest_of_part(hits, first, end, hit, facets, facing_sign):
+def _steepest_of_part(hits, first_hit, end_hit, hit, facets, facing_sign):
     """Find the steepest triangle that a line hits at an edge, in the mesh part of a given hit.
 
-    The line has the hits ``first:end``. Only triangles that face up count if `facing_sign` is 1,
-    only those that face down if it is -1. Returns the index of the hit, -1 for none.
+    The line has the hits ``first_hit:end_hit``. Only triangles that face up count if `facing_sign`
+    is 1, only those that face down if it is -1. Returns the index of the hit, -1 for none.
     """
     steepest_hit = np.int64(-1)
     least_normal_z = 0.0
-    for j in range(first, end):
+    for j in range(first_hit, end_hit):
         if not hits.is_at_edge[j] or not _is_same_part(hits, hit, j, facets):
             continue
         normal_z = facing_sign * unit_normal(facets.corners, hits.facet[j])[2]
@@ -192,53 +194,55 @@ def _steepest_of_part(hits, first, end, hit, facets, facing_sign):
 
 
 @subkernel(inline="always")
-def _balance_parts(hits, first, end, facets):
+def _balance_parts(hits, first_hit, end_hit, facets):
     """Drop hits at edges until the line leaves each closed part of a mesh as often as it enters it.
 
-    The line has the hits ``first:end``. Returns the index past the last hit that remains.
+    The line has the hits ``first_hit:end_hit``. Returns the index past the last hit that remains.
     """
-    hit = first
-    while hit < end:
-        surplus = 0
+    hit = first_hit
+    while hit < end_hit:
+        surplus_exits = 0
         if hits.is_at_edge[hit] and hits.closed[hit] != OPEN_SURFACE:
-            for j in range(first, end):
+            for j in range(first_hit, end_hit):
                 if hits.facet[j] >= 0 and _is_same_part(hits, hit, j, facets):
-                    surplus += 1 if hits.normal[j, 2] > 0.0 else -1
+                    surplus_exits += 1 if hits.normal[j, 2] > 0.0 else -1
         dropped_hit = np.int64(-1)
-        if surplus != 0:
-            facing_sign = 1.0 if surplus > 0 else -1.0
-            dropped_hit = _steepest_of_part(hits, first, end, hit, facets, facing_sign)
+        if surplus_exits != 0:
+            facing_sign = 1.0 if surplus_exits > 0 else -1.0
+            dropped_hit = _steepest_of_part(hits, first_hit, end_hit, hit, facets, facing_sign)
         if dropped_hit < 0:
             hit += 1
             continue
-        for j in range(dropped_hit + 1, end):
+        for j in range(dropped_hit + 1, end_hit):
             copy_hit(hits, j, hits, j - 1)
-        end -= 1
+        end_hit -= 1
         # the hit is tested again; if an earlier one was dropped, its index is less by 1 now
         if dropped_hit < hit:
             hit -= 1
-    return end
+    return end_hit
 
 
 @subkernel(**NO_REFCOUNT)
-def _drop_superfluous_hits(hits, first, end, facets):
+def _drop_superfluous_hits(hits, first_hit, end_hit, facets):
     """Drop superfluous hits at edges of triangles, so that each crossing is counted once.
 
-    The line has the hits ``first:end``. Returns the index past the last hit that remains.
+    The line has the hits ``first_hit:end_hit``. Returns the index past the last hit that remains.
     """
-    return _balance_parts(hits, first, _drop_duplicate_hits(hits, first, end, facets), facets)
+    return _balance_parts(
+        hits, first_hit, _drop_duplicate_hits(hits, first_hit, end_hit, facets), facets
+    )
 
 
 @subkernel(inline="always")
-def finish_line(hits, first, end, facets, scratch_hits, scratch_index):
+def finish_line(hits, first_hit, end_hit, facets, scratch_hits, scratch_index):
     """Turn the collected hits of a line into a column: sorted, with one hit for each crossing.
 
     Args:
-        hits: `LineHits`; the line has the hits ``first:end``. They are sorted in place. Hits that
-            are left out, because another one stands for the same crossing, come last, with DROPPED
-            as their geom.
-        first: index of the line's first hit.
-        end: index past its last hit.
+        hits: `LineHits`; the line has the hits ``first_hit:end_hit``. They are sorted in place.
+            Hits that are left out, because another one stands for the same crossing, come last,
+            with DROPPED as their geom.
+        first_hit: index of the line's first hit.
+        end_hit: index past its last hit.
         facets: the triangles, as `Facets`.
         scratch_hits: `LineHits` that has room for one hit, as scratch.
         scratch_index: index of this room in `scratch_hits`.
@@ -246,10 +250,10 @@ def finish_line(hits, first, end, facets, scratch_hits, scratch_index):
     Returns:
         How many hits were dropped, int64.
     """
-    _sort_hits(hits, first, end, scratch_hits, scratch_index)
-    if not _has_hit_at_edge(hits, first, end):
+    _sort_hits(hits, first_hit, end_hit, scratch_hits, scratch_index)
+    if not _has_hit_at_edge(hits, first_hit, end_hit):
         return np.int64(0)
-    remaining_end = _drop_superfluous_hits(hits, first, end, facets)
-    for i in range(remaining_end, end):
+    remaining_end = _drop_superfluous_hits(hits, first_hit, end_hit, facets)
+    for i in range(remaining_end, end_hit):
         hits.geom[i] = DROPPED
-    return end - remaining_end
+    return end_hit - remaining_end

@@ -77,30 +77,38 @@ def _cross_triangle(corners, triangle, x, y, edge_limits):
         return 0, 0.0
     # edge functions: twice the areas that (x, y) spans with the edges, all of one sign inside
     sign = 1.0 if area > 0.0 else -1.0
-    function_a = sign * (bx * cy - cx * by)
-    function_b = sign * (cx * ay - ax * cy)
-    function_c = sign * (ax * by - bx * ay)
-    if function_a < -edge_limits[0] or function_b < -edge_limits[1] or function_c < -edge_limits[2]:
+    edge_function_a = sign * (bx * cy - cx * by)
+    edge_function_b = sign * (cx * ay - ax * cy)
+    edge_function_c = sign * (ax * by - bx * ay)
+    if (
+        edge_function_a < -edge_limits[0]
+        or edge_function_b < -edge_limits[1]
+        or edge_function_c < -edge_limits[2]
+    ):
         return 0, 0.0
-    crossing = 1
-    if function_a <= edge_limits[0] or function_b <= edge_limits[1] or function_c <= edge_limits[2]:
+    crossing_kind = 1
+    if (
+        edge_function_a <= edge_limits[0]
+        or edge_function_b <= edge_limits[1]
+        or edge_function_c <= edge_limits[2]
+    ):
         # distance to an edge = edge function / edge length
-        distance_a = function_a / math.hypot(cx - bx, cy - by)
-        distance_b = function_b / math.hypot(ax - cx, ay - cy)
-        distance_c = function_c / math.hypot(bx - ax, by - ay)
-        nearest = min(distance_a, distance_b, distance_c)
-        if nearest < -RIM_WIDTH:
+        distance_a = edge_function_a / math.hypot(cx - bx, cy - by)
+        distance_b = edge_function_b / math.hypot(ax - cx, ay - cy)
+        distance_c = edge_function_c / math.hypot(bx - ax, by - ay)
+        least_distance = min(distance_a, distance_b, distance_c)
+        if least_distance < -RIM_WIDTH:
             return 0, 0.0
-        if nearest <= RIM_WIDTH:
-            crossing = 2
+        if least_distance <= RIM_WIDTH:
+            crossing_kind = 2
     z0 = corners[triangle, 0, 2]
     z1 = corners[triangle, 1, 2]
     z2 = corners[triangle, 2, 2]
-    z = (function_a * z0 + function_b * z1 + function_c * z2) / (
-        function_a + function_b + function_c
+    z = (edge_function_a * z0 + edge_function_b * z1 + edge_function_c * z2) / (
+        edge_function_a + edge_function_b + edge_function_c
     )
     z = min(max(z, min(z0, z1, z2)), max(z0, z1, z2))
-    return crossing, z
+    return crossing_kind, z
 
 
 @subkernel(inline="always")
@@ -116,9 +124,10 @@ def hit_triangle(
         facets: the triangles in the world frame.
         facet_index: index of the triangle in `facets`.
         x, y: the line [m].
-        edge_limits: for the edges opposite to corners 0, 1 and 2: the edge function from which on
-            its sign alone says on which side of the edge the line runs, and its distance to the
-            edge isn't computed [m²]; NO_LIMITS to compute it always.
+        edge_limits: a limit for each of the edges opposite to corners 0, 1 and 2 [m²]. If the
+            edge function's absolute value is larger, its sign alone tells on which side of the edge
+            the line runs; else the line's distance to the edge is computed. NO_LIMITS to compute it
+            always.
         hits: `LineHits` to write into.
         hit_index: index in `hits` at which to write.
         is_writing: whether to write the hit.
@@ -126,8 +135,8 @@ def hit_triangle(
     Returns:
         The number of hits, 0 or 1.
     """
-    crossing, z = _cross_triangle(corners, corners_index, x, y, edge_limits)
-    if crossing == 0:
+    crossing_kind, z = _cross_triangle(corners, corners_index, x, y, edge_limits)
+    if crossing_kind == 0:
         return 0
     if not is_writing:
         return 1
@@ -139,7 +148,7 @@ def hit_triangle(
     hits.geom[hit_index] = facets.geom[facet_index]
     hits.closed[hit_index] = facets.closed[facet_index]
     hits.facet[hit_index] = facet_index
-    hits.is_at_edge[hit_index] = AT_EDGE if crossing == 2 else INSIDE
+    hits.is_at_edge[hit_index] = AT_EDGE if crossing_kind == 2 else INSIDE
     return 1
 
 
@@ -163,12 +172,16 @@ def _span_of_row(corners, triangle, x_low, x_high, y, edge_limits):
         by = corners[triangle, i, 1] - y
         cx = corners[triangle, j, 0] - x_low
         cy = corners[triangle, j, 1] - y
-        function_at_low = sign * (bx * cy - cx * by)
-        slope = sign * (corners[triangle, i, 1] - corners[triangle, j, 1])
-        if slope > 0.0:
-            span_low = max(span_low, x_low - (function_at_low + edge_limits[k]) / slope)
-        elif slope < 0.0:
-            span_high = min(span_high, x_low - (function_at_low + edge_limits[k]) / slope)
+        edge_function_at_low = sign * (bx * cy - cx * by)
+        edge_function_slope = sign * (corners[triangle, i, 1] - corners[triangle, j, 1])
+        if edge_function_slope > 0.0:
+            span_low = max(
+                span_low, x_low - (edge_function_at_low + edge_limits[k]) / edge_function_slope
+            )
+        elif edge_function_slope < 0.0:
+            span_high = min(
+                span_high, x_low - (edge_function_at_low + edge_limits[k]) / edge_function_slope
+            )
     return span_low, span_high
 
 

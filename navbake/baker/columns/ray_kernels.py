@@ -23,9 +23,9 @@ from llvmlite import binding
 from numba import types
 
 from navbake.baker.columns.hit_kernels import (
+    HIT_OF_PLANE,
+    HIT_OF_SOLID,
     INSIDE,
-    OF_PLANE,
-    OF_SOLID,
     RIM_WIDTH,
     allocate_hits,
     copy_hit,
@@ -78,20 +78,20 @@ class Lines(NamedTuple):
 
 
 class Geometry(NamedTuple):
-    """The shapes that lines are crossed with.
+    """The shapes that lines are intersected with.
 
     Attributes:
         solids: primitives.
         facets: triangles.
         planes: infinite planes.
-        heights: a height below all shapes, from which rays are cast up at planes, and one above all
-            shapes, from which they are cast down [m].
+        height_range: a height below all shapes, from which rays are cast up at planes, and one
+            above all shapes, from which they are cast down [m].
     """
 
     solids: Solids
     facets: Facets
     planes: Planes
-    heights: HeightRange
+    height_range: HeightRange
 
 
 def _load_mujoco() -> None:
@@ -114,14 +114,14 @@ _ray_geom = types.ExternalFunction(
 
 
 class Ray(NamedTuple):
-    """A ray, its result, and room for casting it; arrays of shape (3,), float64.
+    """A ray, the normal of the surface that it hits, and scratch arrays; all of (3,), float64.
 
     Attributes:
         point: where the ray begins [m].
         direction: its direction, a unit vector.
         normal: receives the unit normal of the surface that it hits.
-        nudged_point: room for a point beside `point`, see `_cast_at_rim` [m].
-        enlarged_size: room for an enlarged size of a solid, see `_cast_at_rim` [m].
+        nudged_point: scratch for a point beside `point`, see `_cast_at_rim` [m].
+        enlarged_size: scratch for an enlarged size of a solid, see `_cast_at_rim` [m].
     """
 
     point: Float
@@ -218,7 +218,7 @@ def _hit_solid(solids, solid, x, y, ray, hits, first_hit):
             z = ray.point[2] + ray.direction[2] * distance
             _write_hit(hits, first_hit + num_hits, z, ray.normal, normal_z, solids.geom[solid])
             hits.closed[first_hit + num_hits] = CONVEX_SOLID
-            hits.facet[first_hit + num_hits] = OF_SOLID
+            hits.facet[first_hit + num_hits] = HIT_OF_SOLID
             num_hits += 1
     return num_hits
 
@@ -230,11 +230,11 @@ def _is_upright(mat):
 
 
 @subkernel(**NO_REFCOUNT)
-def _hit_plane(planes, plane, x, y, heights, ray, hits, first_hit):
+def _hit_plane(planes, plane, x, y, height_range, ray, hits, first_hit):
     """Write where the vertical line at (x, y) crosses the front of a plane; return how many hits.
 
-    They are written into `hits` from index `first_hit` on. `heights` are a height below all shapes
-    and one above all of them, from which rays are cast.
+    They are written into `hits` from index `first_hit` on. `height_range` has a height
+    below all shapes and one above all of them, from which rays are cast.
     """
     num_hits = np.int64(0)
     pos = planes.pos[plane]
@@ -243,15 +243,15 @@ def _hit_plane(planes, plane, x, y, heights, ray, hits, first_hit):
     ray.point[1] = y
     ray.enlarged_size[:] = 0.0  # MuJoCo's planes of size 0 are infinite
     for is_down in range(2):
-        _aim_ray(ray, is_down, heights.low, heights.high)
+        _aim_ray(ray, is_down, height_range.low, height_range.high)
         distance = _cast_at_geom(pos, mat, ray.enlarged_size, PLANE_KIND, ray.point, ray)
         if distance >= 0.0:
             # not from the distance: the height is the same to the last bit wherever the ray begins
-            across = (x - pos[0]) * mat[2] + (y - pos[1]) * mat[5]
-            z = pos[2] - across / mat[8]
+            offset_along_normal = (x - pos[0]) * mat[2] + (y - pos[1]) * mat[5]
+            z = pos[2] - offset_along_normal / mat[8]
             _write_hit(hits, first_hit + num_hits, z, ray.normal, ray.normal[2], planes.geom[plane])
             hits.closed[first_hit + num_hits] = OPEN_SURFACE
-            hits.facet[first_hit + num_hits] = OF_PLANE
+            hits.facet[first_hit + num_hits] = HIT_OF_PLANE
             num_hits += 1
     return num_hits
 
@@ -269,9 +269,9 @@ def _distance_to_rim(solids, solid, x, y):
     dx = x - solids.pos[solid, 0]
     dy = y - solids.pos[solid, 1]
     if kind == BOX:
-        across = mat[0] * dx + mat[3] * dy
-        along = mat[1] * dx + mat[4] * dy
-        return max(abs(across) - size[0], abs(along) - size[1])
+        local_x = mat[0] * dx + mat[3] * dy
+        local_y = mat[1] * dx + mat[4] * dy
+        return max(abs(local_x) - size[0], abs(local_y) - size[1])
     return math.hypot(dx, dy) - size[0]
 
 
@@ -324,11 +324,11 @@ def _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, 
         box[0] - RIM_WIDTH - x_min, box[3] + RIM_WIDTH - x_min, cell_size, lattice.width
     )
     has_simple_rim = _has_simple_rim(solids, solid)
-    copies_middle = False
+    reuses_middle_hits = False
     if has_simple_rim and _has_flat_ends(solids, solid):
         x = solids.pos[solid, 0]
         y = solids.pos[solid, 1]
-        copies_middle = _hit_solid(solids, solid, x, y, ray, middle_hits, np.int64(0)) == 2
+        reuses_middle_hits = _hit_solid(solids, solid, x, y, ray, middle_hits, np.int64(0)) == 2
     for row in range(first_row, last_row + 1):
         y = cell_center(lattice, row * lattice.width)[1]
         for col in range(first_col, last_col + 1):
@@ -340,7 +340,7 @@ def _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, 
                 continue
             line = (row - rows[0]) * lattice.width + col
             hit_index = next_hit[line] if is_writing else 0
-            if copies_middle and distance_to_rim < -RIM_CLEARANCE:
+            if reuses_middle_hits and distance_to_rim < -RIM_CLEARANCE:
                 for i in range(2):
                     copy_hit(middle_hits, i, hits, hit_index + i)
                 next_hit[line] += 2
@@ -350,7 +350,7 @@ def _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, 
 
 @subkernel(**NO_REFCOUNT)
 def _cast_plane(
-    planes, plane, lattice, rows, heights, ray, middle_hits, hits, next_hit, is_writing
+    planes, plane, lattice, rows, height_range, ray, middle_hits, hits, next_hit, is_writing
 ):
     """Write where the vertical lines through cells' centres cross the front of a plane.
 
@@ -359,7 +359,7 @@ def _cast_plane(
         plane: index of the plane.
         lattice: the cells, as `Lattice`.
         rows: the first row to cast lines in, and the row after the last one.
-        heights: heights below and above all shapes, from which rays are cast.
+        height_range: a height below all shapes and one above them, from which rays are cast [m].
         ray: a `Ray` to cast.
         middle_hits: room for the hits of one line, as `LineHits`.
         hits: `LineHits` of the rows' lines, which are written.
@@ -369,11 +369,13 @@ def _cast_plane(
     """
     is_horizontal = _is_upright(planes.mat[plane])
     num_hits = np.int64(0)
-    first_index = np.int64(0)
+    first_middle_hit = np.int64(0)
     for line in range(next_hit.shape[0]):
         if not is_horizontal or line == 0:
             x, y = cell_center(lattice, rows[0] * lattice.width + line)
-            num_hits = _hit_plane(planes, plane, x, y, heights, ray, middle_hits, first_index)
+            num_hits = _hit_plane(
+                planes, plane, x, y, height_range, ray, middle_hits, first_middle_hit
+            )
         hit_index = next_hit[line] if is_writing else 0
         for i in range(num_hits):
             copy_hit(middle_hits, i, hits, hit_index + i)
@@ -437,24 +439,22 @@ def _cast_tile_row(
     solids = geometry.solids
     facets = geometry.facets
     planes = geometry.planes
-    heights = geometry.heights
+    height_range = geometry.height_range
     rows = (tile_row * TILE, min((tile_row + 1) * TILE, lattice.height))
     for plane in range(planes.geom.shape[0]):
         _cast_plane(
-            planes, plane, lattice, rows, heights, ray, middle_hits, hits, next_hit, is_writing
+            planes, plane, lattice, rows, height_range, ray, middle_hits, hits, next_hit, is_writing
         )
-    for item_index in range(
-        shape_index.solid_start[tile_row], shape_index.solid_start[tile_row + 1]
-    ):
-        solid = shape_index.solid_item[item_index]
+    for entry in range(shape_index.solid_start[tile_row], shape_index.solid_start[tile_row + 1]):
+        solid = shape_index.solid_item[entry]
         _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, is_writing)
-    first_item = shape_index.triangle_start[tile_row]
-    end_item = shape_index.triangle_start[tile_row + 1]
-    triangles = shape_index.triangle_item[first_item:end_item]
+    first_entry = shape_index.triangle_start[tile_row]
+    end_entry = shape_index.triangle_start[tile_row + 1]
+    triangles = shape_index.triangle_item[first_entry:end_entry]
     raster_triangles(
         facets,
         triangles,
-        is_crossed[first_item:end_item],
+        is_crossed[first_entry:end_entry],
         lattice,
         rows,
         hits,
@@ -525,7 +525,7 @@ def _cast_line(
     solids = geometry.solids
     facets = geometry.facets
     planes = geometry.planes
-    heights = geometry.heights
+    height_range = geometry.height_range
     x = lines.points[line, 0]
     y = lines.points[line, 1]
     num_line_hits = 0
@@ -537,7 +537,7 @@ def _cast_line(
     is_rotated = lines.axes[0, 0] != 1.0 or lines.axes[2, 2] != 1.0
     for plane in range(planes.geom.shape[0]):
         next_hit = first_hit + num_line_hits if is_writing else first_hit
-        num_line_hits += _hit_plane(planes, plane, x, y, heights, ray, hits, next_hit)
+        num_line_hits += _hit_plane(planes, plane, x, y, height_range, ray, hits, next_hit)
     for row in range(
         min(first_tile_row, second_tile_row), max(first_tile_row, second_tile_row) + 1
     ):
@@ -545,15 +545,15 @@ def _cast_line(
             min(first_tile_col, second_tile_col), max(first_tile_col, second_tile_col) + 1
         ):
             tile = row * tiles_per_row + col
-            for item_index in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
-                solid = tile_index.solid_item[item_index]
+            for entry in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
+                solid = tile_index.solid_item[entry]
                 next_hit = first_hit + num_line_hits if is_writing else first_hit
                 if not is_beside(solids.bounds, solid, x, y):
                     num_line_hits += _hit_solid(solids, solid, x, y, ray, hits, next_hit)
-            for item_index in range(
+            for entry in range(
                 tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]
             ):
-                triangle = tile_index.triangle_item[item_index]
+                triangle = tile_index.triangle_item[entry]
                 next_hit = first_hit + num_line_hits
                 if not is_rotated and is_beside(facets.bounds, triangle, x, y):
                     continue

@@ -1,4 +1,4 @@
-"""Let agents stand on rough ground: on small steep facets, as of scans, of gravel or of bevels.
+"""Let agents stand on rough ground: on small steep facets, such as those of scans or of gravel.
 
 The slope of ground is that of the plane through what a foot covers, not that of a single facet:
 facets of a scan are steeper than the floor that was scanned.
@@ -38,9 +38,9 @@ MAX_BUMP_FRACTION = 1.0 / 3.0
 # this fraction of the squared radius: samples along a line don't
 MIN_VARIANCE_FRACTION = 0.02
 # A facet differs from the plane clearly if the cosine of their angle is at most this
-MAX_SAME_COSINE = np.cos(np.radians(10.0))
+MAX_DIFFERENT_COSINE = np.cos(np.radians(10.0))
 # Lines that are cast together, which limits the memory that it takes
-LINES_PER_PASS = 1 << 20
+LINES_PER_CHUNK = 1 << 20
 
 
 def foot_radius(lattice: Lattice) -> float:
@@ -85,18 +85,18 @@ def replace_rough_ground_normals(
         return columns
     normal = columns.normal.copy()
     num_samples = NUM_DIRECTIONS * len(SAMPLED_RADIUS_FRACTIONS)
-    for first_hit in range(0, len(hit_indices), LINES_PER_PASS // num_samples):
-        pass_cells = cell_ids[first_hit : first_hit + LINES_PER_PASS // num_samples]
-        pass_hits = hit_indices[first_hit : first_hit + LINES_PER_PASS // num_samples]
-        is_steep = _mark_clearly_steep(columns, tiled_shapes, limits, pass_cells, pass_hits)
-        pass_cells = pass_cells[~is_steep]
-        pass_hits = pass_hits[~is_steep]
-        if not len(pass_hits):
+    for first_hit in range(0, len(hit_indices), LINES_PER_CHUNK // num_samples):
+        chunk_cells = cell_ids[first_hit : first_hit + LINES_PER_CHUNK // num_samples]
+        chunk_hits = hit_indices[first_hit : first_hit + LINES_PER_CHUNK // num_samples]
+        is_steep = _mark_clearly_steep(columns, tiled_shapes, limits, chunk_cells, chunk_hits)
+        chunk_cells = chunk_cells[~is_steep]
+        chunk_hits = chunk_hits[~is_steep]
+        if not len(chunk_hits):
             continue
         plane_normal, is_ground = _mark_flat_ground(
-            columns, tiled_shapes, limits, pass_cells, pass_hits
+            columns, tiled_shapes, limits, chunk_cells, chunk_hits
         )
-        normal[pass_hits[is_ground]] = plane_normal[is_ground]
+        normal[chunk_hits[is_ground]] = plane_normal[is_ground]
     return replace(columns, hits=columns.hits._replace(normal=normal))
 
 
@@ -120,7 +120,7 @@ def _find_steep_facets(
     is_steep = columns.hits.closed != CONVEX_SOLID
     if is_steep.any():
         normal_z = columns.normal[:, 2]
-        is_steep &= (normal_z > 0.0) & (normal_z < limits.min_up)
+        is_steep &= (normal_z > 0.0) & (normal_z < limits.min_normal_z)
     if not is_steep.any():
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     column_index, hit_indices = expand_ranges(columns.start[cells], columns.start[cells + 1])
@@ -157,9 +157,9 @@ def _mark_clearly_steep(
         columns, tiled_shapes, limits, cell_ids, hit_indices, sample_offsets
     ).T
     distance = 2.0 * foot_radius(columns.lattice)
-    rise = np.hypot(east - west, north - south) / distance  # NaN where a sample is missing
-    max_rise = math.sqrt(1.0 / limits.min_up**2 - 1.0)
-    is_steep: Bool = rise > CLEARLY_STEEP_FACTOR * max_rise
+    slope = np.hypot(east - west, north - south) / distance  # NaN where a sample is missing
+    max_slope = math.sqrt(1.0 / limits.min_normal_z**2 - 1.0)
+    is_steep: Bool = slope > CLEARLY_STEEP_FACTOR * max_slope
     return is_steep
 
 
@@ -172,7 +172,7 @@ def circle_offsets(num_directions: int, radius: float) -> Float:
     return radius * np.stack([np.cos(angle), np.sin(angle)])
 
 
-class GroundPlane(NamedTuple):
+class GroundPlanes(NamedTuple):
     """Planes fitted to samples of the ground around hits, by least squares.
 
     Attributes:
@@ -223,29 +223,33 @@ def _mark_flat_ground(
     sample_heights = _sample_ground(
         columns, tiled_shapes, limits, cell_ids, hit_indices, sample_offsets
     )
-    half_turn = NUM_DIRECTIONS // 2
+    directions_per_half_turn = NUM_DIRECTIONS // 2
     opposite_heights = np.roll(
-        sample_heights.reshape(len(hit_indices), -1, NUM_DIRECTIONS), half_turn, axis=2
+        sample_heights.reshape(len(hit_indices), -1, NUM_DIRECTIONS),
+        directions_per_half_turn,
+        axis=2,
     )
     paired_heights = np.where(
         np.isnan(opposite_heights.reshape(sample_heights.shape)), np.nan, sample_heights
     )
     min_variance = MIN_VARIANCE_FRACTION * radius**2
-    plane = _fit_planes(sample_offsets, paired_heights, min_variance)
-    unpaired_indices = np.flatnonzero(~plane.is_determined)
-    plane_of_all = _fit_planes(sample_offsets, sample_heights[unpaired_indices], min_variance)
-    is_different = (plane_of_all.normal * columns.normal[hit_indices[unpaired_indices]]).sum(
-        axis=1
-    ) <= MAX_SAME_COSINE
-    plane.normal[unpaired_indices] = plane_of_all.normal
-    plane.max_bump[unpaired_indices] = plane_of_all.max_bump
-    plane.is_determined[unpaired_indices] = plane_of_all.is_determined & is_different
-    is_flat = plane.is_determined & (plane.normal[:, 2] >= limits.min_up)
-    is_flat &= plane.max_bump <= MAX_BUMP_FRACTION * limits.max_step + LIMIT_SLACK
-    return plane.normal, is_flat
+    planes = _fit_planes(sample_offsets, paired_heights, min_variance)
+    unpaired_indices = np.flatnonzero(~planes.is_determined)
+    planes_of_all_samples = _fit_planes(
+        sample_offsets, sample_heights[unpaired_indices], min_variance
+    )
+    is_different = (
+        planes_of_all_samples.normal * columns.normal[hit_indices[unpaired_indices]]
+    ).sum(axis=1) <= MAX_DIFFERENT_COSINE
+    planes.normal[unpaired_indices] = planes_of_all_samples.normal
+    planes.max_bump[unpaired_indices] = planes_of_all_samples.max_bump
+    planes.is_determined[unpaired_indices] = planes_of_all_samples.is_determined & is_different
+    is_flat = planes.is_determined & (planes.normal[:, 2] >= limits.min_normal_z)
+    is_flat &= planes.max_bump <= MAX_BUMP_FRACTION * limits.max_step + LIMIT_SLACK
+    return planes.normal, is_flat
 
 
-def _fit_planes(sample_offsets: Float, sample_heights: Float, min_variance: float) -> GroundPlane:
+def _fit_planes(sample_offsets: Float, sample_heights: Float, min_variance: float) -> GroundPlanes:
     """Fit a plane to each row of samples, and to the hit itself, which is at the origin.
 
     Args:
@@ -273,10 +277,12 @@ def _fit_planes(sample_offsets: Float, sample_heights: Float, min_variance: floa
     slope_x = (cov_xz * var_y - cov_yz * cov_xy) / determinant
     slope_y = (cov_yz * var_x - cov_xz * cov_xy) / determinant
     plane_z_at_hit = mean_z - slope_x * mean_x - slope_y * mean_y  # at the hit
-    bump = np.abs(z - plane_z_at_hit[:, None] - slope_x[:, None] * x - slope_y[:, None] * y)
-    max_bump = np.maximum(np.where(is_sample, bump, 0.0).max(axis=1), np.abs(plane_z_at_hit))
+    bump_heights = np.abs(z - plane_z_at_hit[:, None] - slope_x[:, None] * x - slope_y[:, None] * y)
+    max_bump = np.maximum(
+        np.where(is_sample, bump_heights, 0.0).max(axis=1), np.abs(plane_z_at_hit)
+    )
     normal_z = 1.0 / np.sqrt(1.0 + slope_x**2 + slope_y**2)
-    return GroundPlane(
+    return GroundPlanes(
         np.stack([-slope_x * normal_z, -slope_y * normal_z, normal_z], axis=1),
         max_bump,
         is_determined,
@@ -311,12 +317,14 @@ def _sample_ground(
     is_inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
     inside_indices = np.flatnonzero(is_inside)
     ground_heights = np.full(len(points), np.nan)
-    rays = cast_points(
+    ray_hits = cast_points(
         tiled_shapes, (rows * lattice.width + cols)[inside_indices], points[inside_indices]
     )
-    sample_of_ray_hit = np.repeat(inside_indices, np.diff(rays.start))
-    relative_z = rays.z - columns.z[hit_indices][sample_of_ray_hit // sample_offsets.shape[1]]
-    is_ground = (rays.normal[:, 2] > 0.0) & (np.abs(relative_z) <= limits.max_step + LIMIT_SLACK)
+    sample_of_ray_hit = np.repeat(inside_indices, np.diff(ray_hits.start))
+    relative_z = ray_hits.z - columns.z[hit_indices][sample_of_ray_hit // sample_offsets.shape[1]]
+    is_ground = (ray_hits.normal[:, 2] > 0.0) & (
+        np.abs(relative_z) <= limits.max_step + LIMIT_SLACK
+    )
     # heights ascend along a line: the last assignment is that of the highest surface
     ground_heights[sample_of_ray_hit[is_ground]] = relative_z[is_ground]
     return ground_heights.reshape(len(cell_ids), -1)

@@ -17,9 +17,9 @@ from navbake.baker.columns.crack_kernels import (
     DISTANCE,
     GEOM,
     HEIGHT,
+    MAX_PIECE_HEIGHT_ERROR,
+    MIN_SAME_DIRECTION_COSINE,
     RADIUS,
-    SAME_DIRECTION,
-    SAME_PIECE,
     list_sides,
 )
 from navbake.baker.columns.hit_kernels import RIM_WIDTH
@@ -107,10 +107,10 @@ def _aligned_boxes(tiled_shapes: TiledShapes, tiles: Int) -> Float:
     """Return the bounds of the axis-aligned boxes over some tiles, shape (n, 6) [m]."""
     solids = tiled_shapes.shapes.solids
     tile_index = tiled_shapes.tile_index
-    is_over = _mark_items_over_tiles(
+    is_over_tiles = _mark_items_over_tiles(
         tile_index.solid_start, tile_index.solid_item, tiles, len(solids.geom)
     )
-    box_indices = np.flatnonzero(is_over & (solids.kind == BOX))
+    box_indices = np.flatnonzero(is_over_tiles & (solids.kind == BOX))
     absolute_mat = abs(solids.mat[box_indices])
     is_aligned = np.minimum(absolute_mat, abs(absolute_mat - 1.0)).max(axis=1) < RIM_WIDTH
     bounds: Float = solids.bounds[box_indices[is_aligned]]
@@ -129,32 +129,34 @@ def _upright_triangles(tiled_shapes: TiledShapes, tiles: Int) -> Float:
         tile_index.triangle_start, tile_index.triangle_item, tiles, len(bounds)
     )
 
-    def drop_thick(first_triangle: int, end_triangle: int) -> None:
+    def drop_thick_triangles(first_triangle: int, end_triangle: int) -> None:
         size_x = bounds[first_triangle:end_triangle, 3 + 0] - bounds[first_triangle:end_triangle, 0]
         size_y = bounds[first_triangle:end_triangle, 3 + 1] - bounds[first_triangle:end_triangle, 1]
         is_candidate[first_triangle:end_triangle] &= (size_x <= RIM_WIDTH) | (size_y <= RIM_WIDTH)
 
-    run_in_chunks(drop_thick, len(bounds), least=4096)
+    run_in_chunks(drop_thick_triangles, len(bounds), least=4096)
     return tiled_shapes.facets.corners[is_candidate]
 
 
-def _mark_items_over_tiles(tile_start: Int, item_index: Int32, tiles: Int, num_items: int) -> Bool:
+def _mark_items_over_tiles(
+    tile_start: Int, items_by_tile: Int32, tiles: Int, num_items: int
+) -> Bool:
     """Mark the items that lie over some tiles.
 
     Args:
-        tile_start: index in `item_index` of the first item over each tile, shape (tiles + 1,).
-        item_index: the items over the tiles, tile by tile, see `list_by_tile`.
+        tile_start: index in `items_by_tile` of the first item over each tile, shape (tiles + 1,).
+        items_by_tile: the items over the tiles, tile by tile, see `list_by_tile`.
         tiles: ids of tiles.
         num_items: how many items there are.
 
     Returns:
         A mask, shape (num_items,); all True if `tiles` are all tiles.
     """
-    is_over = np.full(num_items, len(tiles) == len(tile_start) - 1)
-    if not is_over.all():
+    is_over_tiles = np.full(num_items, len(tiles) == len(tile_start) - 1)
+    if not is_over_tiles.all():
         _, list_indices = expand_ranges(tile_start[tiles], tile_start[tiles + 1])
-        is_over[item_index[list_indices]] = True
-    return is_over
+        is_over_tiles[items_by_tile[list_indices]] = True
+    return is_over_tiles
 
 
 def _find_seams(centers: tuple[Float, Float], axis: int, box_bounds: Float, corners: Float) -> Bool:
@@ -182,17 +184,19 @@ def _find_seams(centers: tuple[Float, Float], axis: int, box_bounds: Float, corn
         - first_edge[:, 2] * second_edge[:, other_axis]
     ) * (1 - 2 * axis)
     is_across = highest_corner[:, axis] - lowest_corner[:, axis] <= RIM_WIDTH
-    masks = []
+    face_masks = []
     for is_upper_face in (False, True):
         is_face = is_across & (normal_along_axis > 0 if is_upper_face else normal_along_axis < 0)
-        box_face = box_bounds[:, axis + 3 * is_upper_face]
-        face_coordinate = np.concatenate([box_face, lowest_corner[is_face, axis]])
+        box_face_coordinate = box_bounds[:, axis + 3 * is_upper_face]
+        face_coordinate = np.concatenate([box_face_coordinate, lowest_corner[is_face, axis]])
         face_begin = np.concatenate([box_bounds[:, other_axis], lowest_corner[is_face, other_axis]])
         face_end = np.concatenate(
             [box_bounds[:, other_axis + 3], highest_corner[is_face, other_axis]]
         )
-        masks.append(_mark_cells_in_faces(centers, axis, face_coordinate, face_begin, face_end))
-    return masks[0] & masks[1]
+        face_masks.append(
+            _mark_cells_in_faces(centers, axis, face_coordinate, face_begin, face_end)
+        )
+    return face_masks[0] & face_masks[1]
 
 
 def _mark_cells_in_faces(
@@ -214,23 +218,25 @@ def _mark_cells_in_faces(
     Returns:
         A mask, shape (rows, cols) of the window; row 0 has the largest y.
     """
-    along_axis = centers[axis]
-    along_face = centers[1 - axis]
-    is_in_face = np.zeros((len(along_axis), len(along_face)), dtype=np.bool_)
-    first_center = np.searchsorted(along_axis, face_coordinate - 2 * RIM_WIDTH)
-    holds_centers = first_center < len(along_axis)
+    centers_across_face = centers[axis]
+    centers_along_face = centers[1 - axis]
+    is_in_face = np.zeros((len(centers_across_face), len(centers_along_face)), dtype=np.bool_)
+    first_center = np.searchsorted(centers_across_face, face_coordinate - 2 * RIM_WIDTH)
+    holds_centers = first_center < len(centers_across_face)
     candidate_centers = first_center[holds_centers]
     holds_centers[holds_centers] = (
-        along_axis[candidate_centers] <= face_coordinate[holds_centers] + 2 * RIM_WIDTH
+        centers_across_face[candidate_centers] <= face_coordinate[holds_centers] + 2 * RIM_WIDTH
     )
     if not holds_centers.any():
         return np.zeros((len(centers[1]), len(centers[0])), dtype=np.bool_)
-    first_center_along = np.searchsorted(along_face, face_begin[holds_centers] - 2 * RIM_WIDTH)
-    end_center_along = np.searchsorted(
-        along_face, face_end[holds_centers] + 2 * RIM_WIDTH, side="right"
+    first_center_along = np.searchsorted(
+        centers_along_face, face_begin[holds_centers] - 2 * RIM_WIDTH
     )
-    face_number, center_along = expand_ranges(first_center_along, end_center_along)
-    is_in_face[first_center[holds_centers][face_number], center_along] = True
+    end_center_along = np.searchsorted(
+        centers_along_face, face_end[holds_centers] + 2 * RIM_WIDTH, side="right"
+    )
+    face_number, center_index_along = expand_ranges(first_center_along, end_center_along)
+    is_in_face[first_center[holds_centers][face_number], center_index_along] = True
     return np.asarray((is_in_face.T if axis == 0 else is_in_face)[::-1])
 
 
@@ -261,8 +267,8 @@ def replace_column_hits(
     )
     num_added_before = np.cumsum(num_added, out=num_added)
     start = np.zeros(len(old_hits.start), dtype=np.int64)  # whose pages cost nothing until written
-    changed_cells = slice(first_cell, end_cell + 1)
-    np.add(old_hits.start[changed_cells], num_added_before, out=start[changed_cells])
+    start_slice = slice(first_cell, end_cell + 1)
+    np.add(old_hits.start[start_slice], num_added_before, out=start[start_slice])
     arrays = [
         replace_slices(old_array, first_old_hit, end_old_hit, new_array, new_hits.start)
         for old_array, new_array in zip(old_hits.entries, new_hits.entries, strict=True)
@@ -310,12 +316,12 @@ def close_cracks(
     lattice = columns.lattice
     points = lattice.positions(*np.divmod(cell_ids, lattice.width))
     points += direction * (sides[:, DISTANCE, None] + DISTANCE_INSIDE_EDGE)
-    rays = cast_points(tiled_shapes, cell_ids, points)
-    side_index = np.repeat(np.arange(len(cell_ids)), np.diff(rays.start))  # of each hit
-    height_difference = abs(rays.z - sides[side_index, HEIGHT])
-    is_floor = rays.normal[:, 2] >= limits.min_up
-    is_on_piece = is_floor & (rays.geom == sides[side_index, GEOM])
-    is_on_piece &= height_difference <= SAME_PIECE + sides[side_index, RADIUS]
+    ray_hits = cast_points(tiled_shapes, cell_ids, points)
+    side_index = np.repeat(np.arange(len(cell_ids)), np.diff(ray_hits.start))  # of each hit
+    height_difference = abs(ray_hits.z - sides[side_index, HEIGHT])
+    is_floor = ray_hits.normal[:, 2] >= limits.min_normal_z
+    is_on_piece = is_floor & (ray_hits.geom == sides[side_index, GEOM])
+    is_on_piece &= height_difference <= MAX_PIECE_HEIGHT_ERROR + sides[side_index, RADIUS]
     hit_indices = np.flatnonzero(is_on_piece)
     hit_indices = hit_indices[np.lexsort((height_difference[hit_indices], side_index[hit_indices]))]
     side_index, first_index = np.unique(side_index[hit_indices], return_index=True)
@@ -323,23 +329,23 @@ def close_cracks(
     cell_ids = cell_ids[side_index]
     direction = direction[side_index]
     # a floor that is buried there, but not at the cell's line, ends at the foot of something
-    is_beside_crack = ~_mark_buried_heights(rays, side_index, rays.z[hit_indices])
-    is_beside_crack |= _mark_buried_heights(columns.hits, cell_ids, rays.z[hit_indices])
+    is_beside_crack = ~_mark_buried_heights(ray_hits, side_index, ray_hits.z[hit_indices])
+    is_beside_crack |= _mark_buried_heights(columns.hits, cell_ids, ray_hits.z[hit_indices])
     hit_indices = hit_indices[is_beside_crack]
     cell_ids = cell_ids[is_beside_crack]
     direction = direction[is_beside_crack]
 
-    is_lower_side = _find_lower_sides(cell_ids, rays.z[hit_indices], direction, limits.max_step)
+    is_lower_side = _find_lower_sides(cell_ids, ray_hits.z[hit_indices], direction, limits.max_step)
     hit_indices = hit_indices[is_lower_side]
     cell_ids = cell_ids[is_lower_side]
-    z = rays.z[hit_indices]
+    z = ray_hits.z[hit_indices]
     lowest_indices = list[int]()  # of the surfaces of a cell that are within a step of each other
-    for index in np.lexsort((rays.geom[hit_indices], z, cell_ids)).tolist():
-        is_new_cell = not lowest_indices or cell_ids[lowest_indices[-1]] != cell_ids[index]
-        if is_new_cell or z[index] - z[lowest_indices[-1]] > limits.max_step + LIMIT_SLACK:
-            lowest_indices.append(index)
+    for candidate in np.lexsort((ray_hits.geom[hit_indices], z, cell_ids)).tolist():
+        is_new_cell = not lowest_indices or cell_ids[lowest_indices[-1]] != cell_ids[candidate]
+        if is_new_cell or z[candidate] - z[lowest_indices[-1]] > limits.max_step + LIMIT_SLACK:
+            lowest_indices.append(candidate)
     return (
-        _add_surfaces(columns, cell_ids[lowest_indices], rays, hit_indices[lowest_indices])
+        _add_surfaces(columns, cell_ids[lowest_indices], ray_hits, hit_indices[lowest_indices])
         if lowest_indices
         else columns
     )
@@ -355,7 +361,7 @@ def _list_all_sides(
     """List the pieces of floor on both sides of cracks, see `list_sides`, ordered by cell.
 
     Returns:
-        A row of numbers for each piece, see `crack_kernels`, shape (n, NUM_COLUMNS), float64.
+        A row of numbers for each piece, see `crack_kernels`, shape (n, NUMBERS_PER_SIDE), float64.
     """
     tiles = tiles_of_rows(columns.lattice, columns.valid_rows)
     sides_of_chunk = dict[int, Float]()  # by the first tile of the chunk
@@ -405,7 +411,7 @@ def _find_lower_sides(cell_ids: Int, z: Float, direction: Float, max_step: float
         is_crack &= abs(z[first_floor] - z[second_floor]) <= max_step + LIMIT_SLACK
         is_crack &= (direction[first_floor] * direction[second_floor]).sum(
             axis=1
-        ) <= -SAME_DIRECTION
+        ) <= -MIN_SAME_DIRECTION_COSINE
         is_lower[first_floor] |= is_crack & (z[first_floor] <= z[second_floor])
         is_lower[second_floor] |= is_crack & (z[second_floor] <= z[first_floor])
     return is_lower
@@ -429,17 +435,19 @@ def _mark_buried_heights(hits: ColumnHits, cells: Int, z: Float) -> Bool:
     return is_buried
 
 
-def _add_surfaces(columns: Columns, cell_ids: Int, rays: ColumnHits, hit_indices: Int) -> Columns:
-    """Add hits of rays to the columns of cells, as surfaces that enclose nothing.
+def _add_surfaces(
+    columns: Columns, cell_ids: Int, ray_hits: ColumnHits, hit_indices: Int
+) -> Columns:
+    """Add the hits of rays to the columns of cells, as surfaces that enclose nothing.
 
     Args:
         columns: the columns.
         cell_ids: the cell that each hit is added to, (n,).
-        rays: the hits of the rays.
-        hit_indices: index of each hit in `rays`, ordered by cell and then height, (n,).
+        ray_hits: the hits of the rays.
+        hit_indices: index of each hit in `ray_hits`, ordered by cell and then height, (n,).
     """
     old_hits = columns.hits
-    z = rays.z[hit_indices]
+    z = ray_hits.z[hit_indices]
     insert_index = old_hits.start[cell_ids]
     end_hit = old_hits.start[cell_ids + 1]
     while True:
@@ -453,8 +461,8 @@ def _add_surfaces(columns: Columns, cell_ids: Int, rays: ColumnHits, hit_indices
     new_hits = ColumnHits(
         start=np.arange(len(z) + 1),
         z=z,
-        normal=rays.normal[hit_indices],
-        geom=rays.geom[hit_indices],
+        normal=ray_hits.normal[hit_indices],
+        geom=ray_hits.geom[hit_indices],
         closed=np.full(len(z), OPEN_SURFACE, np.uint8),
     )
     return replace_column_hits(columns, cell_ids, insert_index, insert_index, new_hits)

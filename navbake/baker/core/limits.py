@@ -12,18 +12,18 @@ class AgentLimits(NamedTuple):
     """What an agent can stand and walk on.
 
     Attributes:
-        min_up: least z of a walkable surface's unit normal: cosine of the largest slope, less
+        min_normal_z: least z of a walkable surface's unit normal: cosine of the largest slope, less
             LIMIT_SLACK.
         headroom: free height that the agent needs over a floor: its own height [m].
         max_step: largest step up or down [m].
     """
 
-    min_up: float
+    min_normal_z: float
     headroom: float
     max_step: float
 
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:
     """Turn the settings of an agent into the limits that kernels take."""
-    min_up = float(np.cos(np.radians(agent.max_slope))) - LIMIT_SLACK
-    return AgentLimits(min_up, agent.height, agent.traversable_floor_height)
+    min_normal_z = float(np.cos(np.radians(agent.max_slope))) - LIMIT_SLACK
+    return AgentLimits(min_normal_z, agent.height, agent.traversable_floor_height)

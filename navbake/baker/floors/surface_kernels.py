@@ -198,7 +198,7 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
                 next_above += 1
             height_above = hits.z[next_above] if next_above < stop else math.inf
             normal_z = hits.normal[hit, 2]
-            is_gentle = normal_z >= agent_limits.min_up
+            is_gentle = normal_z >= agent_limits.min_normal_z
             # too steep, and no bump that is low enough to step over
             if not is_gentle and not (
                 normal_z > 0.0 and z - gentle_z <= agent_limits.max_step + LIMIT_SLACK

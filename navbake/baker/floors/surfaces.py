@@ -40,7 +40,7 @@ def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) 
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
     hit_cells = np.flatnonzero(np.diff(columns.start))
     uppermost_hits = columns.start[hit_cells + 1] - 1
-    is_gentle = columns.normal[uppermost_hits, 2] >= agent_limits(agent).min_up
+    is_gentle = columns.normal[uppermost_hits, 2] >= agent_limits(agent).min_normal_z
     top_height = np.full(lattice.shape, np.nan)
     top_height.ravel()[hit_cells[is_gentle]] = columns.z[uppermost_hits[is_gentle]]
     return top_height

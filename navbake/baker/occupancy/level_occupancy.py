@@ -101,7 +101,7 @@ def check_level_occupancy(
             is_wall_candidate=wall_candidates,
             wall_low=WALL_HEIGHTS.low + TOUCH_DEPTH,
             wall_high=WALL_HEIGHTS.high - TOUCH_DEPTH,
-            min_up=agent_limits(agent).min_up,
+            min_normal_z=agent_limits(agent).min_normal_z,
         )
     occupancy = check_occupancy(columns, tiled_shapes, footprint, floor_cells, heights, lists)
     occupancy_by_level = []

@@ -50,7 +50,7 @@ NO_LISTS = OccupantLists(
     is_wall_candidate=np.empty(0, np.bool_),
     wall_low=0.0,
     wall_high=0.0,
-    min_up=0.0,
+    min_normal_z=0.0,
 )
 """The value of `lists` for which `check_occupancy` lists no occupants."""
 

@@ -340,7 +340,7 @@ def _check_lines(task, num_enclosing):
             queries.flags[query] = BLOCKING | BLOCKING_SQUARE | BLOCKED_BY_LINE if is_blocked else 0
             if is_listing:
                 lists.first[query] = 0
-                floor_geom, gap_below = describe_floor(hits, cell, floor, lists.min_up)
+                floor_geom, gap_below = describe_floor(hits, cell, floor, lists.min_normal_z)
                 lists.floor_geom[query] = floor_geom
                 lists.gap_below[query] = gap_below
             envelope = make_envelope(task.lattice, footprint, queries, lists, query, row, col)

@@ -106,7 +106,7 @@ class OccupantLists(NamedTuple):
         is_wall_candidate: for each geom id, whether AT_WALL_HEIGHT is tested, (ngeom,) bool.
         wall_low: height above the floor at which the prism of AT_WALL_HEIGHT begins [m].
         wall_high: height above the floor at which that prism ends [m].
-        min_up: least z of the unit normal of a surface that is a floor, in [0, 1].
+        min_normal_z: least z of the unit normal of a surface that is a floor, in [0, 1].
     """
 
     ceiling: Float
@@ -116,7 +116,7 @@ class OccupantLists(NamedTuple):
     is_wall_candidate: Bool
     wall_low: float
     wall_high: float
-    min_up: float
+    min_normal_z: float
 
 
 class Volumes(NamedTuple):
@@ -277,14 +277,14 @@ def find_flags_on_line(hits, cell, geom, highest, volumes):
 
 
 @subkernel(inline="always")
-def describe_floor(hits, cell, floor, min_up):
+def describe_floor(hits, cell, floor, min_normal_z):
     """Find the geom whose surface is the floor of a cell, and how far below it another one lies.
 
     Args:
         hits: hits on the vertical line through each cell's centre, as `ColumnHits`.
         cell: cell id.
         floor: height of the floor [m].
-        min_up: least z of the unit normal of a surface that is not too steep for a floor.
+        min_normal_z: least z of the unit normal of a surface that is not too steep for a floor.
 
     Returns:
         The geom's id, -1 if the cell's line hits no such surface at the floor's height; and how far
@@ -298,10 +298,10 @@ def describe_floor(hits, cell, floor, min_up):
     for hit in range(end - 1, first - 1, -1):
         if hits.z[hit] < floor:
             break
-        if hits.normal[hit, 2] >= min_up:
+        if hits.normal[hit, 2] >= min_normal_z:
             floor_geom = hits.geom[hit]  # of several, the first one
     for hit in range(end - 1, first - 1, -1):
-        if hits.normal[hit, 2] >= min_up and hits.geom[hit] != floor_geom:
+        if hits.normal[hit, 2] >= min_normal_z and hits.geom[hit] != floor_geom:
             gap_below = floor - hits.z[hit]
             break
     return floor_geom, gap_below

@@ -42,7 +42,7 @@ def flag_columns(hits, floor, ground, limits, above_heads, flags, first_cell, en
     start = hits.start
     z = hits.z
     normal = hits.normal
-    min_up = np.float32(limits.min_up)
+    min_normal_z = np.float32(limits.min_normal_z)
     for cell in range(first_cell, end_cell):
         hit = start[cell]
         end_hit = start[cell + 1]
@@ -60,7 +60,7 @@ def flag_columns(hits, floor, ground, limits, above_heads, flags, first_cell, en
             if faces_up and z[hit] > floor[cell] + above_heads:
                 cell_flags |= TALL
         else:
-            if top_normal_z > 0.0 and top_normal_z < min_up:
+            if top_normal_z > 0.0 and top_normal_z < min_normal_z:
                 cell_flags |= STEEP_GROUND
             if not faces_up and (hit == end_hit or z[hit] > ground + limits.headroom):
                 cell_flags |= HOLE

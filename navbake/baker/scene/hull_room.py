@@ -233,7 +233,7 @@ def _find_uppermost_surface(mesh: Columns, limits: AgentLimits) -> tuple[Bool, F
     top_z = np.full(len(mesh.start) - 1, np.nan)
     cells = np.flatnonzero(np.diff(mesh.start) > 0)
     top_hits = mesh.start[cells + 1] - 1
-    is_gentle[cells] = mesh.normal[top_hits, 2] >= limits.min_up
+    is_gentle[cells] = mesh.normal[top_hits, 2] >= limits.min_normal_z
     top_z[cells] = mesh.z[top_hits]
     return is_gentle, top_z
 

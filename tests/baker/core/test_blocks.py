@@ -53,9 +53,9 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
         assert len(split_into_row_chunks(tiles.lattice)) == -(-tiles.lattice.height // rows)
         for one, other in zip(join().hits, whole.hits, strict=True):
             np.testing.assert_array_equal(one, other)
-    monkeypatch.setattr(column_sources, "MAX_CELLS_KEPT", 0)
+    monkeypatch.setattr(column_sources, "MAX_CELLS_IN_MEMORY", 0)
     monkeypatch.setattr(column_sources, "MAX_TRIANGLES_EXPANDED_AT_ONCE", 0)
-    monkeypatch.setattr(column_sources, "MAX_REPEATED_EXPANSION", np.inf)
+    monkeypatch.setattr(column_sources, "MAX_EXPANSIONS_PER_TRIANGLE", np.inf)
     for shapes in (tiles, open_stages(config, StageClock()).tile_index):
         for one, other in zip(join(shapes).hits, whole.hits, strict=True):
             np.testing.assert_array_equal(one, other)
@@ -70,7 +70,7 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
 def in_blocks(monkeypatch, cells):
     """Bake in blocks of about so many cells, and keep none of their columns."""
     monkeypatch.setattr(columns_module, "CELLS_PER_CHUNK", cells)
-    monkeypatch.setattr(column_sources, "MAX_CELLS_KEPT", 0)
+    monkeypatch.setattr(column_sources, "MAX_CELLS_IN_MEMORY", 0)
 
 
 def bake_bytes(config) -> bytes:
@@ -180,7 +180,7 @@ def test_height_field_in_pieces_and_chunks(tmp_path, monkeypatch, cell_size):
     # columns stay in memory, triangles don't
     monkeypatch.setattr(column_sources, "MAX_TRIANGLES_BESIDE_COLUMNS", 0)
     monkeypatch.setattr(column_sources, "TRIANGLES_PER_CHUNK", 3000)
-    monkeypatch.setattr(column_sources, "MAX_REPEATED_EXPANSION", np.inf)
+    monkeypatch.setattr(column_sources, "MAX_EXPANSIONS_PER_TRIANGLE", np.inf)
     stages = open_stages(config, StageClock())
     assert isinstance(stages.tile_index, ChunkedShapes)
     assert len(stages.tile_index.row_chunks()) > 2

@@ -7,14 +7,18 @@ import itertools
 import numpy as np
 import pytest
 
-from navbake.baker.columns.columns import MIN_BOXES_PER_TILE, list_by_tile, list_by_tile_row
+from navbake.baker.columns.columns import (
+    MIN_BOXES_PER_TILE_FOR_THREADS,
+    list_by_tile,
+    list_by_tile_row,
+)
 from navbake.baker.core.tiles import TILE
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 
 LATTICE = Lattice(x_min=-1.0, y_max=2.0, width=21, height=13, cell_size=0.1)
 GROW = 0.07
-NUM = 9 * MIN_BOXES_PER_TILE  # more than are worth counts of their own
+NUM = 9 * MIN_BOXES_PER_TILE_FOR_THREADS  # more than are worth counts of their own
 
 
 @pytest.fixture(params=range(8))

@@ -43,7 +43,7 @@ def list_plainly(columns, agent):
         z = columns.z[column]
         up = columns.normal[column, 2]
         last = -np.inf
-        for i in np.flatnonzero(up >= limits.min_up):
+        for i in np.flatnonzero(up >= limits.min_normal_z):
             inside = np.where(up > 0, 1, -1)[z - z[i] > SAME_HEIGHT].sum()
             above = z[z - z[i] > SAME_HEIGHT].min(initial=np.inf)
             stands = inside <= 0 and above - z[i] >= limits.headroom - LIMIT_SLACK
