@@ -50,7 +50,7 @@ from navbake.baker.links.areas import PaintedAreas, paint_areas
 from navbake.baker.links.links import BakedLinks, bake_links
 from navbake.baker.links.search import CollisionGeometry, CollisionShapes
 from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.occupancy.occupancy import StructureOccupancy
 from navbake.baker.occupants.kinds import mark_wall_candidates
 from navbake.baker.occupants.lost_floors import find_lost_floors
 from navbake.baker.occupants.movable import (
@@ -292,7 +292,7 @@ class Stages:
             )
 
     @property
-    def occupancy(self) -> Occupancy:
+    def occupancy(self) -> StructureOccupancy:
         """The cells of each level that structure occupies."""
         return self.standing_cells.occupancy
 
@@ -407,7 +407,7 @@ class Stages:
         return MovableSearchInputs(
             lattice=self.lattice,
             floors=self.floors,
-            standing=self.occupancy,
+            structure_occupancy=self.occupancy,
             footprint=self.footprint,
             agent=self.config.agent,
             mover_of=self.scene.mover_of,

@@ -7,7 +7,7 @@ import numpy as np
 from navbake.baker.core.constants import PLANE
 from navbake.baker.floors.levels import Floors
 from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.occupancy.occupancy import StructureOccupancy
 from navbake.baker.occupancy.volume_kernels import BLOCKING
 from navbake.baker.occupants.movable import MovableSearchInputs, find_movable_occupants
 from navbake.baker.scene.collect import (
@@ -36,7 +36,7 @@ MIN_THICKNESS = 0.02
 def warn_uncounted(
     scene: Scene,
     floors: Floors,
-    occupancy: Occupancy,
+    occupancy: StructureOccupancy,
     *,
     lattice: Lattice,
     footprint: Footprint,

@@ -16,7 +16,7 @@ from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.outline import mark_cropped_sides
 from navbake.baker.floors.reach import REPORTED_AREA
 from navbake.baker.floors.rejected import LARGE_TOP_AREA
-from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.occupancy.occupancy import StructureOccupancy
 from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.names import body_name
@@ -120,7 +120,7 @@ def warn_of_structure(
     scene: Scene,
     floor_lattice: FloorLattice,
     floors: Floors,
-    occupancy: Occupancy,
+    occupancy: StructureOccupancy,
     standing_occupants: StandingOccupants | None,
     rooms: Rooms,
     boxes: LevelBoxes,
@@ -239,7 +239,7 @@ def _has_free_cell(standable: Bool, is_blocked: Bool) -> bool:
 def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Iterator[str]:
     """Warn of movables that occupy floor: robots, and things that may be elsewhere later."""
     scene = baked_pose.scene
-    num_blocked = baked_pose.occupants.num_blocked_alone
+    num_blocked = baked_pose.occupants.num_free_cells_blocked
     cell_area = baked_structure.lattice.cell_size**2
     movable_bodies = np.flatnonzero(num_blocked)
     # Structure among them is a leaf that hangs on no joint.
@@ -452,7 +452,9 @@ def _warn_yard(rooms: Rooms) -> Iterator[str]:
             )
 
 
-def _warn_interleaved(floors: Floors, occupancy: Occupancy, boxes: LevelBoxes) -> Iterator[str]:
+def _warn_interleaved(
+    floors: Floors, occupancy: StructureOccupancy, boxes: LevelBoxes
+) -> Iterator[str]:
     """Warn of free cells that MINOS's client would put on a wrong level, or on none.
 
     It finds a position's level by the levels' boxes, though levels may interleave in height.

@@ -22,7 +22,7 @@ class Footprint(NamedTuple):
     block it.
 
     Attributes:
-        square: half of the square's edge less TOUCH_DEPTH; 0 if the disc covers the square [m].
+        square: half of the square's edge, less TOUCH_DEPTH; 0 if the disc covers the square [m].
         radius: the disc's radius less TOUCH_DEPTH; 0 if the square covers the disc [m].
         low: height of the volume's bottom above the floor: the highest step plus TOUCH_DEPTH [m].
         high: height of the volume's top above the floor: the agent's height less TOUCH_DEPTH [m].
@@ -56,5 +56,5 @@ class Footprint(NamedTuple):
         )
 
     def between(self, heights: HeightRange) -> Footprint:
-        """Return the volume with the same base, between two heights above the floor [m]."""
+        """Return the volume with the same base between two other heights over the floor [m]."""
         return self._replace(low=heights.low + TOUCH_DEPTH, high=heights.high - TOUCH_DEPTH)

@@ -17,7 +17,7 @@ from navbake.baker.core.limits import agent_limits
 from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.baker.floors.levels import Floors
 from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.occupancy import NO_LISTS, CellOccupancy, check_occupancy
+from navbake.baker.occupancy.occupancy import NO_OCCUPANT_LISTS, CellOccupancy, check_occupancy
 from navbake.baker.occupancy.volume_kernels import OccupantLists
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Int, Int32
@@ -25,7 +25,7 @@ from navbake.types import Bool, Int, Int32
 # Heights over a floor at which walls are, but neither sills nor most furniture [m]
 WALL_HEIGHTS = HeightRange(1.5, 1.8)
 # The last level ends this far above its floors [m]
-OPEN_ABOVE = 100.0
+TOP_LEVEL_HEIGHT = 100.0
 
 
 class LevelOccupancy(NamedTuple):
@@ -34,13 +34,13 @@ class LevelOccupancy(NamedTuple):
     Attributes:
         cells: ids of the checked cells that have a floor, shape (n,).
         occupancy: the occupancy of these cells.
-        lists: where the list of each cell's geoms begins in `occupancy.geom`; all arrays are empty
-            if no lists were requested.
+        occupant_lists: where the list of each cell's geoms begins in `occupancy.geom`; all arrays
+            are empty if no lists were requested.
     """
 
     cells: Int
     occupancy: CellOccupancy
-    lists: OccupantLists
+    occupant_lists: OccupantLists
 
 
 def find_level_ceilings(floors: Floors) -> list[float]:
@@ -79,23 +79,23 @@ def check_level_occupancy(
     floor_by_level = np.stack([level.floor.ravel()[cells] for level in floors.levels], axis=1)
     has_floor = ~np.isnan(floor_by_level)
     cell_index, level_number = np.nonzero(has_floor)
-    heights = floor_by_level[has_floor]
-    if np.any((np.diff(cell_index) == 0) & (np.diff(heights) < 0)):  # levels interleave
-        order = np.lexsort((heights, cell_index))
-        cell_index = cell_index[order]
-        level_number = level_number[order]
-        heights = heights[order]
+    floor_heights = floor_by_level[has_floor]
+    if np.any((np.diff(cell_index) == 0) & (np.diff(floor_heights) < 0)):  # levels interleave
+        sort_indices = np.lexsort((floor_heights, cell_index))
+        cell_index = cell_index[sort_indices]
+        level_number = level_number[sort_indices]
+        floor_heights = floor_heights[sort_indices]
     floor_cells = cells[cell_index]
     # index of each level's floor in each cell among all these floors
     floor_index = np.empty(has_floor.shape, dtype=np.int64)
-    floor_index[cell_index, level_number] = np.arange(len(heights))
-    lists = NO_LISTS
+    floor_index[cell_index, level_number] = np.arange(len(floor_heights))
+    occupant_lists = NO_OCCUPANT_LISTS
     if wall_candidates is not None:
         level_ceilings = np.array(find_level_ceilings(floors))
-        ceiling = np.minimum(level_ceilings[level_number], heights + OPEN_ABOVE)
-        lists = OccupantLists(
-            ceiling=np.maximum(ceiling, heights + agent.height) - TOUCH_DEPTH,
-            first=np.empty(len(floor_cells), dtype=np.int32),
+        ceiling = np.minimum(level_ceilings[level_number], floor_heights + TOP_LEVEL_HEIGHT)
+        occupant_lists = OccupantLists(
+            ceiling=np.maximum(ceiling, floor_heights + agent.height) - TOUCH_DEPTH,
+            list_start=np.empty(len(floor_cells), dtype=np.int32),
             floor_geom=np.empty(len(floor_cells), dtype=np.int32),
             gap_below=np.empty(len(floor_cells)),
             is_wall_candidate=wall_candidates,
@@ -103,23 +103,27 @@ def check_level_occupancy(
             wall_high=WALL_HEIGHTS.high - TOUCH_DEPTH,
             min_normal_z=agent_limits(agent).min_normal_z,
         )
-    occupancy = check_occupancy(columns, tiled_shapes, footprint, floor_cells, heights, lists)
+    occupancy = check_occupancy(
+        columns, tiled_shapes, footprint, floor_cells, floor_heights, occupant_lists
+    )
     occupancy_by_level = []
-    for is_on_level, level_floor_index in zip(has_floor.T, floor_index.T, strict=True):
-        on_level = level_floor_index[is_on_level]
-        level_lists = lists
+    for has_level_floor, level_floor_index in zip(has_floor.T, floor_index.T, strict=True):
+        floor_indices = level_floor_index[has_level_floor]
+        level_lists = occupant_lists
         if wall_candidates is not None:
-            level_lists = lists._replace(
-                ceiling=lists.ceiling[on_level],
-                first=lists.first[on_level],
-                floor_geom=lists.floor_geom[on_level],
-                gap_below=lists.gap_below[on_level],
+            level_lists = occupant_lists._replace(
+                ceiling=occupant_lists.ceiling[floor_indices],
+                list_start=occupant_lists.list_start[floor_indices],
+                floor_geom=occupant_lists.floor_geom[floor_indices],
+                gap_below=occupant_lists.gap_below[floor_indices],
             )
         cell_occupancy = occupancy._replace(
-            occupied=occupancy.occupied[on_level],
-            square_occupied=occupancy.square_occupied[on_level],
+            occupied=occupancy.occupied[floor_indices],
+            square_occupied=occupancy.square_occupied[floor_indices],
         )
-        occupancy_by_level.append(LevelOccupancy(cells[is_on_level], cell_occupancy, level_lists))
+        occupancy_by_level.append(
+            LevelOccupancy(cells[has_level_floor], cell_occupancy, level_lists)
+        )
     return occupancy_by_level
 
 
@@ -139,12 +143,12 @@ def select_list_entries(
         For each pair of a cell and a geom in it: the index of the cell in `cells`, the geom's id,
         and its flags.
     """
-    begins = list_starts[cells]
+    first_entries = list_starts[cells]
     list_lengths = np.zeros(len(cells), dtype=np.int64)
-    unfinished_lists = np.flatnonzero(geom[begins] >= 0)
+    unfinished_lists = np.flatnonzero(geom[first_entries] >= 0)
     while len(unfinished_lists):  # cells whose lists go on
         list_lengths[unfinished_lists] += 1
-        next_geom = geom[begins[unfinished_lists] + list_lengths[unfinished_lists]]
+        next_geom = geom[first_entries[unfinished_lists] + list_lengths[unfinished_lists]]
         unfinished_lists = unfinished_lists[next_geom >= 0]
-    cell_index, entry_index = expand_ranges(begins, begins + list_lengths)
+    cell_index, entry_index = expand_ranges(first_entries, first_entries + list_lengths)
     return cell_index, geom[entry_index], flags[entry_index]

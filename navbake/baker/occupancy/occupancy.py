@@ -42,9 +42,9 @@ FCL_SHAPES: dict[int, Callable[[Float], object]] = {
     BOX: lambda size: fcl.Box(*(2 * size)),
 }
 """MuJoCo's geom type -> a function that makes FCL's shape from MuJoCo's size of a geom."""
-NO_LISTS = OccupantLists(
+NO_OCCUPANT_LISTS = OccupantLists(
     ceiling=np.empty(0),
-    first=np.empty(0, np.int32),
+    list_start=np.empty(0, np.int32),
     floor_geom=np.empty(0, np.int32),
     gap_below=np.empty(0),
     is_wall_candidate=np.empty(0, np.bool_),
@@ -55,7 +55,7 @@ NO_LISTS = OccupantLists(
 """The value of `lists` for which `check_occupancy` lists no occupants."""
 
 
-class Occupancy(NamedTuple):
+class StructureOccupancy(NamedTuple):
     """Which cells structure occupies; movables and doors are not included.
 
     Attributes:
@@ -94,7 +94,7 @@ def check_occupancy(
     footprint: Footprint,
     cells: Int,
     floors: Float,
-    lists: OccupantLists = NO_LISTS,
+    occupant_lists: OccupantLists = NO_OCCUPANT_LISTS,
 ) -> CellOccupancy:
     """Check which cells are occupied: over whose floor a geom meets the agent's footprint.
 
@@ -110,9 +110,9 @@ def check_occupancy(
         footprint: the volume over a floor that has to be free.
         cells: cell ids, shape (n,), int64, in any order; a cell may be repeated.
         floors: height of each cell's floor, shape (n,), float64 [m].
-        lists: settings for the lists of occupants, and arrays that receive where they begin;
-            `cells`, and the floors in each of them, then have to be ascending. NO_LISTS to list
-            none.
+        occupant_lists: settings for the lists of occupants, and arrays that receive where they
+            begin; `cells`, and the floors in each of them, then have to be ascending.
+            NO_OCCUPANT_LISTS to list none.
 
     Returns:
         The occupancy of each cell, shape (n,), and the lists of occupants.
@@ -139,7 +139,7 @@ def check_occupancy(
     queries = Queries(
         cell=cells,
         floor=np.ascontiguousarray(floors),
-        reach=np.empty(len(cells)),
+        highest_prism_z=np.empty(len(cells)),
         flags=query_flags,
         tested_flags=np.zeros(len(cells), dtype=np.uint8),
         geom_flags=np.zeros(len(cells), dtype=np.uint8),
@@ -147,23 +147,23 @@ def check_occupancy(
     lists_by_row: dict[int, tuple[Int32, NDArray[np.uint8]]] = {}
 
     def check_rows(first_row: int, end_row: int) -> None:
-        geom, flags, num_used = check_tiles(
+        geom, flags, num_entries = check_tiles(
             lattice,
             columns.hits,
             all_shapes,
             tiled_shapes.tile_index,
             footprint,
             queries,
-            lists,
+            occupant_lists,
             first_row,
             end_row,
         )
-        lists_by_row[first_row] = geom[:num_used], flags[:num_used]
+        lists_by_row[first_row] = geom[:num_entries], flags[:num_entries]
 
     if len(cells):
         first_tile_row, last_tile_row = (cells[[0, -1]] // lattice.width // TILE).tolist()
         run_in_chunks(check_rows, last_tile_row - first_tile_row + 1, begin=first_tile_row)
-    geom, flags = _join_lists(lists_by_row, lists.first, cells, lattice)
+    geom, flags = _join_lists(lists_by_row, occupant_lists.list_start, cells, lattice)
 
     occupied = (query_flags & BLOCKING) > 0
     is_undecided = ~occupied & ((query_flags & MAYBE_BLOCKING) > 0)
@@ -183,11 +183,11 @@ def check_occupancy(
                 tiled_shapes, square_footprint, int(cells[query]), float(floors[query])
             )
         square_occupied &= occupied
-    if len(lists.first):
+    if len(occupant_lists.list_start):
         # FCL has decided about the cell, not about a geom: all geoms that may block an occupied
         # cell count as blocking it
         for query in np.flatnonzero(occupied & ((query_flags & MAYBE_BLOCKING) > 0)):
-            entry = lists.first[query]
+            entry = occupant_lists.list_start[query]
             while geom[entry] >= 0:
                 if flags[entry] & MAYBE_BLOCKING:
                     flags[entry] |= BLOCKING

@@ -106,32 +106,32 @@ class TileState(NamedTuple):
             of a floor), and the index past its last query, (TILE, 2) int64.
         first_query: for each cell of the tile, the index of its first query, (TILE, TILE) int64.
         end_query: for each cell, the index past its last query, (TILE, TILE) int64.
-        first_near: for each cell, the index of its first query near the current geom's heights,
-            (TILE, TILE) int64.
-        end_near: for each cell, the index past the last such query, (TILE, TILE) int64.
-        heights: lowest and highest z of all prisms that are tested, (2,) float64 [m].
-        open_cells: a bit for each cell for which further geoms are tested, (1,) int64.
-        pending: for each flag, a bit for each cell in which the current geom is to be tested
-            against the flag's prism, (4,) int64.
+        first_near_query: for each cell, the index of its first query near the current geom's
+            heights, (TILE, TILE) int64.
+        end_near_query: for each cell, the index past the last such query, (TILE, TILE) int64.
+        prism_heights: lowest and highest z of all prisms that are tested, (2,) float64 [m].
+        open_cell_bits: a bit for each cell for which further geoms are tested, (1,) int64.
+        pending_cell_bits: for each flag, a bit for each cell in which the current geom is to be
+            tested against the flag's prism, (4,) int64.
         pending_heights: for each flag, the lowest and highest z of the prisms of these cells,
             (4, 2) float64 [m].
         geom_box: box around the current geom over the tile, lower corner, upper corner, (1, 6)
             float64 [m].
-        plane: index of the current plane, (1,) int32.
+        current_plane: index of the current plane, (1,) int32.
         scratch: memory for the tests.
     """
 
     row_queries: Int
     first_query: Int
     end_query: Int
-    first_near: Int
-    end_near: Int
-    heights: Float
-    open_cells: Int
-    pending: Int
+    first_near_query: Int
+    end_near_query: Int
+    prism_heights: Float
+    open_cell_bits: Int
+    pending_cell_bits: Int
     pending_heights: Float
     geom_box: Float
-    plane: Int32
+    current_plane: Int32
     scratch: VolumeScratch
 
 
@@ -145,7 +145,7 @@ class TileTask(NamedTuple):
         shape_arrays: the shapes that are tested.
         footprint: the volume over a floor that has to be free.
         queries: all queries, of which some are in the tile.
-        lists: settings of the lists of occupants, and where they begin.
+        occupant_lists: settings of the lists of occupants, and where they begin.
         tile_state: the queries of the tile, and which of its cells are still to be tested.
     """
 
@@ -155,19 +155,29 @@ class TileTask(NamedTuple):
     shape_arrays: ShapeArrays
     footprint: Footprint
     queries: Queries
-    lists: OccupantLists
+    occupant_lists: OccupantLists
     tile_state: TileState
 
 
 @kernel(nogil=True)
-def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, first, end):
+def check_tiles(
+    lattice,
+    hits,
+    shape_arrays,
+    tiles,
+    footprint,
+    queries,
+    occupant_lists,
+    first_tile_row,
+    end_tile_row,
+):
     """Decide the queries in rows of tiles ``range(first, end)``, and list their occupants.
 
     A query is a cell with the height of a floor. It is occupied if a geom meets the footprint over
     that floor, a prism from the highest step to the agent's height above it; `queries.flags` says
     so. The query's list of occupants holds the geoms that meet any of the prisms over the floor, in
-    the order of ids, from index `lists.first` to the next -1. Lists begin at index 1; at 0 is the
-    empty list of all queries without occupants.
+    the order of ids, from index `occupant_lists.list_start` to the next -1. Lists begin at index 1;
+    at 0 is the empty list of all queries without occupants.
 
     Args:
         lattice: the cells.
@@ -176,9 +186,9 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
         tiles: the solids and triangles over each tile.
         footprint: the volume over a floor that has to be free.
         queries: the queries; receives the answers.
-        lists: receives where the lists begin; nothing is listed if its arrays are empty.
-        first: first row of tiles.
-        end: row of tiles after the last.
+        occupant_lists: receives where the lists begin; nothing is listed if its arrays are empty.
+        first_tile_row: first row of tiles.
+        end_tile_row: row of tiles after the last.
 
     Returns:
         The geom ids of all lists, int32; their flags, uint8; and how long the used part of both
@@ -188,14 +198,14 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
         row_queries=np.zeros((TILE, 2), np.int64),
         first_query=np.empty((TILE, TILE), np.int64),
         end_query=np.empty((TILE, TILE), np.int64),
-        first_near=np.empty((TILE, TILE), np.int64),
-        end_near=np.empty((TILE, TILE), np.int64),
-        heights=np.empty(2),
-        open_cells=np.empty(1, np.int64),
-        pending=np.empty(4, np.int64),
+        first_near_query=np.empty((TILE, TILE), np.int64),
+        end_near_query=np.empty((TILE, TILE), np.int64),
+        prism_heights=np.empty(2),
+        open_cell_bits=np.empty(1, np.int64),
+        pending_cell_bits=np.empty(4, np.int64),
         pending_heights=np.empty((4, 2)),
         geom_box=np.empty((1, 6)),
-        plane=np.empty(1, np.int32),
+        current_plane=np.empty(1, np.int32),
         scratch=VolumeScratch(allocate_simplex(), allocate_polygons()),
     )
     num_enclosing = np.empty(FIRST_CAPACITY, np.int64)
@@ -204,10 +214,10 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
     list_geom[0] = -1
     list_flags[0] = 0
     # a plain 1 has a type of its own, and the functions that take it would be compiled twice
-    list_end = np.int64(1)
+    next_list_start = np.int64(1)
     entries = _make_entries(FIRST_CAPACITY)
-    tiles_x = (lattice.width + TILE - 1) // TILE
-    for tile in range(first * tiles_x, end * tiles_x):
+    num_tile_cols = (lattice.width + TILE - 1) // TILE
+    for tile in range(first_tile_row * num_tile_cols, end_tile_row * num_tile_cols):
         window = tile_window(lattice, tile)
         num_queries = _find_queries(lattice, window, queries.cell, tile_state.row_queries)
         if num_queries == 0:
@@ -219,7 +229,7 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
             shape_arrays=shape_arrays,
             footprint=footprint,
             queries=queries,
-            lists=lists,
+            occupant_lists=occupant_lists,
             tile_state=tile_state,
         )
         num_entries = np.int64(-1)
@@ -228,28 +238,28 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
             num_entries = _check_tile(task, tiles, tile, entries)
             if num_entries < 0:
                 entries = _make_entries(4 * entries.geom.shape[0])
-        if lists.ceiling.shape[0] == 0:
+        if occupant_lists.ceiling.shape[0] == 0:
             continue
         # each list ends with an entry of its own
-        if list_end + num_entries + num_queries > list_geom.shape[0]:
-            size = 2 * list_geom.shape[0] + num_entries + num_queries
-            larger_geom = np.empty(size, np.int32)
-            larger_flags = np.empty(size, np.uint8)
-            for i in range(list_end):  # slices take longer to compile: their errors are text
+        if next_list_start + num_entries + num_queries > list_geom.shape[0]:
+            larger_capacity = 2 * list_geom.shape[0] + num_entries + num_queries
+            larger_geom = np.empty(larger_capacity, np.int32)
+            larger_flags = np.empty(larger_capacity, np.uint8)
+            for i in range(next_list_start):  # slices take longer to compile: their errors are text
                 larger_geom[i] = list_geom[i]
                 larger_flags[i] = list_flags[i]
             list_geom = larger_geom
             list_flags = larger_flags
-        list_end = _write_lists(
+        next_list_start = _write_lists(
             tile_state.row_queries,
             entries,
             num_entries,
-            lists.first,
+            occupant_lists.list_start,
             list_geom,
             list_flags,
-            list_end,
+            next_list_start,
         )
-    return list_geom, list_flags, list_end
+    return list_geom, list_flags, next_list_start
 
 
 # ---------------------------------------------------------------- the queries of a tile
@@ -277,11 +287,11 @@ def _find_queries(lattice, window, cells, row_queries):
             query = 0
             end_query = cells.shape[0]
             while query < end_query:
-                middle = (query + end_query) // 2
-                if cells[middle] < row * lattice.width:
-                    query = middle + 1
+                middle_query = (query + end_query) // 2
+                if cells[middle_query] < row * lattice.width:
+                    query = middle_query + 1
                 else:
-                    end_query = middle
+                    end_query = middle_query
         row_queries[tile_row, 0] = query
         while query < cells.shape[0] and cells[query] < row * lattice.width + window[3]:
             query += 1
@@ -300,8 +310,8 @@ def _check_lines(task, num_enclosing):
     A query is a cell with the height of a floor. It is occupied if the line hits a surface between
     the lower and the upper height of the footprint over the floor, or runs inside of a solid there.
 
-    Also marks in `open_cells` the cells for which geoms are tested next: those with a query that is
-    not decided yet, or all cells if occupants are listed.
+    Also marks in `open_cell_bits` the cells for which geoms are tested next: those with a query
+    that is not decided yet, or all cells if occupants are listed.
 
     Args:
         task: a `TileTask`, whose queries, lists and tile state receive the results.
@@ -311,16 +321,16 @@ def _check_lines(task, num_enclosing):
         `num_enclosing`, or a larger array.
     """
     queries = task.queries
-    lists = task.lists
+    occupant_lists = task.occupant_lists
     tile_state = task.tile_state
     hits = task.hits
     footprint = task.footprint
-    is_listing = lists.ceiling.shape[0] > 0
+    is_listing = occupant_lists.ceiling.shape[0] > 0
     tile_state.first_query[:] = 0
     tile_state.end_query[:] = 0
-    tile_state.open_cells[0] = 0
-    tile_state.heights[0] = math.inf
-    tile_state.heights[1] = -math.inf
+    tile_state.open_cell_bits[0] = 0
+    tile_state.prism_heights[0] = math.inf
+    tile_state.prism_heights[1] = -math.inf
     for tile_row in range(tile_state.row_queries.shape[0]):
         row = task.window[0] + tile_row
         for query in range(
@@ -330,8 +340,8 @@ def _check_lines(task, num_enclosing):
             floor = queries.floor[query]
             col = cell - row * task.lattice.width
             tile_col = col - task.window[2]
-            is_first = tile_state.end_query[tile_row, tile_col] == 0
-            if is_first:
+            is_first_in_cell = tile_state.end_query[tile_row, tile_col] == 0
+            if is_first_in_cell:
                 tile_state.first_query[tile_row, tile_col] = query
                 num_enclosing = count_enclosing(hits, cell, num_enclosing)
             tile_state.end_query[tile_row, tile_col] = query + 1
@@ -339,18 +349,24 @@ def _check_lines(task, num_enclosing):
             is_blocked = is_line_blocked(hits, cell, agent_heights, num_enclosing)
             queries.flags[query] = BLOCKING | BLOCKING_SQUARE | BLOCKED_BY_LINE if is_blocked else 0
             if is_listing:
-                lists.first[query] = 0
-                floor_geom, gap_below = describe_floor(hits, cell, floor, lists.min_normal_z)
-                lists.floor_geom[query] = floor_geom
-                lists.gap_below[query] = gap_below
-            envelope = make_envelope(task.lattice, footprint, queries, lists, query, row, col)
-            queries.reach[query] = envelope.high
-            if not is_first:
-                queries.reach[query] = max(envelope.high, queries.reach[query - 1])
+                occupant_lists.list_start[query] = 0
+                floor_geom, gap_below = describe_floor(
+                    hits, cell, floor, occupant_lists.min_normal_z
+                )
+                occupant_lists.floor_geom[query] = floor_geom
+                occupant_lists.gap_below[query] = gap_below
+            envelope = make_envelope(
+                task.lattice, footprint, queries, occupant_lists, query, row, col
+            )
+            queries.highest_prism_z[query] = envelope.high
+            if not is_first_in_cell:
+                queries.highest_prism_z[query] = max(
+                    envelope.high, queries.highest_prism_z[query - 1]
+                )
             if is_listing or not is_blocked:
-                tile_state.heights[0] = min(tile_state.heights[0], envelope.low)
-                tile_state.heights[1] = max(tile_state.heights[1], envelope.high)
-                tile_state.open_cells[0] |= cell_bit(tile_row, tile_col)
+                tile_state.prism_heights[0] = min(tile_state.prism_heights[0], envelope.low)
+                tile_state.prism_heights[1] = max(tile_state.prism_heights[1], envelope.high)
+                tile_state.open_cell_bits[0] |= cell_bit(tile_row, tile_col)
     return num_enclosing
 
 
@@ -382,13 +398,13 @@ def _check_tile(task, tiles, tile, entries):
     planes = task.shape_arrays.planes
     tile_state = task.tile_state
     geom_box = tile_state.geom_box
-    num_entries = np.int64(0)  # see `list_end` above
+    num_entries = np.int64(0)  # see `next_list_start` above
     next_plane = 0
     next_solid = tiles.solid_start[tile]
     solid_end = tiles.solid_start[tile + 1]
     next_triangle = tiles.triangle_start[tile]
     triangle_end = tiles.triangle_start[tile + 1]
-    while num_entries >= 0 and tile_state.open_cells[0] != 0:
+    while num_entries >= 0 and tile_state.open_cell_bits[0] != 0:
         plane_geom = planes.geom[next_plane] if next_plane < planes.geom.shape[0] else NO_GEOM
         solid_geom = (
             solids.geom[tiles.solid_item[next_solid]] if next_solid < solid_end else NO_GEOM
@@ -409,10 +425,10 @@ def _check_tile(task, tiles, tile, entries):
         shape_stop = next_solid + 1
         if geom == plane_geom:
             shape_kind = PLANE_KIND
-            shape_ids = tile_state.plane
+            shape_ids = tile_state.current_plane
             shape_start = np.int64(0)
             shape_stop = np.int64(1)
-            tile_state.plane[0] = next_plane
+            tile_state.current_plane[0] = next_plane
             next_plane += 1
         elif geom == solid_geom:
             next_solid += 1
@@ -452,7 +468,7 @@ def _check_tile(task, tiles, tile, entries):
 
 
 @subkernel(inline="always")
-def _check_geom(task, shape_kind, shapes, geom, entries, num_entries):
+def _check_geom(task, shape_kind, shape_ids, geom, entries, num_entries):
     """Test a geom against the prisms over the floors of the queries near it, and keep its flags.
 
     A query is a cell with the height of a floor. A flag says that the geom meets the prism of that
@@ -461,7 +477,8 @@ def _check_geom(task, shape_kind, shapes, geom, entries, num_entries):
     Args:
         task: a `TileTask`, whose queries receive the flags.
         shape_kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
-        shapes: the numbers of the geom's shapes over the tile: one plane, one solid, or triangles.
+        shape_ids: the numbers of the geom's shapes over the tile: one plane, one solid, or
+            triangles.
         geom: id of the geom.
         entries: a `TileEntries` that receives the geom for each query where it has a flag.
         num_entries: the number of entries so far.
@@ -474,19 +491,23 @@ def _check_geom(task, shape_kind, shapes, geom, entries, num_entries):
     tile_state = task.tile_state
     queries = task.queries
     if (
-        tile_state.geom_box[0, 2] >= tile_state.heights[1]
-        or tile_state.geom_box[0, 5] <= tile_state.heights[0]
+        tile_state.geom_box[0, 2] >= tile_state.prism_heights[1]
+        or tile_state.geom_box[0, 5] <= tile_state.prism_heights[0]
     ):
         return num_entries
     footprint = task.footprint
     facets = task.shape_arrays.facets
     # how far from a cell's centre shapes can meet the prisms over its square, and any of its prisms
-    square_distance = lattice.cell_size / 2 + SEARCH_MARGIN
-    search_distance = max(square_distance, max(footprint.square, footprint.radius) + SEARCH_MARGIN)
-    window_near_geom = window_near_box(lattice, window, tile_state.geom_box, 0, search_distance)
-    pending = tile_state.pending
+    square_search_distance = lattice.cell_size / 2 + SEARCH_MARGIN
+    prism_search_distance = max(
+        square_search_distance, max(footprint.square, footprint.radius) + SEARCH_MARGIN
+    )
+    window_near_geom = window_near_box(
+        lattice, window, tile_state.geom_box, 0, prism_search_distance
+    )
+    pending_cell_bits = tile_state.pending_cell_bits
     pending_heights = tile_state.pending_heights
-    pending[:] = 0
+    pending_cell_bits[:] = 0
     pending_heights[:, 0] = math.inf
     pending_heights[:, 1] = -math.inf
     # which flags the vertical line of each cell leaves open
@@ -496,83 +517,97 @@ def _check_geom(task, shape_kind, shapes, geom, entries, num_entries):
             tile_col = col - window[2]
             first_query = tile_state.first_query[tile_row, tile_col]
             end_query = tile_state.end_query[tile_row, tile_col]
-            first_near = first_above(
-                queries.reach, first_query, end_query, tile_state.geom_box[0, 2]
+            first_near_query = first_above(
+                queries.highest_prism_z, first_query, end_query, tile_state.geom_box[0, 2]
             )
             # the lowest of the prisms begins at the floor, or higher
-            end_near = first_from(
-                queries.floor, first_near, end_query, tile_state.geom_box[0, 5] + SAME_HEIGHT
+            end_near_query = first_from(
+                queries.floor, first_near_query, end_query, tile_state.geom_box[0, 5] + SAME_HEIGHT
             )
-            tile_state.first_near[tile_row, tile_col] = first_near
-            tile_state.end_near[tile_row, tile_col] = end_near
-            for query in range(first_near, end_near):
+            tile_state.first_near_query[tile_row, tile_col] = first_near_query
+            tile_state.end_near_query[tile_row, tile_col] = end_near_query
+            for query in range(first_near_query, end_near_query):
                 queries.tested_flags[query] = 0
-                envelope = make_envelope(lattice, footprint, queries, task.lists, query, row, col)
+                envelope = make_envelope(
+                    lattice, footprint, queries, task.occupant_lists, query, row, col
+                )
                 if is_beside_prism(tile_state.geom_box, 0, envelope):
                     continue
                 if shape_kind == PLANE_KIND and not plane_meets_prism(
-                    task.shape_arrays.planes, shapes[0], envelope
+                    task.shape_arrays.planes, shape_ids[0], envelope
                 ):
                     continue
-                volumes = make_volumes(lattice, footprint, queries, task.lists, query, row, col)
+                volumes = make_volumes(
+                    lattice, footprint, queries, task.occupant_lists, query, row, col
+                )
                 _begin_geom(task, shape_kind, geom, query, volumes)
                 open_flags = np.int64(queries.tested_flags[query] & ~queries.geom_flags[query])
                 for flag_index, volume in enumerate(volumes):
                     if open_flags & (1 << flag_index):
-                        pending[flag_index] |= cell_bit(tile_row, tile_col)
+                        pending_cell_bits[flag_index] |= cell_bit(tile_row, tile_col)
                         pending_heights[flag_index, 0] = min(
                             pending_heights[flag_index, 0], volume.low
                         )
                         pending_heights[flag_index, 1] = max(
                             pending_heights[flag_index, 1], volume.high
                         )
-    for shape in shapes:
-        if pending[0] | pending[1] | pending[2] | pending[3] == 0:
+    for shape in shape_ids:
+        if (
+            pending_cell_bits[0]
+            | pending_cell_bits[1]
+            | pending_cell_bits[2]
+            | pending_cell_bits[3]
+            == 0
+        ):
             break
         # cells near the shape where BLOCKING is open, whose prism may be a disc wider than the
         # cell, and cells where another flag is open, whose prisms are over the cell's square
-        disc_cells = np.int64(0)
-        square_cells = np.int64(0)
+        disc_cell_bits = np.int64(0)
+        square_cell_bits = np.int64(0)
         window_near_shape = window_near_geom
         for flag_index in range(4):
             is_at_height = shape_kind != TRIANGLE_KIND or (
                 facets.bounds[shape, 2] < pending_heights[flag_index, 1]
                 and facets.bounds[shape, 5] > pending_heights[flag_index, 0]
             )
-            disc_cells |= pending[flag_index] if is_at_height and 1 << flag_index == BLOCKING else 0
-            square_cells |= (
-                pending[flag_index] if is_at_height and 1 << flag_index != BLOCKING else 0
+            disc_cell_bits |= (
+                pending_cell_bits[flag_index] if is_at_height and 1 << flag_index == BLOCKING else 0
             )
-        if shape_kind == TRIANGLE_KIND and disc_cells | square_cells != 0:
-            triangle_distance = search_distance if disc_cells != 0 else square_distance
+            square_cell_bits |= (
+                pending_cell_bits[flag_index] if is_at_height and 1 << flag_index != BLOCKING else 0
+            )
+        if shape_kind == TRIANGLE_KIND and disc_cell_bits | square_cell_bits != 0:
+            triangle_search_distance = (
+                prism_search_distance if disc_cell_bits != 0 else square_search_distance
+            )
             window_near_shape = window_near_box(
-                lattice, window_near_geom, facets.bounds, shape, triangle_distance
+                lattice, window_near_geom, facets.bounds, shape, triangle_search_distance
             )
-            disc_cells &= window_bits(window, window_near_shape)
-            if square_cells != 0:
+            disc_cell_bits &= window_bits(window, window_near_shape)
+            if square_cell_bits != 0:
                 window_near_square = window_near_box(
-                    lattice, window_near_shape, facets.bounds, shape, square_distance
+                    lattice, window_near_shape, facets.bounds, shape, square_search_distance
                 )
-                square_cells &= window_bits(window, window_near_square)
-        if disc_cells | square_cells == 0:  # as for most triangles of a fine mesh
+                square_cell_bits &= window_bits(window, window_near_square)
+        if disc_cell_bits | square_cell_bits == 0:  # as for most triangles of a fine mesh
             continue
         for row in range(window_near_shape[0], window_near_shape[1]):
             for col in range(window_near_shape[2], window_near_shape[3]):
                 tile_row = row - window[0]
                 tile_col = col - window[2]
-                if (disc_cells | square_cells) & cell_bit(tile_row, tile_col) == 0:
+                if (disc_cell_bits | square_cell_bits) & cell_bit(tile_row, tile_col) == 0:
                     continue
                 open_flags = np.int64(0)
-                first_near = tile_state.first_near[tile_row, tile_col]
-                for query in range(first_near, tile_state.end_near[tile_row, tile_col]):
+                first_near_query = tile_state.first_near_query[tile_row, tile_col]
+                for query in range(first_near_query, tile_state.end_near_query[tile_row, tile_col]):
                     if queries.tested_flags[query] & ~queries.geom_flags[query]:
                         volumes = make_volumes(
-                            lattice, footprint, queries, task.lists, query, row, col
+                            lattice, footprint, queries, task.occupant_lists, query, row, col
                         )
                         _check_shape(task, shape_kind, shape, query, volumes)
                         open_flags |= queries.tested_flags[query] & ~queries.geom_flags[query]
                 for flag_index in range(4):
-                    pending[flag_index] &= (
+                    pending_cell_bits[flag_index] &= (
                         -1 if open_flags & (1 << flag_index) else ~cell_bit(tile_row, tile_col)
                     )
     return _keep_flags(task, window_near_geom, geom, entries, num_entries)
@@ -590,7 +625,7 @@ def _begin_geom(task, shape_kind, geom, query, volumes):
         volumes: the prisms of the flags over the query's floor.
     """
     queries = task.queries
-    lists = task.lists
+    occupant_lists = task.occupant_lists
     footprint = task.footprint
     query_flags = np.int64(queries.flags[query])
     tested_flags = 0
@@ -599,15 +634,19 @@ def _begin_geom(task, shape_kind, geom, query, volumes):
     # another geom has met the square
     if footprint.radius > 0.0 and (footprint.square > 0.0 or not query_flags & BLOCKING_SQUARE):
         tested_flags = BLOCKING_SQUARE
-    if lists.ceiling.shape[0] > 0:
+    if occupant_lists.ceiling.shape[0] > 0:
         tested_flags |= OCCUPYING | BLOCKING
-        if shape_kind != PLANE_KIND and lists.is_wall_candidate[geom]:  # a plane is no wall
+        if (
+            shape_kind != PLANE_KIND and occupant_lists.is_wall_candidate[geom]
+        ):  # a plane is no wall
             tested_flags |= AT_WALL_HEIGHT
         # the geom's own winding number proves BLOCKING only where that of all geoms does, too
-        provable = OCCUPYING | AT_WALL_HEIGHT | (BLOCKING if query_flags & BLOCKED_BY_LINE else 0)
-        highest = task.tile_state.geom_box[0, 5] + SAME_HEIGHT
-        flags_on_line = find_flags_on_line(task.hits, queries.cell[query], geom, highest, volumes)
-        geom_flags = flags_on_line & provable & tested_flags
+        provable_flags = (
+            OCCUPYING | AT_WALL_HEIGHT | (BLOCKING if query_flags & BLOCKED_BY_LINE else 0)
+        )
+        highest_z = task.tile_state.geom_box[0, 5] + SAME_HEIGHT
+        flags_on_line = find_flags_on_line(task.hits, queries.cell[query], geom, highest_z, volumes)
+        geom_flags = flags_on_line & provable_flags & tested_flags
     elif not query_flags & BLOCKING:
         tested_flags |= BLOCKING
     queries.tested_flags[query] = tested_flags
@@ -635,12 +674,12 @@ def _check_shape(task, shape_kind, shape, query, volumes):
         flag = 1 << flag_index
         if not open_flags & flag:
             continue
-        answer = shape_meets_prism(
+        overlap_result = shape_meets_prism(
             task.shape_arrays, shape_kind, shape, volume, task.tile_state.scratch
         )
-        if answer == MEETS:
+        if overlap_result == MEETS:
             geom_flags |= flag
-        elif answer == APART:
+        elif overlap_result == APART:
             # a shape that misses a prism also misses that of BLOCKING_SQUARE if it is a part of it
             if flag == OCCUPYING and footprint.low >= SAME_HEIGHT + TOUCH_DEPTH:
                 open_flags &= ~BLOCKING_SQUARE
@@ -670,7 +709,7 @@ def _make_entries(capacity):
 def _keep_flags(task, window_near_geom, geom, entries, num_entries):
     """Add the flags of a geom to those of the queries near it, and the geom to the occupants there.
 
-    Cells for which no further geom has to be tested are removed from `open_cells`.
+    Cells for which no further geom has to be tested are removed from `open_cell_bits`.
 
     Args:
         task: a `TileTask`, whose queries receive the flags.
@@ -685,13 +724,13 @@ def _keep_flags(task, window_near_geom, geom, entries, num_entries):
     tile_state = task.tile_state
     queries = task.queries
     footprint = task.footprint
-    is_listing = task.lists.ceiling.shape[0] > 0
+    is_listing = task.occupant_lists.ceiling.shape[0] > 0
     for row in range(window_near_geom[0], window_near_geom[1]):
         for col in range(window_near_geom[2], window_near_geom[3]):
             tile_row = row - task.window[0]
             tile_col = col - task.window[2]
-            first_near = tile_state.first_near[tile_row, tile_col]
-            for query in range(first_near, tile_state.end_near[tile_row, tile_col]):
+            first_near_query = tile_state.first_near_query[tile_row, tile_col]
+            for query in range(first_near_query, tile_state.end_near_query[tile_row, tile_col]):
                 flags = np.int64(queries.geom_flags[query])
                 if queries.tested_flags[query] and flags:
                     # the square is a part of the footprint, or lies in its disc
@@ -724,12 +763,14 @@ def _keep_flags(task, window_near_geom, geom, entries, num_entries):
                 )
                 query += 1
             if not is_open:
-                tile_state.open_cells[0] &= ~cell_bit(tile_row, tile_col)
+                tile_state.open_cell_bits[0] &= ~cell_bit(tile_row, tile_col)
     return num_entries
 
 
 @subkernel(**NO_REFCOUNT)
-def _write_lists(row_queries, entries, num_entries, list_start, list_geom, list_flags, list_end):
+def _write_lists(
+    row_queries, entries, num_entries, list_start, list_geom, list_flags, next_list_start
+):
     """Write the occupants of a tile's queries as one list for each query.
 
     A counting sort: entries are in the order of geoms, lists in the order of queries.
@@ -741,7 +782,7 @@ def _write_lists(row_queries, entries, num_entries, list_start, list_geom, list_
         list_start: receives for each query where its list begins; 0 at first.
         list_geom: receives geom ids, and -1 after each list.
         list_flags: receives the geoms' flags, and 0 after each list.
-        list_end: the index at which the first list begins.
+        next_list_start: the index at which the first of these lists begins.
 
     Returns:
         The index after the last list.
@@ -751,9 +792,9 @@ def _write_lists(row_queries, entries, num_entries, list_start, list_geom, list_
     for tile_row in range(row_queries.shape[0]):  # a constant length would be unrolled
         for query in range(row_queries[tile_row, 0], row_queries[tile_row, 1]):
             if list_start[query] > 0:
-                list_end += list_start[query] + 1
+                next_list_start += list_start[query] + 1
                 # the place of the end mark; the list is filled from there to its beginning
-                list_start[query] = list_end - 1
+                list_start[query] = next_list_start - 1
                 list_geom[list_start[query]] = -1
                 list_flags[list_start[query]] = 0
     for entry in range(num_entries - 1, -1, -1):
@@ -761,4 +802,4 @@ def _write_lists(row_queries, entries, num_entries, list_start, list_geom, list_
         list_start[query] -= 1
         list_geom[list_start[query]] = entries.geom[entry]
         list_flags[list_start[query]] = entries.flags[entry]
-    return list_end
+    return next_list_start

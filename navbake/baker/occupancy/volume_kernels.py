@@ -74,8 +74,8 @@ class Queries(NamedTuple):
     Attributes:
         cell: cell ids, ascending, int64.
         floor: height of the floor, ascending in each cell, float64 [m].
-        reach: receives the highest z of the prisms over this floor and the lower ones in its cell,
-            float64 [m].
+        highest_prism_z: receives the highest z of the prisms over this floor and the lower ones in
+            its cell, float64 [m].
         flags: receives BLOCKING, BLOCKING_SQUARE, MAYBE_BLOCKING and MAYBE_BLOCKING_SQUARE if any
             geom has them, and BLOCKED_BY_LINE, uint8.
         tested_flags: the flags that the current geom is tested for, overwritten by each geom,
@@ -85,7 +85,7 @@ class Queries(NamedTuple):
 
     cell: Int
     floor: Float
-    reach: Float
+    highest_prism_z: Float
     flags: NDArray[np.uint8]
     tested_flags: NDArray[np.uint8]
     geom_flags: NDArray[np.uint8]
@@ -99,7 +99,7 @@ class OccupantLists(NamedTuple):
     Attributes:
         ceiling: for each query, the z up to which geoms count as occupants, at least the agent's
             height above the floor, (n,) float64 [m].
-        first: receives, for each query, where its list begins, (n,) int32; see `check_tiles`.
+        list_start: receives, for each query, where its list begins, (n,) int32; see `check_tiles`.
         floor_geom: receives the id of the geom whose surface is the floor, -1 for none, (n,) int32.
         gap_below: receives how far below the floor the next surface of another geom lies, inf for
             none, (n,) float64 [m]. Surfaces that are too steep for a floor don't count.
@@ -110,7 +110,7 @@ class OccupantLists(NamedTuple):
     """
 
     ceiling: Float
-    first: Int32
+    list_start: Int32
     floor_geom: Int32
     gap_below: Float
     is_wall_candidate: Bool
@@ -136,15 +136,15 @@ class VolumeScratch(NamedTuple):
 
 
 @subkernel(inline="always")
-def make_volumes(lattice, footprint, queries, lists, query, row, col):
+def make_volumes(lattice, footprint, queries, occupant_lists, query, row, col):
     """Make the four prisms over the floor of a query, a cell with the height of a floor.
 
     Args:
         lattice: the cells.
         footprint: the volume over a floor that has to be free.
         queries: all queries.
-        lists: the ceilings and the heights of walls; if it is empty, the prisms of OCCUPYING and
-            AT_WALL_HEIGHT have no meaning.
+        occupant_lists: the ceilings and the heights of walls; if it is empty, the prisms of
+            OCCUPYING and AT_WALL_HEIGHT have no meaning.
         query: number of the query.
         row: row of its cell.
         col: column of its cell.
@@ -155,19 +155,24 @@ def make_volumes(lattice, footprint, queries, lists, query, row, col):
     top = floor + footprint.high
     half_width = lattice.cell_size / 2 - TOUCH_DEPTH
     is_round = footprint.radius > 0.0
-    ceiling = lists.ceiling[query] if lists.ceiling.shape[0] > 0 else top
+    ceiling = occupant_lists.ceiling[query] if occupant_lists.ceiling.shape[0] > 0 else top
     return Volumes(
         occupying=Prism(x, y, floor + (SAME_HEIGHT + TOUCH_DEPTH), ceiling, half_width, NOT_ROUND),
         blocking=Prism(x, y, bottom, top, footprint.radius if is_round else half_width, is_round),
         at_wall_height=Prism(
-            x, y, floor + lists.wall_low, floor + lists.wall_high, half_width, NOT_ROUND
+            x,
+            y,
+            floor + occupant_lists.wall_low,
+            floor + occupant_lists.wall_high,
+            half_width,
+            NOT_ROUND,
         ),
         blocking_square=Prism(x, y, bottom, top, half_width, NOT_ROUND),
     )
 
 
 @subkernel(inline="always")
-def make_envelope(lattice, footprint, queries, lists, query, row, col):
+def make_envelope(lattice, footprint, queries, occupant_lists, query, row, col):
     """Make a prism that contains all prisms that are tested over the floor of a query.
 
     It is wider than these by SEARCH_MARGIN on each side, and ends at the ceiling.
@@ -176,7 +181,7 @@ def make_envelope(lattice, footprint, queries, lists, query, row, col):
         lattice: the cells.
         footprint: the volume over a floor that has to be free.
         queries: all queries.
-        lists: the ceilings; if it is empty, the prism has the heights of the footprint.
+        occupant_lists: the ceilings; if it is empty, the prism has the heights of the footprint.
         query: number of the query.
         row: row of its cell.
         col: column of its cell.
@@ -186,9 +191,9 @@ def make_envelope(lattice, footprint, queries, lists, query, row, col):
     half_width = max(lattice.cell_size / 2, footprint.square, footprint.radius) + SEARCH_MARGIN
     bottom = floor + footprint.low
     top = floor + footprint.high
-    if lists.ceiling.shape[0] > 0:
+    if occupant_lists.ceiling.shape[0] > 0:
         bottom = floor
-        top = lists.ceiling[query]
+        top = occupant_lists.ceiling[query]
     return Prism(x, y, bottom, top, half_width, NOT_ROUND)
 
 
@@ -212,8 +217,8 @@ def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
     if shape_kind == PLANE_KIND:
         return MEETS if plane_meets_prism(shape_arrays.planes, shape, prism) else APART
     if shape_kind == TRIANGLE_KIND:
-        meets = facet_meets_prism(shape_arrays.facets, shape, prism, scratch.polygons)
-        return MEETS if meets else APART
+        is_meeting = facet_meets_prism(shape_arrays.facets, shape, prism, scratch.polygons)
+        return MEETS if is_meeting else APART
     solids = shape_arrays.solids
     if is_beside_prism(solids.bounds, shape, prism):
         return APART
@@ -224,35 +229,35 @@ def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
 
 
 @subkernel(**NO_REFCOUNT)
-def find_flags_on_line(hits, cell, geom, highest, volumes):
+def find_flags_on_line(hits, cell, geom, highest_z, volumes):
     """Return the flags of a geom that the vertical line through a cell's centre proves.
 
     The line proves that the geom meets a prism over the floor if it hits the geom between the
     prism's lower and upper height, or runs inside of the geom there: then the winding number above
-    is positive. This does what `is_line_blocked` does, for one geom and three prisms.
+    is positive. It is the test of `is_line_blocked`, for one geom and three prisms.
     It never returns BLOCKING_SQUARE.
 
     Args:
         hits: hits on the vertical line through each cell's centre, as `ColumnHits`.
         cell: cell id.
         geom: geom id.
-        highest: a height that no hit of the geom lies above [m].
+        highest_z: a height that no hit of the geom lies above [m].
         volumes: the prisms over the floor of the cell, as `Volumes`.
     """
     occupying = volumes.occupying
     blocking = volumes.blocking
     at_wall_height = volumes.at_wall_height
-    lowest = min(occupying.low, blocking.low, at_wall_height.low)
+    lowest_z = min(occupying.low, blocking.low, at_wall_height.low)
     flags = 0
     # winding numbers at the upper ends of the prisms, while the hits above them are counted
     winding_occupying = 0
     winding_blocking = 0
-    winding_at_wall = 0
-    first = hits.start[cell]
-    end = first_above(hits.z, first, hits.start[cell + 1], highest)
-    for hit in range(end - 1, first - 1, -1):
+    winding_at_wall_height = 0
+    first_hit = hits.start[cell]
+    end_hit = first_above(hits.z, first_hit, hits.start[cell + 1], highest_z)
+    for hit in range(end_hit - 1, first_hit - 1, -1):
         z = hits.z[hit]
-        if z <= lowest:
+        if z <= lowest_z:
             break
         if hits.geom[hit] != geom:
             continue
@@ -268,12 +273,12 @@ def find_flags_on_line(hits, cell, geom, highest, volumes):
         elif z > blocking.low:
             flags |= BLOCKING
         if z >= at_wall_height.high:
-            winding_at_wall += winding
+            winding_at_wall_height += winding
         elif z > at_wall_height.low:
             flags |= AT_WALL_HEIGHT
     flags |= OCCUPYING if winding_occupying > 0 else 0
     flags |= BLOCKING if winding_blocking > 0 else 0
-    return flags | (AT_WALL_HEIGHT if winding_at_wall > 0 else 0)
+    return flags | (AT_WALL_HEIGHT if winding_at_wall_height > 0 else 0)
 
 
 @subkernel(inline="always")
@@ -293,14 +298,14 @@ def describe_floor(hits, cell, floor, min_normal_z):
     """
     floor_geom = np.int32(-1)
     gap_below = np.inf
-    first = hits.start[cell]
-    end = first_above(hits.z, first, hits.start[cell + 1], floor)
-    for hit in range(end - 1, first - 1, -1):
+    first_hit = hits.start[cell]
+    end_hit = first_above(hits.z, first_hit, hits.start[cell + 1], floor)
+    for hit in range(end_hit - 1, first_hit - 1, -1):
         if hits.z[hit] < floor:
             break
         if hits.normal[hit, 2] >= min_normal_z:
             floor_geom = hits.geom[hit]  # of several, the first one
-    for hit in range(end - 1, first - 1, -1):
+    for hit in range(end_hit - 1, first_hit - 1, -1):
         if hits.normal[hit, 2] >= min_normal_z and hits.geom[hit] != floor_geom:
             gap_below = floor - hits.z[hit]
             break

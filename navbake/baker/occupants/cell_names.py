@@ -21,7 +21,7 @@ WALLS = 2
 BLOCKERS = 4
 USER_DATA_KEYS = {"objects": OBJECTS, "walls": WALLS}
 OBJECTS_OR_WALLS = OBJECTS | WALLS
-NUM_BITS_VALUES = 8  # all sums of these bits are below this
+NUM_BIT_COMBINATIONS = 8  # all sums of these bits are below this
 
 
 def name_geoms(scene: Scene) -> list[str]:
@@ -44,7 +44,7 @@ def name_geoms(scene: Scene) -> list[str]:
 def name_cells(
     cells: Int,
     geoms: NDArray[np.integer],
-    bits: Int,
+    key_bits: Int,
     names: Sequence[str],
     lattice: Lattice,
     window: Window,
@@ -55,8 +55,8 @@ def name_cells(
         cells: cell ids on the lattice, shape (n,).
         geoms: the id of a geom in each of these cells, shape (n,). A cell with several geoms occurs
             several times.
-        bits: the bits OBJECTS, WALLS and BLOCKERS of each pair of cell and geom, shape (n,); a pair
-            with 0 is dropped.
+        key_bits: the bits OBJECTS, WALLS and BLOCKERS of each pair of cell and geom, shape (n,); a
+            pair with 0 is dropped.
         names: the name of each geom, that of its topmost body, by geom id.
         lattice: the whole lattice.
         window: the rows and columns of the lattice that the grid holds.
@@ -72,67 +72,78 @@ def name_cells(
     level_geoms, geom_index = np.unique(geoms, return_inverse=True)
     names = [names[geom] for geom in level_geoms.tolist()]
     number_of_name: dict[str, int] = {}
-    name_of_geom = np.array(
+    name_number_of_geom = np.array(
         [number_of_name.setdefault(name, number) for number, name in enumerate(names)], np.int64
     )
-    cells, name_numbers, bits = _merge_pairs(cells, name_of_geom[geom_index], bits, len(names))
-    name_and_bits = name_numbers * NUM_BITS_VALUES + bits
+    cells, name_numbers, key_bits = _merge_pairs(
+        cells, name_number_of_geom[geom_index], key_bits, len(names)
+    )
+    name_and_bits = name_numbers * NUM_BIT_COMBINATIONS + key_bits
     if window != (slice(0, lattice.height), slice(0, lattice.width)):
         cells, is_inside = crop_cells(cells, window, lattice.width)
         name_and_bits = name_and_bits[is_inside]
-    # cells with equal lists of tokens share an entry
-    first_of_cell = np.flatnonzero(np.diff(cells, prepend=-1))
-    list_starts = np.append(first_of_cell, len(cells))
-    entry_of_cell = np.empty(len(first_of_cell), dtype=np.int64)
-    distinct_lists = number_distinct_lists(list_starts, name_and_bits, entry_of_cell)
+    # cells with equal lists of names and bits share an entry
+    first_pair_of_cell = np.flatnonzero(np.diff(cells, prepend=-1))
+    list_starts = np.append(first_pair_of_cell, len(cells))
+    entry_of_cell = np.empty(len(first_pair_of_cell), dtype=np.int64)
+    distinct_list_indices = number_distinct_lists(list_starts, name_and_bits, entry_of_cell)
     entries = _describe(
-        name_and_bits, list_starts[distinct_lists], list_starts[distinct_lists + 1], names
+        name_and_bits,
+        list_starts[distinct_list_indices],
+        list_starts[distinct_list_indices + 1],
+        names,
     )
-    return cells[first_of_cell], entry_of_cell, entries
+    return cells[first_pair_of_cell], entry_of_cell, entries
 
 
-def _merge_pairs(cells: Int, name_numbers: Int, bits: Int, num_names: int) -> tuple[Int, Int, Int]:
+def _merge_pairs(
+    cells: Int, name_numbers: Int, key_bits: Int, num_names: int
+) -> tuple[Int, Int, Int]:
     """Merge all entries that have the same cell and the same name.
 
     An entry is a geom in a cell. Entries without any bit are dropped.
 
     Args:
         cells: the cell of each entry, (n,).
-        name_numbers: the number of the name of a geom in the cell, (n,).
-        bits: the bits of the geom in the cell, (n,).
+        name_numbers: the number of the geom's name, for each entry, (n,).
+        key_bits: the bits OBJECTS, WALLS and BLOCKERS of the geom in the cell, (n,).
         num_names: the number of names; all of `name_numbers` are below it.
 
     Returns:
-        Cells and names of the unique pairs, sorted by cell and then name; and the bits that any
-        entry of the pair has.
+        Cells and numbers of names of the unique pairs, sorted by cell and then name; and the bits
+        that any entry of the pair has.
     """
-    has_bits = bits > 0
+    has_bits = key_bits > 0
     cells = cells[has_bits]
     name_numbers = name_numbers[has_bits]
-    bits = bits[has_bits]
+    key_bits = key_bits[has_bits]
     pair_key = cells * num_names + name_numbers
     if (np.diff(pair_key) < 0).any():
         sort_indices = np.argsort(pair_key, kind="stable")
         pair_key = pair_key[sort_indices]
         cells = cells[sort_indices]
         name_numbers = name_numbers[sort_indices]
-        bits = bits[sort_indices]
-    first_of_pair = np.flatnonzero(np.diff(pair_key, prepend=-1))
-    merged_bits = np.bitwise_or.reduceat(bits, first_of_pair) if len(first_of_pair) else bits
-    return cells[first_of_pair], name_numbers[first_of_pair], merged_bits
+        key_bits = key_bits[sort_indices]
+    first_index_of_pair = np.flatnonzero(np.diff(pair_key, prepend=-1))
+    merged_bits = (
+        np.bitwise_or.reduceat(key_bits, first_index_of_pair)
+        if len(first_index_of_pair)
+        else key_bits
+    )
+    return cells[first_index_of_pair], name_numbers[first_index_of_pair], merged_bits
 
 
 def _describe(
     names_and_bits: Int, list_starts: Int, list_ends: Int, names: Sequence[str]
 ) -> list[CellNames]:
-    """Make the user data of each distinct list of tokens, which several cells may share.
+    """Make the user data of each distinct list of names, which several cells may share.
 
-    A token is ``number of a name * NUM_BITS_VALUES + bits``.
+    A name and its bits are one number: ``number of the name * NUM_BIT_COMBINATIONS + bits``.
 
     Args:
-        names_and_bits: tokens of all cells, one cell after the other.
-        list_starts: for each list, the index of its first token.
-        list_ends: for each list, the index after its last token.
+        names_and_bits: names and bits of all cells, one cell after the other.
+        list_starts: for each list, the index of its first name in `names_and_bits`.
+        list_ends: for each list, the index after its last name.
         names: the names, by number.
 
     Returns:
@@ -145,21 +156,21 @@ def _describe(
         np.arange(len(list_number))
         + (list_starts - np.cumsum(list_lengths) + list_lengths)[list_number]
     ]
-    name_numbers, bits = np.divmod(names_and_bits, NUM_BITS_VALUES)
+    name_numbers, key_bits = np.divmod(names_and_bits, NUM_BIT_COMBINATIONS)
     sort_indices = np.lexsort((_rank_names(names)[name_numbers], list_number))
     name_numbers = name_numbers[sort_indices]
-    bits = bits[sort_indices]
-    is_different = ((bits & BLOCKERS) > 0) != ((bits & OBJECTS_OR_WALLS) > 0)
-    has_blockers = np.bincount(list_number, is_different, num_lists) > 0
-    is_under_key = {key: (bits & bit) > 0 for key, bit in USER_DATA_KEYS.items()}
-    is_under_key["blockers"] = ((bits & BLOCKERS) > 0) & has_blockers[list_number]
+    key_bits = key_bits[sort_indices]
+    is_blocker_mismatch = ((key_bits & BLOCKERS) > 0) != ((key_bits & OBJECTS_OR_WALLS) > 0)
+    has_blockers = np.bincount(list_number, is_blocker_mismatch, num_lists) > 0
+    is_under_key = {key: (key_bits & bit) > 0 for key, bit in USER_DATA_KEYS.items()}
+    is_under_key["blockers"] = ((key_bits & BLOCKERS) > 0) & has_blockers[list_number]
     user_data: list[CellNames] = [{} for _ in range(num_lists)]
     for key, is_listed in is_under_key.items():
         key_names = [names[name_number] for name_number in name_numbers[is_listed].tolist()]
         list_numbers, first_names = np.unique(list_number[is_listed], return_index=True)
         end_names = np.append(first_names[1:], len(key_names))[: len(first_names)]
-        ranges = np.stack([list_numbers, first_names, end_names], axis=1).tolist()
-        for list_index, first_name, end_name in ranges:
+        name_ranges = np.stack([list_numbers, first_names, end_names], axis=1).tolist()
+        for list_index, first_name, end_name in name_ranges:
             user_data[list_index][key] = key_names[first_name:end_name]
     return user_data
 

@@ -13,20 +13,21 @@ EMPTY = 1  # the cell's vertical line has no hits
 HOLE = 2  # the cell has no floor, and nothing is at the heights of an agent's body
 STEEP_GROUND = 4  # no floor; the highest surface is ground that is too steep to stand on
 SKY = 8  # the cell has a floor, and nothing is above an agent's head
-TALL = 16  # what stands on the cell's floor has its top more than `above_heads` above the floor
+TALL = 16  # what stands on the cell's floor has its top more than `min_tall_height` above the floor
 COLUMN_FLAGS = (EMPTY, HOLE, STEEP_GROUND, SKY, TALL)
 
 
 @kernel(nogil=True)
-def flag_columns(hits, floor, ground, limits, above_heads, flags, first_cell, end_cell):
+def flag_columns(hits, floor, ground, limits, min_tall_height, flags, first_cell, end_cell):
     """Write the `COLUMN_FLAGS` of the cells ``range(first_cell, end_cell)`` of a level.
 
     A cell without a floor is a HOLE if nothing is in the way of the agent's body there. Only
-    surfaces more than a step above the level's ground count: there is none, or the lowest of them
-    faces down and is higher than the agent. (If it faces up, the solid below it is in the way.)
+    surfaces more than a step above the level's ground count. The cell is a hole if there is none,
+    or if the lowest of them faces down and is higher than the agent. (If that surface faces up, the
+    solid below it is in the way.)
 
-    A cell with a floor is TALL if something stands on it whose top is more than `above_heads` above
-    the floor: the lowest surface above the floor is at that height, and faces up.
+    A cell with a floor is TALL if something stands on it whose top is more than `min_tall_height`
+    above the floor: the lowest surface above the floor is at that height, and faces up.
 
     Args:
         hits: hits of structure on the vertical line through the centre of each cell, as
@@ -34,7 +35,7 @@ def flag_columns(hits, floor, ground, limits, above_heads, flags, first_cell, en
         floor: z of each cell's floor, float64, NaN for none [m].
         ground: z of the level's ground [m].
         limits: the agent's highest step, headroom and largest slope, as `AgentLimits`.
-        above_heads: the height above the floor from which on something is TALL [m].
+        min_tall_height: the height above the floor from which on something is TALL [m].
         flags: receives the flags of each cell, uint8.
         first_cell: id of the first cell.
         end_cell: id after the last cell.
@@ -51,17 +52,17 @@ def flag_columns(hits, floor, ground, limits, above_heads, flags, first_cell, en
         top_height = z[end_hit - 1] if hit < end_hit else np.inf
         top_normal_z = normal[end_hit - 1, 2] if hit < end_hit else np.float32(0.0)
         # the first surface that is neither the floor nor within a step of the ground
-        lowest_counted = floor[cell] + SAME_HEIGHT if has_floor else ground + limits.max_step
-        hit = first_above(z, hit, end_hit, lowest_counted)
-        faces_up = hit < end_hit and normal[hit, 2] > 0.0
+        lowest_counted_z = floor[cell] + SAME_HEIGHT if has_floor else ground + limits.max_step
+        hit = first_above(z, hit, end_hit, lowest_counted_z)
+        hit_faces_up = hit < end_hit and normal[hit, 2] > 0.0
         if has_floor:
             if top_height <= floor[cell] + limits.headroom + LIMIT_SLACK:
                 cell_flags |= SKY
-            if faces_up and z[hit] > floor[cell] + above_heads:
+            if hit_faces_up and z[hit] > floor[cell] + min_tall_height:
                 cell_flags |= TALL
         else:
             if top_normal_z > 0.0 and top_normal_z < min_normal_z:
                 cell_flags |= STEEP_GROUND
-            if not faces_up and (hit == end_hit or z[hit] > ground + limits.headroom):
+            if not hit_faces_up and (hit == end_hit or z[hit] > ground + limits.headroom):
                 cell_flags |= HOLE
         flags[cell] = cell_flags

@@ -24,7 +24,7 @@ def flag_columns(
     agent: AgentSettings,
     flags: NDArray[np.uint8],
 ) -> None:
-    """Write what the hits on cells' vertical lines say about a level's cells, for finding rooms.
+    """Write the `COLUMN_FLAGS` of some cells of a level, which the search for rooms reads.
 
     Args:
         hits: hits of structure on the vertical lines of these cells only, in the cells' order.

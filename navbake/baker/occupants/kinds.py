@@ -56,28 +56,28 @@ MIN_WALL_HEIGHT = 1.5
 # The limits of a thin wall, and of a thicker wall that has to be long
 THIN_WALLS = (WallLimits(0.25, 0.5, 3.0), WallLimits(0.5, 3.0, 6.0))
 # The limits of a wall that is thicker still. It has to meet a second wall at a corner, and their
-# tops differ in height by at most SAME_TOP [m]
+# tops differ in height by at most MAX_TOP_DIFFERENCE [m]
 THICK_WALL = WallLimits(1.2, 3.0, 3.0)
-SAME_TOP = 0.1
+MAX_TOP_DIFFERENCE = 0.1
 # Two walls meet at a corner if the cosine of their angle is at most that of 45 degrees [1]
 MAX_CORNER_COSINE = 0.5**0.5
 # Least height of a geom named like a wall, and of one that is also thin and long [m]
 MIN_NAMED_HEIGHT = 1.0
 MIN_NAMED_THIN_HEIGHT = 0.5
 # A body with a panel (a geom with the shape of a wall) is furniture if it is deeper than the panel
-# by at least FURNITURE_OVER_PANEL [m], and has at most this depth [m], length [m] and number of
+# by at least MIN_DEPTH_BEYOND_PANEL [m], and has at most this depth [m], length [m] and number of
 # geoms
-FURNITURE_OVER_PANEL = 0.1
-FURNITURE_DEPTH = 1.2
-FURNITURE_LENGTH = 3.0
-FURNITURE_GEOMS = 200
+MIN_DEPTH_BEYOND_PANEL = 0.1
+MAX_FURNITURE_DEPTH = 1.2
+MAX_FURNITURE_LENGTH = 3.0
+MAX_FURNITURE_GEOMS = 200
 # A geom that continues a wall may be this much thicker on each side, and this far from its end [m]
 LINE_SLACK = 0.03
 END_GAP = 0.05
 MAX_PAIRS = 1_000_000  # of geoms that are compared at once, for the memory they take
 # Least width along both axes of a mesh that holds a building [m], and the greatest share of its
 # box, seen from above, that it fills within `WALL_HEIGHTS`
-BUILDING_WIDTH = 2.0
+MIN_BUILDING_WIDTH = 2.0
 MAX_FILLED_SHARE = 0.5
 # The shapes, in the report of geoms, that such a mesh may have
 TRIANGLE_SHAPES = ("surface", "closed surface", "partly closed", "shell")
@@ -86,14 +86,14 @@ MIN_UPRIGHT_SHARE = 0.5
 
 # A thing that an agent can stand on has at most this area [m²]. In at least this share of its cells
 # it lies on a floor: at most this high over it [m], unless the thing is solid down to it
-THING_AREA = 4.0
+MAX_THING_AREA = 4.0
 MIN_ON_FLOOR_SHARE = 0.9
-THING_HEIGHT = 1.0
+MAX_THING_HEIGHT = 1.0
 # A thing of at most this height only covers the floor, as a rug does: a step up from it counts as
 # one from the floor [m]
-COVERING = 0.03
+MAX_COVERING_HEIGHT = 0.03
 # The least width of a ceiling along both axes [m]
-CEILING_WIDTH = 1.5
+MIN_CEILING_WIDTH = 1.5
 
 
 class OccupantSizes(NamedTuple):
@@ -122,9 +122,9 @@ class FloorCounts(NamedTuple):
     Attributes:
         num_cells: number of cells in which the geom's surface is the floor.
         num_on_floors: number of these cells in which the geom lies on the floor of a second geom:
-            at most `THING_HEIGHT` above it, or solid down to it.
-        num_covering: number of these cells in which the geom's surface is at most `COVERING` above
-            the floor of a second geom.
+            at most `MAX_THING_HEIGHT` above it, or solid down to it.
+        num_covering: number of these cells in which the geom's surface is at most
+            `MAX_COVERING_HEIGHT` above the floor of a second geom.
         is_stood_on: whether an agent can stand on the geom in any cell, bool.
     """
 
@@ -187,7 +187,7 @@ def classify_geoms(
     agent: AgentSettings,
     settings: NameSettings,
 ) -> ClassifiedGeoms:
-    """Classify geoms: walls, meshes of a whole building, floors and ceilings, or things.
+    """Classify each geom as a wall, the mesh of a whole building, a floor or ceiling, or a thing.
 
     Args:
         scene: the scene of the geoms.
@@ -204,7 +204,7 @@ def classify_geoms(
     is_ceiling = mark_ceilings(
         extents, sizes.min_bottom_over_floor, scene.roles == STATIC_STRUCTURE, agent
     )
-    is_wall = mark_wall_geoms(scene, extents, sizes, floor_geoms, excluded=is_building)
+    is_wall = mark_wall_geoms(scene, extents, sizes, floor_geoms, is_excluded=is_building)
     kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
     kinds[floor_geoms.is_building | is_ceiling] = STRUCTURE
     kinds[is_wall] = WALL
@@ -258,7 +258,7 @@ def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
     """Mark the meshes that are as tall and wide as a building; convex hulls are not marked."""
     is_surface = [report.shape in TRIANGLE_SHAPES for report in scene.geoms]
     is_tall = extents.top - extents.bottom >= MIN_WALL_HEIGHT
-    is_wide = extents.short_side >= BUILDING_WIDTH
+    is_wide = extents.short_side >= MIN_BUILDING_WIDTH
     return np.array(is_surface, dtype=np.bool_) & is_tall & is_wide
 
 
@@ -268,12 +268,12 @@ def match_wall_names(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[
     A pattern is compared with the names of the geom, of its mesh, of its body, and of all bodies
     above that one.
 
-    Returns:
-        A mask by geom id, and a warning for each pattern that matches nothing.
-
     Args:
         scene: the scene of the geoms.
         patterns: the patterns of `names.walls`.
+
+    Returns:
+        A mask by geom id, and a warning for each pattern that matches nothing.
     """
     is_match = np.zeros(len(scene.geoms), dtype=np.bool_)
     warnings: list[str] = []
@@ -294,7 +294,7 @@ def match_wall_names(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[
 
 
 def mark_wall_geoms(
-    scene: Scene, extents: Extents, sizes: OccupantSizes, floor_geoms: FloorGeoms, excluded: Bool
+    scene: Scene, extents: Extents, sizes: OccupantSizes, floor_geoms: FloorGeoms, is_excluded: Bool
 ) -> Bool:
     """Mark, by geom id, the geoms that are walls by their shapes or by their names.
 
@@ -316,12 +316,12 @@ def mark_wall_geoms(
         extents: upright bounding boxes of the geoms.
         sizes: the heights of the geoms over floors, and the areas that they occupy.
         floor_geoms: the geoms whose surfaces are floors.
-        excluded: mask by geom id of the geoms that are no walls, such as meshes of a whole
+        is_excluded: mask by geom id of the geoms that are no walls, such as meshes of a whole
             building.
     """
     names = [" ".join(geom_names).lower() for geom_names in all_names(scene.model).geoms]
     has_wall_name = np.array([bool(WALL_NAME.search(name)) for name in names], dtype=np.bool_)
-    is_static = (scene.roles == STATIC_STRUCTURE) & ~excluded
+    is_static = (scene.roles == STATIC_STRUCTURE) & ~is_excluded
     is_slender = _mark_slender(extents, *THIN_WALLS)
     is_near_floor = is_static & (sizes.min_bottom_over_floor <= MAX_WALL_BOTTOM)
 
@@ -343,8 +343,8 @@ def mark_wall_geoms(
         is_thick, is_wall_by_name | is_wall_by_shape, extents
     )
 
-    may_continue = is_static & ~floor_geoms.is_building & ~floor_geoms.is_thing
-    return _add_wall_pieces(is_wall_by_name | is_wall_by_shape, may_continue, extents)
+    may_continue_wall = is_static & ~floor_geoms.is_building & ~floor_geoms.is_thing
+    return _add_wall_pieces(is_wall_by_name | is_wall_by_shape, may_continue_wall, extents)
 
 
 def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
@@ -368,11 +368,13 @@ def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
             is_pane | is_wall & (extents.short_side <= THICK_WALL.max_thickness)
         )
         meets_at_end = np.zeros((2, len(is_pane)), dtype=np.bool_)
-        for pane, neighbor in _iterate_near_pairs(panes, neighbors, extents):
+        for pane_ids, neighbor_ids in _iterate_near_pairs(panes, neighbors, extents):
             for end_number, end_sign in enumerate((-0.5, 0.5)):
-                end_point = _find_end_points(pane, end_sign, extents)
-                is_meeting = (pane != neighbor) & _mark_points_on(end_point, neighbor, extents)
-                meets_at_end[end_number, pane[is_meeting]] = True
+                end_point = _find_end_points(pane_ids, end_sign, extents)
+                is_meeting = (pane_ids != neighbor_ids) & _mark_points_on(
+                    end_point, neighbor_ids, extents
+                )
+                meets_at_end[end_number, pane_ids[is_meeting]] = True
         still_is_pane = is_pane & meets_at_end.all(axis=0)
         if (still_is_pane == is_pane).all():
             break
@@ -398,12 +400,16 @@ def _mark_meeting_at_corner(is_thick: Bool, is_wall: Bool, extents: Extents) -> 
         return is_at_corner
     thick_geoms = np.flatnonzero(is_thick)
     neighbors = np.flatnonzero(is_thick | is_wall)
-    for geom, neighbor in _iterate_near_pairs(thick_geoms, neighbors, extents):
-        cosine = np.abs((extents.long_axis[geom] * extents.long_axis[neighbor]).sum(axis=1))
-        is_equally_high = np.abs(extents.top[geom] - extents.top[neighbor]) <= SAME_TOP
+    for geom_ids, neighbor_ids in _iterate_near_pairs(thick_geoms, neighbors, extents):
+        cosine = np.abs((extents.long_axis[geom_ids] * extents.long_axis[neighbor_ids]).sum(axis=1))
+        is_equally_high = (
+            np.abs(extents.top[geom_ids] - extents.top[neighbor_ids]) <= MAX_TOP_DIFFERENCE
+        )
         is_corner = (cosine <= MAX_CORNER_COSINE) & is_equally_high
-        is_corner &= _mark_ends_at(geom, neighbor, extents) | _mark_ends_at(neighbor, geom, extents)
-        is_at_corner[geom[is_corner]] = True
+        is_corner &= _mark_ends_at(geom_ids, neighbor_ids, extents) | _mark_ends_at(
+            neighbor_ids, geom_ids, extents
+        )
+        is_at_corner[geom_ids[is_corner]] = True
     return is_at_corner
 
 
@@ -446,22 +452,24 @@ def _mark_points_on(points: Float, geoms: Int, extents: Extents) -> Bool:
         geoms: the id of the geom that each point is compared with, (n,).
         extents: bounding boxes of all geoms.
     """
-    offset = points - extents.center[geoms]
+    offset_from_center = points - extents.center[geoms]
     distance_beyond_side = (
-        np.abs((offset * extents.short_axis[geoms]).sum(axis=1)) - extents.short_side[geoms] / 2
+        np.abs((offset_from_center * extents.short_axis[geoms]).sum(axis=1))
+        - extents.short_side[geoms] / 2
     )
     distance_beyond_end = (
-        np.abs((offset * extents.long_axis[geoms]).sum(axis=1)) - extents.long_side[geoms] / 2
+        np.abs((offset_from_center * extents.long_axis[geoms]).sum(axis=1))
+        - extents.long_side[geoms] / 2
     )
     return np.asarray(np.maximum(distance_beyond_side, distance_beyond_end) <= END_GAP)
 
 
-def _add_wall_pieces(is_wall: Bool, may_continue: Bool, extents: Extents) -> Bool:
+def _add_wall_pieces(is_wall: Bool, may_continue_wall: Bool, extents: Extents) -> Bool:
     """Add to the walls the pieces that continue a wall in its line, and are no thicker than it.
 
     Args:
         is_wall: mask by geom id of the walls; it is not changed.
-        may_continue: mask by geom id of the geoms that may be such pieces.
+        may_continue_wall: mask by geom id of the geoms that may be such pieces.
         extents: bounding boxes of all geoms.
 
     Returns:
@@ -469,25 +477,27 @@ def _add_wall_pieces(is_wall: Bool, may_continue: Bool, extents: Extents) -> Boo
     """
     is_wall = is_wall.copy()
     is_thin = extents.short_side <= THICK_WALL.max_thickness
-    may_continue = may_continue & is_thin
+    may_continue_wall = may_continue_wall & is_thin
     new_walls = np.flatnonzero(is_wall & is_thin)
     while len(new_walls):
         max_thickness = extents.short_side[new_walls].max() + 2 * LINE_SLACK
-        pieces = np.flatnonzero(may_continue & ~is_wall & (extents.short_side <= max_thickness))
+        pieces = np.flatnonzero(
+            may_continue_wall & ~is_wall & (extents.short_side <= max_thickness)
+        )
         continues_wall = np.zeros(len(is_wall), dtype=np.bool_)
-        for wall, piece in _iterate_near_pairs(new_walls, pieces, extents):
-            offset = extents.center[piece] - extents.center[wall]
-            short_axis = extents.short_axis[wall]
-            long_axis = extents.long_axis[wall]
-            side_distance = np.abs((offset * short_axis).sum(axis=1)) + extents.half_widths(
-                piece, short_axis
-            )
-            end_distance = np.abs((offset * long_axis).sum(axis=1)) - extents.half_widths(
-                piece, long_axis
-            )
-            is_in_line = side_distance <= extents.short_side[wall] / 2 + LINE_SLACK
-            is_in_line &= end_distance <= extents.long_side[wall] / 2 + END_GAP
-            continues_wall[piece[is_in_line]] = True
+        for wall_ids, piece_ids in _iterate_near_pairs(new_walls, pieces, extents):
+            offset_from_center = extents.center[piece_ids] - extents.center[wall_ids]
+            short_axis = extents.short_axis[wall_ids]
+            long_axis = extents.long_axis[wall_ids]
+            side_distance = np.abs(
+                (offset_from_center * short_axis).sum(axis=1)
+            ) + extents.half_widths(piece_ids, short_axis)
+            end_distance = np.abs(
+                (offset_from_center * long_axis).sum(axis=1)
+            ) - extents.half_widths(piece_ids, long_axis)
+            is_in_line = side_distance <= extents.short_side[wall_ids] / 2 + LINE_SLACK
+            is_in_line &= end_distance <= extents.long_side[wall_ids] / 2 + END_GAP
+            continues_wall[piece_ids[is_in_line]] = True
         new_walls = np.flatnonzero(continues_wall)
         is_wall |= continues_wall
     return is_wall
@@ -514,40 +524,42 @@ def _iterate_near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterato
         ]
     )
     for geom_chunk in np.array_split(geoms, len(geoms) * len(neighbors) // MAX_PAIRS + 1):
-        touches = np.ones((len(geom_chunk), len(neighbors)), dtype=np.bool_)
+        is_touching = np.ones((len(geom_chunk), len(neighbors)), dtype=np.bool_)
         for axis in range(3):
-            distance = np.abs(center[geom_chunk, axis, None] - center[neighbors, axis])
+            center_distance = np.abs(center[geom_chunk, axis, None] - center[neighbors, axis])
             max_distance = half_size[geom_chunk, axis, None] + half_size[neighbors, axis] + END_GAP
-            touches &= distance <= max_distance
-        geom_index, neighbor_index = np.nonzero(touches)
+            is_touching &= center_distance <= max_distance
+        geom_index, neighbor_index = np.nonzero(is_touching)
         yield geom_chunk[geom_index], neighbors[neighbor_index]
 
 
 def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, subtree_ends: Int) -> bool:
     """Return whether a geom is a panel of furniture, such as the side of a cupboard.
 
-    It is if its body, or a body above that, is deeper than the geom, but not larger than furniture
-    is, see `FURNITURE_DEPTH`.
+    That is so if its body, or a body above that, is deeper than the geom, but not larger than
+    furniture is, see `MAX_FURNITURE_DEPTH`.
     """
     model = scene.model
     for body in _bodies_above(model, geom):
         body_geoms = geoms_of_bodies(model, body, int(subtree_ends[body]))
         body_geoms = body_geoms[~np.isnan(extents.short_side[body_geoms])]
-        if len(body_geoms) > FURNITURE_GEOMS:
+        if len(body_geoms) > MAX_FURNITURE_GEOMS:
             return False
         depth = _measure_width(body_geoms, extents.short_axis[geom], extents)
         length = _measure_width(body_geoms, extents.long_axis[geom], extents)
-        is_deeper = extents.short_side[geom] + FURNITURE_OVER_PANEL <= depth <= FURNITURE_DEPTH
-        if is_deeper and length <= FURNITURE_LENGTH:
+        is_deeper = (
+            extents.short_side[geom] + MIN_DEPTH_BEYOND_PANEL <= depth <= MAX_FURNITURE_DEPTH
+        )
+        if is_deeper and length <= MAX_FURNITURE_LENGTH:
             return True
     return False
 
 
 def _measure_width(geoms: Int, axis: Float, extents: Extents) -> float:
     """Return how far some geoms together extend along a horizontal axis, a unit vector (2,) [m]."""
-    middle = extents.center[geoms] @ axis
+    center_on_axis = extents.center[geoms] @ axis
     half_width = extents.half_widths(geoms, axis)
-    return float((middle + half_width).max() - (middle - half_width).min())
+    return float((center_on_axis + half_width).max() - (center_on_axis - half_width).min())
 
 
 def _names(scene: Scene, geom: int) -> list[str]:
@@ -606,7 +618,7 @@ def classify_floor_geoms(
     joined_area = (
         np.bincount(joined_floor_of_geom, counts.num_cells)[joined_floor_of_geom] * cell_size**2
     )
-    is_thing = is_floor & is_on_floor & (joined_area <= THING_AREA + LIMIT_SLACK)
+    is_thing = is_floor & is_on_floor & (joined_area <= MAX_THING_AREA + LIMIT_SLACK)
 
     is_step = (steps.height > SAME_HEIGHT) & (steps.height <= max_step + LIMIT_SLACK)
     is_step &= ~covers_floor[steps.lower_geom]
@@ -630,8 +642,8 @@ def mark_ceilings(
 ) -> Bool:
     """Mark the geoms that are ceilings or roofs.
 
-    They are static, at least `CEILING_WIDTH` wide along both axes, not taller than wide, and above
-    an agent's head over every floor below them.
+    They are static, at least `MIN_CEILING_WIDTH` wide along both axes, not taller than wide, and
+    above an agent's head over every floor below them.
 
     Args:
         extents: bounding boxes of all geoms.
@@ -645,7 +657,7 @@ def mark_ceilings(
     """
     is_flat = extents.top - extents.bottom <= extents.short_side
     is_above_heads = min_height_above_floor >= agent.height - LIMIT_SLACK
-    is_wide = extents.short_side >= CEILING_WIDTH
+    is_wide = extents.short_side >= MIN_CEILING_WIDTH
     is_ceiling: Bool = is_static & is_wide & is_flat & is_above_heads
     return is_ceiling
 
@@ -668,12 +680,12 @@ def find_steps(floors: Floors, floor_geom: Int32, lattice: Lattice) -> FloorStep
     from_level, from_cell, to_level, to_cell = floors.links.T
     from_index = from_level * num_cells + from_cell
     to_index = to_level * num_cells + to_cell
-    pairs = [np.stack([from_index, to_index], axis=1)]
+    cell_pair_arrays = [np.stack([from_index, to_index], axis=1)]
     for level_number, level_floor_geom in enumerate(floor_geom):
         cell_pairs = list_differing_pairs(level_floor_geom.reshape(lattice.shape)).T
         has_both_floors = (level_floor_geom[cell_pairs] >= 0).all(axis=1)
-        pairs.append(cell_pairs[has_both_floors] + level_number * num_cells)
-    cell_pairs = np.concatenate(pairs)
+        cell_pair_arrays.append(cell_pairs[has_both_floors] + level_number * num_cells)
+    cell_pairs = np.concatenate(cell_pair_arrays)
     height_difference = floor_heights[cell_pairs[:, 1]] - floor_heights[cell_pairs[:, 0]]
     geom_pairs = floor_geom.ravel()[cell_pairs].astype(np.int64)
     geom_pairs[height_difference < 0] = geom_pairs[height_difference < 0, ::-1]

@@ -44,11 +44,11 @@ def find_lost_floors(
     """
     min_area = MIN_LOST_AREA - LIMIT_SLACK
     cell_area = lattice.cell_size**2
-    boxed_geoms = shapes.geom_of_box
-    is_boxed = is_checked[boxed_geoms]
+    geom_of_box = shapes.geom_of_box
+    is_checked_box = is_checked[geom_of_box]
     # an endless geom counts as far as the lattice reaches
-    boxes = clip_boxes(lattice, shapes.boxes[is_boxed], 0.0)
-    movers = mover_of[boxed_geoms[is_boxed]]
+    boxes = clip_boxes(lattice, shapes.boxes[is_checked_box], 0.0)
+    movers = mover_of[geom_of_box[is_checked_box]]
     box_areas = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
     large_movers = np.flatnonzero(np.bincount(movers, box_areas) >= min_area)
     area_of_mover = dict[int, float]()
@@ -67,10 +67,10 @@ def find_lost_floors(
             continue
         mover_shapes = shapes.only(is_checked & (mover_of == mover))
         top_height = find_standable_tops(mover_shapes, lattice.cut(*window), agent)
-        is_lost = ~np.isnan(top_height)
+        is_lost_floor = ~np.isnan(top_height)
         for level in levels:
-            is_lost &= ~(level.floor[window] <= top_height)
-        area = np.count_nonzero(is_lost) * cell_area
+            is_lost_floor &= ~(level.floor[window] <= top_height)
+        area = np.count_nonzero(is_lost_floor) * cell_area
         if area >= min_area:
             area_of_mover[mover] = area
     return area_of_mover

@@ -29,7 +29,7 @@ from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.level_occupancy import check_level_occupancy, select_list_entries
-from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.occupancy.occupancy import StructureOccupancy
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells
 from navbake.baker.occupants.standing import StandingOccupants
@@ -39,7 +39,7 @@ from navbake.navgrid.user_data import SharedEntries, UserData, without_garbage_c
 from navbake.types import Bool, Float, Int, Int32
 
 # Entries are stored in chunks; a chunk has those of this many rows of cells
-CHUNK_ROWS = 16
+ROWS_PER_CHUNK = 16
 # If more than this share of the cells of some rows are checked, the vertical lines of all cells in
 # these rows are cast together, which takes less time for each line
 MAX_SHARE_OF_SINGLE_CELLS = 1 / 8
@@ -80,17 +80,18 @@ class MovableOccupants(NamedTuple):
 
     Attributes:
         entries: for each level and row chunk, the geoms in its cells.
-        blocked: for each level, a mask of the cells that these geoms or structure block, (height,
-            width), bool.
-        blocked_squares: like `blocked`, but only what overlaps the cell's own square counts, not
-            what only the agent's disc reaches; None if it would equal `blocked`.
-        num_blocked_alone: for each body, the number of cells that it blocks and structure doesn't.
+        blocked: for each level, a mask of the cells that anything but a door blocks: these geoms or
+            structure, (height, width), bool.
+        blocked_squares: like `blocked`, but a geom has to overlap the cell's own square; the
+            agent's disc does not count. None if it would equal `blocked`.
+        num_free_cells_blocked: for each body, the number of cells that it blocks and structure
+            doesn't block.
     """
 
     entries: list[list[OccupantEntries]]
     blocked: list[Bool]
     blocked_squares: list[Bool] | None
-    num_blocked_alone: Int
+    num_free_cells_blocked: Int
 
     @property
     def occupied(self) -> list[Bool]:
@@ -106,7 +107,7 @@ class MovableSearchInputs(NamedTuple):
     Attributes:
         lattice: the whole lattice.
         floors: the floors of all levels.
-        standing: the cells that structure occupies.
+        structure_occupancy: the cells that structure occupies.
         footprint: the volume over a floor that has to be free.
         agent: the agent; its height and largest slope are read.
         mover_of: for each geom, the id of the body that it moves with.
@@ -114,7 +115,7 @@ class MovableSearchInputs(NamedTuple):
 
     lattice: Lattice
     floors: Floors
-    standing: Occupancy
+    structure_occupancy: StructureOccupancy
     footprint: Footprint
     agent: AgentSettings
     mover_of: Int
@@ -140,15 +141,15 @@ def find_movable_occupants(
     Returns:
         The geoms in each cell, and the cells that they or structure block.
     """
-    num_chunks = -(-inputs.lattice.height // CHUNK_ROWS)
-    nothing = MovableOccupants(
+    num_chunks = -(-inputs.lattice.height // ROWS_PER_CHUNK)
+    no_occupants = MovableOccupants(
         entries=[[NO_ENTRIES] * num_chunks for _ in inputs.floors.levels],
-        blocked=inputs.standing.levels,
-        blocked_squares=inputs.standing.blocked_squares,
-        num_blocked_alone=np.zeros(int(inputs.mover_of.max(initial=0)) + 1, dtype=np.int64),
+        blocked=inputs.structure_occupancy.levels,
+        blocked_squares=inputs.structure_occupancy.blocked_squares,
+        num_free_cells_blocked=np.zeros(int(inputs.mover_of.max(initial=0)) + 1, dtype=np.int64),
     )
     boxes = shapes.boxes[is_obstacle_geom[shapes.geom_of_box]]
-    return update_movable_occupants(nothing, inputs, shapes, is_obstacle_geom, boxes)
+    return update_movable_occupants(no_occupants, inputs, shapes, is_obstacle_geom, boxes)
 
 
 def update_movable_occupants(
@@ -158,7 +159,7 @@ def update_movable_occupants(
     is_obstacle_geom: Bool,
     boxes: Float,
 ) -> MovableOccupants:
-    """Return the occupants after things moved; only cells near the given boxes are searched.
+    """Return the occupants after things moved; only cells near these boxes are searched again.
 
     Args:
         occupants: the occupants before the move; they are not changed.
@@ -177,8 +178,8 @@ def update_movable_occupants(
     blocked_squares = None
     if occupants.blocked_squares is not None:
         blocked_squares = [mask.copy() for mask in occupants.blocked_squares]
-    num_blocked_alone = occupants.num_blocked_alone.copy()
-    num_bodies = len(num_blocked_alone)
+    num_free_cells_blocked = occupants.num_free_cells_blocked.copy()
+    num_bodies = len(num_free_cells_blocked)
     for rows in split_into_row_chunks(lattice):
         first_cell, end_cell = np.searchsorted(cells, rows.cell_range(lattice))
         row_cells = cells[first_cell:end_cell]
@@ -189,25 +190,28 @@ def update_movable_occupants(
         )
         movables_by_level = _find_movables_over_cells(inputs, shapes.only(is_near), rows, row_cells)
         for level_number, movables in enumerate(movables_by_level):
-            structure_mask = inputs.standing.levels[level_number]
+            structure_mask = inputs.structure_occupancy.levels[level_number]
             replaced_entries = _replace_cell_entries(
                 entries[level_number], row_cells, movables.entries, lattice
             )
-            num_blocked_alone -= _count_blocked_alone(
+            num_free_cells_blocked -= _count_free_cells_blocked(
                 replaced_entries, structure_mask, inputs.mover_of, num_bodies
             )
-            num_blocked_alone += _count_blocked_alone(
+            num_free_cells_blocked += _count_free_cells_blocked(
                 movables.entries, structure_mask, inputs.mover_of, num_bodies
             )
             _update_blocked_mask(blocked[level_number], structure_mask, row_cells, movables.blocked)
-            if blocked_squares is not None and inputs.standing.blocked_squares is not None:
+            if (
+                blocked_squares is not None
+                and inputs.structure_occupancy.blocked_squares is not None
+            ):
                 _update_blocked_mask(
                     blocked_squares[level_number],
-                    inputs.standing.blocked_squares[level_number],
+                    inputs.structure_occupancy.blocked_squares[level_number],
                     row_cells,
                     movables.blocked_squares,
                 )
-    return MovableOccupants(entries, blocked, blocked_squares, num_blocked_alone)
+    return MovableOccupants(entries, blocked, blocked_squares, num_free_cells_blocked)
 
 
 def _update_blocked_mask(
@@ -227,17 +231,20 @@ def _update_blocked_mask(
 
 
 def _replace_cell_entries(
-    row_chunks: list[OccupantEntries], cells: Int, new_entries: OccupantEntries, lattice: Lattice
+    entries_by_chunk: list[OccupantEntries],
+    cells: Int,
+    new_entries: OccupantEntries,
+    lattice: Lattice,
 ) -> OccupantEntries:
     """Replace the entries of some cells in their row chunks; return the entries that were replaced.
 
     Args:
-        row_chunks: the entries of each row chunk; the list is changed.
+        entries_by_chunk: the entries of each row chunk; the list is changed.
         cells: ids of the cells, ascending.
         new_entries: the new entries of these cells.
         lattice: the whole lattice.
     """
-    chunk_size = CHUNK_ROWS * lattice.width
+    chunk_size = ROWS_PER_CHUNK * lattice.width
     replaced_entries = [NO_ENTRIES]
     chunk_of_cell = cells // chunk_size
     for chunk_number in chunk_of_cell[np.diff(chunk_of_cell, prepend=-1) != 0].tolist():
@@ -249,7 +256,7 @@ def _replace_cell_entries(
             geom=new_entries.geom[first_index:end_index],
             flags=new_entries.flags[first_index:end_index],
         )
-        chunk_entries = row_chunks[chunk_number]
+        chunk_entries = entries_by_chunk[chunk_number]
         if len(chunk_entries.cell):
             is_updated_cell = np.zeros(chunk_size, dtype=np.bool_)
             first_index, end_index = np.searchsorted(cells, [first_cell, end_cell]).tolist()
@@ -261,7 +268,7 @@ def _replace_cell_entries(
             entries = _select_entries(
                 merged_entries, np.argsort(merged_entries.cell, kind="stable")
             )
-        row_chunks[chunk_number] = entries
+        entries_by_chunk[chunk_number] = entries
     return join_entries(replaced_entries)
 
 
@@ -272,16 +279,16 @@ def _select_entries(entries: OccupantEntries, selection: Bool | Int) -> Occupant
     )
 
 
-def join_entries(row_chunks: Sequence[OccupantEntries]) -> OccupantEntries:
+def join_entries(entry_chunks: Sequence[OccupantEntries]) -> OccupantEntries:
     """Concatenate the entries (geoms in cells) of several row chunks, in their order."""
     return OccupantEntries(
-        cell=np.concatenate([chunk.cell for chunk in row_chunks]),
-        geom=np.concatenate([chunk.geom for chunk in row_chunks]),
-        flags=np.concatenate([chunk.flags for chunk in row_chunks]),
+        cell=np.concatenate([chunk.cell for chunk in entry_chunks]),
+        geom=np.concatenate([chunk.geom for chunk in entry_chunks]),
+        flags=np.concatenate([chunk.flags for chunk in entry_chunks]),
     )
 
 
-def _count_blocked_alone(
+def _count_free_cells_blocked(
     entries: OccupantEntries, is_blocked_by_structure: Bool, mover_of: Int, num_bodies: int
 ) -> Int:
     """Count for each body the cells that it blocks and structure doesn't.
@@ -295,13 +302,13 @@ def _count_blocked_alone(
     Returns:
         The number of cells by body id, shape (num_bodies,).
     """
-    blocks_alone = (entries.flags & BLOCKING) > 0
-    blocks_alone &= ~is_blocked_by_structure.ravel()[entries.cell]
+    blocks_free_cell = (entries.flags & BLOCKING) > 0
+    blocks_free_cell &= ~is_blocked_by_structure.ravel()[entries.cell]
     # a cell's entries lie together, and so do those of a body in it
-    bodies = mover_of[entries.geom[blocks_alone]]
-    cell_and_body = entries.cell[blocks_alone] * num_bodies + bodies
-    is_first = np.diff(cell_and_body, prepend=-1) != 0
-    return np.bincount(cell_and_body[is_first] % num_bodies, minlength=num_bodies)
+    bodies = mover_of[entries.geom[blocks_free_cell]]
+    cell_body_key = entries.cell[blocks_free_cell] * num_bodies + bodies
+    is_first_of_pair = np.diff(cell_body_key, prepend=-1) != 0
+    return np.bincount(cell_body_key[is_first_of_pair] % num_bodies, minlength=num_bodies)
 
 
 def _find_movables_over_cells(
@@ -337,7 +344,7 @@ def _find_movables_over_cells(
     for level_occupancy in occupancy_by_level:
         occupancy = level_occupancy.occupancy
         cell_index, geom, flags = select_list_entries(
-            level_occupancy.lists.first,
+            level_occupancy.occupant_lists.list_start,
             occupancy.geom,
             occupancy.flags,
             np.arange(len(level_occupancy.cells)),
@@ -403,27 +410,30 @@ def name_occupants(
 
 
 def _name_cells(
-    standing: StandingOccupants, row_chunks: Sequence[OccupantEntries], level: int, window: Window
+    standing: StandingOccupants,
+    movable_entry_chunks: Sequence[OccupantEntries],
+    level: int,
+    window: Window,
 ) -> SharedEntries:
     """Return the names of the geoms in a level's cells, see `name_occupants`.
 
     Args:
         standing: the structure in the cells.
-        row_chunks: the movables in the cells of the level, by row chunk.
+        movable_entry_chunks: the movables in the cells of the level, by row chunk.
         level: number of the level.
         window: the rows and columns of the lattice that the grid holds.
     """
     occupants = standing.levels[level]
-    all_cells = np.arange(len(occupants.first))
+    all_cells = np.arange(len(occupants.list_start))
     occupied_cells, occupant_geoms, flags = select_list_entries(
-        occupants.first, occupants.geom, occupants.flags, all_cells
+        occupants.list_start, occupants.geom, occupants.flags, all_cells
     )
     geom_kinds = standing.kinds[occupant_geoms]
     is_occupying = (flags & OCCUPYING) > 0
     is_wall = (geom_kinds == WALL) | ((geom_kinds == BUILDING) & ((flags & AT_WALL_HEIGHT) > 0))
-    bits = np.where(flags & BLOCKING, BLOCKERS, 0)
-    bits |= np.where(is_occupying & is_wall, WALLS, 0)
-    bits |= np.where(is_occupying & (geom_kinds == OBJECT), OBJECTS, 0)
+    key_bits = np.where(flags & BLOCKING, BLOCKERS, 0)
+    key_bits |= np.where(is_occupying & is_wall, WALLS, 0)
+    key_bits |= np.where(is_occupying & (geom_kinds == OBJECT), OBJECTS, 0)
 
     # things that are the floor of a cell
     floor_cells = np.flatnonzero(occupants.floor_geom >= 0)
@@ -431,18 +441,18 @@ def _name_cells(
     is_thing = standing.kinds[floor_geom] == OBJECT
     floor_cells = floor_cells[is_thing]
     floor_geom = floor_geom[is_thing]
-    floor_bits = np.full(len(floor_cells), OBJECTS)
+    floor_key_bits = np.full(len(floor_cells), OBJECTS)
 
-    movable = join_entries(row_chunks)
+    movable_entries = join_entries(movable_entry_chunks)
     # of what can move, only what the settings name is a wall
-    key_bit = np.where(standing.kinds[movable.geom] == WALL, WALLS, OBJECTS)
-    movable_bits = np.where(movable.flags & BLOCKING, BLOCKERS, 0)
-    movable_bits |= np.where(movable.flags & OCCUPYING, key_bit, 0)
+    object_or_wall_bit = np.where(standing.kinds[movable_entries.geom] == WALL, WALLS, OBJECTS)
+    movable_key_bits = np.where(movable_entries.flags & BLOCKING, BLOCKERS, 0)
+    movable_key_bits |= np.where(movable_entries.flags & OCCUPYING, object_or_wall_bit, 0)
     with without_garbage_collection():
         cells, entry_numbers, entries = name_cells(
-            np.concatenate([occupied_cells, floor_cells, movable.cell]),
-            np.concatenate([occupant_geoms, floor_geom, movable.geom]),
-            np.concatenate([bits, floor_bits, movable_bits]),
+            np.concatenate([occupied_cells, floor_cells, movable_entries.cell]),
+            np.concatenate([occupant_geoms, floor_geom, movable_entries.geom]),
+            np.concatenate([key_bits, floor_key_bits, movable_key_bits]),
             names=standing.names,
             lattice=occupants.lattice,
             window=window,

@@ -44,7 +44,8 @@ class LevelOccupants(NamedTuple):
 
     Attributes:
         lattice: the whole lattice.
-        first: for each cell, the index in `geom` at which its list begins, shape (cells,), int32.
+        list_start: for each cell, the index in `geom` at which its list begins, shape (cells,),
+            int32.
         geom: MuJoCo's geom ids, ascending within a cell, with -1 after each list, int32.
         flags: the flags of each entry of `geom`, uint8: OCCUPYING if the geom meets the cell's
             square between floor and ceiling; BLOCKING if it meets the agent's footprint;
@@ -57,7 +58,7 @@ class LevelOccupants(NamedTuple):
     """
 
     lattice: Lattice
-    first: Int32
+    list_start: Int32
     geom: Int32
     flags: NDArray[np.uint8]
     floor_geom: Int32
@@ -82,16 +83,16 @@ class GeomHeights(NamedTuple):
     Attributes:
         low: height of the lower end [m], NaN for an endless plane, float64.
         high: height of the upper end [m], NaN for an endless plane, float64.
-        on_floor_gap: by geom id: the geom counts as lying on the floor below it if its own surface
-            is at most this high above that floor [m], float64.
-        cover_gap: a geom only covers the floor below it (a rug) if its surface is at most this high
-            above that floor [m].
+        max_on_floor_gap: by geom id: the geom counts as lying on the floor below it if its own
+            surface is at most this high above that floor [m], float64.
+        max_cover_gap: a geom only covers the floor below it (a rug) if its surface is at most this
+            high above that floor [m].
     """
 
     low: Float
     high: Float
-    on_floor_gap: Float
-    cover_gap: float
+    max_on_floor_gap: Float
+    max_cover_gap: float
 
 
 @subkernel(**NO_REFCOUNT)
@@ -122,7 +123,9 @@ def _get_row(rows, row_of_geom, first_row, num_rows, geom):
 
 
 @kernel(nogil=True)
-def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, first_block, end_block):
+def measure_blocks(
+    occupants, floors, geom_heights, blocks, num_rows_in_block, rows, first_block, end_block
+):
     """Measure how high geoms rise over floors, and in how many cells their surfaces are the floor.
 
     It does so block by block (squares of cells). A row is written for each pair of a block and a
@@ -131,9 +134,9 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, first_b
     Args:
         occupants: the geoms in the level's cells, as `LevelOccupants`.
         floors: the floors of the level, as `FloorLayers`.
-        geoms: heights of all geoms, as `GeomHeights`.
+        geom_heights: heights of all geoms, as `GeomHeights`.
         blocks: ids of the blocks to measure.
-        num_in_block: receives the number of rows of each block.
+        num_rows_in_block: receives the number of rows of each block.
         rows: two arrays that receive the rows: ``NUM_CELLS`` to ``GEOM``, (capacity, 7) int64; and
             ``LOWER_END`` and ``EXTENT_UP`` [m], (capacity, 2) float64.
         first_block: index into `blocks` of the first block that this call measures.
@@ -144,7 +147,7 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, first_b
     """
     counts, heights = rows
     num_rows = np.int64(0)
-    row_of_geom = np.full(geoms.low.shape[0], np.int64(-1))
+    row_of_geom = np.full(geom_heights.low.shape[0], np.int64(-1))
     for block_index in range(first_block, end_block):
         first_row = num_rows
         first_lattice_row, end_lattice_row, first_col, end_col = block_window(
@@ -153,7 +156,7 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, first_b
         for lattice_row in range(first_lattice_row, end_lattice_row):
             first_cell = lattice_row * occupants.lattice.width
             for cell in range(first_cell + first_col, first_cell + end_col):
-                entry = occupants.first[cell]
+                entry = occupants.list_start[cell]
                 while occupants.geom[entry] >= 0:
                     geom = occupants.geom[entry]
                     flags = np.int64(occupants.flags[entry])
@@ -167,8 +170,8 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, first_b
                     counts[row, NUM_CELLS] += 1
                     counts[row, NUM_AT_WALL_HEIGHT] += 1 if flags & AT_WALL_HEIGHT else 0
                     floor = floors.height[cell]
-                    geom_bottom = geoms.low[geom]
-                    geom_top = geoms.high[geom]
+                    geom_bottom = geom_heights.low[geom]
+                    geom_top = geom_heights.high[geom]
                     # no comparison holds for an endless plane, whose heights are NaN
                     if geom_bottom - floor < heights[row, LOWER_END]:
                         heights[row, LOWER_END] = geom_bottom - floor
@@ -183,11 +186,11 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, first_b
                     num_rows = max(num_rows, row + 1)
                     counts[row, NUM_FLOORS] += 1
                     counts[row, NUM_ON_FLOORS] += (
-                        1 if gap_below <= geoms.on_floor_gap[floor_geom] else 0
+                        1 if gap_below <= geom_heights.max_on_floor_gap[floor_geom] else 0
                     )
-                    counts[row, NUM_COVERS] += 1 if gap_below <= geoms.cover_gap else 0
+                    counts[row, NUM_COVERS] += 1 if gap_below <= geom_heights.max_cover_gap else 0
                     counts[row, IS_STANDABLE] |= 1 if floors.standable[cell] else 0
-        num_in_block[block_index] = num_rows - first_row
+        num_rows_in_block[block_index] = num_rows - first_row
     return end_block
 
 
@@ -209,7 +212,7 @@ def mark_walls(occupants, kinds, cells, is_wall, is_low_wall, first_index, end_i
         end_index: index after the last of them.
     """
     for cell_index in range(first_index, end_index):
-        entry = occupants.first[cells[cell_index]]
+        entry = occupants.list_start[cells[cell_index]]
         is_wall[cell_index] = False
         is_low_wall[cell_index] = False
         has_tall_building = False

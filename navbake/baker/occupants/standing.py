@@ -24,13 +24,13 @@ from navbake.baker.occupancy.level_occupancy import (
     LevelOccupancy,
     check_level_occupancy,
 )
-from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.occupancy.occupancy import StructureOccupancy
 from navbake.baker.occupants import occupant_kernels as kernels
 from navbake.baker.occupants.cell_names import name_geoms
 from navbake.baker.occupants.column_flags import flag_columns
 from navbake.baker.occupants.kinds import (
-    COVERING,
-    THING_HEIGHT,
+    MAX_COVERING_HEIGHT,
+    MAX_THING_HEIGHT,
     FloorCounts,
     OccupantSizes,
     classify_floor_geoms,
@@ -60,7 +60,7 @@ class StandingCells(NamedTuple):
             (empty, a hole, steep, under the sky, something tall), see `flag_columns`.
     """
 
-    occupancy: Occupancy
+    occupancy: StructureOccupancy
     occupants: list[LevelOccupants]
     column_flags: list[NDArray[np.uint8]]
 
@@ -86,7 +86,7 @@ class StandingOccupants:
     warnings: list[str]
 
     def mark_walls(self, level: int) -> tuple[Bool, Bool]:
-        """Mark the cells of a level that a wall blocks, and those that a sill or the like blocks.
+        """Mark the cells of a level that a wall blocks, and those that a low wall (a sill) blocks.
 
         Args:
             level: number of the level.
@@ -97,7 +97,7 @@ class StandingOccupants:
             (height, width), bool.
         """
         occupants = self.levels[level]
-        cells = np.arange(len(occupants.first))
+        cells = np.arange(len(occupants.list_start))
         is_wall = np.empty(len(cells), dtype=np.bool_)
         is_low_wall = np.empty(len(cells), dtype=np.bool_)
         run_in_chunks(
@@ -116,18 +116,18 @@ class StandingOccupants:
 
 def find_standing_cells(
     columns: ColumnSource,
-    tiles: ShapeSource,
+    shape_source: ShapeSource,
     floors: Floors,
     footprint: Footprint,
     agent: AgentSettings,
     wall_candidates: Bool | None,
     clock: StageClock,
 ) -> StandingCells:
-    """Find the structure in all cells, and what their vertical lines say about them for rooms.
+    """Find the cells that structure occupies, the structure in each, and the flags for rooms.
 
     Args:
         columns: hits of structure on the vertical line through each cell's centre.
-        tiles: the structure's geometry, by tiles of the same lattice.
+        shape_source: the structure's geometry, by tiles of the same lattice.
         floors: the floors of all levels.
         footprint: the volume over a floor that has to be free.
         agent: the agent; its height, highest step and largest slope are read.
@@ -146,7 +146,7 @@ def find_standing_cells(
     if wall_candidates is not None:
         occupants_builder = OccupantsBuilder(lattice, len(floors.levels))
     for chunk in columns.row_chunks():
-        tiled_shapes = chunk.nearby_shapes or tiles.shapes_near_rows(chunk.valid_rows)
+        tiled_shapes = chunk.nearby_shapes or shape_source.shapes_near_rows(chunk.valid_rows)
         first_cell, end_cell = chunk.valid_rows.cell_range(lattice)
         occupancy_by_level = check_level_occupancy(
             chunk,
@@ -175,7 +175,7 @@ def find_standing_cells(
                     hits, level, slice(first_cell, end_cell), agent, column_flags[level_number]
                 )
     return StandingCells(
-        occupancy=Occupancy(occupied, blocked_squares),
+        occupancy=StructureOccupancy(occupied, blocked_squares),
         occupants=[] if occupants_builder is None else occupants_builder.occupants,
         column_flags=column_flags,
     )
@@ -192,7 +192,7 @@ class OccupantsBuilder:
         self._levels = [
             LevelOccupants(
                 lattice=lattice,
-                first=np.zeros(num_cells, dtype=np.int32),
+                list_start=np.zeros(num_cells, dtype=np.int32),
                 geom=self._geom,
                 flags=self._flags,
                 floor_geom=np.full(num_cells, -1, dtype=np.int32),
@@ -231,9 +231,11 @@ class OccupantsBuilder:
         self._flags[first_entry:end_entry] = occupancy.flags
         for occupants, level_occupancy in zip(self._levels, occupancy_by_level, strict=True):
             cells = level_occupancy.cells
-            occupants.first[cells] = level_occupancy.lists.first + np.int32(first_entry)
-            occupants.floor_geom[cells] = level_occupancy.lists.floor_geom
-            occupants.gap_below[cells] = level_occupancy.lists.gap_below
+            occupants.list_start[cells] = level_occupancy.occupant_lists.list_start + np.int32(
+                first_entry
+            )
+            occupants.floor_geom[cells] = level_occupancy.occupant_lists.floor_geom
+            occupants.gap_below[cells] = level_occupancy.occupant_lists.gap_below
         self._num_entries = end_entry
 
     @property
@@ -252,7 +254,7 @@ def classify_occupants(
     agent: AgentSettings,
     settings: NameSettings,
 ) -> StandingOccupants:
-    """Classify the structure in the cells: walls, whole buildings, floors and ceilings, or things.
+    """Classify the structure in the cells as walls, whole buildings, floors, ceilings or things.
 
     Args:
         scene: the scene of the geoms.
@@ -274,7 +276,7 @@ def classify_occupants(
         cell_size=lattice.cell_size,
         max_step=agent.traversable_floor_height,
     )
-    classified = classify_geoms(
+    classified_geoms = classify_geoms(
         scene,
         extents,
         sizes=sizes,
@@ -284,10 +286,10 @@ def classify_occupants(
     )
     return StandingOccupants(
         levels=list(levels),
-        kinds=classified.kinds,
-        room_kinds=classified.room_kinds,
+        kinds=classified_geoms.kinds,
+        room_kinds=classified_geoms.room_kinds,
         names=name_geoms(scene),
-        warnings=classified.warnings,
+        warnings=classified_geoms.warnings,
     )
 
 
@@ -309,8 +311,11 @@ def _measure_levels(
     geom_heights = GeomHeights(
         low=extents.bottom,
         high=extents.top,
-        on_floor_gap=(np.fmax(extents.top - extents.bottom + COVERING, THING_HEIGHT) + LIMIT_SLACK),
-        cover_gap=COVERING + LIMIT_SLACK,
+        max_on_floor_gap=(
+            np.fmax(extents.top - extents.bottom + MAX_COVERING_HEIGHT, MAX_THING_HEIGHT)
+            + LIMIT_SLACK
+        ),
+        max_cover_gap=MAX_COVERING_HEIGHT + LIMIT_SLACK,
     )
     min_bottom_over_floor = np.full(num_geoms, np.inf)
     max_top_over_bottom = np.full(num_geoms, -np.inf)
@@ -333,12 +338,12 @@ def _measure_levels(
         is_stood_on[row_geoms[block_counts[:, kernels.IS_STANDABLE] > 0]] = True
         np.minimum.at(min_bottom_over_floor, row_geoms, block_heights[:, kernels.LOWER_END])
         np.maximum.at(max_top_over_bottom, row_geoms, block_heights[:, kernels.EXTENT_UP])
-    area = (largest_counts * lattice.cell_size**2).astype(np.float64, copy=False)
+    areas_by_count = (largest_counts * lattice.cell_size**2).astype(np.float64, copy=False)
     sizes = OccupantSizes(
         min_bottom_over_floor=min_bottom_over_floor,
         max_top_over_bottom=max_top_over_bottom,
-        area=area[:, kernels.NUM_CELLS],
-        area_at_wall_height=area[:, kernels.NUM_AT_WALL_HEIGHT],
+        area=areas_by_count[:, kernels.NUM_CELLS],
+        area_at_wall_height=areas_by_count[:, kernels.NUM_AT_WALL_HEIGHT],
     )
     floor_counts = FloorCounts(
         num_cells=total_counts[:, kernels.NUM_FLOORS],

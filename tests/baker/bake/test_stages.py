@@ -18,7 +18,7 @@ from navbake.baker.bake.stages import bake_stages
 from navbake.baker.columns import column_sources
 from navbake.baker.columns.columns import Columns
 from navbake.baker.floors.levels import Floors
-from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.occupancy.occupancy import StructureOccupancy
 from navbake.baker.occupants.movable import MovableOccupants
 from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.rooms import Rooms
@@ -32,7 +32,7 @@ TYPES = {
     "scene": Scene,
     "columns": Columns,
     "floors": Floors,
-    "occupancy": Occupancy,
+    "occupancy": StructureOccupancy,
     "standing_occupants": StandingOccupants,
     "rooms": Rooms,
     "doors": list,

@@ -14,7 +14,7 @@ from box_worlds import FLOOR, body, box, stages_of_xml, world
 from navbake.baker.bake.stages import Stages, bake_stages
 from navbake.baker.doors.doors import mark_obstacle_geoms
 from navbake.baker.occupancy.volume_kernels import BLOCKING
-from navbake.baker.occupants.movable import CHUNK_ROWS, find_movable_occupants
+from navbake.baker.occupants.movable import ROWS_PER_CHUNK, find_movable_occupants
 from random_scenes import make_scene
 
 pytestmark = pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
@@ -59,7 +59,7 @@ def test_entries_are_sorted_and_of_what_is_in_the_way(seed):
             assert is_obstacle_geom[geom]
             assert flags
         for number_of_band, band in enumerate(stages.occupants.entries[number]):
-            assert (band.cell // (CHUNK_ROWS * width) == number_of_band).all()
+            assert (band.cell // (ROWS_PER_CHUNK * width) == number_of_band).all()
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -82,10 +82,10 @@ def test_a_body_takes_the_cells_that_it_blocks_and_nothing_standing_does(seed):
         for cell, geom, flags in listed(stages, number):
             if flags & BLOCKING and not standing.flat[cell]:
                 taken.add((number, cell, int(mover_of[geom])))
-    expected = np.zeros(len(stages.occupants.num_blocked_alone), dtype=np.int64)
+    expected = np.zeros(len(stages.occupants.num_free_cells_blocked), dtype=np.int64)
     for _, _, mover in taken:
         expected[mover] += 1
-    np.testing.assert_array_equal(stages.occupants.num_blocked_alone, expected)
+    np.testing.assert_array_equal(stages.occupants.num_free_cells_blocked, expected)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -112,14 +112,14 @@ def test_a_cup_on_a_table_that_stands_takes_nothing(tmp_path: Path):
     table = box("table", 0, 0, 0, 1, 1, 0.7)
     cup = free("cup", box("cup", 0.3, 0.3, 0.7, 0.5, 0.5, 0.9))
     stages = stages_of_xml(tmp_path, world(FLOOR + table + cup))
-    assert not stages.occupants.num_blocked_alone.any()
+    assert not stages.occupants.num_free_cells_blocked.any()
     assert listed(stages, 0)
 
 
 def test_nothing_is_looked_for_where_nothing_moves(tmp_path: Path):
     stages = stages_of_xml(tmp_path, world(FLOOR + box("table", 0, 0, 0, 1, 1, 0.7)))
     occupants = stages.occupants
-    assert not occupants.num_blocked_alone.any()
+    assert not occupants.num_free_cells_blocked.any()
     assert listed(stages, 0) == []
     # and the layers are those of what stands
     assert occupants.blocked[0] is stages.occupancy.levels[0]
@@ -140,4 +140,4 @@ def test_both_ways_to_cast_columns_find_the_same(monkeypatch):
             np.testing.assert_array_equal(one.blocked[number], other.blocked[number])
             for left, right in zip(one.entries[number], other.entries[number], strict=True):
                 assert all(map(np.array_equal, left, right))
-        np.testing.assert_array_equal(one.num_blocked_alone, other.num_blocked_alone)
+        np.testing.assert_array_equal(one.num_free_cells_blocked, other.num_free_cells_blocked)
