@@ -15,7 +15,7 @@ from navbake.types import Bool, Int
 
 
 class AreaTest(NamedTuple):
-    """Decides whether cells are enough for a floor: erode them by a disc, and count what remains.
+    """The area test of floors: cells are eroded by a disc, and enough of them have to remain.
 
     Attributes:
         min_cells: how many cells have to remain.
@@ -32,7 +32,7 @@ class AreaTest(NamedTuple):
 
 @lru_cache(maxsize=4)  # several tests of a scene need the same disc, and so do scenes of a batch
 def disc_half_widths(disc_radius: float, shorter_side: int) -> Int:
-    """Compute how wide each row of a disc is: `AreaTest.half_widths`.
+    """Compute the half width of each row of a disc of cells, for `AreaTest.half_widths`.
 
     The disc has the cells that are nearer to its centre than the radius. If the lattice is too
     narrow for the disc, no cell can remain after erosion, as the disc's first, middle or last row
@@ -45,20 +45,20 @@ def disc_half_widths(disc_radius: float, shorter_side: int) -> Int:
     Returns:
         The half widths, shape (2 radius + 1,). The array is shared between calls: don't change it.
     """
-    farthest_inside = (shorter_side + 1) // 2
-    if disc_radius > farthest_inside:
-        half_widths = np.full(2 * farthest_inside + 1, -1, dtype=np.int64)
-        half_widths[farthest_inside] = farthest_inside
+    max_radius = (shorter_side + 1) // 2
+    if disc_radius > max_radius:
+        half_widths = np.full(2 * max_radius + 1, -1, dtype=np.int64)
+        half_widths[max_radius] = max_radius
         half_widths[[0, -1]] = 0
         return half_widths
-    offsets = np.arange(-int(np.ceil(disc_radius)), int(np.ceil(disc_radius)) + 1)
-    is_in_disc = np.sqrt(offsets[:, None] ** 2 + offsets**2) < disc_radius
-    half_widths = np.where(is_in_disc, offsets, np.int64(-1)).max(axis=1, initial=-1)
+    cells_from_center = np.arange(-int(np.ceil(disc_radius)), int(np.ceil(disc_radius)) + 1)
+    is_in_disc = np.sqrt(cells_from_center[:, None] ** 2 + cells_from_center**2) < disc_radius
+    half_widths = np.where(is_in_disc, cells_from_center, np.int64(-1)).max(axis=1, initial=-1)
     return np.asarray(half_widths[half_widths >= 0], dtype=np.int64)
 
 
 def make_area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
-    """Make the area test of some settings: erode cells by `shrink`, and require `min_area`.
+    """Make the area test of the settings: erosion by `shrink`, after which `min_area` is left.
 
     Args:
         lattice: the cells.
@@ -71,7 +71,7 @@ def make_area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
 
 
 def is_large_enough(lattice: Lattice, settings: FloorSettings, is_marked: Bool) -> bool:
-    """Return whether marked cells are enough for a floor: `min_area` is left after `shrink`.
+    """Return whether marked cells are enough for a floor: `min_area` is left after erosion.
 
     Args:
         lattice: the cells.

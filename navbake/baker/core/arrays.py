@@ -27,7 +27,8 @@ class ColumnHits(NamedTuple):
         z: heights, ascending in a column, (n,) float64 [m].
         normal: unit normals of the surfaces, (n, 3) float32; z > 0 faces up.
         geom: MuJoCo's geom ids, (n,) int32.
-        closed: what the surface encloses, see `OPEN_SURFACE` in `constants`, (n,) uint8.
+        closed: the kind of surface, by what it encloses: OPEN_SURFACE, CLOSED_SURFACE, SOLID or
+            CONVEX_SOLID, see `constants`, (n,) uint8.
     """
 
     start: Int
@@ -86,8 +87,9 @@ class Facets(NamedTuple):
 
     Attributes:
         geom: MuJoCo's geom ids, ascending, (m,) int32.
-        part: the part of the geom's mesh that each triangle belongs to, (m,) int32.
-        closed: what that part encloses, see `OPEN_SURFACE` in `constants`, (m,) uint8.
+        part: the number of the part of the geom's mesh that each triangle belongs to, (m,) int32.
+        closed: the kind of surface that the part has, by what it encloses: from OPEN_SURFACE to
+            CONVEX_SOLID, see `constants`, (m,) uint8.
         corners: (m, 3, 3) float64 [m].
         bounds: boxes around the triangles, (m, 6) float64: lower corner, upper corner [m].
         normal_z_percent: z of the unit normals in hundredths, rounded; 0 for vertical triangles
@@ -141,7 +143,7 @@ class Prism(NamedTuple):
     Attributes:
         x, y: its axis, world frame [m].
         low, high: heights of its bottom and top [m].
-        half: half of the square's edge, or the disc's radius [m].
+        half: half the length of the square's edge, or the disc's radius [m].
         is_round: whether it is a disc.
     """
 

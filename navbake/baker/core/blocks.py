@@ -23,28 +23,35 @@ FIRST_CAPACITY = 4096
 
 
 class Blocks:
-    """The blocks of a lattice: squares of BLOCK x BLOCK cells that are worked on one by one.
+    """The blocks of a lattice: squares of BLOCK x BLOCK cells, for which kernels list results.
 
     Attributes:
         lattice: the cells.
-        rows, cols: how many rows and columns of blocks there are.
-        num: how many blocks there are in all.
+        num_rows, num_cols: how many rows and columns of blocks there are.
+        num_blocks: how many blocks there are in all.
     """
 
     def __init__(self, lattice: Lattice) -> None:
         """Divide a lattice into blocks of BLOCK x BLOCK cells."""
         self.lattice = lattice
-        self.rows = -(-lattice.height // BLOCK)
-        self.cols = -(-lattice.width // BLOCK)
-        self.num = self.rows * self.cols
+        self.num_rows = -(-lattice.height // BLOCK)
+        self.num_cols = -(-lattice.width // BLOCK)
+        self.num_blocks = self.num_rows * self.num_cols
 
-    def cells(self, blocks: Int) -> Int:
-        """Return the ids of the cells of some blocks, block by block, shape (n,)."""
+    def list_cells(self, blocks: Int) -> Int:
+        """List the ids of the cells of some blocks, block by block.
+
+        Args:
+            blocks: ids of the blocks, shape (k,).
+
+        Returns:
+            Ids of cells, shape (n,).
+        """
         height, width = self.lattice.shape
-        offsets = np.arange(BLOCK)
-        block_row, block_col = np.divmod(blocks, self.cols)
-        row = BLOCK * block_row[:, None] + offsets
-        col = BLOCK * block_col[:, None] + offsets
+        cells_from_corner = np.arange(BLOCK)
+        block_row, block_col = np.divmod(blocks, self.num_cols)
+        row = BLOCK * block_row[:, None] + cells_from_corner
+        col = BLOCK * block_col[:, None] + cells_from_corner
         is_inside = (row < height)[:, :, None] & (col < width)[:, None, :]
         cells: Int = (row[:, :, None] * width + col[:, None, :])[is_inside]
         return cells
@@ -62,9 +69,10 @@ class Blocks:
             args: the kernel's first arguments.
 
         Returns:
-            The block of each row, (n,); and the rows, as arrays of shape (n, ...).
+            The id of the block that each row belongs to, (n,); and the rows, as arrays of shape
+            (n, ...).
         """
-        block_ids = np.arange(self.num)
+        block_ids = np.arange(self.num_blocks)
         row_counts, row_arrays = list_rows(kernel, block_ids, empty_arrays, *args)
         return np.repeat(block_ids, row_counts), row_arrays
 
@@ -149,20 +157,20 @@ def list_rows(
     # index of a range's first block -> the range's rows; -1 -> arrays without rows
     arrays_of_range: dict[int, list[NDArray[Any]]] = {-1: list(empty_arrays)}
 
-    def list_range(first: int, end: int) -> None:
+    def list_range(first_block: int, end_block: int) -> None:
         capacity = FIRST_CAPACITY
-        while first < end:
+        while first_block < end_block:
             row_arrays = tuple(
                 np.empty((capacity, *array.shape[1:]), array.dtype) for array in empty_arrays
             )
-            next_block = kernel(*args, blocks, row_counts, row_arrays, first, end)
-            num_rows = row_counts[first:next_block].sum()
-            arrays_of_range[first] = [array[:num_rows] for array in row_arrays]
-            first = next_block
+            next_block = kernel(*args, blocks, row_counts, row_arrays, first_block, end_block)
+            num_rows = row_counts[first_block:next_block].sum()
+            arrays_of_range[first_block] = [array[:num_rows] for array in row_arrays]
+            first_block = next_block
             capacity = 2 * capacity
 
     run_in_chunks(list_range, len(blocks), least=least)
     if len(arrays_of_range) == 2:
         return row_counts, arrays_of_range[0]
-    ranges_in_order = [arrays_of_range[first] for first in sorted(arrays_of_range)]
+    ranges_in_order = [arrays_of_range[first_block] for first_block in sorted(arrays_of_range)]
     return row_counts, [np.concatenate(arrays) for arrays in zip(*ranges_in_order, strict=True)]

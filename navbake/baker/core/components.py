@@ -59,8 +59,8 @@ def expand_ranges(begin: Int | Int32, end: Int | Int32) -> tuple[Int, Int]:
     """
     range_length = np.maximum(end - begin, 0)
     range_index = np.repeat(np.arange(len(range_length)), range_length)
-    offsets = np.repeat(begin - np.cumsum(range_length) + range_length, range_length)
-    return range_index, np.arange(len(range_index)) + offsets
+    value_minus_position = np.repeat(begin - np.cumsum(range_length) + range_length, range_length)
+    return range_index, np.arange(len(range_index)) + value_minus_position
 
 
 def find_row_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
@@ -73,15 +73,22 @@ def find_row_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
         For each run: its row, its first column, the column after its last one, and its value; shape
         (runs,) each, row by row from the left.
     """
-    rows = values.shape[0]
-    width = values.shape[1] + 1
-    flat_values = np.zeros(rows * width + 1, dtype=values.dtype)  # each row ends with a 0
-    flat_values[1:].reshape(rows, width)[:, :-1] = values
+    num_rows = values.shape[0]
+    padded_width = values.shape[1] + 1
+    flat_values = np.zeros(
+        num_rows * padded_width + 1, dtype=values.dtype
+    )  # each row ends with a 0
+    flat_values[1:].reshape(num_rows, padded_width)[:, :-1] = values
     change_indices = np.flatnonzero(flat_values[1:] != flat_values[:-1])
     value_after_change = flat_values[1 + change_indices]
-    is_run = np.flatnonzero(value_after_change)
-    row, first_col = np.divmod(change_indices[is_run], width)
-    return row, first_col, change_indices[is_run + 1] - row * width, value_after_change[is_run]
+    run_indices = np.flatnonzero(value_after_change)
+    row, first_col = np.divmod(change_indices[run_indices], padded_width)
+    return (
+        row,
+        first_col,
+        change_indices[run_indices + 1] - row * padded_width,
+        value_after_change[run_indices],
+    )
 
 
 def count_cells_by_label(labels: Int32, num_labels: int) -> Int:
@@ -109,25 +116,27 @@ def label_components_2d(values: NDArray[Any]) -> tuple[Int32, int]:
         The label of each cell, shape (rows, cols), and the number of components. Labels count from
         1, in the order of the components' first cells; 0 means no component.
     """
-    rows, cols = values.shape
+    num_rows, num_cols = values.shape
     row_of_run, first_col, end_col, value_of_run = find_row_runs(values)
     # each row has a column more, so that no run touches the next row's
-    run_begin = row_of_run * (cols + 1) + first_col
-    run_end = row_of_run * (cols + 1) + end_col
+    run_begin = row_of_run * (num_cols + 1) + first_col
+    run_end = row_of_run * (num_cols + 1) + end_col
     # the runs of the next row that begin before a run's end and end behind its beginning
-    first_below = np.searchsorted(run_end, run_begin + cols + 1, "right")
-    end_below = np.searchsorted(run_begin, run_end + cols + 1, "left")
-    upper_run, lower_run = expand_ranges(first_below, end_below)
+    first_lower_run = np.searchsorted(run_end, run_begin + num_cols + 1, "right")
+    end_lower_run = np.searchsorted(run_begin, run_end + num_cols + 1, "left")
+    upper_run, lower_run = expand_ranges(first_lower_run, end_lower_run)
     is_equal = value_of_run[upper_run] == value_of_run[lower_run]
     component_of_run = label_components(
         np.stack([upper_run[is_equal], lower_run[is_equal]]), len(row_of_run)
     )
     # lengths of gap, run, gap, run, … over all cells in order; then the gap behind the last run
     run_bounds = np.stack(
-        [row_of_run * cols + first_col, row_of_run * cols + end_col], axis=1
+        [row_of_run * num_cols + first_col, row_of_run * num_cols + end_col], axis=1
     ).ravel()
-    lengths = np.diff(run_bounds, prepend=0)
-    label_of_piece = np.zeros(len(lengths) + 1, dtype=np.int32)
+    piece_lengths = np.diff(run_bounds, prepend=0)
+    label_of_piece = np.zeros(len(piece_lengths) + 1, dtype=np.int32)
     label_of_piece[1:-1:2] = component_of_run + 1
-    labels = np.repeat(label_of_piece, np.append(lengths, rows * cols - lengths.sum()))
-    return labels.reshape(rows, cols), int(component_of_run.max(initial=-1)) + 1
+    labels = np.repeat(
+        label_of_piece, np.append(piece_lengths, num_rows * num_cols - piece_lengths.sum())
+    )
+    return labels.reshape(num_rows, num_cols), int(component_of_run.max(initial=-1)) + 1

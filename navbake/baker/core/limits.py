@@ -9,7 +9,7 @@ from navbake.config.settings import AgentSettings
 
 
 class AgentLimits(NamedTuple):
-    """What an agent can stand and walk on.
+    """The limits of slope, headroom and step for the floors of an agent.
 
     Attributes:
         min_normal_z: least z of a walkable surface's unit normal: cosine of the largest slope, less

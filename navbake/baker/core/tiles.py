@@ -115,37 +115,37 @@ def window_near_box(lattice, window, boxes, box, distance):
         A window inside of `window`; empty if no centre is near.
     """
     row_first, row_end, col_first, col_end = window
-    per_cell = 1.0 / lattice.cell_size
+    cells_per_meter = 1.0 / lattice.cell_size
     # the centre of column c is at c + 0.5 cells
-    x_low = (boxes[box, 0] - distance - lattice.x_min) * per_cell - (0.5 + CENTER_MARGIN)
-    x_high = (boxes[box, 3] + distance - lattice.x_min) * per_cell - (0.5 - CENTER_MARGIN)
-    y_low = (lattice.y_max - boxes[box, 4] - distance) * per_cell - (0.5 + CENTER_MARGIN)
-    y_high = (lattice.y_max - boxes[box, 1] + distance) * per_cell - (0.5 - CENTER_MARGIN)
+    col_low = (boxes[box, 0] - distance - lattice.x_min) * cells_per_meter - (0.5 + CENTER_MARGIN)
+    col_high = (boxes[box, 3] + distance - lattice.x_min) * cells_per_meter - (0.5 - CENTER_MARGIN)
+    row_low = (lattice.y_max - boxes[box, 4] - distance) * cells_per_meter - (0.5 + CENTER_MARGIN)
+    row_high = (lattice.y_max - boxes[box, 1] + distance) * cells_per_meter - (0.5 - CENTER_MARGIN)
     # clipped before they become integers, whose range a far box would exceed
-    col_first = math.ceil(min(max(x_low, col_first), col_end))
-    row_first = math.ceil(min(max(y_low, row_first), row_end))
-    col_end = math.floor(max(min(x_high, col_end - 1.0), -1.0)) + 1
-    row_end = math.floor(max(min(y_high, row_end - 1.0), -1.0)) + 1
+    col_first = math.ceil(min(max(col_low, col_first), col_end))
+    row_first = math.ceil(min(max(row_low, row_first), row_end))
+    col_end = math.floor(max(min(col_high, col_end - 1.0), -1.0)) + 1
+    row_end = math.floor(max(min(row_high, row_end - 1.0), -1.0)) + 1
     return row_first, row_end, col_first, col_end
 
 
 @subkernel(inline="always")
 def centers_between(low, high, cell_size, num_cells):
-    """Find the cells of a row whose centres lie between two coordinates.
+    """Find the cells of a row, or of a column, whose centres lie between two coordinates.
 
     Rounding may add a cell at either end, and never loses one.
 
     Args:
-        low, high: coordinates, from the outer edge of the first cell on [m].
+        low, high: coordinates, measured from the outer edge of the first cell [m].
         cell_size: edge of a cell [m].
         num_cells: number of cells in the row.
 
     Returns:
         The index of the first and of the last such cell, int64; last < first if there is none.
     """
-    first = np.ceil(max(low / cell_size - 0.5 - CENTER_MARGIN, 0.0))
-    last = np.floor(min(high / cell_size - 0.5 + CENTER_MARGIN, num_cells - 1.0))
-    return np.int64(min(first, float(num_cells))), np.int64(max(last, -1.0))
+    first_cell = np.ceil(max(low / cell_size - 0.5 - CENTER_MARGIN, 0.0))
+    last_cell = np.floor(min(high / cell_size - 0.5 + CENTER_MARGIN, num_cells - 1.0))
+    return np.int64(min(first_cell, float(num_cells))), np.int64(max(last_cell, -1.0))
 
 
 @subkernel(inline="always")
@@ -234,32 +234,32 @@ def list_boxes_by_tile(
             cell's centre there.
         tile_range_of_box: receives, for each box, the first row, last row, first and last column of
             the tiles under it, (n, 4) int32, while counting; read while listing.
-        next_index: for each chunk and tile, the place in `box_of_item` of the chunk's next box over
-            the tile, (chunks, tiles) int64; advanced by 1 for each box.
+        next_index: for each chunk and tile, the index in `box_of_item` for the chunk's next box
+            over the tile, (chunks, tiles) int64; advanced by 1 for each box.
         box_of_item: receives indices of boxes, tile by tile, int32; empty while counting.
         first_chunk: number of the first chunk.
         end_chunk: number past the last one.
     """
     num_boxes = boxes.shape[0]
     num_chunks = next_index.shape[0]
-    is_writing = box_of_item.shape[0] > 0
+    is_listing = box_of_item.shape[0] > 0
     tiles_per_row = 1 if by_tile_row else (lattice.width + TILE - 1) // TILE
     for chunk in range(first_chunk, end_chunk):
         next_index_of_tile = next_index[chunk]
         for box in range(num_boxes * chunk // num_chunks, num_boxes * (chunk + 1) // num_chunks):
-            if not is_writing:
+            if not is_listing:
                 if by_tile_row:
-                    window = _find_tile_rows_under(boxes, box, margin, lattice)
+                    tile_range = _find_tile_rows_under(boxes, box, margin, lattice)
                 else:
-                    window = _find_tiles_under(boxes, box, margin, lattice)
-                tile_range_of_box[box, 0] = window[0]
-                tile_range_of_box[box, 1] = window[1]
-                tile_range_of_box[box, 2] = window[2]
-                tile_range_of_box[box, 3] = window[3]
+                    tile_range = _find_tiles_under(boxes, box, margin, lattice)
+                tile_range_of_box[box, 0] = tile_range[0]
+                tile_range_of_box[box, 1] = tile_range[1]
+                tile_range_of_box[box, 2] = tile_range[2]
+                tile_range_of_box[box, 3] = tile_range[3]
             for row in range(tile_range_of_box[box, 0], tile_range_of_box[box, 1] + 1):
                 first_tile = row * tiles_per_row + tile_range_of_box[box, 2]
                 last_tile = row * tiles_per_row + tile_range_of_box[box, 3]
                 for tile in range(first_tile, last_tile + 1):
-                    if is_writing:
+                    if is_listing:
                         box_of_item[next_index_of_tile[tile]] = box
                     next_index_of_tile[tile] += 1

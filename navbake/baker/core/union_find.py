@@ -28,17 +28,18 @@ def find_root(parent, node):
 
 
 @subkernel(**NO_REFCOUNT)
-def unite(parent, first, second):
+def unite(parent, first_node, second_node):
     """Join the sets of two nodes.
 
     Args:
         parent: the parent of each node, (n,) integers; changed.
-        first, second: the nodes.
+        first_node: one node.
+        second_node: the other node.
     """
-    first = find_root(parent, first)
-    second = find_root(parent, second)
-    if first != second:
-        parent[max(first, second)] = min(first, second)
+    first_root = find_root(parent, first_node)
+    second_root = find_root(parent, second_node)
+    if first_root != second_root:
+        parent[max(first_root, second_root)] = min(first_root, second_root)
 
 
 @kernel
@@ -55,16 +56,16 @@ def number_components(pairs, num_nodes):
     parent = np.arange(num_nodes)
     for k in range(pairs.shape[1]):
         unite(parent, pairs[0, k], pairs[1, k])
-    component = np.empty(num_nodes, dtype=np.int32)
+    component_of_node = np.empty(num_nodes, dtype=np.int32)
     num_components = 0
     for node in range(num_nodes):
         root = find_root(parent, node)
         if root == node:
-            component[node] = num_components
+            component_of_node[node] = num_components
             num_components += 1
         else:
-            component[node] = component[root]
-    return component
+            component_of_node[node] = component_of_node[root]
+    return component_of_node
 
 
 @kernel
@@ -80,26 +81,28 @@ def number_distinct_lists(start, entries, number_of_list):
         For each number, the index of the first list that has it, (numbers,) int64.
     """
     num_lists = start.shape[0] - 1
-    table_size = 16
-    while table_size < 2 * num_lists:  # at most half full, so that probing stays short
-        table_size *= 2
-    table = np.full(table_size, -1, np.int64)
-    first_list = np.empty(num_lists, np.int64)
-    num_distinct = 0
+    hash_table_size = 16
+    while hash_table_size < 2 * num_lists:  # at most half full, so that probing stays short
+        hash_table_size *= 2
+    hash_table = np.full(hash_table_size, -1, np.int64)
+    first_list_of_number = np.empty(num_lists, np.int64)
+    num_distinct_lists = 0
     for i in range(num_lists):
         hash_value = np.uint64(1469598103934665603)
         for j in range(start[i], start[i + 1]):
             hash_value = (hash_value ^ np.uint64(entries[j])) * np.uint64(1099511628211)
             hash_value ^= hash_value >> np.uint64(29)
-        slot = np.int64(hash_value & np.uint64(table_size - 1))
-        while table[slot] >= 0 and not _are_equal(start, entries, first_list[table[slot]], i):
-            slot = (slot + 1) & (table_size - 1)
-        if table[slot] < 0:
-            table[slot] = num_distinct
-            first_list[num_distinct] = i
-            num_distinct += 1
-        number_of_list[i] = table[slot]
-    return first_list[:num_distinct].copy()
+        slot = np.int64(hash_value & np.uint64(hash_table_size - 1))
+        while hash_table[slot] >= 0 and not _are_equal(
+            start, entries, first_list_of_number[hash_table[slot]], i
+        ):
+            slot = (slot + 1) & (hash_table_size - 1)
+        if hash_table[slot] < 0:
+            hash_table[slot] = num_distinct_lists
+            first_list_of_number[num_distinct_lists] = i
+            num_distinct_lists += 1
+        number_of_list[i] = hash_table[slot]
+    return first_list_of_number[:num_distinct_lists].copy()
 
 
 @subkernel(inline="always")

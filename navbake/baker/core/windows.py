@@ -73,9 +73,9 @@ def cells_near_boxes(lattice: Lattice, boxes: Float, distance: float) -> Int:
         Ids of the cells, ascending, shape (m,).
     """
     # `rows_cols` takes finite positions only
-    near_boxes = clip_boxes(lattice, boxes, distance + 4 * lattice.cell_size)
-    x_low, y_low = (near_boxes[:, :2] - distance).T
-    x_high, y_high = (near_boxes[:, 3:5] + distance).T
+    clipped_boxes = clip_boxes(lattice, boxes, distance + 4 * lattice.cell_size)
+    x_low, y_low = (clipped_boxes[:, :2] - distance).T
+    x_high, y_high = (clipped_boxes[:, 3:5] + distance).T
     first_row, first_col = lattice.rows_cols(np.stack([x_low, y_high], axis=1))
     last_row, last_col = lattice.rows_cols(np.stack([x_high, y_low], axis=1))
     is_near = np.zeros(lattice.shape, dtype=np.bool_)
@@ -97,9 +97,11 @@ def bounding_window(is_marked: Bool) -> Window:
     Args:
         is_marked: shape (height, width), bool; at least one cell is marked.
     """
-    rows = np.flatnonzero(is_marked.any(axis=1))
-    cols = np.flatnonzero(is_marked.any(axis=0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
+    marked_rows = np.flatnonzero(is_marked.any(axis=1))
+    marked_cols = np.flatnonzero(is_marked.any(axis=0))
+    return slice(int(marked_rows[0]), int(marked_rows[-1]) + 1), slice(
+        int(marked_cols[0]), int(marked_cols[-1]) + 1
+    )
 
 
 def crop_cells(cells: Int, window: Window, width: int) -> tuple[Int, Bool]:
@@ -114,10 +116,15 @@ def crop_cells(cells: Int, window: Window, width: int) -> tuple[Int, Bool]:
         The ids that the m cells inside of the window have on the window's own lattice, shape (m,);
         and a mask of these cells among `cells`, shape (n,).
     """
-    rows, cols = window
+    row_slice, col_slice = window
     row, col = np.divmod(cells, width)
-    is_inside = (row >= rows.start) & (row < rows.stop) & (col >= cols.start) & (col < cols.stop)
-    cropped_cells: Int = ((row - rows.start) * (cols.stop - cols.start) + col - cols.start)[
-        is_inside
-    ]
+    is_inside = (
+        (row >= row_slice.start)
+        & (row < row_slice.stop)
+        & (col >= col_slice.start)
+        & (col < col_slice.stop)
+    )
+    cropped_cells: Int = (
+        (row - row_slice.start) * (col_slice.stop - col_slice.start) + col - col_slice.start
+    )[is_inside]
     return cropped_cells, is_inside

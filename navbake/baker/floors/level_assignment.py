@@ -245,11 +245,11 @@ def assign_levels(
         settings: the settings of `floors`; `min_area` and `shrink` are used.
     """
     group = np.empty(len(regions.surfaces.z), dtype=np.int8)
-    has_stacked_candidates = np.empty(regions.blocks.num, dtype=np.bool_)
+    has_stacked_candidates = np.empty(regions.blocks.num_blocks, dtype=np.bool_)
     height_ranges = np.array(level_height_ranges(level_settings), dtype=np.float64).reshape(-1, 2)
     run_in_chunks(
         kernels.mark_candidates,
-        regions.blocks.num,
+        regions.blocks.num_blocks,
         regions.label_surfaces(is_floor),
         height_ranges,
         group,

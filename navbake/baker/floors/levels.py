@@ -140,7 +140,9 @@ def find_floors(
 
     def find_context(surfaces: Surfaces) -> RegionContext:
         regions = find_regions(surfaces, agent)
-        is_large = find_large_regions(regions, np.ones(regions.num, dtype=np.bool_), settings)
+        is_large = find_large_regions(
+            regions, np.ones(regions.num_regions, dtype=np.bool_), settings
+        )
         return make_region_context(
             regions=regions,
             is_large=is_large,
@@ -152,7 +154,7 @@ def find_floors(
         )
 
     region_context = find_context(surfaces)
-    if not region_context.regions.num:
+    if not region_context.regions.num_regions:
         raise SceneError(_explain_no_floor(columns, surfaces, agent))
     if not settings.tops:
         is_ridge = find_ridges(region_context, settings.starts)
@@ -251,7 +253,7 @@ def find_reached_levels(
         # starts and voids depend on the levels of all floors, whatever the configuration has
         assignment = assign_levels(regions, is_floor, (), agent, settings)
         if not has_starts:
-            is_reached = mark_largest_on_lowest_level(assignment.counts, regions.num)
+            is_reached = mark_largest_on_lowest_level(assignment.counts, regions.num_regions)
             reached = reached._replace(is_reached=is_reached)
         if level_settings is None and not settings.voids:
             reached = find_voids(region_context, assignment.counts, reached.is_reached, has_starts)

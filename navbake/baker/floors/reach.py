@@ -98,7 +98,7 @@ def find_start_regions(
     max_step = region_context.agent.traversable_floor_height
     is_small = regions.num_surfaces * lattice.cell_size**2 < LARGE_TOP_AREA
     may_start = region_context.is_large & ~rejected.is_shelf & ~(rejected.is_top & is_small)
-    is_start = np.zeros(regions.num, dtype=np.bool_)
+    is_start = np.zeros(regions.num_regions, dtype=np.bool_)
     for position_number, (x, y, z) in enumerate(positions):
         row, col = lattice.rows_cols([x, y])
         surface_ids = np.empty(0, dtype=np.int64)
@@ -190,7 +190,7 @@ def count_surfaces_below_headroom(region_context: RegionContext) -> Int:
     """
     regions = region_context.regions
     surfaces = regions.surfaces
-    cells = regions.blocks.cells(np.arange(regions.blocks.num))
+    cells = regions.blocks.list_cells(np.arange(regions.blocks.num_blocks))
     cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
     region = regions.region_of(surface_ids)
     has_region = region >= 0
@@ -207,7 +207,7 @@ def count_surfaces_below_headroom(region_context: RegionContext) -> Int:
         is_low,
         least=MIN_LINES_PER_THREAD,
     )
-    return np.bincount(region[has_region][is_low], minlength=regions.num)
+    return np.bincount(region[has_region][is_low], minlength=regions.num_regions)
 
 
 class ReachedRegions(NamedTuple):
@@ -245,7 +245,7 @@ def find_voids(
         return ReachedRegions(is_reached, is_void)
     num_with_low_headroom = count_surfaces_below_headroom(region_context)
     # the regions on each level, without repeats
-    num_regions = region_context.regions.num
+    num_regions = region_context.regions.num_regions
     pair_ids = np.unique(counts.level * num_regions + counts.region)
     level, region = np.divmod(pair_ids, num_regions)
     num_on_level = np.bincount(level, region_context.regions.num_surfaces[region])
@@ -277,7 +277,7 @@ def find_unreached_floors(
         is_reached: which regions are reached, shape (regions,), bool.
     """
     counts = assignment.counts
-    num_regions = regions.num
+    num_regions = regions.num_regions
     # how many surfaces each region has on each level
     pair_ids, pair_of_row = np.unique(
         counts.level * num_regions + counts.region, return_inverse=True
@@ -305,13 +305,13 @@ def _describe_on_levels(
         regions: all regions.
         assignment: the level of each surface.
         pair_ids: pairs of a level and a region that has surfaces on it, each as the number
-            ``level * regions.num + region``, ascending, shape (n,).
+            ``level * regions.num_regions + region``, ascending, shape (n,).
 
     Returns:
         Number of a level -> its patch, whose position is on the region with the most surfaces
         there.
     """
-    region_ids = np.unique(pair_ids % regions.num)
+    region_ids = np.unique(pair_ids % regions.num_regions)
     surfaces_by_region = regions.list_surfaces(region_ids)
     if not surfaces_by_region:
         return {}
@@ -322,14 +322,16 @@ def _describe_on_levels(
     )
     preliminary_level = assignment.preliminary_level[surfaces.surface_id]
     final_level = assignment.final_level[np.maximum(preliminary_level, 0)]
-    pair_of_surface = np.where(preliminary_level >= 0, final_level * regions.num + region, -1)
+    pair_of_surface = np.where(
+        preliminary_level >= 0, final_level * regions.num_regions + region, -1
+    )
     by_pair = np.argsort(pair_of_surface, kind="stable")
     first_of_pair = np.searchsorted(pair_of_surface[by_pair], pair_ids, side="left")
     end_of_pair = np.searchsorted(pair_of_surface[by_pair], pair_ids, side="right")
     # number of a level -> for each region of a pair, the indices of its surfaces on the level
     indices_on_level: dict[int, list[Int]] = {}
     for pair_id, first, end in zip(pair_ids.tolist(), first_of_pair, end_of_pair, strict=True):
-        indices_on_level.setdefault(pair_id // regions.num, []).append(by_pair[first:end])
+        indices_on_level.setdefault(pair_id // regions.num_regions, []).append(by_pair[first:end])
     lattice = regions.lattice
     patches = {}
     for level_number, indices_by_region in indices_on_level.items():

@@ -68,7 +68,7 @@ class Components(NamedTuple):
     pairs: Int
 
     @property
-    def num(self) -> int:
+    def num_components(self) -> int:
         """Return the number of components."""
         return len(self.measures)
 
@@ -85,7 +85,7 @@ class Components(NamedTuple):
             For each component, the number of the merged component that it is a part of, shape
             (components,), int32. Merged components are numbered in the order of their first parts.
         """
-        return label_components(self.pairs_of_kind(JOINED)[:, :2].T, self.num)
+        return label_components(self.pairs_of_kind(JOINED)[:, :2].T, self.num_components)
 
     def linked_pairs(self, merged_component: Int32) -> tuple[Int, Int]:
         """Find the pairs of different merged components that are linked, see `JoinRule`.
@@ -101,8 +101,10 @@ class Components(NamedTuple):
         higher_number = linked_components.max(axis=1)
         is_different = lower_number != higher_number
         # one number for each pair, so that `unique` sorts numbers rather than rows
-        pair_ids = np.unique(lower_number[is_different] * self.num + higher_number[is_different])
-        return np.divmod(pair_ids, max(self.num, 1))
+        pair_ids = np.unique(
+            lower_number[is_different] * self.num_components + higher_number[is_different]
+        )
+        return np.divmod(pair_ids, max(self.num_components, 1))
 
 
 def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS) -> Components:
@@ -127,7 +129,7 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
     )
     numbering = ComponentNumbering(
         number_in_block=number_in_block,
-        first_number_of_block=np.searchsorted(block_of_component, np.arange(blocks.num)),
+        first_number_of_block=np.searchsorted(block_of_component, np.arange(blocks.num_blocks)),
         overall_number=np.empty(len(surfaces.z), dtype=np.int32),
     )
     _, (pairs,) = blocks.list_rows(kernels.list_pairs, (NO_ROWS,), surfaces, group, rule, numbering)
@@ -185,7 +187,7 @@ class Regions:
     highest_z: Float
 
     @property
-    def num(self) -> int:
+    def num_regions(self) -> int:
         """Return the number of regions."""
         return len(self.num_surfaces)
 
@@ -250,7 +252,9 @@ class Regions:
         in_box = np.add.outer(np.arange(row0, row1) * self.lattice.width, np.arange(col0, col1))
         cells = in_box.ravel()
         cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
-        is_selected = np.zeros(self.num + 1, dtype=np.bool_)  # the last entry is for no region
+        is_selected = np.zeros(
+            self.num_regions + 1, dtype=np.bool_
+        )  # the last entry is for no region
         is_selected[regions] = True
         region = self.region_of(surface_ids)
         in_regions = np.flatnonzero(is_selected[region])
@@ -355,16 +359,16 @@ def find_large_regions(regions: Regions, is_tested: Bool, settings: FloorSetting
         A mask of the regions that are large enough, shape (regions,), bool.
     """
     area_test = make_area_test(regions.lattice, settings)
-    is_large = np.zeros(regions.num, dtype=np.bool_)
+    is_large = np.zeros(regions.num_regions, dtype=np.bool_)
     candidate_regions = np.flatnonzero(is_tested & (regions.num_surfaces >= area_test.min_cells))
     # the blocks of each candidate, one candidate after the other
     is_of_candidate = np.isin(regions.region_of_component, candidate_regions)
     region_of_component = regions.region_of_component[is_of_candidate].astype(np.int64)
     block_of_component = regions.components.block[is_of_candidate]
     # one number for each pair of a region and a block
-    pair_ids = np.unique(region_of_component * regions.blocks.num + block_of_component)
-    paired_region, paired_block = np.divmod(pair_ids, regions.blocks.num)
-    first_block = np.searchsorted(paired_region, [*candidate_regions, regions.num])
+    pair_ids = np.unique(region_of_component * regions.blocks.num_blocks + block_of_component)
+    paired_region, paired_block = np.divmod(pair_ids, regions.blocks.num_blocks)
+    first_block = np.searchsorted(paired_region, [*candidate_regions, regions.num_regions])
     run_in_chunks(
         mark_large_regions,
         len(candidate_regions),

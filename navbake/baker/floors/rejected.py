@@ -98,7 +98,7 @@ def find_rejected_regions(
     """
     regions = region_context.regions
     is_large = region_context.is_large
-    no_regions = np.zeros(regions.num, dtype=np.bool_)
+    no_regions = np.zeros(regions.num_regions, dtype=np.bool_)
     is_top = no_regions
     is_shelf = no_regions
     is_roof = no_regions
@@ -107,7 +107,9 @@ def find_rejected_regions(
     sky_fraction = regions.num_uncovered / num_surfaces
     # furniture counts, too: a hall's roof lies over its floor whatever stands there
     num_cells_over = stacks.num_cells * (stacks.upper != stacks.lower)
-    fraction_over_regions = np.bincount(stacks.upper, num_cells_over, regions.num) / num_surfaces
+    fraction_over_regions = (
+        np.bincount(stacks.upper, num_cells_over, regions.num_regions) / num_surfaces
+    )
     if not region_context.settings.tops:
         is_top = _find_tops(region_context, height_fields)
         is_shelf = _find_shelves(
@@ -177,7 +179,9 @@ def _find_tops(region_context: RegionContext, height_fields: Int32) -> Bool:
         A mask, shape (regions,), bool.
     """
     regions = region_context.regions
-    num_drops = np.bincount(region_context.edges.region, region_context.edges.has_drop, regions.num)
+    num_drops = np.bincount(
+        region_context.edges.region, region_context.edges.has_drop, regions.num_regions
+    )
     may_be_top = region_context.is_large & (num_drops > 0)
     if not region_context.is_cropped.any():
         # an outline is at least as long as the box around it: most regions drop along less of it
@@ -188,8 +192,8 @@ def _find_tops(region_context: RegionContext, height_fields: Int32) -> Bool:
     num_drops_to_floor = Counter[int]()  # region below -> drops to it from all regions
     for region_drops in drops_by_region.values():
         num_drops_to_floor.update(region_drops.num_drops_to)
-    is_top = np.zeros(regions.num, dtype=np.bool_)
-    is_too_large = np.zeros(regions.num, dtype=np.bool_)
+    is_top = np.zeros(regions.num_regions, dtype=np.bool_)
+    is_too_large = np.zeros(regions.num_regions, dtype=np.bool_)
     for region, region_drops in drops_by_region.items():
         if not region_drops.num_drops_to or _is_raised_ground(
             region_context, region, region_drops, height_fields

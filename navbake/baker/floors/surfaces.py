@@ -106,9 +106,9 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
 def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
     """Return the ids of the cells of a chunk of rows, block by block."""
     blocks = Blocks(lattice)
-    first_block = rows.first // BLOCK * blocks.cols
-    end_block = -(-rows.end // BLOCK) * blocks.cols
-    cells = blocks.cells(np.arange(first_block, end_block))
+    first_block = rows.first // BLOCK * blocks.num_cols
+    end_block = -(-rows.end // BLOCK) * blocks.num_cols
+    cells = blocks.list_cells(np.arange(first_block, end_block))
     first_cell, end_cell = rows.cell_range(lattice)
     return cells[(first_cell <= cells) & (cells < end_cell)]
 

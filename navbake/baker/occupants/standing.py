@@ -320,7 +320,7 @@ def _measure_levels(
     min_bottom_over_floor = np.full(num_geoms, np.inf)
     max_top_over_bottom = np.full(num_geoms, -np.inf)
     is_stood_on = np.zeros(num_geoms, dtype=np.bool_)
-    blocks = np.arange(Blocks(lattice).num)
+    blocks = np.arange(Blocks(lattice).num_blocks)
     total_counts = np.zeros((num_geoms, kernels.NUM_COUNTS), dtype=np.int64)  # of all levels
     largest_counts = np.zeros((num_geoms, kernels.NUM_COUNTS), dtype=np.int64)  # of any level
     for occupants, level in zip(levels, floors.levels, strict=True):

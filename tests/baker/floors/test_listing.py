@@ -121,14 +121,14 @@ def check_regions(regions, step):
     assert np.array_equal(regions.num_surfaces, np.bincount(number))
     top = np.array([row[3] for row in rows])
     assert np.array_equal(regions.num_uncovered, np.bincount(number, top).astype(int))
-    for region in range(regions.num):
+    for region in range(regions.num_regions):
         members = regions.surfaces_of(region)
         assert np.array_equal(members.cell, cell[number == region])
         assert np.array_equal(members.z, z[number == region])
         row, col = np.divmod(members.cell, lattice.width)
         box = [row.min(), col.min(), row.max() + 1, col.max() + 1]
         assert regions.box[region].tolist() == box
-    over = np.zeros(regions.num, dtype=np.int64)
+    over = np.zeros(regions.num_regions, dtype=np.int64)
     for i in range(1, len(cell)):
         over[number[i]] += cell[i - 1] == cell[i] and number[i - 1] != number[i]
     above, below, count = regions.find_stacks()

@@ -57,7 +57,7 @@ def endings_at(tmp_path: Path):
         regions = regions_of(stages)
         settings = stages.config.floors
         is_large = find_large_regions(regions, regions.num_surfaces > 0, settings)
-        members = [regions.surfaces_of(region) for region in range(regions.num)]
+        members = [regions.surfaces_of(region) for region in range(regions.num_regions)]
         at_height = is_large & [np.isclose(surfaces.z, z).any() for surfaces in members]
         context = make_region_context(
             regions=regions,

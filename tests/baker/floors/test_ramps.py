@@ -70,7 +70,7 @@ def test_ramp_is_one_walk_when_it_rises_more_than_a_step_over_a_cell(bake, cell,
 @pytest.mark.parametrize("run", [3.7, 1.0])
 def test_ramp_is_one_region_at_any_cell_size(stages_of, cell, run):
     stages = stages_of(scene(run), cell)
-    assert regions_of(stages).num == 1
+    assert regions_of(stages).num_regions == 1
 
 
 def test_ramp_steeper_than_the_slope_is_none(bake):
@@ -145,4 +145,4 @@ def test_slopes_join_what_they_predict(rise):
         between = min(rise_by_first, rise_by_second) <= dz <= max(rise_by_first, rise_by_second)
         near = max(abs(dz - rise_by_first), abs(dz - rise_by_second)) <= 0.12
         expected = abs(dz) <= 0.12 or (is_steep and (between or near))
-        assert components.num == (1 if expected else 2)
+        assert components.num_components == (1 if expected else 2)
