@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.core.arrays import Facets, ShapeIndex, Solids
-from navbake.baker.core.bisection_kernels import first_from
+from navbake.baker.core.bisection_kernels import find_first_at_or_above
 from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER
 from navbake.baker.core.tiles import TILE, cell_center_at, tile_window, window_near_box
 from navbake.baker.core.tolerances import LIMIT_SLACK
@@ -222,7 +222,7 @@ def _has_floor(column_hits, cell, z, max_step, min_normal_z):
     end_hit = column_hits.start[cell + 1]
     # from a little lower, as the difference is rounded
     lowest_z = z - max_step - LIMIT_SLACK
-    first_hit = first_from(column_hits.z, column_hits.start[cell], end_hit, lowest_z)
+    first_hit = find_first_at_or_above(column_hits.z, column_hits.start[cell], end_hit, lowest_z)
     for i in range(first_hit, end_hit):
         if column_hits.z[i] - z > max_step:
             break

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from navbake.baker.columns.hit_kernels import AT_EDGE, INSIDE, RIM_WIDTH
-from navbake.baker.core.tiles import cell_center, centers_between
+from navbake.baker.core.tiles import cell_center, find_centers_between
 from navbake.baker.geometry.triangle_kernels import unit_normal
 from navbake.compiled import NO_REFCOUNT, subkernel
 
@@ -218,10 +218,10 @@ def raster_triangles(facets, triangles, is_crossed, lattice, rows, hits, next_hi
             continue
         y_high = bounds[triangle, 4] + RIM_WIDTH
         y_low = bounds[triangle, 1] - RIM_WIDTH
-        first_row, last_row = centers_between(y_max - y_high, y_max - y_low, cell_size, height)
+        first_row, last_row = find_centers_between(y_max - y_high, y_max - y_low, cell_size, height)
         x_low = bounds[triangle, 0] - RIM_WIDTH
         x_high = bounds[triangle, 3] + RIM_WIDTH
-        first_col, last_col = centers_between(x_low - x_min, x_high - x_min, cell_size, width)
+        first_col, last_col = find_centers_between(x_low - x_min, x_high - x_min, cell_size, width)
         needs_spans = last_col - first_col >= MIN_COLUMNS_FOR_SPANS
         edge_limits = (
             _edge_limit(corners, triangle, 1, 2),
@@ -232,7 +232,7 @@ def raster_triangles(facets, triangles, is_crossed, lattice, rows, hits, next_hi
             y = cell_center(lattice, row * width)[1]
             if needs_spans:
                 span_low, span_high = _span_of_row(corners, triangle, x_low, x_high, y, edge_limits)
-                first_col, last_col = centers_between(
+                first_col, last_col = find_centers_between(
                     span_low - x_min, span_high - x_min, cell_size, width
                 )
             for col in range(first_col, last_col + 1):

@@ -40,7 +40,7 @@ from navbake.baker.columns.raster_kernels import (
 )
 from navbake.baker.core.arrays import Facets, HeightRange, Planes, Solids
 from navbake.baker.core.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
-from navbake.baker.core.tiles import TILE, cell_center, centers_between
+from navbake.baker.core.tiles import TILE, cell_center, find_centers_between
 from navbake.baker.geometry.triangle_kernels import unit_normal
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int
@@ -315,12 +315,12 @@ def _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, 
     cell_size = lattice.cell_size
     x_min = lattice.x_min
     y_max = lattice.y_max
-    first_row, last_row = centers_between(
+    first_row, last_row = find_centers_between(
         y_max - box[4] - RIM_WIDTH, y_max - box[1] + RIM_WIDTH, cell_size, lattice.height
     )
     first_row = max(first_row, rows[0])
     last_row = min(last_row, rows[1] - 1)
-    first_col, last_col = centers_between(
+    first_col, last_col = find_centers_between(
         box[0] - RIM_WIDTH - x_min, box[3] + RIM_WIDTH - x_min, cell_size, lattice.width
     )
     has_simple_rim = _has_simple_rim(solids, solid)

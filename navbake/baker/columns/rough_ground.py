@@ -15,7 +15,7 @@ import numpy as np
 from navbake.baker.columns.columns import Columns, TiledShapes, cast_points
 from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.constants import CONVEX_SOLID
-from navbake.baker.core.limits import AgentLimits, agent_limits
+from navbake.baker.core.limits import AgentLimits, make_agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.config.settings import AgentSettings
@@ -79,7 +79,7 @@ def replace_rough_ground_normals(
         is_selected: mask of the cells whose columns are valid, shape (cells,); None for those of
             `columns.valid_rows`.
     """
-    limits = agent_limits(agent)
+    limits = make_agent_limits(agent)
     cell_ids, hit_indices = _find_steep_facets(columns, limits, is_selected)
     if not len(hit_indices):
         return columns

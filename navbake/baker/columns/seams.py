@@ -27,7 +27,7 @@ from navbake.baker.core.arrays import ColumnHits
 from navbake.baker.core.blocks import replace_slices
 from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.constants import BOX, OPEN_SURFACE
-from navbake.baker.core.limits import AgentLimits, agent_limits
+from navbake.baker.core.limits import AgentLimits, make_agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.config.settings import AgentSettings
@@ -305,7 +305,7 @@ def close_cracks(
     """
     if max_crack_distance == 0:
         return columns
-    limits = agent_limits(agent)
+    limits = make_agent_limits(agent)
     sides = _list_all_sides(columns, tiled_shapes, limits, max_crack_distance, is_selected)
     if not len(sides):
         return columns

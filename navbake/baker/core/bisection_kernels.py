@@ -7,7 +7,7 @@ from navbake.compiled import NO_REFCOUNT, subkernel
 
 
 @subkernel(**NO_REFCOUNT)
-def first_above(heights, begin, end, limit):
+def find_first_above(heights, begin, end, limit):
     """Return the index of the first height above a limit, in a range of ascending heights.
 
     Args:
@@ -29,7 +29,7 @@ def first_above(heights, begin, end, limit):
 
 
 @subkernel(**NO_REFCOUNT)
-def first_from(heights, begin, end, limit):
+def find_first_at_or_above(heights, begin, end, limit):
     """Return the index of the first height at or above a limit, in a range of ascending heights.
 
     Args:

@@ -23,7 +23,7 @@ class AgentLimits(NamedTuple):
     max_step: float
 
 
-def agent_limits(agent: AgentSettings) -> AgentLimits:
+def make_agent_limits(agent: AgentSettings) -> AgentLimits:
     """Turn the settings of an agent into the limits that kernels take."""
     min_normal_z = float(np.cos(np.radians(agent.max_slope))) - LIMIT_SLACK
     return AgentLimits(min_normal_z, agent.height, agent.traversable_floor_height)

@@ -130,7 +130,7 @@ def window_near_box(lattice, window, boxes, box, distance):
 
 
 @subkernel(inline="always")
-def centers_between(low, high, cell_size, num_cells):
+def find_centers_between(low, high, cell_size, num_cells):
     """Find the cells of a row, or of a column, whose centres lie between two coordinates.
 
     Rounding may add a cell at either end, and never loses one.
@@ -201,10 +201,10 @@ def _find_tile_rows_under(boxes, box, margin, lattice):
     """
     x_low = boxes[box, 0] - margin - lattice.x_min
     x_high = boxes[box, 3] + margin - lattice.x_min
-    first_col, last_col = centers_between(x_low, x_high, lattice.cell_size, lattice.width)
+    first_col, last_col = find_centers_between(x_low, x_high, lattice.cell_size, lattice.width)
     y_low = lattice.y_max - boxes[box, 4] - margin
     y_high = lattice.y_max - boxes[box, 1] + margin
-    first_row, last_row = centers_between(y_low, y_high, lattice.cell_size, lattice.height)
+    first_row, last_row = find_centers_between(y_low, y_high, lattice.cell_size, lattice.height)
     if last_col < first_col or last_row < first_row:
         return 0, -1, 0, -1
     return first_row // TILE, last_row // TILE, 0, 0

@@ -60,7 +60,7 @@ def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
     return clipped_boxes
 
 
-def cells_near_boxes(lattice: Lattice, boxes: Float, distance: float) -> Int:
+def find_cells_near_boxes(lattice: Lattice, boxes: Float, distance: float) -> Int:
     """Find the cells near boxes, seen from above.
 
     Args:

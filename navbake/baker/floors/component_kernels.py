@@ -59,13 +59,13 @@ class JoinRule(NamedTuple):
             differ by at most this [m].
         max_link_step: two surfaces that are not connected are linked if their heights differ by at
             most this [m]; negative if no links are listed.
-        by_slopes: whether surfaces of the same group are also connected where `slopes_join` says
-            so.
+        can_slopes_join: whether surfaces of the same group are also connected where `slopes_join`
+            says so.
     """
 
     max_step: float
     max_link_step: float = -1.0
-    by_slopes: bool = False
+    can_slopes_join: bool = False
 
 
 class ComponentNumbering(NamedTuple):
@@ -150,7 +150,9 @@ def _are_joined(surfaces, group_of_surface, rule, surface_a, surface_b, directio
         return False
     if abs(surfaces.z[surface_a] - surfaces.z[surface_b]) <= rule.max_step + LIMIT_SLACK:
         return True
-    return rule.by_slopes and slopes_join(surfaces, surface_a, surface_b, direction, rule.max_step)
+    return rule.can_slopes_join and slopes_join(
+        surfaces, surface_a, surface_b, direction, rule.max_step
+    )
 
 
 @subkernel(inline="always")
@@ -159,7 +161,9 @@ def max_rise_of(rule):
 
     It is infinite if slopes connect surfaces.
     """
-    return math.inf if rule.by_slopes else max(rule.max_step, rule.max_link_step) + LIMIT_SLACK
+    return (
+        math.inf if rule.can_slopes_join else max(rule.max_step, rule.max_link_step) + LIMIT_SLACK
+    )
 
 
 @subkernel(inline="always")

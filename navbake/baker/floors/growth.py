@@ -166,8 +166,8 @@ def find_level_links(regions: Regions, assignment: LevelAssignment, agent: Agent
         The links, sorted, shape (n, 4), int64. Columns: the lower level, the cell on it, the upper
         level, the cell on it; both levels are the same where a slope joins two cells of one level.
     """
-    by_slopes = may_slopes_join(regions.lattice, agent)
-    if len(assignment.grounds) == 1 and not by_slopes:
+    can_slopes_join = may_slopes_join(regions.lattice, agent)
+    if len(assignment.grounds) == 1 and not can_slopes_join:
         return NO_LINKS
     _, (links,) = regions.blocks.list_rows(
         kernels.list_links,
@@ -176,6 +176,6 @@ def find_level_links(regions: Regions, assignment: LevelAssignment, agent: Agent
         assignment.preliminary_level,
         assignment.final_level,
         agent.traversable_floor_height,
-        by_slopes,
+        can_slopes_join,
     )
     return links[np.lexsort(links.T[::-1])]

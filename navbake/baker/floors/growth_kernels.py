@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.bisection_kernels import first_above, first_from
+from navbake.baker.core.bisection_kernels import find_first_above, find_first_at_or_above
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.floors.region_kernels import region_of_surface
@@ -172,8 +172,12 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
                 floor_height[cell] = math.nan
                 ring_of_cell[cell] = NO_FLOOR
                 # the level's surfaces of the cell are in [first_on_level, stop_on_level)
-                first_on_level = first_from(highest_level_below, first_surface, stop, level_number)
-                stop_on_level = first_above(lowest_level_above, first_surface, stop, level_number)
+                first_on_level = find_first_at_or_above(
+                    highest_level_below, first_surface, stop, level_number
+                )
+                stop_on_level = find_first_above(
+                    lowest_level_above, first_surface, stop, level_number
+                )
                 for j in range(first_on_level, stop_on_level):
                     level = growth_state.preliminary_level[j]
                     if level >= 0 and growth_state.final_level[level] == level_number:
@@ -184,14 +188,19 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
                 # the floor may grow between the levels below and above, with room for an agent
                 lowest_z = -math.inf
                 highest_z = math.inf
-                below = first_from(lowest_level_above, first_surface, stop, level_number) - 1
+                below = (
+                    find_first_at_or_above(lowest_level_above, first_surface, stop, level_number)
+                    - 1
+                )
                 if below >= first_surface:
                     lowest_z = surfaces.z[below] + growth_state.agent_height - LIMIT_SLACK
-                above = first_above(highest_level_below, first_surface, stop, level_number)
+                above = find_first_above(highest_level_below, first_surface, stop, level_number)
                 if above < stop:
                     highest_z = surfaces.z[above] - growth_state.agent_height + LIMIT_SLACK
                 highest_growable = np.int64(-1)
-                for j in range(first_from(surfaces.z, first_surface, stop, lowest_z), stop):
+                for j in range(
+                    find_first_at_or_above(surfaces.z, first_surface, stop, lowest_z), stop
+                ):
                     if surfaces.z[j] > highest_z:
                         break
                     can_grow[j] = CANNOT_GROW
@@ -348,7 +357,7 @@ def list_links(
     preliminary_level,
     final_level,
     max_step,
-    by_slopes,
+    can_slopes_join,
     blocks,
     row_counts,
     row_arrays,
@@ -365,7 +374,8 @@ def list_links(
         preliminary_level: the preliminary number of each surface's level, negative for none, int32.
         final_level: the final number of the level for each preliminary number, int64.
         max_step: the highest step that the agent takes [m].
-        by_slopes: whether surfaces that no step joins are also linked where `slopes_join` says so.
+        can_slopes_join: whether surfaces that no step joins are also linked where `slopes_join`
+            says so.
         blocks: ids of blocks of cells.
         row_counts: receives how many links each block has.
         row_arrays: one array that receives the links, (n, 4) int64: the lower level and its cell,
@@ -383,7 +393,7 @@ def list_links(
     end_surface = surfaces.end
     z = surfaces.z
     lattice = surfaces.lattice
-    max_rise = math.inf if by_slopes else max_step + LIMIT_SLACK
+    max_rise = math.inf if can_slopes_join else max_step + LIMIT_SLACK
     for block_index in range(begin, end):
         num_rows_before = num_rows
         row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
@@ -413,7 +423,7 @@ def list_links(
                                 abs(z[surface] - z[neighbor_surface]) <= max_step + LIMIT_SLACK
                             )
                             is_link = surface_level != neighbor_level and is_step
-                            if by_slopes and not is_link:
+                            if can_slopes_join and not is_link:
                                 is_link = slopes_join(
                                     surfaces, surface, neighbor_surface, direction, max_step
                                 )

@@ -478,14 +478,14 @@ def _count_heights(
 
 
 def _assign_surfaces(
-    assignment_input: AssignmentInput, grounds: list[float], skip_floors: bool = False
+    assignment_input: AssignmentInput, grounds: list[float], skips_floors: bool = False
 ) -> SurfaceLevels:
     """Assign surfaces to levels whose grounds are given: in each column, at most one to a level.
 
     Args:
         assignment_input: the surfaces to assign.
         grounds: the heights at which levels begin, ascending [m].
-        skip_floors: whether floors rather than stairs are left out, in columns with more surfaces
+        skips_floors: whether floors rather than stairs are left out, in columns with more surfaces
             to assign than there are levels.
     """
     regions = assignment_input.regions
@@ -495,7 +495,7 @@ def _assign_surfaces(
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
         assignment_input.candidates,
-        LevelRule(np.array(grounds), assignment_input.tolerance, skip_floors),
+        LevelRule(np.array(grounds), assignment_input.tolerance, skips_floors),
         regions.components.number,
         level,
     )
@@ -505,7 +505,7 @@ def _assign_surfaces(
         num_surfaces=histogram_rows[:, 3],
         lowest_z=lowest_z,
     )
-    return SurfaceLevels(grounds, skip_floors, level, component_levels)
+    return SurfaceLevels(grounds, skips_floors, level, component_levels)
 
 
 def _move_grounds_down(assignment_input: AssignmentInput, grounds: list[float]) -> SurfaceLevels:
@@ -621,7 +621,7 @@ def _resolve_full_columns(
             break
         # stairs may be needed where floors under them are not
         levels_of_stairs = _assign_surfaces(
-            assignment_input, surface_levels.grounds, skip_floors=True
+            assignment_input, surface_levels.grounds, skips_floors=True
         )
         floors_without_level = _list_regions_without_level(regions, levels_of_stairs)
         if _are_dispensable(

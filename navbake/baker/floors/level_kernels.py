@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.bisection_kernels import first_from
+from navbake.baker.core.bisection_kernels import find_first_at_or_above
 from navbake.baker.core.tiles import BLOCK, block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.component_kernels import count_row, height_bin
@@ -81,13 +81,13 @@ class LevelRule(NamedTuple):
     Attributes:
         grounds: the heights at which levels begin, ascending, (levels,) float64 [m].
         tolerance: how far below a ground the floors of its level may lie [m].
-        skip_floors: which surfaces are left out in columns that have more candidates than there are
-            levels: those of floors, the lower ones first, if True; those of stairs if False.
+        skips_floors: which surfaces are left out in columns that have more candidates than there
+            are levels: those of floors, the lower ones first, if True; those of stairs if False.
     """
 
     grounds: Float
     tolerance: float
-    skip_floors: bool
+    skips_floors: bool
 
 
 @subkernel(inline="always")
@@ -200,7 +200,9 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, colum
                 cell = row * lattice.width + col
                 stop = surfaces.end[cell]
                 lowest_z = selection.ground - LIMIT_SLACK
-                for j in range(first_from(surfaces.z, surfaces.first[cell], stop, lowest_z), stop):
+                for j in range(
+                    find_first_at_or_above(surfaces.z, surfaces.first[cell], stop, lowest_z), stop
+                ):
                     z = surfaces.z[j]
                     if z >= selection.top or (selection.ground == -math.inf and not is_lowest):
                         break
@@ -390,16 +392,16 @@ def _assign_different_levels(surfaces, candidates, rule, cell, level_of_surface,
     aligned_level = np.empty(num_candidates, np.int64)
     move_cost = np.empty(num_candidates, np.int64)
     skip_cost = np.empty(num_candidates, np.int64)
-    skip_floors = rule.skip_floors and num_candidates > num_levels
+    skips_floors = rule.skips_floors and num_candidates > num_levels
     for surface in range(surfaces.first[cell], surfaces.end[cell]):
         if candidates.group_of_surface[surface] >= 0:
             is_stair = _is_stair(candidates, surface)
             surface_ids[num_listed] = surface
             base_level[num_listed] = level_of_surface[surface]
-            move_cost[num_listed] = MOVE_STAIR if is_stair or skip_floors else MOVE_FLOOR
-            skip_cost[num_listed] = SKIP_STAIR if is_stair != skip_floors else SKIP_FLOOR
+            move_cost[num_listed] = MOVE_STAIR if is_stair or skips_floors else MOVE_FLOOR
+            skip_cost[num_listed] = SKIP_STAIR if is_stair != skips_floors else SKIP_FLOOR
             # upper surfaces cost more to skip, so that lower floors are left out first
-            skip_cost[num_listed] += num_listed if skip_floors else 0
+            skip_cost[num_listed] += num_listed if skips_floors else 0
             num_listed += 1
     _align_with_levels(base_level, move_cost, skip_cost, num_levels, aligned_level)
     is_level_taken = np.zeros(num_levels, np.bool_)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.bisection_kernels import first_from
+from navbake.baker.core.bisection_kernels import find_first_at_or_above
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.union_find import find_root, unite
@@ -148,12 +148,12 @@ def _find_surface_below(labelled_surfaces, row, col, excluded_region, height_lim
     stop = np.int64(surfaces.end[cell])
     if excluded_region >= 0:
         lowest_z = labelled_surfaces.lowest_z[excluded_region]
-        for j in range(first_from(surfaces.z, first_surface, stop, lowest_z), stop):
+        for j in range(find_first_at_or_above(surfaces.z, first_surface, stop, lowest_z), stop):
             if surfaces.z[j] > labelled_surfaces.highest_z[excluded_region]:
                 break
             if region_of_surface(labelled_surfaces, j) == excluded_region:
                 return SAME_REGION
-    surface = first_from(surfaces.z, first_surface, stop, height_limit) - 1
+    surface = find_first_at_or_above(surfaces.z, first_surface, stop, height_limit) - 1
     while surface >= first_surface and region_of_surface(labelled_surfaces, surface) < 0:
         surface -= 1
     return surface if surface >= first_surface else NO_SURFACE

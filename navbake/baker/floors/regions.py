@@ -300,7 +300,7 @@ def region_join_rule(lattice: Lattice, agent: AgentSettings) -> JoinRule:
         lattice: the lattice of the surfaces' cells.
         agent: the agent, of which the step and slope are used.
     """
-    return JoinRule(agent.traversable_floor_height, by_slopes=may_slopes_join(lattice, agent))
+    return JoinRule(agent.traversable_floor_height, can_slopes_join=may_slopes_join(lattice, agent))
 
 
 def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GROUPS) -> Regions:

@@ -6,7 +6,7 @@ edge of a region to the edge on the other side, as in run-length encoding of bin
 
 import numpy as np
 
-from navbake.baker.core.bisection_kernels import first_from
+from navbake.baker.core.bisection_kernels import find_first_at_or_above
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.component_kernels import max_rise_of
@@ -45,14 +45,16 @@ def _find_joined_surface(surfaces, rule, surface, cell, axis, sign):
     max_rise = max_rise_of(rule) + LIMIT_SLACK
     stop = surfaces.end[neighbor]
     lowest_z = surfaces.z[surface] - max_rise
-    for i in range(first_from(surfaces.z, surfaces.first[neighbor], stop, lowest_z), stop):
+    for i in range(
+        find_first_at_or_above(surfaces.z, surfaces.first[neighbor], stop, lowest_z), stop
+    ):
         if surfaces.z[i] > surfaces.z[surface] + max_rise:
             break
         if not surfaces.flags[i] & STANDABLE:
             continue
         rise = abs(surfaces.z[i] - surfaces.z[surface])
         is_joined = rise <= rule.max_step + LIMIT_SLACK
-        if not is_joined and rule.by_slopes:
+        if not is_joined and rule.can_slopes_join:
             if sign > 0:
                 is_joined = slopes_join(surfaces, surface, i, axis, rule.max_step)
             else:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from navbake.baker.columns.columns import ColumnSource, RowChunk, cast_columns, tile_shapes
 from navbake.baker.core.arrays import Planes
 from navbake.baker.core.blocks import Blocks, join_arrays, list_rows
-from navbake.baker.core.limits import agent_limits
+from navbake.baker.core.limits import make_agent_limits
 from navbake.baker.core.tiles import BLOCK
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.surface_kernels import Surfaces, list_surfaces
@@ -40,7 +40,7 @@ def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) 
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
     hit_cells = np.flatnonzero(np.diff(columns.start))
     uppermost_hits = columns.start[hit_cells + 1] - 1
-    is_gentle = columns.normal[uppermost_hits, 2] >= agent_limits(agent).min_normal_z
+    is_gentle = columns.normal[uppermost_hits, 2] >= make_agent_limits(agent).min_normal_z
     top_height = np.full(lattice.shape, np.nan)
     top_height.ravel()[hit_cells[is_gentle]] = columns.z[uppermost_hits[is_gentle]]
     return top_height
@@ -91,7 +91,7 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
             lattice,
             chunk.hits,
             planes,
-            agent_limits(agent),
+            make_agent_limits(agent),
             least=LEAST_CELLS,
         )
         # surfaces of this chunk come after those of earlier chunks

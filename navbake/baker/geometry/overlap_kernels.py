@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.core.arrays import HeightRange, Prism
-from navbake.baker.core.bisection_kernels import first_above
+from navbake.baker.core.bisection_kernels import find_first_above
 from navbake.baker.core.constants import OPEN_SURFACE
 from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
@@ -259,7 +259,7 @@ def is_line_blocked(hits, cell, heights, num_enclosing):
     """
     first_hit = hits.start[cell]
     stop = hits.start[cell + 1]
-    hit = first_above(hits.z, first_hit, stop, heights.low)
+    hit = find_first_above(hits.z, first_hit, stop, heights.low)
     if hit < stop and hits.z[hit] < heights.high:
         return True
     return num_enclosing[hit - first_hit] > 0

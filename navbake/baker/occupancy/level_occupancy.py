@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navbake.baker.columns.columns import Columns, TiledShapes
 from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.components import expand_ranges
-from navbake.baker.core.limits import agent_limits
+from navbake.baker.core.limits import make_agent_limits
 from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.baker.floors.levels import Floors
 from navbake.baker.occupancy.footprint import Footprint
@@ -101,7 +101,7 @@ def check_level_occupancy(
             is_wall_candidate=wall_candidates,
             wall_low=WALL_HEIGHTS.low + TOUCH_DEPTH,
             wall_high=WALL_HEIGHTS.high - TOUCH_DEPTH,
-            min_normal_z=agent_limits(agent).min_normal_z,
+            min_normal_z=make_agent_limits(agent).min_normal_z,
         )
     occupancy = check_occupancy(
         columns, tiled_shapes, footprint, floor_cells, floor_heights, occupant_lists

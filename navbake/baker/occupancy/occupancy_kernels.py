@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.arrays import ColumnHits, HeightRange
-from navbake.baker.core.bisection_kernels import first_above, first_from
+from navbake.baker.core.bisection_kernels import find_first_above, find_first_at_or_above
 from navbake.baker.core.constants import APART, MEETS
 from navbake.baker.core.tiles import (
     TILE,
@@ -517,11 +517,11 @@ def _check_geom(task, shape_kind, shape_ids, geom, entries, num_entries):
             tile_col = col - window[2]
             first_query = tile_state.first_query[tile_row, tile_col]
             end_query = tile_state.end_query[tile_row, tile_col]
-            first_near_query = first_above(
+            first_near_query = find_first_above(
                 queries.highest_prism_z, first_query, end_query, tile_state.geom_box[0, 2]
             )
             # the lowest of the prisms begins at the floor, or higher
-            end_near_query = first_from(
+            end_near_query = find_first_at_or_above(
                 queries.floor, first_near_query, end_query, tile_state.geom_box[0, 5] + SAME_HEIGHT
             )
             tile_state.first_near_query[tile_row, tile_col] = first_near_query

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.arrays import NOT_ROUND, Facets, Planes, Prism, Solids
-from navbake.baker.core.bisection_kernels import first_above
+from navbake.baker.core.bisection_kernels import find_first_above
 from navbake.baker.core.constants import APART, MEETS
 from navbake.baker.core.tiles import cell_center_at
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
@@ -254,7 +254,7 @@ def find_flags_on_line(hits, cell, geom, highest_z, volumes):
     winding_blocking = 0
     winding_at_wall_height = 0
     first_hit = hits.start[cell]
-    end_hit = first_above(hits.z, first_hit, hits.start[cell + 1], highest_z)
+    end_hit = find_first_above(hits.z, first_hit, hits.start[cell + 1], highest_z)
     for hit in range(end_hit - 1, first_hit - 1, -1):
         z = hits.z[hit]
         if z <= lowest_z:
@@ -299,7 +299,7 @@ def describe_floor(hits, cell, floor, min_normal_z):
     floor_geom = np.int32(-1)
     gap_below = np.inf
     first_hit = hits.start[cell]
-    end_hit = first_above(hits.z, first_hit, hits.start[cell + 1], floor)
+    end_hit = find_first_above(hits.z, first_hit, hits.start[cell + 1], floor)
     for hit in range(end_hit - 1, first_hit - 1, -1):
         if hits.z[hit] < floor:
             break

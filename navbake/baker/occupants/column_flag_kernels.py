@@ -5,7 +5,7 @@ A cell can be empty, a hole, steep ground, under the sky, or hold something tall
 
 import numpy as np
 
-from navbake.baker.core.bisection_kernels import first_above
+from navbake.baker.core.bisection_kernels import find_first_above
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.compiled import kernel
 
@@ -53,7 +53,7 @@ def flag_columns(hits, floor, ground, limits, min_tall_height, flags, first_cell
         top_normal_z = normal[end_hit - 1, 2] if hit < end_hit else np.float32(0.0)
         # the first surface that is neither the floor nor within a step of the ground
         lowest_counted_z = floor[cell] + SAME_HEIGHT if has_floor else ground + limits.max_step
-        hit = first_above(z, hit, end_hit, lowest_counted_z)
+        hit = find_first_above(z, hit, end_hit, lowest_counted_z)
         hit_faces_up = hit < end_hit and normal[hit, 2] > 0.0
         if has_floor:
             if top_height <= floor[cell] + limits.headroom + LIMIT_SLACK:

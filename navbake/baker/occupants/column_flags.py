@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.arrays import ColumnHits
-from navbake.baker.core.limits import agent_limits
+from navbake.baker.core.limits import make_agent_limits
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.occupancy.level_occupancy import WALL_HEIGHTS
 from navbake.baker.occupants import column_flag_kernels as kernels
@@ -41,7 +41,7 @@ def flag_columns(
         hits,
         floor,
         level.ground,
-        agent_limits(agent),
+        make_agent_limits(agent),
         WALL_HEIGHTS.low,
         flags[cells],
         least=LEAST_CELLS,

@@ -24,7 +24,7 @@ from navbake.baker.columns.columns import (
 )
 from navbake.baker.core.constants import BUILDING, OBJECT, WALL
 from navbake.baker.core.tolerances import TOUCH_DEPTH
-from navbake.baker.core.windows import Window, cells_near_boxes
+from navbake.baker.core.windows import Window, find_cells_near_boxes
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.footprint import Footprint
@@ -170,7 +170,7 @@ def update_movable_occupants(
     """
     lattice = inputs.lattice
     footprint = inputs.footprint
-    cells = cells_near_boxes(lattice, boxes, footprint.half_width + 2 * TOUCH_DEPTH)
+    cells = find_cells_near_boxes(lattice, boxes, footprint.half_width + 2 * TOUCH_DEPTH)
     if not len(cells):
         return occupants
     entries = [list(row_chunks) for row_chunks in occupants.entries]

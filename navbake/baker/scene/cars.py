@@ -10,7 +10,7 @@ import numpy as np
 
 from navbake.baker.columns.columns import cast_columns, tile_shapes
 from navbake.baker.core.constants import SLIDE
-from navbake.baker.core.limits import agent_limits
+from navbake.baker.core.limits import make_agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.names import all_names, find_subtree_ends, mark_geoms_of_bodies
@@ -90,7 +90,7 @@ def measure_car(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> CarFl
     # The headroom above a hit is the distance to the next hit of its vertical column.
     is_last = np.append(cell_of_hit, -1)[1:] != cell_of_hit
     headroom = np.where(is_last, np.inf, np.append(columns.z, np.inf)[1:] - columns.z)
-    is_floor = columns.normal[:, 2] >= agent_limits(agent).min_normal_z
+    is_floor = columns.normal[:, 2] >= make_agent_limits(agent).min_normal_z
     is_floor &= headroom >= agent.height - LIMIT_SLACK
     heights, height_counts = np.unique(np.round(columns.z[is_floor], 3), return_counts=True)
     # The floor is the lowest large surface; the car's roof may be another one.

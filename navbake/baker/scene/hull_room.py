@@ -14,7 +14,7 @@ import numpy as np
 from navbake.baker.columns.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.core.area_test import is_large_enough
 from navbake.baker.core.constants import OPEN_SURFACE
-from navbake.baker.core.limits import AgentLimits, agent_limits
+from navbake.baker.core.limits import AgentLimits, make_agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.collect import GeomSelection, MeshTriangles, collect_shapes
@@ -150,7 +150,7 @@ class HullRoomTest:
             return ROOM
         if not self._may_hide_ground(geom):
             return ""
-        limits = agent_limits(self.agent)
+        limits = make_agent_limits(self.agent)
         is_gentle, top_z = _find_uppermost_surface(mesh_columns, limits)
         is_ground = is_gentle & ~_mark_tops(is_gentle, top_z, lattice, limits, bounds[0, 2])
         is_ground &= _find_depth(mesh_columns, hull_columns) > limits.max_step + LIMIT_SLACK

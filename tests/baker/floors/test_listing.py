@@ -8,7 +8,7 @@ import pytest
 from navbake.baker.bake.stages import bake_stages
 from navbake.baker.columns.columns import Columns, RowChunk
 from navbake.baker.core.components import label_components
-from navbake.baker.core.limits import agent_limits
+from navbake.baker.core.limits import make_agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.core.windows import NEIGHBOR_SLICES
 from navbake.baker.floors.regions import find_regions
@@ -36,7 +36,7 @@ def scene(seed):
 
 def list_plainly(columns, agent):
     """Cell, height and marks of all surfaces, column by column, where solids hold none of them."""
-    limits = agent_limits(agent)
+    limits = make_agent_limits(agent)
     rows = []
     for cell in range(len(columns.start) - 1):
         column = slice(columns.start[cell], columns.start[cell + 1])

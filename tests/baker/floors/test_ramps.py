@@ -140,7 +140,7 @@ def test_slopes_join_what_they_predict(rise):
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         z = np.array([0.0, dz])
         surfaces = Surfaces(lattice, first, first + np.int32(1), z, ids, marks, normal)
-        components = find_components(surfaces, JoinRule(0.12, by_slopes=True))
+        components = find_components(surfaces, JoinRule(0.12, can_slopes_join=True))
         is_steep = max(abs(rise_by_first), abs(rise_by_second)) > 0.12
         between = min(rise_by_first, rise_by_second) <= dz <= max(rise_by_first, rise_by_second)
         near = max(abs(dz - rise_by_first), abs(dz - rise_by_second)) <= 0.12

@@ -239,7 +239,7 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
         NO_HISTOGRAM_ROWS,
         surfaces,
         candidates,
-        LevelRule(grounds, tolerance=1e-6, skip_floors=False),
+        LevelRule(grounds, tolerance=1e-6, skips_floors=False),
         ids,
         level,
     )

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.baker.core.windows import cells_near_boxes
+from navbake.baker.core.windows import find_cells_near_boxes
 from navbake.navgrid.lattice import Lattice
 
 LATTICE = Lattice(-1.0, 2.0, 0.25, 23, 17)
@@ -27,13 +27,13 @@ def test_cells_near_boxes_hold_those_whose_centres_lie_there(seed):
     low = rng.uniform(-4, 6, (int(rng.integers(0, 5)), 3))
     boxes = np.hstack([low, low + rng.uniform(0, 3, low.shape)])
     grow = rng.uniform(0, 1)
-    found = cells_near_boxes(LATTICE, boxes, grow)
+    found = find_cells_near_boxes(LATTICE, boxes, grow)
     assert np.isin(inside(boxes, grow), found).all()
     assert np.isin(found, inside(boxes, grow + 1.5 * LATTICE.cell_size + 1e-9)).all()
 
 
 def test_far_and_endless_boxes_are_cut_off_at_the_lattice():
     endless = np.array([[-np.inf, -np.inf, 0, np.inf, np.inf, 1.0]])
-    assert np.array_equal(cells_near_boxes(LATTICE, endless, 0.1), np.arange(CELLS))
+    assert np.array_equal(find_cells_near_boxes(LATTICE, endless, 0.1), np.arange(CELLS))
     far = np.array([[1e30, 1e30, 0, 1e31, 1e31, 1.0], [-1e31, 0, 0, -1e30, 1, 1.0]])
-    assert not len(cells_near_boxes(LATTICE, far, 0.1))
+    assert not len(find_cells_near_boxes(LATTICE, far, 0.1))
