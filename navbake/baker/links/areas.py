@@ -30,7 +30,8 @@ from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
 from navbake.navgrid.links import Area
 from navbake.types import Bool, Json
 
-MAX_BELOW = 0.05  # a geom also marks floors up to this far above it, such as a rug on it [m]
+# A geom also marks floors up to this far above it, such as that of a rug on the geom [m]
+MAX_FLOOR_ABOVE_GEOM = 0.05
 
 
 class PaintedAreas(NamedTuple):
@@ -96,10 +97,10 @@ def paint_areas(
         else:
             marked_area = _mark_polygon(area, lattice, levels)
         num_cells = 0
-        for layer, level, in_area in zip(layers, levels, marked_area.masks, strict=True):
-            in_area &= ~np.isnan(level.floor)
-            layer[in_area] = area_number
-            num_cells += int(np.count_nonzero(in_area))
+        for layer, level, is_in_area in zip(layers, levels, marked_area.masks, strict=True):
+            is_in_area &= ~np.isnan(level.floor)
+            layer[is_in_area] = area_number
+            num_cells += int(np.count_nonzero(is_in_area))
         warnings += marked_area.warnings
         if not num_cells and not marked_area.warnings:
             warnings.append(f"area {area.name!r} covers no cell with a floor")
@@ -151,12 +152,12 @@ def _mark_box(
     """
     (x_min, y_min, z_min), (x_max, y_max, z_max) = box
     outline = [[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]]
-    is_covered = _mark_outlines(area, [outline], lattice)
+    is_in_outline = _mark_outlines(area, [outline], lattice)
     masks = []
     for level in levels:
-        is_in_height = z_min - LIMIT_SLACK <= level.floor
-        is_in_height &= level.floor <= z_max + LIMIT_SLACK
-        masks.append(is_covered & is_in_height)
+        is_at_box_height = z_min - LIMIT_SLACK <= level.floor
+        is_at_box_height &= level.floor <= z_max + LIMIT_SLACK
+        masks.append(is_in_outline & is_at_box_height)
     return MarkedArea(masks, min(x_max - x_min, y_max - y_min), [])
 
 
@@ -219,7 +220,8 @@ def _mark_geoms(
 ) -> MarkedArea:
     """Mark the cells where the area's geoms are over the floor, up to the agent's height.
 
-    Geoms up to `MAX_BELOW` below the floor count, too, and so do geoms that the bake leaves out.
+    Geoms up to `MAX_FLOOR_ABOVE_GEOM` below the floor count, too, and so do geoms that the bake
+    leaves out.
     """
     names = [geom.geom for geom in all_names(scene.model).geoms]
     masks = [np.zeros(lattice.shape, np.bool_) for _ in levels]
@@ -247,13 +249,13 @@ def _mark_geoms(
     area_footprint = Footprint(
         square=lattice.cell_size / 2 - 3 * TOUCH_DEPTH,
         radius=0.0,
-        low=-MAX_BELOW,
+        low=-MAX_FLOOR_ABOVE_GEOM,
         high=agent_height - TOUCH_DEPTH,
     )
-    for mask, level in zip(masks, levels, strict=True):
-        window_floor = level.floor[window].ravel()
-        cells = np.flatnonzero(~np.isnan(window_floor))
-        floor_heights = window_floor[cells]
+    for level_mask, level in zip(masks, levels, strict=True):
+        window_floor_heights = level.floor[window].ravel()
+        cells = np.flatnonzero(~np.isnan(window_floor_heights))
+        floor_heights = window_floor_heights[cells]
         is_in_area = np.zeros(len(cells), dtype=np.bool_)
         if area.keeps_out:
             is_in_area = check_occupancy(
@@ -262,16 +264,16 @@ def _mark_geoms(
         else:
             find_blocked_lines(
                 cells,
-                floor_heights - MAX_BELOW,
+                floor_heights - MAX_FLOOR_ABOVE_GEOM,
                 floor_heights + agent_height,
                 columns.hits,
                 is_in_area,
                 0,
                 len(cells),
             )
-        window_mask = np.zeros(len(window_floor), dtype=np.bool_)
+        window_mask = np.zeros(len(window_floor_heights), dtype=np.bool_)
         window_mask[cells[is_in_area]] = True
-        mask[window] = window_mask.reshape(mask[window].shape)
+        level_mask[window] = window_mask.reshape(level_mask[window].shape)
     geom_widths = measure_extents(shapes, len(names)).short_side[geoms]
     return MarkedArea(masks, float(np.nanmin(geom_widths, initial=np.inf)), warnings)
 

@@ -32,8 +32,8 @@ from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int
 
 LADDER_PATTERNS = ("*ladder*",)  # names of bodies and geoms that are ladders, if no others are set
-LADDER_GAP = 0.6  # the widest gap between a ladder and an agent that stands beside it [m]
-LIFT_GAP = 0.5  # the widest gap between the floor of a car and a landing [m]
+DEFAULT_LADDER_GAP = 0.6  # the widest gap between a ladder and an agent that stands beside it [m]
+DEFAULT_LIFT_GAP = 0.5  # the widest gap between the floor of a car and a landing [m]
 
 
 # ---------------------------------------------------------------- ladders
@@ -54,7 +54,7 @@ def find_ladders(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     Returns:
         A link for each ladder, with cell ids on the whole lattice.
     """
-    max_gap = LADDER_GAP if rule.gap is None else rule.gap
+    max_gap = DEFAULT_LADDER_GAP if rule.gap is None else rule.gap
     links = []
     for name, is_ladder_geom in _find_ladder_geoms(search, rule.patterns or LADDER_PATTERNS):
         box = search.shapes.only(is_ladder_geom).bounds
@@ -89,14 +89,14 @@ def _find_ladder_geoms(search: LinkSearch, patterns: Sequence[str]) -> list[tupl
         candidates.append((geom_names.geom, np.arange(model.ngeom) == geom))
 
     ladders: list[tuple[str, Bool]] = []
-    ladder_geoms = set[int]()
+    ladder_geom_ids = set[int]()
     for name, is_candidate_geom in candidates:
         geom_ids = set(np.flatnonzero(is_candidate_geom).tolist())
-        if not geom_ids or geom_ids & ladder_geoms:
+        if not geom_ids or geom_ids & ladder_geom_ids:
             continue
         if any(fnmatchcase(name, pattern) for pattern in patterns):
             ladders.append((name, is_candidate_geom))
-            ladder_geoms |= geom_ids
+            ladder_geom_ids |= geom_ids
     return ladders
 
 
@@ -112,11 +112,13 @@ def _find_stops_beside(box: Float, max_gap: float, search: LinkSearch) -> Iterat
     x = search.lattice.center_x()
     y = search.lattice.center_y()[:, None]
     distance = np.hypot(np.clip(x, x_min, x_max) - x, np.clip(y, y_min, y_max) - y)
-    for level_number, (floor, free) in enumerate(
+    for level_number, (floor_heights, is_free) in enumerate(
         zip(search.floor_heights, search.is_free, strict=True)
     ):
-        is_beside = free & (distance <= max_gap + LIMIT_SLACK)
-        is_beside &= (floor >= z_min - search.max_step) & (floor <= z_max + search.max_step)
+        is_beside = is_free & (distance <= max_gap + LIMIT_SLACK)
+        is_beside &= (floor_heights >= z_min - search.max_step) & (
+            floor_heights <= z_max + search.max_step
+        )
         if is_beside.any():
             # rounded, so that the first of equally near cells is taken
             nearest_cell = np.argmin(np.where(is_beside, np.round(distance, 9), np.inf))
@@ -174,17 +176,17 @@ def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
         A link for each lift, with cell ids on the whole lattice.
     """
     links = []
-    max_gap = LIFT_GAP if rule.gap is None else rule.gap
+    max_gap = DEFAULT_LIFT_GAP if rule.gap is None else rule.gap
     for car in _find_cars(search, rule.patterns or ("*",), max_gap):
         stops = list[Stop]()
         width = car.width
-        for level in range(len(search.floor_heights)):
+        for level_number in range(len(search.floor_heights)):
             crossings = search.find_crossings(
-                level,
+                level_number,
                 is_start=car.floor_mask,
                 directions=range(len(DIRECTIONS)),
                 max_gap=max_gap,
-                check_landing=_make_landing_test(car, level, search),
+                check_landing=_make_landing_test(car, level_number, search),
             )
             crossings["from_height"] = np.clip(
                 crossings["to_height"], car.min_height, car.max_height
@@ -202,16 +204,16 @@ def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
                 )
                 width = min(width, widest_group.width)
                 stop = search.make_stop_off_edge(
-                    level,
-                    int(widest_group.middle["to_cell"]),
-                    direction=int(widest_group.middle["direction"]),
+                    level_number,
+                    int(widest_group.middle_crossing["to_cell"]),
+                    direction=int(widest_group.middle_crossing["direction"]),
                     width=min(car.width, widest_group.width),
                 )
                 stops.append(stop)
         if len({stop.level for stop in stops}) > 1:
             stops.sort(key=lambda stop: (stop.level, stop.position[2], stop.cell))
-            fields = {"name": car.name, "width": round(width, 6), "car": car.pose}
-            links.append(LatticeLink(stops, fields))
+            link_fields = {"name": car.name, "width": round(width, 6), "car": car.pose}
+            links.append(LatticeLink(stops, link_fields))
     return links
 
 
@@ -223,9 +225,9 @@ def _make_landing_test(car: Car, level: int, search: LinkSearch) -> LandingTest:
     """
 
     def check_landing(rows: Int, cols: Int, _from_height: Float, _num_between: int) -> Landings:
-        floor = search.floor_heights[level, rows, cols]
-        car_height = np.clip(floor, car.min_height, car.max_height)
-        can_land = np.abs(floor - car_height) <= search.max_step
+        floor_height = search.floor_heights[level, rows, cols]
+        car_height = np.clip(floor_height, car.min_height, car.max_height)
+        can_land = np.abs(floor_height - car_height) <= search.max_step
         can_land &= search.is_free[level, rows, cols] & ~car.outline_mask[rows, cols]
         return Landings(
             level=np.full(len(rows), level),

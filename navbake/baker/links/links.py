@@ -29,10 +29,10 @@ from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int
 
 # The largest distance of a stop of the settings from its cell, seen from above, and in height [m]
-STOP_REACH = 0.5
+MAX_STOP_DISTANCE = 0.5
 # The greatest height of drops, and the widest gap, unless the settings state others [m]
-DROP_HEIGHT = 1.0
-EDGE_GAP = 0.5
+DEFAULT_DROP_HEIGHT = 1.0
+DEFAULT_EDGE_GAP = 0.5
 
 LinkFinder = Callable[[LinkSearch, LinkSettings], list[LatticeLink]]
 
@@ -113,7 +113,7 @@ def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
     """
     links = list[LatticeLink]()
     warnings = list[str]()
-    finders: dict[str, LinkFinder] = {"ladder": find_ladders, "lift": find_lifts}
+    finder_of_kind: dict[str, LinkFinder] = {"ladder": find_ladders, "lift": find_lifts}
     for link_settings in settings:
         if link_settings.auto is None:
             link, link_warnings = _place_link(link_settings, search)
@@ -124,7 +124,7 @@ def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
     for rule in settings:
         if rule.auto is None:
             continue
-        find_links_of_rule = finders.get(rule.auto, find_edges)
+        find_links_of_rule = finder_of_kind.get(rule.auto, find_drops_or_jumps)
         rule_links = find_links_of_rule(search, rule)
         rule_links.sort(key=lambda link: [(stop.level, stop.cell) for stop in link.stops])
         for link_number, link in enumerate(rule_links, 1):
@@ -189,35 +189,35 @@ def _find_stop(x: float, y: float, z: float, search: LinkSearch) -> Stop | str:
 
     Returns:
         The stop, on the level whose floor is nearest to z; or, if there is no free cell within
-        `STOP_REACH`, what is wrong with the position, as the end of a sentence.
+        `MAX_STOP_DISTANCE`, what is wrong with the position, as the end of a sentence.
     """
     lattice = search.lattice
-    window = lattice.window(np.array([[x, y], [x, y]]), STOP_REACH)
+    window = lattice.window(np.array([[x, y], [x, y]]), MAX_STOP_DISTANCE)
     if window is None:
         return "lies outside of the grid"
     rows, cols = window
     distance = np.hypot(lattice.center_x()[None, cols] - x, lattice.center_y()[rows, None] - y)
     height_difference = np.abs(search.floor_heights[:, rows, cols] - z)
-    is_near = (distance <= STOP_REACH + LIMIT_SLACK) & ~np.isnan(height_difference)
+    is_near = (distance <= MAX_STOP_DISTANCE + LIMIT_SLACK) & ~np.isnan(height_difference)
     height_difference = np.where(is_near, height_difference, np.inf)
-    least_difference = height_difference.min(axis=(1, 2))
-    level_number = int(np.argmin(least_difference))
-    if not np.isfinite(least_difference[level_number]):
-        return f"has no floor within {STOP_REACH:g} m"
-    if least_difference[level_number] > STOP_REACH + LIMIT_SLACK:
-        return f"is {least_difference[level_number]:.2f} m off the nearest floor"
+    least_height_difference = height_difference.min(axis=(1, 2))
+    level_number = int(np.argmin(least_height_difference))
+    if not np.isfinite(least_height_difference[level_number]):
+        return f"has no floor within {MAX_STOP_DISTANCE:g} m"
+    if least_height_difference[level_number] > MAX_STOP_DISTANCE + LIMIT_SLACK:
+        return f"is {least_height_difference[level_number]:.2f} m off the nearest floor"
     is_free = search.is_free[level_number, rows, cols] & (
-        height_difference[level_number] <= STOP_REACH + LIMIT_SLACK
+        height_difference[level_number] <= MAX_STOP_DISTANCE + LIMIT_SLACK
     )
     if not is_free.any():
-        return f"is blocked: nothing is free within {STOP_REACH:g} m"
+        return f"is blocked: nothing is free within {MAX_STOP_DISTANCE:g} m"
     distance = np.where(is_free, np.round(distance, 9), np.inf)
     row, col = np.unravel_index(int(np.argmin(distance)), distance.shape)
     cell = (int(row) + rows.start) * lattice.width + int(col) + cols.start
     return Stop(level_number, cell, (x, y, z))
 
 
-def find_edges(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
+def find_drops_or_jumps(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     """Find the drops or jumps of a rule, within the rule's height [m] and gap [m].
 
     An edge is a free cell beside which no floor lies within a step. A drop leads straight from an
@@ -236,28 +236,31 @@ def find_edges(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
         The links, with cell ids on the whole lattice.
     """
     is_drop = rule.auto == "drop"
-    max_gap = EDGE_GAP if rule.gap is None else rule.gap
+    max_gap = DEFAULT_EDGE_GAP if rule.gap is None else rule.gap
     # jumps lead both ways: two of the four directions find them all
     directions = range(len(DIRECTIONS) if is_drop else 2)
     check_landing = _make_drop_test(search, rule) if is_drop else _make_jump_test(search, rule)
-    level_crossings = [
-        search.find_crossings(level_number, free, directions, max_gap, check_landing)
-        for level_number, free in enumerate(search.is_free)
+    crossings_of_levels = [
+        search.find_crossings(level_number, is_level_free, directions, max_gap, check_landing)
+        for level_number, is_level_free in enumerate(search.is_free)
     ]
-    crossings = np.concatenate([np.empty(0, dtype=CROSSING), *level_crossings])
+    crossings = np.concatenate([np.empty(0, dtype=CROSSING), *crossings_of_levels])
     is_clear = search.mark_clear(crossings, search.geometry)
     links = []
     for group in search.group_crossings(crossings[is_clear]):
-        middle = group.middle
-        direction = int(middle["direction"])
+        middle_crossing = group.middle_crossing
+        direction = int(middle_crossing["direction"])
         start_stop = search.make_stop_off_edge(
-            int(middle["from_level"]),
-            int(middle["from_cell"]),
+            int(middle_crossing["from_level"]),
+            int(middle_crossing["from_cell"]),
             direction=(direction + 2) % len(DIRECTIONS),
             width=group.width,
         )
         end_stop = search.make_stop_off_edge(
-            int(middle["to_level"]), int(middle["to_cell"]), direction, group.width
+            int(middle_crossing["to_level"]),
+            int(middle_crossing["to_cell"]),
+            direction,
+            group.width,
         )
         links.append(
             LatticeLink([start_stop, end_stop], {"one_way": is_drop, "width": group.width})
@@ -288,7 +291,7 @@ def _make_drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
     the rule's height; of several such floors, on the highest. It goes on as long as no floor lies
     within a step of its start's height.
     """
-    max_drop = LIMIT_SLACK + (rule.height or DROP_HEIGHT)
+    max_drop = LIMIT_SLACK + (rule.height or DEFAULT_DROP_HEIGHT)
 
     def check_landing(rows: Int, cols: Int, from_height: Float, _num_between: int) -> Landings:
         height_above_start = _heights_above_start(search, rows, cols, from_height)
@@ -296,10 +299,10 @@ def _make_drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
         height_of_lower_floors = np.where(
             height_above_start < -search.max_step, height_above_start, -np.inf
         )
-        level = height_of_lower_floors.argmax(axis=0)
+        landing_level = height_of_lower_floors.argmax(axis=0)
         can_land = is_over_edge & (height_of_lower_floors.max(axis=0) >= -max_drop)
-        can_land &= search.is_free[level, rows, cols]
-        return Landings(level, can_land, continues=np.asarray(is_over_edge))
+        can_land &= search.is_free[landing_level, rows, cols]
+        return Landings(landing_level, can_land, continues=np.asarray(is_over_edge))
 
     return check_landing
 
@@ -316,9 +319,9 @@ def _make_jump_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
     def check_landing(rows: Int, cols: Int, from_height: Float, num_between: int) -> Landings:
         height_above_start = _heights_above_start(search, rows, cols, from_height)
         is_over_edge = ~(np.abs(height_above_start) <= search.max_step).any(axis=0)
-        level = np.abs(height_above_start).argmin(axis=0)
+        landing_level = np.abs(height_above_start).argmin(axis=0)
         can_land = (np.abs(height_above_start).min(axis=0) <= max_rise) & (num_between > 0)
-        can_land &= search.is_free[level, rows, cols]
-        return Landings(level, can_land, continues=np.asarray(is_over_edge))
+        can_land &= search.is_free[landing_level, rows, cols]
+        return Landings(landing_level, can_land, continues=np.asarray(is_over_edge))
 
     return check_landing

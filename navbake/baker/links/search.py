@@ -48,7 +48,7 @@ Crossings = NDArray[np.void]
 
 
 class Landings(NamedTuple):
-    """For lines over a gap that have reached a cell: whether they end there; arrays of shape (n,).
+    """Says which lines over a gap end in the cells that they have reached; arrays of shape (n,).
 
     Attributes:
         level: number of the level whose floor in that cell the line may end on, int64.
@@ -84,11 +84,11 @@ class CollisionShapes(NamedTuple):
 
     Attributes:
         columns: the geometry's hits on the vertical line through each cell's centre.
-        tiles: the geometry's shapes near each tile of cells.
+        shape_source: the geometry's shapes near each tile of cells.
     """
 
     columns: ColumnSource
-    tiles: ShapeSource
+    shape_source: ShapeSource
 
 
 class CollisionGeometry(NamedTuple):
@@ -122,14 +122,14 @@ class CrossingGroup(NamedTuple):
 
     Attributes:
         crossings: all crossings of the group.
-        middle: the crossing in the middle of the group.
-        width: the width of the strip that an agent covers which moves on any crossing of the group
-            [m]: the distance between the outermost crossings, plus the agent's diameter, or plus
-            the edge of a cell if that is longer.
+        middle_crossing: the crossing in the middle of the group.
+        width: the width of the strip of floor that agents cover while they move on the crossings of
+            the group [m]: the distance between the outermost crossings, plus the agent's diameter,
+            or plus the edge of a cell if that is longer.
     """
 
     crossings: Crossings
-    middle: np.void
+    middle_crossing: np.void
     width: float
 
 
@@ -229,13 +229,13 @@ class LinkSearch(NamedTuple):
         """
         crossings = [np.empty(0, dtype=CROSSING)]
         num_rows, num_cols = self.lattice.shape
-        max_between = math.floor(max_gap / self.lattice.cell_size + LIMIT_SLACK)
+        max_num_between = math.floor(max_gap / self.lattice.cell_size + LIMIT_SLACK)
         for direction in directions:
             row_step, col_step = DIRECTIONS[direction]
             # the lines that have not ended yet, by where they start
             start_rows, start_cols = np.nonzero(is_start)
             from_height = self.floor_heights[level, start_rows, start_cols]
-            for num_between in range(max_between + 1):
+            for num_between in range(max_num_between + 1):
                 to_row = start_rows + (num_between + 1) * row_step
                 to_col = start_cols + (num_between + 1) * col_step
                 is_inside = (to_row >= 0) & (to_row < num_rows)
@@ -278,54 +278,54 @@ class LinkSearch(NamedTuple):
             A mask of `crossings`, shape (n,), bool.
         """
         width = self.lattice.width
-        higher_end = np.maximum(crossings["from_height"], crossings["to_height"])
-        all_crossings = np.arange(len(crossings))
+        higher_end_height = np.maximum(crossings["from_height"], crossings["to_height"])
+        crossing_indices = np.arange(len(crossings))
 
         # from the cell after the start to the end, at the height of the higher end
         num_steps = crossings["num_between"] + 1
-        crossing_of_step = np.repeat(all_crossings, num_steps)
+        crossing_of_step = np.repeat(crossing_indices, num_steps)
         first_step = np.repeat(np.cumsum(num_steps) - num_steps, num_steps)
         step_number = np.arange(len(crossing_of_step)) - first_step + 1
-        cell_steps = np.array([row_step * width + col_step for row_step, col_step in DIRECTIONS])
-        cell_step = cell_steps[crossings["direction"]]
-        cells = [
-            crossings["from_cell"][crossing_of_step] + step_number * cell_step[crossing_of_step]
-        ]
-        heights = [higher_end[crossing_of_step]]
+        id_steps_by_direction = np.array(
+            [row_step * width + col_step for row_step, col_step in DIRECTIONS]
+        )
+        id_step = id_steps_by_direction[crossings["direction"]]
+        cells = [crossings["from_cell"][crossing_of_step] + step_number * id_step[crossing_of_step]]
+        heights = [higher_end_height[crossing_of_step]]
         crossing_of_cell = [crossing_of_step]
 
         # the start
         cells.append(crossings["from_cell"])
-        heights.append(higher_end)
-        crossing_of_cell.append(all_crossings)
+        heights.append(higher_end_height)
+        crossing_of_cell.append(crossing_indices)
 
         # the fall at the lower end, as a stack of volumes without a gap between them
         volume_height = self.agent.height - self.agent.traversable_floor_height
-        volume_floor = crossings["to_height"] + volume_height
+        volume_floor_height = crossings["to_height"] + volume_height
         while True:
-            falling_crossings = np.flatnonzero(volume_floor < higher_end)
+            falling_crossings = np.flatnonzero(volume_floor_height < higher_end_height)
             if not len(falling_crossings):
                 break
             cells.append(crossings["to_cell"][falling_crossings])
-            heights.append(volume_floor[falling_crossings])
+            heights.append(volume_floor_height[falling_crossings])
             crossing_of_cell.append(falling_crossings)
-            volume_floor = volume_floor + volume_height
+            volume_floor_height = volume_floor_height + volume_height
 
         checked_cells = np.concatenate(cells)
         checked_heights = np.concatenate(heights)
-        checked_crossings = np.concatenate(crossing_of_cell)
+        crossing_of_checked_cell = np.concatenate(crossing_of_cell)
         if geometry.window is not None:
             checked_cells, _ = crop_cells(checked_cells, geometry.window, width)
         is_clear = np.ones(len(crossings), dtype=np.bool_)
         for source in geometry.sources:
             occupancy = check_occupancy(
                 source.columns.columns_at(np.unique(checked_cells)),
-                source.tiles.shapes_near_cells(checked_cells),
+                source.shape_source.shapes_near_cells(checked_cells),
                 geometry.footprint,
                 checked_cells,
                 checked_heights,
             )
-            is_clear[checked_crossings[occupancy.occupied]] = False
+            is_clear[crossing_of_checked_cell[occupancy.occupied]] = False
         return is_clear
 
     def group_crossings(self, crossings: Crossings) -> list[CrossingGroup]:
@@ -333,31 +333,41 @@ class LinkSearch(NamedTuple):
 
         Crossings of a group have the same direction and the same two levels, and start in adjacent
         cells. From one crossing to the next, the heights of both ends change by a step at most.
+
+        Args:
+            crossings: the crossings, shape (n,).
+
+        Returns:
+            The groups, in the order of their levels and directions.
         """
         groups = []
         num_cols = self.lattice.width
         cell_size = self.lattice.cell_size
-        keys = crossings[["from_level", "to_level", "direction"]]
-        for group_key in np.unique(keys):
-            similar_crossings = crossings[keys == group_key]
+        group_keys = crossings[["from_level", "to_level", "direction"]]
+        for group_key in np.unique(group_keys):
+            similar_crossings = crossings[group_keys == group_key]
             similar_crossings = similar_crossings[
                 np.argsort(similar_crossings["from_cell"], kind="stable")
             ]
-            pairs = list_adjacent_pairs(similar_crossings["from_cell"], num_cols)
-            is_step = np.ones(pairs.shape[1], dtype=np.bool_)
+            adjacent_pairs = list_adjacent_pairs(similar_crossings["from_cell"], num_cols)
+            is_small_step = np.ones(adjacent_pairs.shape[1], dtype=np.bool_)
             for end_heights in (similar_crossings["from_height"], similar_crossings["to_height"]):
-                height_difference = np.abs(end_heights[pairs[1]] - end_heights[pairs[0]])
-                is_step &= height_difference <= self.max_step
-            group_of_crossing = label_components(pairs[:, is_step], len(similar_crossings))
+                height_difference = np.abs(
+                    end_heights[adjacent_pairs[1]] - end_heights[adjacent_pairs[0]]
+                )
+                is_small_step &= height_difference <= self.max_step
+            group_of_crossing = label_components(
+                adjacent_pairs[:, is_small_step], len(similar_crossings)
+            )
             for group_number in range(int(group_of_crossing.max(initial=-1)) + 1):
                 group_crossings = similar_crossings[group_of_crossing == group_number]
                 start_cells = np.stack(np.divmod(group_crossings["from_cell"], num_cols)).astype(
                     np.float64
                 )
                 offset_from_mean = start_cells - start_cells.mean(axis=1, keepdims=True)
-                distance = np.square(offset_from_mean).sum(axis=0)
+                squared_distance = np.square(offset_from_mean).sum(axis=0)
                 length = math.hypot(*np.ptp(start_cells, axis=1)) * cell_size
                 width = round(length + max(2 * self.agent.radius, cell_size), 6)
-                middle = group_crossings[int(np.argmin(np.round(distance, 9)))]
-                groups.append(CrossingGroup(group_crossings, middle, width))
+                middle_crossing = group_crossings[int(np.argmin(np.round(squared_distance, 9)))]
+                groups.append(CrossingGroup(group_crossings, middle_crossing, width))
         return groups

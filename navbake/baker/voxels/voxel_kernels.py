@@ -125,20 +125,22 @@ def _fill_convex(voxels, solids, planes, shape_index, column, x, y, label, simpl
     search_low = first_voxel
     search_high = end_voxel - 1
     while search_low < search_high:
-        middle = (search_low + search_high) // 2
-        if _meets(voxels, solids, planes, shape_index, x, y, first_voxel, middle + 1, simplex):
-            search_high = middle
+        middle_voxel = (search_low + search_high) // 2
+        if _meets(
+            voxels, solids, planes, shape_index, x, y, first_voxel, middle_voxel + 1, simplex
+        ):
+            search_high = middle_voxel
         else:
-            search_low = middle + 1
+            search_low = middle_voxel + 1
     first_voxel = search_low
     # and for the last one: the voxels from it on are met together
     search_high = end_voxel - 1
     while search_low < search_high:
-        middle = (search_low + search_high + 1) // 2
-        if _meets(voxels, solids, planes, shape_index, x, y, middle, end_voxel, simplex):
-            search_low = middle
+        middle_voxel = (search_low + search_high + 1) // 2
+        if _meets(voxels, solids, planes, shape_index, x, y, middle_voxel, end_voxel, simplex):
+            search_low = middle_voxel
         else:
-            search_high = middle - 1
+            search_high = middle_voxel - 1
     _label(column, first_voxel, search_low + 1, label)
 
 
@@ -200,26 +202,26 @@ def _fill_triangle(voxels, lattice, window, facets, triangle, label, polygons, s
     for col in range(first_col, end_col):
         x, _ = cell_center_at(lattice, first_row, col)
         x_limits = (x - half_voxel + TOUCH_DEPTH, x + half_voxel - TOUCH_DEPTH)
-        num_in_strip = clip_polygon_between(
+        num_strip_corners = clip_polygon_between(
             facets.corners[triangle], np.int64(3), polygons.scratch, X, x_limits, strip_polygon
         )
-        if num_in_strip == 0:
+        if num_strip_corners == 0:
             continue
         for row in range(first_row, end_row):
             _, y = cell_center_at(lattice, row, col)
             y_limits = (y - half_voxel + TOUCH_DEPTH, y + half_voxel - TOUCH_DEPTH)
             polygon = polygons.polygon
             num_corners = clip_polygon_between(
-                strip_polygon, num_in_strip, polygons.scratch, Y, y_limits, polygon
+                strip_polygon, num_strip_corners, polygons.scratch, Y, y_limits, polygon
             )
             if num_corners > 0:
-                lowest = polygon[0, 2]
-                highest = polygon[0, 2]
+                lowest_z = polygon[0, 2]
+                highest_z = polygon[0, 2]
                 for corner in range(1, num_corners):
-                    lowest = min(lowest, polygon[corner, 2])
-                    highest = max(highest, polygon[corner, 2])
+                    lowest_z = min(lowest_z, polygon[corner, 2])
+                    highest_z = max(highest_z, polygon[corner, 2])
                 column = voxels.values[col, num_rows - 1 - row]
-                _fill_between(voxels, column, lowest, highest, label)
+                _fill_between(voxels, column, lowest_z, highest_z, label)
 
 
 @kernel(nogil=True)

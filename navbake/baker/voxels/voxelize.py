@@ -55,14 +55,14 @@ Segments = Literal["geom", "body", "top"] | str | Mapping[str, int] | Sequence[s
 
 ID_KINDS = ("geom", "body", "top")
 MAX_ID = 2**32 - 1  # the IDs of patterns are below this, as unmatched geoms get one ID more
-UNMATCHED = "other"  # name of the ID of geoms that no pattern matches
+UNMATCHED_NAME = "other"  # name of the ID of geoms that no pattern matches
 
 
 class GridOptions(TypedDict, total=False):
     """The options of `create_voxel_grid`, which it passes on to `Voxelizer.create`.
 
     Attributes:
-        size: what the grid covers along x, y and z [m], in place of the numbers of voxels.
+        size: the grid's lengths along x, y and z [m], in place of the numbers of voxels.
         segments: what the voxels' IDs stand for, see `label_geoms`.
         align: whether to move the grid onto whole multiples of the edge of a voxel.
         layout: ``airsim`` to place voxels where AirSim samples them.
@@ -116,24 +116,24 @@ def create_voxel_grid(
         >>> scene = navbake.samples.path("apartment")
         >>> grid = navbake.create_voxel_grid(scene, res=0.05, of="apartment.binvox")
     """
-    given_counts = [
+    voxel_counts = [
         num_cells for num_cells in (ncells_x, ncells_y, ncells_z) if num_cells is not None
     ]
-    if len(given_counts) not in (0, 3):
-        raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {given_counts}")
+    if len(voxel_counts) not in (0, 3):
+        raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {voxel_counts}")
     if options.get("align") is None:
         options["align"] = of is not None and str(of).lower().endswith(OCTREE_SUFFIXES)
     voxelizer = scene if isinstance(scene, Voxelizer) else Voxelizer(scene, ignore=ignore)
     if ignore and voxelizer is scene:
         raise ConfigError("expected `ignore` where the Voxelizer is made, not where it is used")
-    grid = voxelizer.create(position, given_counts or None, res=res, **options)
+    grid = voxelizer.create(position, voxel_counts or None, res=res, **options)
     if of is not None:
         grid.save(of)
     return grid
 
 
 class Voxelizer:
-    """Makes voxel grids of a scene that is loaded once: at any place, in any pose.
+    """Makes voxel grids of a scene that is loaded once, at any place and in any pose.
 
     Attributes:
         scene: the scene as it was loaded.
@@ -209,7 +209,7 @@ class Voxelizer:
                 `size`, the grid covers the scene's box.
             cells: numbers of voxels along x, y and z, >= 1 each.
             res: edge of a voxel [m].
-            size: what the grid covers along x, y and z [m], in place of `cells`.
+            size: the grid's lengths along x, y and z [m], in place of `cells`.
             segments: what the voxels' IDs stand for, see `label_geoms`; if None, the values are
                 True and False.
             align: move the grid by half a voxel at most, onto whole multiples of `res`.
@@ -234,12 +234,15 @@ class Voxelizer:
         return grid
 
     def fill(self, place: Placement, segments: Segments | None = None) -> VoxelGrid:
-        """Make the voxel grid of a given place and size, with the scene in its current pose.
+        """Make the voxel grid at a place, with the scene in its current pose.
 
         Args:
             place: where the grid lies, and its numbers of voxels.
             segments: what the voxels' IDs stand for, see `label_geoms`; if None, the values are
                 True and False.
+
+        Returns:
+            The grid.
 
         Raises:
             ConfigError: `segments` is wrong, or the grid needs more memory than there is.
@@ -249,8 +252,8 @@ class Voxelizer:
         dtype = dtype_of(max(labels.names, default=1))
         # one kernel for all IDs beyond a byte: each dtype costs seconds of compiling
         kernel_dtype = dtype if dtype == np.uint8 else np.dtype(np.uint32)
-        copied_bytes = dtype.itemsize if kernel_dtype != dtype else 0
-        check_memory(place.shape, kernel_dtype.itemsize + copied_bytes)
+        copy_itemsize = dtype.itemsize if kernel_dtype != dtype else 0
+        check_memory(place.shape, kernel_dtype.itemsize + copy_itemsize)
         x, y, z = place.origin.tolist()
         nx, ny, _ = place.shape
         voxels = Voxels(np.zeros(place.shape, dtype=kernel_dtype), z, place.res)
@@ -258,9 +261,9 @@ class Voxelizer:
         shapes = self.shapes
         tiled_shapes = tile_shapes(shapes, lattice, 0.0)
         # only closed surfaces are filled by the hits of lines: solids and planes are left out
-        no_geoms = np.zeros(len(self.scene.geoms), dtype=np.bool_)
-        meshes_only = replace(shapes.only(no_geoms), meshes=shapes.meshes)
-        tiled_meshes = replace(tiled_shapes, shapes=meshes_only)
+        no_geom_mask = np.zeros(len(self.scene.geoms), dtype=np.bool_)
+        mesh_shapes = replace(shapes.only(no_geom_mask), meshes=shapes.meshes)
+        tiled_meshes = replace(tiled_shapes, shapes=mesh_shapes)
         for rows in split_into_row_chunks(lattice):
             tile_range = tiles_of_rows(lattice, rows)
             run_in_chunks(
@@ -307,8 +310,8 @@ class Voxelizer:
             SceneError: a geom that counts would stand at no finite place.
         """
         model = self.scene.model
-        has_joints = joints is not None or keyframe is not None
-        if has_joints + (qpos is not None) + (data is not None) != 1:
+        has_joints_or_keyframe = joints is not None or keyframe is not None
+        if has_joints_or_keyframe + (qpos is not None) + (data is not None) != 1:
             raise ConfigError("expected one of joints (with a keyframe or not), qpos and data")
         if isinstance(keyframe, int) and keyframe < 0:
             raise ConfigError(f"expected a keyframe's name or its index >= 0, got {keyframe}")
@@ -318,8 +321,8 @@ class Voxelizer:
             if joints is not None and not isinstance(joints, Mapping):
                 raise ConfigError(f"expected joints as positions by name, got {joints!r}")
             settings = self._settings or SceneSettings(path=Path(self.scene.id))
-            changed_settings = {"joints": dict(joints or {}), "keyframe": keyframe}
-            data = pose_model(model, settings.model_copy(update=changed_settings))
+            pose_settings = {"joints": dict(joints or {}), "keyframe": keyframe}
+            data = pose_model(model, settings.model_copy(update=pose_settings))
         if not hasattr(data, "geom_xpos"):
             raise ConfigError(f"expected a mujoco.MjData of this scene, got {type(data).__name__}")
         loaded_data = self.scene.data
@@ -370,7 +373,7 @@ class Labels:
 
     Attributes:
         ids: ID of each geom, by geom id, shape (n,), uint32; 0 for geoms that don't count.
-        names: what each ID stands for.
+        names: ID -> name of the geom, body or pattern that it stands for.
         notes: remarks for the user, one line each.
     """
 
@@ -393,6 +396,9 @@ def label_geoms(scene: Scene, segments: Segments) -> Labels:
         segments: ``geom``, ``body``, ``top``, a mapping of name patterns (``*``, ``?``, ``[…]``) to
             IDs from 1, or a list of patterns, whose IDs are 1, 2, 3, …. A single pattern is the
             same as a list of that pattern alone.
+
+    Returns:
+        The ID of each geom, the names of the IDs, and a note for each pattern without a match.
 
     Raises:
         ConfigError: `segments` is none of these, or an ID is out of range.
@@ -418,7 +424,7 @@ def label_geoms(scene: Scene, segments: Segments) -> Labels:
             f"{segment_names[segment_id]}, {pattern}" if segment_id in segment_names else pattern
         )
     if has_unmatched:
-        segment_names[unmatched_id] = UNMATCHED
+        segment_names[unmatched_id] = UNMATCHED_NAME
     names_in_scene = sorted(
         {name for geom in _list_counted_geoms(scene) for name in _list_names(scene.model, geom)}
     )
