@@ -72,13 +72,15 @@ class AddedObstacle:
         >>> cart.free()
     """
 
-    def __init__(self, grid: NavGrid, layers: list[Layers], arguments: BlockArguments) -> None:
+    def __init__(
+        self, grid: NavGrid, layers_by_level: list[Layers], arguments: BlockArguments
+    ) -> None:
         self.arguments = arguments
         self.copies: list[AddedObstacle] = []
-        self.cells = [level_layers[BLOCKED] for level_layers in layers]
+        self.cells = [level_layers[BLOCKED] for level_layers in layers_by_level]
         self._grid = grid
         self._blocked_levels: list[tuple[SceneGrid2D, ObstacleState, Layers]] = []
-        for level, level_layers in zip(grid.levels, layers, strict=True):
+        for level, level_layers in zip(grid.levels, layers_by_level, strict=True):
             if any(len(ids) for ids in level_layers):
                 if level.obstacle_state is None:
                     level.obstacle_state = _make_obstacle_state(level)
@@ -88,8 +90,8 @@ class AddedObstacle:
 
     def free(self) -> None:
         """Free the cells, except those that other obstacles block. A second call does nothing."""
-        for level, state, level_layers in self._blocked_levels:
-            _change_counts(level, state, level_layers, is_added=False)
+        for level, obstacle_state, level_layers in self._blocked_levels:
+            _change_counts(level, obstacle_state, level_layers, is_added=False)
         self._blocked_levels.clear()
         for fitted_copy in self.copies:
             fitted_copy.free()
@@ -110,35 +112,40 @@ def _make_obstacle_state(level: SceneGrid2D) -> ObstacleState:
     level.attributes = dict(level.attributes)
     for name in CHANGING_ATTRIBUTES & level.attributes.keys():
         level.attributes[name] = np.array(level.attributes[name], order="C")
-    occupied = {
+    occupied_layers = {
         name: level.attributes[name].copy()
         for name in OCCUPIED_ATTRIBUTES
         if name in level.attributes
     }
-    return ObstacleState(level.weights.copy(), occupied, _largest_clearance(level))
+    return ObstacleState(level.weights.copy(), occupied_layers, _largest_clearance(level))
 
 
 def _change_counts(
-    level: SceneGrid2D, state: ObstacleState, layers: Layers, *, is_added: bool
+    level: SceneGrid2D, obstacle_state: ObstacleState, layers: Layers, *, is_added: bool
 ) -> None:
     """Add an obstacle to a level's state or remove it, and update the level's arrays.
 
     Args:
         level: the level, whose arrays are written.
-        state: the level's counts of obstacles, written.
+        obstacle_state: the level's counts of obstacles, written.
         layers: the ids of the obstacle's cells in each layer.
         is_added: whether to add the obstacle, else to remove it.
     """
-    counts = state.count.reshape(len(layers), -1)
+    counts = obstacle_state.count.reshape(len(layers), -1)
     for layer_counts, ids in zip(counts, layers, strict=True):
         if is_added:
             layer_counts[ids] += 1
         else:
             layer_counts[ids] -= 1
     _write_cells(
-        level.weights, state.weights, np.inf, counts[BLOCKED], layers[BLOCKED], is_added=is_added
+        level.weights,
+        obstacle_state.weights,
+        np.inf,
+        counts[BLOCKED],
+        layers[BLOCKED],
+        is_added=is_added,
     )
-    for name, layer in state.occupied.items():
+    for name, layer in obstacle_state.occupied.items():
         _write_cells(
             level.attributes[name], layer, 1.0, counts[OCCUPIED], layers[OCCUPIED],
             is_added=is_added,
@@ -146,9 +153,9 @@ def _change_counts(
     # one rectangle for all layers
     rows, cols = np.divmod(np.concatenate(layers), level.width)
     changed_range = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
-    state.log_change(changed_range)
-    if state.max_clearance is not None:
-        _update_clearance(level, changed_range, state.max_clearance)
+    obstacle_state.log_change(changed_range)
+    if obstacle_state.max_clearance is not None:
+        _update_clearance(level, changed_range, obstacle_state.max_clearance)
 
 
 def _write_cells(
@@ -242,15 +249,15 @@ class _UprightShape:
     """An obstacle with vertical sides. From above, it is a rectangle dilated by a radius.
 
     Attributes:
-        low: lower corner of the rectangle, world x, y [m], shape (2,).
-        high: upper corner, world x, y [m], shape (2,).
+        lower_corner: of the rectangle, world x, y [m], shape (2,).
+        upper_corner: of the rectangle, world x, y [m], shape (2,).
         radius: by which the rectangle is dilated [m]; 0 for a box.
         bottom: world z of its bottom [m], -inf for none.
         top: world z of its top [m], inf for none.
     """
 
-    low: Float
-    high: Float
+    lower_corner: Float
+    upper_corner: Float
     radius: float
     bottom: float
     top: float
@@ -266,8 +273,12 @@ class _UprightShape:
         Returns:
             0 where a square overlaps the rectangle; of the shape that `x` and `y` broadcast to.
         """
-        dx = np.maximum(np.maximum(self.low[0] - x, x - self.high[0]) - half_edge, 0.0)
-        dy = np.maximum(np.maximum(self.low[1] - y, y - self.high[1]) - half_edge, 0.0)
+        dx = np.maximum(
+            np.maximum(self.lower_corner[0] - x, x - self.upper_corner[0]) - half_edge, 0.0
+        )
+        dy = np.maximum(
+            np.maximum(self.lower_corner[1] - y, y - self.upper_corner[1]) - half_edge, 0.0
+        )
         return np.asarray(np.hypot(dx, dy))
 
 
@@ -324,49 +335,56 @@ def _find_layers(grid: NavGrid, arguments: BlockArguments) -> list[Layers]:
     check_level(level, len(grid.levels))
     if cells is not None:
         cell_level, rows_of_cells, cols_of_cells = check_cells(grid, cells)
-        layers = []
-        for number, level_grid in enumerate(grid.levels):
+        layers_by_level = []
+        for level_number, level_grid in enumerate(grid.levels):
             blocked_ids = np.unique(
-                (rows_of_cells * level_grid.width + cols_of_cells)[cell_level == number]
+                (rows_of_cells * level_grid.width + cols_of_cells)[cell_level == level_number]
             )
-            layers.append([blocked_ids] * NUM_LAYERS)
-        return layers
+            layers_by_level.append([blocked_ids] * NUM_LAYERS)
+        return layers_by_level
     if disc is not None:
         shape = _check_disc(grid, disc, level, arguments["height"])
     else:
         assert box is not None  # as one of the three is given
         shape = _check_box(grid, box, level)
     margins = compute_margins(grid, arguments["margin"])
-    step = step_limit(grid) * grid.unit
-    layers = []
-    for number, level_grid in enumerate(grid.levels):
-        if level is not None and level != number:
-            layers.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
+    max_step = step_limit(grid) * grid.unit
+    layers_by_level = []
+    for level_number, level_grid in enumerate(grid.levels):
+        if level is not None and level != level_number:
+            layers_by_level.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
             continue
-        size = level_grid.lattice.cell_size
-        search_distance = shape.radius + max(margins.anywhere, size)
-        window = level_grid.lattice.window(np.array([shape.low, shape.high]), search_distance)
+        cell_size = level_grid.lattice.cell_size
+        search_distance = shape.radius + max(margins.anywhere, cell_size)
+        window = level_grid.lattice.window(
+            np.array([shape.lower_corner, shape.upper_corner]), search_distance
+        )
         if window is None:
-            layers.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
+            layers_by_level.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
             continue
         rows, cols = window
         x = level_grid.lattice.center_x()[cols]
         y = level_grid.lattice.center_y()[rows, None]
         floor = level_grid.floor_of(rows, cols)
         floor = np.where(np.isnan(floor), level_grid.ground, floor)
-        is_at_height = (shape.bottom < floor + grid.agent_height) & (shape.top > floor + step)
-        distance_to_square = shape.distance(x, y, size / 2)
+        is_at_height = (shape.bottom < floor + grid.agent_height) & (shape.top > floor + max_step)
+        distance_to_square = shape.distance(x, y, cell_size / 2)
         distance_to_center = shape.distance(x, y, 0.0)
         # A disc blocks no square that it only touches. A box does, so that a flat box blocks cells.
-        touches = distance_to_square < shape.radius if shape.radius > 0 else distance_to_square <= 0
-        overlaps = is_at_height & touches
-        masks = [overlaps | (is_at_height & (distance_to_center < shape.radius))]
-        for distance in margins:
-            masks.append(overlaps | (is_at_height & (distance_to_center < shape.radius + distance)))
-        row_starts = np.arange(rows.start, rows.stop)[:, None] * level_grid.width
-        ids: Int = row_starts + np.arange(cols.start, cols.stop)
-        layers.append([ids[mask] for mask in masks])
-    return layers
+        is_touched = (
+            distance_to_square < shape.radius if shape.radius > 0 else distance_to_square <= 0
+        )
+        is_overlapped = is_at_height & is_touched
+        layer_masks = [is_overlapped | (is_at_height & (distance_to_center < shape.radius))]
+        for margin_distance in margins:
+            layer_masks.append(
+                is_overlapped
+                | (is_at_height & (distance_to_center < shape.radius + margin_distance))
+            )
+        row_start_ids = np.arange(rows.start, rows.stop)[:, None] * level_grid.width
+        cell_ids: Int = row_start_ids + np.arange(cols.start, cols.stop)
+        layers_by_level.append([cell_ids[mask] for mask in layer_masks])
+    return layers_by_level
 
 
 def _check_disc(
@@ -388,8 +406,8 @@ def _check_disc(
     disc_height = grid.agent_height if height is None else height
     has_z = len(center_point) == 3
     return _UprightShape(
-        low=center_point[:2],
-        high=center_point[:2],
+        lower_corner=center_point[:2],
+        upper_corner=center_point[:2],
         radius=radius,
         bottom=center_point[2] if has_z else -math.inf,
         top=center_point[2] + disc_height if has_z else math.inf,
@@ -400,20 +418,24 @@ def _check_box(grid: NavGrid, box: tuple[ArrayLike, ArrayLike], level: int | Non
     """Check a box's corners, and return its shape."""
     expected = "expected a box's lower and upper corner"
     try:
-        lower_corner, upper_corner = box
+        box_lower, box_upper = box
     except (TypeError, ValueError):
         raise QueryError(f"{expected}, got {box!r}") from None
-    low = check_positions(lower_corner, len(grid.levels), level)
-    high = check_positions(upper_corner, len(grid.levels), level)
-    if low.ndim != 1 or low.shape != high.shape or (low > high).any():
-        raise QueryError(f"{expected}, got {low} and {high}")
-    has_z = len(low) == 3
+    lower_corner = check_positions(box_lower, len(grid.levels), level)
+    upper_corner = check_positions(box_upper, len(grid.levels), level)
+    if (
+        lower_corner.ndim != 1
+        or lower_corner.shape != upper_corner.shape
+        or (lower_corner > upper_corner).any()
+    ):
+        raise QueryError(f"{expected}, got {lower_corner} and {upper_corner}")
+    has_z = len(lower_corner) == 3
     return _UprightShape(
-        low=low[:2],
-        high=high[:2],
+        lower_corner=lower_corner[:2],
+        upper_corner=upper_corner[:2],
         radius=0.0,
-        bottom=low[2] if has_z else -math.inf,
-        top=high[2] if has_z else math.inf,
+        bottom=lower_corner[2] if has_z else -math.inf,
+        top=upper_corner[2] if has_z else math.inf,
     )
 
 

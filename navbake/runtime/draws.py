@@ -1,7 +1,7 @@
 """Draws random places, poses and crowds of agents, and lists reachable points of a lattice.
 
 Each public function does the work of the method of `navbake.runtime.path_finder.PathFinder` of the
-same name. `search` is up to date with the grid.
+same name. Callers update their `search` to the grid's present obstacles before the call.
 
 A crowd is drawn by Poisson-disc sampling with dart throwing (Cook 1986): the agents one after the
 other, each on a random cell that is far enough from all agents before. If an agent finds no such
@@ -111,16 +111,16 @@ def random_point(
     `PathFinder.random_point` describes the arguments after `search`.
     """
     islands = search.allowed_islands(island, reachable_from)
-    allowed = search.mark_allowed(level=level, room=room, islands=islands, outdoors=outdoors)
-    cells = np.flatnonzero(allowed)
+    is_allowed = search.mark_allowed(level=level, room=room, islands=islands, outdoors=outdoors)
+    cells = np.flatnonzero(is_allowed)
     island_text = ", ".join(map(str, islands or ()))
-    limits: dict[str, object] = {
+    selection_limits: dict[str, object] = {
         "level": level,
         "room": room,
         "island": island_text or None,
         **_describe_outdoors(outdoors),
     }
-    return _draw_places(search, cells, rng, count, anywhere, limits)
+    return _draw_places(search, cells, rng, count, anywhere, selection_limits)
 
 
 def random_point_near(
@@ -143,8 +143,8 @@ def random_point_near(
     cells = _find_cells_near(search, position, min_distance, max_distance, straight, level)
     if room is not None:
         cells = cells[search.rooms.number[cells] == search.rooms.find(room)]
-    limits = {"room": room, **_describe_distances(min_distance, max_distance)}
-    return _draw_places(search, cells, rng, count, anywhere, limits)
+    selection_limits = {"room": room, **_describe_distances(min_distance, max_distance)}
+    return _draw_places(search, cells, rng, count, anywhere, selection_limits)
 
 
 def any_free_in_annulus(
@@ -186,8 +186,8 @@ def random_pose(
     rng = as_generator(rng)
     if target is None:
         cells = np.flatnonzero(search.mark_allowed(level=level, outdoors=outdoors))
-        free_limits = {"level": level, **_describe_outdoors(outdoors)}
-        place = _draw_places(search, cells, rng, None, False, free_limits)
+        level_limits = {"level": level, **_describe_outdoors(outdoors)}
+        place = _draw_places(search, cells, rng, None, False, level_limits)
         return Pose(place, float(rng.uniform(-math.pi, math.pi)))
     cells = _find_cells_near(search, target, min_distance, max_distance, True, level)
     if not outdoors:
@@ -201,19 +201,19 @@ def random_pose(
     if in_sight:
         # the first in a random order that sees the target: uniform among all that do
         cells = rng.permutation(cells)
-        points = np.ascontiguousarray(flat.positions(cells)[:, :2])
-        first_index = search.first_in_sight(
-            target_cell, target_position, cells, points, room_numbers
+        cell_positions = np.ascontiguousarray(flat.positions(cells)[:, :2])
+        visible_index = search.first_in_sight(
+            target_cell, target_position, cells, cell_positions, room_numbers
         )
-        cells = cells[first_index : first_index + 1] if first_index >= 0 else cells[:0]
-    limits = {
+        cells = cells[visible_index : visible_index + 1] if visible_index >= 0 else cells[:0]
+    selection_limits = {
         **_describe_distances(min_distance, max_distance),
         "in sight": in_sight,
         **_describe_outdoors(outdoors),
     }
-    place = _draw_places(search, cells, rng, None, False, limits)
-    to_target = target_position[:2] - place[:2]
-    return Pose(place, math.atan2(to_target[1], to_target[0]))
+    place = _draw_places(search, cells, rng, None, False, selection_limits)
+    target_vector = target_position[:2] - place[:2]
+    return Pose(place, math.atan2(target_vector[1], target_vector[0]))
 
 
 def reachable_positions(
@@ -242,37 +242,38 @@ def reachable_positions(
             f"expected a spacing of a cell's {largest_cell:g} m or more, got {spacing!r}"
         )
     start_position, start_cell = flat.free_cell_at(start, level)
-    first_place = np.append(start_position[:2], flat.positions(start_cell)[2])
-    # `places` and `lattice_points` are those that the last round of steps reached
-    places = first_place[None]
-    lattice_points = np.zeros((1, 2), dtype=np.int64)
-    seen_points = {(int(flat.level_of(start_cell)), 0, 0)}
+    start_place = np.append(start_position[:2], flat.positions(start_cell)[2])
+    # The places that the last round of steps reached, and how many lattice spacings each of them
+    # lies from the start along x and y.
+    places = start_place[None]
+    lattice_indices = np.zeros((1, 2), dtype=np.int64)
+    seen_indices = {(int(flat.level_of(start_cell)), 0, 0)}
     reached_places = [places]
     while len(places):
-        lattice_points = (lattice_points[:, None] + LATTICE_STEPS).reshape(-1, 2)
-        step_ends = first_place[:2] + lattice_points * spacing
+        lattice_indices = (lattice_indices[:, None] + LATTICE_STEPS).reshape(-1, 2)
+        step_ends = start_place[:2] + lattice_indices * spacing
         step_starts = np.repeat(places, len(LATTICE_STEPS), axis=0)
         places = try_step(search, step_starts, step_ends, slide=False, level=None)
         has_arrived = np.abs(places[:, :2] - step_ends) <= ARRIVAL_TOLERANCE * largest_cell
         has_arrived = has_arrived.all(axis=1)
-        lattice_points = lattice_points[has_arrived]
+        lattice_indices = lattice_indices[has_arrived]
         places = places[has_arrived]
         cells = flat.cells_at(places)
         is_new = []
-        coordinates = lattice_points.T.tolist()
-        for lattice_point in zip(flat.level_of(cells).tolist(), *coordinates, strict=True):
-            is_new.append(lattice_point not in seen_points)
-            seen_points.add(lattice_point)
-        lattice_points = lattice_points[is_new]
+        index_lists = lattice_indices.T.tolist()
+        for level_and_indices in zip(flat.level_of(cells).tolist(), *index_lists, strict=True):
+            is_new.append(level_and_indices not in seen_indices)
+            seen_indices.add(level_and_indices)
+        lattice_indices = lattice_indices[is_new]
         places = places[is_new]
         cells = cells[is_new]
         # free cells' centres are free of obstacles; elsewhere, measure the clearance
-        center_offsets = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
+        center_distances = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
         cell_sizes = flat.layout.cell_size[flat.level_of(cells)]
-        is_center = center_offsets <= ARRIVAL_TOLERANCE * cell_sizes
+        is_center = center_distances <= ARRIVAL_TOLERANCE * cell_sizes
         clearances = clearance(search, places, None, 2.0 * radius + 1.0)
         can_stand = is_center | (clearances >= radius * (1.0 - RADIUS_SLACK))
-        lattice_points = lattice_points[can_stand]
+        lattice_indices = lattice_indices[can_stand]
         places = places[can_stand]
         reached_places.append(places)
     return np.concatenate(reached_places)
@@ -284,7 +285,7 @@ def _draw_places(
     rng: Generator | None,
     count: int | None,
     anywhere: bool,
-    limits: dict[str, object],
+    selection_limits: dict[str, object],
 ) -> Float:
     """Draw places in some cells.
 
@@ -294,7 +295,8 @@ def _draw_places(
         rng: the generator; None for a new one.
         count: how many places; None for one, of shape (3,).
         anywhere: whether places are anywhere in the cells, else at their centres.
-        limits: name -> value: how the cells were selected, for the error if there are none.
+        selection_limits: name -> value: how the cells were selected, for the error if there are
+            none.
 
     Returns:
         World x, y and floor z [m], shape (3,) or (count, 3).
@@ -307,7 +309,9 @@ def _draw_places(
         )
     if not len(cells):
         limit_texts = [
-            f"{name} {value}" for name, value in limits.items() if value not in (None, False)
+            f"{name} {value}"
+            for name, value in selection_limits.items()
+            if value not in (None, False)
         ]
         limits_text = f" with {', '.join(limit_texts)}" if limit_texts else ""
         raise QueryError(f"no free cell in {search.grid.scene_id!r}{limits_text}")
@@ -365,7 +369,7 @@ def _find_cells_near(
 
 
 def _describe_distances(min_distance: float, max_distance: float) -> dict[str, object]:
-    """Return the entry for the `limits` of `_draw_places` that names a range of distances."""
+    """Return the entry of `selection_limits` of `_draw_places` for a range of distances."""
     return {"distance [m]": f"{min_distance:g} to {max_distance:g}"}
 
 
@@ -375,7 +379,7 @@ def _describe_outdoors(outdoors: bool) -> dict[str, object]:
 
 
 def as_generator(rng: object) -> Generator:
-    """Return the given random generator, or make a new one if it is None.
+    """Return a random generator: `rng` itself, or a new one if it is None.
 
     Raises:
         QueryError: `rng` is neither a numpy Generator nor None.
@@ -436,16 +440,16 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
     place_text = f"in {', '.join(map(repr, room_ids or [grid.scene_id]))}"
     place_text += f" on level {level}" if level is not None else ""
     if islands is not None:
-        plural = "s" if len(islands) > 1 else ""
-        place_text += f" on island{plural} {', '.join(map(str, islands))}"
+        plural_suffix = "s" if len(islands) > 1 else ""
+        place_text += f" on island{plural_suffix} {', '.join(map(str, islands))}"
 
     def find_cells() -> Int:
-        allowed = search.mark_allowed(level=level, islands=islands)
+        is_allowed = search.mark_allowed(level=level, islands=islands)
         if room_numbers:
-            allowed = allowed & np.isin(search.rooms.number, room_numbers)
+            is_allowed = is_allowed & np.isin(search.rooms.number, room_numbers)
         if agent_clearance is not None:
-            allowed = allowed & find_free(grid, agent_clearance, ledges_setting(grid))
-        return sort_along_hilbert_curve(search.flat, np.flatnonzero(allowed))
+            is_allowed = is_allowed & find_free(grid, agent_clearance, ledges_setting(grid))
+        return sort_along_hilbert_curve(search.flat, np.flatnonzero(is_allowed))
 
     key = (room_numbers, level, islands, agent_clearance)
     cells = search.cached_result("spawns", key, find_cells)
@@ -492,13 +496,13 @@ def _split_cells(
         return [cells]
     if stratify == "area":
         return split_by_area(search.flat, cells, num_agents, rng.random())
-    numbers_of_cells = search.rooms.number if stratify == "room" else search.islands.number
-    part_numbers = numbers_of_cells[cells]
+    number_by_cell = search.rooms.number if stratify == "room" else search.islands.number
+    part_numbers = number_by_cell[cells]
     if not part_numbers.any():
         scene_name = search.grid.scene_id
         raise QueryError(f"no {stratify} of {scene_name!r} has a free cell to spawn on")
-    num_outside = np.count_nonzero(part_numbers == 0)
-    sort_indices = np.argsort(part_numbers, kind="stable")[num_outside:]
+    num_without_part = np.count_nonzero(part_numbers == 0)
+    sort_indices = np.argsort(part_numbers, kind="stable")[num_without_part:]
     _, first_indices = np.unique(part_numbers[sort_indices], return_index=True)
     return np.split(cells[sort_indices], first_indices[1:])
 
@@ -552,29 +556,30 @@ def place_crowd(
     Raises:
         QueryError: the agents don't fit.
     """
-    num_placed = 0
-    upper_bound = 0
+    largest_num_placed = 0
+    max_num_agents = 0
     for attempt in range(MAX_CROWDS):
         # the part of each agent
-        evenly_assigned = np.tile(np.arange(len(cell_parts)), num_agents // len(cell_parts))
-        leftover_parts = rng.permutation(len(cell_parts))[: num_agents % len(cell_parts)]
-        part_of_agent = rng.permutation(np.concatenate([evenly_assigned, leftover_parts]))
+        even_part_indices = np.tile(np.arange(len(cell_parts)), num_agents // len(cell_parts))
+        leftover_part_indices = rng.permutation(len(cell_parts))[: num_agents % len(cell_parts)]
+        part_of_agent = rng.permutation(np.concatenate([even_part_indices, leftover_part_indices]))
         agent_cells = _draw_crowd(flat, cell_parts, spacing, part_of_agent, rng)
-        num_placed = max(num_placed, len(agent_cells))
-        if num_placed == num_agents:
+        largest_num_placed = max(largest_num_placed, len(agent_cells))
+        if largest_num_placed == num_agents:
             return agent_cells
         if attempt == 0:
-            upper_bound = bound_num_agents(flat, np.concatenate(cell_parts), spacing)
-            if upper_bound < num_agents:
+            max_num_agents = bound_num_agents(flat, np.concatenate(cell_parts), spacing)
+            if max_num_agents < num_agents:
                 raise QueryError(
-                    f"{agents_text}: at most {upper_bound} fit {place_text}; {FIT_HINT}"
+                    f"{agents_text}: at most {max_num_agents} fit {place_text}; {FIT_HINT}"
                 )
     agent_cells = _pack_crowd(flat, np.concatenate(cell_parts), spacing, num_agents, rng)
     if len(agent_cells) == num_agents:
         return rng.permutation(agent_cells)
-    num_placed = max(num_placed, len(agent_cells))
+    largest_num_placed = max(largest_num_placed, len(agent_cells))
     limits_text = (
-        f"places for {num_placed} were found {place_text}, and more than {upper_bound} never fit"
+        f"places for {largest_num_placed} were found {place_text}, "
+        f"and more than {max_num_agents} never fit"
     )
     raise QueryError(f"{agents_text}: {limits_text}; {FIT_HINT}")
 
@@ -669,8 +674,8 @@ def _draw_crowd(
         darts = cells[draw_cell_indices(flat, cells, rng, NUM_DARTS)] if len(cells) else cells
         return darts[~is_taken[darts]]
 
-    for agent, assigned_index in enumerate(part_of_agent.tolist()):
-        for part_index in (assigned_index, *rng.permutation(len(cell_parts)).tolist()):
+    for agent, assigned_part_index in enumerate(part_of_agent.tolist()):
+        for part_index in (assigned_part_index, *rng.permutation(len(cell_parts)).tolist()):
             free_darts = throw_darts(remaining_cells[part_index])
             while not len(free_darts) and len(remaining_cells[part_index]):
                 remaining_cells[part_index] = remaining_cells[part_index][
@@ -744,9 +749,11 @@ def split_by_area(flat: FlatGrid, cells: Int, num_parts: int, first_fraction: fl
     Returns:
         The flat ids of each part, `num_parts` arrays in order.
     """
-    area_ends = np.cumsum(flat.layout.cell_size[flat.level_of(cells)] ** 2)
+    cumulative_areas = np.cumsum(flat.layout.cell_size[flat.level_of(cells)] ** 2)
     # a cell belongs to the part that contains its middle
-    middle_fractions = (area_ends - np.diff(area_ends, prepend=0.0) / 2) / area_ends[-1]
+    middle_fractions = (
+        cumulative_areas - np.diff(cumulative_areas, prepend=0.0) / 2
+    ) / cumulative_areas[-1]
     part_of_cell = np.floor(((middle_fractions - first_fraction) % 1.0) * num_parts).astype(
         np.int64
     )

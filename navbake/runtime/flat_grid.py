@@ -1,4 +1,7 @@
-"""The flat view of a grid for kernels: cells, rooms, doors and islands by flat id.
+"""Numbers the cells of all levels of a grid one after the other, as kernels need them.
+
+The number of a cell in this order is its flat id. Arrays "by flat id" have one entry for each cell
+of the grid, such as its weight or the numbers of its room and its island.
 
 Of `navbake.runtime`, this module imports only arrays and kernels.
 """
@@ -118,10 +121,10 @@ class FlatGrid:
         Raises:
             QueryError: a position is not valid, or there is no such level.
         """
-        checked_position = check_positions(positions, self.num_levels, level)
-        kernel_level, points = to_kernel_positions(checked_position, level)
-        cells: Int = place_kernels.locate(self.layout, self.floors, kernel_level, points)
-        return cells.reshape(checked_position.shape[:-1])
+        checked_positions = check_positions(positions, self.num_levels, level)
+        kernel_level, kernel_positions = to_kernel_positions(checked_positions, level)
+        cells: Int = place_kernels.locate(self.layout, self.floors, kernel_level, kernel_positions)
+        return cells.reshape(checked_positions.shape[:-1])
 
     def locate(
         self, position: ArrayLike, level: int | None = None, position_name: str = "position"
@@ -140,8 +143,8 @@ class FlatGrid:
             QueryError: the position is not valid, or there is no such level.
         """
         checked_position = self.check_position(position, level, position_name)
-        kernel_level, points = to_kernel_positions(checked_position, level)
-        cells = place_kernels.locate(self.layout, self.floors, kernel_level, points)
+        kernel_level, kernel_positions = to_kernel_positions(checked_position, level)
+        cells = place_kernels.locate(self.layout, self.floors, kernel_level, kernel_positions)
         return checked_position, int(cells[0])
 
     def check_position(
@@ -214,16 +217,17 @@ class FlatGrid:
         return np.stack([x, y, z], axis=-1)
 
     def step_ends(self) -> tuple[Int, Int]:
-        """List both ends of each of `steps`, in both directions.
+        """List the two cells that each of `steps` joins; a step is listed in both directions.
 
         Returns:
-            The flat ids that the steps lead from, shape (n,); and those that they lead to, (n,).
+            The flat ids of the cells that the steps lead from, shape (n,); and of those that they
+            lead to, shape (n,).
         """
         sources = np.repeat(self.steps.cell, np.diff(self.steps.start))
         return sources, self.steps.target
 
     def weights_for_agent(self, weight: Float, cells: Int | slice = np.s_[:]) -> Float:
-        """Multiply the weights of cells by the factors of the areas that the cells are in.
+        """Multiply the weights of cells by the cost factors of the areas that the cells are in.
 
         Args:
             weight: the grid's weights of the cells, inf where they aren't free.
@@ -239,10 +243,11 @@ class FlatGrid:
     def costs_between_stops(
         self, radius: float, least_weight: float, *, by_time: bool
     ) -> tuple[Float, Float]:
-        """Compute how little a route from each stop of a link to each other stop can cost.
+        """Compute a lower bound of the cost of a route between any two stops of links.
 
-        Between stops, the floor costs at least the octile distance times the smallest weight. A
-        link costs what it costs. The bound is the cheapest combination of both.
+        Over the floor, a route between two stops costs at least their octile distance times the
+        smallest weight. Over a link, it costs the link's cost. The bound is the cost of the
+        cheapest sequence of such passages.
 
         Args:
             radius: the agent's radius [m].
@@ -250,22 +255,22 @@ class FlatGrid:
             by_time: whether links cost seconds; if False, metres.
 
         Returns:
-            x, y of the k stops [m], shape (k, 2); and the bound from stop i to stop j, shape
-            (k, k). If no link makes a route cheaper than over the floor, k is 0.
+            World x, y of the k stops [m], shape (k, 2); and the bound from stop i to stop j,
+            shape (k, k). If no link makes a route cheaper than over the floor, k is 0.
         """
         is_passable = self.arcs.fits_radius(radius)
         stop_cells, stop_pairs = np.unique(self.arcs.ends[is_passable], return_inverse=True)
-        stops = self.positions(stop_cells)[:, :2]
+        stop_positions = self.positions(stop_cells)[:, :2]
         stop_pairs = stop_pairs.reshape(-1, 2)
-        floor_costs = least_weight * octile_length(stops[:, None] - stops)
+        floor_costs = least_weight * octile_length(stop_positions[:, None] - stop_positions)
         costs = floor_costs.copy()
         arc_costs = self.arcs.seconds if by_time else self.arcs.cost
         np.minimum.at(costs, tuple(stop_pairs.T), arc_costs[is_passable])
         for middle_stop in range(len(stop_cells)):  # all shortest paths: Floyd (1962)
             costs = np.minimum(costs, costs[:, middle_stop, None] + costs[middle_stop])
         if (costs < floor_costs).any():
-            return stops, costs
-        return stops[:0], costs
+            return stop_positions, costs
+        return stop_positions[:0], costs
 
     def links(self, radius: float, *, by_time: bool = False, are_reversed: bool = False) -> Links:
         """List the steps, and the arcs over links that are wide enough for an agent.
@@ -318,12 +323,12 @@ def sort_links(cell_pairs: Int, lengths: Float, costs: Float, num_cells: int) ->
     sort_indices = np.lexsort((cell_pairs[:, 1], cell_pairs[:, 0]))  # stable: steps before arcs
     sources, targets = cell_pairs[sort_indices].T
     end_cells = np.unique(cell_pairs)
-    first_links = np.append(np.searchsorted(sources, end_cells), len(sources))
+    first_link_indices = np.append(np.searchsorted(sources, end_cells), len(sources))
     is_end = np.zeros(num_cells if len(end_cells) else 0, dtype=np.bool_)
     is_end[end_cells] = True
     links: Links = arrays.Links(
         cell=end_cells,
-        start=first_links,
+        start=first_link_indices,
         target=np.ascontiguousarray(targets),
         length=lengths[sort_indices],
         cost=costs[sort_indices],
@@ -463,15 +468,15 @@ def _mark_slopes(step_array: Int, step_cells: Int, layout: Layout) -> NDArray[np
     slopes = np.zeros(layout.start[-1], dtype=np.uint8)
     levels = step_array[:, 0]
     widths = layout.width[levels]
-    lower_ids = step_cells.min(axis=1)
+    smaller_ids = step_cells.min(axis=1)
     id_differences = np.ptp(step_cells, axis=1)
     is_on_level = levels == step_array[:, 2]
     rows = (step_cells - layout.start[levels, None]) // widths[:, None]
     is_same_row = np.diff(rows)[:, 0] == 0
     leads_east = is_on_level & (id_differences == 1) & is_same_row
     leads_south = is_on_level & (id_differences == widths)
-    slopes[lower_ids[leads_east]] |= np.uint8(arrays.EAST)
-    slopes[lower_ids[leads_south]] |= np.uint8(arrays.SOUTH)
+    slopes[smaller_ids[leads_east]] |= np.uint8(arrays.EAST)
+    slopes[smaller_ids[leads_south]] |= np.uint8(arrays.SOUTH)
     return slopes
 
 
@@ -480,7 +485,9 @@ def _mark_slopes(step_array: Int, step_cells: Int, layout: Layout) -> NDArray[np
 
 @dataclass(frozen=True, eq=False)
 class RoomMap:
-    """The room of each cell, by number: 1 is the first of `rooms`, 0 is no room.
+    """The rooms of a grid, and the number of each cell's room.
+
+    Number 1 is the first of `rooms`; 0 stands for no room.
 
     Attributes:
         scene_id: scene id of the grid, for messages.
@@ -498,19 +505,19 @@ class RoomMap:
         Raises:
             QueryError: there is no such room, or several rooms have the name.
         """
-        by_id = {room.id: number for number, room in enumerate(self.rooms, start=1)}
-        if isinstance(name, str) and name in by_id:
-            return by_id[name]
+        number_by_id = {room.id: number for number, room in enumerate(self.rooms, start=1)}
+        if isinstance(name, str) and name in number_by_id:
+            return number_by_id[name]
         matching_ids = [room.id for room in self.rooms if room.name and room.name == name]
         if len(matching_ids) == 1:
-            return by_id[matching_ids[0]]
+            return number_by_id[matching_ids[0]]
         if matching_ids:
             rooms_text = f"{len(matching_ids)} rooms in {self.scene_id!r} have the name {name!r}"
             expected = f"one of the ids {', '.join(matching_ids)}"
             raise QueryError(
                 f"{rooms_text}: expected {expected}", key="room", value=name, expected=expected
             )
-        names = [*by_id, *(room.name for room in self.rooms if room.name)]
+        names = [*number_by_id, *(room.name for room in self.rooms if room.name)]
         hint = suggest(name, names)
         raise QueryError(
             f"no room {name!r} in {self.scene_id!r}: {hint}", key="room", value=name, hint=hint
@@ -531,23 +538,23 @@ def map_rooms(grid: NavGrid) -> RoomMap:
     A room that cells have but the grid's table lacks gets the id ``level:index``, such as ``0:2``.
     """
     rooms = list(grid.rooms)
-    numbers_by_level = []
+    room_numbers_by_level = []
     for level_number, level in enumerate(grid.levels):
         room_index = level.room_index
-        number_by_index = np.zeros(
+        room_number_by_index = np.zeros(
             int(room_index.max(initial=0)) + 1, dtype=np.int32
         )  # by room index
-        for number, room in enumerate(rooms, start=1):
-            if room.level == level_number and room.index < len(number_by_index):
-                number_by_index[room.index] = number
+        for room_number, room in enumerate(rooms, start=1):
+            if room.level == level_number and room.index < len(room_number_by_index):
+                room_number_by_index[room.index] = room_number
         # measuring rooms is slow: only where cells name a room that the table lacks
-        if ((number_by_index[room_index] == 0) & (room_index > 0)).any():
+        if ((room_number_by_index[room_index] == 0) & (room_index > 0)).any():
             for room in level.measure_rooms(level_number):
-                if not number_by_index[room.index]:
+                if not room_number_by_index[room.index]:
                     rooms.append(room)
-                    number_by_index[room.index] = len(rooms)
-        numbers_by_level.append(number_by_index[room_index].ravel())
-    return RoomMap(grid.scene_id, rooms, np.concatenate(numbers_by_level))
+                    room_number_by_index[room.index] = len(rooms)
+        room_numbers_by_level.append(room_number_by_index[room_index].ravel())
+    return RoomMap(grid.scene_id, rooms, np.concatenate(room_numbers_by_level))
 
 
 # ---------------------------------------------------------------- doors and stairs
@@ -621,11 +628,11 @@ def list_doors_along(doors: DoorMap, cells: Int) -> list[str]:
         cells: the route's flat ids.
     """
     door_ids: list[str] = []
-    previous_doors: Iterable[str] = ()
+    previous_door_ids: Iterable[str] = ()
     for cell in cells.tolist():
-        cell_doors = doors.get(cell, ())
-        door_ids += [name for name in cell_doors if name not in previous_doors]
-        previous_doors = cell_doors
+        cell_door_ids = doors.get(cell, ())
+        door_ids += [name for name in cell_door_ids if name not in previous_door_ids]
+        previous_door_ids = cell_door_ids
     return door_ids
 
 
@@ -653,11 +660,11 @@ def find_stairs(grid: NavGrid, flat: FlatGrid) -> list[LevelStairs]:
         grid: the grid whose `step_array` lists the steps.
         flat: the same grid, or one of the same cells.
     """
-    steps = grid.step_array
-    leads_upwards = (steps[:, 0] <= steps[:, 2])[:, None]
-    steps = np.where(leads_upwards, steps, steps[:, [2, 3, 0, 1]])
+    step_rows = grid.step_array
+    leads_upwards = (step_rows[:, 0] <= step_rows[:, 2])[:, None]
+    step_rows = np.where(leads_upwards, step_rows, step_rows[:, [2, 3, 0, 1]])
     stairs = []
-    for stair_steps in group_steps(grid, steps[steps[:, 0] < steps[:, 2]]):
+    for stair_steps in group_steps(grid, step_rows[step_rows[:, 0] < step_rows[:, 2]]):
         step_cells = flat.layout.start[stair_steps[:, ::2]] + stair_steps[:, 1::2]
         rise = np.abs(np.diff(flat.positions(step_cells)[..., 2], axis=1)).max()
         lower_level, upper_level = stair_steps[0, ::2].tolist()
@@ -671,7 +678,10 @@ def find_stairs(grid: NavGrid, flat: FlatGrid) -> list[LevelStairs]:
 
 @dataclass(frozen=True, eq=False)
 class IslandMap:
-    """The islands of a grid: connected parts of its free cells, numbered from 1, the largest."""
+    """The islands of a grid: the connected parts of its free cells.
+
+    They are numbered from 1 by their size; island 1 is the largest.
+    """
 
     number: Int32  #: Number of each cell's island, by flat id, shape (n,); 0 where it isn't free.
     areas: Float  #: Area of each island, by its number [m²], shape (count + 1,); 0 for number 0.
@@ -691,12 +701,12 @@ class IslandMap:
         """
         if isinstance(island, int | np.integer) and 1 <= island <= self.count:
             return int(island)
-        numbers = f"1 to {self.count}, 1 the largest" if self.count else "none"
+        numbers_text = f"1 to {self.count}, 1 the largest" if self.count else "none"
         raise QueryError(
-            f"no island {island!r}: there are {numbers}",
+            f"no island {island!r}: there are {numbers_text}",
             key="island",
             value=island,
-            expected=numbers,
+            expected=numbers_text,
         )
 
     def reached_from(self, island: int) -> tuple[int, ...]:
@@ -707,8 +717,8 @@ class IslandMap:
         """
         reached_islands = np.array([island])
         while True:
-            is_from_reached = np.isin(self.one_way_links[:, 0], reached_islands)
-            next_islands = np.unique(self.one_way_links[is_from_reached, 1])
+            leads_from_reached = np.isin(self.one_way_links[:, 0], reached_islands)
+            next_islands = np.unique(self.one_way_links[leads_from_reached, 1])
             next_islands = next_islands[~np.isin(next_islands, reached_islands)]
             if not len(next_islands):
                 return island, *np.sort(reached_islands[1:]).tolist()
@@ -727,20 +737,20 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
     """
     layout = flat.layout
     floors = flat.floors
-    step_lists = [np.stack(flat.step_ends(), axis=1)]
+    step_pair_arrays = [np.stack(flat.step_ends(), axis=1)]
     arc_ends = flat.arcs.ends[flat.arcs.fits_radius(radius)]
     if moves is not None:
         for bit, col_step in ((arrays.SOUTH_WEST, -1), (arrays.SOUTH_EAST, 1)):
             cells = np.flatnonzero(moves & bit)
             diagonal_cells = cells + layout.width[flat.level_of(cells)] + col_step
-            step_lists.append(np.stack([cells, diagonal_cells], axis=1))
+            step_pair_arrays.append(np.stack([cells, diagonal_cells], axis=1))
     number = label_islands(
         first_cells=layout.start,
         widths=layout.width,
         free=flat.free,
         floor=floors.z,
         max_rise=floors.max_step,
-        steps=np.concatenate(step_lists),
+        steps=np.concatenate(step_pair_arrays),
         arcs=arc_ends,
     )
     # in a few files, levels have cells of different sizes
@@ -749,6 +759,6 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
         cells_by_island = np.bincount(number[flat.cells_of(level)], minlength=len(areas))
         areas[1:] += cells_by_island[1:] * cell_size**2
     island_pairs = number[arc_ends]
-    is_between = (island_pairs > 0).all(axis=1) & (island_pairs[:, 0] != island_pairs[:, 1])
-    one_way_links = np.unique(island_pairs[is_between], axis=0)
+    joins_two_islands = (island_pairs > 0).all(axis=1) & (island_pairs[:, 0] != island_pairs[:, 1])
+    one_way_links = np.unique(island_pairs[joins_two_islands], axis=0)
     return IslandMap(number, areas, one_way_links.astype(np.int64))

@@ -3,8 +3,8 @@
 The cells of all levels are numbered one after the other. The flat id of a cell is ``start[level] +
 row * width[level] + col``. "By cell" means: one entry for each flat id.
 
-To take an array out of a tuple costs more time than a step of a search. So kernels with a hot loop
-take the arrays out of their tuples before the loop.
+Reading a field of a tuple takes longer than a step of a search. So kernels with a hot loop assign
+the arrays that they need to local variables before the loop.
 
 This module imports nothing of `navbake.runtime`, so that each module there may import it.
 """
@@ -109,8 +109,8 @@ class Graph(NamedTuple):
         bucket_width: costs that differ by less than this share a bucket of the search's queue, see
             `navbake.runtime.search_kernels`.
         num_buckets: number of buckets, a power of two.
-        link_saving: the search estimates the remaining cost without links. Links make no route
-            cheaper than this estimate by more than `link_saving`, a cost, >= 0.
+        link_saving: by how much, at most, links make a route cheaper than the search's estimate
+            of its cost, which ignores links; a cost, >= 0.
     """
 
     layout: Layout
@@ -125,7 +125,7 @@ class Graph(NamedTuple):
 
 
 class OffCenter(NamedTuple):
-    """Where an agent of a given radius fits, apart from the centres of cells.
+    """Where an agent of a given radius fits when it isn't at the centre of a cell.
 
     Attributes:
         anywhere: by cell, whether the agent fits at every point of the cell.
@@ -147,8 +147,8 @@ class OffCenter(NamedTuple):
 class Visits(NamedTuple):
     """How a search reached each cell, and memory for its queue.
 
-    Searches share it one after the other. Marks have the number of their search, so that none has
-    to be cleared.
+    All searches write into the same arrays, one after the other. Each mark holds the number of the
+    search that wrote it, so that marks of earlier searches need not be cleared.
 
     Attributes:
         mark: by cell, bits that `navbake.runtime.search_kernels` explains.
@@ -236,7 +236,7 @@ def floor_at(floors, level, cell):
 
 @subkernel
 def clamp_to_cell(layout, cell, x, y):
-    """Find the point of a cell's square nearest to a point, `EDGE_MARGIN` inside of its edges.
+    """Move a point to the nearest point of a cell's square, at least `EDGE_MARGIN` from its edges.
 
     Args:
         layout: `Layout`.

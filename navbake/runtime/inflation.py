@@ -68,7 +68,7 @@ class Margins(NamedTuple):
 
 
 class OffCenterMasks(NamedTuple):
-    """Where an agent fits that is not at a cell's centre: three masks, by flat id.
+    """Three masks, by flat id: where an agent fits when it isn't at the centre of a cell.
 
     All of them are False in cells beside a step in the floor.
 
@@ -124,28 +124,28 @@ def inflate(
     if clearance is None:
         distance_of_cost_1 = math.log(MAX_FREE_COST) / scaling  # where nav2's costs fall to 1
         clearance = min(distance_of_cost_1, MAX_RADIUS) if costs == "nav2" else 0.0
-    weights = []
-    for number, level in enumerate(grid.levels):
+    weights_by_level = []
+    for level_number, level in enumerate(grid.levels):
         if mode == "minos":
             cell_size = level.lattice.cell_size
-            weights.append(
+            weights_by_level.append(
                 _refine_weights(level, radius / cell_size, (radius + clearance) / cell_size)
             )
             continue
-        is_blocked = find_blocked(grid, number, radius, ledges)
+        is_blocked = find_blocked(grid, level_number, radius, ledges)
         free_weights = level.weights
         if "solid" in level.attributes:
             is_freed = level.free_for_point & ~level.free
             free_weights = np.where(is_freed, 1.0, free_weights)
         if costs == "nav2":
-            level_costs = nav2_costs(grid, radius, radius + clearance, scaling, level=number)
+            level_costs = nav2_costs(grid, radius, radius + clearance, scaling, level=level_number)
             free_weights = np.maximum(free_weights, np.clip(level_costs, 1.0, MAX_FREE_COST))
         elif clearance > 0:
-            is_in_clearance = find_blocked(grid, number, radius + clearance, ledges)
+            is_in_clearance = find_blocked(grid, level_number, radius + clearance, ledges)
             free_weights = np.where(
                 is_in_clearance, np.maximum(free_weights, STEP_COST), free_weights
             )
-        weights.append(np.where(is_blocked, np.inf, free_weights))
+        weights_by_level.append(np.where(is_blocked, np.inf, free_weights))
 
     inflation_entry: Json = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
     if mode == "exact":
@@ -155,7 +155,7 @@ def inflate(
         if costs == "nav2":
             inflation_entry["scaling"] = float(scaling)
     levels = []
-    for level, level_weights in zip(grid.levels, weights, strict=True):
+    for level, level_weights in zip(grid.levels, weights_by_level, strict=True):
         # Attributes that a file without them would derive from the weights are stored first, so
         # that inflating does not change them, and the grid can be inflated again.
         baked_layers: dict[str, NDArray[np.generic]] = {
@@ -173,11 +173,11 @@ def inflate(
         levels.append(
             level.with_layers(weights=level_weights, attributes=attributes, metadata=metadata)
         )
-    inflated = grid.with_levels(levels, _add_inflation_entry(grid.metadata, inflation_entry))
+    inflated_grid = grid.with_levels(levels, _add_inflation_entry(grid.metadata, inflation_entry))
     if grid.navbake:  # in files of other programs these names may mean anything
-        names = {name for level in levels for name in level.attributes}
-        add_layers(inflated, names & {"island", "clearance"})
-    return inflated
+        layer_names = {name for level in levels for name in level.attributes}
+        add_layers(inflated_grid, layer_names & {"island", "clearance"})
+    return inflated_grid
 
 
 def _add_inflation_entry(metadata: Json, entry: Json) -> Json:
@@ -202,18 +202,19 @@ def _refine_weights(level: SceneGrid2D, radius: float, outer_radius: float) -> F
     window_radius = min(math.ceil(outer_radius - 0.5), max(level.shape) + 1)
     if window_radius <= 0:
         return np.where(is_occupied, np.inf, 1.0)
-    offsets = np.arange(-window_radius, window_radius)  # without the last one, as in the client
-    squared_distances = offsets[:, None] ** 2 + offsets**2
+    # without the last one, as in the client
+    axis_offsets = np.arange(-window_radius, window_radius)
+    squared_distances = axis_offsets[:, None] ** 2 + axis_offsets**2
     inner_runs = _find_runs(np.argwhere(squared_distances < radius * radius) - window_radius)
     outer_runs = _find_runs(
         np.argwhere(squared_distances < outer_radius * outer_radius) - window_radius
     )
-    num_occupied = count_runs(is_occupied, inner_runs)
-    num_cells = count_runs(np.ones_like(is_occupied), inner_runs)
-    num_with_floor = count_runs(~np.isnan(level.floor_height), inner_runs)
+    num_occupied = count_covered_cells(is_occupied, inner_runs)
+    num_cells = count_covered_cells(np.ones_like(is_occupied), inner_runs)
+    num_with_floor = count_covered_cells(~np.isnan(level.floor_height), inner_runs)
     floor_share = num_with_floor / np.maximum(num_cells, 1)
     lacks_floor = (num_cells > 0) & (floor_share < surroundings.LEAST_FLOOR)
-    free_weights = np.where(count_runs(is_occupied, outer_runs) > 0, STEP_COST, 1.0)
+    free_weights = np.where(count_covered_cells(is_occupied, outer_runs) > 0, STEP_COST, 1.0)
     return np.where((num_occupied > 0) | lacks_floor, np.inf, free_weights)
 
 
@@ -247,18 +248,16 @@ def nav2_costs(
     max_distance = min(inflation_radius, radius + math.log(MAX_FREE_COST) / scaling)
     # squared distances in cells are whole numbers: tabulate their costs
     squared_distances = measure_to_occupied(grid, level, max_distance)
-    max_square = math.ceil((inflation_radius / cell_size) ** 2 * 1.001) + 1
-    largest_square = max(min(int(squared_distances.max()), max_square), 0)
-    distance_by_square = np.sqrt(np.arange(largest_square + 1)) * cell_size
+    max_squared_distance = math.ceil((inflation_radius / cell_size) ** 2 * 1.001) + 1
+    largest_squared_distance = max(min(int(squared_distances.max()), max_squared_distance), 0)
+    distance_table = np.sqrt(np.arange(largest_squared_distance + 1)) * cell_size
     distance_slack = DISTANCE_SLACK * cell_size
-    decay = np.exp(-scaling * np.maximum(distance_by_square - radius, 0))
-    cost_by_square = np.floor(MAX_FREE_COST * decay + COST_SLACK)
-    cost_by_square = np.where(
-        distance_by_square <= radius + distance_slack, INSCRIBED_COST, cost_by_square
-    )
-    cost_by_square[distance_by_square > inflation_radius + distance_slack] = 0
-    cost_by_square[0] = OCCUPIED_COST
-    costs: NDArray[np.uint8] = cost_by_square.astype(np.uint8).take(squared_distances, mode="clip")
+    decay = np.exp(-scaling * np.maximum(distance_table - radius, 0))
+    cost_table = np.floor(MAX_FREE_COST * decay + COST_SLACK)
+    cost_table = np.where(distance_table <= radius + distance_slack, INSCRIBED_COST, cost_table)
+    cost_table[distance_table > inflation_radius + distance_slack] = 0
+    cost_table[0] = OCCUPIED_COST
+    costs: NDArray[np.uint8] = cost_table.astype(np.uint8).take(squared_distances, mode="clip")
     costs[squared_distances < 0] = 0
     return costs
 
@@ -333,8 +332,8 @@ def ledges_setting(grid: NavGrid) -> str:
     The result is ``ignore`` for an inflated grid whose file doesn't state it, and ``avoid`` for a
     grid that is not inflated.
     """
-    avoids = any(entry.get("ledges") == "avoid" for entry in grid.exact_inflations)
-    return "avoid" if avoids or not grid.inflated_radius else "ignore"
+    avoids_ledges = any(entry.get("ledges") == "avoid" for entry in grid.exact_inflations)
+    return "avoid" if avoids_ledges or not grid.inflated_radius else "ignore"
 
 
 def compute_margins(grid: NavGrid, radius: float | None = None) -> Margins:
@@ -370,36 +369,36 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
     if radius == 0.0:
         return None
     ledge_rule = ledges_setting(grid)
-    diagonal = []
-    anywhere = []
-    sweepable = []
-    for number, level in enumerate(grid.levels):
+    diagonal_masks = []
+    anywhere_masks = []
+    sweepable_masks = []
+    for level_number, level in enumerate(grid.levels):
         # False beside a neighbour whose floor is too much higher or lower for a slope
         floor_z = level.floor_height.astype(np.float64)
         has_no_step = np.ones(level.shape, dtype=np.bool_)
         column_neighbors = (np.s_[:, :-1], np.s_[:, 1:])
         row_neighbors = (np.s_[:-1], np.s_[1:])
-        for first, second in (column_neighbors, row_neighbors):
-            rise = np.abs(floor_z[first] - floor_z[second])
+        for first_neighbors, second_neighbors in (column_neighbors, row_neighbors):
+            rise = np.abs(floor_z[first_neighbors] - floor_z[second_neighbors])
             is_step = rise > STEEP_RISE * level.cell_size  # False for NaN
-            has_no_step[first] &= ~is_step
-            has_no_step[second] &= ~is_step
+            has_no_step[first_neighbors] &= ~is_step
+            has_no_step[second_neighbors] &= ~is_step
         cell_size = level.lattice.cell_size
         anywhere_radius = _anywhere_radius(radius, cell_size)
-        is_blocked = find_blocked(grid, number, anywhere_radius, ledge_rule)
+        is_blocked = find_blocked(grid, level_number, anywhere_radius, ledge_rule)
         is_blocked_by_floors = find_blocked(
-            grid, number, anywhere_radius, ledge_rule, counts_own_occupied=False
+            grid, level_number, anywhere_radius, ledge_rule, counts_own_occupied=False
         )
         is_blocked_diagonally = find_blocked(
-            grid, number, _diagonal_radius(radius, cell_size), ledge_rule
+            grid, level_number, _diagonal_radius(radius, cell_size), ledge_rule
         )
-        diagonal.append((has_no_step & ~is_blocked_diagonally).ravel())
-        anywhere.append((has_no_step & ~is_blocked).ravel())
-        sweepable.append((has_no_step & ~(is_blocked & is_blocked_by_floors)).ravel())
+        diagonal_masks.append((has_no_step & ~is_blocked_diagonally).ravel())
+        anywhere_masks.append((has_no_step & ~is_blocked).ravel())
+        sweepable_masks.append((has_no_step & ~(is_blocked & is_blocked_by_floors)).ravel())
     return OffCenterMasks(
-        diagonal=np.concatenate(diagonal),
-        anywhere=np.concatenate(anywhere),
-        sweepable=np.concatenate(sweepable),
+        diagonal=np.concatenate(diagonal_masks),
+        anywhere=np.concatenate(anywhere_masks),
+        sweepable=np.concatenate(sweepable_masks),
     )
 
 
@@ -444,14 +443,14 @@ def inflate_footprint(
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
         raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")
     radius = float(np.hypot(*outline.T).max())
-    masks = []
-    for number, level in enumerate(grid.levels):
+    free_masks = []
+    for level_number, level in enumerate(grid.levels):
         cell_size = level.lattice.cell_size
         window_radius = math.ceil(radius / cell_size) + 1
         if window_radius > MAX_FOOTPRINT_REACH:
             limit_text = f"within {MAX_FOOTPRINT_REACH} cells"
             raise QueryError(f"expected a polygon {limit_text}, got one of {window_radius}")
-        stack, level_window = surroundings.stack_levels(grid, number, window_radius)
+        level_stack, level_window = surroundings.stack_levels(grid, level_number, window_radius)
         is_free = np.empty((num_headings, *level.shape), dtype=np.bool_)
         # the cells round the agent's cell, in units of a cell: `touch_cells` finds the polygon's
         window_lattice = Lattice(
@@ -467,15 +466,19 @@ def inflate_footprint(
             cos = math.cos(angle)
             sin = math.sin(angle)
             rotated_outline = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
-            offsets = np.ascontiguousarray(
+            cell_offsets = np.ascontiguousarray(
                 np.argwhere(touch_cells([rotated_outline], window_lattice)) - window_radius
             )
-            num_occupied = count_runs(stack.occupied[stack.level] != 0, _find_runs(offsets))
+            num_occupied = count_covered_cells(
+                level_stack.occupied[level_stack.level] != 0, _find_runs(cell_offsets)
+            )
             is_blocked = num_occupied > 0
-            surroundings.block_by_floors(grid, number, stack, radius, offsets, ledges, is_blocked)
+            surroundings.block_by_floors(
+                grid, level_number, level_stack, radius, cell_offsets, ledges, is_blocked
+            )
             is_free[heading_index] = level.free_for_point & ~is_blocked[level_window]
-        masks.append(is_free)
-    return masks
+        free_masks.append(is_free)
+    return free_masks
 
 
 def _check_polygon(polygon: ArrayLike) -> Float:
@@ -495,7 +498,7 @@ def _check_polygon(polygon: ArrayLike) -> Float:
     return outline
 
 
-def count_runs(mask: Bool, runs: Int) -> Int32:
+def count_covered_cells(mask: Bool, runs: Int) -> Int32:
     """Count how many marked cells a shape covers when it is put on each cell of an array.
 
     Args:
@@ -521,16 +524,16 @@ def count_runs(mask: Bool, runs: Int) -> Int32:
     return counts
 
 
-def _find_runs(offsets: Int) -> Int:
+def _find_runs(cell_offsets: Int) -> Int:
     """Join offsets of cells into runs along rows.
 
     Args:
-        offsets: row and column of each cell, sorted, shape (m, 2).
+        cell_offsets: row and column of each cell, sorted, shape (m, 2).
 
     Returns:
         Row, first column and last column of each run, shape (n, 3).
     """
-    rows, cols = offsets.T
+    rows, cols = cell_offsets.T
     is_first = np.ones(len(rows), dtype=np.bool_)
     is_first[1:] = (rows[1:] != rows[:-1]) | (cols[1:] != cols[:-1] + 1)
     is_last = np.roll(is_first, -1)

@@ -10,8 +10,8 @@ Floors of several levels are compared cell by cell, but only where the lowest an
 whole patches of cells differ enough (one step of a min-max pyramid).
 
 Arrays have the shape (rows, cols); the arrays of `LevelStack` have the shape (levels, rows, cols).
-`offsets` lead from an agent's cell to each cell that its disc overlaps: rows and columns, shape
-(n, 2), int64.
+`cell_offsets` lead from an agent's cell to each cell that its disc overlaps: rows and columns,
+shape (n, 2), int64.
 """
 
 from typing import NamedTuple
@@ -70,70 +70,80 @@ def dilate(is_occupied, half_width):
     row_distances = np.empty((num_rows, num_cols), dtype=np.int32)
     for row in range(num_rows):
         for col in range(num_cols):
-            above = row_distances[row - 1, col] if row > 0 else max_distance
-            row_distances[row, col] = 0 if is_occupied[row, col] else min(above + 1, max_distance)
+            distance_above = row_distances[row - 1, col] if row > 0 else max_distance
+            row_distances[row, col] = (
+                0 if is_occupied[row, col] else min(distance_above + 1, max_distance)
+            )
     for row in range(num_rows - 2, -1, -1):
         for col in range(num_cols):
             row_distances[row, col] = min(row_distances[row, col], row_distances[row + 1, col] + 1)
-    is_near = np.empty((num_rows, num_cols), dtype=np.bool_)
-    covered_cols = np.empty(num_cols, dtype=np.int32)
+    is_covered = np.empty((num_rows, num_cols), dtype=np.bool_)
+    interval_half_widths = np.empty(num_cols, dtype=np.int32)
     for row in range(num_rows):
         for col in range(num_cols):
-            covered_cols[col] = half_width[row_distances[row, col]]
+            interval_half_widths[col] = half_width[row_distances[row, col]]
         # The union of all intervals [col - covered, col + covered], swept once from each side: the
         # farthest end so far decides, whichever interval it is of.
         interval_end = -1
         for col in range(num_cols):
-            if covered_cols[col] >= 0 and col + covered_cols[col] > interval_end:
-                interval_end = col + covered_cols[col]
-            is_near[row, col] = col <= interval_end
+            if interval_half_widths[col] >= 0 and col + interval_half_widths[col] > interval_end:
+                interval_end = col + interval_half_widths[col]
+            is_covered[row, col] = col <= interval_end
         interval_end = num_cols
         for col in range(num_cols - 1, -1, -1):
-            if covered_cols[col] >= 0 and col - covered_cols[col] < interval_end:
-                interval_end = col - covered_cols[col]
-            is_near[row, col] |= col >= interval_end
-    return is_near
+            if interval_half_widths[col] >= 0 and col - interval_half_widths[col] < interval_end:
+                interval_end = col - interval_half_widths[col]
+            is_covered[row, col] |= col >= interval_end
+    return is_covered
 
 
 @kernel
-def block_near_holes(has_floor, is_checked, offsets, squared_lengths, least_share, blocked):
-    """Block the cells near which too large a part of the cells has no floor.
+def block_near_holes(has_floor, is_checked, cell_offsets, squared_lengths, least_share, is_blocked):
+    """Block the cells that have too little floor near them.
 
-    A cell is blocked if, within any distance from it up to the radius, the fraction of cells that
-    have a floor is less than `least_share`.
+    A cell is blocked if, for any distance up to the radius, too few of the cells within that
+    distance have a floor: their fraction is less than `least_share`.
 
     Args:
         has_floor: bool, shape (rows, cols).
         is_checked: whether to check each cell, bool, shape (rows, cols).
-        offsets: rows and columns from a cell to the cells within the radius, the nearest first,
-            int64, shape (n, 2).
-        squared_lengths: the squared length of each of `offsets`, in cells squared, shape (n,).
+        cell_offsets: rows and columns from a cell to the cells within the radius, the nearest
+            first, int64, shape (n, 2).
+        squared_lengths: the squared length of each of `cell_offsets`, in cells squared, shape (n,).
         least_share: the fraction of the cells within a distance that must have a floor, 0 to 1.
-        blocked: set to True in the cells that get blocked, bool, shape (rows, cols).
+        is_blocked: set to True in the cells that get blocked, bool, shape (rows, cols).
     """
     num_rows, num_cols = has_floor.shape
     for row in range(num_rows):
         for col in range(num_cols):
-            num_within = 0
+            num_cells_within = 0
             num_with_floor = 0
-            for k in range(offsets.shape[0] if is_checked[row, col] else 0):
-                to_row = row + offsets[k, 0]
-                to_col = col + offsets[k, 1]
+            for k in range(cell_offsets.shape[0] if is_checked[row, col] else 0):
+                to_row = row + cell_offsets[k, 0]
+                to_col = col + cell_offsets[k, 1]
                 if 0 <= to_row < num_rows and 0 <= to_col < num_cols:
-                    num_within += 1
+                    num_cells_within += 1
                     num_with_floor += has_floor[to_row, to_col]
                 # the share counts once all cells at the same distance are included
-                is_disc = k + 1 == offsets.shape[0] or squared_lengths[k + 1] > squared_lengths[k]
-                if is_disc and num_with_floor < least_share * num_within:
-                    blocked[row, col] = True
+                is_last_at_distance = (
+                    k + 1 == cell_offsets.shape[0] or squared_lengths[k + 1] > squared_lengths[k]
+                )
+                if is_last_at_distance and num_with_floor < least_share * num_cells_within:
+                    is_blocked[row, col] = True
                     break
 
 
 @kernel
 def block_by_floors(
-    stack, lowest, highest, offsets, higher_floors_block, lower_floors_block, blocked
+    stack,
+    patch_min_z,
+    patch_max_z,
+    cell_offsets,
+    higher_floors_block,
+    lower_floors_block,
+    is_blocked,
 ):
-    """Update which cells of a level are blocked, by the floors of all levels near each cell.
+    """Update the mask of a level's blocked cells by the floors and occupied cells of all levels.
 
     First, the levels' occupied cells are combined, for cells near another level's floor of about
     the same height. At each place that the agent overlaps, the levels count whose floor there is
@@ -148,110 +158,123 @@ def block_by_floors(
 
     Args:
         stack: `LevelStack`.
-        lowest: z of the lowest floor near each patch of cells, on each level, shape (levels, patch
-            rows, patch columns) [m]; inf for no floor. Near are the patches to which `offsets` lead
-            from the patch.
-        highest: z of the highest floor there, -inf for none, of the same shape [m].
-        offsets: rows and columns from an agent's cell to the cells that the agent overlaps, int64,
-            shape (n, 2).
+        patch_min_z: z of the lowest floor near each patch of cells, on each level, shape (levels,
+            patch rows, patch columns) [m]; inf for no floor. Near are the patches to which
+            `cell_offsets` lead from the patch.
+        patch_max_z: z of the highest floor there, -inf for none, of the same shape [m].
+        cell_offsets: rows and columns from an agent's cell to the cells that the agent overlaps,
+            int64, shape (n, 2).
         higher_floors_block: whether floors more than a step higher block.
         lower_floors_block: whether drops block.
-        blocked: whether each of the level's cells is blocked, bool, shape (rows, cols), written.
+        is_blocked: whether each of the level's cells is blocked, bool, shape (rows, cols), written.
     """
     floor, occupied, slopes, level, max_step, height = stack
     num_levels, num_rows, num_cols = floor.shape
-    overlap = height - max_step
-    highest_rise = height + SLAB_THICKNESS
+    height_tolerance = height - max_step
+    max_blocking_rise = height + SLAB_THICKNESS
+    has_slopes = slopes.shape[0] > 0
     for row in range(num_rows if num_levels > 1 else 0):
         for col in range(num_cols):
             z = floor[level, row, col]
             is_near_level = False
             for k in range(num_levels):
-                begins_below = lowest[k, row // PATCH_SIZE, col // PATCH_SIZE] - z < overlap
-                ends_above = z - highest[k, row // PATCH_SIZE, col // PATCH_SIZE] < overlap
+                begins_below = (
+                    patch_min_z[k, row // PATCH_SIZE, col // PATCH_SIZE] - z < height_tolerance
+                )
+                ends_above = (
+                    z - patch_max_z[k, row // PATCH_SIZE, col // PATCH_SIZE] < height_tolerance
+                )
                 is_near_level |= k != level and begins_below and ends_above
             if is_near_level and not occupied[level, row, col]:
-                blocked[row, col] = _overlaps_occupied(
-                    floor, occupied, level, row, col, offsets, overlap
+                is_blocked[row, col] = _overlaps_occupied(
+                    floor, occupied, level, row, col, cell_offsets, height_tolerance
                 )
-    for patch_row in range(lowest.shape[1]):
-        for patch_col in range(lowest.shape[2]):
-            lowest_floor = lowest[level, patch_row, patch_col]
-            highest_floor = highest[level, patch_row, patch_col]
-            differs = False
+    for patch_row in range(patch_min_z.shape[1]):
+        for patch_col in range(patch_min_z.shape[2]):
+            lowest_floor_z = patch_min_z[level, patch_row, patch_col]
+            highest_floor_z = patch_max_z[level, patch_row, patch_col]
+            is_uneven = False
             for k in range(num_levels):
-                differs |= highest[k, patch_row, patch_col] - lowest_floor > max_step
-                differs |= highest_floor - lowest[k, patch_row, patch_col] > max_step
-            for index in range(PATCH_SIZE * PATCH_SIZE if differs else 0):
-                row = patch_row * PATCH_SIZE + index // PATCH_SIZE
-                col = patch_col * PATCH_SIZE + index % PATCH_SIZE
+                is_uneven |= patch_max_z[k, patch_row, patch_col] - lowest_floor_z > max_step
+                is_uneven |= highest_floor_z - patch_min_z[k, patch_row, patch_col] > max_step
+            for patch_cell_index in range(PATCH_SIZE * PATCH_SIZE if is_uneven else 0):
+                row = patch_row * PATCH_SIZE + patch_cell_index // PATCH_SIZE
+                col = patch_col * PATCH_SIZE + patch_cell_index % PATCH_SIZE
                 if row >= num_rows or col >= num_cols:
                     continue
                 # whether this cell is too high or too low for agents in the cells round it
                 is_too_high = False
                 is_too_low = False
-                has_floor_in_step = False
+                has_floor_within_step = False
                 lowest_z = np.inf
                 highest_z = -np.inf
                 for k in range(num_levels):
                     z = floor[k, row, col]
                     lowest_z = z if z < lowest_z else lowest_z
                     highest_z = z if z > highest_z else highest_z
-                    is_above = z - lowest_floor > max_step
-                    is_below = highest_floor - z > max_step
-                    is_too_high |= is_above and (k == level or z - highest_floor < highest_rise)
+                    is_above = z - lowest_floor_z > max_step
+                    is_below = highest_floor_z - z > max_step
+                    is_too_high |= is_above and (
+                        k == level or z - highest_floor_z < max_blocking_rise
+                    )
                     is_too_low |= is_below
                     # no drop for an agent of any of these heights
-                    has_floor_in_step |= not (is_above or is_below or np.isnan(z))
+                    has_floor_within_step |= not (is_above or is_below or np.isnan(z))
                 is_too_high &= higher_floors_block
-                is_too_low &= lower_floors_block and not has_floor_in_step and num_levels > 1
-                for i in range(offsets.shape[0] if is_too_high or is_too_low else 0):
-                    agent_row = row - offsets[i, 0]
-                    agent_col = col - offsets[i, 1]
+                is_too_low &= lower_floors_block and not has_floor_within_step and num_levels > 1
+                for i in range(cell_offsets.shape[0] if is_too_high or is_too_low else 0):
+                    agent_row = row - cell_offsets[i, 0]
+                    agent_col = col - cell_offsets[i, 1]
                     is_inside = 0 <= agent_row < num_rows and 0 <= agent_col < num_cols
-                    if not is_inside or blocked[agent_row, agent_col]:
+                    if not is_inside or is_blocked[agent_row, agent_col]:
                         continue
                     z = floor[level, agent_row, agent_col]
                     for k in range(num_levels if is_too_high and highest_z - z > max_step else 0):
                         rise = floor[k, row, col] - z
-                        if max_step < rise and (k == level or rise < highest_rise):
-                            blocked[agent_row, agent_col] |= slopes.shape[0] == 0 or not _is_slope(
+                        if max_step < rise and (k == level or rise < max_blocking_rise):
+                            is_blocked[agent_row, agent_col] |= not has_slopes or not _is_slope(
                                 floor, slopes, max_step, level, agent_row, agent_col, k, row, col
                             )
-                    if is_too_low and z - lowest_z > max_step and not blocked[agent_row, agent_col]:
-                        blocked[agent_row, agent_col] = _is_drop(
+                    if (
+                        is_too_low
+                        and z - lowest_z > max_step
+                        and not is_blocked[agent_row, agent_col]
+                    ):
+                        is_blocked[agent_row, agent_col] = _is_drop(
                             floor, slopes, max_step, level, agent_row, agent_col, row, col
                         )
                 # with a single level, fewer cells are above a drop than at its bottom: start above
-                may_fall = num_levels == 1 and floor[level, row, col] - lowest_floor > max_step
-                for i in range(offsets.shape[0] if may_fall and lower_floors_block else 0):
-                    to_row = row + offsets[i, 0]
-                    to_col = col + offsets[i, 1]
-                    if blocked[row, col]:
+                may_fall = num_levels == 1 and floor[level, row, col] - lowest_floor_z > max_step
+                for i in range(cell_offsets.shape[0] if may_fall and lower_floors_block else 0):
+                    to_row = row + cell_offsets[i, 0]
+                    to_col = col + cell_offsets[i, 1]
+                    if is_blocked[row, col]:
                         break
                     if 0 <= to_row < num_rows and 0 <= to_col < num_cols:
-                        blocked[row, col] = _is_drop(
+                        is_blocked[row, col] = _is_drop(
                             floor, slopes, max_step, level, row, col, to_row, to_col
                         )
 
 
 @subkernel
-def _overlaps_occupied(floor, occupied, level, row, col, offsets, overlap):
+def _overlaps_occupied(floor, occupied, level, row, col, cell_offsets, height_tolerance):
     """Whether an agent overlaps an occupied cell of its own level or of one at its height."""
     num_rows, num_cols = floor.shape[1:]
     floor_z = floor[level, row, col]
-    for i in range(offsets.shape[0]):
-        to_row = row + offsets[i, 0]
-        to_col = col + offsets[i, 1]
+    for i in range(cell_offsets.shape[0]):
+        to_row = row + cell_offsets[i, 0]
+        to_col = col + cell_offsets[i, 1]
         if to_row < 0 or to_row >= num_rows or to_col < 0 or to_col >= num_cols:
             continue
-        if _is_occupied_at_height(floor, occupied, level, floor_z, to_row, to_col, overlap):
+        if _is_occupied_at_height(
+            floor, occupied, level, floor_z, to_row, to_col, height_tolerance
+        ):
             return True
     return False
 
 
 @subkernel
-def _is_occupied_at_height(floor, occupied, level, floor_z, row, col, overlap):
+def _is_occupied_at_height(floor, occupied, level, floor_z, row, col, height_tolerance):
     """Whether a cell counts as occupied for an agent whose own floor is at a height."""
     # Which levels count depends on which have a floor at the cell that is about as high as the
     # agent's floor:
@@ -260,27 +283,29 @@ def _is_occupied_at_height(floor, occupied, level, floor_z, row, col, overlap):
     #   only other levels             these other levels count
     is_covered = False
     for k in range(floor.shape[0]):
-        if k != level and abs(floor[k, row, col] - floor_z) < overlap:
+        if k != level and abs(floor[k, row, col] - floor_z) < height_tolerance:
             is_covered = True
             if occupied[k, row, col]:
                 return True
-    own_level_counts = not is_covered or abs(floor[level, row, col] - floor_z) < overlap
+    own_level_counts = not is_covered or abs(floor[level, row, col] - floor_z) < height_tolerance
     return own_level_counts and occupied[level, row, col] != 0
 
 
 @kernel
-def measure_near_levels(stack, lowest, highest, offsets, squared_lengths, squared_distances):
-    """Update the distances to occupied cells, for cells near another level's floor.
+def measure_near_levels(
+    stack, patch_min_z, patch_max_z, cell_offsets, squared_lengths, squared_distances
+):
+    """Measure the distances to occupied cells again, in cells near another level's floor.
 
     The levels' occupied cells are combined as in `block_by_floors`. Cells that are occupied
     themselves, or not near another level's floor of about the same height, keep their distances.
 
     Args:
         stack: `LevelStack`.
-        lowest: z of the lowest floor near each patch of cells, as in `block_by_floors`.
-        highest: z of the highest floor there.
-        offsets: rows and columns from a cell to the cells to search, nearest first, int64, shape
-            (n, 2).
+        patch_min_z: z of the lowest floor near each patch of cells, as in `block_by_floors`.
+        patch_max_z: z of the highest floor there.
+        cell_offsets: rows and columns from a cell to the cells to search, nearest first, int64,
+            shape (n, 2).
         squared_lengths: the squared length of each offset, in cells squared, int64, shape (n,).
         squared_distances: written: the squared distance from each cell to the nearest occupied
             cell, in cells squared; -1 where no offset leads to an occupied cell; int32, shape
@@ -290,24 +315,30 @@ def measure_near_levels(stack, lowest, highest, offsets, squared_lengths, square
     occupied = stack.occupied
     level = stack.level
     num_levels, num_rows, num_cols = floor.shape
-    overlap = stack.height - stack.max_step
+    height_tolerance = stack.height - stack.max_step
     for row in range(num_rows):
         for col in range(num_cols):
             z = floor[level, row, col]
             is_near_level = False
             for k in range(num_levels):
-                begins_below = lowest[k, row // PATCH_SIZE, col // PATCH_SIZE] - z < overlap
-                ends_above = z - highest[k, row // PATCH_SIZE, col // PATCH_SIZE] < overlap
+                begins_below = (
+                    patch_min_z[k, row // PATCH_SIZE, col // PATCH_SIZE] - z < height_tolerance
+                )
+                ends_above = (
+                    z - patch_max_z[k, row // PATCH_SIZE, col // PATCH_SIZE] < height_tolerance
+                )
                 is_near_level |= k != level and begins_below and ends_above
             if not is_near_level or occupied[level, row, col]:
                 continue
             squared_distances[row, col] = -1
-            for i in range(offsets.shape[0]):
-                to_row = row + offsets[i, 0]
-                to_col = col + offsets[i, 1]
+            for i in range(cell_offsets.shape[0]):
+                to_row = row + cell_offsets[i, 0]
+                to_col = col + cell_offsets[i, 1]
                 if to_row < 0 or to_row >= num_rows or to_col < 0 or to_col >= num_cols:
                     continue
-                if _is_occupied_at_height(floor, occupied, level, z, to_row, to_col, overlap):
+                if _is_occupied_at_height(
+                    floor, occupied, level, z, to_row, to_col, height_tolerance
+                ):
                     squared_distances[row, col] = squared_lengths[i]
                     break
 
@@ -320,7 +351,7 @@ def _is_drop(floor, slopes, max_step, level, row, col, to_row, to_col):
     within a step of it, and no slope leads to the highest of the lower floors.
     """
     floor_z = floor[level, row, col]
-    highest = -np.inf
+    highest_lower_z = -np.inf
     level_below = -1
     is_below = False
     for k in range(floor.shape[0]):
@@ -328,8 +359,8 @@ def _is_drop(floor, slopes, max_step, level, row, col, to_row, to_col):
         if abs(other_z - floor_z) <= max_step:
             return False
         is_below |= other_z - floor_z < -max_step
-        if highest < other_z < floor_z:
-            highest = other_z
+        if highest_lower_z < other_z < floor_z:
+            highest_lower_z = other_z
             level_below = k
     return is_below and (
         slopes.shape[0] == 0
@@ -359,11 +390,11 @@ def _is_slope(floor, slopes, max_step, level, row, col, to_level, to_row, to_col
             (2 * abs(col_offset) * k + num_cells) // (2 * num_cells)
         )
         reached_level = np.int64(-1)
-        is_slope = -1
+        slope_flag = -1
         # round a corner, there are two walks over edges, of which one on a slope counts
-        for walk in range(2):
-            mid_row = next_row if walk == 0 else current_row
-            mid_col = current_col if walk == 0 else next_col
+        for walk_index in range(2):
+            mid_row = next_row if walk_index == 0 else current_row
+            mid_col = current_col if walk_index == 0 else next_col
             mid_level, first_is_slope = _walk_edge(
                 floor, slopes, max_step, level, current_row, current_col, mid_row, mid_col
             )
@@ -371,12 +402,12 @@ def _is_slope(floor, slopes, max_step, level, row, col, to_level, to_row, to_col
                 end_level, second_is_slope = _walk_edge(
                     floor, slopes, max_step, mid_level, mid_row, mid_col, next_row, next_col
                 )
-                if end_level >= 0 and max(first_is_slope, second_is_slope) > is_slope:
+                if end_level >= 0 and max(first_is_slope, second_is_slope) > slope_flag:
                     reached_level = end_level
-                    is_slope = max(first_is_slope, second_is_slope)
+                    slope_flag = max(first_is_slope, second_is_slope)
         if reached_level < 0:
             return False
-        num_slopes += is_slope
+        num_slopes += slope_flag
         level = reached_level
         current_row = next_row
         current_col = next_col
@@ -394,9 +425,9 @@ def _walk_edge(floor, slopes, max_step, level, row, col, to_row, to_col):
     if to_row == row and to_col == col:
         return level, 0
     if to_row == row:
-        direction, opposite = (EAST, WEST) if to_col > col else (WEST, EAST)
+        direction, opposite_direction = (EAST, WEST) if to_col > col else (WEST, EAST)
     else:
-        direction, opposite = (SOUTH, NORTH) if to_row > row else (NORTH, SOUTH)
+        direction, opposite_direction = (SOUTH, NORTH) if to_row > row else (NORTH, SOUTH)
     floor_z = floor[level, row, col]
     is_steep = slopes[level, row, col] & direction != 0
     num_levels = floor.shape[0]
@@ -405,6 +436,10 @@ def _walk_edge(floor, slopes, max_step, level, row, col, to_row, to_col):
         rise = abs(floor[to_level, to_row, to_col] - floor_z)
         if rise <= max_step:
             return to_level, 0
-        if is_steep and rise > max_step and slopes[to_level, to_row, to_col] & opposite != 0:
+        if (
+            is_steep
+            and rise > max_step
+            and slopes[to_level, to_row, to_col] & opposite_direction != 0
+        ):
             return to_level, 1
     return -1, 0

@@ -35,7 +35,7 @@ TOUCH_DISTANCE = 1e-9  # share of a cell: what is this near a line is touched, f
 RADIUS_SLACK = 1e-9  # share of a radius by which a disc may overlap a square, for rounding
 STEEP_RISE = 1.001  # in cells: if the floors of neighbours differ by more, it is no slope
 COLLINEAR_DISTANCE = 1e-9  # [m]: a point this near to a straight line is on it
-SAME_POINT = 1e-9  # [m]: points this near to each other are the same
+SAME_POINT_DISTANCE = 1e-9  # [m]: points this near to each other are the same
 FLOOR_TOLERANCE = 1e-3  # [m]: how far a path may be above or below the floor in a cell's middle
 COST_SLACK = 1e-9  # share of a cost by which a straight line may cost more, for rounding
 LEAST_SHARE = (
@@ -45,9 +45,10 @@ LEAST_SHARE = (
 
 @subkernel
 def is_walkable(start, end, layout, level, moves, is_allowed):
-    """Whether an agent can walk along a line: over allowed cells only, and by steps it can take.
+    """Whether an agent can walk along a line.
 
-    All cells that the line touches must be allowed, also if it meets only their edge or corner.
+    All cells that the line touches must be allowed, also those of which it touches only an edge or
+    a corner, and moves must lead from each of these cells to the next.
 
     Args:
         start: u, v of the line's start.
@@ -66,8 +67,8 @@ def is_walkable(start, end, layout, level, moves, is_allowed):
     if first_row < 0 or last_row >= layout.height[level]:
         return False
     # columns touched in the row before
-    previous_first = 0
-    previous_last = -1
+    previous_first_col = 0
+    previous_last_col = -1
     for row in range(first_row, last_row + 1):
         u_low = min(u0, u1)
         u_high = max(u0, u1)
@@ -91,10 +92,10 @@ def is_walkable(start, end, layout, level, moves, is_allowed):
             # each edge between two touched cells is one that the line may run along or cross
             if col < last_col and not moves[cell] & EAST:
                 return False
-            if previous_first <= col <= previous_last and not moves[cell - width] & SOUTH:
+            if previous_first_col <= col <= previous_last_col and not moves[cell - width] & SOUTH:
                 return False
-        previous_first = first_col
-        previous_last = last_col
+        previous_first_col = first_col
+        previous_last_col = last_col
     return True
 
 
@@ -205,8 +206,8 @@ def disc_passes(start, end, layout, level, solid_before, radius, is_solid_outsid
         stop_col = min(stop_col, num_cols)
         if is_outside or first_col >= stop_col:
             continue
-        row_start = layout.start[level] + row * num_cols
-        if solid_before[row_start + stop_col] > solid_before[row_start + first_col]:
+        row_start_id = layout.start[level] + row * num_cols
+        if solid_before[row_start_id + stop_col] > solid_before[row_start_id + first_col]:
             return False
     return True
 
@@ -269,7 +270,7 @@ def can_pass(start, end, level, graph, off_center):
 
 
 @kernel
-def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
+def lay_route(route, is_by_link, start, end, is_smooth, graph, floors, off_center):
     """Turn a route of cells into a polyline.
 
     The polyline runs through the cells' centres. If it is pulled straight, it leaves out centres
@@ -279,7 +280,7 @@ def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
 
     Args:
         route: flat ids, shape (n,), int64.
-        by_link: whether the route enters the cell over a link, bool, shape (n,).
+        is_by_link: whether the route enters the cell over a link, bool, shape (n,).
         start: x, y in the first cell [m], or NaN.
         end: x, y in the last cell [m], or NaN.
         is_smooth: whether to pull the line straight.
@@ -303,35 +304,39 @@ def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
     for i in range(num_cells):
         levels[i + 1] = level_of(layout.start, route[i])
         points[i + 1, 0], points[i + 1, 1] = cell_center(layout, route[i])
-        link_end_indices[i] = i if by_link[i] else 0
+        link_end_indices[i] = i if is_by_link[i] else 0
     levels[0] = levels[1]
     levels[end_index] = levels[num_cells]
     is_included = np.ones(num_cells + 2, np.bool_)
-    for index, neighbor, point in ((0, 1, start), (end_index, num_cells, end)):
+    for index, neighbor_index, point in ((0, 1, start), (end_index, num_cells, end)):
         points[index, 0] = point[0]
         points[index, 1] = point[1]
         # False for NaN
         is_apart = (
-            max(abs(point[0] - points[neighbor, 0]), abs(point[1] - points[neighbor, 1]))
-            > SAME_POINT
+            max(
+                abs(point[0] - points[neighbor_index, 0]), abs(point[1] - points[neighbor_index, 1])
+            )
+            > SAME_POINT_DISTANCE
         )
         is_included[index] = is_apart and can_pass(
-            points[min(index, neighbor)],
-            points[max(index, neighbor)],
+            points[min(index, neighbor_index)],
+            points[max(index, neighbor_index)],
             levels[index],
             graph,
             off_center,
         )
-    first_point = 1 - is_included[0]
-    stop_point = end_index + is_included[end_index]
-    points = points[first_point:stop_point]
-    levels = levels[first_point:stop_point]
-    link_end_indices = link_end_indices[first_point : stop_point - 1]
+    first_point_index = 1 - is_included[0]
+    stop_point_index = end_index + is_included[end_index]
+    points = points[first_point_index:stop_point_index]
+    levels = levels[first_point_index:stop_point_index]
+    link_end_indices = link_end_indices[first_point_index : stop_point_index - 1]
     if is_smooth:
-        corners = np.flatnonzero(_pull_string(points, levels, link_end_indices, graph, off_center))
-        points = points[corners]
-        levels = levels[corners]
-        link_end_indices = link_end_indices[corners[:-1]]
+        corner_indices = np.flatnonzero(
+            _pull_string(points, levels, link_end_indices, graph, off_center)
+        )
+        points = points[corner_indices]
+        levels = levels[corner_indices]
+        link_end_indices = link_end_indices[corner_indices[:-1]]
     return _lay_on_floor(points, levels, link_end_indices, layout, floors)
 
 
@@ -372,28 +377,28 @@ def _pull_string(points, levels, link_end_indices, graph, off_center):
             last_index += 1
         # the indices of a point that can be reached straight, and of one that can't. Sight is not
         # monotonous, so the point that the search ends at need not be the very farthest.
-        reachable = current_corner + 1
-        unreachable = last_index + 1
+        reachable_index = current_corner + 1
+        unreachable_index = last_index + 1
         stride = 2
-        while unreachable - reachable > 1:
-            candidate = (
+        while unreachable_index - reachable_index > 1:
+            candidate_index = (
                 min(current_corner + stride, last_index)
-                if unreachable > last_index
-                else (reachable + unreachable) // 2
+                if unreachable_index > last_index
+                else (reachable_index + unreachable_index) // 2
             )
             start = points[current_corner]
-            end = points[candidate]
+            end = points[candidate_index]
             level = levels[current_corner]
             if can_pass(start, end, level, graph, off_center) and (
                 graph.uniform_weight > 0.0
                 or line_cost(start, end, level, graph)
-                <= (costs[candidate] - costs[current_corner]) * (1.0 + COST_SLACK)
+                <= (costs[candidate_index] - costs[current_corner]) * (1.0 + COST_SLACK)
             ):
-                reachable = candidate
+                reachable_index = candidate_index
             else:
-                unreachable = candidate
+                unreachable_index = candidate_index
             stride *= 2
-        current_corner = reachable
+        current_corner = reachable_index
         is_corner[current_corner] = True
     # drop points on the straight line between the points before and after, but no ends of links
     previous_corner = 0
@@ -403,13 +408,16 @@ def _pull_string(points, levels, link_end_indices, graph, off_center):
             continue
         if current_corner >= 0:
             chord = points[next_corner] - points[previous_corner]
-            offset = points[current_corner] - points[previous_corner]
-            length = math.hypot(chord[0], chord[1])
-            cross = abs(chord[0] * offset[1] - chord[1] * offset[0])
-            dot = chord[0] * offset[0] + chord[1] * offset[1]
-            is_end = link_end_indices[current_corner - 1] or link_end_indices[current_corner]
-            is_bent = cross > COLLINEAR_DISTANCE * length or not 0.0 <= dot <= length * length
-            if is_end or is_bent:
+            corner_vector = points[current_corner] - points[previous_corner]
+            chord_length = math.hypot(chord[0], chord[1])
+            cross_product = abs(chord[0] * corner_vector[1] - chord[1] * corner_vector[0])
+            dot_product = chord[0] * corner_vector[0] + chord[1] * corner_vector[1]
+            is_link_end = link_end_indices[current_corner - 1] or link_end_indices[current_corner]
+            is_bent = (
+                cross_product > COLLINEAR_DISTANCE * chord_length
+                or not 0.0 <= dot_product <= chord_length * chord_length
+            )
+            if is_link_end or is_bent:
                 previous_corner = current_corner
             else:
                 is_corner[current_corner] = False
@@ -429,7 +437,7 @@ def _lay_on_floor(points, levels, link_end_indices, layout, floors):
     num_points = points.shape[0]
     line_points = np.empty((4 * num_points + 16, 3))
     line_levels = np.empty(4 * num_points + 16, np.int64)
-    line_link_ends = np.zeros(4 * num_points + 16, np.int64)
+    line_link_end_indices = np.zeros(4 * num_points + 16, np.int64)
     num_line_points = 0
     for i in range(num_points):
         level = levels[i]
@@ -445,7 +453,9 @@ def _lay_on_floor(points, levels, link_end_indices, layout, floors):
             if num_line_points + 3 > line_points.shape[0]:
                 line_points = np.concatenate((line_points, line_points))
                 line_levels = np.concatenate((line_levels, line_levels))
-                line_link_ends = np.concatenate((line_link_ends, np.zeros_like(line_link_ends)))
+                line_link_end_indices = np.concatenate(
+                    (line_link_end_indices, np.zeros_like(line_link_end_indices))
+                )
             for axis in range(2):
                 line_points[num_line_points, axis] = (
                     points[i, axis] + profile[profile_index, 0] * leg_vector[axis]
@@ -455,26 +465,26 @@ def _lay_on_floor(points, levels, link_end_indices, layout, floors):
             num_line_points += 1
             profile_index = _next_bend(profile, profile_index)
         if i + 1 < num_points and link_end_indices[i]:
-            line_link_ends[num_line_points - 1] = link_end_indices[i]
+            line_link_end_indices[num_line_points - 1] = link_end_indices[i]
             next_level = levels[i + 1]
             next_in_cells = to_cell_units(layout, next_level, points[i + 1, 0], points[i + 1, 1])
             z = floor_at(floors, next_level, _cell_at(layout, next_level, next_in_cells))
             if abs(z - line_points[num_line_points - 1, 2]) > layout.cell_size[level] * STEEP_RISE:
                 for axis in range(2):
-                    middle = (points[i, axis] + points[i + 1, axis]) / 2.0
-                    line_points[num_line_points, axis] = middle
-                    line_points[num_line_points + 1, axis] = middle
+                    middle_coordinate = (points[i, axis] + points[i + 1, axis]) / 2.0
+                    line_points[num_line_points, axis] = middle_coordinate
+                    line_points[num_line_points + 1, axis] = middle_coordinate
                 line_points[num_line_points, 2] = line_points[num_line_points - 1, 2]
                 line_points[num_line_points + 1, 2] = z
                 line_levels[num_line_points] = level
                 line_levels[num_line_points + 1] = next_level
-                line_link_ends[num_line_points] = link_end_indices[i]
-                line_link_ends[num_line_points + 1] = link_end_indices[i]
+                line_link_end_indices[num_line_points] = link_end_indices[i]
+                line_link_end_indices[num_line_points + 1] = link_end_indices[i]
                 num_line_points += 2
     return (
         line_points[:num_line_points].copy(),
         line_levels[:num_line_points].copy(),
-        line_link_ends[:num_line_points].copy(),
+        line_link_end_indices[:num_line_points].copy(),
     )
 
 

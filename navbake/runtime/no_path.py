@@ -60,20 +60,20 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
     target = find_target(search, goal, level)
     if start_cell < 0 or not flat.free[start_cell]:
         return f"the start {_describe_blocked(search, start_position, start_cell)}"
-    goals = target.free_cells(flat)
-    if not len(goals):
+    goal_cells = target.free_cells(flat)
+    if not len(goal_cells):
         return describe_blocked_goal(search, target)
-    if search.find_route(start_cell, goals) is not None:
+    if search.find_route(start_cell, goal_cells) is not None:
         return None
-    description, nearest_cells = _describe_islands(search, start_cell, goals)
+    description, nearest_cells = _describe_islands(search, start_cell, goal_cells)
     reason = None
     for explain in EXPLANATIONS:
-        reason = explain(search, start_cell, goals)
+        reason = explain(search, start_cell, goal_cells)
         if reason:
             break
     if not reason and nearest_cells is not None:
-        names = _name_obstacles(search, _cells_between(search, nearest_cells))
-        reason = f"between them: {names}" if names else None
+        names_text = _name_obstacles(search, _cells_between(search, nearest_cells))
+        reason = f"between them: {names_text}" if names_text else None
     return f"{description}; {reason}" if reason else description
 
 
@@ -119,8 +119,8 @@ def _describe_blocked(search: Search, position: Float, cell: int) -> str:
         elif cell_content.floor is None:
             reason = "is on no floor"
         elif cell_content.occupied:
-            names = _name_obstacles(search, np.array([cell]))
-            reason = f"is where something stands{f' ({names})' if names else ''}"
+            names_text = _name_obstacles(search, np.array([cell]))
+            reason = f"is where something stands{f' ({names_text})' if names_text else ''}"
         else:
             reason = f"is too near to what stands beside it for a radius of {grid.radius:g} m"
     description = f"{format_point(position)} {reason}"
@@ -138,7 +138,7 @@ def _describe_blocked(search: Search, position: Float, cell: int) -> str:
     return f"{description}; the nearest free cell is {place_text}"
 
 
-def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str, Int | None]:
+def _describe_islands(search: Search, start_cell: int, goal_cells: Int) -> tuple[str, Int | None]:
     """Say which islands the start and the goals are in, and how near these are to each other.
 
     Returns:
@@ -148,7 +148,7 @@ def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str,
     flat = search.flat
     islands = search.islands
     start_island = islands.number[start_cell]
-    goal_islands = np.unique(islands.number[goals])
+    goal_islands = np.unique(islands.number[goal_cells])
     is_at_edge = flat.free & (search.graph.moves != ALL_MOVES)
     start_edge_cells = np.flatnonzero(is_at_edge & np.isin(islands.number, start_island))
     goal_edge_cells = np.flatnonzero(is_at_edge & np.isin(islands.number, goal_islands))
@@ -156,27 +156,27 @@ def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str,
     # two cells of one level can be. Heights count, as the top of a stair is over the floor below.
     level_distance = 10.0 * float(flat.layout.start[-1])
 
-    def separate_levels(cells: Int) -> Float:
+    def to_tree_coordinates(cells: Int) -> Float:
         level_offsets = flat.level_of(cells) * level_distance
         return np.column_stack([flat.positions(cells), level_offsets])
 
-    distances, goal_indices = spatial.cKDTree(separate_levels(goal_edge_cells)).query(
-        separate_levels(start_edge_cells)
+    distances, goal_indices = spatial.cKDTree(to_tree_coordinates(goal_edge_cells)).query(
+        to_tree_coordinates(start_edge_cells)
     )
     nearest_index = int(np.argmin(distances))
-    cells = np.array(
+    nearest_cells = np.array(
         [start_edge_cells[nearest_index], goal_edge_cells[goal_indices[nearest_index]]]
     )
-    goal_island = int(islands.number[cells[1]])
+    goal_island = int(islands.number[nearest_cells[1]])
     goal_text = f"{goal_island} ({islands.areas[goal_island]:.2f} m²)"
     start_text = f"{start_island} ({islands.areas[start_island]:.2f} m²)"
     description = f"the goal is in island {goal_text}, the start in island {start_text}"
     if distances[nearest_index] >= level_distance:
         return f"{description}, which have no level in common", None
-    start_point, goal_point = flat.positions(cells)
+    start_point, goal_point = flat.positions(nearest_cells)
     points_text = f"at {format_point(start_point)} and {format_point(goal_point)}"
     gap_text = f"their nearest cells are {distances[nearest_index]:.2f} m apart, {points_text}"
-    return f"{description}; {gap_text}", cells
+    return f"{description}; {gap_text}", nearest_cells
 
 
 def _cells_between(search: Search, ends: Int) -> Int:
@@ -184,20 +184,20 @@ def _cells_between(search: Search, ends: Int) -> Int:
     flat = search.flat
     level, row, col = flat.to_cells(ends)
     num_cells = int(np.abs(np.diff([row, col])).max()) + 1
-    line_points = np.linspace((row[0], col[0]), (row[1], col[1]), num_cells)
-    rows_and_cols = np.rint(line_points).astype(np.int64)
+    line_coordinates = np.linspace((row[0], col[0]), (row[1], col[1]), num_cells)
+    rows_and_cols = np.rint(line_coordinates).astype(np.int64)
     width = flat.layout.width[level[0]]
     cells: Int = flat.layout.start[level[0]] + rows_and_cols @ [width, 1]
     return cells
 
 
-def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | None:
+def explain_by_obstacles(search: Search, start_cell: int, goal_cells: Int) -> str | None:
     """Say where added obstacles block the route that would exist without them.
 
     Args:
         search: the search on the grid, up to date with added obstacles.
         start_cell: flat id of a free cell.
-        goals: flat ids of free cells.
+        goal_cells: flat ids of free cells.
 
     Returns:
         A clause, such as ``the way at (1.00, 2.00, 0.00) is blocked for now``; None if there are
@@ -208,20 +208,20 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
     grid_without_added = grid.without_obstacles()
     if grid_without_added is grid:
         return None
-    route = find_route_cells(grid_without_added, search, start_cell, goals)
-    if route is None:
+    route_cells = find_route_cells(grid_without_added, search, start_cell, goal_cells)
+    if route_cells is None:
         return None
-    blocked_indices = np.flatnonzero(~flat.free[route])
+    blocked_indices = np.flatnonzero(~flat.free[route_cells])
     first_index = max(blocked_indices[0] - RISE_MARGIN, 0)
     last_index = blocked_indices[-1] + RISE_MARGIN
-    blocked_part = route[first_index : last_index + 1]
-    is_stairs = np.ptp(flat.positions(blocked_part)[:, 2]) > STAIRS_RISE
-    levels = np.unique(flat.level_of(route)).tolist()
+    blocked_part_cells = route_cells[first_index : last_index + 1]
+    is_stairs = np.ptp(flat.positions(blocked_part_cells)[:, 2]) > STAIRS_RISE
+    levels = np.unique(flat.level_of(route_cells)).tolist()
     between_text = ""
     if is_stairs and len(levels) > 1:
         first_level = _name_level(grid, levels[0])
         between_text = f" between {first_level} and {_name_level(grid, levels[-1])}"
-    place_text = f"{format_point(flat.positions(route[blocked_indices[0]]))}{between_text}"
+    place_text = f"{format_point(flat.positions(route_cells[blocked_indices[0]]))}{between_text}"
     steps_text = "".join(f" {steps}," for steps in _describe_blocked_steps(search))
     comma = "," if steps_text else ""
     if is_stairs:
@@ -229,7 +229,7 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
     return f"the way at {place_text}{comma}{steps_text} is blocked for now"
 
 
-def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
+def explain_by_doors(search: Search, start_cell: int, goal_cells: Int) -> str | None:
     """Name the doors in the way of the route that has to pass the fewest blocked cells.
 
     The route is planned as if all doors and added obstacles were removed.
@@ -237,7 +237,7 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
     Args:
         search: the search on the grid, up to date with added obstacles.
         start_cell: flat id of a free cell.
-        goals: flat ids of free cells.
+        goal_cells: flat ids of free cells.
 
     Returns:
         A clause, such as ``door 'kitchen' (closed) is in the way``; None if no door is in the
@@ -254,24 +254,25 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
     if grid.inflated_radius:
         ledge_rule = ledges_setting(grid)
         doorless_grid = doorless_grid.inflate(grid.inflated_radius, ledges=ledge_rule)
-    route = find_route_cells(doorless_grid, search, start_cell, goals)
-    blocked_cells = NO_CELLS if route is None else route[~flat.free[route]]
+    route_cells = find_route_cells(doorless_grid, search, start_cell, goal_cells)
+    blocked_cells = NO_CELLS if route_cells is None else route_cells[~flat.free[route_cells]]
     # a door blocks all cells from which the agent's disc reaches it
     leaf_cells = np.array([cell for cell in search.doors if search.occupied[cell]], dtype=np.int64)
     max_distance = grid.radius + 1.5 * float(flat.layout.cell_size.max())
-    tree = spatial.cKDTree(flat.positions(leaf_cells))
-    _, nearest_indices = tree.query(
+    leaf_tree = spatial.cKDTree(flat.positions(leaf_cells))
+    _, nearest_indices = leaf_tree.query(
         flat.positions(blocked_cells), distance_upper_bound=max_distance
     )
     passed_leaf_cells = leaf_cells[nearest_indices[nearest_indices < len(leaf_cells)]]
     door_ids = list(dict.fromkeys(list_doors_along(search.doors, passed_leaf_cells)))
     if not door_ids:
         return None
-    states = {door.id: door.state for door in grid.doors}
-    state_words = {
-        name: "as modelled" if state == "modelled" else state for name, state in states.items()
+    state_by_door = {door.id: door.state for door in grid.doors}
+    state_word_by_door = {
+        name: "as modelled" if state == "modelled" else state
+        for name, state in state_by_door.items()
     }
-    doors_text = " and ".join(f"{name!r} ({state_words[name]})" for name in door_ids)
+    doors_text = " and ".join(f"{name!r} ({state_word_by_door[name]})" for name in door_ids)
     return (
         f"doors {doors_text} are in the way"
         if len(door_ids) > 1
@@ -279,7 +280,7 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
     )
 
 
-def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
+def explain_by_gap(search: Search, start_cell: int, goal_cells: Int) -> str | None:
     """Say which stairs, links or doors are too narrow for the agent, or where the gap is.
 
     The function plans the route of an agent of radius 0, which avoids cells too narrow for the
@@ -289,7 +290,7 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
     Args:
         search: the search on the grid, up to date with added obstacles.
         start_cell: flat id of a free cell.
-        goals: flat ids of free cells.
+        goal_cells: flat ids of free cells.
 
     Returns:
         A clause, such as ``door 'kitchen' is closed for a radius of 0.3 m, and 0.25 m passes``.
@@ -303,28 +304,30 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
     point_search = similar_search(without_inflation(grid.without_obstacles()), search)
     point_grid = point_search.grid
     ledge_rule = ledges_setting(grid)
-    widest = find_widest(point_grid, search, start_cell, goals, ledge_rule)
+    widest = find_widest(point_grid, search, start_cell, goal_cells, ledge_rule)
     if widest is None:
         return None
     radius = widest.radius
     weights = np.where(point_search.flat.free, np.where(flat.free, 1.0, NARROW_WEIGHT), np.inf)
     weighted_grid = with_weights(point_grid, weights)
-    route = find_route_cells(weighted_grid, search, start_cell, goals)
-    route_cells = NO_CELLS if route is None else route
-    lost_names = [
+    route_cells = find_route_cells(weighted_grid, search, start_cell, goal_cells)
+    cells_on_route = NO_CELLS if route_cells is None else route_cells
+    lost_connection_names = [
         connection.name
         for connection in find_lost_connections(point_search, search)
-        if np.isin(connection.cells, route_cells).any()
+        if np.isin(connection.cells, cells_on_route).any()
     ]
-    if lost_names:
-        is_singular = len(lost_names) == 1 and not lost_names[0].startswith("the stairs")
-        names_text = f"{' and '.join(lost_names)} {'is' if is_singular else 'are'}"
+    if lost_connection_names:
+        is_singular = len(lost_connection_names) == 1 and not lost_connection_names[0].startswith(
+            "the stairs"
+        )
+        names_text = f"{' and '.join(lost_connection_names)} {'is' if is_singular else 'are'}"
         closed_text = f"{names_text} closed for a radius of {agent_radius:g} m"
         return f"{closed_text}, and {round_down(radius):g} m passes"
     if math.isinf(radius):
         return None
     bottleneck_cell = find_bottleneck(
-        point_grid, search, start_cell, goals, widest, cut_corners=False
+        point_grid, search, start_cell, goal_cells, widest, cut_corners=False
     )
     width = _measure_gap(point_search, bottleneck_cell, radius)
     place_text = format_point(flat.positions(bottleneck_cell))
@@ -372,7 +375,7 @@ def _measure_gap(search: Search, cell: int, radius: float) -> float:
     return float(widths[is_opposite].min())
 
 
-def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> str | None:
+def explain_by_links_and_areas(search: Search, start_cell: int, goal_cells: Int) -> str | None:
     """Say which link or area keeps the agent from the goal.
 
     The function plans a route that may use links and areas that bar the agent, at a high penalty
@@ -381,7 +384,7 @@ def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> s
     Args:
         search: the search on the grid, up to date with added obstacles.
         start_cell: flat id of a free cell.
-        goals: flat ids of free cells.
+        goal_cells: flat ids of free cells.
 
     Returns:
         A clause, such as ``the area 'lab' bars all agents``; None if there is no such link, area
@@ -391,18 +394,20 @@ def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> s
     flat = search.flat
     if not (grid.links or grid.areas):
         return None
-    open_search = similar_search(grid, search, radius=0.0, penalty=FORBIDDEN_PENALTY)
-    route = open_search.find_route(start_cell, goals)
+    unrestricted_search = similar_search(grid, search, radius=0.0, penalty=FORBIDDEN_PENALTY)
+    route = unrestricted_search.find_route(start_cell, goal_cells)
     if route is None:
         return None
-    taken_links = dict(open_search.measure_route(route, flat.to_cells(route.cells), "cost").links)
+    link_name_by_index = dict(
+        unrestricted_search.measure_route(route, flat.to_cells(route.cells), "cost").links
+    )
     for route_index, cell in enumerate(route.cells.tolist()):
-        if route_index in taken_links:
-            sentence = _explain_link(search, route, route_index, taken_links[route_index])
-            if sentence:
-                return sentence
+        if route_index in link_name_by_index:
+            clause = _explain_link(search, route, route_index, link_name_by_index[route_index])
+            if clause:
+                return clause
         # a diagonal step also needs the two cells beside it
-        is_step = route_index > 0 and not route.by_link[route_index]
+        is_step = route_index > 0 and not route.is_by_link[route_index]
         previous_cell = int(route.cells[route_index - 1]) if is_step else cell
         col_step = flat.to_cell(cell).col - flat.to_cell(previous_cell).col
         for needed_cell in (previous_cell + col_step, cell - col_step, cell):
@@ -412,13 +417,13 @@ def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> s
     return None
 
 
-def _explain_link(search: Search, route: Route, index: int, name: str) -> str | None:
+def _explain_link(search: Search, route: Route, route_index: int, name: str) -> str | None:
     """Say why the agent can't use a link that a route takes; None if it can.
 
     Args:
         search: the agent's search.
         route: the route.
-        index: index in the route of the cell that the link leads to.
+        route_index: index in the route of the cell that the link leads to.
         name: the link's name.
     """
     link = next(link for link in search.grid.links if link.name == name)
@@ -426,8 +431,8 @@ def _explain_link(search: Search, route: Route, index: int, name: str) -> str | 
     if reason is None and not link.fits(search.radius):
         agent_width = f"the agent's {2.0 * search.radius:g} m"
         reason = f"is {link.width:g} m wide, narrower than {agent_width}"
-    ends = route.cells[index - 1 : index + 1]
-    if reason is None and not (search.flat.arcs.ends == ends).all(axis=1).any():
+    link_ends = route.cells[route_index - 1 : route_index + 1]
+    if reason is None and not (search.flat.arcs.ends == link_ends).all(axis=1).any():
         reason = "leads the other way only"
     return f"the link {link.name!r} ({link.kind}) {reason}" if reason else None
 
@@ -456,13 +461,13 @@ def _find_barring_area(search: Search, cell: int) -> BarringArea | None:
     return BarringArea(f"area {area.name!r}", f"bars {barred_agents}")
 
 
-def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
+def explain_by_steps(search: Search, start_cell: int, goal_cells: Int) -> str | None:
     """Say between which levels all steps are blocked, or that no steps leave the start's level.
 
     Args:
         search: the search on the grid, up to date with added obstacles.
         start_cell: flat id of a free cell.
-        goals: flat ids of free cells.
+        goal_cells: flat ids of free cells.
 
     Returns:
         A clause; None if a goal is on the start's level, or a step is free between all levels
@@ -470,7 +475,7 @@ def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
     """
     flat = search.flat
     start_level = int(flat.level_of(start_cell))
-    if start_level in flat.level_of(goals):
+    if start_level in flat.level_of(goal_cells):
         return None
     blocked_steps = _describe_blocked_steps(search)
     if blocked_steps:

@@ -48,13 +48,13 @@ class WidestRadius(NamedTuple):
 
     Attributes:
         radius: the agent's radius [m]; inf where no radius is too large.
-        free: mask of the cells that are free at this radius, by flat id.
-        free_for_next: mask of the cells that are free at the next larger radius, by flat id.
+        is_free: mask of the cells that are free at this radius, by flat id.
+        is_free_for_next: mask of the cells that are free at the next larger radius, by flat id.
     """
 
     radius: float
-    free: Bool
-    free_for_next: Bool
+    is_free: Bool
+    is_free_for_next: Bool
 
 
 class LostConnection(NamedTuple):
@@ -109,17 +109,21 @@ def find_passage(
         explanation = "how near an agent gets to an object depends on its radius"
         raise QueryError(f"expected a position or room:NAME as goal, got {goal!r}: {explanation}")
     target = find_target(search, goal, level)
-    goals = np.unique(target.cells[target.cells >= 0])
-    goals = goals[is_standable[goals]]
-    if not len(goals):
+    goal_cells = np.unique(target.cells[target.cells >= 0])
+    goal_cells = goal_cells[is_standable[goal_cells]]
+    if not len(goal_cells):
         reason = refusal(bool((target.cells >= 0).any()))
         raise QueryError(f"no way to {target.name}: {reason}")
-    widest = find_widest(grid, search, start_cell, goals, ledges, cut_corners=search.cut_corners)
+    widest = find_widest(
+        grid, search, start_cell, goal_cells, ledges, cut_corners=search.cut_corners
+    )
     if widest is None:
         return None
     if math.isinf(widest.radius):
         return Passage(math.inf, None)
-    cell = find_bottleneck(grid, search, start_cell, goals, widest, cut_corners=search.cut_corners)
+    cell = find_bottleneck(
+        grid, search, start_cell, goal_cells, widest, cut_corners=search.cut_corners
+    )
     return Passage(widest.radius, flat.positions(cell))
 
 
@@ -127,7 +131,7 @@ def find_widest(
     grid: NavGrid,
     search: Search,
     start_cell: int,
-    goals: Int,
+    goal_cells: Int,
     ledges: str,
     *,
     cut_corners: bool = False,
@@ -138,7 +142,7 @@ def find_widest(
         grid: the grid for radius 0, see `without_inflation`.
         search: a search on a grid of the same cells, whose links and areas count.
         start_cell: flat id.
-        goals: flat ids.
+        goal_cells: flat ids.
         ledges: ``avoid`` to keep agents away from drops, or ``ignore``, see `grid.inflate`.
         cut_corners: whether diagonal steps past blocked corners are allowed.
 
@@ -150,7 +154,7 @@ def find_widest(
 
     def passes(radius: float) -> bool:
         is_free = find_free(grid, radius, ledges) & ~is_barred
-        free_goals = goals[is_free[goals]]
+        free_goals = goal_cells[is_free[goal_cells]]
         if not is_free[start_cell] or not len(free_goals):
             return False
         moves = None
@@ -169,8 +173,8 @@ def find_widest(
     failing_radius = smallest_cell
     while passes(failing_radius):
         if failing_radius == MAX_RADIUS:
-            free = find_free(grid, failing_radius, ledges)
-            return WidestRadius(math.inf, free, free)
+            is_free = find_free(grid, failing_radius, ledges)
+            return WidestRadius(math.inf, is_free, is_free)
         passing_radius = failing_radius
         failing_radius = min(2.0 * failing_radius, MAX_RADIUS)
     while failing_radius - passing_radius > smallest_cell:  # so that few radii remain
@@ -190,8 +194,8 @@ def find_widest(
             failing_index = middle_index
     return WidestRadius(
         radius=radii[passing_index],
-        free=find_free(grid, radii[passing_index], ledges),
-        free_for_next=find_free(grid, radii[passing_index + 1], ledges),
+        is_free=find_free(grid, radii[passing_index], ledges),
+        is_free_for_next=find_free(grid, radii[passing_index + 1], ledges),
     )
 
 
@@ -207,9 +211,11 @@ def _radii_that_change_cells(
     flat = search.flat
     candidate_radii = [np.array([grid.agent_radius]), flat.arcs.width / 2.0]
     for cell_size in set(flat.layout.cell_size.tolist()):
-        first_square = math.floor((2 * min_radius / cell_size) ** 2)
-        last_square = math.ceil((2 * max_radius / cell_size) ** 2)
-        candidate_radii.append(np.sqrt(np.arange(first_square, last_square + 1)) * (cell_size / 2))
+        first_squared_diameter = math.floor((2 * min_radius / cell_size) ** 2)
+        last_squared_diameter = math.ceil((2 * max_radius / cell_size) ** 2)
+        candidate_radii.append(
+            np.sqrt(np.arange(first_squared_diameter, last_squared_diameter + 1)) * (cell_size / 2)
+        )
     radii = np.unique(np.concatenate(candidate_radii))
     return [*radii[(radii >= min_radius) & (radii < max_radius)].tolist(), max_radius]
 
@@ -218,7 +224,7 @@ def find_bottleneck(
     grid: NavGrid,
     search: Search,
     start_cell: int,
-    goals: Int,
+    goal_cells: Int,
     widest: WidestRadius,
     *,
     cut_corners: bool,
@@ -235,7 +241,7 @@ def find_bottleneck(
         grid: the grid for radius 0, see `without_inflation`.
         search: a search on a grid of the same cells, whose agent plans.
         start_cell: flat id.
-        goals: flat ids.
+        goal_cells: flat ids.
         widest: what `find_widest` returned for the same arguments.
         cut_corners: whether diagonal steps past blocked corners are allowed.
 
@@ -243,23 +249,23 @@ def find_bottleneck(
         The flat id of the bottleneck.
     """
     flat = search.flat
-    is_critical = widest.free & ~widest.free_for_next
-    weights = np.where(widest.free, np.where(is_critical, NARROW_WEIGHT, 1.0), np.inf)
+    is_critical = widest.is_free & ~widest.is_free_for_next
+    weights = np.where(widest.is_free, np.where(is_critical, NARROW_WEIGHT, 1.0), np.inf)
     weighted_search = similar_search(
         with_weights(grid, weights), search, cut_corners=cut_corners, radius=widest.radius
     )
-    route = weighted_search.find_route(start_cell, goals)
+    route = weighted_search.find_route(start_cell, goal_cells)
     assert route is not None  # the islands say that there is one
     critical_indices = np.flatnonzero(is_critical[route.cells])
     if len(critical_indices):
-        run_ends = np.flatnonzero(np.diff(critical_indices) > 1) + 1
-        first_run = np.split(critical_indices, run_ends)[0]
+        run_starts = np.flatnonzero(np.diff(critical_indices) > 1) + 1
+        first_run = np.split(critical_indices, run_starts)[0]
         return int(route.cells[first_run[(len(first_run) - 1) // 2]])
-    for route_index in np.flatnonzero(route.by_link).tolist():
+    for route_index in np.flatnonzero(route.is_by_link).tolist():
         link_ends = route.cells[route_index - 1 : route_index + 1]
-        is_taken = (flat.arcs.ends == link_ends).all(axis=1)
-        if is_taken.any():
-            width = flat.arcs.width[is_taken].max()
+        is_taken_arc = (flat.arcs.ends == link_ends).all(axis=1)
+        if is_taken_arc.any():
+            width = flat.arcs.width[is_taken_arc].max()
             if math.isclose(width, 2.0 * widest.radius):
                 return int(route.cells[route_index - 1])
     # the route passes diagonally between two cells
@@ -285,11 +291,11 @@ def without_inflation(grid: NavGrid) -> NavGrid:
     """
     if "inflation" not in grid.metadata:
         return grid
-    free_by_level = [
+    free_masks = [
         (level.solid == 0) & ~np.isnan(level.floor_height) | level.free for level in grid.levels
     ]
-    free = np.concatenate([free.ravel() for free in free_by_level])
-    return with_weights(grid, np.where(free, 1.0, np.inf))
+    is_free = np.concatenate([free_mask.ravel() for free_mask in free_masks])
+    return with_weights(grid, np.where(is_free, 1.0, np.inf))
 
 
 def make_point_grid(grid: NavGrid) -> NavGrid:
@@ -300,8 +306,8 @@ def make_point_grid(grid: NavGrid) -> NavGrid:
     Args:
         grid: a grid that was never inflated.
     """
-    free = np.concatenate([level.free_for_point.ravel() for level in grid.levels])
-    return with_weights(grid, np.where(free, 1.0, np.inf))
+    is_free = np.concatenate([level.free_for_point.ravel() for level in grid.levels])
+    return with_weights(grid, np.where(is_free, 1.0, np.inf))
 
 
 def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
@@ -312,8 +318,8 @@ def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
         weights: by flat id, inf where an agent can't stand.
     """
     metadata = {key: value for key, value in grid.metadata.items() if key != "inflation"}
-    ends = np.cumsum([level.free.size for level in grid.levels])
-    weights_by_level = np.split(weights, ends[:-1])
+    level_ends = np.cumsum([level.free.size for level in grid.levels])
+    weights_by_level = np.split(weights, level_ends[:-1])
     levels = [
         level.with_layers(weights=level_weights.reshape(level.shape))
         for level, level_weights in zip(grid.levels, weights_by_level, strict=True)
@@ -352,23 +358,23 @@ def similar_search(
     )
 
 
-def find_route_cells(grid: NavGrid, search: Search, start_cell: int, goals: Int) -> Int | None:
+def find_route_cells(grid: NavGrid, search: Search, start_cell: int, goal_cells: Int) -> Int | None:
     """Find the cheapest route on a grid, with the settings of a search made for another grid.
 
     Args:
         grid: the grid of the route, of the same cells as the grid of `search`.
         search: the search whose settings are used.
         start_cell: flat id.
-        goals: flat ids.
+        goal_cells: flat ids.
 
     Returns:
         The flat ids of the route's cells; None if there is no route.
     """
-    route = similar_search(grid, search).find_route(start_cell, goals)
+    route = similar_search(grid, search).find_route(start_cell, goal_cells)
     return None if route is None else route.cells
 
 
-def find_lost_connections(before: Search, after: Search) -> list[LostConnection]:
+def find_lost_connections(search_before: Search, search_after: Search) -> list[LostConnection]:
     """Find the links, doors and stairs that an agent can pass on one grid but not on another.
 
     - A link is impassable if it is too narrow for the agent, or if fewer than two of its stops are
@@ -379,30 +385,30 @@ def find_lost_connections(before: Search, after: Search) -> list[LostConnection]
       treads is smaller.
 
     Args:
-        before: a search on the first grid.
-        after: a search on the second grid, of the same cells.
+        search_before: a search on the first grid.
+        search_after: a search on the second grid, of the same cells.
     """
-    flat = before.flat
+    flat = search_before.flat
     lost_connections: list[LostConnection] = []
-    for stairs in find_stairs(before.grid, flat):
+    for stairs in find_stairs(search_before.grid, flat):
         levels = [stairs.lower_level, stairs.upper_level]
-        if _has_open_step(before, levels, stairs.steps) and not _has_open_step(
-            after, levels, stairs.steps
+        if _has_open_step(search_before, levels, stairs.steps) and not _has_open_step(
+            search_after, levels, stairs.steps
         ):
             x, y, _ = flat.positions(stairs.steps).mean(axis=(0, 1))
             between_text = f"between level {stairs.lower_level} and {stairs.upper_level}"
             name = f"the {stairs.kind} {between_text} near ({x:.2f}, {y:.2f})"
             lost_connections.append(LostConnection(name, stairs.steps.ravel()))
-    for link in before.grid.links:
+    for link in search_before.grid.links:
         cells = np.array([flat.layout.start[stop.level] + stop.cell for stop in link.stops])
-        was_open = before.flat.free[cells].sum() > 1 and link.fits(before.radius)
-        is_open = after.flat.free[cells].sum() > 1 and link.fits(after.radius)
+        was_open = search_before.flat.free[cells].sum() > 1 and link.fits(search_before.radius)
+        is_open = search_after.flat.free[cells].sum() > 1 and link.fits(search_after.radius)
         if was_open and not is_open:
             lost_connections.append(LostConnection(f"the link {link.name!r} ({link.kind})", cells))
-    for door in before.grid.doors:
+    for door in search_before.grid.doors:
         cells = find_leaf_cells(door, flat)
         cells = cells[flat.free[cells]]
-        if len(cells) and not after.flat.free[cells].any():
+        if len(cells) and not search_after.flat.free[cells].any():
             lost_connections.append(LostConnection(f"door {door.id!r}", cells))
     return lost_connections
 

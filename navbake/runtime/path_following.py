@@ -85,8 +85,8 @@ class Follower:
 
     At a link, it drives up to the link's stop and commands no motion until the base is at the next
     stop: the caller calls the lift, jumps or climbs. Meanwhile the next stop is the waypoint, and
-    the follower doesn't replan. The base counts as being at the next stop if it is nearer to it
-    than to this stop, no farther from it on the map than the lookahead, and no more than a step
+    the follower doesn't replan. The base counts as being at the next stop if it is nearer to that
+    stop than to the first one, at most the lookahead away from it on the map, and at most a step
     above or below it.
 
     Attributes:
@@ -143,27 +143,31 @@ class Follower:
                 value=heading,
                 expected=expected,
             )
-        target = self._find_point_ahead(base_position)
+        point_ahead = self._find_point_ahead(base_position)
         if self.state != DRIVING:
-            return Command(0.0, 0.0, target)
+            return Command(0.0, 0.0, point_ahead)
         limits = self._limits
-        to_target = target[:2] - base_position[:2]
-        bearing = math.remainder(math.atan2(to_target[1], to_target[0]) - heading, 2.0 * math.pi)
+        ahead_vector = point_ahead[:2] - base_position[:2]
+        bearing = math.remainder(
+            math.atan2(ahead_vector[1], ahead_vector[0]) - heading, 2.0 * math.pi
+        )
         if abs(bearing) > SPOT_TURN_BEARING:
             turn_rate = min(TURN_GAIN * abs(bearing), limits.turn_rate)
-            return Command(0.0, math.copysign(turn_rate, bearing), target)
-        curvature = 2.0 * math.sin(bearing) / max(float(np.hypot(*to_target)), STANDSTILL_DISTANCE)
-        free_ahead = max(self._free_distance - self._base_distance, 0.0)
+            return Command(0.0, math.copysign(turn_rate, bearing), point_ahead)
+        curvature = (
+            2.0 * math.sin(bearing) / max(float(np.hypot(*ahead_vector)), STANDSTILL_DISTANCE)
+        )
+        free_length_ahead = max(self._free_distance - self._base_distance, 0.0)
         stop_index = self._next_stop
         if stop_index is not None:
-            free_ahead = min(
-                free_ahead, float(np.hypot(*(self._points[stop_index] - base_position[:2])))
+            free_length_ahead = min(
+                free_length_ahead, float(np.hypot(*(self._points[stop_index] - base_position[:2])))
             )
-        braking_speed = math.sqrt(2.0 * limits.acceleration * free_ahead)
+        braking_speed = math.sqrt(2.0 * limits.acceleration * free_length_ahead)
         forward = min(limits.speed, braking_speed)
         if forward * abs(curvature) > limits.turn_rate:
             forward = limits.turn_rate / abs(curvature)
-        return Command(forward, forward * curvature, target)
+        return Command(forward, forward * curvature, point_ahead)
 
     def waypoint(self, position: ArrayLike) -> Float:
         """Compute the point for a position-controlled base to head for.
@@ -182,7 +186,7 @@ class Follower:
         return base_position if self.state == WAITING else self._find_point_ahead(base_position)
 
     def replan(self, position: ArrayLike) -> bool:
-        """Plan from a position and switch to that path.
+        """Plan a new path from a position to the goal, and switch to it if there is one.
 
         Args:
             position: the base's position, world x, y, z [m], shape (3,).
@@ -237,23 +241,26 @@ class Follower:
 
     def _is_at_next_stop(self, base_position: Float) -> bool:
         """Whether the base, which rides on a link, is at the link's next stop."""
-        stop, next_stop = self.path.positions[self.path.stops[self._num_links_taken]]
-        distance = float(np.hypot(*(base_position - next_stop)[:2]))
-        rise = abs(base_position[2] - next_stop[2])
+        stop_position, next_stop_position = self.path.positions[
+            self.path.stops[self._num_links_taken]
+        ]
+        distance = float(np.hypot(*(base_position - next_stop_position)[:2]))
+        rise = abs(base_position[2] - next_stop_position[2])
         is_nearer = bool(
-            np.linalg.norm(base_position - next_stop) < np.linalg.norm(base_position - stop)
+            np.linalg.norm(base_position - next_stop_position)
+            < np.linalg.norm(base_position - stop_position)
         )
         is_on_floor = rise <= self._search.flat.floors.max_step
         return is_nearer and distance <= self._limits.lookahead and bool(is_on_floor)
 
     def _find_state(self, base_position: Float) -> str:
         """Find the state of the base, which doesn't ride on a link."""
-        stop = self._next_stop
-        end_point = self._goal[:2] if stop is None else self._points[stop]
-        end_distance = self._length if stop is None else self._point_distances[stop]
+        stop_index = self._next_stop
+        end_point = self._goal[:2] if stop_index is None else self._points[stop_index]
+        end_distance = self._length if stop_index is None else self._point_distances[stop_index]
         is_near_end = end_distance - self._base_distance <= 2 * self._limits.lookahead
         if np.hypot(*base_position[:2] - end_point) <= self._limits.tolerance and is_near_end:
-            return ARRIVED if stop is None else RIDING
+            return ARRIVED if stop_index is None else RIDING
         is_blocked = self._free_distance < self._length
         if is_blocked and self._free_distance - self._base_distance <= STANDSTILL_DISTANCE:
             return WAITING
@@ -287,8 +294,8 @@ class Follower:
         self._base_distance = 0.0  # how far along the path the base is [m]
         self._num_links_taken = 0
         self._leg_levels: Int = np.where(path.levels[:-1] == path.levels[1:], path.levels[:-1], -1)
-        for begin, end in path.stops.tolist():
-            self._leg_levels[begin:end] = -1
+        for stop_index, next_stop_index in path.stops.tolist():
+            self._leg_levels[stop_index:next_stop_index] = -1
         # whether `can_pass` allowed each whole leg; others lead from centre to centre of cells
         self._leg_is_swept = [
             level >= 0 and self._search.can_pass(self._points[k], self._points[k + 1], level)
@@ -340,9 +347,9 @@ class Follower:
         point_distances = self._point_distances
         first_leg = max(int(np.searchsorted(point_distances, first_distance, side="right")) - 1, 0)
         for leg in range(first_leg, len(self._leg_levels)):
-            length = float(point_distances[leg + 1] - point_distances[leg])
+            leg_length = float(point_distances[leg + 1] - point_distances[leg])
             first_fraction = max(first_distance - float(point_distances[leg]), 0.0) / max(
-                length, LEAST_LENGTH
+                leg_length, LEAST_LENGTH
             )
             if self._is_leg_free(leg, first_fraction, 1.0):
                 continue
@@ -354,7 +361,7 @@ class Follower:
                     free_fraction = middle_fraction
                 else:
                     blocked_fraction = middle_fraction
-            return float(point_distances[leg]) + length * free_fraction
+            return float(point_distances[leg]) + leg_length * free_fraction
         return self._length
 
     def _is_leg_free(self, leg: int, first_fraction: float, last_fraction: float) -> bool:
@@ -369,24 +376,24 @@ class Follower:
         flat = search.flat
         level = int(self._leg_levels[leg])
         start = self._points[leg]
-        direction = self._points[leg + 1] - self._points[leg]
+        leg_vector = self._points[leg + 1] - self._points[leg]
         if level < 0:
             return True  # the legs before and after end in the link's cells, and are checked
         if self._leg_is_swept[leg]:
             return search.can_pass(
-                start + first_fraction * direction, start + last_fraction * direction, level
+                start + first_fraction * leg_vector, start + last_fraction * leg_vector, level
             )
         # else the leg leads from centre to centre, along a row, a column or a diagonal
         cell_size = float(flat.layout.cell_size[level])
-        num_cells = max(round(float(np.abs(direction).max()) / cell_size), 1)
+        num_cells = max(round(float(np.abs(leg_vector).max()) / cell_size), 1)
         fractions = np.clip(np.arange(num_cells + 1) / num_cells, EDGE_SHARE, 1.0 - EDGE_SHARE)
         # check the cells in the part, and the last one before it
         fractions = fractions[
             (fractions > first_fraction - 1.0 / num_cells)
             & (fractions <= last_fraction + LEAST_LENGTH)
         ]
-        cells = flat.cells_at(start + fractions[:, None] * direction, level)
-        is_diagonal = bool((np.abs(direction) > cell_size / 4).all())
+        cells = flat.cells_at(start + fractions[:, None] * leg_vector, level)
+        is_diagonal = bool((np.abs(leg_vector) > cell_size / 4).all())
         is_free: Bool = search.free_diagonally if is_diagonal else flat.free
         return bool(is_free[cells[cells >= 0]].all())
 
@@ -415,13 +422,13 @@ class Follower:
             stop_after_link = self.path.stops[self._num_links_taken, 1]
             return np.asarray(self.path.positions[stop_after_link])
         level = self._find_level_at(self._base_distance)
-        target = base_position
+        point_ahead = base_position
         for lookahead_share in LOOKAHEAD_SHARES:
             distance = self._base_distance + lookahead_share * self._limits.lookahead
-            target = self.path.at(distance)
+            point_ahead = self.path.at(distance)
             is_same_level = self._find_level_at(distance) == level
             if stop_index is not None and distance >= self._point_distances[stop_index]:
-                target = self.path.positions[stop_index]
-            if is_same_level and self._search.can_pass(base_position[:2], target[:2], level):
+                point_ahead = self.path.positions[stop_index]
+            if is_same_level and self._search.can_pass(base_position[:2], point_ahead[:2], level):
                 break
-        return target
+        return point_ahead

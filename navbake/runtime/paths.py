@@ -189,22 +189,22 @@ def cells_next_to_object(search: Search, name: str) -> Int:
     for level_number, level in enumerate(search.grid.levels):
         level_cells = flat.cells_of(level_number)
         is_on_level = (object_cells >= level_cells.start) & (object_cells < level_cells.stop)
-        object_ids = object_cells[is_on_level] - level_cells.start
-        if not len(object_ids):
+        object_cell_ids = object_cells[is_on_level] - level_cells.start
+        if not len(object_cell_ids):
             continue
         island_numbers = search.islands.number[level_cells]
         goal_cells.append(
-            level_cells.start + _find_cells_next_to(level, object_ids, island_numbers)
+            level_cells.start + _find_cells_next_to(level, object_cell_ids, island_numbers)
         )
     return np.concatenate(goal_cells)
 
 
-def _find_cells_next_to(level: SceneGrid2D, object_ids: Int, island_numbers: Int32) -> Int:
+def _find_cells_next_to(level: SceneGrid2D, object_cell_ids: Int, island_numbers: Int32) -> Int:
     """List the free cells of a level next to an object's cells; see `cells_next_to_object`.
 
     Args:
         level: the level.
-        object_ids: ids of the object's cells on the level, at least one.
+        object_cell_ids: ids of the object's cells on the level, at least one.
         island_numbers: by id on the level, the number of each cell's island, 0 where it isn't free.
 
     Returns:
@@ -212,23 +212,23 @@ def _find_cells_next_to(level: SceneGrid2D, object_ids: Int, island_numbers: Int
     """
     # a window round the object
     num_rings = math.ceil(MAX_OBJECT_DISTANCE / level.lattice.cell_size)
-    object_rows, object_cols = np.divmod(object_ids, level.width)
+    object_rows, object_cols = np.divmod(object_cell_ids, level.width)
     first_row = max(object_rows.min() - num_rings, 0)
     stop_row = min(object_rows.max() + num_rings + 1, level.height)
     first_col = max(object_cols.min() - num_rings, 0)
     stop_col = min(object_cols.max() + num_rings + 1, level.width)
     rows = np.arange(first_row, stop_row)
     cols = np.arange(first_col, stop_col)
-    ids = rows[:, None] * level.width + cols
-    island_numbers = island_numbers[ids]
-    is_object = np.isin(ids, object_ids)
-    is_passable = is_object | (island_numbers > 0) | (level.solid.take(ids) == 0)
+    window_cell_ids = rows[:, None] * level.width + cols
+    island_numbers = island_numbers[window_cell_ids]
+    is_object = np.isin(window_cell_ids, object_cell_ids)
+    is_passable = is_object | (island_numbers > 0) | (level.solid.take(window_cell_ids) == 0)
     is_goal = _find_nearest_rings(is_object, is_passable, island_numbers, num_rings)
     if not is_goal.any():
-        is_passable |= _mark_blocked_by_objects(level, ids)
+        is_passable |= _mark_blocked_by_objects(level, window_cell_ids)
         is_goal = _find_nearest_rings(is_object, is_passable, island_numbers, num_rings)
-    goal_ids: Int = ids[is_goal]
-    return goal_ids
+    goal_cell_ids: Int = window_cell_ids[is_goal]
+    return goal_cell_ids
 
 
 def _find_nearest_rings(
@@ -249,12 +249,12 @@ def _find_nearest_rings(
     """
     ring_numbers = np.where(is_object, 0, -1)
     for ring_number in range(1, num_rings + 1):
-        is_next = ndimage.binary_dilation(ring_numbers >= 0) & is_passable & (ring_numbers < 0)
-        ring_numbers[is_next] = ring_number
+        is_next_ring = ndimage.binary_dilation(ring_numbers >= 0) & is_passable & (ring_numbers < 0)
+        ring_numbers[is_next_ring] = ring_number
     is_goal = np.zeros(ring_numbers.shape, dtype=np.bool_)
-    is_near = (ring_numbers >= 0) & (ring_numbers < num_rings)
-    for island_number in np.unique(island_numbers[is_near & (island_numbers > 0)]):
-        nearest_ring = ring_numbers[is_near & (island_numbers == island_number)].min()
+    is_before_last_ring = (ring_numbers >= 0) & (ring_numbers < num_rings)
+    for island_number in np.unique(island_numbers[is_before_last_ring & (island_numbers > 0)]):
+        nearest_ring = ring_numbers[is_before_last_ring & (island_numbers == island_number)].min()
         is_goal |= (
             (island_numbers == island_number)
             & (ring_numbers >= 0)
@@ -263,19 +263,19 @@ def _find_nearest_rings(
     return is_goal
 
 
-def _mark_blocked_by_objects(level: SceneGrid2D, ids: Int) -> Bool:
+def _mark_blocked_by_objects(level: SceneGrid2D, cell_ids: Int) -> Bool:
     """Mark the cells of a level that objects block and no wall blocks, by the user data.
 
-    `ids` are ids on the level; returns a mask of their shape.
+    `cell_ids` are ids on the level; returns a mask of their shape.
     """
-    entries = UserData.of(level.user_data).find(ids.ravel())
-    walls = {name for entry in entries for name in names_in(entry, "walls")}
+    entries = UserData.of(level.user_data).find(cell_ids.ravel())
+    wall_names = {name for entry in entries for name in names_in(entry, "walls")}
     has_objects_only = []
     for entry in entries:
         names = {*names_in(entry, "objects"), *names_in(entry, "blockers")}
-        has_wall = names_in(entry, "walls") or names & walls
+        has_wall = names_in(entry, "walls") or names & wall_names
         has_objects_only.append(bool(names) and not has_wall)
-    return np.reshape(has_objects_only, ids.shape)
+    return np.reshape(has_objects_only, cell_ids.shape)
 
 
 def cells_with_name(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
@@ -343,10 +343,10 @@ def find_path(
     flat = search.flat
     start_position, start_cell = flat.locate(start, level, "start")
     target = find_target(search, goal, level)
-    goals = target.free_cells(flat)
-    if start_cell < 0 or not flat.free[start_cell] or not len(goals):
+    goal_cells = target.free_cells(flat)
+    if start_cell < 0 or not flat.free[start_cell] or not len(goal_cells):
         return None
-    route = search.find_route(start_cell, goals, by)
+    route = search.find_route(start_cell, goal_cells, by)
     if route is None:
         return None
     cells_of_route = flat.to_cells(route.cells)
@@ -356,7 +356,7 @@ def find_path(
         end_point = target.positions[int(np.argmax(target.cells == route.cells[-1])), :2]
     positions, levels, link_end_indices = line_kernels.lay_route(
         route.cells,
-        route.by_link,
+        route.is_by_link,
         start_position[:2],
         end_point,
         smooth,
@@ -369,8 +369,8 @@ def find_path(
     # the points on it.
     stops = []
     for link in costs.links:
-        points_on_link = np.flatnonzero(link_end_indices == link.cell_index)
-        stops.append([points_on_link[0], points_on_link[-1] + 1])
+        indices_on_link = np.flatnonzero(link_end_indices == link.cell_index)
+        stops.append([indices_on_link[0], indices_on_link[-1] + 1])
     room_numbers = search.rooms.number[route.cells]
     is_entered = np.append(True, room_numbers[1:] != room_numbers[:-1])
     return Path(
@@ -413,11 +413,11 @@ def find_field(
     if not weighted and by == "time":
         raise QueryError("expected by='cost' for lengths (weighted=False), got by='time'")
     criterion = by if weighted else "length"
-    goals = find_target(search, goal, level).free_cells(search.flat)
+    goal_cells = find_target(search, goal, level).free_cells(search.flat)
 
     def compute_field() -> Float:
-        field = search.compute_cost_field(goals, by=criterion)
+        field = search.compute_cost_field(goal_cells, by=criterion)
         field.flags.writeable = False
         return field
 
-    return search.cached_result("fields", (criterion, goals.tobytes()), compute_field)
+    return search.cached_result("fields", (criterion, goal_cells.tobytes()), compute_field)

@@ -27,7 +27,7 @@ TO_OBSTACLE = 2
 
 
 class RowCells(NamedTuple):
-    """Every `stride`-th cell of a level's row, from `first_col` up to and including `last_col`."""
+    """Cells of a level's row: each `stride`-th column from `first_col` to `last_col`, inclusive."""
 
     level: int
     row: int
@@ -40,9 +40,9 @@ class RowCells(NamedTuple):
 def locate(layout, floors, level, positions):
     """Find the cell that each position is in.
 
-    With a level, it is that level's cell at x, y. Otherwise it is the cell at x, y, of all levels,
-    with the highest floor that is at most `max_step` above the position. If no level has such a
-    floor, the grounds of the levels that have no floor there count as floors.
+    With a level, it is that level's cell at x, y. Otherwise, it is the highest of all levels' cells
+    at x, y whose floor is at most `max_step` above the position. If there is no such cell, the
+    grounds of the levels that have no floor there count as floors.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
@@ -57,23 +57,27 @@ def locate(layout, floors, level, positions):
     if level >= 0:
         _locate_on_level(layout, level, positions, cells)
         return cells
-    z = np.empty(BATCH_SIZE)
+    floor_z = np.empty(BATCH_SIZE)
     for batch_start in range(0, len(positions), BATCH_SIZE):
         batch_stop = min(batch_start + BATCH_SIZE, len(positions))
         _locate_batch(
-            layout, floors, positions[batch_start:batch_stop], cells[batch_start:batch_stop], z
+            layout,
+            floors,
+            positions[batch_start:batch_stop],
+            cells[batch_start:batch_stop],
+            floor_z,
         )
     return cells
 
 
 @kernel
-def mark_standing(layout, floors, free, max_drop, positions):
+def mark_standing(layout, floors, is_free, max_drop, positions):
     """Mark the positions that are in a free cell, at most `max_drop` [m] above its floor.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
         floors: `navbake.runtime.grid_arrays.FloorHeights`.
-        free: by cell, bool.
+        is_free: by cell, bool.
         max_drop: largest height of a position above the floor [m].
         positions: world x, y, z [m], shape (n, 3).
 
@@ -86,16 +90,19 @@ def mark_standing(layout, floors, free, max_drop, positions):
     for batch_start in range(0, len(positions), BATCH_SIZE):
         batch_stop = min(batch_start + BATCH_SIZE, len(positions))
         _locate_batch(layout, floors, positions[batch_start:batch_stop], cells, floor_z)
-        heights = positions[batch_start:batch_stop, 2]
+        position_z = positions[batch_start:batch_stop, 2]
         for i in range(batch_stop - batch_start):
-            is_near = heights[i] - floor_z[i] <= max_drop
-            is_standing[batch_start + i] = (cells[i] >= 0) & free[max(cells[i], 0)] & is_near
+            is_near = position_z[i] - floor_z[i] <= max_drop
+            is_standing[batch_start + i] = (cells[i] >= 0) & is_free[max(cells[i], 0)] & is_near
     return is_standing
 
 
 @subkernel
-def _locate_batch(layout, floors, positions, cells, z):
-    """Locate at most `BATCH_SIZE` positions: write their cells to `cells`, the floors' z to `z`."""
+def _locate_batch(layout, floors, positions, cells, cell_floor_z):
+    """Locate at most `BATCH_SIZE` positions.
+
+    Writes the flat ids of their cells to `cells`, and z of these cells' floors to `cell_floor_z`.
+    """
     level_cells = np.empty(BATCH_SIZE, dtype=np.int64)
     ground_cells = np.full(BATCH_SIZE, -1, dtype=np.int64)
     highest_ground = np.full(BATCH_SIZE, -np.inf)
@@ -104,27 +111,27 @@ def _locate_batch(layout, floors, positions, cells, z):
     max_step = floors.max_step
     num_positions = len(positions)
     cells[:num_positions] = -1
-    z[:num_positions] = -np.inf
+    cell_floor_z[:num_positions] = -np.inf
     for level in range(len(layout.width)):
         _locate_on_level(layout, level, positions, level_cells)
         for i in range(num_positions):  # few branches: where positions are can't be predicted
             cell = level_cells[i]
             floor_z = floor[max(cell, 0)]
-            highest_floor_allowed = positions[i, 2] + max_step
-            is_nearer = (cell >= 0) & (floor_z > z[i]) & (floor_z <= highest_floor_allowed)
+            max_floor_z = positions[i, 2] + max_step
+            is_nearer = (cell >= 0) & (floor_z > cell_floor_z[i]) & (floor_z <= max_floor_z)
             cells[i] = cell if is_nearer else cells[i]
-            z[i] = floor_z if is_nearer else z[i]
+            cell_floor_z[i] = floor_z if is_nearer else cell_floor_z[i]
             if (
                 cell >= 0
                 and math.isnan(floor_z)
-                and highest_ground[i] < ground[level] <= highest_floor_allowed
+                and highest_ground[i] < ground[level] <= max_floor_z
             ):
                 ground_cells[i] = cell
                 highest_ground[i] = ground[level]
     for i in range(num_positions):
         if cells[i] < 0:
             cells[i] = ground_cells[i]
-            z[i] = highest_ground[i]
+            cell_floor_z[i] = highest_ground[i]
 
 
 @subkernel
@@ -147,13 +154,13 @@ def _locate_on_level(layout, level, positions, cells):
 
 
 @kernel
-def snap_positions(layout, floors, allowed, level, same_level, max_distance, positions):
+def snap_positions(layout, floors, is_allowed, level, same_level, max_distance, positions):
     """Find the places in allowed cells nearest to positions, see `PathFinder.snap`.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
         floors: `navbake.runtime.grid_arrays.FloorHeights`.
-        allowed: by cell, bool.
+        is_allowed: by cell, bool.
         level: the level of all positions; -1 to find each one's level by its z.
         same_level: whether a place must be on its position's level.
         max_distance: largest distance to a place [m].
@@ -169,7 +176,7 @@ def snap_positions(layout, floors, allowed, level, same_level, max_distance, pos
         cell_below = cells[i]
         point = (positions[i, 0], positions[i, 1], positions[i, 2])
         position_level = level_of(layout.start, cell_below) if cell_below >= 0 else level
-        if cell_below >= 0 and allowed[cell_below]:
+        if cell_below >= 0 and is_allowed[cell_below]:
             z = floor_at(floors, position_level, cell_below)
             if level >= 0 or point[2] - z <= MAX_DROP:
                 places[i, 0] = point[0]
@@ -177,45 +184,49 @@ def snap_positions(layout, floors, allowed, level, same_level, max_distance, pos
                 places[i, 2] = z
                 continue
         nearest_distance = max_distance
-        nearest = np.int64(-1)
-        on_one_level = same_level and position_level >= 0
+        nearest_cell = np.int64(-1)
+        is_on_one_level = same_level and position_level >= 0
         levels = (
-            range(position_level, position_level + 1) if on_one_level else range(len(layout.width))
+            range(position_level, position_level + 1)
+            if is_on_one_level
+            else range(len(layout.width))
         )
         for candidate_level in levels:
-            distance_kind = CENTER_ON_MAP if on_one_level else CENTER_IN_SPACE
+            distance_kind = CENTER_ON_MAP if is_on_one_level else CENTER_IN_SPACE
             ground = floors.ground[candidate_level]
-            overlap = 0.0  # counts for `TO_OBSTACLE` only
+            height_tolerance = 0.0  # counts for `TO_OBSTACLE` only
             cell, distance = find_nearest_cell(
                 layout,
-                allowed,
+                is_allowed,
                 floors.z,
                 distance_kind,
                 ground,
-                overlap,
+                height_tolerance,
                 candidate_level,
                 point,
                 nearest_distance,
             )
-            if cell >= 0 and (nearest < 0 or distance < nearest_distance):
-                nearest = cell
+            if cell >= 0 and (nearest_cell < 0 or distance < nearest_distance):
+                nearest_cell = cell
                 nearest_distance = distance
-        cells[i] = nearest
-        if nearest >= 0:
-            places[i, 0], places[i, 1] = cell_center(layout, nearest)
-            places[i, 2] = floor_at(floors, level_of(layout.start, nearest), nearest)
+        cells[i] = nearest_cell
+        if nearest_cell >= 0:
+            places[i, 0], places[i, 1] = cell_center(layout, nearest_cell)
+            places[i, 2] = floor_at(floors, level_of(layout.start, nearest_cell), nearest_cell)
     return places, cells
 
 
 @kernel
-def find_nearest_obstacles(layout, floors, occupied, overlap, level, max_distance, positions):
+def find_nearest_obstacles(
+    layout, floors, is_occupied, height_tolerance, level, max_distance, positions
+):
     """Find the squares of occupied cells nearest to positions, see `PathFinder.nearest_obstacle`.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
         floors: `navbake.runtime.grid_arrays.FloorHeights`.
-        occupied: by cell, bool.
-        overlap: floors whose heights differ by less than this count as equally high [m].
+        is_occupied: by cell, bool.
+        height_tolerance: floors whose heights differ by less than this count as equally high [m].
         level: the level of all positions; -1 to find each one's level by its z.
         max_distance: largest distance to an obstacle [m].
         positions: world x, y, z [m], shape (n, 3), or (n, 2) with a level.
@@ -224,31 +235,31 @@ def find_nearest_obstacles(layout, floors, occupied, overlap, level, max_distanc
         The positions' own cells and the obstacles' cells, flat ids, shape (n,), -1 for none; and
         the distances [m], shape (n,).
     """
-    own_cells = locate(layout, floors, level, positions)
-    obstacles = np.full(len(own_cells), -1, dtype=np.int64)
-    distances = np.empty(len(own_cells))
-    for i in range(len(own_cells)):
-        if own_cells[i] >= 0:
-            own_level = level_of(layout.start, own_cells[i])
-            z = floor_at(floors, own_level, own_cells[i])
+    position_cells = locate(layout, floors, level, positions)
+    obstacle_cells = np.full(len(position_cells), -1, dtype=np.int64)
+    distances = np.empty(len(position_cells))
+    for i in range(len(position_cells)):
+        if position_cells[i] >= 0:
+            position_level = level_of(layout.start, position_cells[i])
+            z = floor_at(floors, position_level, position_cells[i])
             point = (positions[i, 0], positions[i, 1], z)
-            obstacles[i], distances[i] = find_nearest_cell(
+            obstacle_cells[i], distances[i] = find_nearest_cell(
                 layout,
-                occupied,
+                is_occupied,
                 floors.z,
                 TO_OBSTACLE,
                 0.0,  # the ground counts for `CENTER_IN_SPACE` only
-                overlap,
-                own_level,
+                height_tolerance,
+                position_level,
                 point,
                 max_distance,
             )
-    return own_cells, obstacles, distances
+    return position_cells, obstacle_cells, distances
 
 
 @subkernel
 def find_nearest_cell(
-    layout, mask, floor, distance_kind, ground, overlap, level, point, max_distance
+    layout, mask, floor, distance_kind, ground, height_tolerance, level, point, max_distance
 ):
     """Find the cell of a mask that is nearest to a point, on one level.
 
@@ -260,8 +271,8 @@ def find_nearest_cell(
             the distance to a cell's centre in 2D or 3D, or `TO_OBSTACLE` for the distance to the
             square of an occupied cell.
         ground: for `CENTER_IN_SPACE`, z of cells without a floor [m].
-        overlap: for `TO_OBSTACLE`, floors whose heights differ by less than this count as equally
-            high [m].
+        height_tolerance: for `TO_OBSTACLE`, floors whose heights differ by less than this count as
+            equally high [m].
         level: number of the level.
         point: world x, y, z [m]; for `TO_OBSTACLE`, z is the floor's height at the point.
         max_distance: largest distance [m].
@@ -282,43 +293,45 @@ def find_nearest_cell(
         + max(0.0, -row_position, row_position - num_rows) ** 2
     )  # to the level [cells²]
     least_squared_distance = max_distance * max_distance
-    nearest = np.int64(-1)
-    ring = 0
+    nearest_cell = np.int64(-1)
+    ring_number = 0
     last_ring = max(center_row, num_rows - 1 - center_row, center_col, num_cols - 1 - center_col)
     # the point is up to half a cell nearer to a ring's centres than its own cell's centre is, and
     # a whole cell nearer to the squares
-    nearer_by = 1.0 if distance_kind == TO_OBSTACLE else 0.5
+    ring_slack = 1.0 if distance_kind == TO_OBSTACLE else 0.5
     while (
-        ring <= last_ring
-        and (max(0.0, ring - nearer_by) ** 2 + squared_gap) * cell_size * cell_size
+        ring_number <= last_ring
+        and (max(0.0, ring_number - ring_slack) ** 2 + squared_gap) * cell_size * cell_size
         <= least_squared_distance
     ):
-        first_row = max(0, center_row - ring)
-        last_row = min(num_rows - 1, center_row + ring)
+        first_row = max(0, center_row - ring_number)
+        last_row = min(num_rows - 1, center_row + ring_number)
         for row in range(first_row, last_row + 1):
-            first_col = center_col - ring
-            last_col = center_col + ring
-            stride = 2 * ring
-            if abs(row - center_row) == ring:  # the top or the bottom row of the ring: all of it
+            first_col = center_col - ring_number
+            last_col = center_col + ring_number
+            stride = 2 * ring_number
+            if (
+                abs(row - center_row) == ring_number
+            ):  # the top or the bottom row of the ring: all of it
                 first_col = max(0, first_col)
                 stride = 1
             elif first_col < 0:
                 first_col = last_col
             row_cells = RowCells(level, row, first_col, min(num_cols - 1, last_col), stride)
-            least_squared_distance, nearest = _search_row(
+            least_squared_distance, nearest_cell = _search_row(
                 layout,
                 mask,
                 floor,
                 distance_kind,
                 ground,
-                overlap,
+                height_tolerance,
                 point,
                 row_cells,
                 least_squared_distance,
-                nearest,
+                nearest_cell,
             )
-        ring += 1
-    return nearest, math.sqrt(least_squared_distance)
+        ring_number += 1
+    return nearest_cell, math.sqrt(least_squared_distance)
 
 
 @subkernel
@@ -328,11 +341,11 @@ def _search_row(
     floor,
     distance_kind,
     ground,
-    overlap,
+    height_tolerance,
     point,
     row_cells,
     least_squared_distance,
-    nearest,
+    nearest_cell,
 ):
     """Compare the nearest cell so far with cells of a row.
 
@@ -343,9 +356,9 @@ def _search_row(
     cell_size = layout.cell_size[level]
     x_min = layout.x_min[level]
     y_max = layout.y_max[level]
-    row_start = layout.start[level] + row * layout.width[level]
+    row_start_id = layout.start[level] + row * layout.width[level]
     for col in range(first_col, last_col + 1, stride):
-        cell = row_start + col
+        cell = row_start_id + col
         if not mask[cell]:
             continue
         x_distance = abs(x_min + (col + 0.5) * cell_size - point[0])
@@ -358,24 +371,25 @@ def _search_row(
             z = ground if math.isnan(floor[cell]) else floor[cell]
             squared_distance += (z - point[2]) ** 2
         if squared_distance < least_squared_distance or (
-            squared_distance == least_squared_distance and (nearest < 0 or cell < nearest)
+            squared_distance == least_squared_distance and (nearest_cell < 0 or cell < nearest_cell)
         ):
             if distance_kind == TO_OBSTACLE and _is_clear_on_another_level(
-                layout, mask, floor, overlap, level, cell, point[2]
+                layout, mask, floor, height_tolerance, level, cell, point[2]
             ):
                 continue
             least_squared_distance = squared_distance
-            nearest = cell
-    return least_squared_distance, nearest
+            nearest_cell = cell
+    return least_squared_distance, nearest_cell
 
 
 @subkernel
-def _is_clear_on_another_level(layout, mask, floor, overlap, level, cell, z):
+def _is_clear_on_another_level(layout, mask, floor, height_tolerance, level, cell, z):
     """Whether another level continues a level at a cell: its cell has a floor near z, unmasked.
 
-    Near means less than `overlap` above or below [m]. False if the cell's own floor is near z.
+    Near means less than `height_tolerance` above or below [m]. False if the cell's own floor is
+    near z.
     """
-    if abs(floor[cell] - z) < overlap:  # False for NaN
+    if abs(floor[cell] - z) < height_tolerance:  # False for NaN
         return False
     x, y = cell_center(layout, cell)
     for other_level in range(len(layout.width)):
@@ -389,6 +403,6 @@ def _is_clear_on_another_level(layout, mask, floor, overlap, level, cell, z):
             other_cell = (
                 layout.start[other_level] + np.int64(row_position) * width + np.int64(col_position)
             )
-            if not mask[other_cell] and abs(floor[other_cell] - z) < overlap:
+            if not mask[other_cell] and abs(floor[other_cell] - z) < height_tolerance:
                 return True
     return False

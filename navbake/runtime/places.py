@@ -2,7 +2,8 @@
 
 Most functions do the work of the method of `navbake.runtime.path_finder.PathFinder` of the same
 name. A position is world x, y, z [m], on the level of the nearest floor below, or on `level`;
-QueryError is raised for one that is not valid. `search` is up to date with the grid.
+QueryError is raised for a position that is not valid. Callers update their `search` to the grid's
+present obstacles before the call.
 """
 
 import math
@@ -76,8 +77,8 @@ def islands_at(search: Search, positions: ArrayLike, level: int | None) -> Int:
         The numbers, shape (...), int64.
     """
     cells = search.flat.cells_at(positions, level)
-    numbers: Int = np.where(cells >= 0, search.islands.number[cells], 0).astype(np.int64)
-    return numbers
+    island_numbers: Int = np.where(cells >= 0, search.islands.number[cells], 0).astype(np.int64)
+    return island_numbers
 
 
 def rooms_at(search: Search, positions: ArrayLike, level: int | None) -> NDArray[np.object_]:
@@ -93,9 +94,9 @@ def rooms_at(search: Search, positions: ArrayLike, level: int | None) -> NDArray
     """
     cells = search.flat.cells_at(positions, level)
     room_numbers = np.where(cells >= 0, search.rooms.number[cells], 0)
-    id_of_number = np.array([None, *(room.id for room in search.rooms.rooms)], dtype=np.object_)
-    ids: NDArray[np.object_] = id_of_number[room_numbers]
-    return ids
+    id_by_number = np.array([None, *(room.id for room in search.rooms.rooms)], dtype=np.object_)
+    room_ids: NDArray[np.object_] = id_by_number[room_numbers]
+    return room_ids
 
 
 def island_at(search: Search, position: ArrayLike, level: int | None = None) -> int | None:
@@ -138,16 +139,16 @@ def room_near(
         level: the position's level; None finds it by z.
     """
     flat = search.flat
-    number = search.rooms.number
+    room_numbers = search.rooms.number
     checked_position, position_cell = flat.locate(position, level)
     check_distance(max_distance)
     if position_cell < 0:
         return None
     position_level = int(flat.level_of(position_cell))
     _, cell = snap_to_cells(
-        flat, number > 0, checked_position, position_level, max_distance=max_distance
+        flat, room_numbers > 0, checked_position, position_level, max_distance=max_distance
     )
-    return search.rooms.id_of(int(number[cell])) if cell >= 0 else None
+    return search.rooms.id_of(int(room_numbers[cell])) if cell >= 0 else None
 
 
 def room_of_object(search: Search, name: str) -> str | None:
@@ -160,9 +161,9 @@ def room_of_object(search: Search, name: str) -> str | None:
     Raises:
         QueryError: the grid has no such name.
     """
-    numbers = search.rooms.number[cells_with_name(search.grid, search.flat, name)]
-    counts = np.bincount(numbers[numbers > 0], minlength=1)
-    return search.rooms.id_of(int(np.argmax(counts)))
+    room_numbers = search.rooms.number[cells_with_name(search.grid, search.flat, name)]
+    num_cells_by_room = np.bincount(room_numbers[room_numbers > 0], minlength=1)
+    return search.rooms.id_of(int(np.argmax(num_cells_by_room)))
 
 
 # ---------------------------------------------------------------- free space
@@ -187,13 +188,13 @@ def is_navigable(
     check_distance(max_drop, "max_drop")
     flat = search.flat
     checked_positions = check_positions(position, flat.num_levels, level)
-    kernel_level, points = to_kernel_positions(checked_positions, level)
+    kernel_level, kernel_positions = to_kernel_positions(checked_positions, level)
     if kernel_level >= 0:
-        cells = place_kernels.locate(flat.layout, flat.floors, kernel_level, points)
+        cells = place_kernels.locate(flat.layout, flat.floors, kernel_level, kernel_positions)
         is_free = (cells >= 0) & flat.free[cells]
     else:
         is_free = place_kernels.mark_standing(
-            flat.layout, flat.floors, flat.free, float(max_drop), points
+            flat.layout, flat.floors, flat.free, float(max_drop), kernel_positions
         )
     return (
         bool(is_free[0])
@@ -242,7 +243,7 @@ def snap(
 
 def snap_to_cells(
     flat: FlatGrid,
-    allowed: Bool,
+    is_allowed: Bool,
     positions: Float,
     level: int | None = None,
     *,
@@ -255,7 +256,7 @@ def snap_to_cells(
 
     Args:
         flat: the grid.
-        allowed: mask of the allowed cells, by flat id.
+        is_allowed: mask of the allowed cells, by flat id.
         positions: checked positions, world x, y, z [m], shape (..., 3), or x, y, shape (..., 2).
         level: the level of all positions; None finds each one's level by its z.
         same_level: whether a place must be on its position's level.
@@ -265,26 +266,26 @@ def snap_to_cells(
         World x, y, z of the places [m], shape (..., 3), NaN for none; and their cells, flat ids,
         shape (...), -1 for none.
     """
-    kernel_level, points = to_kernel_positions(positions, level)
-    if points.shape[1] == 2:
+    kernel_level, kernel_positions = to_kernel_positions(positions, level)
+    if kernel_positions.shape[1] == 2:
         same_level = True
-        z = np.full(len(points), flat.floors.ground[kernel_level])
-        points = np.column_stack([points, z])
+        z = np.full(len(kernel_positions), flat.floors.ground[kernel_level])
+        kernel_positions = np.column_stack([kernel_positions, z])
     places, cells = place_kernels.snap_positions(
         flat.layout,
         flat.floors,
-        allowed,
+        is_allowed,
         kernel_level,
         same_level,
         float(max_distance),
-        points,
+        kernel_positions,
     )
     return places.reshape(*positions.shape[:-1], 3), cells.reshape(positions.shape[:-1])
 
 
 def _snap_in_sight(
     search: Search,
-    allowed: Bool,
+    is_allowed: Bool,
     position: Float,
     level: int | None,
     same_level: bool,
@@ -298,7 +299,7 @@ def _snap_in_sight(
     flat = search.flat
     position_cell = int(flat.cells_at(position, level))
     place, cell = snap_to_cells(
-        flat, allowed, position, level, same_level=same_level, max_distance=max_distance
+        flat, is_allowed, position, level, same_level=same_level, max_distance=max_distance
     )
     if position_cell < 0 or cell < 0:
         return None
@@ -308,22 +309,22 @@ def _snap_in_sight(
     levels = (
         [int(flat.level_of(position_cell))] if num_dimensions == 2 else list(range(flat.num_levels))
     )
-    num_allowed = sum(np.count_nonzero(allowed[flat.cells_of(k)]) for k in levels)
+    num_allowed = sum(np.count_nonzero(is_allowed[flat.cells_of(k)]) for k in levels)
     radius = min(FIRST_SIGHT_RADIUS, float(max_distance))
     while True:
         cells = np.concatenate(
-            [cells_in_annulus(flat, k, position, 0.0, radius, allowed) for k in levels]
+            [cells_in_annulus(flat, k, position, 0.0, radius, is_allowed) for k in levels]
         )
         centers = flat.positions(cells)
         distances = np.linalg.norm(centers[:, :num_dimensions] - position[:num_dimensions], axis=1)
         # stable, so that of equally near cells the lowest id comes first
         sort_indices = np.argsort(distances, kind="stable")
         near_indices = sort_indices[: np.count_nonzero(distances <= radius)]
-        first_index = search.first_in_sight(
+        visible_index = search.first_in_sight(
             position_cell, position, cells[near_indices], centers[near_indices], search.rooms.number
         )
-        if first_index >= 0:
-            return np.asarray(centers[near_indices[first_index]])
+        if visible_index >= 0:
+            return np.asarray(centers[near_indices[visible_index]])
         if len(near_indices) == num_allowed or radius >= max_distance:
             return None
         radius = min(2.0 * radius, float(max_distance))
@@ -335,7 +336,7 @@ def cells_in_annulus(
     point: Float,
     min_distance: float,
     max_distance: float,
-    allowed: Bool,
+    is_allowed: Bool,
 ) -> Int:
     """List the allowed cells of a level whose centres are in an annulus round a point.
 
@@ -345,7 +346,7 @@ def cells_in_annulus(
         point: world x, y [m].
         min_distance: inner radius [m].
         max_distance: outer radius [m].
-        allowed: mask of the allowed cells, by flat id.
+        is_allowed: mask of the allowed cells, by flat id.
 
     Returns:
         Flat ids, ascending.
@@ -357,14 +358,14 @@ def cells_in_annulus(
     # from the point to the middles of the rows and columns, along the axes [m]
     row_offsets = (np.arange(num_rows) + 0.5) * cell_size - (layout.y_max[level] - point[1])
     col_offsets = (np.arange(num_cols) + 0.5) * cell_size - (point[0] - layout.x_min[level])
-    outer = max_distance + DISTANCE_SLACK
-    inner = max(min_distance - DISTANCE_SLACK, 0.0)
-    rows = np.flatnonzero(np.abs(row_offsets) <= outer)
-    cols = np.flatnonzero(np.abs(col_offsets) <= outer)
+    outer_radius = max_distance + DISTANCE_SLACK
+    inner_radius = max(min_distance - DISTANCE_SLACK, 0.0)
+    rows = np.flatnonzero(np.abs(row_offsets) <= outer_radius)
+    cols = np.flatnonzero(np.abs(col_offsets) <= outer_radius)
     squared_distances = (row_offsets[rows, None] ** 2) + col_offsets[cols] ** 2
-    is_within = (squared_distances >= inner**2) & (squared_distances <= outer**2)
+    is_within = (squared_distances >= inner_radius**2) & (squared_distances <= outer_radius**2)
     cells: Int = (layout.start[level] + rows[:, None] * num_cols + cols)[is_within]
-    return cells[allowed[cells]]
+    return cells[is_allowed[cells]]
 
 
 # ---------------------------------------------------------------- steps and lines
@@ -389,36 +390,40 @@ def try_step(
     starts = check_positions(start, flat.num_levels, level)
     ends = check_positions(end, flat.num_levels, 0)  # the level follows from the walk
     if ends.shape[:-1] not in (starts.shape[:-1], ()):
-        counts = f"{starts.shape[:-1]} of them, got {ends.shape[:-1]}"
-        raise QueryError(f"expected an end for each start, {counts}")
-    kernel_level, points = to_kernel_positions(starts, level)
+        counts_text = f"{starts.shape[:-1]} of them, got {ends.shape[:-1]}"
+        raise QueryError(f"expected an end for each start, {counts_text}")
+    kernel_level, kernel_positions = to_kernel_positions(starts, level)
     end_points = np.broadcast_to(ends[..., :2], (*starts.shape[:-1], 2)).reshape(-1, 2)
-    places, blocked_start = walk_kernels.step_each(
+    places, blocked_index = walk_kernels.step_each(
         flat.layout,
         flat.steps,
         flat.floors,
         flat.free,
         kernel_level,
-        points,
+        kernel_positions,
         np.ascontiguousarray(end_points),
         slide,
     )
-    if blocked_start >= 0:
-        flat.free_cell_at(points[blocked_start], level)  # raises with the position and a remedy
+    if blocked_index >= 0:
+        flat.free_cell_at(
+            kernel_positions[blocked_index], level
+        )  # raises with the position and a remedy
     return np.asarray(places.reshape(*starts.shape[:-1], 3))
 
 
-def line_of_sight(search: Search, first: ArrayLike, second: ArrayLike, level: int | None) -> bool:
+def line_of_sight(
+    search: Search, first_position: ArrayLike, second_position: ArrayLike, level: int | None
+) -> bool:
     """Whether the straight line between two positions crosses no occupied cell.
 
     Args:
         search: the search on the grid.
-        first: world x, y, z [m].
-        second: world x, y, z [m].
+        first_position: world x, y, z [m].
+        second_position: world x, y, z [m].
         level: the level of both; None finds each one's level by its z.
     """
-    start, start_cell = search.flat.locate(first, level)
-    end, end_cell = search.flat.locate(second, level)
+    start, start_cell = search.flat.locate(first_position, level)
+    end, end_cell = search.flat.locate(second_position, level)
     if start_cell < 0 or end_cell < 0:
         return False
     return search.first_in_sight(start_cell, start, np.array([end_cell]), end[None]) == 0
@@ -440,18 +445,18 @@ def nearest_obstacle(
     """
     flat = search.flat
     checked_position = flat.check_position(position, level)
-    own_cells, obstacle_cells, distances = _find_obstacles(
+    position_cells, obstacle_cells, distances = _find_obstacles(
         search, checked_position, level, max_distance
     )
-    own_cell = own_cells[0]
+    position_cell = position_cells[0]
     obstacle_cell = obstacle_cells[0]
     if obstacle_cell < 0:
         return None
-    half_edge = flat.layout.cell_size[flat.level_of(own_cell)] / 2
+    half_edge = flat.layout.cell_size[flat.level_of(position_cell)] / 2
     center = flat.positions(obstacle_cell)[:2]
     nearest_point = np.clip(checked_position[:2], center - half_edge, center + half_edge)
-    floor = flat.positions(own_cell)[2]
-    return NearestObstacle(float(distances[0]), np.append(nearest_point, floor))
+    floor_z = flat.positions(position_cell)[2]
+    return NearestObstacle(float(distances[0]), np.append(nearest_point, floor_z))
 
 
 def clearance(
@@ -490,21 +495,21 @@ def _find_obstacles(
     check_distance(max_distance)
     flat = search.flat
     # floors whose heights differ by less count as equally high, like in `grid.inflate`
-    overlap = search.grid.agent_height - flat.floors.max_step
-    kernel_level, points = to_kernel_positions(positions, level)
-    own_cells, obstacle_cells, distances = place_kernels.find_nearest_obstacles(
+    height_tolerance = search.grid.agent_height - flat.floors.max_step
+    kernel_level, kernel_positions = to_kernel_positions(positions, level)
+    position_cells, obstacle_cells, distances = place_kernels.find_nearest_obstacles(
         flat.layout,
         flat.floors,
         search.occupied,
-        overlap,
+        height_tolerance,
         kernel_level,
         float(max_distance),
-        points,
+        kernel_positions,
     )
-    if (own_cells < 0).any():
-        first_outside = points[int(np.argmax(own_cells < 0))]
-        raise QueryError(f"{format_position(first_outside)} lies beside the grid: no obstacles")
-    return own_cells, obstacle_cells, distances
+    if (position_cells < 0).any():
+        outside_position = kernel_positions[int(np.argmax(position_cells < 0))]
+        raise QueryError(f"{format_position(outside_position)} lies beside the grid: no obstacles")
+    return position_cells, obstacle_cells, distances
 
 
 # ---------------------------------------------------------------- images
@@ -530,21 +535,21 @@ def draw_top_down(
     cells = flat.cells_of(level)
     shape = search.grid.levels[level].shape
     has_floor = ~np.isnan(flat.floors.z[cells])
-    colour_index = np.where(flat.free[cells], 0, np.where(has_floor, 1, 2)).reshape(shape)
+    colour_indices = np.where(flat.free[cells], 0, np.where(has_floor, 1, 2)).reshape(shape)
     if metres_per_pixel is not None:
         if not (isinstance(metres_per_pixel, RealNumber) and 0 < metres_per_pixel < math.inf):
             raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel!r}")
         cells_per_pixel = metres_per_pixel / float(flat.layout.cell_size[level])
         rows = _cells_at_pixels(shape[0], cells_per_pixel)
         cols = _cells_at_pixels(shape[1], cells_per_pixel)
-        colour_index = colour_index[np.ix_(rows, cols)]
+        colour_indices = colour_indices[np.ix_(rows, cols)]
     palette = np.array([rgb_of(FREE), rgb_of(OCCUPIED), rgb_of(NO_FLOOR)], dtype=np.uint8)
-    return palette[colour_index]
+    return palette[colour_indices]
 
 
 def _cells_at_pixels(num_cells: int, cells_per_pixel: float) -> Int:
     """List the index of the cell at the middle of each pixel, along one axis of a level."""
     num_pixels = math.ceil(num_cells / cells_per_pixel - PIXEL_SLACK)
-    middles = (np.arange(num_pixels) + 0.5) * cells_per_pixel
-    cells: Int = np.minimum(middles.astype(int), num_cells - 1)
+    pixel_middles = (np.arange(num_pixels) + 0.5) * cells_per_pixel
+    cells: Int = np.minimum(pixel_middles.astype(int), num_cells - 1)
     return cells

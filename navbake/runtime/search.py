@@ -1,4 +1,4 @@
-"""Searches the cheapest routes over a grid's cells, and caches what is derived from the grid."""
+"""Searches for the cheapest routes over a grid's cells, and caches results such as islands."""
 
 from __future__ import annotations
 
@@ -43,12 +43,13 @@ class Route(NamedTuple):
 
     Attributes:
         cells: flat ids, from the start to the goal, shape (n,).
-        by_link: whether the route enters the cell over a link or from another level, shape (n,).
+        is_by_link: whether the route enters each cell over a link or from another level, shape
+            (n,).
         cost: the route's cost, in [m] if it was planned by cost, in [s] if by time.
     """
 
     cells: Int
-    by_link: Bool
+    is_by_link: Bool
     cost: float
 
 
@@ -100,7 +101,7 @@ class Search:
         flat: the grid's cells.
         graph: the steps between cells, and their costs [m].
         free_diagonally: mask of the free cells with room for a diagonal step, by flat id.
-        off_center: where the agent fits that is not at a cell's centre.
+        off_center: where the agent fits when it isn't at the centre of a cell.
         version: how often `update` has found cells that obstacles blocked or freed.
 
     Raises:
@@ -154,18 +155,18 @@ class Search:
         )
         self._search_number = 0
         self._seen_revisions = [0] * flat.num_levels
-        for number, level in enumerate(self.grid.levels):
-            self._update_moves(number, (0, level.height, 0, level.width))
+        for level_number, level in enumerate(self.grid.levels):
+            self._update_moves(level_number, (0, level.height, 0, level.width))
         self.update()
 
     def _make_off_center(self, grid_without_added: NavGrid) -> OffCenter:
         """Make `off_center`, with the solid cells of the grid without obstacles."""
         solid_before = np.zeros(1, dtype=np.int32)
         if self._masks_without_obstacles is not None:
-            solid = np.concatenate(
+            is_solid = np.concatenate(
                 [level.solid.ravel() != 0 for level in grid_without_added.levels]
             )
-            solid_before = np.append(np.int32(0), np.cumsum(solid, dtype=np.int32))
+            solid_before = np.append(np.int32(0), np.cumsum(is_solid, dtype=np.int32))
         off_center: OffCenter = arrays.OffCenter(
             anywhere=self._masks.anywhere,
             sweepable=self._masks.sweepable,
@@ -194,16 +195,16 @@ class Search:
         """Make the graph that `graph_with_costs` returns."""
         flat = self.flat
         weight = flat.weight
-        weights = np.ones(1)
+        free_weights = np.ones(1)
         if by == "time":
-            weights = flat.pace
+            free_weights = flat.pace
             if len(flat.pace) > 1:
                 weight = np.where(flat.free, flat.pace, np.inf)
-                weights = flat.pace[flat.free]
+                free_weights = flat.pace[flat.free]
         elif by == "cost":
-            weights = flat.weight[flat.free]
-        least_weight = float(weights.min()) if weights.size else 1.0
-        greatest_weight = float(weights.max()) if weights.size else 1.0
+            free_weights = flat.weight[flat.free]
+        least_weight = float(free_weights.min()) if free_weights.size else 1.0
+        greatest_weight = float(free_weights.max()) if free_weights.size else 1.0
         links = flat.links(self.radius, by_time=by == "time", are_reversed=reverse_links)
         is_passable = flat.arcs.fits_radius(self.radius)
         sources, targets = flat.positions(flat.arcs.ends[is_passable].T)
@@ -230,38 +231,41 @@ class Search:
 
     def update(self) -> None:
         """Update weights and moves of the cells that were blocked or freed since the last call."""
-        for number, level in enumerate(self.grid.levels):
-            state = level.obstacle_state
-            if state is None or state.revision == self._seen_revisions[number]:
+        for level_number, level in enumerate(self.grid.levels):
+            obstacle_state = level.obstacle_state
+            if (
+                obstacle_state is None
+                or obstacle_state.revision == self._seen_revisions[level_number]
+            ):
                 continue
-            changes = state.changes_since(self._seen_revisions[number])
-            for changed_range in changes or [(0, level.height, 0, level.width)]:
-                self._update_cells(number, changed_range, state)
-            self._seen_revisions[number] = state.revision
+            changed_ranges = obstacle_state.changes_since(self._seen_revisions[level_number])
+            for changed_range in changed_ranges or [(0, level.height, 0, level.width)]:
+                self._update_cells(level_number, changed_range, obstacle_state)
+            self._seen_revisions[level_number] = obstacle_state.revision
             self.version += 1
 
     def _update_cells(
-        self, level_number: int, changed_range: CellRange, state: ObstacleState
+        self, level_number: int, changed_range: CellRange, obstacle_state: ObstacleState
     ) -> None:
-        """Update weights, masks and moves of some cells of a level, by its `state`."""
+        """Update weights, masks and moves of some cells of a level, by its `obstacle_state`."""
         level = self.grid.levels[level_number]
         first_row, stop_row, first_col, stop_col = changed_range
-        in_range = np.s_[first_row:stop_row, first_col:stop_col]
+        window = np.s_[first_row:stop_row, first_col:stop_col]
         first_cell = self.flat.cells_of(level_number).start
         rows = np.arange(first_row, stop_row)[:, None]
         cols = np.arange(first_col, stop_col)
         cells = first_cell + rows * level.width + cols
-        weight = level.weights[in_range].astype(np.float64)
+        weight = level.weights[window].astype(np.float64)
         self.flat.weight[cells] = self.flat.weights_for_agent(weight, cells)
         is_free = np.isfinite(self.flat.weight[cells])
         self.flat.free[cells] = is_free
-        for index, layer in enumerate((NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)):
-            cell_mask = self._masks[index]
+        for mask_index, layer in enumerate((NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)):
+            cell_mask = self._masks[mask_index]
             cell_mask[cells] = is_free
             if self._masks_without_obstacles is not None:
-                mask_without_obstacles = self._masks_without_obstacles[index]
+                mask_without_obstacles = self._masks_without_obstacles[mask_index]
                 cell_mask[cells] &= mask_without_obstacles[cells] & (
-                    state.count[layer][in_range] == 0
+                    obstacle_state.count[layer][window] == 0
                 )
         self._update_moves(level_number, (first_row - 1, stop_row + 1, first_col - 1, stop_col + 1))
 
@@ -288,7 +292,7 @@ class Search:
         compute: Callable[[], CachedResult],
         limit: int = MAX_CACHED,
     ) -> CachedResult:
-        """Return a function's result, from the cache if obstacles haven't changed in between.
+        """Return the result of a function; from the cache, if obstacles haven't changed since.
 
         Args:
             kind: name of the kind of results, such as ``islands``.
@@ -441,7 +445,7 @@ class Search:
         """
         is_clear = self.cached_result("clear", None, lambda: ~self.occupied, 1)
         floors = self.flat.floors._replace(max_step=math.inf)
-        first_index = walk_kernels.first_in_sight(
+        visible_index = walk_kernels.first_in_sight(
             self.flat.layout,
             self.flat.steps,
             floors,
@@ -452,38 +456,38 @@ class Search:
             cells,
             points,
         )
-        return int(first_index)
+        return int(visible_index)
 
     # ---------------------------------------------------------------- routes
 
-    def find_route(self, origin: int, goals: Int, by: str = "cost") -> Route | None:
+    def find_route(self, start_cell: int, goal_cells: Int, by: str = "cost") -> Route | None:
         """Find the cheapest route from a cell to any of several cells.
 
         Args:
-            origin: flat id of a free cell.
-            goals: flat ids of free cells, int64.
+            start_cell: flat id of a free cell.
+            goal_cells: flat ids of free cells, int64.
             by: ``cost`` or ``time``.
 
         Returns:
             The route, None if there is none.
         """
-        if (goals == origin).any():
-            return Route(np.array([origin]), np.zeros(1, dtype=np.bool_), 0.0)
+        if (goal_cells == start_cell).any():
+            return Route(np.array([start_cell]), np.zeros(1, dtype=np.bool_), 0.0)
         graph = self.graph_with_costs(by)
         if len(self.flat.arcs.ends):
-            link_saving = self._largest_link_saving(goals, by, graph.least_weight)
+            link_saving = self._largest_link_saving(goal_cells, by, graph.least_weight)
             graph = graph._replace(link_saving=link_saving)
-        cells = self._run_search(graph, np.array([origin]), goals)
+        cells = self._run_search(graph, np.array([start_cell]), goal_cells)
         if not len(cells):
             return None
         moves = self._visits.mark[cells] & search_kernels.MOVE_BITS
         return Route(
             cells=cells,
-            by_link=moves == search_kernels.BY_LINK,
+            is_by_link=moves == search_kernels.BY_LINK,
             cost=float(self._visits.cost[cells[-1]]),
         )
 
-    def _largest_link_saving(self, goals: Int, by: str, least_weight: float) -> float:
+    def _largest_link_saving(self, goal_cells: Int, by: str, least_weight: float) -> float:
         """Compute by how much, at most, links make a route cheaper than the search estimates.
 
         The estimate is the octile distance to the box round the goals, times `least_weight`.
@@ -492,16 +496,18 @@ class Search:
         compute_costs = partial(
             flat.costs_between_stops, self.radius, least_weight, by_time=by == "time"
         )
-        stops, costs = self.cached_result("costs between stops", by, compute_costs)
-        if not len(stops):
+        stop_positions, costs = self.cached_result("costs between stops", by, compute_costs)
+        if not len(stop_positions):
             return 0.0
-        goal_points = flat.positions(goals)[:, :2]
-        box_min = goal_points.min(axis=0)
-        box_max = goal_points.max(axis=0)
-        box_distances = np.maximum(np.maximum(box_min - stops, stops - box_max), 0.0)
-        estimates = least_weight * octile_length(box_distances)
-        costs_over_links = (costs + estimates).min(axis=1)
-        return float((estimates - costs_over_links).max())
+        goal_positions = flat.positions(goal_cells)[:, :2]
+        box_min = goal_positions.min(axis=0)
+        box_max = goal_positions.max(axis=0)
+        box_distances = np.maximum(
+            np.maximum(box_min - stop_positions, stop_positions - box_max), 0.0
+        )
+        cost_estimates = least_weight * octile_length(box_distances)
+        costs_over_links = (costs + cost_estimates).min(axis=1)
+        return float((cost_estimates - costs_over_links).max())
 
     def measure_route(self, route: Route, route_cells: Cells, by: str) -> RouteCosts:
         """Compute the cost of a route, how long it takes, and which named links it takes.
@@ -516,9 +522,9 @@ class Search:
         """
         flat = self.flat
         graph = self.graph
-        has_links = bool(route.by_link.any())
-        is_plain = graph.uniform_weight > 0.0 and len(flat.pace) == 1 and not has_links
-        if by == "cost" and is_plain:
+        has_links = bool(route.is_by_link.any())
+        has_uniform_costs = graph.uniform_weight > 0.0 and len(flat.pace) == 1 and not has_links
+        if by == "cost" and has_uniform_costs:
             seconds = route.cost / graph.uniform_weight * float(flat.pace[0])
             return RouteCosts(route.cost, seconds, [])
         step_lengths = flat.layout.cell_size[route_cells.level]
@@ -531,44 +537,53 @@ class Search:
 
         passage_cost = np.zeros_like(step_lengths)
         passage_seconds = np.zeros_like(step_lengths)
-        links: list[TakenLink] = []
+        taken_links: list[TakenLink] = []
         step_sources, step_targets = flat.step_ends()
         planning_graph = self.graph_with_costs(by)
         planning_arc_costs = flat.arcs.seconds if by == "time" else flat.arcs.cost
-        for index in np.flatnonzero(route.by_link).tolist():
-            ends = route.cells[index - 1 : index + 1]
-            steps = np.flatnonzero((step_sources == ends[0]) & (step_targets == ends[1]))
-            step_lengths[index] = flat.steps.length[steps[0]] if len(steps) else 0.0
-            is_candidate = (flat.arcs.ends == ends).all(axis=1)
+        for route_index in np.flatnonzero(route.is_by_link).tolist():
+            link_ends = route.cells[route_index - 1 : route_index + 1]
+            step_indices = np.flatnonzero(
+                (step_sources == link_ends[0]) & (step_targets == link_ends[1])
+            )
+            step_lengths[route_index] = (
+                flat.steps.length[step_indices[0]] if len(step_indices) else 0.0
+            )
+            is_candidate = (flat.arcs.ends == link_ends).all(axis=1)
             is_candidate &= flat.arcs.fits_radius(self.radius)
             if not is_candidate.any():
                 continue
-            arc = int(np.argmin(np.where(is_candidate, planning_arc_costs, np.inf)))
-            weight = planning_graph.uniform_weight or planning_graph.weight[ends[1]]
-            if not len(steps) or planning_arc_costs[arc] < step_lengths[index] * weight:
-                links.append(TakenLink(index, self.grid.links[flat.arcs.link[arc]].name))
-                step_lengths[index] = 0.0
-                passage_cost[index] = flat.arcs.cost[arc]
-                passage_seconds[index] = flat.arcs.seconds[arc]
-        cost = passage_cost + step_lengths * flat.weight[route.cells]
-        seconds_of_moves = passage_seconds + step_lengths * pace
+            arc_index = int(np.argmin(np.where(is_candidate, planning_arc_costs, np.inf)))
+            weight = planning_graph.uniform_weight or planning_graph.weight[link_ends[1]]
+            if (
+                not len(step_indices)
+                or planning_arc_costs[arc_index] < step_lengths[route_index] * weight
+            ):
+                taken_links.append(
+                    TakenLink(route_index, self.grid.links[flat.arcs.link[arc_index]].name)
+                )
+                step_lengths[route_index] = 0.0
+                passage_cost[route_index] = flat.arcs.cost[arc_index]
+                passage_seconds[route_index] = flat.arcs.seconds[arc_index]
+        move_costs = passage_cost + step_lengths * flat.weight[route.cells]
+        move_seconds = passage_seconds + step_lengths * pace
         return RouteCosts(
-            cost=route.cost if by == "cost" else float(cost.sum()),
-            seconds=float(seconds_of_moves.sum()),
-            links=links,
+            cost=route.cost if by == "cost" else float(move_costs.sum()),
+            seconds=float(move_seconds.sum()),
+            links=taken_links,
         )
 
-    def compute_cost_field(self, goals: Int, *, by: str = "cost") -> Float:
+    def compute_cost_field(self, goal_cells: Int, *, by: str = "cost") -> Float:
         """Compute the cost of the cheapest route from each cell to any of several goals.
 
         Args:
-            goals: flat ids of free cells, int64.
+            goal_cells: flat ids of free cells, int64.
             by: ``cost``, ``time`` or ``length``, see `graph_with_costs`.
 
         Returns:
             float64, by flat id; inf for no route.
         """
-        cost, _ = self._search_all_cells(goals, by, reverse_links=True)
+        cost, _ = self._search_all_cells(goal_cells, by, reverse_links=True)
         return cost
 
     def lengths_from(self, sources: Int) -> Float:
@@ -584,14 +599,14 @@ class Search:
         """
         # A flood from cells weights each step by the cell that it leads away from. So it gives the
         # costs of routes from these cells only where all weights are equal, as for lengths.
-        length, _ = self._search_all_cells(sources, "length", reverse_links=False)
-        return length
+        lengths, _ = self._search_all_cells(sources, "length", reverse_links=False)
+        return lengths
 
-    def find_next_cells(self, goals: Int) -> tuple[Float, Int]:
+    def find_next_cells(self, goal_cells: Int) -> tuple[Float, Int]:
         """For each cell, find the next cell on the cheapest route to a goal, and the route's cost.
 
         Args:
-            goals: flat ids of free cells, int64.
+            goal_cells: flat ids of free cells, int64.
 
         Returns:
             The costs [m], by flat id, inf for no route; and the flat id of the next cell, by flat
@@ -599,18 +614,18 @@ class Search:
         """
         flat = self.flat
         links = self.graph.links
-        cost, move = self._search_all_cells(goals, "cost", reverse_links=True)
+        cost, moves = self._search_all_cells(goal_cells, "cost", reverse_links=True)
         cells = np.arange(flat.num_cells)
         # the search ran from the goals, so the move that reached a cell leads from its next cell
         row_steps = np.zeros(search_kernels.MOVE_BITS + 1, dtype=np.int64)
         col_steps = np.zeros(search_kernels.MOVE_BITS + 1, dtype=np.int64)
         row_steps[: len(arrays.ROW_STEP)] = arrays.ROW_STEP
         col_steps[: len(arrays.COL_STEP)] = arrays.COL_STEP
-        row_offsets = row_steps[move]
-        col_offsets = col_steps[move]
+        row_offsets = row_steps[moves]
+        col_offsets = col_steps[moves]
         width = flat.layout.width[flat.level_of(cells)]
         next_cells = np.where(np.isfinite(cost), cells - row_offsets * width - col_offsets, -1)
-        is_by_link = (move[links.cell] == search_kernels.BY_LINK) & (next_cells[links.cell] >= 0)
+        is_by_link = (moves[links.cell] == search_kernels.BY_LINK) & (next_cells[links.cell] >= 0)
         next_cells[links.cell[is_by_link]] = self._visits.link_from[is_by_link]
         return cost, next_cells
 
@@ -636,7 +651,7 @@ class Search:
         cost = np.where(is_reached, self._visits.cost, np.inf)
         return cost, mark & search_kernels.MOVE_BITS
 
-    def _run_search(self, graph: Graph, sources: Int, goals: Int) -> Int:
+    def _run_search(self, graph: Graph, sources: Int, goal_cells: Int) -> Int:
         """Call `navbake.runtime.search_kernels.find_route`, with a queue that grows as needed."""
         while True:
             # marks of earlier searches stay, as each search has its own number
@@ -645,7 +660,7 @@ class Search:
                 self._visits.mark[:] = 0
                 self._search_number = 1
             status, route = search_kernels.find_route(
-                graph, sources, goals, self._search_number, self._visits
+                graph, sources, goal_cells, self._search_number, self._visits
             )
             if status == search_kernels.SEARCH_DONE:
                 return np.asarray(route)

@@ -67,7 +67,7 @@ QUEUE_FULL = 1
 
 
 @kernel
-def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level, window, moves):
+def find_moves(is_free, fits_diagonally, floors, slopes, cut_corners, layout, level, window, moves):
     """Compute in which directions an agent can move from each cell of a window, into `moves`.
 
     A move leads to a free neighbour whose floor differs by at most `max_step`, or by more on a
@@ -75,7 +75,7 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
     free, straight moves lead to its end over each of them, and the agent has room at both ends.
 
     Args:
-        free: by cell, bool.
+        is_free: by cell, bool.
         fits_diagonally: by cell, whether the agent has room for a diagonal step.
         floors: `navbake.runtime.grid_arrays.FloorHeights`.
         slopes: `navbake.runtime.flat_grid.FlatGrid.slopes`.
@@ -95,7 +95,7 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
         for col in range(max(first_col, 0), min(stop_col, width)):
             cell = first_cell + row * width + col
             move_bits = 0
-            for direction in range(8 if free[cell] else 0):
+            for direction in range(8 if is_free[cell] else 0):
                 row_step = ROW_STEP[direction]
                 col_step = COL_STEP[direction]
                 if not (0 <= row + row_step < height and 0 <= col + col_step < width):
@@ -105,7 +105,7 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
                 target = col_neighbor + col_step
                 is_steep = False
                 if direction >= 4:
-                    if not free[target]:
+                    if not is_free[target]:
                         continue
                     is_steep = abs(floor[cell] - floor[target]) > max_step
                     # A diagonal move on a slope counts if the straight moves over its corners use
@@ -120,27 +120,27 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
                         )
                     ):
                         continue
-                elif not _is_step(cell, target, free, floor, max_step, slopes):
+                elif not _is_step(cell, target, is_free, floor, max_step, slopes):
                     continue
                 # Straight moves must connect the four cells round the corner: `move_bits` has those
                 # from this cell; the last two tests are for those to the target.
                 if (direction < 4 or (cut_corners and not is_steep)) or (
                     move_bits & STRAIGHT_MOVES_BESIDE[direction] == STRAIGHT_MOVES_BESIDE[direction]
                     and (cut_corners or (fits_diagonally[cell] and fits_diagonally[target]))
-                    and _is_step(row_neighbor, target, free, floor, max_step, slopes)
-                    and _is_step(col_neighbor, target, free, floor, max_step, slopes)
+                    and _is_step(row_neighbor, target, is_free, floor, max_step, slopes)
+                    and _is_step(col_neighbor, target, is_free, floor, max_step, slopes)
                 ):
                     move_bits |= 1 << direction
             moves[cell] = move_bits
 
 
 @subkernel
-def _is_step(cell, neighbor, free, floor, max_step, slopes):
+def _is_step(cell, neighbor, is_free, floor, max_step, slopes):
     """Whether an agent may step from a cell over an edge to a neighbour.
 
     It may if the neighbour is free, and its floor at most a step higher or lower or on a slope.
     """
-    if not free[neighbor]:
+    if not is_free[neighbor]:
         return False
     if not abs(floor[cell] - floor[neighbor]) > max_step:  # so that NaN, no floor, is no step
         return True
@@ -244,7 +244,7 @@ def find_route(graph, sources, goals, search_number, visits):
     """
     layout = graph.layout
     route = np.empty(256, np.int64)
-    start = layout.start
+    level_start = layout.start
     width = layout.width
     cell_size = layout.cell_size
     link_cell, link_start, link_target, link_length, link_cost, is_end = graph.links
@@ -256,7 +256,7 @@ def find_route(graph, sources, goals, search_number, visits):
     mark, cost, link_from, entry_cell, entry_next = visits
     bucket_head = np.full(graph.num_buckets, -1, np.int32)
     counters = np.array([-1, 0, 0])
-    slot_mask = bucket_head.shape[0] - 1
+    bucket_mask = bucket_head.shape[0] - 1
     buckets_per_cost = 1.0 / bucket_width
     least_gain = 1e-9 * bucket_width  # a smaller gain is none
     search_mark = search_number * SEARCH_UNIT
@@ -276,14 +276,14 @@ def find_route(graph, sources, goals, search_number, visits):
         y_min = min(y_min, y)
         y_max = max(y_max, y)
     # the box round the goals by level: first and last row, first and last column
-    box = np.empty((width.shape[0], 4))
+    goal_boxes = np.empty((width.shape[0], 4))
     for level in range(width.shape[0]):
         first_col, first_row = to_cell_units(layout, level, x_min, y_max)
         last_col, last_row = to_cell_units(layout, level, x_max, y_min)
-        box[level, 0] = first_row - 0.5
-        box[level, 1] = last_row - 0.5
-        box[level, 2] = first_col - 0.5
-        box[level, 3] = last_col - 0.5
+        goal_boxes[level, 0] = first_row - 0.5
+        goal_boxes[level, 1] = last_row - 0.5
+        goal_boxes[level, 2] = first_col - 0.5
+        goal_boxes[level, 3] = last_col - 0.5
 
     bucket_number = np.int64(0)
     for source in sources:
@@ -293,19 +293,21 @@ def find_route(graph, sources, goals, search_number, visits):
             mark[source] = search_mark | FROM_SOURCE
             cost[source] = 0.0
             if has_goals:
-                level = level_of(start, source)
-                row, col = divmod(source - start[level], width[level])
-                bound = _lower_bound(row, col, box[level], cell_size[level] * least_weight)
-                bucket_number = np.int64(bound * buckets_per_cost)
+                level = level_of(level_start, source)
+                row, col = divmod(source - level_start[level], width[level])
+                cost_bound = _lower_bound(
+                    row, col, goal_boxes[level], cell_size[level] * least_weight
+                )
+                bucket_number = np.int64(cost_bound * buckets_per_cost)
             _push_cell(bucket_head, counters, entry_cell, entry_next, bucket_number, source)
 
     # the level of the cell that is expanded, and its layout
     level = 0
-    first_cell = start[0]
+    first_cell = level_start[0]
     num_cols = width[0]
     cell_edge = cell_size[0]
     while counters[NUM_OPEN] > 0:
-        entry = bucket_head[bucket_number & slot_mask]
+        entry = bucket_head[bucket_number & bucket_mask]
         if entry < 0:
             bucket_number += 1
             # All open cells cost as much as this bucket at least. A goal counts only now, as a
@@ -313,7 +315,7 @@ def find_route(graph, sources, goals, search_number, visits):
             if bucket_number * bucket_width >= best_cost + graph.link_saving:
                 break
             continue
-        bucket_head[bucket_number & slot_mask] = entry_next[entry]
+        bucket_head[bucket_number & bucket_mask] = entry_next[entry]
         entry_next[entry] = counters[SPARE_ENTRY]
         counters[SPARE_ENTRY] = entry
         counters[NUM_OPEN] -= 1
@@ -323,9 +325,9 @@ def find_route(graph, sources, goals, search_number, visits):
         mark[cell] |= EXPANDED_BIT
         cell_cost = cost[cell]
         cell_moves = moves[cell]
-        if cell < first_cell or cell >= start[level + 1]:
-            level = level_of(start, cell)
-            first_cell = start[level]
+        if cell < first_cell or cell >= level_start[level + 1]:
+            level = level_of(level_start, cell)
+            first_cell = level_start[level]
             num_cols = width[level]
             cell_edge = cell_size[level]
         link_cell_index = (
@@ -352,16 +354,16 @@ def find_route(graph, sources, goals, search_number, visits):
                 target = cell + ROW_STEP[move] * num_cols + COL_STEP[move]
                 length = cell_edge if move < 4 else cell_edge * DIAGONAL
             else:
-                link = link_start[link_cell_index] + move - 8
-                target = link_target[link]
-                length = link_length[link]
-                passage_cost = link_cost[link]
+                link_index = link_start[link_cell_index] + move - 8
+                target = link_target[link_index]
+                length = link_length[link_index]
+                passage_cost = link_cost[link_index]
                 if not math.isfinite(weight[target]):
                     continue
                 if has_goals:
-                    target_level = level_of(start, target)
+                    target_level = level_of(level_start, target)
                     target_row, target_col = divmod(
-                        target - start[target_level], width[target_level]
+                        target - level_start[target_level], width[target_level]
                     )
             # Backwards, the step that is added leads into this cell. Steps lead both ways, so the
             # moves out of a cell are those into it; links come reversed.
@@ -386,12 +388,14 @@ def find_route(graph, sources, goals, search_number, visits):
             if goal_bit and target_cost < best_cost:
                 best_cost = target_cost
                 best_goal = target
-            estimate = target_cost
+            estimated_cost = target_cost
             if has_goals:
                 cost_per_cell = cell_size[target_level] * least_weight
-                estimate += _lower_bound(target_row, target_col, box[target_level], cost_per_cell)
-            target_bucket = max(np.int64(estimate * buckets_per_cost), bucket_number)
-            _push_cell(bucket_head, counters, entry_cell, entry_next, target_bucket, target)
+                estimated_cost += _lower_bound(
+                    target_row, target_col, goal_boxes[target_level], cost_per_cell
+                )
+            target_bucket_number = max(np.int64(estimated_cost * buckets_per_cost), bucket_number)
+            _push_cell(bucket_head, counters, entry_cell, entry_next, target_bucket_number, target)
 
     # from the goal back along the moves that the cells were reached by
     route_length = 0
@@ -407,5 +411,5 @@ def find_route(graph, sources, goals, search_number, visits):
         if move == BY_LINK:
             cell = link_from[find_link_cell_index(link_cell, cell)]
         else:
-            cell -= ROW_STEP[move] * width[level_of(start, cell)] + COL_STEP[move]
+            cell -= ROW_STEP[move] * width[level_of(level_start, cell)] + COL_STEP[move]
     return SEARCH_DONE, route[:route_length][::-1].copy()

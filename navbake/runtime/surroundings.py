@@ -90,16 +90,16 @@ def find_blocked(
     *,
     counts_own_occupied: bool = True,
 ) -> Bool:
-    """Mark the cells of a level where an agent can't stand; the module's docstring has the rules.
+    """Mark the cells of a level where an agent can't stand, by the rules that the module lists.
 
     Args:
         grid: the grid; its weights don't count.
         level_number: number of the level.
         radius: the agent's radius [m], >= 0.
         ledges: ``avoid`` or ``ignore``, see `navbake.runtime.inflation.inflate`.
-        counts_own_occupied: whether the level's own occupied cells block, as the rules say. False
-            finds an upper bound of what other levels, drops and holes block alone, whatever stands
-            on other levels: all cells of other levels count as occupied then.
+        counts_own_occupied: whether the level's own occupied cells block, as the rules say. If
+            False, only other levels, drops and holes block, and all cells of other levels count as
+            occupied: an upper bound, whatever stands on those levels.
 
     Returns:
         bool, shape (height, width) of the level.
@@ -108,27 +108,27 @@ def find_blocked(
     radius_in_cells = radius / grid.levels[level_number].lattice.cell_size
     stack, level_window = stack_levels(grid, level_number, math.ceil(radius_in_cells) + 1)
     occupied = stack.occupied[stack.level]
-    disc = find_disc_offsets(radius_in_cells, occupied.shape)
+    disc_offsets = find_disc_offsets(radius_in_cells, occupied.shape)
     if counts_own_occupied:
-        is_blocked: Bool = kernels.dilate(occupied, disc.half_widths)
+        is_blocked: Bool = kernels.dilate(occupied, disc_offsets.half_widths)
     else:
         is_blocked = np.zeros(occupied.shape, dtype=np.bool_)
         stack = stack._replace(occupied=np.ones_like(stack.occupied))
         stack.occupied[stack.level] = 0
     if radius_in_cells > 0:
-        block_by_floors(grid, level_number, stack, radius, disc.offsets, ledges, is_blocked)
+        block_by_floors(grid, level_number, stack, radius, disc_offsets.offsets, ledges, is_blocked)
         # holes that are not occupied and leave too little floor in a disc
         has_floor = ~np.isnan(stack.floor[stack.level])
         is_hole = ~has_floor & (occupied == 0)
         if is_hole.any():
-            disc = find_disc_offsets(radius_in_cells, is_hole.shape, to_squares=False)
-            is_near_hole = kernels.dilate(is_hole.view(np.uint8), disc.half_widths)
+            disc_offsets = find_disc_offsets(radius_in_cells, is_hole.shape, to_squares=False)
+            is_near_hole = kernels.dilate(is_hole.view(np.uint8), disc_offsets.half_widths)
             is_near_hole = is_near_hole & has_floor & ~is_blocked
             kernels.block_near_holes(
                 has_floor,
                 is_near_hole,
-                disc.offsets,
-                disc.squared_distances,
+                disc_offsets.offsets,
+                disc_offsets.squared_distances,
                 LEAST_FLOOR,
                 is_blocked,
             )
@@ -158,9 +158,9 @@ def block_by_floors(
     level_number: int,
     stack: LevelStack,
     radius: float,
-    offsets: Int,
+    cell_offsets: Int,
     ledges: str,
-    blocked: Bool,
+    is_blocked: Bool,
 ) -> None:
     """Apply the rules about floors and about other levels to the cells of a stack.
 
@@ -172,31 +172,38 @@ def block_by_floors(
         level_number: number of the agent's level.
         stack: the cells of this level and those around it, from `stack_levels`.
         radius: the agent's radius [m].
-        offsets: rows and columns from an agent's cell to the cells that it overlaps, shape (n, 2).
+        cell_offsets: rows and columns from an agent's cell to the cells that it overlaps, shape
+            (n, 2).
         ledges: ``avoid`` to keep agents away from drops, or ``ignore``.
-        blocked: whether each cell of the stack is blocked, bool, shape (rows, cols), written.
+        is_blocked: whether each cell of the stack is blocked, bool, shape (rows, cols), written.
     """
     level = grid.levels[level_number]
     # `occupied` includes higher floors up to the baked radius, but a layer `solid` doesn't
     has_solid = bool(level.navbake) and "solid" in level.attributes
     higher_floors_block = radius > (0.0 if has_solid else grid.agent_radius)
-    lowest_floor = np.fmin.reduce(stack.floor, axis=None)
-    highest_floor = np.fmax.reduce(stack.floor, axis=None)
-    if len(stack.floor) == 1 and not highest_floor - lowest_floor > stack.max_step:
+    lowest_floor_z = np.fmin.reduce(stack.floor, axis=None)
+    highest_floor_z = np.fmax.reduce(stack.floor, axis=None)
+    if len(stack.floor) == 1 and not highest_floor_z - lowest_floor_z > stack.max_step:
         return  # no floor is higher or lower than another by more than a step
-    lowest, highest = _find_floor_extremes(stack, offsets)
+    patch_min_z, patch_max_z = _find_floor_extremes(stack, cell_offsets)
     lower_floors_block = ledges == "avoid"
     kernels.block_by_floors(
-        stack, lowest, highest, offsets, higher_floors_block, lower_floors_block, blocked
+        stack,
+        patch_min_z,
+        patch_max_z,
+        cell_offsets,
+        higher_floors_block,
+        lower_floors_block,
+        is_blocked,
     )
 
 
 def measure_to_occupied(grid: NavGrid, level_number: int, max_distance: float) -> Int32:
     """Measure from each cell's centre to the centre of the nearest cell that counts as occupied.
 
-    The same cells count as occupied as in `find_blocked`: those of `SceneGrid2D.solid`, to which
-    cells without a floor belong, too. Where the level has no floor at about the height of the
-    measured cell's, but other levels have, the cells of these levels count instead.
+    As in `find_blocked`, the cells that `SceneGrid2D.solid` marks count as occupied; it also marks
+    cells without a floor. Where the level has no floor at about the height of the measured cell's
+    floor, but another level has one, the cell of that other level counts instead.
 
     Args:
         grid: the grid; its weights don't count.
@@ -216,42 +223,44 @@ def measure_to_occupied(grid: NavGrid, level_number: int, max_distance: float) -
         squared_distances = np.rint(distances**2).astype(np.int32)
     if len(stack.floor) > 1:
         compiled.ensure_compiled("runtime.inflation_kernels.")
-        disc = find_disc_offsets(max_distance_in_cells + 1.0, is_occupied.shape, to_squares=False)
-        lowest, highest = _find_floor_extremes(stack, disc.offsets)
+        disc_offsets = find_disc_offsets(
+            max_distance_in_cells + 1.0, is_occupied.shape, to_squares=False
+        )
+        patch_min_z, patch_max_z = _find_floor_extremes(stack, disc_offsets.offsets)
         kernels.measure_near_levels(
             stack,
-            lowest,
-            highest,
-            disc.offsets,
-            disc.squared_distances // 4,  # of half cells
+            patch_min_z,
+            patch_max_z,
+            disc_offsets.offsets,
+            disc_offsets.squared_distances // 4,  # of half cells
             squared_distances,
         )
     return squared_distances[level_window]
 
 
 def _find_floor_extremes(
-    stack: LevelStack, offsets: Int
+    stack: LevelStack, cell_offsets: Int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Find the lowest and highest floors in the patches that offsets lead to from each patch.
 
     Args:
         stack: the cells of a level and those around it.
-        offsets: rows and columns, shape (n, 2).
+        cell_offsets: rows and columns, shape (n, 2).
 
     Returns:
         The lowest and the highest floors, each as from `_find_extremes_near`.
     """
     patch_size = kernels.PATCH_SIZE
-    window = 2 * -(-int(np.abs(offsets).max()) // patch_size) + 1
+    window_size = 2 * -(-int(np.abs(cell_offsets).max()) // patch_size) + 1
     padding = [(0, 0), *((0, -size % patch_size) for size in stack.floor.shape[1:])]
     floor = np.pad(stack.floor, padding, constant_values=np.nan)
-    lowest = _find_extremes_near(np.fmin, floor, patch_size, window)
-    highest = _find_extremes_near(np.fmax, floor, patch_size, window)
-    return lowest, highest
+    patch_min_z = _find_extremes_near(np.fmin, floor, patch_size, window_size)
+    patch_max_z = _find_extremes_near(np.fmax, floor, patch_size, window_size)
+    return patch_min_z, patch_max_z
 
 
 def _find_extremes_near(
-    fmin_or_fmax: np.ufunc, floor: NDArray[np.float32], patch_size: int, window: int
+    fmin_or_fmax: np.ufunc, floor: NDArray[np.float32], patch_size: int, window_size: int
 ) -> NDArray[np.float32]:
     """Compute the lowest or the highest floor in a window of patches round each patch.
 
@@ -259,7 +268,7 @@ def _find_extremes_near(
         fmin_or_fmax: `numpy.fmin` for the lowest floor, `numpy.fmax` for the highest.
         floor: z [m], shape (levels, rows, cols).
         patch_size: edge of a patch, in cells.
-        window: edge of the window, in patches.
+        window_size: edge of the window, in patches.
 
     Returns:
         z [m], shape (levels, patch rows, patch columns); inf for no lowest, -inf for no highest
@@ -273,7 +282,7 @@ def _find_extremes_near(
     patches = np.where(np.isnan(patches), no_floor, patches)
     filter_patches = ndimage.minimum_filter if is_lowest else ndimage.maximum_filter
     extremes: NDArray[np.float32] = filter_patches(
-        patches, size=(1, window, window), mode="constant", cval=no_floor
+        patches, size=(1, window_size, window_size), mode="constant", cval=no_floor
     )
     return extremes
 
@@ -300,24 +309,26 @@ def find_disc_offsets(
     is_reached = squared_distances < (2 * radius) ** 2 * (
         1 - RADIUS_SLACK
     )  # touching is not reaching
-    row, col = np.nonzero(is_reached)
-    reached_squares = squared_distances[row, col]
-    sort_indices = np.argsort(reached_squares, kind="stable")
-    rows_down = is_reached[len(rows) // 2 :]
-    half_widths = np.count_nonzero(rows_down, axis=1) // 2
-    half_widths = np.append(half_widths[rows_down.any(axis=1)], -1).astype(np.int32)
-    offsets = np.stack([rows[row], cols[col]], axis=1)
-    return DiscOffsets(offsets[sort_indices], reached_squares[sort_indices], half_widths)
+    row_indices, col_indices = np.nonzero(is_reached)
+    reached_squared_distances = squared_distances[row_indices, col_indices]
+    sort_indices = np.argsort(reached_squared_distances, kind="stable")
+    reached_below = is_reached[len(rows) // 2 :]
+    half_widths = np.count_nonzero(reached_below, axis=1) // 2
+    half_widths = np.append(half_widths[reached_below.any(axis=1)], -1).astype(np.int32)
+    cell_offsets = np.stack([rows[row_indices], cols[col_indices]], axis=1)
+    return DiscOffsets(
+        cell_offsets[sort_indices], reached_squared_distances[sort_indices], half_widths
+    )
 
 
-def _distances_in_half_cells(steps: Int, to_squares: bool) -> Int:
+def _distances_in_half_cells(cell_distances: Int, to_squares: bool) -> Int:
     """Compute distances along an axis in half cells, from a cell's centre to other cells.
 
     Args:
-        steps: numbers of cells from the cell to the others, shape (n,).
+        cell_distances: numbers of cells from the cell to the others, shape (n,).
         to_squares: whether to measure to the near sides of their squares, else to their centres.
     """
-    half_cells = 2 * np.abs(steps)
+    half_cells = 2 * np.abs(cell_distances)
     return np.maximum(half_cells - 1, 0) if to_squares else half_cells
 
 
@@ -337,7 +348,7 @@ def stack_levels(
     """
     level = grid.levels[level_number]
     max_step = step_limit(grid) * grid.unit
-    corners = _find_aligned_levels(grid, level_number)
+    corner_by_level = _find_aligned_levels(grid, level_number)
     first_row = 0
     first_col = 0
     if len(grid.levels) == 1:
@@ -346,7 +357,7 @@ def stack_levels(
     else:
         rectangles = np.array([
             [row, col, row + grid.levels[k].height, col + grid.levels[k].width]
-            for k, (row, col) in corners.items()
+            for k, (row, col) in corner_by_level.items()
         ])  # fmt: skip
         first_corner = rectangles[:, :2].min(axis=0)
         stop_corner = rectangles[:, 2:].max(axis=0)
@@ -354,23 +365,23 @@ def stack_levels(
         first_col = max(-margin, int(first_corner[1])) - 1
         stop_row = min(level.height + margin, int(stop_corner[0])) + 1
         stop_col = min(level.width + margin, int(stop_corner[1])) + 1
-        shape = (len(corners), stop_row - first_row, stop_col - first_col)
+        shape = (len(corner_by_level), stop_row - first_row, stop_col - first_col)
         floor = np.full(shape, np.nan, dtype=np.float32)
         occupied = np.ones(shape, dtype=np.uint8)
-        for index, (k, (row, col)) in enumerate(corners.items()):
+        for layer, (k, (row, col)) in enumerate(corner_by_level.items()):
             stacked_level = grid.levels[k]
             stacked_floor = _floor_in_metres(stacked_level)
-            _paste(floor[index], stacked_floor, row - first_row, col - first_col)
-            _paste(occupied[index], stacked_level.solid, row - first_row, col - first_col)
-    places = {
-        k: StackPlace(index, row - first_row, col - first_col)
-        for index, (k, (row, col)) in enumerate(corners.items())
+            _paste(floor[layer], stacked_floor, row - first_row, col - first_col)
+            _paste(occupied[layer], stacked_level.solid, row - first_row, col - first_col)
+    place_by_level = {
+        k: StackPlace(layer, row - first_row, col - first_col)
+        for layer, (k, (row, col)) in enumerate(corner_by_level.items())
     }
     stack: LevelStack = kernels.LevelStack(
         floor=floor,
         occupied=occupied,
-        slopes=_mark_slopes(grid, places, floor, max_step),
-        level=places[level_number].layer,
+        slopes=_mark_slopes(grid, place_by_level, floor, max_step),
+        level=place_by_level[level_number].layer,
         max_step=max_step,
         height=grid.agent_height,
     )
@@ -387,40 +398,48 @@ def _find_aligned_levels(grid: NavGrid, level_number: int) -> dict[int, tuple[in
     """
     level = grid.levels[level_number]
     x_min, y_max, cell_size, *_ = level.lattice
-    corners = dict[int, tuple[int, int]]()
-    for number, neighbor in enumerate(grid.levels):
-        lattice = neighbor.lattice
+    corner_by_level = dict[int, tuple[int, int]]()
+    for number, other_level in enumerate(grid.levels):
+        lattice = other_level.lattice
         row = (y_max - lattice.y_max) / cell_size
         col = (lattice.x_min - x_min) / cell_size
         # by how many cells the levels drift apart where the sizes of their cells differ
-        drift = abs(lattice.cell_size / cell_size - 1) * max(*level.shape, *neighbor.shape)
+        drift = abs(lattice.cell_size / cell_size - 1) * max(*level.shape, *other_level.shape)
         if max(abs(row - round(row)), abs(col - round(col)), drift) < ALIGNMENT_TOLERANCE:
-            corners[number] = (round(row), round(col))
-    return corners
+            corner_by_level[number] = (round(row), round(col))
+    return corner_by_level
 
 
 def _mark_slopes(
-    grid: NavGrid, places: dict[int, StackPlace], floor: NDArray[np.float32], max_step: float
+    grid: NavGrid,
+    place_by_level: dict[int, StackPlace],
+    floor: NDArray[np.float32],
+    max_step: float,
 ) -> NDArray[np.uint8]:
     """Mark the directions in which links lead up or down a slope: `LevelStack.slopes`.
 
 
     Args:
         grid: the grid, whose steps are used.
-        places: where each stacked level lies in the arrays, by the level's number.
+        place_by_level: where each stacked level lies in the arrays, by the level's number.
         floor: `LevelStack.floor`.
         max_step: largest difference of neighbours' floors that an agent can step over [m].
     """
-    slope_links = grid.step_array
+    step_rows = grid.step_array
     no_slopes = np.zeros((0, 0, 0), dtype=np.uint8)
-    slope_links = slope_links[np.isin(slope_links[:, ::2], list(places)).all(axis=1)]
-    if not len(slope_links):
+    step_rows = step_rows[np.isin(step_rows[:, ::2], list(place_by_level)).all(axis=1)]
+    if not len(step_rows):
         return no_slopes
-    start_indices = _stack_indices(grid, places, level=slope_links[:, 0], cell=slope_links[:, 1])
-    end_indices = _stack_indices(grid, places, level=slope_links[:, 2], cell=slope_links[:, 3])
-    size = np.array(floor.shape)[:, None]
+    start_indices = _stack_indices(
+        grid, place_by_level, level=step_rows[:, 0], cell=step_rows[:, 1]
+    )
+    end_indices = _stack_indices(grid, place_by_level, level=step_rows[:, 2], cell=step_rows[:, 3])
+    stack_shape = np.array(floor.shape)[:, None]
     is_inside = (
-        (start_indices >= 0) & (start_indices < size) & (end_indices >= 0) & (end_indices < size)
+        (start_indices >= 0)
+        & (start_indices < stack_shape)
+        & (end_indices >= 0)
+        & (end_indices < stack_shape)
     ).all(axis=0)
     start_indices = start_indices[:, is_inside]
     end_indices = end_indices[:, is_inside]
@@ -438,22 +457,24 @@ def _mark_slopes(
     start_indices = start_indices[:, is_slope]
     end_indices = end_indices[:, is_slope]
     for cells, neighbors in ((start_indices, end_indices), (end_indices, start_indices)):
-        bits = direction_bits[tuple((neighbors - cells)[1:] + 1)]
-        np.bitwise_or.at(slopes, tuple(cells), bits)
+        cell_bits = direction_bits[tuple((neighbors - cells)[1:] + 1)]
+        np.bitwise_or.at(slopes, tuple(cells), cell_bits)
     return slopes
 
 
-def _stack_indices(grid: NavGrid, places: dict[int, StackPlace], level: Int, cell: Int) -> Int:
+def _stack_indices(
+    grid: NavGrid, place_by_level: dict[int, StackPlace], level: Int, cell: Int
+) -> Int:
     """Compute where cells lie in the arrays of a LevelStack: layer, row and column, shape (3, n).
 
     Args:
         grid: the grid.
-        places: where each stacked level lies, by the level's number.
+        place_by_level: where each stacked level lies, by the level's number.
         level: level numbers of the cells, shape (n,).
         cell: ids of the cells on their levels, shape (n,).
     """
     no_place = StackPlace(0, 0, 0)
-    corners = np.array([places.get(k, no_place) for k in range(len(grid.levels))])
+    corners = np.array([place_by_level.get(k, no_place) for k in range(len(grid.levels))])
     widths = np.array([level.width for level in grid.levels])
     rows, cols = np.divmod(cell, widths[level])
     indices: Int = (corners[level] + np.stack([np.zeros_like(cell), rows, cols], axis=1)).T
@@ -478,7 +499,7 @@ def _paste(canvas: NDArray[np.generic], piece: NDArray[np.generic], row: int, co
     height, width = canvas.shape
     rows = slice(max(-row, 0), max(height - row, 0))
     cols = slice(max(-col, 0), max(width - col, 0))
-    overlap = piece[rows, cols]
+    inner_piece = piece[rows, cols]
     row = max(row, 0)
     col = max(col, 0)
-    canvas[row : row + overlap.shape[0], col : col + overlap.shape[1]] = overlap
+    canvas[row : row + inner_piece.shape[0], col : col + inner_piece.shape[1]] = inner_piece

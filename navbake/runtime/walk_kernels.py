@@ -59,10 +59,10 @@ def step_each(layout, links, floors, is_passable, level, starts, ends, can_slide
         y0 = starts[i, 1]
         x1 = ends[i, 0]
         y1 = ends[i, 1]
-        farthest = max(abs(x1 - x0), abs(y1 - y0))
-        if farthest > MAX_STEP_LENGTH:
-            x1 = x0 + (x1 - x0) * (MAX_STEP_LENGTH / farthest)
-            y1 = y0 + (y1 - y0) * (MAX_STEP_LENGTH / farthest)
+        axis_distance = max(abs(x1 - x0), abs(y1 - y0))
+        if axis_distance > MAX_STEP_LENGTH:
+            x1 = x0 + (x1 - x0) * (MAX_STEP_LENGTH / axis_distance)
+            y1 = y0 + (y1 - y0) * (MAX_STEP_LENGTH / axis_distance)
         cell, fraction = walk_line(
             layout, links, floors, is_passable, no_rooms, cell, x0, y0, x1, y1
         )
@@ -143,7 +143,7 @@ def walk_line(layout, links, floors, is_passable, room_numbers, cell, x0, y0, x1
     col_step = 1 if x_length > 0 else -1
     row_step = 1 if y_length < 0 else -1
     first_cell = cell
-    is_leaving = len(room_numbers) > 0 and not is_passable[cell]
+    is_leaving_object = len(room_numbers) > 0 and not is_passable[cell]
     fraction = 0.0
     while True:
         level = level_of(layout.start, cell)
@@ -168,14 +168,14 @@ def walk_line(layout, links, floors, is_passable, room_numbers, cell, x0, y0, x1
             next_cell = _cell_over_edge(
                 layout, links, is_passable, floors, cell, row_offset, col_offset
             )
-            if next_cell < 0 and is_leaving:
+            if next_cell < 0 and is_leaving_object:
                 neighbor = _find_neighbor(layout, cell, row_offset, col_offset)
                 if neighbor >= 0 and room_numbers[neighbor] == room_numbers[first_cell]:
                     next_cell = neighbor
         if next_cell < 0:
             return cell, fraction
         cell = next_cell
-        is_leaving = is_leaving and not is_passable[cell]
+        is_leaving_object = is_leaving_object and not is_passable[cell]
 
 
 @subkernel
@@ -278,43 +278,49 @@ def _slide(layout, links, floors, is_passable, cell, x0, y0, x1, y1):
     best_x = x0
     best_y = y0
     while num_queued > 0:
-        current = queue[queue_head]
+        current_cell = queue[queue_head]
         queue_head = (queue_head + 1) % len(queue)
         num_queued = num_queued - 1
-        array_index = _window_index(layout, windows, current)
+        array_index = _window_index(layout, windows, current_cell)
         is_queued[array_index] = False
         # the better of the best point so far and the nearest one in this cell
-        x, y = clamp_to_cell(layout, current, x1, y1)
+        x, y = clamp_to_cell(layout, current_cell, x1, y1)
         squared_distance = (x - x1) ** 2 + (y - y1) ** 2
         if squared_distance < least_squared_distance and (
             math.hypot(x - x0, y - y0) <= remaining_length * (1.0 + LENGTH_SLACK)
         ):
             least_squared_distance = squared_distance
-            best_cell = current
+            best_cell = current_cell
             best_x = x
             best_y = y
-        cell_size = layout.cell_size[level_of(layout.start, current)]
+        cell_size = layout.cell_size[level_of(layout.start, current_cell)]
         for direction in range(8):  # over edges, then over corners past both sides
             row_offset, col_offset = edge_directions[direction % 4]
             if direction < 4:
                 target = _cell_over_edge(
-                    layout, links, is_passable, floors, current, row_offset, col_offset
+                    layout, links, is_passable, floors, current_cell, row_offset, col_offset
                 )
                 edge_neighbors[direction] = target
                 target_length = walk_lengths[array_index] + cell_size
             else:
-                first_side = edge_neighbors[direction - 4]
-                second_side = edge_neighbors[(direction - 3) % 4]
-                if first_side < 0 or second_side < 0:
+                first_side_cell = edge_neighbors[direction - 4]
+                second_side_cell = edge_neighbors[(direction - 3) % 4]
+                if first_side_cell < 0 or second_side_cell < 0:
                     continue
                 next_row_offset, next_col_offset = edge_directions[(direction - 3) % 4]
-                over_first = _cell_over_edge(
-                    layout, links, is_passable, floors, first_side, next_row_offset, next_col_offset
+                target_over_first = _cell_over_edge(
+                    layout,
+                    links,
+                    is_passable,
+                    floors,
+                    first_side_cell,
+                    next_row_offset,
+                    next_col_offset,
                 )
                 target = _cell_over_edge(
-                    layout, links, is_passable, floors, second_side, row_offset, col_offset
+                    layout, links, is_passable, floors, second_side_cell, row_offset, col_offset
                 )
-                if over_first != target:  # both walks round the corner end in the same cell
+                if target_over_first != target:  # both walks round the corner end in the same cell
                     continue
                 target_length = walk_lengths[array_index] + cell_size * DIAGONAL
             target_index = _window_index(layout, windows, target) if target >= 0 else -1
