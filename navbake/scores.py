@@ -322,7 +322,7 @@ class Measures:
             place = f"{label} {row} of episode {episode_id!r}, {coordinates}"
             raise QueryError(f"{place}, lies beside the grid")
         distance_fields = self._stops.distance_fields
-        distances_after_stop = self._stops.lengths_after
+        distances_after_stop = self._stops.remaining_lengths
         if not distance_fields:
             return [math.nan] * len(points)
         free_cell_distances = np.zeros(len(points))  # to the nearest free cell [m]

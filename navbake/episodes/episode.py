@@ -48,14 +48,17 @@ def check_word(value: str, words: Collection[str], name: str) -> None:
         ValueError: the value is none of them; the message suggests a similar word.
     """
     if value not in words:
-        beginnings = [word for word in words if str(value).startswith(word)]
-        similar_words = find_similar_names(value, words) or beginnings
+        prefix_words = [word for word in words if str(value).startswith(word)]
+        similar_words = find_similar_names(value, words) or prefix_words
         hint = f"; did you mean {similar_words[0]!r}?" if similar_words else ""
         raise ValueError(f"expected one of {', '.join(words)} as {name}, got {value!r}{hint}")
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The base class of the parts of a set of episodes; in files, fields have the same names."""
+    """Base class of what a set of episodes holds: episodes, goals, the header and so on.
+
+    In files, fields have the same names as here.
+    """
 
 
 class ViewPoint(Record, frozen=True, omit_defaults=True):
@@ -67,7 +70,7 @@ class ViewPoint(Record, frozen=True, omit_defaults=True):
 
 
 class Goal(Record, frozen=True, kw_only=True, omit_defaults=True):
-    """What an agent has to reach: a point, an object, a room, or a share of the free area."""
+    """A goal of an agent: a point, an object, a room, or a share of the free area to explore."""
 
     position: Vector3 | None = None
     """World x, y, z [m]; the middle of an object, the centroid of a room."""
@@ -83,7 +86,7 @@ class Goal(Record, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
-    """One task of a set: a start and the goals to reach from there."""
+    """A start of an agent, and the goals that it has to reach from there."""
 
     id: str  #: Its id, unique in the set.
     scene: str  #: Id of the scene, which is the `scene` of a grid of the header.
@@ -116,7 +119,7 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def measures(self) -> dict[str, float | None]:
-        """The episode's values of the measures in `CLASS_EDGES`, by which episodes are grouped."""
+        """Name of each measure in `CLASS_EDGES` -> its value for this episode; None if unknown."""
         return {
             "distance": self.distance,
             "ratio": self.ratio,
@@ -146,14 +149,17 @@ class GridEntry(Record, frozen=True, kw_only=True):
 
 
 class Header(Record, frozen=True, kw_only=True):
-    """The grids, agent and rules that a set was drawn from; sets by other programs lack these."""
+    """The header of a set of episodes: the grids, agent and rules by which they were drawn.
+
+    It is empty for sets of other programs.
+    """
 
     format: str = FORMAT
-    version: int = VERSION
-    agent: Agent | None = None
-    grids: tuple[GridEntry, ...] = ()
-    sampler: dict[str, Any] = {}
-    seed: int | None = None
+    version: int = VERSION  #: Version of the format.
+    agent: Agent | None = None  #: The agent that the episodes are for.
+    grids: tuple[GridEntry, ...] = ()  #: The grids that the episodes were drawn on.
+    sampler: dict[str, Any] = {}  #: The task, the rules, the count and the splits, as JSON.
+    seed: int | None = None  #: Seed of the random numbers.
     rejected: dict[str, int] = {}  #: Reason -> number of draws that were refused for it.
 
 
@@ -161,7 +167,7 @@ class EpisodeSet(msgspec.Struct, frozen=True):
     """A set of episodes with unique ids.
 
     Attributes:
-        header: what the episodes were drawn from.
+        header: the grids, agent and rules by which the episodes were drawn.
         episodes: the episodes, in the set's order.
 
     Raises:
@@ -228,7 +234,7 @@ def scene_of(grid: NavGrid) -> str:
 def choose_agent(
     grid: NavGrid, name: str | None, radius: float | None = None, height: float | None = None
 ) -> links.Agent:
-    """Return an agent of a grid, or an agent without a name, with another radius or height.
+    """Return an agent of a grid by its name, with its radius or height replaced if wanted.
 
     Args:
         grid: the grid.

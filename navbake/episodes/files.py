@@ -19,7 +19,7 @@ from functools import partial
 import msgspec
 
 from navbake.episodes.episode import FORMAT, TASKS, VERSION, Episode, EpisodeSet, Header
-from navbake.episodes.formats import SIMULATOR_FORMATS, Fields, SetFormat, decode
+from navbake.episodes.formats import SIMULATOR_FORMATS, ParsedSet, SetFormat, decode
 from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath
 from navbake.formats.source import format_path, import_extra, read_bytes, unpack, write_bytes
@@ -37,7 +37,7 @@ COMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
 def read_episodes(
     path: str | os.PathLike[str], scenes: Mapping[str, str] | None = None
 ) -> EpisodeSet:
-    """Read a set in any format; the file's ending and content determine which.
+    """Read a set of episodes in any format, which is found by the file's ending and content.
 
     Args:
         path: the path of the file, plain or packed.
@@ -81,7 +81,7 @@ def write_episodes(
     form: str | None = None,
     scenes: Mapping[str, str] | None = None,
 ) -> list[str]:
-    """Write a set; equal sets give equal bytes.
+    """Write a set of episodes to a file; equal sets give equal bytes.
 
     Args:
         content: the set.
@@ -107,7 +107,7 @@ def write_episodes(
     return _list_lost_fields(content, read_episodes(path, scenes))
 
 
-def _choose_format(content: EpisodeSet, path: str | os.PathLike[str], form: str | None) -> str:
+def _choose_format(episode_set: EpisodeSet, path: str | os.PathLike[str], form: str | None) -> str:
     """Return the name of the format to write: `form`, or the first that fits ending and tasks."""
     if form is not None and form not in EPISODE_FORMATS:
         raise FormatError(f"no format {form!r}: {suggest(form, EPISODE_FORMATS)}")
@@ -115,38 +115,44 @@ def _choose_format(content: EpisodeSet, path: str | os.PathLike[str], form: str 
     ending, _ = _split_endings(path)
     fitting_names = [name for name in format_names if EPISODE_FORMATS[name].ending == ending]
     if not fitting_names:
-        endings = ", ".join(dict.fromkeys(EPISODE_FORMATS[name].ending for name in format_names))
-        raise FormatError(f"expected a name that ends in {endings}, got {format_path(path)}")
-    episode_of_task = {episode.task: episode.id for episode in reversed(content.episodes)}
+        endings_text = ", ".join(
+            dict.fromkeys(EPISODE_FORMATS[name].ending for name in format_names)
+        )
+        raise FormatError(f"expected a name that ends in {endings_text}, got {format_path(path)}")
+    episode_id_of_task = {episode.task: episode.id for episode in reversed(episode_set.episodes)}
     for name in fitting_names:
-        if episode_of_task.keys() <= {*EPISODE_FORMATS[name].tasks}:
+        if episode_id_of_task.keys() <= {*EPISODE_FORMATS[name].tasks}:
             return name
     task = next(
-        task for task in episode_of_task if task not in EPISODE_FORMATS[fitting_names[0]].tasks
+        task for task in episode_id_of_task if task not in EPISODE_FORMATS[fitting_names[0]].tasks
     )
-    formats = " or ".join(fitting_names)
-    raise FormatError(f"no task {task!r} in {formats}, as of episode {episode_of_task[task]!r}")
+    formats_text = " or ".join(fitting_names)
+    raise FormatError(
+        f"no task {task!r} in {formats_text}, as of episode {episode_id_of_task[task]!r}"
+    )
 
 
-def _list_lost_fields(content: EpisodeSet, read_again: EpisodeSet) -> list[str]:
+def _list_lost_fields(episode_set: EpisodeSet, reread_set: EpisodeSet) -> list[str]:
     """List the fields that an episode of a set has, but that it lacks when read again."""
-    lost_names: set[str] = set()
-    if content.header.agent and not read_again.header.agent:
-        lost_names.add("agent")
-    for episode_before, episode_after in zip(content.episodes, read_again.episodes, strict=True):
+    lost_field_names: set[str] = set()
+    if episode_set.header.agent and not reread_set.header.agent:
+        lost_field_names.add("agent")
+    for episode_before, episode_after in zip(
+        episode_set.episodes, reread_set.episodes, strict=True
+    ):
         record_pairs = [
             (episode_before, episode_after),
             *zip(episode_before.goals, episode_after.goals, strict=False),
         ]
-        for record, record_again in record_pairs:
-            lost_names.update(
+        for record_before, record_after in record_pairs:
+            lost_field_names.update(
                 name
-                for name in record.__struct_fields__
-                if getattr(record, name) and not getattr(record_again, name)
+                for name in record_before.__struct_fields__
+                if getattr(record_before, name) and not getattr(record_after, name)
             )
         if len(episode_before.goals) > len(episode_after.goals):
-            lost_names.add("further goals")
-    return sorted(lost_names)
+            lost_field_names.add("further goals")
+    return sorted(lost_field_names)
 
 
 def _split_endings(path: str | os.PathLike[str]) -> tuple[str, str]:
@@ -157,42 +163,46 @@ def _split_endings(path: str | os.PathLike[str]) -> tuple[str, str]:
     return os.path.splitext(stem)[1], last_ending
 
 
-def _rename_scenes(content: EpisodeSet, new_name_of_scene: Mapping[str, str]) -> EpisodeSet:
+def _rename_scenes(episode_set: EpisodeSet, new_name_of_scene: Mapping[str, str]) -> EpisodeSet:
     """Return a set with scenes renamed; `new_name_of_scene` has old name -> new name."""
     if not new_name_of_scene:
-        return content
+        return episode_set
     renamed_episodes = [
         msgspec.structs.replace(episode, scene=new_name_of_scene.get(episode.scene, episode.scene))
-        for episode in content.episodes
+        for episode in episode_set.episodes
     ]
-    return EpisodeSet(content.header, tuple(renamed_episodes))
+    return EpisodeSet(episode_set.header, tuple(renamed_episodes))
 
 
-def encode_lines(content: EpisodeSet, _: str) -> bytes:
+def encode_lines(episode_set: EpisodeSet, _: str) -> bytes:
     """Encode a set as JSON lines; the second argument, the format's name, is not used."""
-    json_lines = [msgspec.json.encode(record) for record in (content.header, *content.episodes)]
+    json_lines = [
+        msgspec.json.encode(record) for record in (episode_set.header, *episode_set.episodes)
+    ]
     return b"\n".join([*json_lines, b""])
 
 
-def read_lines(text: bytes, name: str) -> Fields:
-    """Read the fields of a set from JSON lines; errors name the file and the line."""
+def read_lines(text: bytes, name: str) -> ParsedSet:
+    """Read the header and the episodes of a set from JSON lines; errors name the line."""
     lines = text.splitlines()
     header = decode(lines[0] if lines else b"", Header, f"{name}, line 1")
     if header.format != FORMAT or header.version > VERSION:
-        actual = f"{header.format!r} of version {header.version}"
-        raise FormatError(f"expected {FORMAT!r} up to version {VERSION}, got {actual} in {name}")
+        actual_format = f"{header.format!r} of version {header.version}"
+        raise FormatError(
+            f"expected {FORMAT!r} up to version {VERSION}, got {actual_format} in {name}"
+        )
     episodes = [
-        decode(line, Episode, f"{name}, line {number}")
-        for number, line in enumerate(lines[1:], start=2)
+        decode(line, Episode, f"{name}, line {line_number}")
+        for line_number, line in enumerate(lines[1:], start=2)
     ]
     return header, episodes
 
 
-def encode_parquet(content: EpisodeSet, _: str) -> bytes:
+def encode_parquet(episode_set: EpisodeSet, _: str) -> bytes:
     """Encode a set as Parquet; the second argument, the format's name, is not used."""
     pyarrow = import_extra("pyarrow", "batch")
     parquet = import_extra("pyarrow.parquet", "batch")
-    episodes = content.episodes
+    episodes = episode_set.episodes
     columns: dict[str, list[object]] = {
         name: [getattr(episode, name) for episode in episodes]
         for name in (*TEXT_COLUMNS, *NUMBER_COLUMNS)
@@ -200,24 +210,28 @@ def encode_parquet(content: EpisodeSet, _: str) -> bytes:
     for axis, name in enumerate("xyz"):
         columns[name] = [episode.start[axis] for episode in episodes]
     columns["episode"] = [msgspec.json.encode(episode).decode() for episode in episodes]
-    is_text = {*TEXT_COLUMNS, "episode"}
-    types = {name: "string" if name in is_text else "float64" for name in columns}
-    metadata = {METADATA_KEY: msgspec.json.encode(content.header)}
-    table = pyarrow.table(columns, schema=pyarrow.schema(types, metadata=metadata))
+    text_names = {*TEXT_COLUMNS, "episode"}
+    column_types = {name: "string" if name in text_names else "float64" for name in columns}
+    metadata = {METADATA_KEY: msgspec.json.encode(episode_set.header)}
+    table = pyarrow.table(columns, schema=pyarrow.schema(column_types, metadata=metadata))
     file = io.BytesIO()
     parquet.write_table(table, file, compression="zstd")
     return file.getvalue()
 
 
-def read_parquet(data: bytes, name: str) -> Fields:
-    """Read the fields of a set from Parquet; errors name the file and the row."""
+def read_parquet(content: bytes, name: str) -> ParsedSet:
+    """Read the header and the episodes of a set from Parquet; errors name the row."""
     pyarrow = import_extra("pyarrow", "batch")
     parquet = import_extra("pyarrow.parquet", "batch")
     try:
-        file = parquet.ParquetFile(io.BytesIO(data))
-        groups = (file.metadata.row_group(number) for number in range(file.num_row_groups))
-        size = file.metadata.num_rows + sum(group.total_byte_size for group in groups)
-        Allowance(len(data), "max_cells").take_text(size, JsonPath(name))
+        file = parquet.ParquetFile(io.BytesIO(content))
+        row_groups = (
+            file.metadata.row_group(group_number) for group_number in range(file.num_row_groups)
+        )
+        num_text_bytes = file.metadata.num_rows + sum(
+            row_group.total_byte_size for row_group in row_groups
+        )
+        Allowance(len(content), "max_cells").take_text(num_text_bytes, JsonPath(name))
         header = file.schema_arrow.metadata[METADATA_KEY]
         texts = file.read(["episode"]).column("episode").to_pylist()
     except (pyarrow.ArrowException, KeyError, TypeError, ValueError, OSError) as error:

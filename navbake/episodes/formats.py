@@ -24,11 +24,13 @@ from navbake.episodes.episode import Episode, EpisodeSet, Goal, Header, ViewPoin
 from navbake.errors import FormatError
 from navbake.types import Json, Vector3
 
-Kind = TypeVar("Kind")
-Fields: TypeAlias = tuple[Header, list[Any]]
+StructT = TypeVar("StructT")
+ParsedSet: TypeAlias = tuple[Header, list[Any]]
 """The header, and the fields of each episode, which are not checked yet."""
 Rotation = tuple[float, float, float, float]
+"""A quaternion x, y, z, w in a world with y up, as habitat-lab has it."""
 Pose = tuple[float, float, float, float, float, float, float]
+"""World x, y, z [m], then a quaternion w, x, y, z, as MolmoSpaces has it."""
 # distances to a goal that habitat-lab counts as a success, if the goal states none [m]
 OBJECT_RADIUS = 0.1
 POINT_RADIUS = 0.2
@@ -55,10 +57,10 @@ class SetFormat(NamedTuple):
     ending: str  #: Ending of its files' names.
     tasks: tuple[str, ...]  #: Tasks that it can hold, of `TASKS`.
     encode: Callable[[EpisodeSet, str], bytes]  #: Takes a set and the format's name.
-    read: Callable[[bytes, str], Fields]  #: Takes a file's content and name.
+    read: Callable[[bytes, str], ParsedSet]  #: Takes a file's content and name.
 
 
-def decode(text: bytes | str, structure: type[Kind], place: str) -> Kind:
+def decode(text: bytes | str, structure: type[StructT], place: str) -> StructT:
     """Decode JSON of a known structure.
 
     Args:
@@ -75,9 +77,9 @@ def decode(text: bytes | str, structure: type[Kind], place: str) -> Kind:
     try:
         return msgspec.json.decode(text, type=structure)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        is_unknown = "unknown field" in str(error) and " - at `" not in str(error)
+        has_unknown_field = "unknown field" in str(error) and " - at `" not in str(error)
         fields = ", ".join(getattr(structure, "__struct_fields__", ()))
-        expected = f", expected {fields}," if is_unknown else ""
+        expected = f", expected {fields}," if has_unknown_field else ""
         raise FormatError(f"{error}{expected} in {place}") from error
 
 
@@ -168,12 +170,12 @@ class _Dataset(msgspec.Struct, omit_defaults=True):
     navbake: Header | None = None
 
 
-def encode_habitat(content: EpisodeSet, form: str) -> bytes:
+def encode_habitat(episode_set: EpisodeSet, format_name: str) -> bytes:
     """Encode a set as a dataset of habitat-lab.
 
     Args:
-        content: the set.
-        form: ``habitat-pointnav``, ``habitat-objectnav`` or ``habitat-vln``.
+        episode_set: the set.
+        format_name: ``habitat-pointnav``, ``habitat-objectnav`` or ``habitat-vln``.
 
     Returns:
         The JSON.
@@ -181,9 +183,9 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
     Raises:
         FormatError: an episode lacks what the format needs.
     """
-    dataset = _Dataset([], navbake=content.header)
+    dataset = _Dataset([], navbake=episode_set.header)
     goals_by_key = dict[str, tuple[Goal, ...]]()
-    for index, episode in enumerate(content.episodes):
+    for index, episode in enumerate(episode_set.episodes):
         further_fields = _list_other_fields(episode, HABITAT_FIELDS)
         habitat_episode = _Episode(
             episode_id=episode.id,
@@ -199,7 +201,7 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
             start_room=episode.room,
         )
         dataset.episodes.append(habitat_episode)
-        if form == "habitat-objectnav":
+        if format_name == "habitat-objectnav":
             habitat_episode.object_category = episode.goals[0].category or episode.goals[0].name
             goals_key = habitat_episode.goals_key
             if goals_by_key.setdefault(goals_key, episode.goals) != episode.goals:
@@ -210,7 +212,7 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
                 raise FormatError(f"habitat-objectnav has {expected}: {hint}")
             continue
         habitat_episode.goals = [_write_goal(goal) for goal in episode.goals]
-        if form == "habitat-vln":
+        if format_name == "habitat-vln":
             if not episode.path:
                 problem = f"episode {episode.id!r} has none: paths=true"
                 raise FormatError(f"habitat-vln needs paths, {problem}")
@@ -219,7 +221,7 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
             instruction_text = further_fields.pop("instruction", "")
             habitat_episode.instruction = {"instruction_text": instruction_text}
             habitat_episode.trajectory_id = episode.extra.get("trajectory_id", index)
-    if form == "habitat-objectnav":
+    if format_name == "habitat-objectnav":
         categories = sorted(
             {str(habitat_episode.object_category) for habitat_episode in dataset.episodes}
         )
@@ -230,8 +232,8 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
             goals_key: [_write_goal(goal, index) for index, goal in enumerate(goals)]
             for goals_key, goals in goals_by_key.items()
         }
-    elif form == "habitat-vln":
-        instruction_text = " ".join(episode.instruction or "" for episode in content.episodes)
+    elif format_name == "habitat-vln":
+        instruction_text = " ".join(episode.instruction or "" for episode in episode_set.episodes)
         words = sorted(set(re.findall(r"\w+", instruction_text.lower())))
         dataset.instruction_vocab = {"word_list": words}
     return msgspec.json.encode(dataset)
@@ -279,7 +281,7 @@ def _read_goal(goal: _Goal, default_radius: float) -> Goal:
     )
 
 
-def read_habitat(text: bytes, name: str) -> Fields:
+def read_habitat(text: bytes, name: str) -> ParsedSet:
     """Read a dataset of habitat-lab: PointNav, ObjectNav or VLN, told apart by its fields.
 
     Args:
@@ -311,15 +313,15 @@ def read_habitat(text: bytes, name: str) -> Fields:
             fields["instruction"] = episode.instruction.get("instruction_text") or None
             if is_foreign:
                 extra_fields["trajectory_id"] = episode.trajectory_id
-        is_object = episode.object_category is not None
+        is_object_task = episode.object_category is not None
         goals = goals_by_key.get(episode.goals_key)
         if not goals:
-            radius = OBJECT_RADIUS if is_object else POINT_RADIUS
+            radius = OBJECT_RADIUS if is_object_task else POINT_RADIUS
             goals = tuple(_read_goal(goal, radius) for goal in episode.goals)
         fields["id"] = str(episode.episode_id)
         fields["scene"] = episode.scene_id
         fields["goals"] = goals
-        fields["task"] = "object" if is_object else "point"
+        fields["task"] = "object" if is_object_task else "point"
         fields["start"] = _convert_from_y_up(episode.start_position)
         fields["heading"] = _quaternion_to_heading(episode.start_rotation)
         fields["distance"] = extra_fields.pop("geodesic_distance", None)
@@ -331,20 +333,20 @@ def read_habitat(text: bytes, name: str) -> Fields:
 # ---------------------------------------------------------------- MINOS
 
 
-def encode_minos(content: EpisodeSet, _: str) -> bytes:
+def encode_minos(episode_set: EpisodeSet, _: str) -> bytes:
     """Encode a set as MINOS's table of episode states, one row per episode.
 
     MINOS reads ``episodeId`` as an integer: it is the episode's id if all ids are different
     integers, else the number of the row, from 0.
     """
-    episode_ids = [episode.id for episode in content.episodes]
+    episode_ids = [episode.id for episode in episode_set.episodes]
     if not _are_minos_ids(episode_ids):
         episode_ids = [str(index) for index in range(len(episode_ids))]
     letter_of_task = {task: letter for letter, task in MINOS_TASKS.items()}
     csv_text = io.StringIO()
     csv_writer = csv.DictWriter(csv_text, MINOS_COLUMNS, restval="", lineterminator="\n")
     csv_writer.writeheader()
-    for episode_id, episode in zip(episode_ids, content.episodes, strict=True):
+    for episode_id, episode in zip(episode_ids, episode_set.episodes, strict=True):
         goal = episode.goals[0]
         doors = episode.doors or ()
         rooms = [room.rsplit(":", 1)[-1] for room in episode.rooms or ()]
@@ -381,7 +383,7 @@ def encode_minos(content: EpisodeSet, _: str) -> bytes:
     return csv_text.getvalue().encode()
 
 
-def read_minos(text: bytes, _: str) -> Fields:
+def read_minos(text: bytes, _: str) -> ParsedSet:
     """Read MINOS's table of episode states, a CSV file.
 
     Args:
@@ -415,7 +417,7 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
     than ``room`` may name the room of their goal, too.
     """
 
-    def number(column: str, default: str | None = None) -> float:
+    def parse_number(column: str, default: str | None = None) -> float:
         text = row.get(column) or default
         with suppress(ValueError):
             value = float(text or "nan")
@@ -423,24 +425,24 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
                 return value
         raise ValueError(f"expected a number as {column}, got {text!r} in row {index + 1}")
 
-    def words(column: str) -> list[str]:
+    def split_words(column: str) -> list[str]:
         return [word for word in (row.get(column) or "").split(":") if word]
 
     # the first wrong column in this order is reported
-    start = _convert_from_y_up([number("start" + axis) for axis in "XYZ"])
-    goal = _convert_from_y_up([number("goal" + axis) for axis in "XYZ"])
-    straight = number("dist", "-1")
-    distance = number("pathDist", "-1")
-    level = int(number("level", "0"))
+    start = _convert_from_y_up([parse_number("start" + axis) for axis in "XYZ"])
+    goal = _convert_from_y_up([parse_number("goal" + axis) for axis in "XYZ"])
+    straight_distance = parse_number("dist", "-1")
+    distance = parse_number("pathDist", "-1")
+    level = int(parse_number("level", "0"))
     name = row.get("goalObjectId")
     room = row.get("goalRoomId")
     task_letter = row.get("task")
     if task_letter:
         task = MINOS_TASKS.get(task_letter, "")
         if not task:
-            known_letters = ", ".join(MINOS_TASKS)
+            letters_text = ", ".join(MINOS_TASKS)
             raise ValueError(
-                f"expected one of {known_letters} as task, got {task_letter!r} in row {index + 1}"
+                f"expected one of {letters_text} as task, got {task_letter!r} in row {index + 1}"
             )
         if task == "room" and not room:
             raise ValueError(
@@ -455,12 +457,15 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
     else:
         task = "point"
     # MINOS numbers the rooms of each level; navbake's ids have the level, too
-    rooms = [f"{level}:{word}" if word.isdigit() else word for word in words("pathRoomIndices")]
+    rooms = [
+        f"{level}:{room_id}" if room_id.isdigit() else room_id
+        for room_id in split_words("pathRoomIndices")
+    ]
     return {
         "scene": row.get("sceneId"),
         "task": task,
         "start": start,
-        "heading": math.remainder(number("startAngle") + math.pi / 2, 2 * math.pi),
+        "heading": math.remainder(parse_number("startAngle") + math.pi / 2, 2 * math.pi),
         "goals": [
             {
                 "position": goal,
@@ -471,11 +476,11 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
             }
         ],
         "distance": None if distance < 0 else distance,
-        "straight": None if straight < 0 else straight,
+        "straight": None if straight_distance < 0 else straight_distance,
         "split": row.get("split") or None,
         "room": row.get("roomId") or None,
         "levels": [level, level],
-        "doors": words("pathDoorIds") or None,
+        "doors": split_words("pathDoorIds") or None,
         "rooms": rooms or None,
     }
 
@@ -501,15 +506,16 @@ class _Spec(msgspec.Struct, omit_defaults=True):
     navbake: dict[str, Any] = {}
 
 
-def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
-    """Encode a set as a list of EpisodeSpec; their scenes are named ``DATASET/INDEX``."""
+def encode_molmospaces(episode_set: EpisodeSet, _: str) -> bytes:
+    """Encode a set as MolmoSpaces' list of EpisodeSpec; scenes are named ``DATASET/INDEX``."""
     specs = []
-    for episode in content.episodes:
+    for episode in episode_set.episodes:
         scene = episode.scene if HOUSE_INDEX.search(episode.scene) else f"{episode.scene}/0"
         dataset, _, index = scene.rpartition("/")
         goal = episode.goals[0]
         half_heading = episode.heading / 2
-        is_planar = episode.extra.get("success") == "planar"
+        # success is judged by the distance seen from above
+        is_success_planar = episode.extra.get("success") == "planar"
         nav_task = _NavTask(
             robot_base_pose=(
                 *episode.start,
@@ -521,7 +527,7 @@ def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
             pickup_obj_name=goal.name or "",
             pickup_obj_candidates=[candidate.name or "" for candidate in episode.goals],
             pickup_obj_start_pose=(*_require_position(goal), 1.0, 0.0, 0.0, 0.0),
-            succ_pos_threshold=goal.radius if is_planar else MOLMOSPACES_RADIUS,
+            succ_pos_threshold=goal.radius if is_success_planar else MOLMOSPACES_RADIUS,
         )
         text = episode.instruction or f"go to the {goal.category or goal.name}"
         spec = _Spec(
@@ -536,8 +542,8 @@ def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
     return msgspec.json.encode(specs)
 
 
-def read_molmospaces(text: bytes, name: str) -> Fields:
-    """Read the fields of a set from a list of EpisodeSpec, whose tasks must be to reach objects."""
+def read_molmospaces(text: bytes, name: str) -> ParsedSet:
+    """Read episodes from a list of EpisodeSpec; all their tasks must be to reach an object."""
     episodes = []
     for index, spec in enumerate(decode(text, list[_Spec], name)):
         nav_task = spec.task

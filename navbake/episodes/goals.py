@@ -77,15 +77,15 @@ class Stops(NamedTuple):
             (n, 3).
         distance_fields: for each stop an array with the distance from each cell of the grid to the
             stop [m], inf where there is no path; indexed by flat id.
-        lengths_after: for each stop the length of the path from there through all later stops [m].
-            If a stop has several places, this is a lower bound: each leg begins at the place that
-            is nearest to the next stop.
+        remaining_lengths: for each stop the length of the path from there through all later stops
+            [m]. If a stop has several places, this is a lower bound: each leg begins at the place
+            that is nearest to the next stop.
     """
 
     goals: tuple[Goal, ...]
     places: Sequence[Float] = ()
     distance_fields: Sequence[Float] = ()
-    lengths_after: Sequence[float] = (0.0,)
+    remaining_lengths: Sequence[float] = (0.0,)
 
 
 def find_stops(
@@ -113,9 +113,9 @@ def find_stops(
         distance_field[cells].min()
         for distance_field, cells in zip(distance_fields[1:], stop_cells, strict=False)
     ]
-    lengths_after = [*np.cumsum(leg_lengths[::-1])[::-1].tolist(), 0.0]
+    remaining_lengths = [*np.cumsum(leg_lengths[::-1])[::-1].tolist(), 0.0]
     places = [search.flat.positions(cells) for cells in stop_cells]
-    return Stops(tuple(goals), places, distance_fields, lengths_after)
+    return Stops(tuple(goals), places, distance_fields, remaining_lengths)
 
 
 def find_goal_cells(finder: PathFinder, goal: Goal) -> Int:
@@ -136,12 +136,12 @@ def find_goal_cells(finder: PathFinder, goal: Goal) -> Int:
     flat_grid = finder.search.flat
     if goal.room is not None:
         return np.flatnonzero(finder.search.mark_allowed(room=goal.room))
-    points = [view_point.position for view_point in goal.view_points]
-    if not points and goal.position:
-        points = [goal.position]
-    if not points:
+    places = [view_point.position for view_point in goal.view_points]
+    if not places and goal.position:
+        places = [goal.position]
+    if not places:
         return np.empty(0, dtype=np.int64)
-    positions = check_positions(points, flat_grid.num_levels)
+    positions = check_positions(places, flat_grid.num_levels)
     max_distance = max(MAX_SNAP_DISTANCE, goal.radius)
     _, cells = snap_to_cells(
         flat_grid, flat_grid.free, positions, same_level=False, max_distance=max_distance
@@ -305,8 +305,8 @@ class GoalFinder:
         cells_of_name: dict[str, list[Int]] = {}
         walls_and_doors: set[str] = set()
         grid = self.finder.grid
-        flat = self.finder.search.flat
-        for start, level in zip(flat.layout.start.tolist(), grid.levels, strict=False):
+        flat_grid = self.finder.search.flat
+        for first_cell, level in zip(flat_grid.layout.start.tolist(), grid.levels, strict=False):
             cells, entry_of_cell, entries = UserData.of(level.user_data).shared_entries()
             sort_indices = np.argsort(entry_of_cell, kind="stable")
             num_cells_of_entry = np.bincount(entry_of_cell, minlength=len(entries))
@@ -315,15 +315,15 @@ class GoalFinder:
             for user_data, entry_cells in zip(entries, cells_of_entries, strict=False):
                 walls_and_doors.update(names_in(user_data, "walls"), names_in(user_data, "doors"))
                 for name in names_in(user_data, "objects"):
-                    cells_of_name.setdefault(name, []).append(start + entry_cells)
+                    cells_of_name.setdefault(name, []).append(first_cell + entry_cells)
         object_names = sorted(cells_of_name.keys() - walls_and_doors)
         return {name: np.unique(np.concatenate(cells_of_name[name])) for name in object_names}
 
     def _object_goal(self, name: str, category: str) -> Goal:
         """Make the goal for an object, with its view points."""
-        flat = self.finder.search.flat
+        flat_grid = self.finder.search.flat
         cells = self.object_cells[name]
-        x, y, z = flat.positions(cells).mean(axis=0).tolist()
+        x, y, z = flat_grid.positions(cells).mean(axis=0).tolist()
         view_points = []
         for position in self._find_view_positions(cells):
             heading = math.atan2(y - position[1], x - position[0])
@@ -358,7 +358,7 @@ class GoalFinder:
             is_on_level = level_of_cell == level
             cell_size = float(flat_grid.layout.cell_size[level])
             level_cells = object_cells[is_on_level]
-            object_points = flat_grid.positions(level_cells)[:, :2]
+            object_xy = flat_grid.positions(level_cells)[:, :2]
             # a window of the level round the object
             margin = math.ceil(self.task.view_distance / cell_size)
             top_row = max(0, int(object_row[is_on_level].min()) - margin)
@@ -367,27 +367,27 @@ class GoalFinder:
             right_col = int(object_col[is_on_level].max()) + margin + 1
             level_cell_range = flat_grid.cells_of(level)
             num_cols = int(flat_grid.layout.width[level])
-            is_free_window = flat_grid.free[level_cell_range].reshape(-1, num_cols)[
+            is_free_in_window = flat_grid.free[level_cell_range].reshape(-1, num_cols)[
                 top_row:bottom_row, left_col:right_col
             ]
-            rows, cols = np.nonzero(is_free_window) + np.array([[top_row], [left_col]])
+            rows, cols = np.nonzero(is_free_in_window) + np.array([[top_row], [left_col]])
             near_cells = level_cell_range.start + rows * num_cols + cols
-            points = flat_grid.positions(near_cells)
-            object_distance, nearest_index = spatial.cKDTree(object_points).query(points[:, :2])
+            near_positions = flat_grid.positions(near_cells)
+            object_distance, nearest_index = spatial.cKDTree(object_xy).query(near_positions[:, :2])
             lattice_stride = max(1, round(VIEW_POINT_SPACING / cell_size))
             is_near = object_distance <= self.task.view_distance
             is_on_lattice = is_near & (rows % lattice_stride == 0) & (cols % lattice_stride == 0)
             for i in np.flatnonzero(is_on_lattice if is_on_lattice.any() else is_near):
                 # the line first runs over cells of the object, then it must meet only clear cells
-                first_seen = search.first_in_sight(
+                first_visible_index = search.first_in_sight(
                     cell=level_cells[nearest_index[i]],
-                    point=object_points[nearest_index[i]],
+                    point=object_xy[nearest_index[i]],
                     cells=near_cells[i : i + 1],
-                    points=np.ascontiguousarray(points[i : i + 1, :2]),
+                    points=np.ascontiguousarray(near_positions[i : i + 1, :2]),
                     room_numbers=is_object,
                 )
-                if first_seen == 0:
-                    x, y, z = points[i].tolist()
+                if first_visible_index == 0:
+                    x, y, z = near_positions[i].tolist()
                     positions.append((x, y, z))
         return positions
 

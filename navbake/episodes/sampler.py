@@ -44,7 +44,7 @@ from navbake.types import Bool, Float, Int
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-Kind = TypeVar("Kind")
+StructT = TypeVar("StructT")
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
 MAX_FAILURES = 200  # a scene's draw ends after this many goals in a row without an episode
@@ -125,9 +125,11 @@ class Splits(Record, frozen=True, kw_only=True):
         hash_fraction = (
             int.from_bytes(sha256(hash_text.encode()).digest()[:8], "big") / 2.0**64
         )  # 0 to 1
-        upper_edges = np.cumsum(list(self.shares.values()))
-        upper_edges = upper_edges / upper_edges[-1]
-        return list(self.shares)[int(np.searchsorted(upper_edges, hash_fraction, side="right"))]
+        cumulative_shares = np.cumsum(list(self.shares.values()))
+        cumulative_shares = cumulative_shares / cumulative_shares[-1]
+        return list(self.shares)[
+            int(np.searchsorted(cumulative_shares, hash_fraction, side="right"))
+        ]
 
 
 def make_rules(sampler: str | Rules = "uniform", **changes: object) -> Rules:
@@ -181,7 +183,7 @@ def make_splits(shares: Mapping[str, float | str], by: str = "scene") -> Splits:
     return _convert({"shares": shares, "by": by}, Splits)
 
 
-def _convert(field_values: dict[str, object], struct_type: type[Kind]) -> Kind:
+def _convert(field_values: dict[str, object], struct_type: type[StructT]) -> StructT:
     """Make a struct from the values of its fields, which may be texts."""
     try:
         return msgspec.convert(field_values, struct_type, strict=False)
@@ -207,7 +209,7 @@ def make_episodes(
     seed: int = 0,
     splits: Splits | None = None,
     files: Sequence[str | None] = (),
-    **choice: Unpack[AgentChoice],
+    **agent_choice: Unpack[AgentChoice],
 ) -> EpisodeSet:
     """Draw episodes on grids. All can be solved, and equal arguments give equal sets.
 
@@ -222,7 +224,7 @@ def make_episodes(
         seed: the seed of the draw, >= 0.
         splits: the parts of the set.
         files: the file names of the grids, for the header.
-        choice: the agent, see `AgentChoice`.
+        agent_choice: the agent, see `AgentChoice`.
 
     Returns:
         The set, whose header has the grids, agent and rules, and how many draws each rule refused.
@@ -235,9 +237,11 @@ def make_episodes(
     Example:
         >>> episodes = make_episodes(grid, "object", count=500, radius=0.2)
     """
-    if unknown := choice.keys() - AgentChoice.__annotations__.keys():
-        raise TypeError(f"make_episodes() got an unexpected keyword argument {min(unknown)!r}")
-    agent_name = choice.get("agent")
+    if unknown_names := agent_choice.keys() - AgentChoice.__annotations__.keys():
+        raise TypeError(
+            f"make_episodes() got an unexpected keyword argument {min(unknown_names)!r}"
+        )
+    agent_name = agent_choice.get("agent")
     grid_list = list(grids) if isinstance(grids, Sequence) else [grids]
     if not isinstance(task, Task):
         task = make_task(task)
@@ -248,25 +252,27 @@ def make_episodes(
             raise QueryError(f"expected a {name} >= {minimum}, got {value!r}")
     scenes = [scene_of(grid) for grid in grid_list]
     if not grid_list or len(set(scenes)) < len(scenes):
-        actual = ", ".join(sorted(scenes)) or "none"
-        raise QueryError(f"expected grids of different scenes, got {actual}")
+        scenes_text = ", ".join(sorted(scenes)) or "none"
+        raise QueryError(f"expected grids of different scenes, got {scenes_text}")
     episodes: list[Episode] = []
     grid_entries = []
     agent_facts = set()  # tuples of radius, height and speed
     num_rejected = Counter[str]()
     for index, (scene, original_grid) in enumerate(zip(scenes, grid_list, strict=True)):
-        agent = choose_agent(original_grid, agent_name, choice.get("radius"), choice.get("height"))
+        agent = choose_agent(
+            original_grid, agent_name, agent_choice.get("radius"), agent_choice.get("height")
+        )
         grid = fit_grid(original_grid, agent)
         finder_agent = agent.without_sizes() if agent_name else None
         scene_sampler = _SceneSampler(grid, task, rules, int(seed), splits, finder_agent)
         # the first scenes get one episode more if the count can't be divided
-        scene_count = count // len(scenes) + (index < count % len(scenes))
-        episodes += scene_sampler.draw(scene_count)
+        num_scene_episodes = count // len(scenes) + (index < count % len(scenes))
+        episodes += scene_sampler.draw(num_scene_episodes)
         num_rejected.update(scene_sampler.rejected)
         file_name = files[index] if index < len(files) else None
         grid_entries.append(GridEntry(scene=scene, digest=digest_of(grid), file=file_name))
         height = grid.agent_height if agent.height is None else float(agent.height)
-        speed = agent.speed if agent_name else choice.get("speed")
+        speed = agent.speed if agent_name else agent_choice.get("speed")
         agent_facts.add((grid.radius, height, speed))
     if len(agent_facts) > 1:
         agent_sizes = sorted({(radius, height) for radius, height, _ in agent_facts})
@@ -274,8 +280,8 @@ def make_episodes(
         raise QueryError(f"the grids are for agents of several sizes ({size_text}): give a radius")
     if not episodes:
         count_texts = [f"{num_draws} {reason}" for reason, num_draws in num_rejected.most_common()]
-        reasons = ", ".join(count_texts) or "nothing drawn"
-        raise QueryError(f"no episode of {scenes[0]!r} keeps the rules: {reasons}")
+        reasons_text = ", ".join(count_texts) or "nothing drawn"
+        raise QueryError(f"no episode of {scenes[0]!r} keeps the rules: {reasons_text}")
     ((radius, height, speed),) = agent_facts
     sampler_settings = {"task": task, "rules": rules, "count": int(count), "splits": splits}
     header = Header(
@@ -309,12 +315,14 @@ class _SceneSampler:
         self.splits = splits
         self.scene = scene_of(grid)
         self.finder = PathFinder(grid, agent=agent)
-        self.goals = GoalFinder(self.finder, task)
+        self.goal_finder = GoalFinder(self.finder, task)
         scene_hash = sha256(self.scene.encode()).digest()
         self.rng = np.random.default_rng([seed, int.from_bytes(scene_hash[:8], "big")])
         self.rejected = Counter[str]()
         self.island_radii = self._measure_islands()
-        self.outdoors = rules.outdoors or not has_building(grid.rooms) or not self._has_free_room()
+        self.allows_outdoors = (
+            rules.outdoors or not has_building(grid.rooms) or not self._has_free_room()
+        )
         self.class_edges: tuple[float, ...] = (0.0,)
         if rules.strata:
             self.class_edges = rules.edges or CLASS_EDGES[rules.strata]
@@ -323,24 +331,27 @@ class _SceneSampler:
     def _has_free_room(self) -> bool:
         """Return whether an agent can stand in a room that isn't outdoors."""
         search = self.finder.search
-        in_room = search.rooms.number > 0
-        return bool((search.flat.free & in_room & ~search.mark_outdoors()).any())
+        is_in_room = search.rooms.number > 0
+        return bool((search.flat.free & is_in_room & ~search.mark_outdoors()).any())
 
     def _measure_islands(self) -> Float:
         """Return for each island the distance of its farthest cell from its middle [m]."""
         search = self.finder.search
         cells = np.flatnonzero(search.flat.free)
         island_of_cell = search.islands.number[cells]
-        points = search.flat.positions(cells)
+        positions = search.flat.positions(cells)
         num_islands = search.islands.count + 1
         num_cells = np.maximum(np.bincount(island_of_cell, minlength=num_islands), 1)
         mean_coordinates = [
-            np.bincount(island_of_cell, axis, num_islands) / num_cells for axis in points.T
+            np.bincount(island_of_cell, coordinate, num_islands) / num_cells
+            for coordinate in positions.T
         ]
         middle_of_island = np.stack(mean_coordinates, axis=1)
         radii = np.zeros(num_islands)
         np.maximum.at(
-            radii, island_of_cell, np.linalg.norm(points - middle_of_island[island_of_cell], axis=1)
+            radii,
+            island_of_cell,
+            np.linalg.norm(positions - middle_of_island[island_of_cell], axis=1),
         )
         return radii
 
@@ -353,8 +364,8 @@ class _SceneSampler:
         num_classes = len(self.class_edges)
         # the first classes get one episode more if the count can't be divided
         self.num_missing_of_class = [
-            count // num_classes + (class_number < count % num_classes)
-            for class_number in range(num_classes)
+            count // num_classes + (class_index < count % num_classes)
+            for class_index in range(num_classes)
         ]
         num_failures = 0  # in a row
         while len(episodes) < count and num_failures < MAX_FAILURES:
@@ -380,10 +391,11 @@ class _SceneSampler:
             stops = find_stops(self.finder, goals, in_order=in_order)
         if stops is None:
             reason = "not in sight" if task.kind == "object" else "no place in the room"
-        elif not math.isfinite(stops.lengths_after[0]):
+        elif not math.isfinite(stops.remaining_lengths[0]):
             reason = "no path"
         elif (
-            task.kind != "room" and (-np.diff(stops.lengths_after) < self.rules.min_distance).any()
+            task.kind != "room"
+            and (-np.diff(stops.remaining_lengths) < self.rules.min_distance).any()
         ):
             reason = "too near"
         else:
@@ -404,14 +416,15 @@ class _SceneSampler:
         """
         task = self.task
         if task.kind == "point":
-            points = self.finder.random_point(self.rng, num_goals, outdoors=self.outdoors)
+            points = self.finder.random_point(self.rng, num_goals, outdoors=self.allows_outdoors)
             return [Goal(position=(x, y, z), radius=task.reach) for x, y, z in points.tolist()]
-        labels = list(self.goals.choices)
+        labels = list(self.goal_finder.choices)
         if not labels:
             raise QueryError(f"no {task.kind} in {self.scene!r} to set as a goal")
         label_indices = self.rng.choice(len(labels), num_goals, replace=num_goals > len(labels))
         goals_of_labels = [
-            self.goals.make_goals(labels[label_index]) for label_index in label_indices.tolist()
+            self.goal_finder.make_goals(labels[label_index])
+            for label_index in label_indices.tolist()
         ]
         if not in_order:
             return goals_of_labels[0]
@@ -423,20 +436,24 @@ class _SceneSampler:
         For each episode, `Rules.tries` starts are drawn; the first that no rule refuses is used.
         """
         rules = self.rules
-        starts = self.finder.random_point(self.rng, count * rules.tries, outdoors=self.outdoors)
+        start_positions = self.finder.random_point(
+            self.rng, count * rules.tries, outdoors=self.allows_outdoors
+        )
         lower_limits = [[-math.pi], [0.0]]
         upper_limits = [[math.pi], [1.0]]
-        headings, chances = self.rng.uniform(lower_limits, upper_limits, (2, len(starts)))
-        drawn_starts = self._measure_starts(stops, starts, headings)
-        refused_by_reason = self._find_refused(drawn_starts, chances)
+        headings, random_numbers = self.rng.uniform(
+            lower_limits, upper_limits, (2, len(start_positions))
+        )
+        drawn_starts = self._measure_starts(stops, start_positions, headings)
+        is_refused_by_reason = self._find_refused(drawn_starts, random_numbers)
         episodes: list[Episode] = []
-        for start_indices in np.arange(len(starts)).reshape(count, rules.tries):
+        for start_indices in np.arange(len(start_positions)).reshape(count, rules.tries):
             if not any(self.num_missing_of_class):
                 break
             for start_index in start_indices.tolist():
                 reasons = (
                     reason
-                    for reason, is_refused in refused_by_reason.items()
+                    for reason, is_refused in is_refused_by_reason.items()
                     if is_refused[start_index]
                 )
                 reason = next(reasons, None)
@@ -449,26 +466,35 @@ class _SceneSampler:
                 self.rejected[reason] += 1
         return episodes
 
-    def _measure_starts(self, stops: Stops, starts: Float, headings: Float) -> _Starts:
-        """Measure drawn starts, shape (n, 3) [m], against the stops of an episode."""
+    def _measure_starts(self, stops: Stops, start_positions: Float, headings: Float) -> _Starts:
+        """Measure the paths from drawn starts to the stops of an episode.
+
+        Args:
+            stops: the stops.
+            start_positions: world x, y, z of the starts, shape (n, 3) [m].
+            headings: headings at the starts, shape (n,) [rad]; used if `Rules.headings` is
+                ``random``.
+        """
         flat_grid = self.finder.search.flat
-        cells = flat_grid.cells_at(starts)
-        goal_positions = starts
-        path_lengths = np.full(len(starts), np.nan)
-        straight_lengths = np.full(len(starts), np.nan)
+        cells = flat_grid.cells_at(start_positions)
+        goal_positions = start_positions
+        path_lengths = np.full(len(start_positions), np.nan)
+        straight_lengths = np.full(len(start_positions), np.nan)
         if stops.places:
-            straight_lengths, nearest_index = spatial.cKDTree(stops.places[0]).query(starts)
+            straight_lengths, nearest_index = spatial.cKDTree(stops.places[0]).query(
+                start_positions
+            )
             goal_positions = stops.places[0][nearest_index]
-            path_lengths = stops.distance_fields[0][cells] + stops.lengths_after[0]
+            path_lengths = stops.distance_fields[0][cells] + stops.remaining_lengths[0]
             for stop_places, next_stop_places in pairwise(stops.places):
                 straight_lengths = (
                     straight_lengths + spatial.cKDTree(stop_places).query(next_stop_places)[0].min()
                 )
             if self.rules.headings != "random":
                 heading_vectors = (
-                    goal_positions - starts
+                    goal_positions - start_positions
                     if self.rules.headings == "goal"
-                    else starts - goal_positions
+                    else start_positions - goal_positions
                 )
                 headings = np.arctan2(heading_vectors[:, 1], heading_vectors[:, 0])
         levels = np.stack(
@@ -476,11 +502,11 @@ class _SceneSampler:
             axis=1,
         )
         return _Starts(
-            positions=starts,
+            positions=start_positions,
             headings=headings,
             cells=cells,
             levels=levels,
-            rises=(starts - goal_positions)[:, 2],
+            rises=(start_positions - goal_positions)[:, 2],
             path_lengths=path_lengths,
             straight_lengths=straight_lengths,
         )
@@ -519,12 +545,12 @@ class _SceneSampler:
         self.num_missing_of_class[class_index] -= 1
         return True
 
-    def _find_refused(self, starts: _Starts, chances: Float) -> dict[str, Bool]:
+    def _find_refused(self, starts: _Starts, random_numbers: Float) -> dict[str, Bool]:
         """Find which starts each rule refuses.
 
         Args:
             starts: the starts.
-            chances: a random number from 0 to 1 for each start, shape (n,).
+            random_numbers: a random number from 0 to 1 for each start, shape (n,).
 
         Returns:
             Reason -> mask of the starts that are refused for it, shape (n,). A start that several
@@ -542,7 +568,7 @@ class _SceneSampler:
             np.divide(path_lengths, straight_lengths, out=length_ratio, where=straight_lengths > 0),
             1.0,
         )
-        is_refused_by_chance = chances > 20.0 * (length_ratio - 0.98) ** 2
+        is_refused_by_chance = random_numbers > 20.0 * (length_ratio - 0.98) ** 2
         is_on_another_level = starts.levels[:, 0] != starts.levels[:, 1]
         return {
             "island too small": self.island_radii[island_of_start] < rules.min_island,
