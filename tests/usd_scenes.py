@@ -175,14 +175,14 @@ def _write_geom(stage: Any, model: Any, data: Any, geom: int) -> None:
         prim = UsdGeom.Plane.Define(stage, path)
         prim.CreateAxisAttr("Z")
     else:
-        from navbake.baker.geometry.shapes import height_field_pieces
+        from navbake.baker.geometry.shapes import make_height_field_pieces
 
         number = int(model.geom_dataid[geom])
         if kind == types.mjGEOM_HFIELD:
             rows, cols = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
             first = int(model.hfield_adr[number])
             heights = model.hfield_data[first : first + rows * cols].reshape(rows, cols)
-            pieces = list(height_field_pieces(heights, model.hfield_size[number]))
+            pieces = list(make_height_field_pieces(heights, model.hfield_size[number]))
             points = np.concatenate(
                 [piece.vertices[piece.faces].reshape(-1, 3) for piece in pieces]
             )

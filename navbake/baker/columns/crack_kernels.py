@@ -186,7 +186,7 @@ def _horizontal_distance(corners, num_corners, radius, x, y, nearest_point):
         nearest_point: receives the point nearest to the line of the polygon of corners, without the
             radius; x and y are relative to the line, (3,) [m].
     """
-    least_square = math.inf
+    least_squared_distance = math.inf
     is_left_of_any = False
     is_right_of_any = False
     for i in range(num_corners):
@@ -204,13 +204,13 @@ def _horizontal_distance(corners, num_corners, radius, x, y, nearest_point):
         side_sign = ex * ay - ey * ax
         is_left_of_any = is_left_of_any or side_sign > 0.0
         is_right_of_any = is_right_of_any or side_sign < 0.0
-        if dx * dx + dy * dy < least_square:
-            least_square = dx * dx + dy * dy
+        if dx * dx + dy * dy < least_squared_distance:
+            least_squared_distance = dx * dx + dy * dy
             nearest_point[0] = dx
             nearest_point[1] = dy
             nearest_point[2] = corners[i, 2] + edge_fraction * (corners[j, 2] - corners[i, 2])
     is_inside = num_corners > 2 and is_left_of_any != is_right_of_any
-    return 0.0 if is_inside else math.sqrt(least_square) - radius
+    return 0.0 if is_inside else math.sqrt(least_squared_distance) - radius
 
 
 @subkernel(**NO_REFCOUNT)

@@ -24,7 +24,11 @@ from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import check_occupancy
 from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.leaves import DoorCandidate, find_largest_side, mark_candidate_geoms
+from navbake.baker.scene.leaves import (
+    DoorCandidate,
+    find_geom_of_largest_side,
+    mark_candidate_geoms,
+)
 from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.scene import Scene
 from navbake.navgrid.lattice import Lattice
@@ -252,7 +256,7 @@ def _find_line_cells(
     Returns:
         The cells along the lines; None if the leaf has no finite geometry.
     """
-    panel = find_largest_side(extents, geoms)
+    panel = find_geom_of_largest_side(extents, geoms)
     center = extents.center[panel]
     if not np.isfinite(center).all():
         return None

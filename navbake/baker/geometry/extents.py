@@ -57,9 +57,12 @@ class Extents(NamedTuple):
         Returns:
             Half widths, shape (k,) [m].
         """
-        part_of_short = np.abs((self.short_axis[geom_ids] * direction).sum(axis=-1))
-        part_of_long = np.abs((self.long_axis[geom_ids] * direction).sum(axis=-1))
-        widths = part_of_short * self.short_side[geom_ids] + part_of_long * self.long_side[geom_ids]
+        short_axis_cosine = np.abs((self.short_axis[geom_ids] * direction).sum(axis=-1))
+        long_axis_cosine = np.abs((self.long_axis[geom_ids] * direction).sum(axis=-1))
+        widths = (
+            short_axis_cosine * self.short_side[geom_ids]
+            + long_axis_cosine * self.long_side[geom_ids]
+        )
         return np.asarray(widths / 2)
 
 
@@ -95,16 +98,20 @@ def _measure_solids(solids: Solids, extents: Extents) -> None:
         length = np.hypot(direction[:, 0], direction[:, 1])[:, None]
         direction = np.where(length > 1e-6, direction / np.maximum(length, 1e-6), [1.0, 0.0])
         perpendicular = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-        half_along = _horizontal_half_widths(solids, axes, direction)
-        half_across = _horizontal_half_widths(solids, axes, perpendicular)
-        area = half_along * half_across
+        half_width_along = _horizontal_half_widths(solids, axes, direction)
+        half_width_across = _horizontal_half_widths(solids, axes, perpendicular)
+        area = half_width_along * half_width_across
         is_smaller = area < least_area * (1 - 1e-9)  # rounding alone never picks another axis
         least_area[is_smaller] = area[is_smaller]
-        is_short = (half_along <= half_across)[:, None]
-        geom = solids.geom[is_smaller]
-        extents.short_axis[geom] = np.where(is_short, direction, perpendicular)[is_smaller]
-        extents.short_side[geom] = 2 * np.minimum(half_along, half_across)[is_smaller]
-        extents.long_side[geom] = 2 * np.maximum(half_along, half_across)[is_smaller]
+        is_short = (half_width_along <= half_width_across)[:, None]
+        geom_ids = solids.geom[is_smaller]
+        extents.short_axis[geom_ids] = np.where(is_short, direction, perpendicular)[is_smaller]
+        extents.short_side[geom_ids] = (
+            2 * np.minimum(half_width_along, half_width_across)[is_smaller]
+        )
+        extents.long_side[geom_ids] = (
+            2 * np.maximum(half_width_along, half_width_across)[is_smaller]
+        )
     extents.center[solids.geom] = solids.pos[:, :2]
     extents.bottom[solids.geom] = solids.bounds[:, 2]
     extents.top[solids.geom] = solids.bounds[:, 5]
@@ -138,19 +145,27 @@ def _measure_triangles(shapes: Shapes, extents: Extents) -> None:
     angle = facing_areas.find_angles()
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     perpendicular = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    lowest = np.full((len(geom_ids), 3), np.inf)
-    highest = np.full((len(geom_ids), 3), -np.inf)
+    lowest_coordinates = np.full((len(geom_ids), 3), np.inf)
+    highest_coordinates = np.full((len(geom_ids), 3), -np.inf)
     for facets in shapes.facets_in_batches():
-        measure_spans(facets.corners, group_of_geom[facets.geom], direction, lowest, highest)
-    width_along, width_across, _ = (highest - lowest).T
-    middle = (lowest + highest) / 2
+        measure_spans(
+            facets.corners,
+            group_of_geom[facets.geom],
+            direction,
+            lowest_coordinates,
+            highest_coordinates,
+        )
+    width_along, width_across, _ = (highest_coordinates - lowest_coordinates).T
+    middle_coordinates = (lowest_coordinates + highest_coordinates) / 2
     is_short = (width_along <= width_across)[:, None]
     extents.short_axis[geom_ids] = np.where(is_short, direction, perpendicular)
     extents.short_side[geom_ids] = np.minimum(width_along, width_across)
     extents.long_side[geom_ids] = np.maximum(width_along, width_across)
-    extents.center[geom_ids] = direction * middle[:, :1] + perpendicular * middle[:, 1:2]
-    extents.bottom[geom_ids] = lowest[:, 2]
-    extents.top[geom_ids] = highest[:, 2]
+    extents.center[geom_ids] = (
+        direction * middle_coordinates[:, :1] + perpendicular * middle_coordinates[:, 1:2]
+    )
+    extents.bottom[geom_ids] = lowest_coordinates[:, 2]
+    extents.top[geom_ids] = highest_coordinates[:, 2]
 
 
 class FacingAreas:
@@ -172,44 +187,45 @@ class FacingAreas:
         self._area_times_angle = np.zeros(num_groups * NUM_DIRECTIONS)
         self._num_groups = num_groups
 
-    def add(self, corners: Float, group: Int32) -> None:
+    def add(self, corners: Float, group_of_triangle: Int32) -> None:
         """Add triangles.
 
         Args:
             corners: corners of the triangles, shape (m, 3, 3) [m].
-            group: the group of each triangle, from 0, shape (m,).
+            group_of_triangle: the group of each triangle, from 0, shape (m,).
         """
         direction_index = np.empty(TRIANGLES_PER_CALL, np.int32)
-        weight = np.empty(TRIANGLES_PER_CALL)
-        weighted_angle = np.empty(TRIANGLES_PER_CALL)
-        for first in range(0, len(group), TRIANGLES_PER_CALL):
-            batch = corners[first : first + TRIANGLES_PER_CALL]
+        double_side_area = np.empty(TRIANGLES_PER_CALL)
+        area_times_angle = np.empty(TRIANGLES_PER_CALL)
+        for first_triangle in range(0, len(group_of_triangle), TRIANGLES_PER_CALL):
+            batch_corners = corners[first_triangle : first_triangle + TRIANGLES_PER_CALL]
             run_in_chunks(
                 find_facing_directions,
-                len(batch),
-                batch,
+                len(batch_corners),
+                batch_corners,
                 NUM_DIRECTIONS,
                 direction_index,
-                weight,
-                weighted_angle,
+                double_side_area,
+                area_times_angle,
                 least=4096,
             )
-            first_index = group[first : first + TRIANGLES_PER_CALL] * np.int64(NUM_DIRECTIONS)
-            flat_index = first_index + direction_index[: len(batch)]
-            np.add.at(self._area, flat_index, weight[: len(batch)])
-            np.add.at(self._area_times_angle, flat_index, weighted_angle[: len(batch)])
+            first_index_of_group = group_of_triangle[
+                first_triangle : first_triangle + TRIANGLES_PER_CALL
+            ] * np.int64(NUM_DIRECTIONS)
+            flat_index = first_index_of_group + direction_index[: len(batch_corners)]
+            np.add.at(self._area, flat_index, double_side_area[: len(batch_corners)])
+            np.add.at(self._area_times_angle, flat_index, area_times_angle[: len(batch_corners)])
 
     def find_angles(self) -> Float:
-        """Find the horizontal direction that the largest area of each group's vertical faces faces.
+        """Find, for each group, the horizontal direction that most of its vertical faces face.
 
         Returns:
-            For each group, the angle of that direction from x, from 0 to a quarter turn, shape
-            (groups,) [rad].
+            The angle of that direction from x, from 0 to a quarter turn, shape (groups,) [rad].
         """
         best_direction = self._area.reshape(self._num_groups, NUM_DIRECTIONS).argmax(axis=1)
-        best_index = np.arange(self._num_groups) * NUM_DIRECTIONS + best_direction
-        best_area = self._area[best_index]
-        best_sum = self._area_times_angle[best_index]
-        mean_offset = best_sum / np.where(best_area > 0.0, best_area, 1.0)
-        angle: Float = best_direction * (QUARTER_TURN / NUM_DIRECTIONS) + mean_offset
+        best_flat_index = np.arange(self._num_groups) * NUM_DIRECTIONS + best_direction
+        best_area = self._area[best_flat_index]
+        best_area_times_angle = self._area_times_angle[best_flat_index]
+        mean_angle_offset = best_area_times_angle / np.where(best_area > 0.0, best_area, 1.0)
+        angle: Float = best_direction * (QUARTER_TURN / NUM_DIRECTIONS) + mean_angle_offset
         return angle

@@ -42,30 +42,32 @@ CONTACT_DISTANCE = 1e-7
 
 
 class Simplex(NamedTuple):
-    """A simplex of points of the Minkowski difference, and room for reducing it.
+    """A simplex of points of the Minkowski difference, and scratch arrays for reducing it.
 
     Attributes:
         points: the corners, (4, 3) float64 [m]; the first ones are valid.
-        is_kept: which corners the nearest point of a face depends on, (4,) bool.
-        is_kept_best: the value of `is_kept` for the face that is the nearest so far, (4,) bool.
-        nearest: the simplex' nearest point to the origin, (3,) float64 [m].
-        trial_nearest: the nearest point to the origin of the face that is tried, (3,) float64 [m].
+        is_corner_needed: which corners the nearest point of a face depends on, (4,) bool.
+        is_needed_for_best_face: the value of `is_corner_needed` for the face that is the nearest so
+            far, (4,) bool.
+        nearest_point: the simplex' nearest point to the origin, (3,) float64 [m].
+        trial_nearest_point: the nearest point to the origin of the face that is tried, (3,) float64
+            [m].
     """
 
     points: Float
-    is_kept: Bool
-    is_kept_best: Bool
-    nearest: Float
-    trial_nearest: Float
+    is_corner_needed: Bool
+    is_needed_for_best_face: Bool
+    nearest_point: Float
+    trial_nearest_point: Float
 
 
 @subkernel
 def allocate_simplex():
     """Allocate a simplex without points."""
     points = np.empty((4, 3))
-    is_kept = np.zeros(4, np.bool_)
-    is_kept_best = np.zeros(4, np.bool_)
-    return Simplex(points, is_kept, is_kept_best, np.empty(3), np.empty(3))
+    is_corner_needed = np.zeros(4, np.bool_)
+    is_needed_for_best_face = np.zeros(4, np.bool_)
+    return Simplex(points, is_corner_needed, is_needed_for_best_face, np.empty(3), np.empty(3))
 
 
 @subkernel(inline="always")
@@ -86,10 +88,10 @@ def _write_solid_support(kind, pos, mat, size, dx, dy, dz, point):
         py = size[1] if ly > 0.0 else -size[1]
         pz = size[2] if lz > 0.0 else -size[2]
     elif kind == CYLINDER:
-        across = math.sqrt(lx * lx + ly * ly)
-        if across > 0.0:
-            px = size[0] * lx / across
-            py = size[0] * ly / across
+        radial_length = math.sqrt(lx * lx + ly * ly)
+        if radial_length > 0.0:
+            px = size[0] * lx / radial_length
+            py = size[0] * ly / radial_length
         pz = size[1] if lz > 0.0 else -size[1]
     elif kind == ELLIPSOID:
         ax = size[0] * lx
@@ -117,10 +119,10 @@ def _write_solid_support(kind, pos, mat, size, dx, dy, dz, point):
 def _subtract_prism_support(prism, dx, dy, dz, difference):
     """Subtract a prism's farthest point along a direction (dx, dy, dz) from `difference`, (3,)."""
     if prism.is_round:
-        across = math.sqrt(dx * dx + dy * dy)
-        if across > 0.0:
-            difference[0] -= prism.x + prism.half * dx / across
-            difference[1] -= prism.y + prism.half * dy / across
+        horizontal_length = math.sqrt(dx * dx + dy * dy)
+        if horizontal_length > 0.0:
+            difference[0] -= prism.x + prism.half * dx / horizontal_length
+            difference[1] -= prism.y + prism.half * dy / horizontal_length
         else:
             difference[0] -= prism.x
             difference[1] -= prism.y
@@ -138,10 +140,11 @@ def _dot(a, b):
 
 
 @subkernel(inline="always")
-def _write_nearest_on_segment(a, b, is_kept, nearest):
-    """Write a segment's nearest point to the origin to `nearest`; mark its ends in `is_kept`.
+def _write_nearest_on_segment(a, b, is_corner_needed, nearest_point):
+    """Write a segment's nearest point to the origin to `nearest_point`, and mark its ends.
 
-    One of the ends a and b is marked if it is the nearest point; both are if that lies between.
+    In `is_corner_needed`, one of the ends a and b is marked if it is the nearest point; both are if
+    that lies between.
     """
     abx = b[0] - a[0]
     aby = b[1] - a[1]
@@ -149,36 +152,37 @@ def _write_nearest_on_segment(a, b, is_kept, nearest):
     squared_length = abx * abx + aby * aby + abz * abz
     fraction = -(a[0] * abx + a[1] * aby + a[2] * abz)
     if fraction <= 0.0 or squared_length == 0.0:
-        nearest[0] = a[0]
-        nearest[1] = a[1]
-        nearest[2] = a[2]
-        is_kept[0] = True
-        is_kept[1] = False
+        nearest_point[0] = a[0]
+        nearest_point[1] = a[1]
+        nearest_point[2] = a[2]
+        is_corner_needed[0] = True
+        is_corner_needed[1] = False
     elif fraction >= squared_length:
-        nearest[0] = b[0]
-        nearest[1] = b[1]
-        nearest[2] = b[2]
-        is_kept[0] = False
-        is_kept[1] = True
+        nearest_point[0] = b[0]
+        nearest_point[1] = b[1]
+        nearest_point[2] = b[2]
+        is_corner_needed[0] = False
+        is_corner_needed[1] = True
     else:
         fraction /= squared_length
-        nearest[0] = a[0] + fraction * abx
-        nearest[1] = a[1] + fraction * aby
-        nearest[2] = a[2] + fraction * abz
-        is_kept[0] = True
-        is_kept[1] = True
+        nearest_point[0] = a[0] + fraction * abx
+        nearest_point[1] = a[1] + fraction * aby
+        nearest_point[2] = a[2] + fraction * abz
+        is_corner_needed[0] = True
+        is_corner_needed[1] = True
 
 
 @subkernel(**NO_REFCOUNT)
-def _write_nearest_on_triangle(a, b, c, is_kept, nearest):
-    """Write a triangle's nearest point to the origin to `nearest`; mark corners in `is_kept`.
+def _write_nearest_on_triangle(a, b, c, is_corner_needed, nearest_point):
+    """Write a triangle's nearest point to the origin to `nearest_point`, and mark its corners.
 
-    Marked are those of the corners a, b, c of which the nearest point is a mean: one, two of an
-    edge, or all. The Voronoi regions of the corners, the edges and the face are tested in turn.
+    In `is_corner_needed`, those of the corners a, b, c are marked of which the nearest point is a
+    mean: one, two of an edge, or all. The Voronoi regions of the corners, the edges and the face
+    are tested in turn.
     """
-    is_kept[0] = False
-    is_kept[1] = False
-    is_kept[2] = False
+    is_corner_needed[0] = False
+    is_corner_needed[1] = False
+    is_corner_needed[2] = False
     abx = b[0] - a[0]
     aby = b[1] - a[1]
     abz = b[2] - a[2]
@@ -189,66 +193,66 @@ def _write_nearest_on_triangle(a, b, c, is_kept, nearest):
     d1 = -(abx * a[0] + aby * a[1] + abz * a[2])
     d2 = -(acx * a[0] + acy * a[1] + acz * a[2])
     if d1 <= 0.0 and d2 <= 0.0:
-        nearest[0] = a[0]
-        nearest[1] = a[1]
-        nearest[2] = a[2]
-        is_kept[0] = True
+        nearest_point[0] = a[0]
+        nearest_point[1] = a[1]
+        nearest_point[2] = a[2]
+        is_corner_needed[0] = True
         return
     d3 = -(abx * b[0] + aby * b[1] + abz * b[2])
     d4 = -(acx * b[0] + acy * b[1] + acz * b[2])
     if d3 >= 0.0 and d4 <= d3:
-        nearest[0] = b[0]
-        nearest[1] = b[1]
-        nearest[2] = b[2]
-        is_kept[1] = True
+        nearest_point[0] = b[0]
+        nearest_point[1] = b[1]
+        nearest_point[2] = b[2]
+        is_corner_needed[1] = True
         return
     d5 = -(abx * c[0] + aby * c[1] + abz * c[2])
     d6 = -(acx * c[0] + acy * c[1] + acz * c[2])
     if d6 >= 0.0 and d5 <= d6:
-        nearest[0] = c[0]
-        nearest[1] = c[1]
-        nearest[2] = c[2]
-        is_kept[2] = True
+        nearest_point[0] = c[0]
+        nearest_point[1] = c[1]
+        nearest_point[2] = c[2]
+        is_corner_needed[2] = True
         return
     # beyond an edge: vc, vb, va are the areas that the foot of the origin spans with each edge
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         fraction = d1 / (d1 - d3)
-        nearest[0] = a[0] + fraction * abx
-        nearest[1] = a[1] + fraction * aby
-        nearest[2] = a[2] + fraction * abz
-        is_kept[0] = True
-        is_kept[1] = True
+        nearest_point[0] = a[0] + fraction * abx
+        nearest_point[1] = a[1] + fraction * aby
+        nearest_point[2] = a[2] + fraction * abz
+        is_corner_needed[0] = True
+        is_corner_needed[1] = True
         return
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
         fraction = d2 / (d2 - d6)
-        nearest[0] = a[0] + fraction * acx
-        nearest[1] = a[1] + fraction * acy
-        nearest[2] = a[2] + fraction * acz
-        is_kept[0] = True
-        is_kept[2] = True
+        nearest_point[0] = a[0] + fraction * acx
+        nearest_point[1] = a[1] + fraction * acy
+        nearest_point[2] = a[2] + fraction * acz
+        is_corner_needed[0] = True
+        is_corner_needed[2] = True
         return
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 >= d3 and d5 >= d6:
         fraction = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        nearest[0] = b[0] + fraction * (c[0] - b[0])
-        nearest[1] = b[1] + fraction * (c[1] - b[1])
-        nearest[2] = b[2] + fraction * (c[2] - b[2])
-        is_kept[1] = True
-        is_kept[2] = True
+        nearest_point[0] = b[0] + fraction * (c[0] - b[0])
+        nearest_point[1] = b[1] + fraction * (c[1] - b[1])
+        nearest_point[2] = b[2] + fraction * (c[2] - b[2])
+        is_corner_needed[1] = True
+        is_corner_needed[2] = True
         return
     # inside: the foot of the origin on the plane, by the plane's normal
     nx = aby * acz - abz * acy
     ny = abz * acx - abx * acz
     nz = abx * acy - aby * acx
     scale = (a[0] * nx + a[1] * ny + a[2] * nz) / (nx * nx + ny * ny + nz * nz)
-    nearest[0] = nx * scale
-    nearest[1] = ny * scale
-    nearest[2] = nz * scale
-    is_kept[0] = True
-    is_kept[1] = True
-    is_kept[2] = True
+    nearest_point[0] = nx * scale
+    nearest_point[1] = ny * scale
+    nearest_point[2] = nz * scale
+    is_corner_needed[0] = True
+    is_corner_needed[1] = True
+    is_corner_needed[2] = True
 
 
 @subkernel(inline="always")
@@ -266,11 +270,11 @@ def _is_origin_outside(a, b, c, d):
     nx = aby * acz - abz * acy
     ny = abz * acx - abx * acz
     nz = abx * acy - aby * acx
-    to_d = nx * (d[0] - a[0]) + ny * (d[1] - a[1]) + nz * (d[2] - a[2])
-    to_origin = -(nx * a[0] + ny * a[1] + nz * a[2])
-    if abs(to_d) <= 1e-12 * math.sqrt(nx * nx + ny * ny + nz * nz):
+    side_of_d = nx * (d[0] - a[0]) + ny * (d[1] - a[1]) + nz * (d[2] - a[2])
+    side_of_origin = -(nx * a[0] + ny * a[1] + nz * a[2])
+    if abs(side_of_d) <= 1e-12 * math.sqrt(nx * nx + ny * ny + nz * nz):
         return True  # flat: no volume to be inside of
-    return to_d * to_origin <= 0.0
+    return side_of_d * side_of_origin <= 0.0
 
 
 # The corners of a tetrahedron's faces, each followed by the opposite corner
@@ -279,64 +283,68 @@ TETRAHEDRON_FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3
 
 @subkernel(inline="always")
 def _write_nearest_on_faces(simplex, num_corners):
-    """Write the nearest point of a triangle or a tetrahedron to the origin to `simplex.v`.
+    """Write a triangle's or a tetrahedron's nearest point to the origin to `simplex.nearest_point`.
 
     `num_corners` is 3 or 4. Returns False if the origin is inside of the tetrahedron.
     """
     points = simplex.points
-    least_square = math.inf
+    least_squared_distance = math.inf
     is_outside = False
     for face in range(4 if num_corners == 4 else 1):  # a triangle is the first face
         i = TETRAHEDRON_FACES[face, 0]
         j = TETRAHEDRON_FACES[face, 1]
         k = TETRAHEDRON_FACES[face, 2]
-        m = TETRAHEDRON_FACES[face, 3]
-        if num_corners == 4 and not _is_origin_outside(points[i], points[j], points[k], points[m]):
+        opposite_corner = TETRAHEDRON_FACES[face, 3]
+        if num_corners == 4 and not _is_origin_outside(
+            points[i], points[j], points[k], points[opposite_corner]
+        ):
             continue
         is_outside = True
-        is_kept = simplex.is_kept
-        trial_nearest = simplex.trial_nearest
-        _write_nearest_on_triangle(points[i], points[j], points[k], is_kept, trial_nearest)
-        squared_distance = _dot(trial_nearest, trial_nearest)
-        if num_corners == 3 or squared_distance < least_square:  # a triangle's may be NaN
-            least_square = squared_distance
-            simplex.nearest[0] = trial_nearest[0]
-            simplex.nearest[1] = trial_nearest[1]
-            simplex.nearest[2] = trial_nearest[2]
-            simplex.is_kept_best[i] = is_kept[0]
-            simplex.is_kept_best[j] = is_kept[1]
-            simplex.is_kept_best[k] = is_kept[2]
-            simplex.is_kept_best[m] = False
+        is_corner_needed = simplex.is_corner_needed
+        trial_nearest_point = simplex.trial_nearest_point
+        _write_nearest_on_triangle(
+            points[i], points[j], points[k], is_corner_needed, trial_nearest_point
+        )
+        squared_distance = _dot(trial_nearest_point, trial_nearest_point)
+        if num_corners == 3 or squared_distance < least_squared_distance:  # a triangle's may be NaN
+            least_squared_distance = squared_distance
+            simplex.nearest_point[0] = trial_nearest_point[0]
+            simplex.nearest_point[1] = trial_nearest_point[1]
+            simplex.nearest_point[2] = trial_nearest_point[2]
+            simplex.is_needed_for_best_face[i] = is_corner_needed[0]
+            simplex.is_needed_for_best_face[j] = is_corner_needed[1]
+            simplex.is_needed_for_best_face[k] = is_corner_needed[2]
+            simplex.is_needed_for_best_face[opposite_corner] = False
     return is_outside
 
 
 @subkernel(inline="always")
 def _reduce_simplex(simplex, num_corners):
-    """Write the simplex' nearest point to the origin to `simplex.v`; drop unneeded corners.
+    """Write the simplex' nearest point to the origin to its field; drop unneeded corners.
 
     Returns how many of the `num_corners` corners remain; 4 if the origin is inside of the
     tetrahedron.
     """
     points = simplex.points
-    is_kept = simplex.is_kept
-    nearest = simplex.nearest
+    is_corner_needed = simplex.is_corner_needed
+    nearest_point = simplex.nearest_point
     if num_corners == 1:
-        nearest[0] = points[0, 0]
-        nearest[1] = points[0, 1]
-        nearest[2] = points[0, 2]
+        nearest_point[0] = points[0, 0]
+        nearest_point[1] = points[0, 1]
+        nearest_point[2] = points[0, 2]
         return 1
     if num_corners == 2:
-        is_kept[2] = False
-        is_kept[3] = False
-        _write_nearest_on_segment(points[0], points[1], is_kept, nearest)
+        is_corner_needed[2] = False
+        is_corner_needed[3] = False
+        _write_nearest_on_segment(points[0], points[1], is_corner_needed, nearest_point)
     else:
         if not _write_nearest_on_faces(simplex, num_corners):
             return 4
         for i in range(4):
-            is_kept[i] = simplex.is_kept_best[i]
+            is_corner_needed[i] = simplex.is_needed_for_best_face[i]
     num_remaining = 0
     for i in range(num_corners):
-        if is_kept[i]:
+        if is_corner_needed[i]:
             points[num_remaining, 0] = points[i, 0]
             points[num_remaining, 1] = points[i, 1]
             points[num_remaining, 2] = points[i, 2]
@@ -352,7 +360,7 @@ def gjk_meets_prism(solids, solid, prism, simplex):
         solids: the solids, as `Solids`.
         solid: index of the solid.
         prism: the prism, as `Prism`.
-        simplex: room for the iteration, see `allocate_simplex`.
+        simplex: scratch for the iteration, see `allocate_simplex`.
 
     Returns:
         APART or MEETS, which are proved, or UNDECIDED.
@@ -362,33 +370,47 @@ def gjk_meets_prism(solids, solid, prism, simplex):
     mat = solids.mat[solid]
     size = solids.size[solid]
     points = simplex.points
-    nearest = simplex.nearest
+    nearest_point = simplex.nearest_point
     # the iteration may begin at any point of the difference: here the difference of the centres
-    nearest[0] = pos[0] - prism.x
-    nearest[1] = pos[1] - prism.y
-    nearest[2] = pos[2] - (prism.low + prism.high) / 2.0
-    if nearest[0] == 0.0 and nearest[1] == 0.0 and nearest[2] == 0.0:
+    nearest_point[0] = pos[0] - prism.x
+    nearest_point[1] = pos[1] - prism.y
+    nearest_point[2] = pos[2] - (prism.low + prism.high) / 2.0
+    if nearest_point[0] == 0.0 and nearest_point[1] == 0.0 and nearest_point[2] == 0.0:
         return MEETS  # both centres are inside
     num_corners = 0
     last_squared_distance = math.inf
     for _ in range(MAX_STEPS):
-        support = points[num_corners]
-        _write_solid_support(kind, pos, mat, size, -nearest[0], -nearest[1], -nearest[2], support)
-        _subtract_prism_support(prism, nearest[0], nearest[1], nearest[2], support)
-        # all of the difference lies beyond the plane through w across v, the origin before it
-        if _dot(nearest, support) > 1e-15 * math.sqrt(_dot(nearest, nearest)):
+        support_point = points[num_corners]
+        _write_solid_support(
+            kind,
+            pos,
+            mat,
+            size,
+            -nearest_point[0],
+            -nearest_point[1],
+            -nearest_point[2],
+            support_point,
+        )
+        _subtract_prism_support(
+            prism, nearest_point[0], nearest_point[1], nearest_point[2], support_point
+        )
+        # all of the difference lies beyond the plane through the support point across the vector
+        # `nearest_point`, the origin before it
+        if _dot(nearest_point, support_point) > 1e-15 * math.sqrt(
+            _dot(nearest_point, nearest_point)
+        ):
             return APART
         for i in range(num_corners):
             if (
-                points[i, 0] == support[0]
-                and points[i, 1] == support[1]
-                and points[i, 2] == support[2]
+                points[i, 0] == support_point[0]
+                and points[i, 1] == support_point[1]
+                and points[i, 2] == support_point[2]
             ):
                 return UNDECIDED  # the simplex cannot come nearer
         num_corners = _reduce_simplex(simplex, num_corners + 1)
         if num_corners == 4:
             return MEETS
-        squared_distance = _dot(nearest, nearest)
+        squared_distance = _dot(nearest_point, nearest_point)
         if squared_distance < CONTACT_DISTANCE * CONTACT_DISTANCE:
             return MEETS  # v is a point of the difference
         if squared_distance > last_squared_distance * (1.0 + MAX_ROUNDING_GROWTH):

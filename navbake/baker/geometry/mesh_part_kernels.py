@@ -79,44 +79,44 @@ def _list_edges(faces, num_points):
             (edges + 1,) int32.
         half_edges: the half-edges, ascending for each edge, (3 m,) int32.
     """
-    end_of_point = np.zeros(num_points, np.int32)
+    next_entry_of_point = np.zeros(num_points, np.int32)
     half_edges = np.empty(3 * faces.shape[0], np.int32)
     for is_writing in (False, True):
         for face in range(faces.shape[0]):
             for k in range(3):
                 lower_point = min(faces[face, k], faces[face, (k + 1) % 3])
                 if is_writing:
-                    half_edges[end_of_point[lower_point]] = 3 * face + k
-                end_of_point[lower_point] += 1
+                    half_edges[next_entry_of_point[lower_point]] = 3 * face + k
+                next_entry_of_point[lower_point] += 1
         if (
             not is_writing
         ):  # set to where each point's list begins; writing moves it to the list's end
-            num_before_point = np.int32(0)
+            num_entries_before = np.int32(0)
             for lower_point in range(num_points):
-                num_at_point = end_of_point[lower_point]
-                end_of_point[lower_point] = num_before_point
-                num_before_point += num_at_point
+                num_half_edges_at_point = next_entry_of_point[lower_point]
+                next_entry_of_point[lower_point] = num_entries_before
+                num_entries_before += num_half_edges_at_point
     edge_start = np.empty(half_edges.shape[0] + 1, np.int32)
     keys = np.empty(16, np.int64)
     first_entry = np.int32(0)
     num_edges = 0
     for lower_point in range(num_points):
-        num_at_point = end_of_point[lower_point] - first_entry
-        if num_at_point > keys.shape[0]:
-            keys = np.empty(2 * num_at_point, np.int64)
-        for i in range(num_at_point):
+        num_half_edges_at_point = next_entry_of_point[lower_point] - first_entry
+        if num_half_edges_at_point > keys.shape[0]:
+            keys = np.empty(2 * num_half_edges_at_point, np.int64)
+        for i in range(num_half_edges_at_point):
             half_edge = half_edges[first_entry + i]
             higher_point = max(
                 faces[half_edge // 3, half_edge % 3], faces[half_edge // 3, (half_edge % 3 + 1) % 3]
             )
             keys[i] = (np.int64(higher_point) << 32) | half_edge
-        _sort_keys(keys, num_at_point)
-        for i in range(num_at_point):
+        _sort_keys(keys, num_half_edges_at_point)
+        for i in range(num_half_edges_at_point):
             if i == 0 or keys[i] >> 32 != keys[i - 1] >> 32:
                 edge_start[num_edges] = first_entry + i
                 num_edges += 1
             half_edges[first_entry + i] = keys[i] & 0xFFFFFFFF
-        first_entry = end_of_point[lower_point]
+        first_entry = next_entry_of_point[lower_point]
     edge_start[num_edges] = half_edges.shape[0]
     return edge_start[: num_edges + 1], half_edges
 
@@ -150,22 +150,22 @@ def _mark_duplicates(faces, edge_start, half_edges, part_of_face):
 
 
 @subkernel(inline="always")
-def _is_bare(faces, edge, edge_start, half_edges, num_at_edge, is_remaining):
+def _is_bare(faces, edge, edge_start, half_edges, num_faces_at_edge, is_remaining):
     """Return whether an edge is bare: one triangle remains at it, or two with the same corners.
 
-    `is_remaining` says which triangles of the mesh are not removed yet; `num_at_edge` is the number
-    of these at each edge.
+    `is_remaining` says which triangles of the mesh are not removed yet; `num_faces_at_edge` is the
+    number of these at each edge.
     """
-    if num_at_edge[edge] == 1:
+    if num_faces_at_edge[edge] == 1:
         return True
-    if num_at_edge[edge] != 2:
+    if num_faces_at_edge[edge] != 2:
         return False
-    corner = np.int64(-1)
+    opposite_corner = np.int64(-1)
     for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
         if is_remaining[half_edge // 3]:
-            if corner >= 0:
-                return _opposite_corner(faces, half_edge) == corner
-            corner = _opposite_corner(faces, half_edge)
+            if opposite_corner >= 0:
+                return _opposite_corner(faces, half_edge) == opposite_corner
+            opposite_corner = _opposite_corner(faces, half_edge)
     return False
 
 
@@ -184,22 +184,22 @@ def _remove_at_edge(edge, edge_start, half_edges, is_remaining, queue, queue_end
 
 
 @subkernel
-def _remove_open_surfaces(faces, edge_of_half, edge_start, half_edges, is_remaining):
+def _remove_open_surfaces(faces, edge_of_half_edge, edge_start, half_edges, is_remaining):
     """Remove triangles with a bare edge, at which no other triangle ends, until there is none.
 
     So all of an open surface is removed. `is_remaining` becomes False for the removed triangles.
     Returns the number of remaining triangles at each edge, int32.
     """
-    num_at_edge = np.zeros(edge_start.shape[0] - 1, np.int32)
-    for half_edge in range(edge_of_half.shape[0]):
+    num_faces_at_edge = np.zeros(edge_start.shape[0] - 1, np.int32)
+    for half_edge in range(edge_of_half_edge.shape[0]):
         if is_remaining[half_edge // 3]:
-            num_at_edge[edge_of_half[half_edge]] += 1
+            num_faces_at_edge[edge_of_half_edge[half_edge]] += 1
     queue = np.empty(faces.shape[0], np.int32)
     queue_end = 0
     queue_front = 0
     for edge in range(edge_start.shape[0] - 1):
-        if num_at_edge[edge] > 0 and _is_bare(
-            faces, edge, edge_start, half_edges, num_at_edge, is_remaining
+        if num_faces_at_edge[edge] > 0 and _is_bare(
+            faces, edge, edge_start, half_edges, num_faces_at_edge, is_remaining
         ):
             queue_end = _remove_at_edge(
                 edge, edge_start, half_edges, is_remaining, queue, queue_end
@@ -209,15 +209,15 @@ def _remove_open_surfaces(faces, edge_of_half, edge_start, half_edges, is_remain
         face = queue[queue_front]
         queue_front += 1
         for k in range(3):
-            edge = edge_of_half[3 * face + k]
-            num_at_edge[edge] -= 1
-            if num_at_edge[edge] > 0 and _is_bare(
-                faces, edge, edge_start, half_edges, num_at_edge, is_remaining
+            edge = edge_of_half_edge[3 * face + k]
+            num_faces_at_edge[edge] -= 1
+            if num_faces_at_edge[edge] > 0 and _is_bare(
+                faces, edge, edge_start, half_edges, num_faces_at_edge, is_remaining
             ):
                 queue_end = _remove_at_edge(
                     edge, edge_start, half_edges, is_remaining, queue, queue_end
                 )
-    return num_at_edge
+    return num_faces_at_edge
 
 
 @subkernel(inline="always")
@@ -241,16 +241,18 @@ def _find_neighbor_over_edge(edge, face, edge_start, half_edges, is_remaining):
 
 
 @subkernel
-def _find_patches(faces, edge_of_half, edge_start, half_edges, is_remaining, num_at_edge):
+def _find_patches(
+    faces, edge_of_half_edge, edge_start, half_edges, is_remaining, num_faces_at_edge
+):
     """Number the manifold patches: triangles connected over edges where two triangles meet.
 
     Args:
         faces: the points of each triangle's corners, (m, 3) int32.
-        edge_of_half: the edge of each half-edge, (3 m,) int32.
+        edge_of_half_edge: the edge of each half-edge, (3 m,) int32.
         edge_start: where each edge's half-edges begin in `half_edges`, int32.
         half_edges: the half-edges of all edges, edge by edge, int32.
         is_remaining: which triangles are not removed, (m,) bool.
-        num_at_edge: how many of these are at each edge, int32.
+        num_faces_at_edge: how many of these are at each edge, int32.
 
     Returns:
         patch_of_face: the patch of each triangle, int32; -1 for removed triangles.
@@ -278,8 +280,8 @@ def _find_patches(faces, edge_of_half, edge_start, half_edges, is_remaining, num
             face = patch_faces[queue_front]
             queue_front += 1
             for k in range(3):
-                edge = edge_of_half[3 * face + k]
-                if num_at_edge[edge] != 2:
+                edge = edge_of_half_edge[3 * face + k]
+                if num_faces_at_edge[edge] != 2:
                     continue
                 half_edge = _find_neighbor_over_edge(
                     edge, face, edge_start, half_edges, is_remaining
@@ -327,7 +329,9 @@ def _flip_minority(area, patch_faces, patch_start, is_opposite, is_flipped):
 
 
 @subkernel(inline="always")
-def _remove_from_balance(faces, edge_of_half, face, num_at_edge, is_flipped, balance, sign):
+def _remove_from_balance(
+    faces, edge_of_half_edge, face, num_faces_at_edge, is_flipped, edge_balance, sign
+):
     """Remove a triangle from the balances of its edges (`sign` 1), or add it to them (-1).
 
     The balance of an edge is how many of its half-edges run up, less how many run down, see
@@ -337,19 +341,26 @@ def _remove_from_balance(faces, edge_of_half, face, num_at_edge, is_flipped, bal
     Returns:
         By how much the number of half-edges without a partner falls.
     """
-    gain = 0
+    num_unpaired_removed = 0
     for k in range(3):
-        edge = edge_of_half[3 * face + k]
-        if num_at_edge[edge] > 2:
-            before = abs(balance[edge])
-            balance[edge] -= sign * _half_edge_direction(faces, is_flipped, 3 * face + k)
-            gain += before - abs(balance[edge])
-    return gain
+        edge = edge_of_half_edge[3 * face + k]
+        if num_faces_at_edge[edge] > 2:
+            num_unpaired_before = abs(edge_balance[edge])
+            edge_balance[edge] -= sign * _half_edge_direction(faces, is_flipped, 3 * face + k)
+            num_unpaired_removed += num_unpaired_before - abs(edge_balance[edge])
+    return num_unpaired_removed
 
 
 @subkernel(inline="always")
 def _drop_membranes(
-    faces, area, edge_of_half, num_at_edge, patch_faces, patch_start, is_flipped, is_remaining
+    faces,
+    area,
+    edge_of_half_edge,
+    num_faces_at_edge,
+    patch_faces,
+    patch_start,
+    is_flipped,
+    is_remaining,
 ):
     """Drop membranes: patches without which fewer half-edges have no partner, the smallest first.
 
@@ -359,30 +370,30 @@ def _drop_membranes(
     """
     # for each edge: how many of its half-edges run up, less how many run down, see
     # `_half_edge_direction`
-    balance = np.zeros(num_at_edge.shape[0], np.int32)
+    edge_balance = np.zeros(num_faces_at_edge.shape[0], np.int32)
     patch_area = np.zeros(patch_start.shape[0] - 1)
     for patch_index in range(patch_start.shape[0] - 1):
         for face in patch_faces[patch_start[patch_index] : patch_start[patch_index + 1]]:
             patch_area[patch_index] += area[face]
             for k in range(3):
-                balance[edge_of_half[3 * face + k]] += _half_edge_direction(
+                edge_balance[edge_of_half_edge[3 * face + k]] += _half_edge_direction(
                     faces, is_flipped, 3 * face + k
                 )
     is_any_dropped = False
     for patch_index in np.argsort(patch_area, kind="mergesort"):
-        gain = 0
+        num_unpaired_removed = 0
         for face in patch_faces[patch_start[patch_index] : patch_start[patch_index + 1]]:
-            gain += _remove_from_balance(
-                faces, edge_of_half, face, num_at_edge, is_flipped, balance, 1
+            num_unpaired_removed += _remove_from_balance(
+                faces, edge_of_half_edge, face, num_faces_at_edge, is_flipped, edge_balance, 1
             )
         for face in patch_faces[patch_start[patch_index] : patch_start[patch_index + 1]]:
-            if gain > 0:
+            if num_unpaired_removed > 0:
                 is_remaining[face] = False
             else:
                 _remove_from_balance(
-                    faces, edge_of_half, face, num_at_edge, is_flipped, balance, -1
+                    faces, edge_of_half_edge, face, num_faces_at_edge, is_flipped, edge_balance, -1
                 )
-        is_any_dropped |= gain > 0
+        is_any_dropped |= num_unpaired_removed > 0
     return is_any_dropped
 
 
@@ -401,10 +412,10 @@ def _unite_patches(
     patch_balance = np.zeros(num_patches, np.int64)  # of each patch at one edge
     for sweep in range(2):  # first unite, then find open edges
         for edge in range(edge_start.shape[0] - 1):
-            balance = 0
+            edge_balance = 0
             for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
                 if is_remaining[half_edge // 3]:
-                    balance += _half_edge_direction(faces, is_flipped, half_edge)
+                    edge_balance += _half_edge_direction(faces, is_flipped, half_edge)
                     patch_balance[patch_of_face[half_edge // 3]] += _half_edge_direction(
                         faces, is_flipped, half_edge
                     )
@@ -416,7 +427,7 @@ def _unite_patches(
                 ):
                     if sweep == 0 and previous_patch >= 0:
                         unite(parent, previous_patch, patch_of_face[half_edge // 3])
-                    if sweep == 1 and balance != 0:
+                    if sweep == 1 and edge_balance != 0:
                         is_open[find_root(parent, patch_of_face[half_edge // 3])] = True
                     previous_patch = patch_of_face[half_edge // 3]
             for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
@@ -435,8 +446,8 @@ def find_parts(faces, area, num_points):
         num_points: number of points; points are numbered from 0.
 
     Returns:
-        part_of_face: for each triangle, the lowest triangle of its closed part, NO_CLOSED_PART or
-            DUPLICATE, (m,) int32.
+        part_of_face: for each triangle, the lowest index of a triangle of its closed part;
+            NO_CLOSED_PART or DUPLICATE; (m,) int32.
         is_flipped: whether a triangle of a closed part faces to the other side than most of its
             patch, (m,) bool.
     """
@@ -446,26 +457,26 @@ def find_parts(faces, area, num_points):
     if num_faces == 0:
         return part_of_face, is_flipped
     edge_start, half_edges = _list_edges(faces, num_points)
-    edge_of_half = np.empty(half_edges.shape[0], np.int32)
+    edge_of_half_edge = np.empty(half_edges.shape[0], np.int32)
     for edge in range(edge_start.shape[0] - 1):
         for half_edge in half_edges[edge_start[edge] : edge_start[edge + 1]]:
-            edge_of_half[half_edge] = edge
+            edge_of_half_edge[half_edge] = edge
     _mark_duplicates(faces, edge_start, half_edges, part_of_face)
     is_remaining = part_of_face == NO_CLOSED_PART
     while True:  # dropping a membrane joins the patches at its rim, so patches are found again
-        num_at_edge = _remove_open_surfaces(
-            faces, edge_of_half, edge_start, half_edges, is_remaining
+        num_faces_at_edge = _remove_open_surfaces(
+            faces, edge_of_half_edge, edge_start, half_edges, is_remaining
         )
         patch_of_face, patch_faces, patch_start, is_opposite = _find_patches(
-            faces, edge_of_half, edge_start, half_edges, is_remaining, num_at_edge
+            faces, edge_of_half_edge, edge_start, half_edges, is_remaining, num_faces_at_edge
         )
         is_flipped[:] = False
         _flip_minority(area, patch_faces, patch_start, is_opposite, is_flipped)
         if not _drop_membranes(
             faces,
             area,
-            edge_of_half,
-            num_at_edge,
+            edge_of_half_edge,
+            num_faces_at_edge,
             patch_faces,
             patch_start,
             is_flipped,
@@ -476,13 +487,13 @@ def find_parts(faces, area, num_points):
     parent, is_open = _unite_patches(
         faces, edge_start, half_edges, is_remaining, patch_of_face, is_flipped, num_patches
     )
-    lowest_face = np.full(num_patches, np.int64(-1))
+    lowest_face_of_root = np.full(num_patches, np.int64(-1))
     for face in range(num_faces):
         if is_remaining[face]:
             root = find_root(parent, patch_of_face[face])
             if is_open[root]:
                 continue
-            if lowest_face[root] < 0:
-                lowest_face[root] = face
-            part_of_face[face] = lowest_face[root]
+            if lowest_face_of_root[root] < 0:
+                lowest_face_of_root[root] = face
+            part_of_face[face] = lowest_face_of_root[root]
     return part_of_face, is_flipped & (part_of_face >= 0)

@@ -27,7 +27,7 @@ from navbake.types import Bool, Float, Int, Int32
 # sides [m]
 MIN_THICKNESS = 1e-6
 # At most this many pairs of a triangle and a point are tested at a time
-MAX_PAIRS = 1 << 20
+MAX_PAIRS_AT_ONCE = 1 << 20
 
 
 def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
@@ -58,12 +58,12 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     is_no_shell = part_of_triangle == NOT_SHELL
     if is_no_shell.any():
         candidate_triangles = np.flatnonzero(is_no_shell)  # they are connected to no shell
-        part_of_candidate, candidate_is_flipped = find_parts(
+        part_of_candidate, is_candidate_flipped = find_parts(
             corner_points[candidate_triangles],
             triangle_areas(vertices, triangles[candidate_triangles]),
             len(vertices),
         )
-        is_flipped[candidate_triangles] = candidate_is_flipped
+        is_flipped[candidate_triangles] = is_candidate_flipped
         # the lowest triangle of each part, by its index among all
         is_closed = part_of_candidate >= 0
         part_of_triangle[candidate_triangles] = np.where(
@@ -76,13 +76,13 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
         part_of_triangle == np.arange(len(part_of_triangle), dtype=np.int32)
     )
     num_parts = len(lowest_triangles)
-    number_of_lowest = np.empty(len(part_of_triangle), dtype=np.int32)
-    number_of_lowest[lowest_triangles] = np.arange(1, num_parts + 1)
+    part_number_of_lowest = np.empty(len(part_of_triangle), dtype=np.int32)
+    part_number_of_lowest[lowest_triangles] = np.arange(1, num_parts + 1)
 
     def number_parts(first_triangle: int, end_triangle: int) -> None:
-        lowest_of_part = part_of_triangle[first_triangle:end_triangle]
+        lowest_triangle = part_of_triangle[first_triangle:end_triangle]
         part_of_triangle[first_triangle:end_triangle] = np.where(
-            lowest_of_part < 0, 0, number_of_lowest[lowest_of_part]
+            lowest_triangle < 0, 0, part_number_of_lowest[lowest_triangle]
         )
 
     run_in_chunks(number_parts, len(part_of_triangle), least=MIN_ITEMS_PER_CHUNK)
@@ -140,8 +140,8 @@ def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
     run_in_chunks(weld_points, num_chunks, coordinate_bits, num_chunks, point_of_vertex)
     while True:
         corner_points = np.empty_like(faces)
-        is_proper = np.empty(len(faces), dtype=np.bool_)
-        mate = np.empty(3 * len(faces), dtype=np.int32)
+        has_three_points = np.empty(len(faces), dtype=np.bool_)
+        mate_of_half_edge = np.empty(3 * len(faces), dtype=np.int32)
         num_chunks = choose_num_chunks(len(faces))
         last_half_edges = np.full((num_chunks, len(coordinate_bits)), -1, dtype=np.int32)
         run_in_chunks(
@@ -150,23 +150,23 @@ def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
             point_of_vertex,
             faces,
             corner_points,
-            is_proper,
+            has_three_points,
             last_half_edges,
-            mate,
+            mate_of_half_edge,
         )
-        if is_proper.all():
+        if has_three_points.all():
             break
-        faces = faces[is_proper]
+        faces = faces[has_three_points]
     run_in_chunks(
         pair_half_edges,
         len(coordinate_bits),
         corner_points.reshape(-1),
         last_half_edges,
-        mate,
+        mate_of_half_edge,
         least=MIN_ITEMS_PER_CHUNK,
     )
     shell_of_triangle = np.empty(len(faces), dtype=np.int32)
-    label_shells(mate, shell_of_triangle)
+    label_shells(mate_of_half_edge, shell_of_triangle)
     return faces, corner_points, shell_of_triangle
 
 
@@ -190,7 +190,9 @@ def _find_enclosing(
         return is_enclosing
     volume = np.zeros(num_parts + 1)
     area = np.zeros(num_parts + 1)
-    least_parts = -(-num_parts // choose_num_chunks(len(faces)))  # a call visits all triangles
+    min_parts_per_call = -(
+        -num_parts // choose_num_chunks(len(faces))
+    )  # a call visits all triangles
     run_in_chunks(
         measure_part_volumes,
         num_parts,
@@ -200,7 +202,7 @@ def _find_enclosing(
         part_of_triangle,
         volume,
         area,
-        least=least_parts,
+        least=min_parts_per_call,
         begin=1,
     )
     is_enclosing[1:] = volume[1:] > MIN_THICKNESS * area[1:]
@@ -255,15 +257,17 @@ def _find_surrounding(corners: Float, part_of_triangle: Int32, points: Float) ->
     pair_ids = [np.empty(0, np.int64)]
     windings = [np.empty(0, np.int64)]
     batch_limits = np.searchsorted(
-        pair_ends, np.arange(MAX_PAIRS, num_points_near.sum(), MAX_PAIRS)
+        pair_ends, np.arange(MAX_PAIRS_AT_ONCE, num_points_near.sum(), MAX_PAIRS_AT_ONCE)
     )
-    for batch in np.split(np.arange(len(num_points_near)), batch_limits):
-        num_pairs = num_points_near[batch]
-        triangle = np.repeat(batch, num_pairs)
-        offset = np.cumsum(num_pairs) - num_pairs - first_point[batch]
-        point_index = sort_indices[np.arange(len(triangle)) - np.repeat(offset, num_pairs)]
-        winding = _find_windings_above(corners[triangle], points[point_index])
-        pair_id = part_of_triangle[triangle].astype(np.int64) * len(points) + point_index
+    for batch_triangles in np.split(np.arange(len(num_points_near)), batch_limits):
+        num_pairs = num_points_near[batch_triangles]
+        pair_triangles = np.repeat(batch_triangles, num_pairs)
+        pair_to_point_offset = np.cumsum(num_pairs) - num_pairs - first_point[batch_triangles]
+        point_index = sort_indices[
+            np.arange(len(pair_triangles)) - np.repeat(pair_to_point_offset, num_pairs)
+        ]
+        winding = _find_windings_above(corners[pair_triangles], points[point_index])
+        pair_id = part_of_triangle[pair_triangles].astype(np.int64) * len(points) + point_index
         pair_ids.append(pair_id[winding != 0])
         windings.append(winding[winding != 0])
     unique_ids, pair_index = np.unique(np.concatenate(pair_ids), return_inverse=True)

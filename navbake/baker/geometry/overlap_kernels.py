@@ -25,11 +25,11 @@ X = np.int64(0)
 Y = np.int64(1)
 Z = np.int64(2)
 # For how many hits of a column the first array of counts has room
-FIRST_CAPACITY = 64
+INITIAL_HIT_CAPACITY = 64
 
 
 class Polygons(NamedTuple):
-    """Room for clipping: a polygon is clipped from one array into the other, then back.
+    """Scratch arrays for clipping: a polygon is clipped from one array into the other, then back.
 
     Attributes:
         polygon: corners of the polygon, (MAX_CORNERS, 3) float64 [m].
@@ -42,7 +42,7 @@ class Polygons(NamedTuple):
 
 @subkernel
 def allocate_polygons():
-    """Allocate room for two polygons."""
+    """Allocate the scratch arrays for clipping."""
     return Polygons(np.empty((MAX_CORNERS, 3)), np.empty((MAX_CORNERS, 3)))
 
 
@@ -82,20 +82,22 @@ def facet_meets_prism(facets, triangle, prism, polygons):
         polygons: room for clipping, see `allocate_polygons`.
     """
     margin = 2.0 * TOUCH_DEPTH if facets.closed[triangle] == OPEN_SURFACE else 0.0
-    widened = Prism(prism.x, prism.y, prism.low, prism.high, prism.half + margin, prism.is_round)
-    if is_beside_prism(facets.bounds, triangle, widened):  # true for most triangles
+    widened_prism = Prism(
+        prism.x, prism.y, prism.low, prism.high, prism.half + margin, prism.is_round
+    )
+    if is_beside_prism(facets.bounds, triangle, widened_prism):  # true for most triangles
         return False
-    return triangle_meets_prism(facets.corners[triangle], widened, polygons)
+    return triangle_meets_prism(facets.corners[triangle], widened_prism, polygons)
 
 
 @subkernel(**NO_REFCOUNT)
-def clip_polygon(points, num_corners, clipped, axis, limit, sign):
+def clip_polygon(points, num_corners, clipped_corners, axis, limit, sign):
     """Clip a polygon by a plane across an axis: keep where ``sign * (coordinate - limit) >= 0``.
 
     Args:
         points: corners, (>= num_corners, 3) float64 [m].
         num_corners: number of corners.
-        clipped: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64.
+        clipped_corners: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64.
         axis: which coordinate: X, Y or Z.
         limit: the limit [m].
         sign: 1 or -1.
@@ -109,24 +111,26 @@ def clip_polygon(points, num_corners, clipped, axis, limit, sign):
         start_offset = sign * (points[i, axis] - limit)
         end_offset = sign * (points[j, axis] - limit)
         if start_offset >= 0.0:
-            clipped[num_clipped, 0] = points[i, 0]
-            clipped[num_clipped, 1] = points[i, 1]
-            clipped[num_clipped, 2] = points[i, 2]
+            clipped_corners[num_clipped, 0] = points[i, 0]
+            clipped_corners[num_clipped, 1] = points[i, 1]
+            clipped_corners[num_clipped, 2] = points[i, 2]
             num_clipped += 1
         # an edge that ends on the limit does not cross it: its end is a corner already
         if (start_offset > 0.0 and end_offset < 0.0) or (start_offset < 0.0 and end_offset > 0.0):
             edge_fraction = start_offset / (start_offset - end_offset)
             for k in range(3):
-                clipped[num_clipped, k] = points[i, k] + edge_fraction * (
+                clipped_corners[num_clipped, k] = points[i, k] + edge_fraction * (
                     points[j, k] - points[i, k]
                 )
-            clipped[num_clipped, axis] = limit  # exactly, so that the next clip sees no rounding
+            clipped_corners[num_clipped, axis] = (
+                limit  # exactly, so that the next clip sees no rounding
+            )
             num_clipped += 1
     return num_clipped
 
 
 @subkernel(**NO_REFCOUNT)
-def clip_polygon_between(points, num_corners, scratch, axis, limits, clipped):
+def clip_polygon_between(points, num_corners, scratch, axis, limits, clipped_corners):
     """Clip a polygon to a range of a coordinate.
 
     Args:
@@ -135,14 +139,14 @@ def clip_polygon_between(points, num_corners, scratch, axis, limits, clipped):
         scratch: room for a polygon in between, (MAX_CORNERS, 3) float64.
         axis: which coordinate: X, Y or Z.
         limits: the least and the greatest coordinate [m].
-        clipped: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64; may be
-            `points`.
+        clipped_corners: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64; may
+            be `points`.
 
     Returns:
         The number of corners of the clipped polygon; 0 if nothing is left.
     """
     num_corners = clip_polygon(points, num_corners, scratch, axis, limits[0], 1.0)
-    return clip_polygon(scratch, num_corners, clipped, axis, limits[1], -1.0)
+    return clip_polygon(scratch, num_corners, clipped_corners, axis, limits[1], -1.0)
 
 
 @subkernel(inline="always")
@@ -211,9 +215,9 @@ def plane_meets_prism(planes, plane, prism):
     nx = mat[2]
     ny = mat[5]
     nz = mat[8]
-    middle = (prism.low + prism.high) / 2.0
+    middle_z = (prism.low + prism.high) / 2.0
     half_z = (prism.high - prism.low) / 2.0
-    depth = nx * (prism.x - pos[0]) + ny * (prism.y - pos[1]) + nz * (middle - pos[2])
+    depth = nx * (prism.x - pos[0]) + ny * (prism.y - pos[1]) + nz * (middle_z - pos[2])
     depth -= abs(nz) * half_z
     # how far the disc's rim or the square's corner reaches against the normal
     reach = math.sqrt(nx * nx + ny * ny) if prism.is_round else abs(nx) + abs(ny)
@@ -239,11 +243,11 @@ def count_enclosing(hits, cell, num_enclosing):
     if num_hits + 1 > num_enclosing.shape[0]:
         num_enclosing = np.empty(2 * num_hits + 2, np.int64)
     num_enclosing[num_hits] = 0
-    for rank in range(num_hits - 1, -1, -1):
+    for hit_in_column in range(num_hits - 1, -1, -1):
         winding = 0
-        if hits.closed[first_hit + rank]:
-            winding = 1 if hits.normal[first_hit + rank, 2] > 0.0 else -1
-        num_enclosing[rank] = num_enclosing[rank + 1] + winding
+        if hits.closed[first_hit + hit_in_column]:
+            winding = 1 if hits.normal[first_hit + hit_in_column, 2] > 0.0 else -1
+        num_enclosing[hit_in_column] = num_enclosing[hit_in_column + 1] + winding
     return num_enclosing
 
 
@@ -258,9 +262,9 @@ def is_line_blocked(hits, cell, heights, num_enclosing):
         num_enclosing: the column's counts, see `count_enclosing`.
     """
     first_hit = hits.start[cell]
-    stop = hits.start[cell + 1]
-    hit = find_first_above(hits.z, first_hit, stop, heights.low)
-    if hit < stop and hits.z[hit] < heights.high:
+    end_hit = hits.start[cell + 1]
+    hit = find_first_above(hits.z, first_hit, end_hit, heights.low)
+    if hit < end_hit and hits.z[hit] < heights.high:
         return True
     return num_enclosing[hit - first_hit] > 0
 
@@ -281,7 +285,7 @@ def find_blocked_lines(cells, low_z, high_z, hits, is_blocked, first_test, end_t
         first_test: index of the first test.
         end_test: index past the last test.
     """
-    num_enclosing = np.empty(FIRST_CAPACITY, np.int64)
+    num_enclosing = np.empty(INITIAL_HIT_CAPACITY, np.int64)
     for test in range(first_test, end_test):
         if test == first_test or cells[test] != cells[test - 1]:
             num_enclosing = count_enclosing(hits, cells[test], num_enclosing)

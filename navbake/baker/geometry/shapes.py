@@ -33,10 +33,10 @@ MIN_ITEMS_PER_CHUNK = 4096
 # A mesh is divided into at most this many chunks, as each needs arrays of its own
 MAX_CHUNKS = 8
 NUM_SIDES = 32  # of round solids that are made of triangles
-# Triangles of about this many are expanded at a time
+# Triangles of about this many are expanded_facets at a time
 TRIANGLES_PER_BATCH = 1 << 20
 # Height fields are cut into pieces of about this many triangles, so that only those near some rows
-# of cells need to be expanded
+# of cells need to be expanded_facets
 TRIANGLES_PER_PIECE = 1 << 16
 
 
@@ -48,8 +48,8 @@ class GeomTriangles(NamedTuple):
         faces: vertices of each triangle, counter-clockwise from the front, (m, 3) int32.
         part: the closed part of the mesh that each triangle belongs to, from 1, (m,) int32; 0 for
             those that enclose nothing, and for all geoms but meshes.
-        closed: OPEN_SURFACE, CLOSED_SURFACE, SOLID (height fields) or CONVEX_SOLID (hulls), (m,)
-            uint8. The inside of all but the first counts as occupied.
+        closed: OPEN_SURFACE, which encloses nothing; or CLOSED_SURFACE, SOLID (height fields) or
+            CONVEX_SOLID (hulls), whose inside counts as occupied; (m,) uint8.
         description: what the triangles are, in words, for `GeomReport.shape`.
     """
 
@@ -95,8 +95,8 @@ class Meshes:
         return np.array([len(mesh.faces) for mesh in self.triangles], dtype=np.int64)
 
     @cached_property
-    def expanded(self) -> Facets:
-        """Return all triangles; they are expanded once and kept."""
+    def expanded_facets(self) -> Facets:
+        """Return all triangles; they are expanded_facets once and kept."""
         return self.expand()
 
     def only(self, is_selected: Bool) -> Meshes:
@@ -108,35 +108,41 @@ class Meshes:
 
     def expand(self) -> Facets:
         """Return all triangles of all geoms, ordered by geom, with their corners and boxes."""
-        first_of_mesh = np.cumsum([0, *self.num_triangles])  # of each entry
-        num_triangles = int(first_of_mesh[-1])
+        first_triangle_of_mesh = np.cumsum([0, *self.num_triangles])  # of each entry
+        num_triangles = int(first_triangle_of_mesh[-1])
         corners = np.empty((num_triangles, 3, 3))
         bounds = np.empty((num_triangles, 6))
         normal_z_percent = np.empty(num_triangles, dtype=np.int8)
 
-        def expand_range(first_triangle: int, end_triangle: int) -> None:
-            mesh_number = int(np.searchsorted(first_of_mesh, first_triangle, side="right")) - 1
+        def expand_triangle_range(first_triangle: int, end_triangle: int) -> None:
+            mesh_number = (
+                int(np.searchsorted(first_triangle_of_mesh, first_triangle, side="right")) - 1
+            )
             while first_triangle < end_triangle:
-                mesh_begin, mesh_end = first_of_mesh[mesh_number : mesh_number + 2].tolist()
-                range_end = min(mesh_end, end_triangle)
+                mesh_first_triangle, mesh_end_triangle = first_triangle_of_mesh[
+                    mesh_number : mesh_number + 2
+                ].tolist()
+                range_end = min(mesh_end_triangle, end_triangle)
                 mesh = self.triangles[mesh_number]
                 expand_mesh(
                     mesh.vertices,
                     mesh.faces,
-                    corners[mesh_begin:mesh_end],
-                    bounds[mesh_begin:mesh_end],
-                    normal_z_percent[mesh_begin:mesh_end],
-                    first_triangle - mesh_begin,
-                    range_end - mesh_begin,
+                    corners[mesh_first_triangle:mesh_end_triangle],
+                    bounds[mesh_first_triangle:mesh_end_triangle],
+                    normal_z_percent[mesh_first_triangle:mesh_end_triangle],
+                    first_triangle - mesh_first_triangle,
+                    range_end - mesh_first_triangle,
                 )
                 first_triangle = range_end
                 mesh_number = mesh_number + 1
 
-        run_in_chunks(expand_range, num_triangles, least=MIN_ITEMS_PER_CHUNK)
-        arrays: list[list[NDArray[Any]]] = [[mesh.part, mesh.closed] for mesh in self.triangles]
-        if not arrays:
-            arrays.append([np.empty(0, np.int32), np.empty(0, np.uint8)])
-        part, closed = join_arrays(arrays)
+        run_in_chunks(expand_triangle_range, num_triangles, least=MIN_ITEMS_PER_CHUNK)
+        arrays_of_meshes: list[list[NDArray[Any]]] = [
+            [mesh.part, mesh.closed] for mesh in self.triangles
+        ]
+        if not arrays_of_meshes:
+            arrays_of_meshes.append([np.empty(0, np.int32), np.empty(0, np.uint8)])
+        part, closed = join_arrays(arrays_of_meshes)
         return Facets(
             np.repeat(self.geom, self.num_triangles),
             part,
@@ -184,8 +190,8 @@ class Shapes:
 
         A large height field has several boxes, one around each of its pieces.
         """
-        planes = np.tile(np.repeat([-np.inf, np.inf], 3), (len(self.planes.geom), 1))
-        return np.concatenate([self.solids.bounds, self.meshes.boxes, planes])
+        plane_boxes = np.tile(np.repeat([-np.inf, np.inf], 3), (len(self.planes.geom), 1))
+        return np.concatenate([self.solids.bounds, self.meshes.boxes, plane_boxes])
 
     @cached_property
     def geom_of_box(self) -> Int32:
@@ -195,17 +201,17 @@ class Shapes:
     @cached_property
     def height_fields(self) -> Int32:
         """Return the ids of the geoms that are height fields, shape (n,)."""
-        is_field = [bool((mesh.closed[:1] == SOLID).any()) for mesh in self.meshes.triangles]
-        return np.unique(self.meshes.geom[np.array(is_field, dtype=np.bool_)])
+        is_height_field = [bool((mesh.closed[:1] == SOLID).any()) for mesh in self.meshes.triangles]
+        return np.unique(self.meshes.geom[np.array(is_height_field, dtype=np.bool_)])
 
     @property
     def triangles(self) -> Facets:
         """Return all triangles."""
-        return self.meshes.expanded
+        return self.meshes.expanded_facets
 
     def forget_triangles(self) -> None:
-        """Free the memory of the expanded triangles; `triangles` expands them again."""
-        self.meshes.__dict__.pop("expanded", None)
+        """Free the memory of the expanded_facets triangles; `triangles` expands them again."""
+        self.meshes.__dict__.pop("expanded_facets", None)
 
     def facets_in_batches(self) -> Iterator[Facets]:
         """Yield all triangles in batches of about `TRIANGLES_PER_BATCH`, which saves memory.
@@ -214,7 +220,7 @@ class Shapes:
         already, they are yielded as one batch, and stay in memory.
         """
         if (
-            "expanded" in self.meshes.__dict__
+            "expanded_facets" in self.meshes.__dict__
             or self.meshes.num_triangles.sum() <= TRIANGLES_PER_BATCH
         ):
             yield self.triangles
@@ -232,7 +238,7 @@ class Shapes:
         if is_selected.all():
             return self
 
-        def select(primitives: Primitives) -> Primitives:
+        def select_primitives(primitives: Primitives) -> Primitives:
             is_selected_primitive = is_selected[primitives.geom]
             if is_selected_primitive.all():
                 return primitives
@@ -240,7 +246,10 @@ class Shapes:
 
         meshes = self.meshes.only(is_selected[self.meshes.geom])
         return Shapes(
-            select(self.solids), select(self.planes), meshes, self.is_endless & is_selected
+            select_primitives(self.solids),
+            select_primitives(self.planes),
+            meshes,
+            self.is_endless & is_selected,
         )
 
     def with_replaced(self, new_shapes: Shapes, is_replaced: Bool) -> Shapes:
@@ -252,7 +261,9 @@ class Shapes:
             is_replaced: mask by geom id, shape (ngeom,).
         """
 
-        def replace_in(old_primitives: Primitives, new_primitives: Primitives) -> Primitives:
+        def replace_primitives(
+            old_primitives: Primitives, new_primitives: Primitives
+        ) -> Primitives:
             indices = np.flatnonzero(is_replaced[old_primitives.geom])
             if not len(indices):
                 return old_primitives
@@ -268,8 +279,8 @@ class Shapes:
         for n, new_triangles in zip(indices.tolist(), new_shapes.meshes.triangles, strict=True):
             triangles[n] = new_triangles
         meshes = Meshes(self.meshes.geom, triangles, boxes)
-        solids = replace_in(self.solids, new_shapes.solids)
-        planes = replace_in(self.planes, new_shapes.planes)
+        solids = replace_primitives(self.solids, new_shapes.solids)
+        planes = replace_primitives(self.planes, new_shapes.planes)
         return Shapes(solids, planes, meshes, self.is_endless)
 
     def solids_in_frame(self, axes: Float) -> Shapes:
@@ -284,9 +295,9 @@ class Shapes:
         rotated_solids = solids._replace(
             pos=pos, mat=mat, bounds=solid_bounds(solids.kind, pos, mat, solids.size)
         )
-        no_planes = Planes._make(array[:0] for array in self.planes)
-        no_meshes = self.meshes.only(np.zeros(len(self.meshes.geom), dtype=np.bool_))
-        return Shapes(rotated_solids, no_planes, no_meshes, self.is_endless)
+        empty_planes = Planes._make(array[:0] for array in self.planes)
+        empty_meshes = self.meshes.only(np.zeros(len(self.meshes.geom), dtype=np.bool_))
+        return Shapes(rotated_solids, empty_planes, empty_meshes, self.is_endless)
 
 
 def gather_meshes(triangles_of_geoms: Iterable[tuple[int, GeomTriangles]]) -> Meshes:
@@ -296,17 +307,21 @@ def gather_meshes(triangles_of_geoms: Iterable[tuple[int, GeomTriangles]]) -> Me
         triangles_of_geoms: geom ids, ascending, each with the triangles of the geom, or of a piece
             of it.
     """
-    non_empty = [(geom, mesh) for geom, mesh in triangles_of_geoms if len(mesh.faces)]
-    geoms = [geom for geom, _ in non_empty]
-    meshes = [mesh for _, mesh in non_empty]
+    non_empty_meshes = [(geom, mesh) for geom, mesh in triangles_of_geoms if len(mesh.faces)]
+    geom_ids = [geom for geom, _ in non_empty_meshes]
+    meshes = [mesh for _, mesh in non_empty_meshes]
     boxes = np.empty((len(meshes), 6))
-    is_used_by_id = dict[int, Bool]()  # by the id of the faces, which geoms of one mesh share
+    used_mask_by_faces_id = dict[
+        int, Bool
+    ]()  # by the id of the faces, which geoms of one mesh share
     for box, mesh in zip(boxes, meshes, strict=True):
-        if id(mesh.faces) not in is_used_by_id:
-            is_used_by_id[id(mesh.faces)] = mark_used_vertices(len(mesh.vertices), mesh.faces)
-        is_used = is_used_by_id[id(mesh.faces)]
+        if id(mesh.faces) not in used_mask_by_faces_id:
+            used_mask_by_faces_id[id(mesh.faces)] = mark_used_vertices(
+                len(mesh.vertices), mesh.faces
+            )
+        is_used = used_mask_by_faces_id[id(mesh.faces)]
         box[:] = bounding_box(mesh.vertices if is_used.all() else mesh.vertices[is_used])
-    return Meshes(np.array(geoms, dtype=np.int32), meshes, boxes)
+    return Meshes(np.array(geom_ids, dtype=np.int32), meshes, boxes)
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
@@ -357,11 +372,12 @@ def support_distances(kind: Int32, direction: Float, size: Float) -> Float:
     return distances
 
 
-def height_field_pieces(heights: Float, size: Float) -> Iterator[Mesh]:
-    """Make a closed mesh of a height field, in pieces: its top, some rows at a time; then the rest.
+def make_height_field_pieces(heights: Float, size: Float) -> Iterator[Mesh]:
+    """Make a closed mesh of a height field, piece by piece.
 
-    The rest is its four sides and its bottom. Each cell of the top is split into two triangles
-    along the diagonal along which MuJoCo's rays and collisions split it.
+    The first pieces are the top, some rows at a time; the last piece is the four sides and the
+    bottom. Each cell of the top is split into two triangles, along the same diagonal as by MuJoCo's
+    rays and collisions.
 
     Args:
         heights: 0 to 1, shape (rows, cols), row 0 at the smallest y.
@@ -387,19 +403,21 @@ def height_field_pieces(heights: Float, size: Float) -> Iterator[Mesh]:
     yield _make_height_field_sides(x, y, heights, size)
 
 
-def grid_faces(num_rows: int, num_columns: int) -> Int32:
+def grid_faces(num_quad_rows: int, vertices_per_row: int) -> Int32:
     """Divide each quad of a grid of vertices into two triangles, counter-clockwise from above.
 
     Args:
-        num_rows: number of rows of quads.
-        num_columns: number of vertices in a row.
+        num_quad_rows: number of rows of quads.
+        vertices_per_row: number of vertices in a row.
 
     Returns:
         Vertices of each triangle, shape (2 rows (columns - 1), 3), row by row.
     """
-    lower_left = np.arange(num_rows)[:, None] * num_columns + np.arange(num_columns - 1)
+    lower_left = np.arange(num_quad_rows)[:, None] * vertices_per_row + np.arange(
+        vertices_per_row - 1
+    )
     lower_right = lower_left + 1
-    upper_left = lower_left + num_columns
+    upper_left = lower_left + vertices_per_row
     upper_right = upper_left + 1
     lower_triangles = np.stack([lower_left, lower_right, upper_right], axis=-1)
     upper_triangles = np.stack([lower_left, upper_right, upper_left], axis=-1)
@@ -509,7 +527,7 @@ def triangle_areas(vertices: Float, faces: Int32) -> Float:
 
 
 def bounding_box(points: Float) -> Float:
-    """Return the box around points. If a coordinate of a point is NaN, that of the box is, too.
+    """Return the box around points; its coordinate is NaN where that coordinate of a point is.
 
     Args:
         points: shape (n, 3) [m].
@@ -519,12 +537,12 @@ def bounding_box(points: Float) -> Float:
     """
     box = np.empty(6)
 
-    def measure(first_axis: int, end_axis: int) -> None:
+    def measure_axes(first_axis: int, end_axis: int) -> None:
         for axis in range(first_axis, end_axis):  # numpy takes ten times as long along narrow rows
             box[axis] = points[:, axis].min()
             box[3 + axis] = points[:, axis].max()
 
-    run_in_chunks(measure, 3, least=1 if len(points) > MIN_ITEMS_PER_CHUNK else 3)
+    run_in_chunks(measure_axes, 3, least=1 if len(points) > MIN_ITEMS_PER_CHUNK else 3)
     return box
 
 
@@ -540,13 +558,13 @@ def mark_used_vertices(num_vertices: int, faces: Int32) -> Bool:
     """
     is_used_by_chunk = np.zeros((choose_num_chunks(len(faces)), num_vertices), dtype=np.bool_)
 
-    def mark(first_chunk: int, end_chunk: int) -> None:
+    def mark_chunks(first_chunk: int, end_chunk: int) -> None:
         for chunk in range(first_chunk, end_chunk):
             first_face = len(faces) * chunk // len(is_used_by_chunk)
             end_face = len(faces) * (chunk + 1) // len(is_used_by_chunk)
             is_used_by_chunk[chunk][faces[first_face:end_face]] = True
 
-    run_in_chunks(mark, len(is_used_by_chunk))
+    run_in_chunks(mark_chunks, len(is_used_by_chunk))
     if len(is_used_by_chunk) == 1:
         return np.asarray(is_used_by_chunk[0])
     return np.asarray(is_used_by_chunk.any(axis=0))
@@ -581,8 +599,8 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
     """
     if kind == "plane":
         corners = np.array([[x, y, 0.0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-        halves = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-        return Mesh(corners * (*size[:2], 1.0), halves)
+        triangles = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+        return Mesh(corners * (*size[:2], 1.0), triangles)
     if kind == "box":
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
         hull = hull_faces(corners.astype(np.float64))
@@ -590,7 +608,7 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
         return Mesh(corners, hull)
     radius = size[0]
     half_height = size[1] if len(size) > 1 else 0.0
-    arc = np.linspace(-math.pi / 2, 0.0, NUM_SIDES // 4 + 1)
+    lower_angles = np.linspace(-math.pi / 2, 0.0, NUM_SIDES // 4 + 1)
     if kind == "cylinder":
         profile = [
             (0.0, -half_height),
@@ -603,38 +621,46 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
     else:
         cylinder_half_height = half_height if kind == "capsule" else 0.0
         lower_profile = [
-            (radius * math.cos(angle_below), radius * math.sin(angle_below) - cylinder_half_height)
-            for angle_below in arc.tolist()
+            (radius * math.cos(lower_angle), radius * math.sin(lower_angle) - cylinder_half_height)
+            for lower_angle in lower_angles.tolist()
         ]
         upper_profile = [(ring_radius, -z) for ring_radius, z in lower_profile[::-1]]
         # the two halves of a sphere share their ring in the middle
         profile = lower_profile + (
             upper_profile[1:] if cylinder_half_height == 0 else upper_profile
         )
-    _, bottom = profile[0]
-    _, top = profile[-1]
+    _, bottom_z = profile[0]
+    _, top_z = profile[-1]
     ring_profile = profile[1:-1]
     angle = np.arange(NUM_SIDES) * (2 * math.pi / NUM_SIDES)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    layers = [
-        np.column_stack([ring_radius * circle, np.full(NUM_SIDES, z)])
+    circle_points = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rings = [
+        np.column_stack([ring_radius * circle_points, np.full(NUM_SIDES, z)])
         for ring_radius, z in ring_profile
     ]
-    vertices = np.concatenate([*layers, [[0.0, 0.0, bottom], [0.0, 0.0, top]]])
-    side = np.arange(NUM_SIDES)
-    next_side = (side + 1) % NUM_SIDES
+    vertices = np.concatenate([*rings, [[0.0, 0.0, bottom_z], [0.0, 0.0, top_z]]])
+    side_index = np.arange(NUM_SIDES)
+    next_side_index = (side_index + 1) % NUM_SIDES
     bottom_vertex = np.full(NUM_SIDES, len(vertices) - 2)
     top_vertex = np.full(NUM_SIDES, len(vertices) - 1)
-    last_ring = (len(ring_profile) - 1) * NUM_SIDES
-    faces = [np.column_stack([bottom_vertex, next_side, side])]
-    for first_vertex in range(0, last_ring, NUM_SIDES):
-        lower_vertex = first_vertex + side
-        next_lower_vertex = first_vertex + next_side
+    first_vertex_of_last_ring = (len(ring_profile) - 1) * NUM_SIDES
+    faces = [np.column_stack([bottom_vertex, next_side_index, side_index])]
+    for first_vertex in range(0, first_vertex_of_last_ring, NUM_SIDES):
+        lower_vertex = first_vertex + side_index
+        next_lower_vertex = first_vertex + next_side_index
         upper_vertex = lower_vertex + NUM_SIDES
         next_upper_vertex = next_lower_vertex + NUM_SIDES
         faces.append(np.column_stack([lower_vertex, next_lower_vertex, next_upper_vertex]))
         faces.append(np.column_stack([lower_vertex, next_upper_vertex, upper_vertex]))
-    faces.append(np.column_stack([last_ring + side, last_ring + next_side, top_vertex]))
+    faces.append(
+        np.column_stack(
+            [
+                first_vertex_of_last_ring + side_index,
+                first_vertex_of_last_ring + next_side_index,
+                top_vertex,
+            ]
+        )
+    )
     if kind == "ellipsoid":
         vertices = vertices / radius * np.asarray(size)
     return Mesh(vertices, np.concatenate(faces).astype(np.int32))
@@ -707,15 +733,15 @@ def _cut_ears(points: Float, corners: Int32) -> Int32:
     # projected along the axis along which the polygon's area is largest
     dropped_axis = int(np.abs(normal).argmax())
     projected_points = np.delete(points, dropped_axis, axis=1)
-    sign = 1.0 if (normal[dropped_axis] > 0) == (dropped_axis != 1) else -1.0
+    winding_sign = 1.0 if (normal[dropped_axis] > 0) == (dropped_axis != 1) else -1.0
     remaining_points = list(range(len(points)))
     triangles = list[list[int]]()
 
-    def area(a: Float, b: Float, c: Float) -> Float:
+    def double_area(a: Float, b: Float, c: Float) -> Float:
         """Compute twice the area of triangles, positive where they wind as the polygon does."""
         ab = b - a
         ac = c - a
-        return np.asarray(sign * (ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0]))
+        return np.asarray(winding_sign * (ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0]))
 
     def ear_at(k: int) -> list[int]:
         """Return the k-th remaining corner between its neighbors."""
@@ -734,14 +760,18 @@ def _cut_ears(points: Float, corners: Int32) -> Int32:
             ]
             # a slit in the polygon has two corners at one place: those at the ear's don't count
             is_slit = (remaining_corners[:, None] == [a, b, c]).all(axis=2).any(axis=1)
-            corner = remaining_corners[~is_slit]
-            side_areas = [area(a, b, corner), area(b, c, corner), area(c, a, corner)]
+            other_corners = remaining_corners[~is_slit]
+            side_areas = [
+                double_area(a, b, other_corners),
+                double_area(b, c, other_corners),
+                double_area(c, a, other_corners),
+            ]
             holds_corner = (np.min(side_areas, axis=0) >= 0).any()
-            if area(a, b, c) > 0 and not holds_corner:
+            if double_area(a, b, c) > 0 and not holds_corner:
                 break
         else:  # corners on a line, or lines that cross: the flattest ear is cut off
             ears = [ear_at(k) for k in range(len(remaining_points))]
-            k = int(np.argmin([abs(area(*projected_points[ear])) for ear in ears]))
+            k = int(np.argmin([abs(double_area(*projected_points[ear])) for ear in ears]))
             ear = ears[k]
         triangles.append(ear)
         remaining_points.pop(k)

@@ -26,55 +26,58 @@ MAX_EDGES_OF_POINT = 256
 
 
 @subkernel(inline="always")
-def _coordinate_bits(points, point, axis):
+def _coordinate_bits(point_bits, point, axis):
     """Return the bits of a point's coordinate along an axis; for -0.0, the bits of 0.0."""
-    return np.uint64(0) if points[point, axis] == MINUS_ZERO else points[point, axis]
+    return np.uint64(0) if point_bits[point, axis] == MINUS_ZERO else point_bits[point, axis]
 
 
 @subkernel(inline="always")
-def _are_equal(points, first_point, second_point):
+def _are_equal(point_bits, first_point, second_point):
     """Return whether two points are at the same place."""
     is_equal = True
     for k in range(3):
-        is_equal &= _coordinate_bits(points, first_point, k) == _coordinate_bits(
-            points, second_point, k
+        is_equal &= _coordinate_bits(point_bits, first_point, k) == _coordinate_bits(
+            point_bits, second_point, k
         )
     return is_equal
 
 
 @subkernel(inline="always")
-def _hash_point(points, point):
+def _hash_point(point_bits, point):
     """Return the hash of a point's coordinates (FNV-1a), uint64."""
-    key = np.uint64(1469598103934665603)
+    point_hash = np.uint64(1469598103934665603)
     for k in range(3):
-        key = (key ^ _coordinate_bits(points, point, k)) * np.uint64(1099511628211)
-        key ^= key >> np.uint64(29)
-    return key
+        point_hash = (point_hash ^ _coordinate_bits(point_bits, point, k)) * np.uint64(
+            1099511628211
+        )
+        point_hash ^= point_hash >> np.uint64(29)
+    return point_hash
 
 
 @subkernel(inline="always")
-def _filter_bit(key, filter_size):
+def _filter_bit(point_hash, filter_size):
     """Return the index of a byte of a filter, and the bit in it, that stand for a hash."""
-    bit = key & np.uint64(8 * filter_size - 1)
-    return np.int64(bit >> np.uint64(3)), np.uint8(1 << np.int64(bit & np.uint64(7)))
+    bit_index = point_hash & np.uint64(8 * filter_size - 1)
+    return np.int64(bit_index >> np.uint64(3)), np.uint8(1 << np.int64(bit_index & np.uint64(7)))
 
 
 @kernel(nogil=True)
-def weld_points(points, num_chunks, number_of_point, first_chunk, end_chunk):
-    """Give all points at one place the same number: the index of the first of them.
+def weld_points(point_bits, num_chunks, welded_point, first_chunk, end_chunk):
+    """Weld the points at one place: each gets the index of the first point at its place.
 
     Points are divided into chunks by their hashes, so that several threads work side by side. Each
     chunk has its own filter and its own hash table with open addressing.
 
     Args:
-        points: x, y and z of each point: the bits of float64 numbers, read as integers, (n, 3)
+        point_bits: x, y and z of each point: the bits of float64 numbers, read as integers, (n, 3)
             uint64.
         num_chunks: number of chunks.
-        number_of_point: receives the number of each point, (n,) int32.
+        welded_point: receives, for each point, the index of the first point at its place, (n,)
+            int32.
         first_chunk: number of the first chunk to work on.
         end_chunk: number past the last one.
     """
-    num_points = points.shape[0]
+    num_points = point_bits.shape[0]
     num_chunks_unsigned = np.uint64(num_chunks)
     for chunk in range(first_chunk, end_chunk):
         chunk_points = np.empty(num_points + 1, np.int32)
@@ -83,37 +86,38 @@ def weld_points(points, num_chunks, number_of_point, first_chunk, end_chunk):
             chunk_points[num_chunk_points] = i  # without a branch, which the CPU could not predict
             num_chunk_points += (
                 1
-                if (_hash_point(points, i) >> np.uint64(40)) * num_chunks_unsigned >> np.uint64(24)
+                if (_hash_point(point_bits, i) >> np.uint64(40)) * num_chunks_unsigned
+                >> np.uint64(24)
                 == chunk
                 else 0
             )
         filter_size = 16
         while filter_size < num_chunk_points:  # 8 bits a point
             filter_size *= 2
-        seen_once = np.zeros(filter_size, np.uint8)
-        seen_twice = np.zeros(filter_size, np.uint8)
+        seen_once_filter = np.zeros(filter_size, np.uint8)
+        seen_twice_filter = np.zeros(filter_size, np.uint8)
         for i in chunk_points[:num_chunk_points]:
-            byte, bit = _filter_bit(_hash_point(points, i), filter_size)
-            seen_twice[byte] |= seen_once[byte] & bit
-            seen_once[byte] |= bit
+            byte_index, bit_mask = _filter_bit(_hash_point(point_bits, i), filter_size)
+            seen_twice_filter[byte_index] |= seen_once_filter[byte_index] & bit_mask
+            seen_once_filter[byte_index] |= bit_mask
         num_candidates = 0
         for i in chunk_points[:num_chunk_points]:
-            number_of_point[i] = i
-            byte, bit = _filter_bit(_hash_point(points, i), filter_size)
-            if seen_twice[byte] & bit:
+            welded_point[i] = i
+            byte_index, bit_mask = _filter_bit(_hash_point(point_bits, i), filter_size)
+            if seen_twice_filter[byte_index] & bit_mask:
                 chunk_points[num_candidates] = i
                 num_candidates += 1
         table_size = 16
         while table_size < 2 * num_candidates:  # at most half full, so that probing stays short
             table_size *= 2
-        table = np.full(table_size, np.int32(-1), np.int32)
+        hash_table = np.full(table_size, np.int32(-1), np.int32)
         for i in chunk_points[:num_candidates]:
-            slot = np.int64(_hash_point(points, i) & np.uint64(table_size - 1))
-            while table[slot] >= 0 and not _are_equal(points, table[slot], i):
+            slot = np.int64(_hash_point(point_bits, i) & np.uint64(table_size - 1))
+            while hash_table[slot] >= 0 and not _are_equal(point_bits, hash_table[slot], i):
                 slot = (slot + 1) & (table_size - 1)
-            if table[slot] < 0:
-                table[slot] = i
-            number_of_point[i] = table[slot]
+            if hash_table[slot] < 0:
+                hash_table[slot] = i
+            welded_point[i] = hash_table[slot]
 
 
 @subkernel(inline="always")
@@ -127,7 +131,7 @@ def chain_edges(
     point_of_vertex,
     faces,
     corner_points,
-    is_proper,
+    has_three_points,
     last_half_edge,
     previous_half_edge,
     first_chunk,
@@ -143,8 +147,8 @@ def chain_edges(
         point_of_vertex: the point of each vertex, see `weld_points`, (n,) int32.
         faces: vertices of each triangle, (m, 3) int32.
         corner_points: receives the points of each triangle, (m, 3) int32.
-        is_proper: receives whether a triangle has three different points, (m,) bool; the half-edges
-            of other triangles are in no chain.
+        has_three_points: receives whether a triangle has three different points, (m,) bool; the
+            half-edges of other triangles are in no chain.
         last_half_edge: -1 everywhere; ``last_half_edge[chunk, lower_point]`` receives the last
             half-edge in the chain of point `lower_point`, (chunks, n) int32.
         previous_half_edge: receives the half-edge before each half-edge in its chain, -1 for none,
@@ -162,15 +166,17 @@ def chain_edges(
             corner_points[face, 0] = point_a
             corner_points[face, 1] = point_b
             corner_points[face, 2] = point_c
-            is_proper[face] = point_a != point_b and point_b != point_c and point_c != point_a
-            for k in range(3 if is_proper[face] else 0):
+            has_three_points[face] = (
+                point_a != point_b and point_b != point_c and point_c != point_a
+            )
+            for k in range(3 if has_three_points[face] else 0):
                 lower_point = min(corner_points[face, k], corner_points[face, (k + 1) % 3])
                 previous_half_edge[3 * face + k] = last_half_edge[chunk, lower_point]
                 last_half_edge[chunk, lower_point] = 3 * face + k
 
 
 @kernel(nogil=True)
-def pair_half_edges(corners, last_half_edge, mate_of_half_edge, first_point, end_point):
+def pair_half_edges(point_of_corner, last_half_edge, mate_of_half_edge, first_point, end_point):
     """Find each half-edge's mate: the other half-edge at its edge, which runs the opposite way.
 
     A half-edge has no mate, and gets NOT_SHELL, if
@@ -180,7 +186,7 @@ def pair_half_edges(corners, last_half_edge, mate_of_half_edge, first_point, end
     - or its lower point already has MAX_EDGES_OF_POINT other edges.
 
     Args:
-        corners: points of the triangles, (3 m,) int32.
+        point_of_corner: points of the triangles, (3 m,) int32.
         last_half_edge: the chains of `chain_edges`.
         mate_of_half_edge: `previous_half_edge` of `chain_edges`; receives the mates, (3 m,) int32.
         first_point: the first point; half-edges whose lower point lies in the range are paired.
@@ -198,7 +204,9 @@ def pair_half_edges(corners, last_half_edge, mate_of_half_edge, first_point, end
                 half_edge = next_half_edge
                 next_half_edge = np.int64(mate_of_half_edge[half_edge])
                 mate_of_half_edge[half_edge] = NOT_SHELL
-                higher_point = max(corners[half_edge], corners[_next_half_edge(half_edge)])
+                higher_point = max(
+                    point_of_corner[half_edge], point_of_corner[_next_half_edge(half_edge)]
+                )
                 edge = 0
                 while edge < num_edges and upper_point[edge] != higher_point:
                     edge += 1
@@ -212,11 +220,12 @@ def pair_half_edges(corners, last_half_edge, mate_of_half_edge, first_point, end
                 partner = first_half_edge[edge]
                 num_half_edges[edge] = num_half_edges[edge] + 1
                 if num_half_edges[edge] == 2:
-                    is_opposite = corners[partner] != corners[half_edge]
-                    third_corner = corners[_next_half_edge(_next_half_edge(half_edge))]
+                    is_opposite = point_of_corner[partner] != point_of_corner[half_edge]
+                    third_corner = point_of_corner[_next_half_edge(_next_half_edge(half_edge))]
                     if (
                         is_opposite
-                        and corners[_next_half_edge(_next_half_edge(partner))] != third_corner
+                        and point_of_corner[_next_half_edge(_next_half_edge(partner))]
+                        != third_corner
                     ):
                         mate_of_half_edge[partner] = half_edge
                         mate_of_half_edge[half_edge] = partner
@@ -227,13 +236,13 @@ def pair_half_edges(corners, last_half_edge, mate_of_half_edge, first_point, end
 
 @kernel
 def label_shells(mate_of_half_edge, shell_of_face):
-    """Find the shells: triangles that are connected over mates, and whose half-edges all have one.
+    """Find the shells: triangles that mates connect, and whose half-edges all have a mate.
 
     Args:
         mate_of_half_edge: the other half-edge at each half-edge's edge, NOT_SHELL for none, see
             `pair_half_edges`, (3 m,) int32.
-        shell_of_face: receives, for each triangle, the lowest triangle of its shell, or NOT_SHELL,
-            (m,) int32.
+        shell_of_face: receives, for each triangle, the lowest index of a triangle of its shell, or
+            NOT_SHELL, (m,) int32.
     """
     is_shell = np.ones(shell_of_face.shape[0], np.bool_)
     for face in range(shell_of_face.shape[0]):

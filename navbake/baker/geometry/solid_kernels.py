@@ -53,13 +53,13 @@ def _distance_from_above(solids, solid, upright_axis, dx, dy, half, is_round):
     ay = mat[3 + first_axis]
     bx = mat[second_axis]
     by = mat[3 + second_axis]
-    beyond_first = abs(dx * ax + dy * ay) - size[first_axis]
-    beyond_second = abs(dx * bx + dy * by) - size[second_axis]
+    gap_along_first = abs(dx * ax + dy * ay) - size[first_axis]
+    gap_along_second = abs(dx * bx + dy * by) - size[second_axis]
     if is_round:
-        return math.hypot(max(beyond_first, 0.0), max(beyond_second, 0.0)) - half
+        return math.hypot(max(gap_along_first, 0.0), max(gap_along_second, 0.0)) - half
     # two rectangles are apart when one of their four axes separates them
     distance = max(
-        beyond_first - half * (abs(ax) + abs(ay)), beyond_second - half * (abs(bx) + abs(by))
+        gap_along_first - half * (abs(ax) + abs(ay)), gap_along_second - half * (abs(bx) + abs(by))
     )
     distance = max(
         distance, abs(dx) - half - abs(ax) * size[first_axis] - abs(bx) * size[second_axis]
@@ -89,10 +89,12 @@ def _axis_distance_bound(solids, solid, prism, half, is_round):
     ax = mat[2] * half_length
     ay = mat[5] * half_length
     az = mat[8] * half_length
-    plan_square = ax * ax + ay * ay  # of the axis seen from above
+    squared_plan_length = ax * ax + ay * ay  # of the axis seen from above
     # the point of the axis that is nearest to the prism's axis, seen from above
     axis_fraction = (
-        min(max((dx * ax + dy * ay) / plan_square, -1.0), 1.0) if plan_square > 0.0 else 0.0
+        min(max((dx * ax + dy * ay) / squared_plan_length, -1.0), 1.0)
+        if squared_plan_length > 0.0
+        else 0.0
     )
     px = dx - axis_fraction * ax
     py = dy - axis_fraction * ay
@@ -151,7 +153,7 @@ def solid_meets_prism(solids, solid, prism, simplex):
         solids: the solids, as `Solids`.
         solid: index of the solid.
         prism: the prism, as `Prism`.
-        simplex: room for the iteration of GJK, see `allocate_simplex`.
+        simplex: scratch for the iteration of GJK, see `allocate_simplex`.
 
     Returns:
         APART, MEETS or UNDECIDED.

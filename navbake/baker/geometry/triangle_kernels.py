@@ -11,7 +11,7 @@ from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 QUARTER_TURN = math.pi / 2  # [rad]
 # A triangle counts as vertical if its unit normal's z is below this
-MAX_VERTICAL_UP = 1e-9
+MAX_VERTICAL_NORMAL_Z = 1e-9
 
 
 @subkernel(inline="always")
@@ -47,12 +47,12 @@ def unit_normal(corners, triangle):
     if not length > 0.0:
         return 0.0, 0.0, 0.0
     normal_z = z / length
-    return x / length, y / length, 0.0 if abs(normal_z) < MAX_VERTICAL_UP else normal_z
+    return x / length, y / length, 0.0 if abs(normal_z) < MAX_VERTICAL_NORMAL_Z else normal_z
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def expand_mesh(vertices, faces, corners, bounds, normal_z_percent, first, end):
-    """Write triangles ``range(first, end)`` of a mesh as fields of `Facets`.
+def expand_mesh(vertices, faces, corners, bounds, normal_z_percent, first_triangle, end_triangle):
+    """Write triangles ``range(first_triangle, end_triangle)`` of a mesh as fields of `Facets`.
 
     `normal_z_percent` is 0 for vertical triangles only: where it would be rounded to 0 for another
     triangle, it is 1 or -1.
@@ -63,10 +63,10 @@ def expand_mesh(vertices, faces, corners, bounds, normal_z_percent, first, end):
         corners: receives the corners of each triangle, (m, 3, 3) float64 [m].
         bounds: receives the box around each triangle: lower, upper corner, (m, 6) float64 [m].
         normal_z_percent: receives z of the unit normals in hundredths, rounded, (m,) int8.
-        first: index of the first triangle.
-        end: index past the last one.
+        first_triangle: index of the first triangle.
+        end_triangle: index past the last one.
     """
-    for triangle in range(first, end):
+    for triangle in range(first_triangle, end_triangle):
         for i in range(3):
             for k in range(3):
                 corners[triangle, i, k] = vertices[faces[triangle, i], k]
@@ -80,22 +80,22 @@ def expand_mesh(vertices, faces, corners, bounds, normal_z_percent, first, end):
         length = _length(x, y, z)
         normal_z = z / length if length > 0.0 else 0.0
         normal_z_percent[triangle] = np.rint(100.0 * normal_z)
-        if normal_z_percent[triangle] == 0 and abs(normal_z) >= MAX_VERTICAL_UP:
+        if normal_z_percent[triangle] == 0 and abs(normal_z) >= MAX_VERTICAL_NORMAL_Z:
             normal_z_percent[triangle] = 1 if normal_z > 0.0 else -1
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def measure_areas(vertices, faces, area, first, end):
-    """Compute the areas of triangles ``range(first, end)``.
+def measure_areas(vertices, faces, area, first_triangle, end_triangle):
+    """Compute the areas of triangles ``range(first_triangle, end_triangle)``.
 
     Args:
         vertices: (n, 3) float64 [m].
         faces: vertices of each triangle, (m, 3) int32.
         area: receives the areas, (m,) float64 [m²].
-        first: index of the first triangle.
-        end: index past the last one.
+        first_triangle: index of the first triangle.
+        end_triangle: index past the last one.
     """
-    for face in range(first, end):
+    for face in range(first_triangle, end_triangle):
         x, y, z = _cross(
             vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]
         )
@@ -120,12 +120,12 @@ def describe_triangles(vertices, faces):
         a = vertices[faces[face, 0]]
         b = vertices[faces[face, 1]]
         c = vertices[faces[face, 2]]
-        cross = _cross(a, b, c)
-        length = _length(cross[0], cross[1], cross[2])
+        cross_product = _cross(a, b, c)
+        length = _length(cross_product[0], cross_product[1], cross_product[2])
         area[face] = length / 2
         for k in range(3):
             center[face, k] = (a[k] + b[k] + c[k]) / 3
-            normal[face, k] = cross[k] / max(length, 1e-300)
+            normal[face, k] = cross_product[k] / max(length, 1e-300)
     return center, normal, area
 
 
@@ -215,11 +215,9 @@ def bound_parts(
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def find_nearest_axes(normal, axes, max_distance, nearest_axis, first_normal, end_normal):
-    """Find the axis that each unit normal is nearest to.
+    """Find the axis that each unit normal is nearest to, along the axis or against it.
 
     This is done for the normals ``range(first_normal, end_normal)``.
-
-    A normal may point along the axis or against it.
 
     Args:
         normal: unit normals, (n, 3) float64.
@@ -230,10 +228,10 @@ def find_nearest_axes(normal, axes, max_distance, nearest_axis, first_normal, en
         first_normal: index of the first normal.
         end_normal: index past the last one.
     """
-    for index in range(first_normal, end_normal):
-        x = normal[index, 0]
-        y = normal[index, 1]
-        z = normal[index, 2]
+    for normal_index in range(first_normal, end_normal):
+        x = normal[normal_index, 0]
+        y = normal[normal_index, 1]
+        z = normal[normal_index, 2]
         first_axis = np.searchsorted(axes[:, 2], abs(z) - max_distance)
         largest_cosine = -1.0
         for k in range(first_axis, axes.shape[0]):
@@ -242,57 +240,65 @@ def find_nearest_axes(normal, axes, max_distance, nearest_axis, first_normal, en
             cosine = abs(x * axes[k, 0] + y * axes[k, 1] + z * axes[k, 2])
             if cosine > largest_cosine:
                 largest_cosine = cosine
-                nearest_axis[index] = k
+                nearest_axis[normal_index] = k
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def find_facing_directions(
-    corners, num_directions, direction_of_triangle, weight, weighted_angle, first, end
+    corners,
+    num_directions,
+    direction_of_triangle,
+    double_side_area,
+    area_times_angle,
+    first_triangle,
+    end_triangle,
 ):
-    """Find the horizontal direction that each of the triangles ``range(first, end)`` faces.
+    """Find the horizontal direction that each triangle faces.
 
-    Directions a quarter turn apart count as equal.
+    This is done for the triangles ``range(first_triangle, end_triangle)``. Directions a quarter
+    turn apart count as equal.
 
     Args:
         corners: corners of the triangles, (m, 3, 3) float64 [m].
         num_directions: how many directions a quarter turn is divided into.
         direction_of_triangle: receives the number of the direction nearest to the triangle's, (m,)
             int32; direction n is at ``n / num_directions`` of a quarter turn from x.
-        weight: receives twice the triangle's area as seen from the side, 0 for horizontal
+        double_side_area: receives twice the triangle's area as seen from the side, 0 for horizontal
             triangles, (m,) float64 [m²].
-        weighted_angle: receives the weight times the angle from the nearest direction to the
-            triangle's own, (m,) float64 [m² rad].
-        first: index of the first triangle.
-        end: index past the last one.
+        area_times_angle: receives `double_side_area` times the angle from the nearest direction to
+            the triangle's own, (m,) float64 [m² rad].
+        first_triangle: index of the first triangle.
+        end_triangle: index past the last one.
     """
     angle_step = QUARTER_TURN / num_directions
-    for triangle in range(first, end):
+    for triangle in range(first_triangle, end_triangle):
         x, y, _ = _cross(corners[triangle, 0], corners[triangle, 1], corners[triangle, 2])
         direction_of_triangle[triangle] = 0
-        weight[triangle] = math.sqrt(x * x + y * y)
-        weighted_angle[triangle] = 0.0
-        if weight[triangle] > 0.0:
+        double_side_area[triangle] = math.sqrt(x * x + y * y)
+        area_times_angle[triangle] = 0.0
+        if double_side_area[triangle] > 0.0:
             angle = math.atan2(y, x) % QUARTER_TURN
             nearest_direction = np.int64(math.floor(angle / angle_step + 0.5)) % num_directions
             # wrapped, as the nearest direction may lie across the end of the quarter turn
             angle_offset = (
                 angle - nearest_direction * angle_step + QUARTER_TURN / 2
             ) % QUARTER_TURN - QUARTER_TURN / 2
-            weighted_angle[triangle] = weight[triangle] * angle_offset
+            area_times_angle[triangle] = double_side_area[triangle] * angle_offset
             direction_of_triangle[triangle] = nearest_direction
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def measure_spans(corners, group_of_triangle, direction, lowest, highest):
+def measure_spans(corners, group_of_triangle, direction, lowest_coordinates, highest_coordinates):
     """Measure how far groups of triangles extend along a direction, across it, and in height.
 
     Args:
         corners: (m, 3, 3) float64 [m].
         group_of_triangle: the group of each triangle, (m,) int32.
         direction: horizontal unit vector of each group, (groups, 2) float64.
-        lowest: receives the least coordinate along the direction, along its left normal, and along
-            z, (groups, 3) [m]; the caller fills it with inf.
-        highest: receives the greatest ones, (groups, 3) [m]; the caller fills it with -inf.
+        lowest_coordinates: receives the least coordinate along the direction, along its left
+            normal, and along z, (groups, 3) [m]; the caller fills it with inf.
+        highest_coordinates: receives the greatest ones, (groups, 3) [m]; the caller fills it with
+            -inf.
     """
     for triangle in range(corners.shape[0]):
         group = group_of_triangle[triangle]
@@ -300,11 +306,11 @@ def measure_spans(corners, group_of_triangle, direction, lowest, highest):
             x = corners[triangle, corner, 0]
             y = corners[triangle, corner, 1]
             z = corners[triangle, corner, 2]
-            along = x * direction[group, 0] + y * direction[group, 1]
-            across = y * direction[group, 0] - x * direction[group, 1]
-            lowest[group, 0] = min(lowest[group, 0], along)
-            highest[group, 0] = max(highest[group, 0], along)
-            lowest[group, 1] = min(lowest[group, 1], across)
-            highest[group, 1] = max(highest[group, 1], across)
-            lowest[group, 2] = min(lowest[group, 2], z)
-            highest[group, 2] = max(highest[group, 2], z)
+            coordinate_along = x * direction[group, 0] + y * direction[group, 1]
+            coordinate_across = y * direction[group, 0] - x * direction[group, 1]
+            lowest_coordinates[group, 0] = min(lowest_coordinates[group, 0], coordinate_along)
+            highest_coordinates[group, 0] = max(highest_coordinates[group, 0], coordinate_along)
+            lowest_coordinates[group, 1] = min(lowest_coordinates[group, 1], coordinate_across)
+            highest_coordinates[group, 1] = max(highest_coordinates[group, 1], coordinate_across)
+            lowest_coordinates[group, 2] = min(lowest_coordinates[group, 2], z)
+            highest_coordinates[group, 2] = max(highest_coordinates[group, 2], z)

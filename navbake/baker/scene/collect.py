@@ -19,8 +19,8 @@ from navbake.baker.geometry.shapes import (
     GeomTriangles,
     Shapes,
     gather_meshes,
-    height_field_pieces,
     hull_faces,
+    make_height_field_pieces,
     solid_bounds,
     tessellate,
 )
@@ -547,7 +547,7 @@ def _height_field_pieces(model: mujoco.MjModel, hfield: int) -> Iterator[GeomTri
         problem_text = f"heights or a size that are no numbers, or beyond {MAX_LENGTH:g} m"
         raise SceneError(f"hfield {name!r} has {problem_text}")
     triangles_of_faces = dict[int, GeomTriangles]()  # by the id of the faces, which pieces share
-    for vertices, faces in height_field_pieces(heights, hfield_size):
+    for vertices, faces in make_height_field_pieces(heights, hfield_size):
         if id(faces) not in triangles_of_faces:
             triangles_of_faces[id(faces)] = _make_single_part(
                 vertices, faces, constants.SOLID, "solid"

@@ -214,7 +214,7 @@ def _find_leaf_geoms(
     for body, body_geoms in geoms_of_body.items():
         if not len(body_geoms):
             continue
-        largest_geom = find_largest_side(extents, body_geoms)
+        largest_geom = find_geom_of_largest_side(extents, body_geoms)
         is_tall = (
             extents.top[largest_geom] - extents.bottom[largest_geom] >= MIN_HEIGHT - SIZE_ROUNDING
         )
@@ -278,7 +278,7 @@ def _find_positions(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> d
     return {"modelled": modelled_position, "open": open_position, "closed": closed_position}
 
 
-def find_largest_side(extents: Extents, geoms: Int) -> int:
+def find_geom_of_largest_side(extents: Extents, geoms: Int) -> int:
     """Return the geom whose bounding box has the largest upright face (longer side times height).
 
     If no geom has a finite face, it is the first geom.

@@ -94,7 +94,7 @@ def test_bounds_leave_out_endless_planes():
 
 def height_field_triangles(heights, size):
     """The corners of all triangles of a height field."""
-    pieces = list(shapes.height_field_pieces(heights, size))
+    pieces = list(shapes.make_height_field_pieces(heights, size))
     return np.concatenate([piece.vertices[piece.faces] for piece in pieces])
 
 
