@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from navbake.runtime.paths import Goal
 
 Floating = np.dtype[np.floating]
+"""float32 or float64."""
 Arrays = dict[str, NDArray[Any]]
 """Name of a field of `GridTensors` -> its array of numpy."""
 # Floats of the dtype that must lie within a cell's edge, so that a position is in the right cell
@@ -118,8 +119,8 @@ def with_goals(
 ) -> GridTensors:
     """Return tensors with other goals, faster than by making new tensors.
 
-    Only the paths to the goals are computed anew; all other arrays are shared with the given
-    tensors. Obstacles count as they were when these were made.
+    Only the paths to the goals are computed anew; all other arrays are shared with the old tensors.
+    Obstacles count as they were when the old tensors were made.
 
     Args:
         tensors: the tensors.
@@ -157,8 +158,8 @@ def _check_size(shape: PaddedShape, num_goals: int) -> None:
         QueryError: there are too many cells.
     """
     if math.prod(shape) * max(num_goals, 1) >= 2**31:
-        actual = f"{' x '.join(map(str, shape))} for each of {num_goals} goals"
-        raise QueryError(f"expected less than 2^31 cells in all, got {actual}")
+        size_text = f"{' x '.join(map(str, shape))} for each of {num_goals} goals"
+        raise QueryError(f"expected less than 2^31 cells in all, got {size_text}")
 
 
 def _check_grids(
@@ -211,14 +212,14 @@ def _open_library(
         message = 'tensors need array-api-compat: pip install "navbake[tensors]"'
         raise MissingDependencyError(message) from error
     try:
-        probe = xp.asarray([0.0])
-        namespace = array_namespace(probe)
+        probe_array = xp.asarray([0.0])
+        namespace = array_namespace(probe_array)
     except (AttributeError, TypeError) as error:
         expected = "numpy, torch, jax.numpy or another module of the Python array API"
         raise QueryError(f"expected {expected}, got {xp!r}") from error
     if dtype not in (None, "float32", "float64"):
         raise QueryError(f'expected a dtype "float32" or "float64", got {dtype!r}')
-    float_dtype = probe.dtype if dtype is None else getattr(namespace, dtype)
+    float_dtype = probe_array.dtype if dtype is None else getattr(namespace, dtype)
     device_option = {} if device is None else {"device": device}
 
     def make_array(array: NDArray[Any]) -> Array:
@@ -248,29 +249,29 @@ def _pad(search: Search, values: NDArray[Any], shape: PaddedShape, padding: floa
     Returns:
         The values, shape (levels, rows, cols).
     """
-    padded = np.full(shape[1:], padding, dtype=values.dtype)
+    padded_values = np.full(shape[1:], padding, dtype=values.dtype)
     for level_number, level in enumerate(search.grid.levels):
         level_values = values[search.flat.cells_of(level_number)].reshape(level.shape)
-        padded[level_number, : level.height, : level.width] = level_values
-    return padded
+        padded_values[level_number, : level.height, : level.width] = level_values
+    return padded_values
 
 
 def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) -> Arrays:
     """Make the arrays with the edges and numbers of the columns and rows of each level."""
-    num_levels = (shape.scenes, shape.levels)
+    level_shape = (shape.scenes, shape.levels)
     arrays: Arrays = {
-        name: np.zeros(num_levels, dtype=dtype)
+        name: np.zeros(level_shape, dtype=dtype)
         for name in ("x_first", "y_first", "cells_per_metre", "west", "east", "north", "south")
     }
-    arrays["x_edge"] = np.zeros((*num_levels, shape.cols + 1), dtype=dtype)
-    arrays["y_edge"] = np.zeros((*num_levels, shape.rows + 1), dtype=dtype)
-    arrays["num_rows"] = np.zeros(num_levels, dtype=np.int32)
-    arrays["num_cols"] = np.zeros(num_levels, dtype=np.int32)
+    arrays["x_edge"] = np.zeros((*level_shape, shape.cols + 1), dtype=dtype)
+    arrays["y_edge"] = np.zeros((*level_shape, shape.rows + 1), dtype=dtype)
+    arrays["num_rows"] = np.zeros(level_shape, dtype=np.int32)
+    arrays["num_cols"] = np.zeros(level_shape, dtype=np.int32)
     for scene, grid in enumerate(grids):
         for level_number, level in enumerate(grid.levels):
             x_min, y_max, cell_size, width, height = level.lattice
-            edges = [x_min, x_min + width * cell_size, y_max, y_max - height * cell_size]
-            max_coordinate = np.abs(edges).max()
+            outer_edges = [x_min, x_min + width * cell_size, y_max, y_max - height * cell_size]
+            max_coordinate = np.abs(outer_edges).max()
             if np.spacing(max_coordinate.astype(dtype)) > cell_size / MIN_FLOATS_PER_CELL:
                 place_text = f"at x, y up to {max_coordinate:g} m in {grid.scene_id!r}"
                 raise QueryError(
@@ -303,15 +304,15 @@ def _make_layers(
     ground = np.zeros((shape.scenes, shape.levels))
     num_islands = 0
     for scene, search in enumerate(searches):
-        flat = search.flat
+        flat_grid = search.flat
         levels = search.grid.levels
-        floor_z = flat.floors.z
-        ground[scene, : len(levels)] = flat.floors.ground
-        ground_of_cell = flat.floors.ground[flat.level_of(np.arange(flat.num_cells))]
+        floor_z = flat_grid.floors.z
+        ground[scene, : len(levels)] = flat_grid.floors.ground
+        ground_of_cell = flat_grid.floors.ground[flat_grid.level_of(np.arange(flat_grid.num_cells))]
         # a position over a cell without a floor counts from the level's ground
         standing_z = np.where(np.isnan(floor_z), ground_of_cell, floor_z)
-        heights, ranks = np.unique(standing_z, return_inverse=True)
-        ranks = np.where(np.isnan(floor_z), ranks, ranks + len(heights)).astype(np.int32)
+        unique_z, ranks = np.unique(standing_z, return_inverse=True)
+        ranks = np.where(np.isnan(floor_z), ranks, ranks + len(unique_z)).astype(np.int32)
         # the highest z is found like the lowest one, with the signs of z and the floors changed
         highest_z = -find_lowest_within_step(-standing_z, max_drop, dtype)
         island_numbers = search.islands.number
@@ -324,9 +325,12 @@ def _make_layers(
             values_by_area(search.grid, area_numbers, 0).astype(np.int32) + 0 * island_numbers
         )
         layers = {
-            "lowest_z": (find_lowest_within_step(standing_z, flat.floors.max_step, dtype), np.inf),
+            "lowest_z": (
+                find_lowest_within_step(standing_z, flat_grid.floors.max_step, dtype),
+                np.inf,
+            ),
             "rank": (ranks, -1),
-            "highest_z": (np.where(flat.free, highest_z, -np.inf), -np.inf),
+            "highest_z": (np.where(flat_grid.free, highest_z, -np.inf), -np.inf),
             "floor": (floor_z, np.nan),
             "room": (search.rooms.number, 0),
             "island": (island_numbers, 0),
@@ -337,8 +341,8 @@ def _make_layers(
             ),
         }
         for name, (values, padding) in layers.items():
-            padded = _pad(search, values, shape, padding)
-            layers_of_scenes.setdefault(name, []).append(padded)
+            padded_values = _pad(search, values, shape, padding)
+            layers_of_scenes.setdefault(name, []).append(padded_values)
     arrays = {name: np.stack(layers).ravel() for name, layers in layers_of_scenes.items()}
     arrays["ground"] = ground.ravel()
     return {
@@ -350,7 +354,7 @@ def _make_layers(
 def _make_goal_fields(
     searches: list[Search], goals: list[Sequence[Goal]], shape: PaddedShape, dtype: Floating
 ) -> Arrays:
-    """Make `cost` and `next_cell`: of the cheapest path from each cell to each goal.
+    """Make the arrays `cost` and `next_cell` of the cheapest path from each cell to each goal.
 
     Raises:
         QueryError: a goal is not valid, or no cell of it is free.
@@ -360,11 +364,11 @@ def _make_goal_fields(
     padded_ids = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
     for scene, search in enumerate(searches):
         ids_of_levels = [
-            padded_ids[scene, goal_number, : level.height, : level.width].ravel()
-            for goal_number, level in enumerate(search.grid.levels)
+            padded_ids[scene, level_number, : level.height, : level.width].ravel()
+            for level_number, level in enumerate(search.grid.levels)
         ]
         # flat id -> padded id; its last entry, -1, is looked up for no next cell, which is also -1
-        padded_id = np.concatenate([*ids_of_levels, np.array([-1], dtype=np.int32)])
+        padded_id_of_cell = np.concatenate([*ids_of_levels, np.array([-1], dtype=np.int32)])
         for goal_number, goal in enumerate(goals[scene]):
             target = find_target(search, goal)
             goal_cells = target.free_cells(search.flat)
@@ -375,9 +379,11 @@ def _make_goal_fields(
                     key="goals",
                     value=goal,
                 )
-            cost_of_cell, next_of_cell = search.find_next_cells(goal_cells)
+            cost_of_cell, next_cell_of_cell = search.find_next_cells(goal_cells)
             cost[goal_number, scene] = _pad(search, cost_of_cell, shape, np.inf)
-            next_cell[goal_number, scene] = _pad(search, padded_id[next_of_cell], shape, -1)
+            next_cell[goal_number, scene] = _pad(
+                search, padded_id_of_cell[next_cell_of_cell], shape, -1
+            )
     return {"cost": cost.ravel(), "next_cell": next_cell.ravel()}
 
 
@@ -391,11 +397,11 @@ def _sort_free_cells(
     if num_groups * (num_rooms + 1) >= 2**31:
         raise QueryError("too many islands and rooms in all: make tensors of fewer grids at once")
     arrays: Arrays = {}
-    for name, groups in (("island", island_of_cell[free_cells]), ("room", scene_of_cell)):
-        keys = (groups * (num_rooms + 1) + room_of_cell[free_cells]).astype(np.int32)
-        sort_indices = np.argsort(keys, kind="stable")
+    for name, group_of_cell in (("island", island_of_cell[free_cells]), ("room", scene_of_cell)):
+        sort_keys = (group_of_cell * (num_rooms + 1) + room_of_cell[free_cells]).astype(np.int32)
+        sort_indices = np.argsort(sort_keys, kind="stable")
         arrays[f"cells_by_{name}"] = free_cells[sort_indices].astype(np.int32)
-        arrays[f"{name}_key"] = keys[sort_indices]
+        arrays[f"{name}_key"] = sort_keys[sort_indices]
     return arrays
 
 
@@ -450,32 +456,34 @@ def find_first_in_cells(
         (num_cols + 1,) [m].
     """
     col_numbers = np.arange(num_cols + 1, dtype=np.float64)
-    edges = x_min + col_numbers * col_width
+    column_edges = x_min + col_numbers * col_width
 
     def is_in_cell(x: Float) -> Bool:
         return np.asarray(np.floor((x - x_min) / col_width) >= col_numbers)
 
-    return find_smallest_true(is_in_cell, edges - col_width / 2, edges + col_width / 2, dtype)
+    return find_smallest_true(
+        is_in_cell, column_edges - col_width / 2, column_edges + col_width / 2, dtype
+    )
 
 
 def find_lowest_within_step(
-    floors: Float, max_step: float, dtype: Floating
+    floor_z: Float, max_step: float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """For each floor, find the lowest z that still is on it: at most a step below the floor.
+    """For each floor, find the lowest z that counts as on it: at most a step below the floor.
 
     Args:
-        floors: z of floors, shape (n,) [m].
+        floor_z: z of floors, shape (n,) [m].
         max_step: the highest step [m].
         dtype: the dtype of the numbers.
 
     Returns:
         The lowest z of the dtype for each floor, shape (n,) [m].
     """
-    heights, height_of_floor = np.unique(floors, return_inverse=True)
+    unique_z, index_of_floor = np.unique(floor_z, return_inverse=True)
     # bounds beyond the rounding of the exact thresholds
-    exact_z = heights - max_step
-    margin = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(heights) + np.abs(exact_z))
+    exact_z = unique_z - max_step
+    margin = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(unique_z) + np.abs(exact_z))
     lowest_z = find_smallest_true(
-        lambda z: heights <= z + max_step, exact_z - margin, exact_z + margin, dtype
+        lambda z: unique_z <= z + max_step, exact_z - margin, exact_z + margin, dtype
     )
-    return lowest_z[height_of_floor]
+    return lowest_z[index_of_floor]

@@ -173,7 +173,7 @@ def locate_in_scenes(
         each position is in a cell; all of shape (...).
     """
     xp = tensors.xp
-    lowest_level = first_level(tensors, scene_id)
+    first_level_index = find_first_level(tensors, scene_id)
     x = positions[..., 0]
     y = positions[..., 1]
     z = positions[..., 2]
@@ -182,16 +182,16 @@ def locate_in_scenes(
     best_cell = xp.zeros_like(x, dtype=tensors.index_dtype)
     best_level = best_cell
     if tensors.shape.levels == 1:  # no choice of a level
-        cell, is_in_cell = clamp_to_level(tensors, x, y, lowest_level)
+        cell, is_in_cell = clamp_to_level(tensors, x, y, first_level_index)
         is_in_cell = is_in_cell & (z >= tensors.lowest_z[cell]) & (z < MAX_Z)
         return xp.where(is_in_cell, cell, 0), best_level, is_in_cell
     best_rank = best_cell - 1
-    for number in range(tensors.shape.levels):
-        cell, is_in_cell = clamp_to_level(tensors, x, y, lowest_level + number)
+    for level_number in range(tensors.shape.levels):
+        cell, is_in_cell = clamp_to_level(tensors, x, y, first_level_index + level_number)
         rank = tensors.rank[cell]
         is_better = is_in_cell & (z >= tensors.lowest_z[cell]) & (z < MAX_Z) & (rank > best_rank)
         best_cell = xp.where(is_better, cell, best_cell)
-        best_level = xp.where(is_better, number, best_level)
+        best_level = xp.where(is_better, level_number, best_level)
         best_rank = xp.where(is_better, rank, best_rank)
     return best_cell, best_level, best_rank >= 0
 
@@ -235,7 +235,7 @@ def clamp_to_level(
     return (level * shape.rows + row) * shape.cols + col, is_in_cols & is_in_rows
 
 
-def first_level(tensors: GridTensors, scene_id: Ids) -> Array | int:
+def find_first_level(tensors: GridTensors, scene_id: Ids) -> Array | int:
     """Return the index of each scene's lowest level among the levels of all scenes.
 
     Args:
@@ -267,10 +267,12 @@ def check_positions(tensors: GridTensors, positions: Array) -> Array:
     Raises:
         QueryError: the shape or the dtype is wrong.
     """
-    points = as_array(tensors, positions)
-    if points.ndim == 0 or points.shape[-1] != 3:
-        raise QueryError(f"expected positions of shape (..., 3) [m], got {tuple(points.shape)}")
-    return points
+    checked_positions = as_array(tensors, positions)
+    if checked_positions.ndim == 0 or checked_positions.shape[-1] != 3:
+        raise QueryError(
+            f"expected positions of shape (..., 3) [m], got {tuple(checked_positions.shape)}"
+        )
+    return checked_positions
 
 
 def as_array(tensors: GridTensors, values: Array) -> Array:
@@ -285,10 +287,10 @@ def as_array(tensors: GridTensors, values: Array) -> Array:
         return _make_array(tensors, values, tensors.dtype)
     dtype = getattr(values, "dtype", "no numbers")
     if dtype != tensors.dtype:
-        actual = f"{type(values).__name__} of {dtype}"
+        array_text = f"{type(values).__name__} of {dtype}"
         hint = "convert it, or make the tensors with that dtype"
         raise QueryError(
-            f"expected an array of {tensors.dtype}, as the tensors are, got {actual}: {hint}"
+            f"expected an array of {tensors.dtype}, as the tensors are, got {array_text}: {hint}"
         )
     return values
 
@@ -322,12 +324,12 @@ def check_scenes(tensors: GridTensors, scene_id: Ids, shape: tuple[int, ...]) ->
 
 
 def check_number(number: int | np.integer, label: str, count: int) -> int:
-    """Check the number of one scene or goal, and return it.
+    """Check that the number of a scene or goal is in its range, and return it.
 
     Args:
         number: the number.
-        label: what it numbers, such as ``goal``, for errors.
-        count: how many there are.
+        label: a word for the numbered things, such as ``goal``, for errors.
+        count: how many such things there are.
 
     Raises:
         QueryError: it is not from 0 to count - 1.
@@ -345,8 +347,8 @@ def check_numbers(
     Args:
         tensors: the tensors.
         numbers: an integer or integers.
-        label: what they are, for errors.
-        count: how many there are.
+        label: a word for the numbered things, for errors.
+        count: how many such things there are.
         shape: the shape of the result.
 
     Returns:
@@ -358,8 +360,8 @@ def check_numbers(
     if isinstance(numbers, int | Sequence | np.ndarray | np.integer):
         numbers = _make_array(tensors, numbers, None)
     if not hasattr(numbers, "dtype") or not tensors.xp.isdtype(numbers.dtype, "integral"):
-        actual = getattr(numbers, "dtype", type(numbers).__name__)
-        raise QueryError(f"expected an integer or integers as {label}, got {actual}")
+        value_type = getattr(numbers, "dtype", type(numbers).__name__)
+        raise QueryError(f"expected an integer or integers as {label}, got {value_type}")
     numbers = tensors.xp.astype(numbers, tensors.index_dtype)
     numbers = tensors.xp.where((numbers >= 0) & (numbers < count), numbers, -1)
     return broadcast(tensors, numbers, shape, label)
@@ -372,7 +374,7 @@ def broadcast(tensors: GridTensors, values: Array, shape: tuple[int, ...], label
         tensors: the tensors.
         values: the values.
         shape: the shape of the result.
-        label: what the values are, for errors.
+        label: a word for the values, for errors.
 
     Raises:
         QueryError: the values can't be broadcast to the shape.
@@ -419,23 +421,23 @@ def apply_in_chunks(
             or numbers or None, which are passed as they are.
 
     Returns:
-        What the function returns, for the whole shape (...).
+        The results of the function for all positions, shape (...).
     """
     shape = tuple(positions.shape[:-1])
-    count = math.prod(shape)
-    if tensors.xp.__name__ not in NUMPY_NAMES or count < 2 * POSITIONS_PER_CHUNK:
+    num_positions = math.prod(shape)
+    if tensors.xp.__name__ not in NUMPY_NAMES or num_positions < 2 * POSITIONS_PER_CHUNK:
         return function(positions, *other_arguments)
     from navbake.threads import run_in_chunks  # saves numba for small batches
 
     def flatten(argument: Array | int | None) -> Array | int | None:
         if argument is None or isinstance(argument, int):
             return argument
-        return np.reshape(argument, (count, *argument.shape[len(shape) :]))
+        return np.reshape(argument, (num_positions, *argument.shape[len(shape) :]))
 
     arguments = [flatten(argument) for argument in (positions, *other_arguments)]
     results: dict[int, Array] = {}  # by the first position of each chunk
 
-    def fill(first_position: int, stop_position: int) -> None:
+    def fill_results(first_position: int, stop_position: int) -> None:
         for chunk_start in range(first_position, stop_position, POSITIONS_PER_CHUNK):
             chunk = slice(chunk_start, min(chunk_start + POSITIONS_PER_CHUNK, stop_position))
             results[chunk_start] = function(
@@ -445,6 +447,6 @@ def apply_in_chunks(
                 )
             )
 
-    run_in_chunks(fill, count, least=POSITIONS_PER_CHUNK)
+    run_in_chunks(fill_results, num_positions, least=POSITIONS_PER_CHUNK)
     values = np.concatenate([results[chunk_start] for chunk_start in sorted(results)])
     return values.reshape(*shape, *values.shape[1:])

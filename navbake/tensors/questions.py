@@ -29,7 +29,7 @@ from navbake.tensors.grid_tensors import (
     check_scenes,
     clip,
     device_of,
-    first_level,
+    find_first_level,
     locate_in_scenes,
     to_level_row_col,
 )
@@ -49,11 +49,11 @@ def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
         int32, shape (...): 0 is the lowest, -1 for none.
     """
 
-    def level_of(points: Array, scenes: Array) -> Array:
+    def find_levels(points: Array, scenes: Array) -> Array:
         _, level, is_in_cell = locate_in_scenes(t, points, scenes)
         return t.xp.astype(t.xp.where(is_in_cell, level, -1), t.xp.int32)
 
-    return _apply(t, level_of, positions, scene_id)
+    return _apply(t, find_levels, positions, scene_id)
 
 
 def floor(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
@@ -128,11 +128,11 @@ def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Arra
         bool, shape (...).
     """
 
-    def is_free(points: Array, scenes: Array) -> Array:
+    def is_standable(points: Array, scenes: Array) -> Array:
         cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
         return is_in_cell & (points[..., 2] <= t.highest_z[cell])
 
-    return _apply(t, is_free, positions, scene_id)
+    return _apply(t, is_standable, positions, scene_id)
 
 
 def clearance(
@@ -166,7 +166,7 @@ def clearance(
 
     def interpolate(points: Array, scenes: Array) -> Array:
         _, level_of_scene, is_in_cell = locate_in_scenes(t, points, scenes)
-        level = first_level(t, scenes) + level_of_scene
+        level = find_first_level(t, scenes) + level_of_scene
         # keep positions outside the grid out of the gradient
         x = xp.where(is_in_cell, points[..., 0], t.x_first[level])
         y = xp.where(is_in_cell, points[..., 1], t.y_first[level])
@@ -201,11 +201,11 @@ def _values_at(
 ) -> Array:
     """Look up a layer in the cells of positions; the value is `value_outside` for no cell."""
 
-    def value_of(points: Array, scenes: Array) -> Array:
+    def look_up_values(points: Array, scenes: Array) -> Array:
         cell, _, is_in_cell = locate_in_scenes(tensors, points, scenes)
         return tensors.xp.where(is_in_cell, layer[cell], value_outside)
 
-    return _apply(tensors, value_of, positions, scene_id)
+    return _apply(tensors, look_up_values, positions, scene_id)
 
 
 def _apply(
@@ -287,10 +287,10 @@ def patch(
     xp = t.xp
     device = device_of(t)
     cell = float(cell)
-    ahead = (xp.arange(rows, dtype=t.dtype, device=device) - (rows - 1) / 2) * -cell
-    to_left = (xp.arange(cols, dtype=t.dtype, device=device) - (cols - 1) / 2) * -cell
-    pixels = xp.stack(xp.meshgrid(ahead, to_left, indexing="ij"), axis=-1)
-    pattern = xp.reshape(pixels, (-1, 2))
+    distance_ahead = (xp.arange(rows, dtype=t.dtype, device=device) - (rows - 1) / 2) * -cell
+    distance_left = (xp.arange(cols, dtype=t.dtype, device=device) - (cols - 1) / 2) * -cell
+    pixel_middles = xp.stack(xp.meshgrid(distance_ahead, distance_left, indexing="ij"), axis=-1)
+    pattern = xp.reshape(pixel_middles, (-1, 2))
     points, scenes = _pattern_points(t, positions, yaw, pattern, scene_id)
     values = LAYERS[layer](t, points, scenes)
     return xp.reshape(values, (*values.shape[:-1], rows, cols))
@@ -315,17 +315,17 @@ def _pattern_points(
     xp = tensors.xp
     agent_positions = check_positions(tensors, positions)
     headings = as_array(tensors, yaw)
-    points = as_array(tensors, pattern)
-    if points.ndim != 2 or points.shape[-1] != 2:
-        raise QueryError(f"expected a pattern of shape (k, 2), got {tuple(points.shape)}")
+    pattern_points = as_array(tensors, pattern)
+    if pattern_points.ndim != 2 or pattern_points.shape[-1] != 2:
+        raise QueryError(f"expected a pattern of shape (k, 2), got {tuple(pattern_points.shape)}")
     shape = tuple(agent_positions.shape[:-1])
     if tuple(headings.shape) != shape:
-        actual = tuple(headings.shape)
-        raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {actual}")
+        yaw_shape = tuple(headings.shape)
+        raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {yaw_shape}")
     cos = xp.cos(headings)[..., None]
     sin = xp.sin(headings)[..., None]
-    x = agent_positions[..., 0, None] + cos * points[:, 0] - sin * points[:, 1]
-    y = agent_positions[..., 1, None] + sin * points[:, 0] + cos * points[:, 1]
+    x = agent_positions[..., 0, None] + cos * pattern_points[:, 0] - sin * pattern_points[:, 1]
+    y = agent_positions[..., 1, None] + sin * pattern_points[:, 0] + cos * pattern_points[:, 1]
     z = xp.broadcast_to(agent_positions[..., 2, None], x.shape)
     scenes = check_scenes(tensors, scene_id, shape)
     return xp.stack([x, y, z], axis=-1), None if scenes is None else scenes[..., None]
@@ -347,11 +347,11 @@ def distance_to_goal(
         Metres times weights, shape (...); inf for no path, NaN outside the grid.
     """
 
-    def cost_of(points: Array, first_cell: Array | int, scenes: Array) -> Array:
+    def look_up_costs(points: Array, first_index: Array | int, scenes: Array) -> Array:
         cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
-        return t.xp.where(is_in_cell, t.cost[first_cell + cell], t.xp.nan)
+        return t.xp.where(is_in_cell, t.cost[first_index + cell], t.xp.nan)
 
-    return _apply_to_goal(t, cost_of, positions, goal, scene_id)
+    return _apply_to_goal(t, look_up_costs, positions, goal, scene_id)
 
 
 def distances(
@@ -374,13 +374,13 @@ def distances(
         goals = list(range(num_goals))
     goal_numbers = check_numbers(t, goals, "goal", num_goals, (len(goals),))
 
-    def costs_of(points: Array, scenes: Array) -> Array:
+    def look_up_costs(points: Array, scenes: Array) -> Array:
         cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
-        first_cells = t.xp.where(goal_numbers >= 0, goal_numbers, 0) * num_cells
-        is_known = is_in_cell[..., None] & (goal_numbers >= 0)
-        return t.xp.where(is_known, t.cost[first_cells + cell[..., None]], t.xp.nan)
+        first_indices = t.xp.where(goal_numbers >= 0, goal_numbers, 0) * num_cells
+        has_cost = is_in_cell[..., None] & (goal_numbers >= 0)
+        return t.xp.where(has_cost, t.cost[first_indices + cell[..., None]], t.xp.nan)
 
-    return _apply(t, costs_of, starts, scene_id)
+    return _apply(t, look_up_costs, starts, scene_id)
 
 
 def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = None) -> Array:
@@ -402,21 +402,23 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
     """
     xp = t.xp
 
-    def direction_of(points: Array, first_cell: Array | int, scenes: Array) -> Array:
+    def find_directions(points: Array, first_index: Array | int, scenes: Array) -> Array:
         cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
-        next_cell = xp.astype(t.next_cell[first_cell + cell], t.index_dtype)
+        next_cell = xp.astype(t.next_cell[first_index + cell], t.index_dtype)
         has_path = is_in_cell & (next_cell >= 0)
         level, row, col = to_level_row_col(t, xp.where(has_path, next_cell, 0))
         cell_size = 1 / t.cells_per_metre[level]
         x = t.x_first[level] + (xp.astype(col, t.dtype) + 0.5) * cell_size
         y = t.y_first[level] - (xp.astype(row, t.dtype) + 0.5) * cell_size
-        offsets = xp.stack([x, y], axis=-1) - points[..., :2]
-        offsets = xp.where((has_path & (next_cell != cell))[..., None], offsets, 0.0)
-        lengths = xp.sqrt(offsets[..., 0] ** 2 + offsets[..., 1] ** 2)
-        unit_vectors = offsets / xp.where(lengths > 0, lengths, 1.0)[..., None]
+        vectors_to_next = xp.stack([x, y], axis=-1) - points[..., :2]
+        vectors_to_next = xp.where(
+            (has_path & (next_cell != cell))[..., None], vectors_to_next, 0.0
+        )
+        lengths = xp.sqrt(vectors_to_next[..., 0] ** 2 + vectors_to_next[..., 1] ** 2)
+        unit_vectors = vectors_to_next / xp.where(lengths > 0, lengths, 1.0)[..., None]
         return xp.where(has_path[..., None], unit_vectors, xp.nan)
 
-    return _apply_to_goal(t, direction_of, positions, goal, scene_id)
+    return _apply_to_goal(t, find_directions, positions, goal, scene_id)
 
 
 def _apply_to_goal(
@@ -431,13 +433,13 @@ def _apply_to_goal(
     num_cells = int(tensors.floor.shape[0])
     shape = points.shape[:-1]
     if isinstance(goal, int | np.integer):
-        first_cell = check_number(goal, "goal", _num_goals(tensors)) * num_cells
+        first_index = check_number(goal, "goal", _num_goals(tensors)) * num_cells
     else:
         goals = check_numbers(tensors, goal, "goal", _num_goals(tensors), shape)
         points = xp.where((goals >= 0)[..., None], points, xp.nan)  # unknown goals
-        first_cell = xp.where(goals >= 0, goals, 0) * num_cells
+        first_index = xp.where(goals >= 0, goals, 0) * num_cells
     return apply_in_chunks(
-        tensors, function, points, first_cell, check_scenes(tensors, scene_id, shape)
+        tensors, function, points, first_index, check_scenes(tensors, scene_id, shape)
     )
 
 
@@ -476,37 +478,41 @@ def sample(
         World x, y and floor z [m], shape (..., 3); NaN if there is no such place.
     """
     xp = t.xp
-    numbers = as_array(t, u)
-    if numbers.ndim == 0 or numbers.shape[-1] not in (1, 3):
-        raise QueryError(f"expected u of shape (..., 3) or (..., 1), got {tuple(numbers.shape)}")
-    shape = tuple(numbers.shape[:-1])
+    random_numbers = as_array(t, u)
+    if random_numbers.ndim == 0 or random_numbers.shape[-1] not in (1, 3):
+        raise QueryError(
+            f"expected u of shape (..., 3) or (..., 1), got {tuple(random_numbers.shape)}"
+        )
+    shape = tuple(random_numbers.shape[:-1])
     scenes = check_scenes(t, scene_id, shape)
     keys_per_group = t.num_rooms + 1
-    is_valid = ~xp.isnan(numbers[..., 0])
-    cell_fraction = xp.where(is_valid, numbers[..., 0], 0.0)
+    is_valid = ~xp.isnan(random_numbers[..., 0])
+    cell_fraction = xp.where(is_valid, random_numbers[..., 0], 0.0)
     # The cells are sorted by a key of group and room. Groups are scenes, or islands.
     if reachable_from is None:
-        groups = xp.zeros_like(cell_fraction, dtype=t.index_dtype) if scenes is None else scenes
+        group_numbers = (
+            xp.zeros_like(cell_fraction, dtype=t.index_dtype) if scenes is None else scenes
+        )
         cells = t.cells_by_room
         keys = t.room_key
-        is_valid = is_valid & (groups >= 0)
+        is_valid = is_valid & (group_numbers >= 0)
     else:
         start_positions = as_array(t, reachable_from)
         if scenes is not None:
             start_positions = broadcast(t, start_positions, (*shape, 3), "reachable_from")
         start_island = broadcast(t, island(t, start_positions, scenes), shape, "reachable_from")
-        groups = xp.astype(start_island, t.index_dtype)
+        group_numbers = xp.astype(start_island, t.index_dtype)
         cells = t.cells_by_island
         keys = t.island_key
-        is_valid = is_valid & (groups > 0)
+        is_valid = is_valid & (group_numbers > 0)
     if cells.shape[0] == 0:
         return xp.full((*shape, 3), xp.nan, dtype=t.dtype, device=device_of(t))
-    first_key = groups * keys_per_group
-    stop_key = (groups + 1) * keys_per_group
+    first_key = group_numbers * keys_per_group
+    stop_key = (group_numbers + 1) * keys_per_group
     if room is not None:
         room_number = check_numbers(t, room, "room", keys_per_group, shape)
         is_valid = is_valid & (room_number >= 0)
-        first_key = groups * keys_per_group + room_number
+        first_key = group_numbers * keys_per_group + room_number
         stop_key = first_key + 1
 
     def count_below(sorted_keys: Array, limits: Array) -> Array:
@@ -518,41 +524,47 @@ def sample(
     first_index = count_below(keys, first_key)
     stop_index = count_below(keys, stop_key)
     num_candidates = stop_index - first_index
-    num_allowed = None  # for each of `cells`, how many before it are allowed; None for all
+    num_allowed_before = None  # for each of `cells`, how many before it are allowed; None for all
     if min_clearance is not None:
         if getattr(min_clearance, "ndim", 0) != 0:
             raise QueryError("expected one number as min_clearance [m], got an array of them")
         is_allowed = xp.astype(t.clearance[cells] >= min_clearance, t.index_dtype)
-        num_allowed = xp.concat([xp.zeros_like(is_allowed[:1]), xp.cumulative_sum(is_allowed)])
-        num_candidates = num_allowed[stop_index] - num_allowed[first_index]
-    # the cell's index among the candidates; the product may be rounded up to their number
-    rank = xp.astype(xp.floor(cell_fraction * xp.astype(num_candidates, t.dtype)), t.index_dtype)
-    rank = clip(xp, xp.minimum(rank, num_candidates - 1), 0, cells.shape[0])
-    if num_allowed is None:
-        cell_index = first_index + rank
+        num_allowed_before = xp.concat(
+            [xp.zeros_like(is_allowed[:1]), xp.cumulative_sum(is_allowed)]
+        )
+        num_candidates = num_allowed_before[stop_index] - num_allowed_before[first_index]
+    # index among the candidates; the product may be rounded up to their number
+    candidate_index = xp.astype(
+        xp.floor(cell_fraction * xp.astype(num_candidates, t.dtype)), t.index_dtype
+    )
+    candidate_index = clip(xp, xp.minimum(candidate_index, num_candidates - 1), 0, cells.shape[0])
+    if num_allowed_before is None:
+        cell_index = first_index + candidate_index
     else:
-        cell_index = count_below(num_allowed[1:], num_allowed[first_index] + rank + 1)
+        cell_index = count_below(
+            num_allowed_before[1:], num_allowed_before[first_index] + candidate_index + 1
+        )
     cell = xp.astype(cells[clip(xp, cell_index, 0, cells.shape[0] - 1)], t.index_dtype)
     level, row, col = to_level_row_col(t, cell)
     z = t.floor[cell]
     z = xp.where(xp.isnan(z), t.ground[level], z)
-    column_edge = level * (t.shape.cols + 1) + col
-    row_edge = level * (t.shape.rows + 1) + row
-    west = t.x_edge[column_edge]
-    east = t.x_edge[column_edge + 1]
-    north = t.y_edge[row_edge]
-    south = t.y_edge[row_edge + 1]
-    if numbers.shape[-1] == 1:
+    column_edge_index = level * (t.shape.cols + 1) + col
+    row_edge_index = level * (t.shape.rows + 1) + row
+    west = t.x_edge[column_edge_index]
+    east = t.x_edge[column_edge_index + 1]
+    north = t.y_edge[row_edge_index]
+    south = t.y_edge[row_edge_index + 1]
+    if random_numbers.shape[-1] == 1:
         fraction_x = 0.5
         fraction_y = 0.5
     else:
-        fraction_x = numbers[..., 1]
-        fraction_y = numbers[..., 2]
+        fraction_x = random_numbers[..., 1]
+        fraction_y = random_numbers[..., 2]
     # the eastern and the southern edge belong to the next cells
     last_x = xp.nextafter(east, xp.full_like(east, -xp.inf))
     last_y = xp.nextafter(south, xp.full_like(south, xp.inf))
     x = xp.minimum(west + fraction_x * (east - west), last_x)
     y = xp.maximum(north - fraction_y * (north - south), last_y)
     points = xp.stack([x, y, z], axis=-1)
-    is_place = is_valid & (num_candidates > 0) & ~xp.any(xp.isnan(points), axis=-1)
-    return xp.where(is_place[..., None], points, xp.nan)
+    has_place = is_valid & (num_candidates > 0) & ~xp.any(xp.isnan(points), axis=-1)
+    return xp.where(has_place[..., None], points, xp.nan)
