@@ -44,15 +44,17 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
         print_json(facts)
         return
     tables_of_file = [
-        tables.door_table(content.doors, content.level_names),
-        tables.link_table(content.links, content.level_names),
-        tables.area_table(facts["areas"]),
-        tables.agent_table(facts["agents"]),
+        tables.make_door_table(content.doors, content.level_names),
+        tables.make_link_table(content.links, content.level_names),
+        tables.make_area_table(facts["areas"]),
+        tables.make_agent_table(facts["agents"]),
     ]
     nonempty_tables = [table for table in tables_of_file if table.rows]
     made_by = [(name.replace("_", " "), value) for name, value in facts["made_by"].items()]
     summary = [("type", facts["type"]), *tables.list_grid_facts(facts), *made_by]
-    print_tables(tables.make_table(("", ""), summary), tables.level_table(facts), *nonempty_tables)
+    print_tables(
+        tables.make_table(("", ""), summary), tables.make_level_table(facts), *nonempty_tables
+    )
     print_warnings(content.warnings)
 
 
@@ -68,11 +70,11 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
         lists = {"rooms": [r.to_json() for r in room_list], "doors": [d.to_json() for d in doors]}
         print_json({"scene_id": content.scene_id, **lists})
         return
-    print_tables(tables.room_table(room_list, content.level_names))
+    print_tables(tables.make_room_table(room_list, content.level_names))
     print(count_of(len(room_list), "room"))
     if doors:
         print()
-        print_tables(tables.door_table(doors, content.level_names))
+        print_tables(tables.make_door_table(doors, content.level_names))
 
 
 def why(

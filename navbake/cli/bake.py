@@ -35,7 +35,7 @@ from navbake.cli.printing import (
 )
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.format_table import OCTREE_SUFFIXES, VOXEL_SUFFIXES
-from navbake.views.tables import level_table, make_table
+from navbake.views.tables import make_level_table, make_table
 
 if TYPE_CHECKING:
     from navbake.config.settings import BakeConfig
@@ -426,7 +426,7 @@ def _bake_and_report(
     with options.keep_stdout_for(output_path):
         if output_path != options.STDOUT:
             say(output_path)
-        printing.print_tables(level_table(describe(result.grid)))
+        printing.print_tables(make_level_table(describe(result.grid)))
         for warning in result.warnings:
             say(f"warning: {warning}")
         stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items())

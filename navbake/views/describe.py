@@ -55,9 +55,11 @@ def describe(grid: NavGrid) -> Json:
         - ``inflated``: radius and clearance [m] and mode of each inflation since the bake
     """
     metadata = {**grid.metadata, **grid.navbake}
-    islands = find_islands(grid)
+    island_layers = find_islands(grid)
     levels = []
-    for name, level, island_of_cell in zip(grid.level_names, grid.levels, islands, strict=True):
+    for name, level, island_of_cell in zip(
+        grid.level_names, grid.levels, island_layers, strict=True
+    ):
         levels.append(_describe_level(name, level, island_of_cell))
     return {
         "type": type(grid).__name__,
@@ -68,7 +70,7 @@ def describe(grid: NavGrid) -> Json:
             name: metadata[key] for key, name in MADE_BY_KEYS.items() if key in grid.navbake
         },
         "levels": levels,
-        "num_islands": max(int(island_of_cell.max(initial=0)) for island_of_cell in islands),
+        "num_islands": max(int(island_of_cell.max(initial=0)) for island_of_cell in island_layers),
         "num_steps": len(grid.step_array),
         "links": [link.to_json() for link in grid.links],
         "areas": _describe_areas(grid),
@@ -107,11 +109,11 @@ def _describe_level(name: str, level: SceneGrid2D, island_of_cell: Int32) -> Jso
 
 def _describe_areas(grid: NavGrid) -> list[Json]:
     """Describe each area of a grid; its size is that on all levels together [m²]."""
-    sizes_of_levels = [
+    area_sizes_by_level = [
         np.bincount(level.area_index.ravel(), minlength=256) * level.lattice.cell_size**2
         for level in grid.levels
     ]
-    area_sizes = np.sum(sizes_of_levels, axis=0)
+    area_sizes = np.sum(area_sizes_by_level, axis=0)
     return [
         {**area.to_json(), "m2": _round_to_millionth(area_sizes[area_number])}
         for area_number, area in enumerate(grid.areas, start=1)
@@ -162,12 +164,12 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
     place = place_at(grid, (x, y), level)
     if place is None:
         x0, y0, x1, y1 = grid.levels[level or 0].lattice.bounds
-        span = f"it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
-        raise QueryError(f"{x:g}, {y:g} lies beside level {level or 0}: {span}")
+        bounds_text = f"it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
+        raise QueryError(f"{x:g}, {y:g} lies beside level {level or 0}: {bounds_text}")
     level_number, row, col = place.cell
     level_grid = grid.levels[level_number]
-    cell = row * level_grid.width + col
-    user_data = level_grid.user_data.get(cell, {})
+    cell_id = row * level_grid.width + col
+    user_data = level_grid.user_data.get(cell_id, {})
     occupants = {kind: sorted(names_in(user_data, kind)) for kind in NAME_KEYS}
     blockers = []
     if not place.free:
@@ -178,7 +180,7 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         "level": level_number,
         "row": row,
         "col": col,
-        "cell": cell,
+        "cell": cell_id,
         "center": [float(coordinate) for coordinate in level_grid.lattice.positions(row, col)],
         "floor": place.floor,
         "free": place.free,
@@ -190,26 +192,26 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         "links": [
             link.name
             for link in grid.links
-            if any((stop.level, stop.cell) == (level_number, cell) for stop in link.stops)
+            if any((stop.level, stop.cell) == (level_number, cell_id) for stop in link.stops)
         ],
         **occupants,
         "blockers": blockers,
     }
 
 
-def _describe_room(grid: NavGrid, level: int, index: int) -> Json | int | None:
+def _describe_room(grid: NavGrid, level: int, room_index: int) -> Json | int | None:
     """Describe the room that has an index on a level; return the index if no such room is listed.
 
     None for the index 0, which stands for no room.
     """
     for room in grid.rooms:
-        if (room.level, room.index) == (level, index):
+        if (room.level, room.index) == (level, room_index):
             return room.to_json()
-    return index or None
+    return room_index or None
 
 
 def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
-    """Describe the cells at a position, on each level whose lattice has a cell there.
+    """Describe the cell at a position on each level that extends there.
 
     Args:
         grid: a grid of one or several levels.
@@ -217,22 +219,22 @@ def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
         y: world y [m].
 
     Returns:
-        For each cell, what `describe_cell` returns; the lowest level first.
+        The description of each cell, see `describe_cell`; the lowest level first.
 
     Raises:
         QueryError: the position is not finite, or lies outside of all levels.
     """
     check_positions((x, y), 1)
-    cells = []
-    reasons = []
+    cell_descriptions = []
+    error_texts = []
     for level in range(len(grid.levels)):
         try:
-            cells.append(describe_cell(grid, x, y, level))
+            cell_descriptions.append(describe_cell(grid, x, y, level))
         except QueryError as error:
-            reasons.append(str(error))
-    if not cells:
-        raise QueryError("; ".join(reasons))
-    return cells
+            error_texts.append(str(error))
+    if not cell_descriptions:
+        raise QueryError("; ".join(error_texts))
+    return cell_descriptions
 
 
 # --- links and stairs -----------------------------------------------------------------------------
@@ -253,7 +255,7 @@ class StopPoint(NamedTuple):
 
 
 class Connection(NamedTuple):
-    """What pictures show as one connection: a named link, a stair or a steep ramp.
+    """A connection between places, as pictures show it: a named link, a stair or a steep ramp.
 
     The grid's table of steps lists pairs of cells between which agents can go. A stair is a group
     of such pairs between the same two levels, whose first cells touch each other. A steep ramp is
@@ -275,19 +277,21 @@ class Connection(NamedTuple):
 
     @property
     def is_closed(self) -> bool:
+        """Whether the connection is a closed link."""
         return self.link is not None and self.link.state == "closed"
 
     @property
-    def one_way(self) -> bool:
+    def is_one_way(self) -> bool:
+        """Whether agents may use the connection only from its first stop to its last."""
         return self.link is not None and self.link.one_way
 
     def label(self) -> str:
-        """Return the name that pictures show at the stops."""
+        """Return the connection's name for pictures; ``(closed)`` follows that of a closed link."""
         return f"{self.name} (closed)" if self.is_closed else self.name
 
 
 def find_connections(grid: NavGrid) -> list[Connection]:
-    """List the named links in the file's order, then the stairs, then the steep ramps."""
+    """List a grid's connections: links in the file's order, then stairs, then steep ramps."""
     connections = []
     for link in grid.links:
         stops = tuple(StopPoint(stop.level, *stop.position) for stop in link.stops)
@@ -303,8 +307,8 @@ def _find_stairs(grid: NavGrid) -> Iterator[Connection]:
     """
     count_of_kind = {STAIR: 0, STEEP_RAMP: 0}
     # each row is a step: level and cell of one end, level and cell of the other end
-    groups = group_steps(grid, grid.step_array)
-    for steps in sorted(groups, key=lambda steps: bool(steps[0, 0] == steps[0, 2])):
+    step_groups = group_steps(grid, grid.step_array)
+    for steps in sorted(step_groups, key=lambda steps: bool(steps[0, 0] == steps[0, 2])):
         first_level = int(steps[0, 0])
         second_level = int(steps[0, 2])
         kind = STEEP_RAMP if first_level == second_level else STAIR
@@ -324,17 +328,17 @@ def _mean_position(grid: NavGrid, level: int, cells: Int) -> StopPoint:
     return StopPoint(level, x, y, z)
 
 
-def arc_between(start: Float, end: Float) -> Float:
-    """Compute an arc from a start to an end.
+def compute_arc(start: Float, end: Float) -> Float:
+    """Compute points of an arc between two positions, along which a link is drawn.
 
     The arc bulges upward; or to the side, if it is steeper than 45 degrees.
 
     Args:
-        start: world x, y, z [m].
-        end: world x, y, z [m].
+        start: position where the arc starts, world x, y, z, shape (3,) [m].
+        end: position where the arc ends, world x, y, z, shape (3,) [m].
 
     Returns:
-        Points of the arc, shape (`NUM_ARC_POINTS`, 3) [m].
+        World x, y, z of the points, from start to end, shape (`NUM_ARC_POINTS`, 3) [m].
     """
     displacement = end - start
     bulge_direction = np.array([0.0, 0.0, 1.0])
@@ -344,13 +348,13 @@ def arc_between(start: Float, end: Float) -> Float:
             bulge_direction = np.array([-displacement[1], displacement[0], 0.0]) / horizontal_length
         else:
             bulge_direction = np.array([0.0, -1.0, 0.0])
-    fraction = np.linspace(0.0, 1.0, NUM_ARC_POINTS)[:, None]
+    fractions = np.linspace(0.0, 1.0, NUM_ARC_POINTS)[:, None]
     # 4 t (1 - t) is a parabola: 0 at both ends, 1 in the middle
-    offsets = (
-        4 * fraction * (1 - fraction) * ARC_BULGE * np.linalg.norm(displacement) * bulge_direction
+    bulge_offsets = (
+        4 * fractions * (1 - fractions) * ARC_BULGE * np.linalg.norm(displacement) * bulge_direction
     )
-    arc: Float = start + fraction * displacement + offsets
-    return arc
+    arc_points: Float = start + fractions * displacement + bulge_offsets
+    return arc_points
 
 
 def describe_area(area: Area) -> str:

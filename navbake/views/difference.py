@@ -45,85 +45,91 @@ ONLY_IN_FIRST = CHANGE_KINDS[5]
 ONLY_IN_SECOND = CHANGE_KINDS[6]
 
 DifferenceRow: TypeAlias = tuple[str, str, str]
-"""What differs, its value in the first grid, and its value in the second."""
+"""The name of a thing that differs, its value in the first grid, and its value in the second."""
 
 
-def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> Json:
+def describe_changes(first_grid: NavGrid, second_grid: NavGrid, grid_names: Sequence[str]) -> Json:
     """Describe the differences of two grids for a report, which shows them on a sheet (tab).
 
     Args:
-        first: the grid before.
-        second: the grid after.
-        names: the names of the first and of the second grid.
+        first_grid: the grid before.
+        second_grid: the grid after.
+        grid_names: the names of the first and of the second grid.
 
     Returns:
         The sheet's content as JSON; the keys are those of a grid's sheet in a report.
     """
-    pairs = match_levels(first, second)
-    levels = [
+    level_pairs = match_levels(first_grid, second_grid)
+    level_differences = [
         compare_levels(
-            first.levels[first_number],
-            second.levels[second_number],
+            first_grid.levels[first_number],
+            second_grid.levels[second_number],
             level_numbers=(first_number, second_number),
         )
-        for first_number, second_number in pairs
+        for first_number, second_number in level_pairs
     ]
     level_names = [
-        (first.level_names[first_number], second.level_names[second_number])
-        for first_number, second_number in pairs
+        (first_grid.level_names[first_number], second_grid.level_names[second_number])
+        for first_number, second_number in level_pairs
     ]
-    num_changes = len(CHANGE_KINDS)
+    num_change_kinds = len(CHANGE_KINDS)
     change_counts = [
-        np.bincount(level.change_of_cell.ravel(), minlength=num_changes)[:num_changes]
-        for level in levels
+        np.bincount(difference.change_of_cell.ravel(), minlength=num_change_kinds)[
+            :num_change_kinds
+        ]
+        for difference in level_differences
     ]
-    changed_cells = [
-        (*names_of_level, *change_count.tolist())
-        for names_of_level, change_count in zip(level_names, change_counts, strict=True)
+    change_rows = [
+        (*names_of_level, *change_counts_of_level.tolist())
+        for names_of_level, change_counts_of_level in zip(level_names, change_counts, strict=True)
     ]
-    unmatched_levels = [
+    unmatched_level_rows = [
         (ONLY_IN_FIRST, name, "")
-        for level_number, name in enumerate(first.level_names)
-        if level_number not in [pair[0] for pair in pairs]
+        for level_number, name in enumerate(first_grid.level_names)
+        if level_number not in [pair[0] for pair in level_pairs]
     ]
-    unmatched_levels += [
+    unmatched_level_rows += [
         (ONLY_IN_SECOND, "", name)
-        for level_number, name in enumerate(second.level_names)
-        if level_number not in [pair[1] for pair in pairs]
+        for level_number, name in enumerate(second_grid.level_names)
+        if level_number not in [pair[1] for pair in level_pairs]
     ]
     door_rows = list_differences(
-        {door.id: door.state for door in first.doors},
-        {door.id: door.state for door in second.doors},
+        {door.id: door.state for door in first_grid.doors},
+        {door.id: door.state for door in second_grid.doors},
     )
-    setting_rows = list_differences(read_settings(first), read_settings(second))
-    headings = ("what", *names)
+    setting_rows = list_differences(read_settings(first_grid), read_settings(second_grid))
+    headings = ("what", *grid_names)
     tables = {
         "Cells that changed": make_table(
-            (*names, *CHANGE_KINDS), changed_cells, numbers=CHANGE_KINDS
+            (*grid_names, *CHANGE_KINDS), change_rows, numbers=CHANGE_KINDS
         ),
-        "Levels that only one has": make_table(headings, unmatched_levels),
-        "Rooms that changed": make_table(headings, list_changed_rooms(first, second, levels)),
+        "Levels that only one has": make_table(headings, unmatched_level_rows),
+        "Rooms that changed": make_table(
+            headings, list_changed_rooms(first_grid, second_grid, level_differences)
+        ),
         "Doors that changed": make_table(headings, door_rows),
         "Settings that changed": make_table(headings, setting_rows),
     }
-    free_before = _free_area(first)
-    free_after = _free_area(second)
-    num_changed = sum(int(change_count.sum()) for change_count in change_counts)
+    area_before = _free_area(first_grid)
+    area_after = _free_area(second_grid)
+    num_changed_cells = sum(
+        int(change_counts_of_level.sum()) for change_counts_of_level in change_counts
+    )
     return {
         "name": "difference",
         "facts": [
-            ("first", names[0]),
-            ("second", names[1]),
-            ("cells that changed", f"{num_changed:,}"),
+            ("first", grid_names[0]),
+            ("second", grid_names[1]),
+            ("cells that changed", f"{num_changed_cells:,}"),
             (
                 "free area",
-                f"{free_before:.2f} to {free_after:.2f} m² ({free_after - free_before:+.2f})",
+                f"{area_before:.2f} to {area_after:.2f} m² ({area_after - area_before:+.2f})",
             ),
         ],
-        "warnings": _warn_of_mismatch(first, second),
+        "warnings": _warn_of_mismatch(first_grid, second_grid),
         "levels": [
-            _show_level(level, names_of_level)
-            for level, names_of_level in zip(levels, level_names, strict=True)
+            _show_level(difference, names_of_level)
+            for difference, names_of_level in zip(level_differences, level_names, strict=True)
         ],
         "tables": [describe_table(title, table) for title, table in tables.items() if table.rows],
     }
@@ -131,33 +137,33 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
 
 def _free_area(grid: NavGrid) -> float:
     """Return the free area of all levels together [m²]."""
-    area: float = sum(level.free.sum() * level.lattice.cell_size**2 for level in grid.levels)
-    return area
+    free_area: float = sum(level.free.sum() * level.lattice.cell_size**2 for level in grid.levels)
+    return free_area
 
 
-def _warn_of_mismatch(first: NavGrid, second: NavGrid) -> list[str]:
+def _warn_of_mismatch(first_grid: NavGrid, second_grid: NavGrid) -> list[str]:
     """Return warnings if two grids are of different scenes or have cells of different sizes."""
     warnings = []
-    if first.scene_id != second.scene_id:
-        warnings.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
-    first_size = first.levels[0].lattice.cell_size
-    second_size = second.levels[0].lattice.cell_size
-    if abs(first_size - second_size) > 1e-9:
-        compared_cells = f"the cells of {second_size:g} m in which their centres lie"
-        warnings.append(f"cells of {first_size:g} m are compared with {compared_cells}")
+    if first_grid.scene_id != second_grid.scene_id:
+        warnings.append(f"the scenes differ: {first_grid.scene_id!r} and {second_grid.scene_id!r}")
+    first_cell_size = first_grid.levels[0].lattice.cell_size
+    second_cell_size = second_grid.levels[0].lattice.cell_size
+    if abs(first_cell_size - second_cell_size) > 1e-9:
+        comparison_text = f"the cells of {second_cell_size:g} m in which their centres lie"
+        warnings.append(f"cells of {first_cell_size:g} m are compared with {comparison_text}")
     return warnings
 
 
-def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
+def _show_level(difference: LevelDifference, level_names: tuple[str, str]) -> Json:
     """Describe the map of a level's changes.
 
     Args:
-        level: the difference of two levels.
-        names: the names of the two levels.
+        difference: the difference of two levels.
+        level_names: the names of the two levels.
     """
-    extent = describe_extent(" / ".join(dict.fromkeys(names)), level.lattice)
-    stride = extent["every"]
-    change_of_cell = level.change_of_cell[::stride, ::stride]
+    map_extent = describe_extent(" / ".join(dict.fromkeys(level_names)), difference.lattice)
+    stride = map_extent["every"]
+    change_of_cell = difference.change_of_cell[::stride, ::stride]
     palette = np.array([rgb_of(color) for color in CHANGE_COLORS.values()], dtype=np.uint8)
     legend = [
         entry
@@ -167,7 +173,7 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
     layer = {
         "name": "changes",
         "title": "",
-        "png": png_url(palette[change_of_cell]),
+        "png": encode_png_url(palette[change_of_cell]),
         "legend": legend,
         "scale": None,
         "labels": [],
@@ -175,8 +181,8 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
         "ways": [],
     }
     return {
-        **extent,
-        "of": [[0, level.first_number], [1, level.second_number]],
+        **map_extent,
+        "of": [[0, difference.first_number], [1, difference.second_number]],
         "cells": pack_json({"change": change_of_cell.ravel()}),
         "kinds": list(CHANGE_COLORS),
         "layers": [layer],
@@ -210,7 +216,7 @@ def describe_extent(name: str, lattice: Lattice) -> Json:
     }
 
 
-def png_url(rgb: NDArray[np.uint8]) -> str:
+def encode_png_url(rgb: NDArray[np.uint8]) -> str:
     """Encode a picture as PNG in a data URL.
 
     Args:
@@ -236,32 +242,32 @@ class LevelDifference(NamedTuple):
         lattice: the lattice of the first level, extended to cover both levels.
         change_of_cell: the kind of change of each cell of `lattice`, as an index into
             `CHANGE_COLORS`, shape (height, width).
-        rooms: the rooms that are in both levels.
+        room_matches: the rooms that are in both levels.
     """
 
     first_number: int
     second_number: int
     lattice: Lattice
     change_of_cell: NDArray[np.uint8]
-    rooms: list[RoomMatch]
+    room_matches: list[RoomMatch]
 
 
-def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
-    """Find the levels of two grids that are the same level: those whose grounds are nearest in z.
+def match_levels(first_grid: NavGrid, second_grid: NavGrid) -> list[tuple[int, int]]:
+    """Pair the levels of two grids whose grounds are nearest in height.
 
     Two levels do not match if their grounds are more than `MAX_GROUND_GAP` apart, or if a lattice
     over both would have too many cells, see `MAX_COVER_FACTOR`.
 
     Args:
-        first: a grid.
-        second: a grid.
+        first_grid: the first grid.
+        second_grid: the second grid.
 
     Returns:
         For each pair of levels, their numbers in the first and in the second grid; ascending.
     """
-    candidates = []
-    for first_number, first_level in enumerate(first.levels):
-        for second_number, second_level in enumerate(second.levels):
+    candidate_pairs = []
+    for first_number, first_level in enumerate(first_grid.levels):
+        for second_number, second_level in enumerate(second_grid.levels):
             covering_lattice = _cover_both(first_level.lattice, second_level.lattice)
             num_cells = first_level.free.size + second_level.free.size
             max_cells = max(MIN_COVER_LIMIT, MAX_COVER_FACTOR * num_cells)
@@ -270,59 +276,69 @@ def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
                 ground_gap <= MAX_GROUND_GAP
                 and covering_lattice.width * covering_lattice.height <= max_cells
             ):
-                candidates.append((ground_gap, first_number, second_number))
-    second_of_first: dict[int, int] = {}
-    for _, first_number, second_number in sorted(candidates):
-        if first_number not in second_of_first and second_number not in second_of_first.values():
-            second_of_first[first_number] = second_number
-    return sorted(second_of_first.items())
+                candidate_pairs.append((ground_gap, first_number, second_number))
+    second_number_of_first: dict[int, int] = {}
+    for _, first_number, second_number in sorted(candidate_pairs):
+        if (
+            first_number not in second_number_of_first
+            and second_number not in second_number_of_first.values()
+        ):
+            second_number_of_first[first_number] = second_number
+    return sorted(second_number_of_first.items())
 
 
 def compare_levels(
-    first: SceneGrid2D, second: SceneGrid2D, level_numbers: tuple[int, int]
+    first_level: SceneGrid2D, second_level: SceneGrid2D, level_numbers: tuple[int, int]
 ) -> LevelDifference:
-    """Compare two levels cell by cell.
+    """Compare two levels cell by cell, and match their rooms.
 
     The first level's lattice is extended over both levels. At the centre of each of its cells, the
     cells of both levels that contain this point are compared.
 
     Args:
-        first: a level of the first grid.
-        second: a level of the second grid.
+        first_level: a level of the first grid.
+        second_level: a level of the second grid.
         level_numbers: the number of each level in its grid.
     """
-    lattice = _cover_both(first.lattice, second.lattice)
-    before = _resample(first, lattice)
-    after = _resample(second, lattice)
-    in_both = before.is_inside & after.is_inside
-    rooms = _match_rooms(before.room, after.room)
+    lattice = _cover_both(first_level.lattice, second_level.lattice)
+    values_before = _resample(first_level, lattice)
+    values_after = _resample(second_level, lattice)
+    is_in_both = values_before.is_inside & values_after.is_inside
+    room_matches = _match_rooms(values_before.room_index, values_after.room_index)
     # whether a room of the first level (row) is the same as one of the second level (column)
-    table_shape = (int(before.room.max(initial=0)) + 1, int(after.room.max(initial=0)) + 1)
+    table_shape = (
+        int(values_before.room_index.max(initial=0)) + 1,
+        int(values_after.room_index.max(initial=0)) + 1,
+    )
     is_same_room = np.zeros(table_shape, bool)
     is_same_room[0, 0] = True
-    for match in rooms:
+    for match in room_matches:
         is_same_room[match.first_room, match.second_room] = True
-    had_no_floor = np.isnan(before.floor_height)
-    has_no_floor = np.isnan(after.floor_height)
+    had_no_floor = np.isnan(values_before.floor_height)
+    has_no_floor = np.isnan(values_after.floor_height)
     is_same_floor = np.isclose(
-        before.floor_height, after.floor_height, rtol=0, atol=MAX_SAME_FLOOR_GAP, equal_nan=True
+        values_before.floor_height,
+        values_after.floor_height,
+        rtol=0,
+        atol=MAX_SAME_FLOOR_GAP,
+        equal_nan=True,
     )
-    # conditions of the kinds in `CHANGE_COLORS`; a cell's kind is the first whose condition holds
-    conditions = [
-        after.is_free & ~before.is_free & before.is_inside,
-        before.is_free & ~after.is_free & after.is_inside,
-        ~is_same_floor & in_both,
-        ~is_same_room[before.room, after.room] & in_both,
-        (before.weight != after.weight) & in_both,
-        ~after.is_inside & (before.is_free | ~had_no_floor),
-        ~before.is_inside & (after.is_free | ~has_no_floor),
-        before.is_free,
+    # the cells of each kind in `CHANGE_COLORS`; a cell has the first kind whose mask has it
+    kind_masks = [
+        values_after.is_free & ~values_before.is_free & values_before.is_inside,
+        values_before.is_free & ~values_after.is_free & values_after.is_inside,
+        ~is_same_floor & is_in_both,
+        ~is_same_room[values_before.room_index, values_after.room_index] & is_in_both,
+        (values_before.weight != values_after.weight) & is_in_both,
+        ~values_after.is_inside & (values_before.is_free | ~had_no_floor),
+        ~values_before.is_inside & (values_after.is_free | ~has_no_floor),
+        values_before.is_free,
         ~had_no_floor,
     ]
-    kind_of_cell = np.select(conditions, list(range(len(conditions))), len(conditions))
+    kind_of_cell = np.select(kind_masks, list(range(len(kind_masks))), len(kind_masks))
     first_number, second_number = level_numbers
     return LevelDifference(
-        first_number, second_number, lattice, kind_of_cell.astype(np.uint8), rooms
+        first_number, second_number, lattice, kind_of_cell.astype(np.uint8), room_matches
     )
 
 
@@ -332,7 +348,7 @@ class ResampledLevel(NamedTuple):
     is_inside: Bool  # whether the level has a cell there; if not, it is taken as blocked, no floor
     is_free: Bool  # whether the level's cell is free
     floor_height: Float  # world z of the floor [m], NaN for none
-    room: Int  # index of the room, 0 for none
+    room_index: Int  # index of the room, 0 for none
     weight: Float  # cost of the cell; inf outside
 
 
@@ -348,106 +364,121 @@ def _resample(level: SceneGrid2D, lattice: Lattice) -> ResampledLevel:
     has_row = (level_rows >= 0) & (level_rows < level_lattice.height)
     has_col = (level_cols >= 0) & (level_cols < level_lattice.width)
     is_inside = has_row[:, None] & has_col
-    cells = np.ix_(
+    cell_indices = np.ix_(
         np.clip(level_rows, 0, level_lattice.height - 1),
         np.clip(level_cols, 0, level_lattice.width - 1),
     )
     return ResampledLevel(
         is_inside=is_inside,
-        is_free=level.free[cells] & is_inside,
-        floor_height=np.where(is_inside, level.floor[cells], np.nan),
-        room=np.where(is_inside, level.room_index[cells].astype(np.int64), 0),
-        weight=np.where(is_inside, level.weights[cells].astype(np.float64), np.inf),
+        is_free=level.free[cell_indices] & is_inside,
+        floor_height=np.where(is_inside, level.floor[cell_indices], np.nan),
+        room_index=np.where(is_inside, level.room_index[cell_indices].astype(np.int64), 0),
+        weight=np.where(is_inside, level.weights[cell_indices].astype(np.float64), np.inf),
     )
 
 
-def _cover_both(first: Lattice, second: Lattice) -> Lattice:
+def _cover_both(first_lattice: Lattice, second_lattice: Lattice) -> Lattice:
     """Extend a lattice by whole cells so that it covers a second one, too."""
-    cell_size = first.cell_size
+    cell_size = first_lattice.cell_size
     # by how many cells the second lattice extends beyond each side; rounding errors don't count
-    excess_cells = (np.array(first.bounds) - second.bounds) * (1, 1, -1, -1) / cell_size - 1e-6
-    west, south, east, north = np.ceil(excess_cells).clip(min=0).astype(np.int64).tolist()
+    num_excess_cells = (np.array(first_lattice.bounds) - second_lattice.bounds) * (
+        1,
+        1,
+        -1,
+        -1,
+    ) / cell_size - 1e-6
+    num_west, num_south, num_east, num_north = (
+        np.ceil(num_excess_cells).clip(min=0).astype(np.int64).tolist()
+    )
     return Lattice(
-        first.x_min - west * cell_size,
-        first.y_max + north * cell_size,
+        first_lattice.x_min - num_west * cell_size,
+        first_lattice.y_max + num_north * cell_size,
         cell_size,
-        first.width + west + east,
-        first.height + south + north,
+        first_lattice.width + num_west + num_east,
+        first_lattice.height + num_south + num_north,
     )
 
 
-def _match_rooms(first_rooms: Int, second_rooms: Int) -> list[RoomMatch]:
+def _match_rooms(first_room_index: Int, second_room_index: Int) -> list[RoomMatch]:
     """Pair rooms of two levels that are each other's best overlap.
 
     Args:
-        first_rooms: the index of the first level's room at each cell, 0 for none.
-        second_rooms: the index of the second level's room at each cell, the same shape.
+        first_room_index: the index of the first level's room at each cell, 0 for none.
+        second_room_index: the index of the second level's room at each cell, the same shape.
     """
     # each column of `room_pairs` has a room index of each level, and `common_sizes` the number of
     # cells with both
     room_pairs, common_sizes = np.unique(
-        np.stack([first_rooms.ravel(), second_rooms.ravel()]), axis=1, return_counts=True
+        np.stack([first_room_index.ravel(), second_room_index.ravel()]), axis=1, return_counts=True
     )
-    first_sizes = np.bincount(first_rooms.ravel())
-    second_sizes = np.bincount(second_rooms.ravel())
+    first_sizes = np.bincount(first_room_index.ravel())
+    second_sizes = np.bincount(second_room_index.ravel())
     union_sizes = first_sizes[room_pairs[0]] + second_sizes[room_pairs[1]] - common_sizes
     overlaps = common_sizes / union_sizes
     # sorted so that the largest overlap is last, and of equal overlaps the lowest room indices
-    sort_indices = np.lexsort((-room_pairs[1], -room_pairs[0], overlaps)).tolist()
+    pair_order = np.lexsort((-room_pairs[1], -room_pairs[0], overlaps)).tolist()
     matches = [
-        RoomMatch(int(room_pairs[0, i]), int(room_pairs[1, i]), float(overlaps[i]))
-        for i in sort_indices
-        if room_pairs[:, i].all()
+        RoomMatch(
+            int(room_pairs[0, pair_index]),
+            int(room_pairs[1, pair_index]),
+            float(overlaps[pair_index]),
+        )
+        for pair_index in pair_order
+        if room_pairs[:, pair_index].all()
     ]
     # of a room's matches, the last remains, which has the largest overlap
-    best_of_first = {match.first_room: match for match in matches}
-    best_of_second = {match.second_room: match for match in matches}
+    best_match_of_first = {match.first_room: match for match in matches}
+    best_match_of_second = {match.second_room: match for match in matches}
     return sorted(
-        match for match in best_of_first.values() if best_of_second[match.second_room] == match
+        match
+        for match in best_match_of_first.values()
+        if best_match_of_second[match.second_room] == match
     )
 
 
 def list_changed_rooms(
-    first: NavGrid, second: NavGrid, levels: Sequence[LevelDifference]
+    first_grid: NavGrid, second_grid: NavGrid, level_differences: Sequence[LevelDifference]
 ) -> list[DifferenceRow]:
     """List the rooms that were renamed, changed their cells, or are in only one of the grids.
 
     Args:
-        first: a grid.
-        second: a grid.
-        levels: the differences of the levels that both grids have.
+        first_grid: the first grid.
+        second_grid: the second grid.
+        level_differences: the differences of the levels that both grids have.
     """
-    first_rooms = {(room.level, room.index): room for room in first.rooms}
-    second_rooms = {(room.level, room.index): room for room in second.rooms}
+    first_rooms = {(room.level, room.index): room for room in first_grid.rooms}
+    second_rooms = {(room.level, room.index): room for room in second_grid.rooms}
 
     def describe_room(room: Room) -> str:
         return f"{room.name or room.id}, {room.area:.2f} m²"
 
     rows = []
-    for level in levels:
-        for match in level.rooms:
-            before = first_rooms.pop((level.first_number, match.first_room), None)
-            after = second_rooms.pop((level.second_number, match.second_room), None)
-            if before is None or after is None:
+    for difference in level_differences:
+        for match in difference.room_matches:
+            room_before = first_rooms.pop((difference.first_number, match.first_room), None)
+            room_after = second_rooms.pop((difference.second_number, match.second_room), None)
+            if room_before is None or room_after is None:
                 continue
-            changes = []
-            if before.name != after.name:
-                changes.append("renamed")
+            change_texts = []
+            if room_before.name != room_after.name:
+                change_texts.append("renamed")
             if match.overlap != 1:
-                changes.append(f"{match.overlap:.1%} of their cells are common")
-            if changes:
-                rows.append(("; ".join(changes), describe_room(before), describe_room(after)))
+                change_texts.append(f"{match.overlap:.1%} of their cells are common")
+            if change_texts:
+                rows.append(
+                    ("; ".join(change_texts), describe_room(room_before), describe_room(room_after))
+                )
     rows += [(ONLY_IN_FIRST, describe_room(room), "") for room in first_rooms.values()]
     rows += [(ONLY_IN_SECOND, "", describe_room(room)) for room in second_rooms.values()]
     return rows
 
 
 def read_settings(grid: NavGrid) -> dict[str, str]:
-    """Return a grid's settings: path, such as ``settings.agent.radius`` -> value as text.
+    """Return a grid's settings as a mapping: path, as ``settings.agent.radius`` -> value as text.
 
     The scene's digest, the agent's radius, the inflations and the cells' size are among them.
     """
-    return flatten(
+    return flatten_json(
         {
             "settings": grid.navbake.get("settings"),
             "sceneDigest": grid.navbake.get("sceneDigest"),
@@ -458,21 +489,27 @@ def read_settings(grid: NavGrid) -> dict[str, str]:
     )
 
 
-def list_differences(first: Mapping[str, str], second: Mapping[str, str]) -> list[DifferenceRow]:
+def list_differences(
+    first_values: Mapping[str, str], second_values: Mapping[str, str]
+) -> list[DifferenceRow]:
     """List the entries that only one of two mappings has, or that have different values.
 
     Args:
-        first: values by key.
-        second: values by key.
+        first_values: key -> value in the first grid, as text.
+        second_values: key -> value in the second grid, as text.
 
     Returns:
         Rows of key, first value and second value, sorted by key; ``""`` for a missing value.
     """
-    keys = sorted(key for key in first.keys() | second.keys() if first.get(key) != second.get(key))
-    return [(key, first.get(key, ""), second.get(key, "")) for key in keys]
+    keys = sorted(
+        key
+        for key in first_values.keys() | second_values.keys()
+        if first_values.get(key) != second_values.get(key)
+    )
+    return [(key, first_values.get(key, ""), second_values.get(key, "")) for key in keys]
 
 
-def flatten(json_value: object, path: str = "") -> dict[str, str]:
+def flatten_json(json_value: object, path: str = "") -> dict[str, str]:
     """Flatten nested JSON objects into one mapping.
 
     Args:
@@ -487,6 +524,6 @@ def flatten(json_value: object, path: str = "") -> dict[str, str]:
     if not isinstance(json_value, dict):
         return {} if json_value is None else {path: str(json_value)}
     flat_entries: dict[str, str] = {}
-    for key, entry in json_value.items():
-        flat_entries |= flatten(entry, f"{path}.{key}" if path else str(key))
+    for entry_key, entry in json_value.items():
+        flat_entries |= flatten_json(entry, f"{path}.{entry_key}" if path else str(entry_key))
     return flat_entries

@@ -31,9 +31,10 @@ if TYPE_CHECKING:
 RELIEF_STEP = 0.04
 RELIEF_SLOPE = 0.3
 # largest shares of white and of black that relief mixes into a colour
-MAX_LIGHT = 0.3
-MAX_SHADE = 0.35
-MAX_SAMPLES = 400  # most cells along a room's longer side that are looked at to place its name
+MAX_WHITE_SHARE = 0.3
+MAX_BLACK_SHARE = 0.35
+# most cells along a room's longer side that are looked at to place its name
+MAX_SAMPLED_CELLS = 400
 OCCUPANCY_COLORS = {"free": colors.FREE, "occupied": colors.OCCUPIED, "no floor": colors.NO_FLOOR}
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 
@@ -43,13 +44,13 @@ VIRIDIS = [
     "#3e4989", "#31678e", "#287d8e", "#218e8d", "#1e9c89",
     "#24ab82", "#39b976", "#5bc863", "#8ed644", "#fde725",
 ]  # fmt: skip
-SHADES = 1024  # number of different colours of a scale
-MIN_RANGE = 0.1  # smallest range of values on a scale, so that flat floors look flat
+NUM_SHADES = 1024  # number of different colours of a scale
+MIN_VALUE_RANGE = 0.1  # smallest range of values on a scale, so that flat floors look flat
 HEIGHT_STEP = 0.01  # on a scale of heights, z is rounded to multiples of this [m]
 MIN_SCALE_LENGTH = 5.0  # smallest length of a scale of heights, in multiples of `HEIGHT_STEP`
-MAX_HEIGHTS = 1 << 16  # most steps that a range of heights is split into
+MAX_HEIGHT_STEPS = 1 << 16  # most steps that a range of heights is split into
 MAX_TICKS = 6
-TICK_GAP = 0.11  # smallest distance of two ticks, relative to the scale's length
+MIN_TICK_GAP = 0.11  # smallest distance of two ticks, relative to the scale's length
 
 Legend: TypeAlias = tuple[tuple[str, str], ...]
 """Meanings and their colours."""
@@ -81,12 +82,16 @@ class ColorScale(NamedTuple):
     ticks: tuple[Tick, ...]
     colors: Sequence[str] = VIRIDIS
 
-    def bar(self, count: int) -> NDArray[np.uint8]:
-        """Return `count` colours at equal distances along the bar, lowest value first.
+    def bar(self, num_colors: int) -> NDArray[np.uint8]:
+        """Return colours at equal distances along the bar, that of the lowest value first.
 
-        The shape is (count, 3).
+        Args:
+            num_colors: the number of colours, >= 1.
+
+        Returns:
+            Red, green and blue of each colour, 0 to 255, shape (num_colors, 3).
         """
-        bar_positions = np.linspace(0.0, len(self.colors) - 1, count)
+        bar_positions = np.linspace(0.0, len(self.colors) - 1, num_colors)
         rgb_of_colors = np.array([colors.rgb_of(color) for color in self.colors], dtype=np.float64)
         channels = [
             np.interp(bar_positions, np.arange(len(rgb_of_colors)), channel)
@@ -102,9 +107,9 @@ class ColorScale(NamedTuple):
                 that end of the bar.
         """
         positions = np.interp(values, self.values, self.positions)
-        shades = np.round(positions * (SHADES - 1)).astype(np.intp)
-        painted: NDArray[np.uint8] = self.bar(SHADES).take(shades, axis=0)
-        return painted
+        shade_indices = np.round(positions * (NUM_SHADES - 1)).astype(np.intp)
+        value_rgb: NDArray[np.uint8] = self.bar(NUM_SHADES).take(shade_indices, axis=0)
+        return value_rgb
 
 
 class Label(NamedTuple):
@@ -142,8 +147,8 @@ class Panel(NamedTuple):
         labels: names on the picture.
         doors: lines across doorways.
         connections: links and stairs to draw, of all levels.
-        relief: the difference of values between neighbours at which relief shading has 3/4 of its
-            full strength; 0 for no shading.
+        relief_step: the difference of values between neighbours at which relief shading has 3/4 of
+            its full strength; 0 for no shading.
     """
 
     title: str
@@ -154,7 +159,7 @@ class Panel(NamedTuple):
     labels: tuple[Label, ...] = ()
     doors: tuple[DoorLine, ...] = ()
     connections: tuple[Connection, ...] = ()
-    relief: float = 0.0
+    relief_step: float = 0.0
 
 
 def make_panel(
@@ -193,15 +198,15 @@ def paint(panel: Panel) -> NDArray[np.uint8]:
     if panel.values is None or panel.scale is None:
         return panel.rgb
     has_value = np.isfinite(panel.values)
-    painted = panel.scale.color(panel.values[has_value])
-    if panel.relief:
-        shading = relief_shading(panel.values, panel.relief)[has_value][:, None]
-        mixed_fraction = np.where(shading > 0, shading * MAX_LIGHT, -shading * MAX_SHADE)
-        painted = np.round(
-            painted * (1 - mixed_fraction) + (shading > 0) * 255 * mixed_fraction
+    value_rgb = panel.scale.color(panel.values[has_value])
+    if panel.relief_step:
+        shading = relief_shading(panel.values, panel.relief_step)[has_value][:, None]
+        mixed_share = np.where(shading > 0, shading * MAX_WHITE_SHARE, -shading * MAX_BLACK_SHARE)
+        value_rgb = np.round(
+            value_rgb * (1 - mixed_share) + (shading > 0) * 255 * mixed_share
         ).astype(np.uint8)
     rgb = panel.rgb.copy()
-    rgb[has_value] = painted
+    rgb[has_value] = value_rgb
     return rgb
 
 
@@ -227,16 +232,18 @@ def relief_shading(heights: Reals, full_height_step: float) -> NDArray[np.float3
 # --- scales of values -----------------------------------------------------------------------------
 
 
-def linear_scale(values: Reals, label: str, *, dark_high: bool = False) -> ColorScale:
-    """Make a linear color scale; its ticks are round numbers, or the value if all are equal.
+def linear_scale(values: Reals, label: str, *, is_high_dark: bool = False) -> ColorScale:
+    """Make a linear color scale with ticks at round numbers.
+
+    If all values are equal, there is one tick, at that value.
 
     Args:
         values: finite values, shape (n,).
         label: what the values are, with their unit.
-        dark_high: whether the largest value is the darkest, not the lightest.
+        is_high_dark: whether the largest value is the darkest, not the lightest.
     """
     low = float(values.min()) if values.size else 0.0
-    high = float(values.max()) if values.size else MIN_RANGE
+    high = float(values.max()) if values.size else MIN_VALUE_RANGE
     ticks = [(low, f"{low:g}")]
     if high > low:
         step = round_up_step((high - low) / MAX_TICKS)
@@ -247,25 +254,25 @@ def linear_scale(values: Reals, label: str, *, dark_high: bool = False) -> Color
             (multiple * step, f"{multiple * step + 0.0:.{num_decimals}f}")
             for multiple in range(first_multiple, last_multiple + 1)
         ]
-    margin = max(0.0, MIN_RANGE - (high - low)) / 2
-    if dark_high:
+    margin = max(0.0, MIN_VALUE_RANGE - (high - low)) / 2
+    if is_high_dark:
         high += 2 * margin
     else:
         low -= margin
         high += margin
-    bar_colors = VIRIDIS[::-1] if dark_high else VIRIDIS
+    bar_colors = VIRIDIS[::-1] if is_high_dark else VIRIDIS
     bar_ticks = tuple(Tick((value - low) / (high - low), text) for value, text in ticks)
     return ColorScale(label, (low, high), (0.0, 1.0), bar_ticks, bar_colors)
 
 
-def round_up_step(minimum: float) -> float:
-    """Return the smallest number, at least `minimum`, that is 1, 2 or 5 times a power of ten."""
-    power_of_ten = 10.0 ** math.floor(math.log10(minimum))
+def round_up_step(number: float) -> float:
+    """Round a number up to the next 1, 2 or 5 times a power of ten."""
+    power_of_ten = 10.0 ** math.floor(math.log10(number))
     return next(
         (
             factor * power_of_ten
             for factor in (1, 2, 5)
-            if factor * power_of_ten >= minimum * (1 - 1e-9)
+            if factor * power_of_ten >= number * (1 - 1e-9)
         ),
         10 * power_of_ten,
     )
@@ -287,23 +294,23 @@ def height_scale(heights: Reals, label: str) -> ColorScale:
         return linear_scale(heights, label)
     low = float(heights.min())
     high = float(heights.max())
-    step = max(HEIGHT_STEP, (high - low) / MAX_HEIGHTS)
-    num_cells = np.bincount(np.round((heights - low) / step).astype(np.int64))
-    height_indices = np.flatnonzero(num_cells)
+    height_step = max(HEIGHT_STEP, (high - low) / MAX_HEIGHT_STEPS)
+    num_cells_at_height = np.bincount(np.round((heights - low) / height_step).astype(np.int64))
+    height_indices = np.flatnonzero(num_cells_at_height)
     bar_distances = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(height_indices)))])
     # flat floors look flat: a few centimetres are a part of the scale, not all of it
     scale_length = max(float(bar_distances[-1]), MIN_SCALE_LENGTH)
     positions = 0.5 + (bar_distances - bar_distances[-1] / 2) / scale_length
-    values = low + height_indices * step
-    indices_by_count = np.argsort(-num_cells[height_indices], kind="stable").tolist()
+    values = low + height_indices * height_step
+    indices_by_frequency = np.argsort(-num_cells_at_height[height_indices], kind="stable").tolist()
     ticks: list[Tick] = []
-    for index in [indices_by_count[0], 0, len(height_indices) - 1, *indices_by_count]:
+    for index in [indices_by_frequency[0], 0, len(height_indices) - 1, *indices_by_frequency]:
         position = float(positions[index])
-        if all(abs(position - tick.position) >= TICK_GAP for tick in ticks[:MAX_TICKS]):
+        if all(abs(position - tick.position) >= MIN_TICK_GAP for tick in ticks[:MAX_TICKS]):
             ticks.append(Tick(position, f"{values[index] + 0.0:.2f}"))
     if positions[0] > 0:
         positions = np.concatenate([[0.0], positions, [1.0]])
-        values = np.concatenate([[low - step], values, [values[-1] + step]])
+        values = np.concatenate([[low - height_step], values, [values[-1] + height_step]])
     bar_ticks = tuple(sorted(ticks[:MAX_TICKS]))
     return ColorScale(label, values.tolist(), positions.tolist(), bar_ticks)
 
@@ -321,11 +328,11 @@ def _paint_occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
     color_index = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1)).astype(
         np.uint8
     )
-    is_in_level = np.bincount(color_index.ravel(), minlength=len(OCCUPANCY_COLORS)) > 0
+    is_color_used = np.bincount(color_index.ravel(), minlength=len(OCCUPANCY_COLORS)) > 0
     legend = [
         entry
         for color_number, entry in enumerate(OCCUPANCY_COLORS.items())
-        if color_number == 0 or is_in_level[color_number]
+        if color_number == 0 or is_color_used[color_number]
     ]
     palette = np.array(
         [colors.rgb_of(color) for color in OCCUPANCY_COLORS.values()], dtype=np.uint8
@@ -335,10 +342,10 @@ def _paint_occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
 
 def _show_occupancy(grid: NavGrid, level_number: int) -> Panel:
     level = grid.levels[level_number]
-    area = np.count_nonzero(level.free) * level.lattice.cell_size**2
+    free_area = np.count_nonzero(level.free) * level.lattice.cell_size**2
     rgb, legend = _paint_occupancy(level)
-    lines = find_door_lines(grid, level_number)
-    return Panel(f"occupancy, {area:.1f} m² free", rgb, legend=legend, doors=lines)
+    door_lines = find_door_lines(grid, level_number)
+    return Panel(f"occupancy, {free_area:.1f} m² free", rgb, legend=legend, doors=door_lines)
 
 
 def _show_floor(grid: NavGrid, level_number: int) -> Panel:
@@ -347,8 +354,8 @@ def _show_floor(grid: NavGrid, level_number: int) -> Panel:
     floor_z = level.floor_height * np.float32(level.unit)
     scale = height_scale(floor_z[np.isfinite(floor_z)], "z [m]")
     legend = (("no floor", colors.NO_FLOOR),) if np.isnan(floor_z).any() else ()
-    step = max(RELIEF_STEP, RELIEF_SLOPE * level.lattice.cell_size)
-    return Panel("floor height [m]", rgb, floor_z, scale, legend, relief=step)
+    relief_step = max(RELIEF_STEP, RELIEF_SLOPE * level.lattice.cell_size)
+    return Panel("floor height [m]", rgb, floor_z, scale, legend, relief_step=relief_step)
 
 
 def _show_clearance(grid: NavGrid, level_number: int) -> Panel:
@@ -366,28 +373,32 @@ def _show_clearance(grid: NavGrid, level_number: int) -> Panel:
 def _show_weights(grid: NavGrid, level_number: int) -> Panel:
     level = grid.levels[level_number]
     costs = np.where(level.free, level.weights, np.nan).astype(np.float32)
-    scale = linear_scale(costs[np.isfinite(costs)], "cost of a cell", dark_high=True)
+    scale = linear_scale(costs[np.isfinite(costs)], "cost of a cell", is_high_dark=True)
     costs[level.weights == 1] = np.nan  # cells of cost 1 have the colour of free cells
     rgb, legend = _paint_occupancy(level)
     return Panel("weights", rgb, costs, scale, (("cost 1", colors.FREE), *legend[1:]))
 
 
 def _show_islands(grid: NavGrid, level_number: int) -> Panel:
-    islands = islands_of(grid)
+    island_layers = islands_of(grid)
     level = grid.levels[level_number]
-    num_islands = max(int(labels.max(initial=0)) for labels in islands)
+    num_islands = max(int(island_layer.max(initial=0)) for island_layer in island_layers)
     max_gap = math.ceil(colors.MAX_NEIGHBOR_GAP / level.lattice.cell_size)  # [cells]
     # an island may span several levels, and has one colour on all of them
-    neighbours = set().union(*(colors.find_neighbours(labels, max_gap) for labels in islands))
+    neighbour_pairs = set().union(
+        *(colors.find_neighbours(island_layer, max_gap) for island_layer in island_layers)
+    )
     palette = np.array([colors.rgb_of(color) for color in colors.ROOMS], dtype=np.uint8)
-    color_of_island = colors.choose_colors(num_islands, neighbours, len(palette))
+    color_of_island = colors.choose_colors(num_islands, neighbour_pairs, len(palette))
     rgb, legend = _paint_occupancy(level)
-    rgb[level.free] = palette[color_of_island[islands[level_number][level.free]]]
+    rgb[level.free] = palette[color_of_island[island_layers[level_number][level.free]]]
     return Panel("islands", rgb, legend=legend[1:])
 
 
 def paint_rooms(grid: NavGrid, level_number: int) -> NDArray[np.uint8]:
-    """Paint the cells of a level in the colours of their rooms, and doors; blocked cells darker.
+    """Paint the cells of a level in the colours of their rooms, blocked cells darker.
+
+    The cells of doors and doorways have colours of their own.
 
     Args:
         grid: a grid of one or several levels.
@@ -397,8 +408,8 @@ def paint_rooms(grid: NavGrid, level_number: int) -> NDArray[np.uint8]:
         The colour of each cell, shape (height, width, 3).
     """
     level = grid.levels[level_number]
-    rooms = colors.color_rooms(grid, level_number)
-    palette = np.stack([colors.darken_rooms(rooms), rooms], axis=1).reshape(-1, 3)
+    room_colors = colors.color_rooms(grid, level_number)
+    palette = np.stack([colors.darken_rooms(room_colors), room_colors], axis=1).reshape(-1, 3)
     # cells with the index 0 are in no room
     palette[0] = colors.rgb_of(colors.OCCUPIED)
     palette[1] = colors.rgb_of(colors.FREE)
@@ -416,30 +427,32 @@ def _paint_doors(rgb: NDArray[np.uint8], grid: NavGrid, level_number: int) -> No
 def _show_rooms(grid: NavGrid, level_number: int) -> Panel:
     level = grid.levels[level_number]
     room_index = level.room_index
-    free = level.free
-    no_floor = np.isnan(level.floor_height)
-    doors = mark_door_cells(grid, level_number, in_current_state=True)
-    doorways = mark_door_cells(grid, level_number, in_current_state=False)
-    outdoors = [room.index for room in grid.rooms if room.level == level_number and room.outdoors]
-    cells_of_entry = {
-        ("outdoors", colors.OUTDOORS): np.isin(room_index, outdoors),
-        ("occupied, no room", colors.OCCUPIED): (room_index == 0) & ~free & ~no_floor,
-        ("no floor", colors.NO_FLOOR): no_floor,
-        ("free, no room", colors.FREE): (room_index == 0) & free,
-        ("greyer: occupied in a room", colors.ROOM_LEGEND): (room_index > 0) & ~free,
-        ("door", colors.DOOR): doors,
-        ("doorway", colors.DOORWAY): doorways & ~doors,
+    is_free = level.free
+    has_no_floor = np.isnan(level.floor_height)
+    is_door = mark_door_cells(grid, level_number, in_current_state=True)
+    is_doorway = mark_door_cells(grid, level_number, in_current_state=False)
+    outdoor_indices = [
+        room.index for room in grid.rooms if room.level == level_number and room.outdoors
+    ]
+    mask_of_entry = {
+        ("outdoors", colors.OUTDOORS): np.isin(room_index, outdoor_indices),
+        ("occupied, no room", colors.OCCUPIED): (room_index == 0) & ~is_free & ~has_no_floor,
+        ("no floor", colors.NO_FLOOR): has_no_floor,
+        ("free, no room", colors.FREE): (room_index == 0) & is_free,
+        ("greyer: occupied in a room", colors.ROOM_LEGEND): (room_index > 0) & ~is_free,
+        ("door", colors.DOOR): is_door,
+        ("doorway", colors.DOORWAY): is_doorway & ~is_door,
     }
-    legend = tuple(entry for entry, cells in cells_of_entry.items() if cells.any())
-    names = [
+    legend = tuple(entry for entry, mask in mask_of_entry.items() if mask.any())
+    region_names = [
         RegionName(room.index, room.name, f"{level_number}:{room.index}")
         for room in grid.rooms
         if room.level == level_number
     ]
-    labels = _label_regions(level, room_index, names)
-    lines = find_door_lines(grid, level_number)
+    labels = _label_regions(level, room_index, region_names)
+    door_lines = find_door_lines(grid, level_number)
     return Panel(
-        "rooms", paint_rooms(grid, level_number), legend=legend, labels=labels, doors=lines
+        "rooms", paint_rooms(grid, level_number), legend=legend, labels=labels, doors=door_lines
     )
 
 
@@ -452,7 +465,7 @@ class RegionName(NamedTuple):
 
 
 def _label_regions(
-    level: SceneGrid2D, region_index: NDArray[np.integer], names: Iterable[RegionName]
+    level: SceneGrid2D, region_index: NDArray[np.integer], region_names: Iterable[RegionName]
 ) -> tuple[Label, ...]:
     """Place the names of rooms or areas on the map of a level.
 
@@ -462,43 +475,43 @@ def _label_regions(
     Args:
         level: the level.
         region_index: the index of each cell's room or area, 0 for none, shape (height, width).
-        names: the names to place; those without cells are left out.
+        region_names: the names to place; those without cells are left out.
     """
     from scipy import ndimage  # takes longer to load than most pictures to draw
 
-    def ends_of_run(is_in_line: NDArray[np.bool_], position: int) -> list[int]:
+    def find_run_ends(is_in_line: NDArray[np.bool_], index: int) -> list[int]:
         """Return the first and the last index of the run of True in a line around a position."""
         run_labels = ndimage.label(is_in_line)[0]
-        run_ends: list[int] = np.flatnonzero(run_labels == run_labels[position])[[0, -1]].tolist()
+        run_ends: list[int] = np.flatnonzero(run_labels == run_labels[index])[[0, -1]].tolist()
         return run_ends
 
     labels = []
     slices_of_region = dict(enumerate(ndimage.find_objects(region_index.astype(np.int32)), 1))
-    for region in names:
-        cell_slices = slices_of_region.get(region.number)
-        if cell_slices is None:
+    for region_name in region_names:
+        region_slices = slices_of_region.get(region_name.number)
+        if region_slices is None:
             continue
-        is_region = region_index[cell_slices] == region.number
-        sampling_stride = max(1, -(-max(is_region.shape) // MAX_SAMPLES))
-        is_region = is_region[::sampling_stride, ::sampling_stride]
-        sample_size = level.lattice.cell_size * sampling_stride
-        edge_distance = ndimage.distance_transform_edt(np.pad(is_region, 1))[1:-1, 1:-1]
+        is_in_region = region_index[region_slices] == region_name.number
+        sampling_stride = max(1, -(-max(is_in_region.shape) // MAX_SAMPLED_CELLS))
+        is_in_region = is_in_region[::sampling_stride, ::sampling_stride]
+        sample_edge = level.lattice.cell_size * sampling_stride
+        edge_distance = ndimage.distance_transform_edt(np.pad(is_in_region, 1))[1:-1, 1:-1]
         row, col = divmod(int(np.argmax(edge_distance)), edge_distance.shape[1])
-        first_col, last_col = ends_of_run(is_region[row], col)
-        top_row, bottom_row = ends_of_run(is_region[:, (first_col + last_col) // 2], row)
-        middle_col = cell_slices[1].start + (first_col + last_col) / 2 * sampling_stride
+        first_col, last_col = find_run_ends(is_in_region[row], col)
+        top_row, bottom_row = find_run_ends(is_in_region[:, (first_col + last_col) // 2], row)
+        middle_col = region_slices[1].start + (first_col + last_col) / 2 * sampling_stride
         x, y = level.lattice.positions(
-            cell_slices[0].start + row * sampling_stride, middle_col
+            region_slices[0].start + row * sampling_stride, middle_col
         ).tolist()
         half_height = min(row - top_row, bottom_row - row)  # the name's middle is in this row
         label = Label(
-            text=region.name or region.fallback,
-            fallback=region.fallback,
+            text=region_name.name or region_name.fallback,
+            fallback=region_name.fallback,
             x=x,
             y=y,
-            width=(last_col - first_col + 1) * sample_size,
-            height=(2 * half_height + 1) * sample_size,
-            number=region.number,
+            width=(last_col - first_col + 1) * sample_edge,
+            height=(2 * half_height + 1) * sample_edge,
+            number=region_name.number,
         )
         labels.append(label)
     return tuple(labels)
@@ -511,14 +524,14 @@ def _label_point(text: str, fallback: str, x: float, y: float, number: int) -> L
 def _show_doors(grid: NavGrid, level_number: int) -> Panel:
     rgb, legend = _paint_occupancy(grid.levels[level_number])
     legend = (("door", colors.DOOR), ("doorway", colors.DOORWAY), *legend)
-    lines = find_door_lines(grid, level_number)
+    door_lines = find_door_lines(grid, level_number)
     labels = []
-    for door_number, line in enumerate(lines, 1):
-        width = f"{line.width:.1f} m"
-        x, y = line.middle
-        labels.append(_label_point(f"{line.id} {width}", width, x, y, door_number))
+    for door_number, door_line in enumerate(door_lines, 1):
+        width_text = f"{door_line.width:.1f} m"
+        x, y = door_line.middle
+        labels.append(_label_point(f"{door_line.id} {width_text}", width_text, x, y, door_number))
     _paint_doors(rgb, grid, level_number)
-    return Panel("doors", rgb, legend=legend, labels=tuple(labels), doors=lines)
+    return Panel("doors", rgb, legend=legend, labels=tuple(labels), doors=door_lines)
 
 
 def _show_links(grid: NavGrid, level_number: int) -> Panel:
@@ -526,15 +539,15 @@ def _show_links(grid: NavGrid, level_number: int) -> Panel:
     # each step in both directions: level and cell of its start, level and cell of its end
     steps = np.concatenate([grid.step_array, grid.step_array[:, [2, 3, 0, 1]]])
     steps = steps[steps[:, 0] == level_number]
-    direction = np.sign(steps[:, 2] - level_number)
+    level_change_sign = np.sign(steps[:, 2] - level_number)
     step_colors = (
         ("leads up", colors.LINK_UP, 1),
         ("leads down", colors.LINK_DOWN, -1),
         ("steep, same level", colors.LINK_ACROSS, 0),
     )
-    for _, color, sign in step_colors:
-        cells = steps[direction == sign, 1]
-        rgb.reshape(-1, 3)[cells] = colors.rgb_of(color)
+    for _, color, change_sign in step_colors:
+        cell_ids = steps[level_change_sign == change_sign, 1]
+        rgb.reshape(-1, 3)[cell_ids] = colors.rgb_of(color)
     legend = (*((meaning, color) for meaning, color, _ in step_colors), *legend)
     if grid.links:
         legend = (("link", colors.LINK), *legend)
@@ -553,21 +566,21 @@ def _show_links(grid: NavGrid, level_number: int) -> Panel:
 
 def _show_areas(grid: NavGrid, level_number: int) -> Panel:
     level = grid.levels[level_number]
-    names = []
+    region_names = []
     rgb, legend = _paint_occupancy(level)
     area_entries = []
     for area_number, area in enumerate(grid.areas, 1):
         color = colors.ROOMS[area_number % len(colors.ROOMS)]
         if math.isinf(area.cost):
             color = colors.KEEP_OUT
-        in_area = level.area_index == area_number
+        is_in_area = level.area_index == area_number
         area_rgb = np.array(colors.rgb_of(color), dtype=np.uint8)
-        rgb[in_area & level.free] = area_rgb
-        rgb[in_area & ~level.free] = colors.darken_rooms(area_rgb)
-        if in_area.any():
+        rgb[is_in_area & level.free] = area_rgb
+        rgb[is_in_area & ~level.free] = colors.darken_rooms(area_rgb)
+        if is_in_area.any():
             area_entries.append((describe_area(area), color))
-        names.append(RegionName(area_number, area.name, str(area_number)))
-    labels = _label_regions(level, level.area_index, names)
+        region_names.append(RegionName(area_number, area.name, str(area_number)))
+    labels = _label_regions(level, level.area_index, region_names)
     return Panel("areas", rgb, legend=(*area_entries, *legend), labels=labels)
 
 

@@ -34,21 +34,23 @@ def render_html(grid: NavGrid) -> str:
     gives the same text.
     """
     pixel_scale = _scale_for(grid, LEVEL_SIDE)
-    num_rooms = [
+    room_counts = [
         int(np.count_nonzero(np.bincount(level.room_index.ravel())[1:])) for level in grid.levels
     ]
-    areas = [np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels]
+    free_areas = [
+        np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels
+    ]
     figures = []
     for level_number, level in enumerate(grid.levels[:MAX_LEVELS]):
-        picture = b64encode(encode_png(_draw_level(grid, level_number, pixel_scale))).decode(
+        picture_base64 = b64encode(encode_png(_draw_level(grid, level_number, pixel_scale))).decode(
             "ascii"
         )
         name = _shorten_name(grid.level_names[level_number])
         figures.append(
             f'<figure style="margin:0"><img style="image-rendering:pixelated" alt="{name}" '
-            f'src="data:image/png;base64,{picture}"><figcaption><b>{name}</b>: '
+            f'src="data:image/png;base64,{picture_base64}"><figcaption><b>{name}</b>: '
             f"{level.width} × {level.height} cells, ground {level.ground:.2f} m, "
-            f"{count_of(num_rooms[level_number], 'room')}, {areas[level_number]:.1f} m² free"
+            f"{count_of(room_counts[level_number], 'room')}, {free_areas[level_number]:.1f} m² free"
             "</figcaption></figure>"
         )
     num_levels = len(grid.levels)
@@ -56,7 +58,7 @@ def render_html(grid: NavGrid) -> str:
         figures.append(f"and {num_levels - MAX_LEVELS} more")
     summary = (
         f"{count_of(num_levels, 'level')}, cells of {grid.levels[0].lattice.cell_size:g} m, "
-        f"{count_of(sum(num_rooms), 'room')}, {sum(areas):.1f} m² free, "
+        f"{count_of(sum(room_counts), 'room')}, {sum(free_areas):.1f} m² free, "
         f"agent {grid.agent_height:g} m high, {grid.describe_radius()}"
     )
     return (
@@ -118,28 +120,37 @@ def draw_levels(grid: NavGrid, max_side: int, path: Path | None = None) -> Image
         max_side: the longest side of the picture [pixels].
         path: a path to draw, with a dot at its start; None for none.
     """
-    count = min(len(grid.levels), MAX_LEVELS)
-    columns = math.ceil(math.sqrt(count))
+    num_drawn_levels = min(len(grid.levels), MAX_LEVELS)
+    num_columns = math.ceil(math.sqrt(num_drawn_levels))
     # a gap of one hundredth between levels
-    gap = max(max_side // 100, 1) if count > 1 else 0
-    scale = _scale_for(grid, (max_side - (columns - 1) * gap) // columns)
-    levels = [_draw_level(grid, number, scale, path) for number in range(count)]
-    width = max(level.width for level in levels) + gap
-    height = max(level.height for level in levels) + gap
-    size = (columns * width - gap, math.ceil(count / columns) * height - gap)
-    sheet = Image.new("RGB", size, "white")  # no colour of a cell
-    for number, level in enumerate(levels):
-        sheet.paste(level, (number % columns * width, number // columns * height))
-    return sheet
+    gap = max(max_side // 100, 1) if num_drawn_levels > 1 else 0
+    pixel_scale = _scale_for(grid, (max_side - (num_columns - 1) * gap) // num_columns)
+    level_images = [
+        _draw_level(grid, level_number, pixel_scale, path)
+        for level_number in range(num_drawn_levels)
+    ]
+    tile_width = max(level_image.width for level_image in level_images) + gap
+    tile_height = max(level_image.height for level_image in level_images) + gap
+    sheet_size = (
+        num_columns * tile_width - gap,
+        math.ceil(num_drawn_levels / num_columns) * tile_height - gap,
+    )
+    sheet_image = Image.new("RGB", sheet_size, "white")  # no colour of a cell
+    for level_number, level_image in enumerate(level_images):
+        sheet_image.paste(
+            level_image,
+            (level_number % num_columns * tile_width, level_number // num_columns * tile_height),
+        )
+    return sheet_image
 
 
 def encode_png(image: Image.Image) -> bytes:
     """Encode a picture as PNG; with at most 256 colours, it is stored as indices into a palette."""
     if image.mode == "RGB" and image.getcolors(256) is not None:
         image = image.convert("P", palette=Image.Palette.ADAPTIVE, colors=256)
-    content = io.BytesIO()
-    image.save(content, format="PNG", optimize=True)
-    return content.getvalue()
+    png_file = io.BytesIO()
+    image.save(png_file, format="PNG", optimize=True)
+    return png_file.getvalue()
 
 
 def _scale_for(grid: NavGrid, max_side: int) -> tuple[int, int]:
@@ -158,34 +169,36 @@ def _scale_for(grid: NavGrid, max_side: int) -> tuple[int, int]:
 
 
 def _draw_level(
-    grid: NavGrid, level_number: int, scale: tuple[int, int], path: Path | None = None
+    grid: NavGrid, level_number: int, pixel_scale: tuple[int, int], path: Path | None = None
 ) -> Image.Image:
     """Draw a level, and the part of a path that is on it.
 
     Args:
         grid: a grid of one or several levels.
         level_number: the number of the level.
-        scale: how many pixels one cell takes, and how many cells one pixel shows; one of them is
-            1. A pixel that shows several cells has their mean colour.
+        pixel_scale: how many pixels one cell takes, and how many cells one pixel shows; one of
+            them is 1. A pixel that shows several cells has their mean colour.
         path: the path; None for none.
     """
-    pixels_per_cell, cells_per_pixel = scale
+    pixels_per_cell, cells_per_pixel = pixel_scale
     lattice = grid.levels[level_number].lattice
     image = Image.fromarray(paint_rooms(grid, level_number)).reduce(cells_per_pixel)
-    size = (image.width * pixels_per_cell, image.height * pixels_per_cell)
-    image = image.resize(size, Image.Resampling.NEAREST)
+    picture_size = (image.width * pixels_per_cell, image.height * pixels_per_cell)
+    image = image.resize(picture_size, Image.Resampling.NEAREST)
     if path is None:
         return image
-    corner = np.array([lattice.x_min, lattice.y_max])
-    pencil = ImageDraw.Draw(image)
-    shares = (path.positions[:, :2] - corner) / (lattice.cell_size * np.array(lattice.shape[::-1]))
-    pixels = (shares * (image.width, -image.height)).tolist()
+    upper_left = np.array([lattice.x_min, lattice.y_max])
+    drawing = ImageDraw.Draw(image)
+    picture_shares = (path.positions[:, :2] - upper_left) / (
+        lattice.cell_size * np.array(lattice.shape[::-1])
+    )
+    path_pixels = (picture_shares * (image.width, -image.height)).tolist()
     for color, width in (("white", 5), (ROUTE, 3)):
-        for k in range(len(pixels) - 1):
+        for k in range(len(path_pixels) - 1):
             if path.levels[k] == path.levels[k + 1] == level_number:
-                pencil.line([*pixels[k], *pixels[k + 1]], fill=color, width=width)
+                drawing.line([*path_pixels[k], *path_pixels[k + 1]], fill=color, width=width)
     if path.levels[0] == level_number:
-        pencil.circle(pixels[0], 5, fill=ROUTE, outline="white")
+        drawing.circle(path_pixels[0], 5, fill=ROUTE, outline="white")
     return image
 
 

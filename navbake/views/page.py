@@ -16,12 +16,12 @@ from navbake.types import Json
 from navbake.views.tables import Table
 
 DATA_URLS = "data:"  # source of pictures in a page's policy: the page itself has them
-MAX_ROWS = 2000  # most rows of a table that a page shows; it says how many more there are
+MAX_TABLE_ROWS = 2000  # most rows of a table that a page shows; it says how many more there are
 COMPRESSION_LEVEL = 6  # of zlib; level 9 takes five times as long and saves 2 %
 
 
 def make_page(
-    title: str, content: Json, package: str, name: str, pictures: str = DATA_URLS
+    title: str, content: Json, package: str, file_stem: str, picture_sources: str = DATA_URLS
 ) -> bytes:
     """Make an HTML page. Equal arguments give equal bytes.
 
@@ -33,43 +33,44 @@ def make_page(
         title: the title of the page, as plain text.
         content: the JSON that the script reads; it may contain numpy arrays.
         package: the package that has the files of the page.
-        name: the name of both files without ending: ``.html`` is the body, ``.js`` the script.
-        pictures: the sources from which pictures may be loaded, in the policy's syntax.
+        file_stem: the name of the page's files without ending: the body ends in ``.html``, the
+            script in ``.js``.
+        picture_sources: the sources from which pictures may be loaded, in the policy's syntax.
 
     Returns:
         The HTML, UTF-8.
     """
 
-    def read(package: str, file_name: str) -> str:
+    def read_text(package: str, file_name: str) -> str:
         return resources.files(package).joinpath(file_name).read_text(encoding="utf-8").strip()
 
-    style = read(__package__, "page.css")
-    script = f"{read(__package__, 'kit.js')}\n{read(package, f'{name}.js')}"
+    style = read_text(__package__, "page.css")
+    script = f"{read_text(__package__, 'kit.js')}\n{read_text(package, f'{file_stem}.js')}"
     hashes = [
         b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script)
     ]
     content_json = orjson.dumps({"title": title, **content}, option=orjson.OPT_SERIALIZE_NUMPY)
-    page = Template(read(__package__, "page.html")).substitute(
-        PICTURES=pictures,
+    page_html = Template(read_text(__package__, "page.html")).substitute(
+        PICTURES=picture_sources,
         STYLE=style,
         STYLE_HASH=f"sha256-{hashes[0]}",
-        BODY=read(package, f"{name}.html"),
+        BODY=read_text(package, f"{file_stem}.html"),
         SCRIPT=script,
         SCRIPT_HASH=f"sha256-{hashes[1]}",
         TITLE=html.escape(title),
         # a "<" could end the element that holds the content
         CONTENT=content_json.replace(b"<", b"\\u003c").decode("utf-8"),
     )
-    return page.encode("utf-8")
+    return page_html.encode("utf-8")
 
 
-def describe_table(title: str, table: Table, *, folded: bool = False) -> Json:
+def describe_table(title: str, table: Table, *, is_folded: bool = False) -> Json:
     """Describe a table for a page, without the columns that are empty in all rows.
 
     Args:
         title: the title over the table.
-        table: the table, whose first `MAX_ROWS` rows are shown.
-        folded: whether only the table's title shows until the user opens it.
+        table: the table, whose first `MAX_TABLE_ROWS` rows are shown.
+        is_folded: whether only the table's title shows until the user opens it.
 
     Returns:
         JSON that the page's script reads.
@@ -77,11 +78,11 @@ def describe_table(title: str, table: Table, *, folded: bool = False) -> Json:
     table = table.without_empty_columns()
     return {
         "title": title,
-        "folded": folded,
+        "folded": is_folded,
         "columns": table.headings,
-        "rows": table.rows[:MAX_ROWS],
+        "rows": table.rows[:MAX_TABLE_ROWS],
         "numbers": [i for i, heading in enumerate(table.headings) if heading in table.numbers],
-        "more": max(0, len(table.rows) - MAX_ROWS),
+        "more": max(0, len(table.rows) - MAX_TABLE_ROWS),
     }
 
 

@@ -169,7 +169,7 @@ def render_picture(
     if not layers:
         raise QueryError("expected at least one layer to draw, got none")
     level_numbers = list(range(len(grid.levels))) if level is None else [level]
-    panel_levels = [level_number for level_number in level_numbers for _ in layers]
+    panel_level_numbers = [level_number for level_number in level_numbers for _ in layers]
     panels = [
         make_panel(grid, layer, level_number) for level_number in level_numbers for layer in layers
     ]
@@ -179,14 +179,14 @@ def render_picture(
     drawn_texts = [grid.scene_id or "", *color_of_kind, *(panel.title for panel in panels)]
     drawn_texts += [label.text for panel in panels for label in panel.labels]
     font_families, missing_letters = choose_fonts("".join(drawn_texts))
-    settings: dict[Any, object] = {
+    matplotlib_settings: dict[Any, object] = {
         "svg.hashsalt": "navbake",  # else ids in an SVG are hashes with a random salt
         "svg.fonttype": "path",  # letters are shapes, in case a viewer lacks the fonts
         "text.parse_math": False,  # no name is markup
         "font.family": font_families,
         "text.color": TEXT_COLOR,
     }
-    with rc_context(settings), warnings.catch_warnings():
+    with rc_context(matplotlib_settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
         figure = Figure(facecolor="white", dpi=DPI)
         FigureCanvasAgg(figure)
@@ -196,7 +196,7 @@ def render_picture(
             heading_text = f"{heading_text}, {grid.describe_radius()}"
         heading = wrap_text(heading_text, figure.get_figwidth())
         figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
-        for ax, level_number, panel in zip(axes, panel_levels, panels, strict=True):
+        for ax, level_number, panel in zip(axes, panel_level_numbers, panels, strict=True):
             _draw_panel(ax, panel, grid.levels[level_number].lattice.bounds)
             if route is not None:
                 _draw_route(ax, route, level_number)
@@ -214,12 +214,12 @@ def render_picture(
             "   ".join([facts_text, *key_entries]), figure.get_figwidth() * 1.2, max_lines=99
         )
         legend.set_title(legend_text, FontProperties(size=LEGEND_POINTS))
-        axes_of_levels = {
+        axes_of_level = {
             level_number: ax
-            for ax, level_number, panel in zip(axes, panel_levels, panels, strict=True)
+            for ax, level_number, panel in zip(axes, panel_level_numbers, panels, strict=True)
             if panel.connections
         }
-        _draw_connections(figure, axes_of_levels, panels)
+        _draw_connections(figure, axes_of_level, panels)
         picture_file = io.BytesIO()
         # the lines of the key hang below the figure, which is extended by them
         bottom_edge = min(0.0, legend.get_window_extent().y0 / DPI - LINE_HEIGHT / 2)
@@ -262,16 +262,16 @@ def _write_all_names(
     Returns:
         The entries of the key, such as ``3: kitchen``, for numbers that stand for names.
     """
-    entries: dict[str, None] = {}
+    key_entries: dict[str, None] = {}
     for ax, panel in zip(axes, panels, strict=True):
         labels = [
             label._replace(text=label.fallback) if missing_letters & set(label.text) else label
             for label in panel.labels
         ]
-        entries |= dict.fromkeys(write_names(ax, labels))
-    shown_entries = list(entries)[:MAX_KEY_ENTRIES]
-    if len(entries) > MAX_KEY_ENTRIES:
-        shown_entries.append(f"and {len(entries) - MAX_KEY_ENTRIES} more")
+        key_entries |= dict.fromkeys(write_names(ax, labels))
+    shown_entries = list(key_entries)[:MAX_KEY_ENTRIES]
+    if len(key_entries) > MAX_KEY_ENTRIES:
+        shown_entries.append(f"and {len(key_entries) - MAX_KEY_ENTRIES} more")
     # with no-break spaces, the lines of the key break between entries only
     return [entry.replace(" ", "\N{NO-BREAK SPACE}") for entry in shown_entries]
 
@@ -300,7 +300,7 @@ def choose_fonts(text: str) -> tuple[list[str], set[str]]:
 
 
 def wrap_text(text: str, width: float, max_lines: int = 3) -> str:
-    """Break a text into at most `max_lines` lines of a width [inches]; cut off what doesn't fit."""
+    """Break a text into at most `max_lines` lines of a width [inches]; cut off the rest."""
     max_letters = max(int(width * LETTERS_PER_INCH), 8)
     return textwrap.fill(escape_undrawable(text), max_letters, max_lines=max_lines, placeholder="…")
 
@@ -336,10 +336,10 @@ def add_axes(
     Returns:
         The axes of the panels.
     """
-    extent = np.array([view_bounds[2] - view_bounds[0], view_bounds[3] - view_bounds[1]])
-    extent = np.maximum(extent, max(extent.max() / MAX_ASPECT, 1e-3))
-    width, height = extent  # of a map [m]
-    view_middle = np.array(view_bounds).reshape(2, 2).mean(axis=0)
+    map_extent = np.array([view_bounds[2] - view_bounds[0], view_bounds[3] - view_bounds[1]])
+    map_extent = np.maximum(map_extent, max(map_extent.max() / MAX_ASPECT, 1e-3))
+    width, height = map_extent  # of a map [m]
+    view_center = np.array(view_bounds).reshape(2, 2).mean(axis=0)
     # a row holds the layers of a level, or, of one layer, all levels
     panels_per_group = num_layers if num_layers > 1 else len(panels)
     num_columns = 1 if width > WIDE_ASPECT * height else min(panels_per_group, MAX_MAPS_PER_ROW)
@@ -347,13 +347,15 @@ def add_axes(
     num_rows = rows_per_group * (len(panels) // panels_per_group)
     max_map_width = MAX_WIDTH / num_columns - MARGIN_X
     max_map_height = min(MAX_MAP_HEIGHT, (MAX_HEIGHT - 1.0) / num_rows - MARGIN_Y)
-    map_width, map_height = extent * min(max_map_width / width, max_map_height / height)  # [inch]
+    map_width, map_height = map_extent * min(
+        max_map_width / width, max_map_height / height
+    )  # [inch]
     figure_width = min(max(num_columns * (map_width + MARGIN_X), MIN_WIDTH), MAX_WIDTH)
     figure.set_size_inches(figure_width, num_rows * (map_height + MARGIN_Y) + 1.0)
     figure.set_layout_engine("compressed", w_pad=0.05, h_pad=0.05)
     axes_grid = figure.subplots(num_rows, num_columns, squeeze=False)
-    x_min, y_min = view_middle - extent / 2
-    x_max, y_max = view_middle + extent / 2
+    x_min, y_min = view_center - map_extent / 2
+    x_max, y_max = view_center + map_extent / 2
     axes: list[PanelAxes] = []
     for panel_index in range(len(panels)):
         row_in_group, column_index = divmod(panel_index % panels_per_group, num_columns)
@@ -440,7 +442,7 @@ def _draw_connections(
     for connection in connections:
         line_kind = _find_connection_line_kind(connection)
         color = LINE_STROKES[line_kind][1][0]
-        marked_stops = connection.stops[:1] if connection.one_way else connection.stops
+        marked_stops = connection.stops[:1] if connection.is_one_way else connection.stops
         for stop in marked_stops:
             if stop.level in axes_of_level and connection.link is not None:
                 axes_of_level[stop.level].plot(
@@ -455,7 +457,7 @@ def _draw_connections(
                 (end.x, end.y),
                 coordsA=axes_of_level[start.level].transData,
                 coordsB=axes_of_level[end.level].transData,
-                arrowstyle="-|>" if connection.one_way else "-",
+                arrowstyle="-|>" if connection.is_one_way else "-",
                 mutation_scale=7,
                 connectionstyle=f"arc3,rad={curvature}",
                 shrinkA=0,
@@ -517,23 +519,23 @@ def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
         if not is_point:
             available_pixels = np.array([label.width, label.height]) * pixels_per_metre
         font_sizes = NAME_POINTS[-1:] if is_point else NAME_POINTS
-        candidates = [
+        candidate_texts = [
             (text, font_size) for font_size in font_sizes for text in _list_line_breaks(name)
         ]
-        candidates += [(str(label.number), font_size) for font_size in NUMBER_POINTS]
+        candidate_texts += [(str(label.number), font_size) for font_size in NUMBER_POINTS]
         text_artist = ax.text(label.x, label.y, "", ha="center", va="center", linespacing=1.05)
-        for text, font_size in candidates:
+        for text, font_size in candidate_texts:
             text_artist.set(text=text, fontsize=font_size)
             text_extent = np.array(text_artist.get_window_extent().size)
             half_extent = text_extent / 2 + 3
             # above, below, to the right or to the left of a point
             directions = [(0, 1), (0, -1), (1, 0), (-1, 0)] if is_point else [(0, 0)]
-            offset = half_extent + POINT_HALF_SIDE + 1
+            center_offset = half_extent + POINT_HALF_SIDE + 1
             candidate_boxes = []
             for direction in directions:
                 # moved so that it lies on the map
                 center = np.clip(
-                    middle + direction * offset,
+                    middle + direction * center_offset,
                     map_frame.p0 + half_extent,
                     map_frame.p1 - half_extent,
                 )
@@ -571,9 +573,9 @@ def _list_line_breaks(text: str) -> list[str]:
     ]
     if not break_indices:
         return [text]
-    middle_break = min(break_indices, key=lambda index: abs(index - len(text) / 2))
-    first_line = f"{text[:middle_break]}{text[middle_break].strip()}"
-    return [text, f"{first_line}\n{text[middle_break + 1 :]}"]
+    middle_break_index = min(break_indices, key=lambda index: abs(index - len(text) / 2))
+    first_line = f"{text[:middle_break_index]}{text[middle_break_index].strip()}"
+    return [text, f"{first_line}\n{text[middle_break_index + 1 :]}"]
 
 
 def _draw_legend(
@@ -607,22 +609,24 @@ def _draw_legend(
         }
     if has_route:
         line_kinds.add("path, from o to x")
-    entries: list[Patch | Line2D] = [
+    legend_handles: list[Patch | Line2D] = [
         Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=escape_undrawable(meaning))
         for meaning, color in (color_of_meaning | color_of_kind).items()
     ]
-    entries += [
+    legend_handles += [
         Line2D([], [], label=line_kind, **_make_line_style(line_kind))
         for line_kind in LINE_STROKES
         if line_kind in line_kinds
     ]
-    entry_letters = max((len(str(entry.get_label())) for entry in entries), default=1) + 6
-    max_columns = max(int(figure.get_figwidth() * LETTERS_PER_INCH / entry_letters), 1)
-    num_columns = min(max_columns, max(len(entries), 1))
-    num_rows = -(-len(entries) // num_columns)
+    max_entry_length = (
+        max((len(str(handle.get_label())) for handle in legend_handles), default=1) + 6
+    )
+    max_columns = max(int(figure.get_figwidth() * LETTERS_PER_INCH / max_entry_length), 1)
+    num_columns = min(max_columns, max(len(legend_handles), 1))
+    num_rows = -(-len(legend_handles) // num_columns)
     figure.set_figheight(figure.get_figheight() + LINE_HEIGHT * num_rows)
     return figure.legend(
-        handles=entries,
+        handles=legend_handles,
         ncols=num_columns,
         loc="outside lower left",
         frameon=False,

@@ -21,7 +21,7 @@ from navbake.navgrid.user_data import NAME_KEYS, UserData, names_in
 from navbake.types import Int, Json
 from navbake.views import tables
 from navbake.views.describe import describe, make_stair_table
-from navbake.views.difference import describe_changes, describe_extent, flatten, png_url
+from navbake.views.difference import describe_changes, describe_extent, encode_png_url, flatten_json
 from navbake.views.layers import LAYERS, make_panel, paint
 from navbake.views.page import describe_table, make_page, pack_json
 from navbake.views.tables import Table, list_grid_facts, make_table
@@ -41,18 +41,18 @@ NUM_BAR_COLORS = 64  # number of colours of a color scale's bar
 class VerifiedFinding(TypedDict):
     """A finding in the JSON of `VerifyReport.to_json`, with only the fields that a page shows."""
 
-    kind: str
-    level: int
-    position: Position
-    text: str
+    kind: str  # kind of disagreement
+    level: int  # number of the level, 0 is the lowest
+    position: Position  # world x, y, z [m]
+    text: str  # what is wrong
 
 
 class Verification(TypedDict):
     """The JSON of `VerifyReport.to_json`, with only the fields that a page shows."""
 
-    ok: bool
-    checked: int
-    cells: int
+    ok: bool  # whether grid and scene agree
+    checked: int  # number of cells that were checked
+    cells: int  # number of cells of the grid
     findings: list[VerifiedFinding]
 
 
@@ -71,7 +71,7 @@ def write_report(
         path: the path of the HTML file.
         names: the names of the grids on the page; None for the names of their scenes.
         audits: for each grid a report of `navbake.audit`, or None.
-        verifications: for each grid what `VerifyReport.to_json` returns, or None.
+        verifications: for each grid the result of `VerifyReport.to_json`, or None.
 
     Returns:
         The path.
@@ -82,8 +82,8 @@ def write_report(
         QueryError: there is no grid; there are more or fewer names, audits or verifications than
             grids; or a verification is of another scene.
     """
-    content = render_report(grids, names=names, audits=audits, verifications=verifications)
-    write_bytes(content, path)
+    page_content = render_report(grids, names=names, audits=audits, verifications=verifications)
+    write_bytes(page_content, path)
     return Path(path)
 
 
@@ -104,7 +104,7 @@ def render_report(
         grids: one or more grids.
         names: the names of the grids on the page; their scenes' names if None.
         audits: for each grid a report of `navbake.audit`, or None.
-        verifications: for each grid what `VerifyReport.to_json` returns, or None.
+        verifications: for each grid the result of `VerifyReport.to_json`, or None.
 
     Raises:
         QueryError: there is no grid; there are more or fewer names, audits or verifications than
@@ -115,24 +115,24 @@ def render_report(
     num_grids = len(grids)
     if not grids:
         raise QueryError("expected at least one grid to report on, got none")
-    for argument, values in (
+    for argument_name, values in (
         ("names", names),
         ("audits", audits),
         ("verifications", verifications),
     ):
         if values is not None and len(values) != num_grids:
             raise QueryError(
-                f"expected as many {argument} as grids, {num_grids}, got {len(values)}"
+                f"expected as many {argument_name} as grids, {num_grids}, got {len(values)}"
             )
     audits = audits or [None] * num_grids
     verifications = verifications or [None] * num_grids
     titles = _number_duplicates(
         [printable(name) for name in names or [grid.scene_id or "grid" for grid in grids]]
     )
-    sheet_list = list(map(_describe_grid, grids, titles, audits, verifications))
+    sheets = list(map(_describe_grid, grids, titles, audits, verifications))
     if num_grids == 2:
-        sheet_list.append(describe_changes(grids[0], grids[1], titles))
-    return make_page(", ".join(titles), {"sheets": sheet_list}, "navbake.views", "report")
+        sheets.append(describe_changes(grids[0], grids[1], titles))
+    return make_page(", ".join(titles), {"sheets": sheets}, "navbake.views", "report")
 
 
 def _number_duplicates(names: Sequence[str]) -> list[str]:
@@ -145,6 +145,9 @@ def _number_duplicates(names: Sequence[str]) -> list[str]:
 
 def read_verification(path: str | PathLike[str]) -> Json:
     """Read the JSON file of a verification, see `VerifyReport.to_json`.
+
+    Args:
+        path: the path of the file.
 
     Raises:
         FormatError: the file can't be read, or isn't a verification.
@@ -161,8 +164,8 @@ def read_verification(path: str | PathLike[str]) -> Json:
 class ListedFinding(NamedTuple):
     """A finding of an audit or a verification, as a page shows it."""
 
-    kind: str
-    level: int | None
+    kind: str  # name of the audit's check, or kind of disagreement of the verification
+    level: int | None  # number of the level, 0 is the lowest; None for the whole grid
     position: Position | None  # world x, y, z [m]
     detail: str | None  # of an audit, how severe it is; of a verification, the name of the geom
     text: str
@@ -174,18 +177,18 @@ def _describe_grid(
     """Return the sheet of a grid as JSON: its facts, warnings, maps and tables."""
     facts = describe(grid)
     map_marks: list[Json] = []
-    remark_tables: dict[str, Table] = {}
+    finding_tables: dict[str, Table] = {}
     if audit_report is not None:
-        remarks = [
+        findings = [
             ListedFinding(remark.check, remark.level, remark.place, remark.severity, remark.text)
             for remark in audit_report.remarks
         ]
-        no_remarks_text = f"{len(audit_report.checks)} checks, nothing to say"
-        map_marks += _list_marks("audit", remarks)
-        remark_tables["Audit"] = _tabulate_remarks("how bad", remarks, no_remarks_text)
+        no_findings_text = f"{len(audit_report.checks)} checks, nothing to say"
+        map_marks += _list_marks("audit", findings)
+        finding_tables["Audit"] = _tabulate_findings("how bad", findings, no_findings_text)
     if verification is not None:
         _check_verification(grid, verification)
-        remarks = [
+        findings = [
             ListedFinding(
                 finding["kind"],
                 finding["level"],
@@ -197,9 +200,9 @@ def _describe_grid(
         ]
         sample_text = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
         verdict = "agrees" if verification["ok"] else "disagrees"
-        map_marks += _list_marks("verify", remarks)
-        remark_tables[f"Verification: {verdict}, {sample_text}"] = _tabulate_remarks(
-            "geom", remarks, sample_text
+        map_marks += _list_marks("verify", findings)
+        finding_tables[f"Verification: {verdict}, {sample_text}"] = _tabulate_findings(
+            "geom", findings, sample_text
         )
     levels = []
     for level_number in range(len(grid.levels)):
@@ -215,16 +218,16 @@ def _describe_grid(
         for key, value in grid.timings.items()
         if isinstance(value, int | float)
     ]
-    settings = flatten(grid.navbake.get("settings")).items()
+    settings = flatten_json(grid.navbake.get("settings")).items()
     named_tables = {
-        "Levels": tables.level_table(facts),
-        "Rooms": tables.room_table(grid.rooms, grid.level_names),
-        "Doors": tables.door_table(grid.doors, grid.level_names),
+        "Levels": tables.make_level_table(facts),
+        "Rooms": tables.make_room_table(grid.rooms, grid.level_names),
+        "Doors": tables.make_door_table(grid.doors, grid.level_names),
         "Stairs and steep ramps": make_stair_table(grid),
-        "Links": tables.link_table(grid.links, grid.level_names),
-        "Areas": tables.area_table(facts["areas"]),
-        "Agents": tables.agent_table(facts["agents"]),
-        **remark_tables,
+        "Links": tables.make_link_table(grid.links, grid.level_names),
+        "Areas": tables.make_area_table(facts["areas"]),
+        "Agents": tables.make_agent_table(facts["agents"]),
+        **finding_tables,
         "Settings": make_table(("setting", "value"), settings),
         "Timings": make_table(("stage", "ms"), timings, numbers=("ms",)),
         "Made by": make_table(("what", "version or digest"), facts["made_by"].items()),
@@ -243,49 +246,49 @@ def _describe_grid(
         "warnings": facts["warnings"],
         "levels": levels,
         "tables": [
-            describe_table(title, table, folded=title in FOLDED_TABLES)
+            describe_table(title, table, is_folded=title in FOLDED_TABLES)
             for title, table in named_tables.items()
             if table.rows
         ],
     }
 
 
-def _list_marks(source: str, remarks: Sequence[ListedFinding]) -> list[Json]:
-    """Return a mark on the map for each remark that has a position.
+def _list_marks(source: str, findings: Sequence[ListedFinding]) -> list[Json]:
+    """Return a mark on the map for each finding that has a position.
 
     Args:
         source: ``audit`` or ``verify``.
-        remarks: the remarks.
+        findings: the findings.
     """
     return [
         {
-            "level": remark.level,
-            "x": remark.position[0],
-            "y": remark.position[1],
-            "kind": f"{source}: {remark.kind}",
-            "text": remark.text,
+            "level": finding.level,
+            "x": finding.position[0],
+            "y": finding.position[1],
+            "kind": f"{source}: {finding.kind}",
+            "text": finding.text,
         }
-        for remark in remarks
-        if remark.position is not None
+        for finding in findings
+        if finding.position is not None
     ]
 
 
-def _tabulate_remarks(
-    detail_heading: str, remarks: Sequence[ListedFinding], empty_text: str
+def _tabulate_findings(
+    detail_heading: str, findings: Sequence[ListedFinding], no_findings_text: str
 ) -> Table:
-    """Make a table of remarks.
+    """Make a table of findings.
 
     Args:
-        detail_heading: the heading over the remarks' details.
-        remarks: the remarks.
-        empty_text: the text of the only row if there are no remarks.
+        detail_heading: the heading over the findings' details.
+        findings: the findings.
+        no_findings_text: the text of the only row if there are no findings.
     """
     rows = []
-    for remark in remarks:
-        position = ", ".join(f"{coordinate:.2f}" for coordinate in remark.position or ())
-        rows.append((remark.kind, remark.level, position, remark.detail, remark.text))
+    for finding in findings:
+        position = ", ".join(f"{coordinate:.2f}" for coordinate in finding.position or ())
+        rows.append((finding.kind, finding.level, position, finding.detail, finding.text))
     headings = ("kind", "level", "x, y, z [m]", detail_heading, "what")
-    return make_table(headings, rows or [("none", None, "", "", empty_text)])
+    return make_table(headings, rows or [("none", None, "", "", no_findings_text)])
 
 
 def _check_verification(grid: NavGrid, verification: Json) -> None:
@@ -320,9 +323,9 @@ def describe_map(grid: NavGrid, level_number: int) -> Json:
         list has the names of a cell's occupants and blockers, by the keys in `NAME_KINDS`.
     """
     level = grid.levels[level_number]
-    extent = describe_extent(grid.level_names[level_number], level.lattice)
+    map_extent = describe_extent(grid.level_names[level_number], level.lattice)
     names, name_lists = _collect_name_lists(level)
-    layers: dict[str, NDArray[np.generic]] = {
+    cell_properties: dict[str, NDArray[np.generic]] = {
         "floor": np.round(level.floor, DECIMALS),
         "clearance": np.round(np.where(level.free, measure_clearance(level), np.nan), DECIMALS),
         "weight": np.where(level.free, level.weights, np.nan),
@@ -330,16 +333,19 @@ def describe_map(grid: NavGrid, level_number: int) -> Json:
         "island": islands_of(grid)[level_number],
         "names": names,
     }
-    stride = extent["every"]
-    cells = {key: layer[::stride, ::stride].ravel() for key, layer in layers.items()}
+    stride = map_extent["every"]
+    shown_properties = {
+        key: property_values[::stride, ::stride].ravel()
+        for key, property_values in cell_properties.items()
+    }
     drawn_layers = [
         _draw_layer(grid, level_number, layer, stride)
         for layer in LAYERS
         if layer != "area" or grid.areas
     ]
     return {
-        **extent,
-        "cells": pack_json({**cells, "nameLists": name_lists}),
+        **map_extent,
+        "cells": pack_json({**shown_properties, "nameLists": name_lists}),
         "layers": drawn_layers,
     }
 
@@ -352,23 +358,23 @@ def _collect_name_lists(level: SceneGrid2D) -> tuple[Int, list[Json]]:
         (height, width); and the list: names by the keys in `NAME_KINDS`.
     """
     # JSON of a cell's user data, which most cells share -> index of its names
-    index_of_entry: dict[bytes, int] = {}
+    index_of_encoded_data: dict[bytes, int] = {}
     name_lists: list[Json] = []
 
-    def find_list_index(cell_data: Json) -> int:
-        encoded_data = orjson.dumps(cell_data, default=str)
-        if encoded_data not in index_of_entry:
-            names = {kind: sorted(names_in(cell_data, kind)) for kind in NAME_KINDS}
+    def find_list_index(cell_user_data: Json) -> int:
+        encoded_data = orjson.dumps(cell_user_data, default=str)
+        if encoded_data not in index_of_encoded_data:
+            names = {kind: sorted(names_in(cell_user_data, kind)) for kind in NAME_KINDS}
             names = {kind: names_of_kind for kind, names_of_kind in names.items() if names_of_kind}
-            index_of_entry[encoded_data] = len(name_lists) if names else NO_NAMES
+            index_of_encoded_data[encoded_data] = len(name_lists) if names else NO_NAMES
             if names:
                 name_lists.append(names)
-        return index_of_entry[encoded_data]
+        return index_of_encoded_data[encoded_data]
 
     list_indices = np.full(level.height * level.width, NO_NAMES, dtype=np.int64)
-    cells, entry_of_cell, entry_list = UserData.of(level.user_data).shared_entries()
-    list_indices[cells] = np.array(
-        [find_list_index(cell_data) for cell_data in entry_list], np.int64
+    cell_ids, entry_of_cell, entries = UserData.of(level.user_data).shared_entries()
+    list_indices[cell_ids] = np.array(
+        [find_list_index(cell_user_data) for cell_user_data in entries], np.int64
     )[entry_of_cell]
     return list_indices.reshape(level.shape), name_lists
 
@@ -377,12 +383,14 @@ def _draw_layer(grid: NavGrid, level_number: int, layer: str, stride: int) -> Js
     """Describe a layer of a level as JSON; its picture has each `stride`-th row and column."""
     panel = make_panel(grid, layer, level_number)
     scale_json = None
-    room_entries = []
+    room_legend = []
     if layer == "rooms":
-        rgb = color_rooms(grid, level_number)
+        room_colors = color_rooms(grid, level_number)
         for room in grid.rooms:
-            if room.level == level_number and not room.outdoors and room.index < len(rgb):
-                room_entries.append((room.name or room.id, f"#{bytes(rgb[room.index]).hex()}"))
+            if room.level == level_number and not room.outdoors and room.index < len(room_colors):
+                room_legend.append(
+                    (room.name or room.id, f"#{bytes(room_colors[room.index]).hex()}")
+                )
     if panel.scale is not None:
         scale_json = {
             "label": panel.scale.label,
@@ -392,8 +400,8 @@ def _draw_layer(grid: NavGrid, level_number: int, layer: str, stride: int) -> Js
     return {
         "name": layer,
         "title": panel.title.removeprefix(f"{grid.level_names[level_number]}: "),
-        "png": png_url(paint(panel)[::stride, ::stride]),
-        "legend": [*room_entries, *panel.legend],
+        "png": encode_png_url(paint(panel)[::stride, ::stride]),
+        "legend": [*room_legend, *panel.legend],
         "scale": scale_json,
         "labels": [label._asdict() for label in panel.labels],
         "doors": [door._asdict() for door in panel.doors],
@@ -405,7 +413,7 @@ def _draw_layer(grid: NavGrid, level_number: int, layer: str, stride: int) -> Js
                 ],
                 "link": connection.link is not None,
                 "closed": connection.is_closed,
-                "oneWay": connection.one_way,
+                "oneWay": connection.is_one_way,
             }
             for connection in panel.connections
         ],

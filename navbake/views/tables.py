@@ -70,17 +70,17 @@ def list_grid_facts(facts: Json) -> list[tuple[str, str]]:
     """List the main facts about a grid as pairs of a name and a text.
 
     Args:
-        facts: what `navbake.views.describe.describe` returns.
+        facts: the grid's description, the result of `navbake.views.describe.describe`.
     """
     inflation_format = "{radius}, clearance {clearance} ({mode})"
-    agent_rows = {  # its sizes [m], and the largest slope [deg]
+    agent_facts = {  # its sizes [m], and the largest slope [deg]
         f"agent {name.replace('_', ' ')} {'[deg]' if 'slope' in name else '[m]'}": str(value)
         for name, value in facts["agent"].items()
     }
     return [
         ("scene", facts["scene_id"] or "not named"),
         ("cell size [m]", f"{facts['cell_size']:g}"),
-        *agent_rows.items(),
+        *agent_facts.items(),
         *(
             ("inflated to [m]", inflation_format.format_map(inflation))
             for inflation in facts["inflated"]
@@ -92,20 +92,20 @@ def list_grid_facts(facts: Json) -> list[tuple[str, str]]:
     ]
 
 
-def level_table(facts: Json) -> Table:
+def make_level_table(facts: Json) -> Table:
     """Make a table with a row for each level; the number of rooms is shown only if there are rooms.
 
     Args:
-        facts: what `navbake.views.describe.describe` returns.
+        facts: the grid's description, the result of `navbake.views.describe.describe`.
     """
     format_of_column = dict(LEVEL_COLUMNS)
     if any(level["num_rooms"] for level in facts["levels"]):
         format_of_column["rooms"] = "{num_rooms}"
     rows = []
-    for index, level in enumerate(facts["levels"]):
+    for level_number, level in enumerate(facts["levels"]):
         has_floor = level["floor_min"] is not None
         floor_text = "{floor_min:.3f} to {floor_max:.3f}".format_map(level) if has_floor else "none"
-        level_facts = {**level, "index": index, "floor": floor_text}
+        level_facts = {**level, "index": level_number, "floor": floor_text}
         rows.append(
             [cell_format.format_map(level_facts) for cell_format in format_of_column.values()]
         )
@@ -114,31 +114,33 @@ def level_table(facts: Json) -> Table:
     )
 
 
-def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
+def make_room_table(rooms: Sequence[Room], level_names: Sequence[str]) -> Table:
     """Make a table with a row for each room, without empty columns.
 
     Args:
         rooms: the rooms of a grid.
-        levels: the names of the grid's levels.
+        level_names: the names of the grid's levels.
     """
     rows = []
     for room in rooms:
         neighbour_texts = []
         for neighbour in room.neighbours:
-            opening = neighbour.door or ("steps" if neighbour.kind == "link" else "")
-            neighbour_texts.append(f"{neighbour.room} ({opening})" if opening else neighbour.room)
-        source = room.source or ""
+            opening_text = neighbour.door or ("steps" if neighbour.kind == "link" else "")
+            neighbour_texts.append(
+                f"{neighbour.room} ({opening_text})" if opening_text else neighbour.room
+            )
+        source_text = room.source or ""
         if room.outdoors:
-            source += ", outdoors"
+            source_text += ", outdoors"
         rows.append(
             (
                 room.id,
                 room.name,
-                levels[room.level] if len(levels) > 1 else "",
+                level_names[room.level] if len(level_names) > 1 else "",
                 "" if room.id == f"{room.level}:{room.index}" else room.index,
                 f"{room.area:.2f}",
                 _position_text(room.centroid),
-                source,
+                source_text,
                 ", ".join(neighbour_texts),
             )
         )
@@ -146,36 +148,40 @@ def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
     return make_table(headings, rows, numbers=("index", "m2")).without_empty_columns()
 
 
-def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
+def make_door_table(doors: Sequence[Door], level_names: Sequence[str]) -> Table:
     """Make a table with a row for each door, without empty columns.
 
     Args:
         doors: the doors of a grid.
-        levels: the names of the grid's levels.
+        level_names: the names of the grid's levels.
     """
     has_joints = any(door.joint != door.id for door in doors)
     rows = []
     for door in doors:
         joint_text = (door.joint or "none") if has_joints else ""
-        level_names = ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else ""
+        level_text = (
+            ", ".join(level_names[level] for level in door.levels) if len(level_names) > 1 else ""
+        )
         # a body that the user declared a door may stand anywhere, and join no rooms
         room_names = [room or "outside" for room in door.rooms] if any(door.rooms) else ["nothing"]
         # the pose in which a door was modelled may be that of another state
         is_half_open = door.state == "modelled" and {"open", "closed"} <= set(door.states)
         equal_state = door.like or ("half-open" if is_half_open else None)
-        state = f"{door.state} ({equal_state})" if equal_state else door.state
-        states = ", ".join(door.states)
-        rows.append((door.id, joint_text, level_names, " - ".join(room_names), state, states))
+        state_text = f"{door.state} ({equal_state})" if equal_state else door.state
+        states_text = ", ".join(door.states)
+        rows.append(
+            (door.id, joint_text, level_text, " - ".join(room_names), state_text, states_text)
+        )
     headings = ("door", "joint", "level", "joins", "is", "can be")
     return make_table(headings, rows).without_empty_columns()
 
 
-def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
+def make_link_table(links: Sequence[Link], level_names: Sequence[str]) -> Table:
     """Make a table with a row for each named link, without empty columns.
 
     Args:
         links: the links of a grid.
-        levels: the names of the grid's levels.
+        level_names: the names of the grid's levels.
     """
     rows = []
     for link in links:
@@ -185,7 +191,7 @@ def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
                 link.name,
                 link.kind,
                 separator.join(_position_text(stop.position) for stop in link.stops),
-                ", ".join(dict.fromkeys(levels[stop.level] for stop in link.stops)),
+                ", ".join(dict.fromkeys(level_names[stop.level] for stop in link.stops)),
                 _number_text(link.width),
                 _number_text(link.cost),
                 _number_text(link.seconds),
@@ -197,11 +203,11 @@ def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
     return make_table(headings, rows, numbers=("wide m", "cost m", "s")).without_empty_columns()
 
 
-def area_table(areas: Sequence[Json]) -> Table:
+def make_area_table(areas: Sequence[Json]) -> Table:
     """Make a table with a row for each area, without empty columns.
 
     Args:
-        areas: ``areas`` of what `navbake.views.describe.describe` returns.
+        areas: the grid's areas, ``areas`` in the result of `navbake.views.describe.describe`.
     """
     rows = [
         (
@@ -217,11 +223,11 @@ def area_table(areas: Sequence[Json]) -> Table:
     return make_table(headings, rows, numbers=("cost", "m/s", "m2")).without_empty_columns()
 
 
-def agent_table(agents: Mapping[str, Json]) -> Table:
+def make_agent_table(agents: Mapping[str, Json]) -> Table:
     """Make a table with a row for each agent, without empty columns.
 
     Args:
-        agents: ``agents`` of what `navbake.views.describe.describe` returns.
+        agents: the grid's agents, ``agents`` in the result of `navbake.views.describe.describe`.
     """
     heading_of_key = {"radius": "radius m", "height": "height m", "step": "step m", "speed": "m/s"}
     rows = [
@@ -246,10 +252,10 @@ def _agents_text(agents: Iterable[str] | None) -> str:
 
 
 def list_cell_facts(facts: Json) -> dict[str, str | list[str]]:
-    """Return facts of a cell for a table: name of a fact -> its text, or a list of names.
+    """Return the facts of a cell for a table: name of a fact -> its text, or a list of names.
 
     Args:
-        facts: what `navbake.views.describe.describe_cell` returns.
+        facts: the cell's description, the result of `navbake.views.describe.describe_cell`.
     """
     room = facts["room"]
     weight = facts["weight"]

@@ -11,7 +11,7 @@ import navbake
 from color_vision import VISIONS, contrast, difference
 from navbake.navgrid import colors
 from navbake.navgrid.colors import rgb_of
-from navbake.views.describe import arc_between, find_connections, make_stair_table
+from navbake.views.describe import compute_arc, find_connections, make_stair_table
 from navbake.views.layers import make_panel
 from navbake.views.plot import render_picture
 from navbake.views.report import describe_map, render_report
@@ -108,7 +108,7 @@ def test_the_viewer_bends_links_between_shown_storeys(tower):
         middle = (arc[0] + arc[-1]) / 2
         assert np.linalg.norm(arc[len(arc) // 2] - middle) > 0.1 * np.linalg.norm(arc[-1] - arc[0])
     assert len(view_state.arcs(Choices((0, 1), layer="links"))) == 4
-    up = arc_between(np.zeros(3), np.array([2.0, 0.0, 0.5]))
+    up = compute_arc(np.zeros(3), np.array([2.0, 0.0, 0.5]))
     assert up[:, 2].max() > 0.5 and not up[:, 1].any()
 
 

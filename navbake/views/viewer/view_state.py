@@ -23,7 +23,7 @@ from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import Path
 from navbake.scores import Trajectory
 from navbake.types import Bool, Float, Json
-from navbake.views.describe import arc_between, find_connections
+from navbake.views.describe import compute_arc, find_connections
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Label, Panel, make_panel, paint
 from navbake.views.viewer import meshes
 from navbake.views.viewer.meshes import Drawing, MeshBatch, Pick, Surface, ViewRay
@@ -479,7 +479,7 @@ class ViewState:
                 color = CLOSED_LINK_COLOR
             for start, end in itertools.pairwise(connection.stops):
                 if start.level in choices.levels and end.level in choices.levels:
-                    points = arc_between(np.array(start.position), np.array(end.position))
+                    points = compute_arc(np.array(start.position), np.array(end.position))
                     arcs.append(ColoredArc(points, color))
         return arcs
 
