@@ -33,7 +33,7 @@ from navbake.types import Bool, Float, Int, Vector3
 
 ALIGNMENT_TOLERANCE = 1e-3  # by which cells of two levels may be misaligned [cells]
 BOX_SLACK = 1e-4  # by which a cell may lie outside its level's box [m]
-MAX_IN_LOWER_BOXES = 0.5  # share of a level's free cells that may lie in lower levels' boxes
+MAX_SHARE_IN_LOWER_BOXES = 0.5  # share of a level's free cells that may lie in lower levels' boxes
 DEFAULT_MAX_SLOPE = 45.0  # of ramps, if the grid states no other [degrees]
 MAX_STEP_LENGTH = 1.5  # between the ends of a step, seen from above [cells]
 AREA_TOLERANCE = 0.01  # share by which a room's area and that in its entry may differ
@@ -42,7 +42,7 @@ MIN_ROOM_AREA = 1.0  # floors with less area than this need no way out [m²]
 
 
 def check_lattices(facts: Facts) -> Iterator[Finding]:
-    """Finds: levels whose corner is not at finite coordinates, or whose cells have no size."""
+    """Find levels whose corner is not at finite coordinates, or whose cells have no size."""
     for level_number, level in enumerate(facts.levels):
         lattice = level.lattice
         if not 0 < lattice.cell_size < math.inf:
@@ -53,7 +53,7 @@ def check_lattices(facts: Facts) -> Iterator[Finding]:
 
 
 def check_order(facts: Facts) -> Iterator[Finding]:
-    """Finds: levels that are out of order, are not aligned with the lowest, or appear twice."""
+    """Find levels that are out of order, are not aligned with the lowest, or appear twice."""
     lowest_lattice = facts.levels[0].lattice
     for level_number, level in enumerate(facts.levels[1:], start=1):
         level_below = facts.levels[level_number - 1]
@@ -68,16 +68,16 @@ def check_order(facts: Facts) -> Iterator[Finding]:
         if misalignment > ALIGNMENT_TOLERANCE or has_other_cell_size:
             text = f"its cells lie {misalignment:.3f} of a cell beside those of the lowest level"
             yield Finding(ERROR, level_number, None, text)
-        has_floors_of_below = np.array_equal(
+        has_same_floors = np.array_equal(
             facts.floors[level_number], facts.floors[level_number - 1], equal_nan=True
         )
-        if has_floors_of_below and lattice == level_below.lattice:
+        if has_same_floors and lattice == level_below.lattice:
             text = "its floors are those of the level before, cell by cell"
             yield Finding(ERROR, level_number, None, text)
 
 
 def check_boxes(facts: Facts) -> Iterator[Finding]:
-    """Finds: free cells of a level that lie outside of its box, or in the box of a lower level.
+    """Find free cells of a level that lie outside of its box, or in the box of a lower level.
 
     The box (`bbox` in the file) is the range of x, y and z that belongs to the level.
     """
@@ -88,24 +88,35 @@ def check_boxes(facts: Facts) -> Iterator[Finding]:
         is_free = facts.free[level_number]
         floor_heights = facts.floors[level_number]
         is_outside = is_free & ~_mark_cells_in_box(facts, level_number, box)
-        for other_level_number, other_floor in enumerate(facts.floors):
+        for other_level_number, other_floor_heights in enumerate(facts.floors):
             # where levels interleave, no boxes are right
-            heights = other_floor[facts.free[other_level_number] & ~np.isnan(other_floor)]
-            if is_outside.any() and other_level_number != level_number and len(heights):
-                is_outside &= ~((floor_heights >= heights.min()) & (floor_heights <= heights.max()))
+            heights_of_other_level = other_floor_heights[
+                facts.free[other_level_number] & ~np.isnan(other_floor_heights)
+            ]
+            if (
+                is_outside.any()
+                and other_level_number != level_number
+                and len(heights_of_other_level)
+            ):
+                is_outside &= ~(
+                    (floor_heights >= heights_of_other_level.min())
+                    & (floor_heights <= heights_of_other_level.max())
+                )
         if is_outside.any():
             text = f"{int(is_outside.sum())} free cells lie outside of its box (`bbox`)"
-            yield Finding(ERROR, level_number, facts.first_place(level_number, is_outside), text)
+            yield Finding(
+                ERROR, level_number, facts.find_first_position(level_number, is_outside), text
+            )
         is_in_lower_box = np.zeros_like(is_free)
         for lower_box in boxes[:level_number]:
             if lower_box is not None:
                 is_in_lower_box |= is_free & _mark_cells_in_box(facts, level_number, lower_box)
         # where levels interleave, some cells have to lie in two boxes
-        if level_number and is_in_lower_box.sum() > MAX_IN_LOWER_BOXES * is_free.sum():
+        if level_number and is_in_lower_box.sum() > MAX_SHARE_IN_LOWER_BOXES * is_free.sum():
             num_cells = int(is_in_lower_box.sum())
             text = f"{num_cells} free cells lie in the box of a lower level, too"
             yield Finding(
-                REMARK, level_number, facts.first_place(level_number, is_in_lower_box), text
+                REMARK, level_number, facts.find_first_position(level_number, is_in_lower_box), text
             )
 
 
@@ -122,14 +133,14 @@ def _mark_cells_in_box(facts: Facts, level_number: int, box: tuple[tuple[float, 
     return np.asarray(is_inside.all(axis=-1))
 
 
-def check_links(facts: Facts) -> Iterator[Finding]:
-    """Finds: steps to cells that don't exist, have no floor, are too far away, or too high."""
-    links = facts.grid.step_array
-    starts = _find_step_positions(facts, links[:, :2])
-    ends = _find_step_positions(facts, links[:, 2:])
+def check_steps(facts: Facts) -> Iterator[Finding]:
+    """Find steps to cells that don't exist, have no floor, are too far away, or too high."""
+    steps = facts.grid.step_array
+    start_positions = _find_step_positions(facts, steps[:, :2])
+    end_positions = _find_step_positions(facts, steps[:, 2:])
     max_rise = _find_max_step_rise(facts)
-    rises = np.abs(starts - ends)[:, 2]
-    lengths = np.hypot(*(starts - ends)[:, :2].T)
+    rises = np.abs(start_positions - end_positions)[:, 2]
+    lengths = np.hypot(*(start_positions - end_positions)[:, :2].T)
     is_too_far = lengths > MAX_STEP_LENGTH * facts.levels[0].lattice.cell_size
     for is_wrong, destination in (
         (np.isnan(rises), "to cells without a floor"),
@@ -138,15 +149,15 @@ def check_links(facts: Facts) -> Iterator[Finding]:
     ):
         if not is_wrong.any():
             continue
-        worst_link = int(np.nanargmax(np.where(is_wrong, np.nan_to_num(rises), -1.0)))
-        x, y, z = starts[worst_link].tolist()
-        level_number = int(links[worst_link, 0])
+        worst_step = int(np.nanargmax(np.where(is_wrong, np.nan_to_num(rises), -1.0)))
+        x, y, z = start_positions[worst_step].tolist()
+        level_number = int(steps[worst_step, 0])
         if np.isnan(z):
             z = facts.levels[level_number].ground
         num_wrong = int(is_wrong.sum())
         text = f"{count_of(num_wrong, 'link')} lead{'s' if num_wrong == 1 else ''} {destination}"
         if destination.startswith("up"):
-            text += f": {rises[worst_link]:.2f} m"
+            text += f": {rises[worst_step]:.2f} m"
         yield Finding(ERROR, level_number, (x, y, z), text)
 
 
@@ -188,28 +199,28 @@ def _find_max_step_rise(facts: Facts) -> float:
     return facts.step_limit + (ramp_rise if ramp_rise > facts.step_limit else 0.0)
 
 
-def check_missing_links(facts: Facts) -> Iterator[Finding]:
-    """Finds: neighbouring free cells of two levels, a step apart in height, that no step joins.
+def check_missing_steps(facts: Facts) -> Iterator[Finding]:
+    """Find neighbouring free cells of two levels, a step apart in height, that no step joins.
 
     They are reported only where nothing else connects the islands of both cells.
     """
     if not facts.grid.navbake:
         return  # files of other programs know no links
-    for lower, upper in itertools.combinations(range(len(facts.levels)), 2):
-        rows, cols = np.nonzero(facts.free[upper])
-        is_unlinked = _mark_unlinked(facts, lower, upper, rows, cols)
+    for lower_level, upper_level in itertools.combinations(range(len(facts.levels)), 2):
+        rows, cols = np.nonzero(facts.free[upper_level])
+        is_unlinked = _mark_unlinked(facts, lower_level, upper_level, rows, cols)
         if is_unlinked.any():
             first_index = int(np.argmax(is_unlinked))
             num_unlinked = int(is_unlinked.sum())
             verb = "has" if num_unlinked == 1 else "have"
             cells_text = count_of(num_unlinked, "free cell")
-            text = f"{cells_text} a step away from level {lower} {verb} no link to it, "
+            text = f"{cells_text} a step away from level {lower_level} {verb} no link to it, "
             text += "and nothing else leads there"
-            place = facts.place(upper, int(rows[first_index]), int(cols[first_index]))
-            yield Finding(ERROR, upper, place, text)
+            place = facts.find_position(upper_level, int(rows[first_index]), int(cols[first_index]))
+            yield Finding(ERROR, upper_level, place, text)
 
 
-def _mark_unlinked(facts: Facts, lower: int, upper: int, rows: Int, cols: Int) -> Bool:
+def _mark_unlinked(facts: Facts, lower_level: int, upper_level: int, rows: Int, cols: Int) -> Bool:
     """Mark cells of the upper level that lack a connection to the lower level.
 
     These cells are next to a free cell of the lower level, at most a step apart in height, and on
@@ -217,16 +228,16 @@ def _mark_unlinked(facts: Facts, lower: int, upper: int, rows: Int, cols: Int) -
 
     Args:
         facts: the facts about the grid.
-        lower: the index of the lower level.
-        upper: the index of the upper level.
+        lower_level: the index of the lower level.
+        upper_level: the index of the upper level.
         rows: the rows of free cells of the upper level, shape (n,).
         cols: their columns, shape (n,).
 
     Returns:
         A mask of these cells, shape (n,).
     """
-    lattice = facts.levels[lower].lattice
-    positions = facts.levels[upper].lattice.positions(rows, cols)
+    lattice = facts.levels[lower_level].lattice
+    positions = facts.levels[upper_level].lattice.positions(rows, cols)
     lower_rows, lower_cols = lattice.rows_cols(positions)
     is_unlinked = np.zeros(len(rows), dtype=np.bool_)
     for row_offset, col_offset in ((0, 1), (1, 0), (0, -1), (-1, 0)):
@@ -235,16 +246,16 @@ def _mark_unlinked(facts: Facts, lower: int, upper: int, rows: Int, cols: Int) -
         is_inside = lattice.holds(row, col)
         row = np.where(is_inside, row, 0)
         col = np.where(is_inside, col, 0)
-        rises = np.abs(facts.floors[lower][row, col] - facts.floors[upper][rows, cols])
-        is_walkable = is_inside & facts.free[lower][row, col] & (rises <= facts.step_limit)
+        rises = np.abs(facts.floors[lower_level][row, col] - facts.floors[upper_level][rows, cols])
+        is_walkable = is_inside & facts.free[lower_level][row, col] & (rises <= facts.step_limit)
         is_unlinked |= is_walkable & (
-            facts.islands[lower][row, col] != facts.islands[upper][rows, cols]
+            facts.islands[lower_level][row, col] != facts.islands[upper_level][rows, cols]
         )
     return is_unlinked
 
 
 def check_agent(facts: Facts) -> Iterator[Finding]:
-    """Finds: impossible sizes of the agent, and sizes that differ from the bake's settings.
+    """Find impossible sizes of the agent, and sizes that differ from the bake's settings.
 
     A step that is at least as high as the agent is impossible.
     """
@@ -263,8 +274,8 @@ def check_agent(facts: Facts) -> Iterator[Finding]:
             continue
         baked_size = agent_settings.get(setting_name, default_size)
         if type(baked_size) in (int, float) and not math.isclose(stated_size, baked_size):
-            stated = f"`{key}` is {stated_size:g} m"
-            text = f"{stated}, but its settings say that it was baked for {baked_size:g} m"
+            stated_text = f"`{key}` is {stated_size:g} m"
+            text = f"{stated_text}, but its settings say that it was baked for {baked_size:g} m"
             yield Finding(ERROR, None, None, text)
     if "step" in problems:
         yield Finding(ERROR, None, None, problems["step"])
@@ -274,19 +285,19 @@ def check_agent(facts: Facts) -> Iterator[Finding]:
 
 
 def check_room_table(facts: Facts) -> Iterator[Finding]:
-    """Finds: contradictions between the table of rooms and the rooms of the cells."""
+    """Find contradictions between the table of rooms and the rooms of the cells."""
     room_table = facts.grid.stated_rooms
     if room_table is None:
         return
-    described_rooms = {(room.level, room.index) for room in room_table}
+    described_room_keys = {(room.level, room.index) for room in room_table}
     for level_number, level in enumerate(facts.levels):
         num_cells = np.bincount(level.room_index.ravel())
         centers = find_room_centers(level)
         for room_number in centers:
-            if (level_number, room_number) not in described_rooms:
+            if (level_number, room_number) not in described_room_keys:
                 text = f"{num_cells[room_number]} cells are in room {room_number}"
                 text += ", which no entry describes"
-                place = facts.first_place(level_number, level.room_index == room_number)
+                place = facts.find_first_position(level_number, level.room_index == room_number)
                 yield Finding(ERROR, level_number, place, text)
         for room in room_table:
             if room.level != level_number:
@@ -298,12 +309,12 @@ def check_room_table(facts: Facts) -> Iterator[Finding]:
                 continue
             area = num_cells[room.index] * level.lattice.cell_size**2
             num_axes = 3 if level.uses_cell_floors else 2  # else its z isn't that of the floors
-            center_offset = math.dist(center[:num_axes], room.centroid[:num_axes])
+            center_distance = math.dist(center[:num_axes], room.centroid[:num_axes])
             if abs(area - room.area) > AREA_TOLERANCE * max(area, room.area):
                 text = f"room {name} has {area:.2f} m², not {room.area:.2f}"
                 yield Finding(ERROR, level_number, room.centroid, text)
-            elif center_offset > CENTER_TOLERANCE * level.lattice.cell_size:
-                text = f"room {name} lies {center_offset:.2f} m from where its entry says"
+            elif center_distance > CENTER_TOLERANCE * level.lattice.cell_size:
+                text = f"room {name} lies {center_distance:.2f} m from where its entry says"
                 yield Finding(ERROR, level_number, center, text)
 
 
@@ -333,31 +344,28 @@ def find_room_centers(level: SceneGrid2D) -> dict[int, Vector3]:
 
 
 def check_rooms_without_way_out(facts: Facts) -> Iterator[Finding]:
-    """Finds: rooms that nothing leads out of, even with all doors open."""
-    name_of_room = {
-        (room_of_cell.level, room_of_cell.index): room_of_cell.name or room_of_cell.id
-        for room_of_cell in facts.rooms or ()
-    }
+    """Find rooms that nothing leads out of, even with all doors open."""
+    name_of_room = {(room.level, room.index): room.name or room.id for room in facts.rooms or ()}
     for level_number, level in enumerate(facts.levels):
-        room_index = level.room_index
+        room_layer = level.room_index
         is_passable = facts.passable[level_number]
-        has_exit = np.zeros(int(room_index.max()) + 1, dtype=np.bool_)
-        num_cells = np.bincount(room_index[is_passable], minlength=len(has_exit))
+        has_exit = np.zeros(int(room_layer.max()) + 1, dtype=np.bool_)
+        num_cells = np.bincount(room_layer[is_passable], minlength=len(has_exit))
         if np.count_nonzero(num_cells) < 2:
             continue  # there is nothing to lead to
         # cells connect if they are at most a step apart, or if a step of `step_array` joins them
-        room_of_cell = room_index.ravel()
+        room_of_cell = room_layer.ravel()
         is_passable_cell = is_passable.ravel()
         floor = facts.floors[level_number].ravel()
-        for cells, offset in find_differing_pairs(room_index, 1):
-            neighbors = cells + offset
+        for cells, id_offset in find_differing_pairs(room_layer, 1):
+            neighbors = cells + id_offset
             with np.errstate(invalid="ignore"):
                 is_connected = ~(np.abs(floor[cells] - floor[neighbors]) > facts.step_limit)
             is_connected &= is_passable_cell[cells] & is_passable_cell[neighbors]
             has_exit[room_of_cell[cells[is_connected]]] = True
             has_exit[room_of_cell[neighbors[is_connected]]] = True
-        for link_ends in (facts.links[:, :2], facts.links[:, 2:]):
-            has_exit[room_of_cell[link_ends[link_ends[:, 0] == level_number, 1]]] = True
+        for step_ends in (facts.steps[:, :2], facts.steps[:, 2:]):
+            has_exit[room_of_cell[step_ends[step_ends[:, 0] == level_number, 1]]] = True
         room_areas = num_cells * level.lattice.cell_size**2
         for room_number in np.flatnonzero(~has_exit & (room_areas >= MIN_ROOM_AREA)).tolist():
             if room_number:
@@ -367,18 +375,20 @@ def check_rooms_without_way_out(facts: Facts) -> Iterator[Finding]:
                     else str(room_number)
                 )
                 text = f"nothing leads out of room {name} ({room_areas[room_number]:.1f} m²)"
-                place = facts.first_place(level_number, (room_index == room_number) & is_passable)
+                place = facts.find_first_position(
+                    level_number, (room_layer == room_number) & is_passable
+                )
                 yield Finding(REMARK, level_number, place, text)
 
 
 def check_doors(facts: Facts) -> Iterator[Finding]:
-    """Finds: doors between a room and itself, doors of missing rooms, and wrong cells of doors.
+    """Find doors between a room and itself, doors of missing rooms, and wrong cells of doors.
 
     A door's cells are wrong where their occupancy contradicts the door's state.
     """
     room_ids = None if facts.rooms is None else {room.id for room in facts.rooms}
     doors = facts.grid.doors
-    door_cells = facts.cells_of([(door, door.state) for door in doors])
+    door_cells = facts.mark_door_cells([(door, door.state) for door in doors])
     for door in doors:
         level, place = _find_door_middle(facts, door)
         rooms = [room for room in door.rooms if room is not None]
@@ -389,10 +399,10 @@ def check_doors(facts: Facts) -> Iterator[Finding]:
             for room in sorted(set(rooms) - room_ids):
                 text = f"door {door.id!r} joins room {room!r}, which there isn't"
                 yield Finding(ERROR, level, place, text)
-        num_open, num_occupied = _count_wrong_cells(facts, door, door_cells)
+        num_unoccupied, num_occupied = _count_wrong_cells(facts, door, door_cells)
         state = "stands as modelled" if door.state == "modelled" else f"is {door.state}"
-        if num_open:
-            text = f"door {door.id!r} {state}, but {num_open} of its cells aren't occupied"
+        if num_unoccupied:
+            text = f"door {door.id!r} {state}, but {num_unoccupied} of its cells aren't occupied"
             yield Finding(ERROR, level, place, text)
         if num_occupied:
             verb = "is" if num_occupied == 1 else "are"
@@ -405,14 +415,14 @@ def check_doors(facts: Facts) -> Iterator[Finding]:
 def _find_door_middle(facts: Facts, door: Door) -> tuple[int | None, Vector3 | None]:
     """Return the level and the position of a door; both are None if it has no cells.
 
-    It is the middle one of the door's cells, in the first state in which it has any.
+    The position is the middle one of the door's cells, in the first state in which it has any.
     """
     for state in door.cells:
         for level_number, door_cells in enumerate(door.cells_in(state, len(facts.levels))):
             if len(door_cells):
                 middle_cell = int(door_cells[len(door_cells) // 2])
                 row, col = divmod(middle_cell, facts.levels[level_number].width)
-                return level_number, facts.place(level_number, row, col)
+                return level_number, facts.find_position(level_number, row, col)
     return None, None
 
 
@@ -434,7 +444,7 @@ def _count_wrong_cells(facts: Facts, door: Door, door_cells: list[Bool]) -> tupl
     num_levels = len(facts.levels)
     cells_by_state = [door.cells_in(state, num_levels) for state in door.cells]
     cells_by_level_in_state = door.cells_in(door.state, num_levels)
-    num_open = 0
+    num_unoccupied = 0
     num_occupied = 0
     for level_number, level in enumerate(facts.levels):
         is_occupied = level.occupancy.ravel() != 0
@@ -443,15 +453,15 @@ def _count_wrong_cells(facts: Facts, door: Door, door_cells: list[Bool]) -> tupl
             [cells_by_level[level_number] for cells_by_level in cells_by_state]
         )
         cells_in_other_states = np.setdiff1d(cells_of_any_state, cells_in_state)
-        is_door = door_cells[level_number].ravel()[cells_in_other_states]
-        cells_in_other_states = cells_in_other_states[~is_door]
-        num_open += int(np.count_nonzero(~is_occupied[cells_in_state]))
+        is_door_cell = door_cells[level_number].ravel()[cells_in_other_states]
+        cells_in_other_states = cells_in_other_states[~is_door_cell]
+        num_unoccupied += int(np.count_nonzero(~is_occupied[cells_in_state]))
         num_occupied += int(np.count_nonzero(is_occupied[cells_in_other_states]))
-    return num_open, num_occupied
+    return num_unoccupied, num_occupied
 
 
 def check_named_links(facts: Facts) -> Iterator[Finding]:
-    """Finds: links with blocked stops, stops in dead spots, and lifts within one level.
+    """Find links with blocked stops, stops in dead spots, and lifts within one level.
 
     A dead spot is a small piece of floor that only this link leads to. Links for agents that the
     grid doesn't list are found, too.
@@ -464,45 +474,45 @@ def check_named_links(facts: Facts) -> Iterator[Finding]:
     )
     island_areas = num_cells * facts.levels[0].lattice.cell_size ** 2
     for link in links:
-        label = f"{link.kind} {link.name!r}"
+        link_text = f"{link.kind} {link.name!r}"
         for stop in link.stops:
             row, col = divmod(stop.cell, facts.levels[stop.level].width)
-            place = facts.place(stop.level, row, col)
+            place = facts.find_position(stop.level, row, col)
             island_number = int(islands[stop.level][row, col])
             if not facts.free[stop.level][row, col]:
                 is_door = bool(facts.passable[stop.level][row, col])
                 may_be_meant = is_door or facts.inflation_reach is not None
                 problem = "a door blocks" if is_door else "blocked is"
                 severity = REMARK if may_be_meant else ERROR
-                yield Finding(severity, stop.level, place, f"{problem} a stop of {label}")
+                yield Finding(severity, stop.level, place, f"{problem} a stop of {link_text}")
             elif island_areas[island_number] < MIN_ROOM_AREA:
-                text = f"{label} leads to {island_areas[island_number]:.2f} m² of floor"
+                text = f"{link_text} leads to {island_areas[island_number]:.2f} m² of floor"
                 text += ", and nothing else does"
                 yield Finding(REMARK, stop.level, place, text)
         if link.kind == "lift" and len({stop.level for stop in link.stops}) == 1:
             first_stop = link.stops[0]
-            text = f"all {count_of(len(link.stops), 'stop')} of {label} are on one level"
+            text = f"all {count_of(len(link.stops), 'stop')} of {link_text} are on one level"
             yield Finding(REMARK, first_stop.level, first_stop.position, text)
         for name in sorted(set(link.agents or ()) - set(agents)):
-            text = f"{label} is for agent {name!r}, whom the grid doesn't list"
+            text = f"{link_text} is for agent {name!r}, whom the grid doesn't list"
             yield Finding(ERROR, None, None, text)
 
 
 def check_areas(facts: Facts) -> Iterator[Finding]:
-    """Finds: areas without cells, areas for unknown agents, and cells of unlisted areas."""
+    """Find areas without cells, areas for unknown agents, and cells of unlisted areas."""
     areas = facts.grid.areas
     agents = facts.grid.agents
     if not areas:
         return
     num_cells = np.zeros(256, dtype=np.int64)
-    for number, level in enumerate(facts.levels):
+    for level_number, level in enumerate(facts.levels):
         area_layer = level.attributes.get("area", np.zeros(1, dtype=np.uint8))
         is_unlisted = (area_layer < 0) | (area_layer > len(areas))
         text = "in an area that the table doesn't list"
-        yield from facts.error_on_cells(number, is_unlisted, text)
+        yield from facts.report_wrong_cells(level_number, is_unlisted, text)
         num_cells += np.bincount(level.area_index.ravel(), minlength=256)
-    for number, area in enumerate(areas, 1):
-        if not num_cells[number]:
+    for area_number, area in enumerate(areas, 1):
+        if not num_cells[area_number]:
             text = f"area {area.name!r} covers no cell of any level"
             yield Finding(REMARK, None, None, text)
         for name in sorted(set(area.agents or ()) - set(agents)):
@@ -527,8 +537,8 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Finding]]]] = {
     "cells have no size, or no place": ("levels", check_lattices),
     "levels are out of order": ("levels", check_order),
     "boxes exclude their own cells": ("boxes", check_boxes),
-    "links lead nowhere": ("links", check_links),
-    "links are missing": ("no link", check_missing_links),
+    "links lead nowhere": ("links", check_steps),
+    "links are missing": ("no link", check_missing_steps),
     "a link stops where it can't": ("named links", check_named_links),
     "an area is nowhere": ("areas", check_areas),
     "the agent can't be": ("agent", check_agent),
@@ -539,7 +549,7 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Finding]]]] = {
 def run_check(
     check_function: Callable[[Facts], Iterator[Finding]], facts: Facts
 ) -> Iterator[Finding]:
-    """Run a check, and report metadata that it can't read as an error.
+    """Run a check; metadata that it cannot read are reported as an error.
 
     Args:
         check_function: one of the functions of `CHECKS`.

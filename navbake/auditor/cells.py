@@ -43,7 +43,7 @@ MAX_GAPS = 10  # number of gaps that are reported, those at the largest islands 
 
 
 def check_all_free(facts: Facts) -> Iterator[Finding]:
-    """Finds: a grid whose cells are all free, without even a wall."""
+    """Find a grid whose cells are all free, without even a wall."""
     num_cells = sum(is_free.size for is_free in facts.free)
     if num_cells >= MIN_CELLS and all(is_free.all() for is_free in facts.free):
         text = f"all {num_cells} cells are free: nothing stands on the floor, and it ends nowhere"
@@ -51,7 +51,7 @@ def check_all_free(facts: Facts) -> Iterator[Finding]:
 
 
 def check_empty_levels(facts: Facts) -> Iterator[Finding]:
-    """Finds: levels without a floor, and levels or grids without a free cell.
+    """Find levels without a floor, and levels or grids without a free cell.
 
     Missing free cells are a remark only if the grid is inflated: the inflation may have closed all.
     """
@@ -75,38 +75,42 @@ def check_empty_levels(facts: Facts) -> Iterator[Finding]:
 
 
 def check_free_share(facts: Facts) -> Iterator[Finding]:
-    """Finds: levels where hardly any cell is free, such as a black map with a few specks."""
+    """Find levels where hardly any cell is free, such as a black map with a few specks."""
     for level_number, (level, is_free) in enumerate(zip(facts.levels, facts.free, strict=True)):
         is_floor = is_free | ~np.isnan(facts.floors[level_number])
         num_floor_cells = np.count_nonzero(is_floor) if level.uses_cell_floors else is_free.size
         num_free = np.count_nonzero(is_free)
         if num_floor_cells >= MIN_CELLS and 0 < num_free < MIN_FREE_FRACTION * num_floor_cells:
             text = f"only {num_free} of {num_floor_cells} cells are free"
-            yield Finding(REMARK, level_number, facts.first_place(level_number, is_free), text)
+            yield Finding(
+                REMARK, level_number, facts.find_first_position(level_number, is_free), text
+            )
 
 
 def check_weights(facts: Facts) -> Iterator[Finding]:
-    """Finds: cells whose weight contradicts their occupancy, or is NaN or negative."""
+    """Find cells whose weight contradicts their occupancy, or is NaN or negative."""
     inflation_reach = facts.inflation_reach
     for level_number, level in enumerate(facts.levels):
         weights = level.weights
         is_occupied = level.occupancy != 0
         is_free = facts.free[level_number]
-        is_no_cost = np.isnan(weights) | (weights < 0)
-        yield from facts.error_on_cells(level_number, is_no_cost, "a weight that is no cost")
+        is_invalid_weight = np.isnan(weights) | (weights < 0)
+        yield from facts.report_wrong_cells(
+            level_number, is_invalid_weight, "a weight that is no cost"
+        )
         if "occupancy" not in level.attributes:
             continue
         may_be_opened = (inflation_reach is not None) & (level.solid == 0)
         is_free_but_occupied = is_free & is_occupied & ~may_be_opened
-        yield from facts.error_on_cells(
+        yield from facts.report_wrong_cells(
             level_number, is_free_but_occupied, "free by weight, but occupied"
         )
-        is_blocked = ~is_free & ~is_no_cost & ~is_occupied
+        is_blocked = ~is_free & ~is_invalid_weight & ~is_occupied
         text = "blocked by weight, but not occupied"
         if inflation_reach is not None and is_blocked.any():
             is_blocked &= ~mark_cells_inflation_may_block(facts.grid, level_number, inflation_reach)
             text += f", and nothing that an inflation avoids is within {inflation_reach:g} m"
-        yield from facts.error_on_cells(level_number, is_blocked, text)
+        yield from facts.report_wrong_cells(level_number, is_blocked, text)
 
 
 def mark_cells_inflation_may_block(grid: GridBase, level_number: int, max_distance: float) -> Bool:
@@ -136,27 +140,27 @@ def mark_cells_inflation_may_block(grid: GridBase, level_number: int, max_distan
     if has_floor.any():
         lowest_z = floor[has_floor].min() - grid.agent_height
         highest_z = floor[has_floor].max() + grid.agent_height
-        for neighbor in grid.levels:
-            if neighbor is level:
+        for other_level in grid.levels:
+            if other_level is level:
                 continue
-            is_near = (neighbor.floor > lowest_z) & (neighbor.floor < highest_z)
-            positions = neighbor.lattice.positions(*np.nonzero(is_near))
+            is_near = (other_level.floor > lowest_z) & (other_level.floor < highest_z)
+            positions = other_level.lattice.positions(*np.nonzero(is_near))
             rows, cols = level.lattice.rows_cols(positions)
             is_inside = level.lattice.holds(rows, cols)
             is_avoided[rows[is_inside], cols[is_inside]] = True
-    num_cells = min(math.ceil(max_distance / level.lattice.cell_size) + 1, max(level.shape))
-    window_size = 2 * num_cells + 1
+    reach_in_cells = min(math.ceil(max_distance / level.lattice.cell_size) + 1, max(level.shape))
+    window_size = 2 * reach_in_cells + 1
     has_reason: Bool = maximum_filter(is_avoided, window_size, mode="constant", cval=True)
-    highest_near = maximum_filter(np.where(has_floor, floor, -np.inf), window_size)
-    lowest_near = minimum_filter(np.where(has_floor, floor, np.inf), window_size)
+    highest_floor_near = maximum_filter(np.where(has_floor, floor, -np.inf), window_size)
+    lowest_floor_near = minimum_filter(np.where(has_floor, floor, np.inf), window_size)
     with np.errstate(invalid="ignore"):  # where there is no floor
-        has_reason |= highest_near - floor > grid.max_step
-        has_reason |= floor - lowest_near > grid.max_step
+        has_reason |= highest_floor_near - floor > grid.max_step
+        has_reason |= floor - lowest_floor_near > grid.max_step
     return has_reason
 
 
 def check_inflation(facts: Facts) -> Iterator[Finding]:
-    """Finds: metadata that don't state properly for which radius the grid was inflated."""
+    """Find metadata that don't state properly for which radius the grid was inflated."""
     _, problem = read_inflations(facts.grid)
     if problem is not None:
         # in files of other programs, `inflation` may mean anything
@@ -164,7 +168,7 @@ def check_inflation(facts: Facts) -> Iterator[Finding]:
 
 
 def check_layers(facts: Facts) -> Iterator[Finding]:
-    """Finds: stored `island` and `clearance` layers that differ from the computed ones."""
+    """Find stored `island` and `clearance` layers that differ from the computed ones."""
     if not facts.grid.navbake:
         return  # in files of other programs, these layers may mean anything
     for level_number, level in enumerate(facts.levels):
@@ -172,27 +176,29 @@ def check_layers(facts: Facts) -> Iterator[Finding]:
         if stored_islands is not None:
             is_wrong = stored_islands != np.minimum(facts.islands[level_number], MAX_ISLAND_NUMBER)
             text = "a number in the layer `island` that isn't what is connected"
-            yield from facts.error_on_cells(level_number, is_wrong, text)
+            yield from facts.report_wrong_cells(level_number, is_wrong, text)
         stored_clearance = level.attributes.get("clearance")
         if stored_clearance is not None:
             # between the centres of cells, less half a cell; nothing outside the grid is free
             padded_mask = np.pad(level.free_for_point, 1)
-            num_cells = distance_transform_edt(padded_mask)[1:-1, 1:-1] - 0.5
-            clearance = np.where(level.free, num_cells * level.lattice.cell_size, 0.0)
+            distance_in_cells = distance_transform_edt(padded_mask)[1:-1, 1:-1] - 0.5
+            clearance = np.where(level.free, distance_in_cells * level.lattice.cell_size, 0.0)
             is_wrong = np.abs(stored_clearance * level.unit - clearance) > CLEARANCE_TOLERANCE
-            yield from facts.error_on_cells(level_number, is_wrong, "a wrong `clearance`")
+            yield from facts.report_wrong_cells(level_number, is_wrong, "a wrong `clearance`")
 
 
 def check_floors(facts: Facts) -> Iterator[Finding]:
-    """Finds: free cells without a floor, or with one that is absurdly high or low."""
+    """Find free cells without a floor, or with one that is absurdly high or low."""
     for level_number, level in enumerate(facts.levels):
         if level.uses_cell_floors:
             floor = facts.floors[level_number]
             is_without_floor = facts.free[level_number] & np.isnan(floor)
-            yield from facts.error_on_cells(level_number, is_without_floor, "free without a floor")
+            yield from facts.report_wrong_cells(
+                level_number, is_without_floor, "free without a floor"
+            )
             is_far = np.abs(floor) > MAX_FLOOR_HEIGHT  # False for NaN
             text = f"farther than {MAX_FLOOR_HEIGHT:g} m from 0"
-            yield from facts.error_on_cells(level_number, is_far, text)
+            yield from facts.report_wrong_cells(level_number, is_far, text)
 
 
 class _Patch(NamedTuple):
@@ -205,7 +211,7 @@ class _Patch(NamedTuple):
 
 
 def check_jumps(facts: Facts) -> Iterator[Finding]:
-    """Finds: patches of floor more than a step above or below the floor around them.
+    """Find patches of floor more than a step above or below the floor around them.
 
     Such a patch is a spike, a pit, or the top of an object. It is an error if it is too small for a
     floor, and nearly all of its outline jumps.
@@ -220,7 +226,9 @@ def check_jumps(facts: Facts) -> Iterator[Finding]:
         cells = cells_of_levels[level_number]
         row, col = divmod(int(cells[len(cells) // 2]), facts.levels[level_number].width)
         severity = REMARK if patch.is_remark else ERROR
-        yield Finding(severity, level_number, facts.place(level_number, row, col), patch.text)
+        yield Finding(
+            severity, level_number, facts.find_position(level_number, row, col), patch.text
+        )
     unreported_patches = patches[MAX_PATCHES:]
     if unreported_patches:
         severity = REMARK if unreported_patches[0].is_remark else ERROR
@@ -245,17 +253,21 @@ def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
         num_cells += np.bincount(level_islands.ravel(), minlength=num_islands)
         padded_islands = np.pad(level_islands, 1)  # beyond the edge is no island
         for first_slices, second_slices in (ABOVE_AND_BELOW, LEFT_AND_RIGHT):
-            differs = padded_islands[first_slices] != padded_islands[second_slices]
-            num_edges += np.bincount(padded_islands[first_slices][differs], minlength=num_islands)
-            num_edges += np.bincount(padded_islands[second_slices][differs], minlength=num_islands)
+            is_different = padded_islands[first_slices] != padded_islands[second_slices]
+            num_edges += np.bincount(
+                padded_islands[first_slices][is_different], minlength=num_islands
+            )
+            num_edges += np.bincount(
+                padded_islands[second_slices][is_different], minlength=num_islands
+            )
         # free neighbours are on two islands only where they lie more than a step apart
         flat_island = level_islands.ravel()
         floor = facts.floors[level_number].ravel()
-        for cells, offset in find_differing_pairs(level_islands, 1):
-            cells = cells[(flat_island[cells] > 0) & (flat_island[cells + offset] > 0)]
-            drops = floor[cells] - floor[cells + offset]
-            jumps_by_direction["above"].add(flat_island[cells + offset], -drops)
-            jumps_by_direction["below"].add(flat_island[cells + offset], drops)
+        for cells, id_offset in find_differing_pairs(level_islands, 1):
+            cells = cells[(flat_island[cells] > 0) & (flat_island[cells + id_offset] > 0)]
+            drops = floor[cells] - floor[cells + id_offset]
+            jumps_by_direction["above"].add(flat_island[cells + id_offset], -drops)
+            jumps_by_direction["below"].add(flat_island[cells + id_offset], drops)
             jumps_by_direction["above"].add(flat_island[cells], drops)
             jumps_by_direction["below"].add(flat_island[cells], -drops)
     num_cells[0] = 0
@@ -263,17 +275,18 @@ def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
     for direction, island_jumps in jumps_by_direction.items():
         jump_fraction = island_jumps.num_edges / np.maximum(num_edges, 1)
         jump_fraction[0] = 0.0
-        for patch in np.flatnonzero(jump_fraction >= MIN_JUMP_SHARE).tolist():
-            is_nearly_all = jump_fraction[patch] >= ERROR_JUMP_SHARE
-            mean_height = island_jumps.total_height[patch] / island_jumps.num_edges[patch]
-            surroundings_text = "all" if is_nearly_all else "most of what is"
-            size_text = (
-                f"{island_areas[patch]:.3g} m² of floor ({count_of(int(num_cells[patch]), 'cell')})"
+        for island_number in np.flatnonzero(jump_fraction >= MIN_JUMP_SHARE).tolist():
+            is_nearly_all = jump_fraction[island_number] >= ERROR_JUMP_SHARE
+            mean_height = (
+                island_jumps.total_height[island_number] / island_jumps.num_edges[island_number]
             )
+            surroundings_text = "all" if is_nearly_all else "most of what is"
+            count_text = count_of(int(num_cells[island_number]), "cell")
+            size_text = f"{island_areas[island_number]:.3g} m² of floor ({count_text})"
             text = f"{size_text} lies {mean_height:.2f} m {direction} {surroundings_text} round it"
             text += ", and no step leads there"
-            is_error = is_nearly_all and island_areas[patch] < min_area
-            yield _Patch(not is_error, -island_areas[patch], patch, text)
+            is_error = is_nearly_all and island_areas[island_number] < min_area
+            yield _Patch(not is_error, -island_areas[island_number], island_number, text)
 
 
 class _Jumps(NamedTuple):
@@ -303,24 +316,27 @@ class _Jumps(NamedTuple):
         )
 
 
-def find_differing_pairs(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
+def find_differing_pairs(values: NDArray[Any], distance: int) -> Iterator[tuple[Int, int]]:
     """Find the pairs of cells of a level, a distance apart, whose values differ.
 
     Args:
         values: the value of each cell, shape (height, width).
-        gap: the distance between both cells of a pair [columns or rows].
+        distance: the distance between both cells of a pair [columns or rows].
 
     Yields:
-        Two times: for pairs in the same row, then for pairs in the same column, the ids
+        First for the pairs in the same row, then for those in the same column: the ids
         (``row * width + col``) of the left or upper cells, shape (n,), and the number to add to an
         id to get the id of the pair's other cell.
     """
     width = values.shape[1]
-    is_right_different = values[:, :-gap] != values[:, gap:]
-    is_below_different = values[:-gap] != values[gap:]
-    for is_different, offset in ((is_right_different, gap), (is_below_different, gap * width)):
+    is_right_different = values[:, :-distance] != values[:, distance:]
+    is_below_different = values[:-distance] != values[distance:]
+    for is_different, id_offset in (
+        (is_right_different, distance),
+        (is_below_different, distance * width),
+    ):
         rows, cols = np.nonzero(is_different)  # few differ, so the caller's work on them is short
-        yield rows * width + cols, offset
+        yield rows * width + cols, id_offset
 
 
 class _Gap(NamedTuple):
@@ -332,7 +348,7 @@ class _Gap(NamedTuple):
 
 
 def check_cut_off(facts: Facts) -> Iterator[Finding]:
-    """Finds: islands that only one to three blocked cells separate, with all doors open.
+    """Find islands that only one to three blocked cells separate, with all doors open.
 
     A cell separates two islands if they lie on opposite sides of it, with floors at most a step
     apart. If more than three cells separate two islands, they are taken for a thin wall. But if
@@ -347,7 +363,7 @@ def check_cut_off(facts: Facts) -> Iterator[Finding]:
         text = (
             f"a gap {gap_width:.2f} m wide is blocked by one cell, and cuts off {gap.area:.1f} m²"
         )
-        yield Finding(REMARK, gap.level, facts.place(gap.level, row, col), text)
+        yield Finding(REMARK, gap.level, facts.find_position(gap.level, row, col), text)
 
 
 def _find_gaps(facts: Facts) -> Iterator[_Gap]:
@@ -367,9 +383,9 @@ def _find_gaps(facts: Facts) -> Iterator[_Gap]:
         floor_heights = facts.floors[level_number].ravel()
         island_of_cell = level_islands.ravel()
         cells_between: dict[tuple[int, ...], set[int]] = {}  # both islands -> cells
-        for cells, offset in find_differing_pairs(level_islands, 2):
-            middle_cells = cells + offset // 2
-            cells_beyond = cells + offset
+        for cells, id_offset in find_differing_pairs(level_islands, 2):
+            middle_cells = cells + id_offset // 2
+            cells_beyond = cells + id_offset
             is_gap = (
                 (island_of_cell[cells] > 0)
                 & (island_of_cell[middle_cells] == 0)
@@ -396,17 +412,17 @@ def _find_gaps(facts: Facts) -> Iterator[_Gap]:
 
 
 def check_unreached_levels(facts: Facts) -> Iterator[Finding]:
-    """Finds: levels that no steps connect with the level that has the most free cells."""
+    """Find levels that no steps connect with the level that has the most free cells."""
     num_levels = len(facts.levels)
     num_free = [int(is_free.sum()) for is_free in facts.free]
-    linked_levels = tuple(facts.links[:, ::2].T)
-    edge_values = np.ones(len(facts.links))
-    graph = coo_array((edge_values, linked_levels), (num_levels, num_levels))
+    level_pairs = tuple(facts.steps[:, ::2].T)
+    edge_values = np.ones(len(facts.steps))
+    graph = coo_array((edge_values, level_pairs), (num_levels, num_levels))
     _, group_of_level = connected_components(graph, directed=False)
     for level_number in np.flatnonzero(
         group_of_level != group_of_level[np.argmax(num_free)]
     ).tolist():
         if num_free[level_number]:  # else `check_empty_levels` reports it
             area = num_free[level_number] * facts.levels[level_number].lattice.cell_size ** 2
-            place = facts.first_place(level_number, facts.free[level_number])
+            place = facts.find_first_position(level_number, facts.free[level_number])
             yield Finding(REMARK, level_number, place, f"no link leads to its {area:.1f} m²")

@@ -1,4 +1,4 @@
-"""What the checks of an audit read (a grid's layers and islands), and the findings they yield."""
+"""The facts of a grid that an audit checks (its layers and islands), and the findings of checks."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class AuditReport:
 
     @property
     def errors(self) -> list[Remark]:
-        """The remarks that are errors: what they describe can't be right."""
+        """The remarks whose severity is ERROR."""
         return [remark for remark in self.remarks if remark.severity == ERROR]
 
     @property
@@ -97,8 +97,8 @@ def number_islands(
     masks_of_levels: list[Bool],
     floors: list[Float],
     step_limit: float,
-    links: Int,
-    one_way_links: Int | None = None,
+    two_way_connections: Int,
+    one_way_connections: Int | None = None,
 ) -> list[Int32]:
     """Number the connected components of all levels' marked cells.
 
@@ -109,10 +109,11 @@ def number_islands(
         masks_of_levels: the marked cells of each level, shape (height, width).
         floors: the floor of each cell of each level, shape (height, width) [m]; NaN for none.
         step_limit: how far the floors of connected neighbours may lie apart [m].
-        links: links that connect both ways: level and cell of both ends, shape (n, 4).
-        one_way_links: links that lead from their first end to their second end only, shape (n, 4).
-            They connect two cells only if some lead from the first to the second, and some lead
-            back.
+        two_way_connections: connections that lead both ways: level and cell of both ends, shape
+            (n, 4).
+        one_way_connections: connections that lead from their first end to their second end only,
+            shape (n, 4). They connect two cells only if some lead from the first to the second, and
+            some lead back.
 
     Returns:
         The island of each cell of each level, numbered from 1 by descending size; 0 for unmarked
@@ -125,13 +126,13 @@ def number_islands(
         level_labels[is_marked] += num_labels - 1
         labels_of_levels.append(level_labels)
         num_labels += num_level_labels
-    connections = [links, links[:, [2, 3, 0, 1]]]
-    if one_way_links is not None:
-        connections.append(one_way_links)
-    level_cells = np.concatenate(connections).T
-    labels_of_ends = np.zeros((2, level_cells.shape[1]), dtype=np.int64)
+    connection_arrays = [two_way_connections, two_way_connections[:, [2, 3, 0, 1]]]
+    if one_way_connections is not None:
+        connection_arrays.append(one_way_connections)
+    connection_ends = np.concatenate(connection_arrays).T
+    labels_of_ends = np.zeros((2, connection_ends.shape[1]), dtype=np.int64)
     for end_labels, (level_of_end, cell_ids) in zip(
-        labels_of_ends, (level_cells[:2], level_cells[2:]), strict=True
+        labels_of_ends, (connection_ends[:2], connection_ends[2:]), strict=True
     ):
         for level_number, level_labels in enumerate(labels_of_levels):
             is_on_level = level_of_end == level_number
@@ -144,10 +145,11 @@ def number_islands(
     )
     num_groups, group_of_label = connected_components(graph, connection="strong")
     # groups are numbered by their first labels
-    first_label = np.unique(group_of_label, return_index=True)[1]
-    group_of_label = np.argsort(np.argsort(first_label))[group_of_label]
+    first_label_of_group = np.unique(group_of_label, return_index=True)[1]
+    group_of_label = np.argsort(np.argsort(first_label_of_group))[group_of_label]
     group_sizes_of_levels = [
-        np.bincount(group_of_label[part.ravel()], minlength=num_groups) for part in labels_of_levels
+        np.bincount(group_of_label[level_labels.ravel()], minlength=num_groups)
+        for level_labels in labels_of_levels
     ]
     group_sizes = np.sum(group_sizes_of_levels, axis=0)
     island_of_group = np.zeros(num_groups, dtype=np.int32)  # group 0, the unmarked cells, stays 0
@@ -184,7 +186,7 @@ def _label_walkable(is_marked: Bool, floor: Float, step_limit: float) -> tuple[I
 
 
 def read_inflations(grid: GridBase) -> tuple[list[Json], str | None]:
-    """Read from a grid's metadata how it was inflated.
+    """Read the inflations of a grid from its metadata.
 
     Args:
         grid: a grid of any program.
@@ -224,7 +226,10 @@ def is_within(value: object, minimum: float, maximum: float) -> bool:
 
 
 def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
-    """Return what is wrong with the agent's sizes in a grid's metadata.
+    """Return a message for each wrong size of the agent in a grid's metadata.
+
+    Args:
+        grid: a grid of any program.
 
     Returns:
         Key of the metadata, such as ``agentHeight`` -> message. The key ``step`` has a message if
@@ -259,7 +264,7 @@ class Facts:
         settings: the settings of the bake; empty for grids of other programs.
         doors: the grid's doors.
         rooms: the grid's rooms; None if their table is broken.
-        links: the grid's `step_array`: level and cell of both ends of each step, shape (n, 4).
+        steps: the grid's `step_array`: level and cell of both ends of each step, shape (n, 4).
         passages: directed connections over open named links through which the agent fits: level and
             cell of the first and of the last stop, shape (n, 4).
         forbidden_areas: the numbers of the areas that no agent may enter.
@@ -274,13 +279,13 @@ class Facts:
         self.settings: Json = settings if isinstance(settings, dict) else {}
         self.doors: tuple[Door, ...] = ()
         self.rooms: tuple[Room, ...] | None = None
-        self.links: Int = np.empty((0, 4), dtype=np.int64)
+        self.steps: Int = np.empty((0, 4), dtype=np.int64)
         with suppress(FormatError):
             self.doors = self.grid.doors
         with suppress(FormatError):
             self.rooms = self.grid.rooms
         with suppress(FormatError):
-            self.links = self.grid.step_array
+            self.steps = self.grid.step_array
         self.passages: Int = np.empty((0, 4), dtype=np.int64)
         with suppress(FormatError):
             self.passages = self._list_passages()
@@ -328,8 +333,16 @@ class Facts:
         ]
         return max(reach_of_inflations, default=None)
 
-    def cells_of(self, doors: list[tuple[Door, str]]) -> list[Bool]:
-        """Return for each level a mask of the cells that doors block in the given states."""
+    def mark_door_cells(self, doors: list[tuple[Door, str]]) -> list[Bool]:
+        """Mark the cells of each level that doors block.
+
+        Args:
+            doors: pairs of a door and one of its states.
+
+        Returns:
+            For each level, a mask of the cells that any of these doors blocks in its state, shape
+            (height, width).
+        """
         masks = [np.zeros(level.shape, dtype=np.bool_) for level in self.levels]
         for door, state in doors:
             for mask, cells in zip(masks, door.cells_in(state, len(masks)), strict=True):
@@ -339,10 +352,8 @@ class Facts:
     @cached_property
     def passable(self) -> list[Bool]:
         """For each level, a mask of the cells that are free or that a door blocks in any state."""
-        all_states = [
-            (is_door_cell, state) for is_door_cell in self.doors for state in is_door_cell.cells
-        ]
-        door_cells = self.cells_of(all_states)
+        doors_and_states = [(door, state) for door in self.doors for state in door.cells]
+        door_cells = self.mark_door_cells(doors_and_states)
         return [
             is_free | is_door_cell
             for is_free, is_door_cell in zip(self.free, door_cells, strict=True)
@@ -361,7 +372,7 @@ class Facts:
     @cached_property
     def islands_without_links(self) -> list[Int32]:
         """For each level, the island of each cell, as if there were no named links."""
-        return number_islands(self.free, self.floors, self.step_limit, self.links)
+        return number_islands(self.free, self.floors, self.step_limit, self.steps)
 
     def _number_islands(self, masks: list[Bool]) -> list[Int32]:
         """Number the islands of marked cells, except in areas that no agent may enter."""
@@ -370,16 +381,16 @@ class Facts:
                 mask & ~np.isin(level.area_index, self.forbidden_areas)
                 for mask, level in zip(masks, self.levels, strict=True)
             ]
-        return number_islands(masks, self.floors, self.step_limit, self.links, self.passages)
+        return number_islands(masks, self.floors, self.step_limit, self.steps, self.passages)
 
-    def place(self, level_number: int, row: int, col: int) -> Vector3:
+    def find_position(self, level_number: int, row: int, col: int) -> Vector3:
         """Return world x, y, z of a cell [m]; z is its floor, or the level's ground without one."""
         level = self.levels[level_number]
         x, y = level.lattice.positions(row, col).tolist()
         z = float(self.floors[level_number][row, col])
         return x, y, z if np.isfinite(z) else level.ground
 
-    def first_place(self, level_number: int, is_marked: Bool) -> Vector3:
+    def find_first_position(self, level_number: int, is_marked: Bool) -> Vector3:
         """Return the position of the first marked cell of a level, world x, y and z [m].
 
         Args:
@@ -387,14 +398,14 @@ class Facts:
             is_marked: the marked cells, at least one, shape (height, width).
         """
         row, col = np.unravel_index(int(np.argmax(is_marked)), is_marked.shape)
-        return self.place(level_number, int(row), int(col))
+        return self.find_position(level_number, int(row), int(col))
 
-    def error_on_cells(
+    def report_wrong_cells(
         self, level_number: int, is_wrong: Bool, predicate: str
     ) -> Iterator[Finding]:
-        """Yield one error about all marked cells of a level; nothing if none is marked.
+        """Yield one error about all wrong cells of a level; nothing if none is wrong.
 
-        The error is located at the first marked cell.
+        The error is located at the first wrong cell.
 
         Args:
             level_number: the level's index.
@@ -410,4 +421,4 @@ class Facts:
         else:
             verb = "is" if num_wrong == 1 else "are"
         text = f"{count_of(num_wrong, 'cell')} {verb} {predicate}"
-        yield Finding(ERROR, level_number, self.first_place(level_number, is_wrong), text)
+        yield Finding(ERROR, level_number, self.find_first_position(level_number, is_wrong), text)

@@ -64,7 +64,7 @@ def audit_routes(
 
 
 def check_nodes(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
-    """Finds: nodes on no level, outside the grid, or in a cell that isn't free."""
+    """Find nodes on no level, outside the grid, or in a cell that isn't free."""
     for node in graph.nodes:
         problem = None
         if node.level >= len(facts.levels):
@@ -81,7 +81,7 @@ def check_nodes(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
 
 
 def check_lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Finding]:
-    """Finds: straight lanes that cross occupied cells, or pass them nearer than the radius."""
+    """Find straight lanes that cross occupied cells, or pass them nearer than the radius."""
     for lane in graph.lanes:
         start = graph.nodes[lane.start]
         end = graph.nodes[lane.end]
@@ -101,10 +101,10 @@ def check_lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Find
 def measure_lane_clearance(
     graph: RouteGraph, lane: Lane, facts: Facts, radius: float
 ) -> tuple[float, Vector3]:
-    """Return the distance from a lane to the nearest occupied square, and the square's position.
+    """Return the distance from a lane to the nearest occupied cell, and the position of that cell.
 
-    Cells without a floor count as occupied. Squares where another level has a free cell, within the
-    agent's height of the lane, don't count: stairs continue there.
+    A cell counts as a square, and a cell without a floor as occupied. Squares where another level
+    has a free cell, within the agent's height of the lane, don't count: stairs continue there.
 
     Args:
         graph: the lane's graph.
@@ -129,8 +129,8 @@ def measure_lane_clearance(
     )
     first_row = max(int(top_row), 0)
     first_col = max(int(left_col), 0)
-    is_solid_window = level.solid[first_row : int(bottom_row) + 1, first_col : int(right_col) + 1]
-    rows, cols = np.nonzero(is_solid_window)
+    is_solid = level.solid[first_row : int(bottom_row) + 1, first_col : int(right_col) + 1]
+    rows, cols = np.nonzero(is_solid)
     centers = lattice.positions(rows + first_row, cols + first_col)
     centers = centers[~_mark_free_on_other_level(facts, start.level, centers, lane_ends[:, 2])]
     if not len(centers):
@@ -142,14 +142,16 @@ def measure_lane_clearance(
     return clearance, (x, y, start.position[2])
 
 
-def _mark_free_on_other_level(facts: Facts, lane_level: int, positions: Float, z: Float) -> Bool:
+def _mark_free_on_other_level(
+    facts: Facts, lane_level: int, positions: Float, lane_heights: Float
+) -> Bool:
     """Mark positions at which another level has a free cell near the heights of a lane.
 
     Args:
         facts: the facts about the grid.
         lane_level: the index of the lane's level.
         positions: world x, y, shape (n, 2) [m].
-        z: the heights of the lane's two ends, shape (2,) [m].
+        lane_heights: the heights of the lane's two ends, shape (2,) [m].
 
     Returns:
         A mask of the positions, shape (n,).
@@ -164,8 +166,8 @@ def _mark_free_on_other_level(facts: Facts, lane_level: int, positions: Float, z
         col = col[is_inside]
         floor = facts.floors[level_number][row, col]
         agent_height = facts.grid.agent_height
-        is_near = (floor > z.min() - agent_height) & (
-            floor < z.max() + agent_height
+        is_near = (floor > lane_heights.min() - agent_height) & (
+            floor < lane_heights.max() + agent_height
         )  # False for NaN
         has_free_cell[is_inside] |= is_near & level.free_for_point[row, col]
     return has_free_cell
@@ -187,30 +189,30 @@ def measure_distances_to_squares(ends: Float, centers: Float, half_edge: float) 
     # the shares of the segment at which it enters and leaves each square's strips along x and y
     inner_half = half_edge - TOUCH_SLACK
     with np.errstate(divide="ignore", invalid="ignore"):
-        crossings = np.sort(
+        crossing_fractions = np.sort(
             [(centers + side - start) / direction for side in (-inner_half, inner_half)], axis=0
         )
     # a segment along an axis is in a strip of the other axis always or never
     is_in_strip = np.abs(centers - start) < inner_half
-    enters_always = np.where(is_in_strip, -np.inf, np.inf)
-    entry_fractions = np.where(direction == 0, enters_always, crossings[0]).max(axis=1)
-    exit_fractions = np.where(direction == 0, -enters_always, crossings[1]).min(axis=1)
-    is_met = np.maximum(entry_fractions, 0.0) <= np.minimum(exit_fractions, 1.0)
+    entry_of_parallel = np.where(is_in_strip, -np.inf, np.inf)
+    entry_fractions = np.where(direction == 0, entry_of_parallel, crossing_fractions[0]).max(axis=1)
+    exit_fractions = np.where(direction == 0, -entry_of_parallel, crossing_fractions[1]).min(axis=1)
+    is_entered = np.maximum(entry_fractions, 0.0) <= np.minimum(exit_fractions, 1.0)
     # otherwise, the shortest distance is from an end to the square, or from a corner to the segment
     distances = []
     for end in ends:
         offsets = np.maximum(np.abs(centers - end) - half_edge, 0.0)
         distances.append(np.linalg.norm(offsets, axis=1))
     for corner in half_edge * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]):
-        to_corner = centers + corner - start
-        fractions = to_corner @ direction / max(float(direction @ direction), 1e-300)
-        nearest_points = np.clip(fractions, 0.0, 1.0)[:, None] * direction
-        distances.append(np.linalg.norm(to_corner - nearest_points, axis=1))
-    return np.where(is_met, 0.0, np.min(distances, axis=0))
+        corner_offset = centers + corner - start
+        fractions = corner_offset @ direction / max(float(direction @ direction), 1e-300)
+        nearest_offset = np.clip(fractions, 0.0, 1.0)[:, None] * direction
+        distances.append(np.linalg.norm(corner_offset - nearest_offset, axis=1))
+    return np.where(is_entered, 0.0, np.min(distances, axis=0))
 
 
 def check_components(graph: RouteGraph) -> Iterator[Finding]:
-    """Finds: nodes that no lanes connect with most others, and lanes without a way back."""
+    """Find nodes that no lanes connect with most others, and lanes without a way back."""
     if not graph.nodes:
         yield Finding(ERROR, None, None, "the graph has no nodes")
         return
@@ -221,17 +223,17 @@ def check_components(graph: RouteGraph) -> Iterator[Finding]:
     adjacency = csr_array(
         (np.ones(len(lane_ends)), tuple(lane_ends.T)), shape=(num_nodes, num_nodes)
     )
-    _, component = connected_components(adjacency, directed=False)
-    component_sizes = np.bincount(component)
-    _, first_nodes = np.unique(component, return_index=True)
+    _, component_of_node = connected_components(adjacency, directed=False)
+    component_sizes = np.bincount(component_of_node)
+    _, first_nodes = np.unique(component_of_node, return_index=True)
     for component_number in np.argsort(-component_sizes, kind="stable")[1:].tolist():
         node = graph.nodes[int(first_nodes[component_number])]
         node_count_text = count_of(int(component_sizes[component_number]), "node")
         text = f"no lane joins {node_count_text}, {node.name!r} first, with most others"
         yield Finding(REMARK, node.level, node.position, text)
-    _, strong_component = connected_components(adjacency, connection="strong")
+    _, strong_component_of_node = connected_components(adjacency, connection="strong")
     for lane in graph.lanes:
-        if strong_component[lane.start] != strong_component[lane.end]:
+        if strong_component_of_node[lane.start] != strong_component_of_node[lane.end]:
             start = graph.nodes[lane.start]
             end = graph.nodes[lane.end]
             text = f"no lanes lead back from {end.name!r} to {start.name!r}"
@@ -239,7 +241,7 @@ def check_components(graph: RouteGraph) -> Iterator[Finding]:
 
 
 def check_dead_ends(graph: RouteGraph) -> Iterator[Finding]:
-    """Finds: junctions and waypoints with fewer than two neighbours."""
+    """Find junctions and waypoints with fewer than two neighbours."""
     neighbors: list[set[int]] = [set() for _ in graph.nodes]
     for lane in graph.lanes:
         neighbors[lane.start].add(lane.end)
@@ -257,21 +259,25 @@ def check_dead_ends(graph: RouteGraph) -> Iterator[Finding]:
 
 
 def check_islands(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
-    """Finds: large islands of the grid, with doors and links as they are, that have no node."""
+    """Find large islands of the grid, with doors and links as they are, that have no node."""
     areas: dict[int, float] = {}
     for level, islands in zip(facts.levels, facts.islands, strict=True):
-        for island, count in enumerate(np.bincount(islands.ravel()).tolist()):
-            areas[island] = areas.get(island, 0.0) + count * level.lattice.cell_size**2
-    reached = set()
+        for island, num_cells in enumerate(np.bincount(islands.ravel()).tolist()):
+            areas[island] = areas.get(island, 0.0) + num_cells * level.lattice.cell_size**2
+    reached_islands = set()
     for node in graph.nodes:
         if node.level < len(facts.levels):
             lattice = facts.levels[node.level].lattice
             row, col = lattice.rows_cols(node.position)
             if lattice.holds(row, col):
-                reached.add(int(facts.islands[node.level][row, col]))
+                reached_islands.add(int(facts.islands[node.level][row, col]))
     for island, area in areas.items():
-        if island == 0 or area < MIN_ISLAND_AREA or island in reached:
+        if island == 0 or area < MIN_ISLAND_AREA or island in reached_islands:
             continue
-        number = next(k for k, islands in enumerate(facts.islands) if (islands == island).any())
-        place = facts.first_place(number, facts.islands[number] == island)
-        yield Finding(REMARK, number, place, f"no node is on island {island} ({area:.2f} m²)")
+        level_number = next(
+            level_index
+            for level_index, islands in enumerate(facts.islands)
+            if (islands == island).any()
+        )
+        place = facts.find_first_position(level_number, facts.islands[level_number] == island)
+        yield Finding(REMARK, level_number, place, f"no node is on island {island} ({area:.2f} m²)")
