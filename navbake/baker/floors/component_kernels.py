@@ -16,7 +16,7 @@ import numpy as np
 
 from navbake.baker.core.tiles import block_of, block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.floors.surface_kernels import EAST, STANDABLE, UNCOVERED, slopes_join
+from navbake.baker.floors.surface_kernels import EAST, STANDABLE, UNCOVERED, are_joined_by_slopes
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Int, Int32
 
@@ -49,7 +49,7 @@ HIGHEST = 1
 
 
 class JoinRule(NamedTuple):
-    """Which surfaces of neighboring cells are connected, and which are only linked.
+    """The rule by which surfaces of neighboring cells are connected, or only linked.
 
     Connected surfaces are in one component. Linked surfaces are not, but the pair of their
     components is listed, for example because an agent can step from one to the other.
@@ -59,8 +59,8 @@ class JoinRule(NamedTuple):
             differ by at most this [m].
         max_link_step: two surfaces that are not connected are linked if their heights differ by at
             most this [m]; negative if no links are listed.
-        can_slopes_join: whether surfaces of the same group are also connected where `slopes_join`
-            says so.
+        can_slopes_join: whether surfaces of the same group are also connected where
+            `are_joined_by_slopes` says so.
     """
 
     max_step: float
@@ -85,7 +85,7 @@ class ComponentNumbering(NamedTuple):
 
 
 @subkernel(**NO_REFCOUNT)
-def count_row(rows, first_row, num_rows, first, second, third):
+def count_row(rows, first_row, num_rows, first_number, second_number, third_number):
     """Count one more occurrence of three numbers, such as two components and the kind of pair.
 
     The count stands in the row that begins with these numbers. If none of the latest
@@ -95,23 +95,27 @@ def count_row(rows, first_row, num_rows, first, second, third):
         rows: three numbers and their count in each row, (n, 4) int64.
         first_row: index of the first row of the current block of cells.
         num_rows: index past the last row written so far.
-        first: the first of the three numbers.
-        second: the second number.
-        third: the third number.
+        first_number: the first of the three numbers.
+        second_number: the second number.
+        third_number: the third number.
 
     Returns:
         The index of the row with the count, or -1 if there is no room for another row.
     """
     for row in range(num_rows - 1, max(first_row, num_rows - NUM_RECENT_ROWS) - 1, -1):
-        if rows[row, 0] == first and rows[row, 1] == second and rows[row, 2] == third:
+        if (
+            rows[row, 0] == first_number
+            and rows[row, 1] == second_number
+            and rows[row, 2] == third_number
+        ):
             rows[row, 3] += 1
             return row
     # the search is short, as neighboring cells mostly repeat the last numbers
     if num_rows == rows.shape[0]:
         return np.int64(-1)
-    rows[num_rows, 0] = first
-    rows[num_rows, 1] = second
-    rows[num_rows, 2] = third
+    rows[num_rows, 0] = first_number
+    rows[num_rows, 1] = second_number
+    rows[num_rows, 2] = third_number
     rows[num_rows, 3] = 1
     return num_rows
 
@@ -150,14 +154,14 @@ def _are_joined(surfaces, group_of_surface, rule, surface_a, surface_b, directio
         return False
     if abs(surfaces.z[surface_a] - surfaces.z[surface_b]) <= rule.max_step + LIMIT_SLACK:
         return True
-    return rule.can_slopes_join and slopes_join(
+    return rule.can_slopes_join and are_joined_by_slopes(
         surfaces, surface_a, surface_b, direction, rule.max_step
     )
 
 
 @subkernel(inline="always")
 def max_rise_of(rule):
-    """Return an upper limit of the difference in height between connected or linked surfaces [m].
+    """Return the largest difference in height that connected or linked surfaces may have [m].
 
     It is infinite if slopes connect surfaces.
     """
@@ -224,7 +228,7 @@ def label_blocks(
     z = surfaces.z
     lattice = surfaces.lattice
     max_rise = max_rise_of(rule)
-    num_before = 0
+    num_components_before = 0
     width = lattice.width
     for block_index in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
@@ -241,15 +245,18 @@ def label_blocks(
                     if cell == row * width + col0 if direction == EAST else row == row0:
                         continue
                     neighbor = cell - 1 if direction == EAST else cell - width
-                    first_near = first_surface[neighbor]
-                    stop = end_surface[neighbor]
+                    first_near_surface = first_surface[neighbor]
+                    end_in_neighbor = end_surface[neighbor]
                     for j in range(first_in_cell, end_in_cell):
                         if component_of_surface[j] == -1:
                             continue
-                        # heights ascend in both cells, so `low` only moves up
-                        while first_near < stop and z[first_near] < z[j] - max_rise:
-                            first_near += 1
-                        for i in range(first_near, stop):
+                        # heights ascend in both cells, so `first_near_surface` only moves up
+                        while (
+                            first_near_surface < end_in_neighbor
+                            and z[first_near_surface] < z[j] - max_rise
+                        ):
+                            first_near_surface += 1
+                        for i in range(first_near_surface, end_in_neighbor):
                             if z[i] > z[j] + max_rise:
                                 break
                             if component_of_surface[i] == -1:
@@ -277,7 +284,7 @@ def label_blocks(
                     ):
                         root = -2 - component_of_surface[root]
                     if component_of_surface[root] < -1:  # the root has no number yet
-                        row_index = num_before + num_components
+                        row_index = num_components_before + num_components
                         if row_index == heights.shape[0]:
                             return block_index
                         measures[row_index, :] = 0
@@ -292,7 +299,7 @@ def label_blocks(
                         component_of_surface[root] = num_components
                         num_components += 1
                     component_of_surface[j] = component_of_surface[root]
-                    row_index = num_before + component_of_surface[j]
+                    row_index = num_components_before + component_of_surface[j]
                     measures[row_index, NUM_SURFACES] += 1
                     measures[row_index, NUM_UNCOVERED] += 1 if surfaces.flags[j] & UNCOVERED else 0
                     measures[row_index, FIRST_COL] = min(measures[row_index, FIRST_COL], col)
@@ -302,7 +309,7 @@ def label_blocks(
                     heights[row_index, HIGHEST] = max(heights[row_index, HIGHEST], z[j])
                     rank += 1
         row_counts[block_index] = num_components
-        num_before += num_components
+        num_components_before += num_components
     return end
 
 
@@ -350,7 +357,7 @@ def list_pairs(
         for row in range(row0, row1):
             for col in range(col0, col1):
                 cell = row * width + col
-                lower_number = np.int32(-1)
+                number_below = np.int32(-1)
                 for surface in range(first_surface[cell], end_surface[cell]):
                     overall_number[surface] = -1
                     if number_in_block[surface] < 0:
@@ -358,19 +365,19 @@ def list_pairs(
                     overall_number[surface] = (
                         first_number_of_block[blocks[block_index]] + number_in_block[surface]
                     )
-                    if lower_number >= 0:
+                    if number_below >= 0:
                         row_index = count_row(
                             rows,
                             num_rows_before,
                             num_rows,
                             overall_number[surface],
-                            lower_number,
+                            number_below,
                             STACKED,
                         )
                         if row_index < 0:
                             return block_index
                         num_rows = max(num_rows, row_index + 1)
-                    lower_number = overall_number[surface]
+                    number_below = overall_number[surface]
                 for direction in range(2):
                     is_at_border = col == col1 - 1 if direction == EAST else row == row1 - 1
                     if not is_at_border and rule.max_link_step < 0.0:
@@ -379,16 +386,19 @@ def list_pairs(
                         continue
                     neighbor = cell + (1 if direction == EAST else width)
                     neighbor_block = block_of(lattice, row + direction, col + 1 - direction)
-                    neighbor_offset = first_number_of_block[neighbor_block]
-                    first_near = first_surface[neighbor]
-                    stop = end_surface[neighbor]
+                    first_neighbor_number = first_number_of_block[neighbor_block]
+                    first_near_surface = first_surface[neighbor]
+                    end_in_neighbor = end_surface[neighbor]
                     for surface in range(first_surface[cell], end_surface[cell]):
                         if number_in_block[surface] < 0:
                             continue
-                        # heights ascend in both cells, so `low` only moves up
-                        while first_near < stop and z[first_near] < z[surface] - max_rise:
-                            first_near += 1
-                        for neighbor_surface in range(first_near, stop):
+                        # heights ascend in both cells, so `first_near_surface` only moves up
+                        while (
+                            first_near_surface < end_in_neighbor
+                            and z[first_near_surface] < z[surface] - max_rise
+                        ):
+                            first_near_surface += 1
+                        for neighbor_surface in range(first_near_surface, end_in_neighbor):
                             if z[neighbor_surface] > z[surface] + max_rise:
                                 break
                             if number_in_block[neighbor_surface] < 0:
@@ -414,7 +424,9 @@ def list_pairs(
                             if (not is_at_border) if is_joined else is_too_high:
                                 continue
                             pair_kind = JOINED if is_joined else LINKED
-                            neighbor_number = neighbor_offset + number_in_block[neighbor_surface]
+                            neighbor_number = (
+                                first_neighbor_number + number_in_block[neighbor_surface]
+                            )
                             row_index = count_row(
                                 rows,
                                 num_rows_before,
@@ -442,7 +454,7 @@ def cross_tabulate(
     begin,
     end,
 ):
-    """Count how many surfaces have the same two labels and the same level, or height.
+    """Count the surfaces for each combination of two labels and a level (or a bin of heights).
 
     The surfaces of ``blocks[begin:end]`` are counted, except those with a negative first label or
     with level -1. This is a kernel for `navbake.baker.core.blocks.list_rows`.

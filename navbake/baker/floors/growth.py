@@ -1,4 +1,4 @@
-"""Find the floor of each level: where an agent can stand, and where it goes on under things.
+"""Find the floor of each level: where an agent can stand, and where floor continues under things.
 
 The floor begins at the level's surfaces on which an agent can stand. From there it grows cell by
 cell under tables, beds and walls, see `growth_kernels`. Links between levels are found here, too.
@@ -26,7 +26,7 @@ NO_LINKS = np.empty((0, 4), dtype=np.int64)
 
 
 class GrownFloor(NamedTuple):
-    """The floor of a level on the whole lattice.
+    """The floor of one level in all cells of the lattice, as `grow_levels` finds it.
 
     Attributes:
         height: the height of the floor in each cell, NaN where there is none, shape (cells,),
@@ -42,7 +42,7 @@ class GrownFloor(NamedTuple):
 def grow_floors(
     regions: Regions, assignment: LevelAssignment, is_growth_barrier: Bool, agent: AgentSettings
 ) -> list[GrownFloor]:
-    """Find the floors of all levels, and how far they go on under tables, beds and other things.
+    """Find the floors of all levels, and how far they continue under tables, beds and other things.
 
     Args:
         regions: all regions.
@@ -70,7 +70,7 @@ def grow_levels(
     num_levels: int,
     agent: AgentSettings,
 ) -> list[GrownFloor]:
-    """Find the floors of all levels: where an agent can stand, and where they go on under things.
+    """Find the floors of all levels: where an agent can stand, and where they lie under things.
 
     Args:
         labelled_surfaces: all surfaces; those of the labelled regions are surfaces that floors
@@ -120,7 +120,7 @@ def grow_levels(
 
 
 def _grow_level(labelled_surfaces: LabelledSurfaces, growth_state: GrowthState) -> None:
-    """Find the floor of one level: where an agent can stand, and where it goes on under things.
+    """Find the floor of one level: where an agent can stand, and where it continues under things.
 
     Args:
         labelled_surfaces: see `grow_levels`.
@@ -146,12 +146,12 @@ def _grow_level(labelled_surfaces: LabelledSurfaces, growth_state: GrowthState) 
         ring_number += 1
     kernels.grow_remaining_rings(growth_state, ring_number, cells_to_grow)
     # cells into which no floor grew
-    not_reached = open_cells[growth_state.ring_of_cell[open_cells] < NO_FLOOR]
-    growth_state.ring_of_cell[not_reached] = NO_FLOOR
+    unreached_cells = open_cells[growth_state.ring_of_cell[open_cells] < NO_FLOOR]
+    growth_state.ring_of_cell[unreached_cells] = NO_FLOOR
 
 
 def find_level_links(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:
-    """Find the pairs of neighboring cells that only a step between levels, or only a slope, joins.
+    """Find neighboring cells joined by a step between levels, or by a slope too steep for a step.
 
     These are steps from a floor of one level to a floor of another. They are also places on one
     level where the floors of two neighboring cells differ by more than a step, but a slope joins

@@ -15,7 +15,7 @@ from navbake.baker.core.bisection_kernels import find_first_above, find_first_at
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.floors.region_kernels import region_of_surface
-from navbake.baker.floors.surface_kernels import Surfaces, slopes_join
+from navbake.baker.floors.surface_kernels import Surfaces, are_joined_by_slopes
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int, Int32
 
@@ -70,18 +70,18 @@ class GrowthState(NamedTuple):
 
 
 @subkernel(inline="always")
-def _can_grow_at(labelled_surfaces, growth_state, stop, surface, lowest_z, highest_z):
+def _can_grow_at(labelled_surfaces, growth_state, end_in_cell, surface, lowest_z, highest_z):
     """Return whether the floor may grow at a surface of a cell, by the rule of `start_growth`.
 
-    `stop` is the id past the cell's highest surface. The floor has to lie between the heights
-    `lowest_z` and `highest_z` [m].
+    `end_in_cell` is the id past the cell's highest surface. The floor has to lie between the
+    heights `lowest_z` and `highest_z` [m].
     """
     z = growth_state.surfaces.z
     if growth_state.preliminary_level[surface] >= 0 or not lowest_z <= z[surface] <= highest_z:
         return False
     if region_of_surface(labelled_surfaces, surface) >= 0:
         return False
-    for i in range(surface + 1, stop):
+    for i in range(surface + 1, end_in_cell):
         if z[i] - z[surface] > growth_state.max_step + LIMIT_SLACK:
             break
         # an agent would walk on the surface above, as on a roof in which a wall's top is hidden
@@ -94,10 +94,10 @@ def _can_grow_at(labelled_surfaces, growth_state, stop, surface, lowest_z, highe
 def bound_levels(
     surfaces, preliminary_level, final_level, highest_level_below, lowest_level_above, begin, end
 ):
-    """Find the bounds of the levels below and above each surface, in the cells ``[begin, end)``.
+    """Find the highest level up to each surface and the lowest level from it on, in its cell.
 
-    The bounds ascend in each cell, also where levels don't: so they can be bisected for the
-    surfaces near a level.
+    It is done for the cells ``[begin, end)``. Both bounds ascend in each cell, also where levels
+    don't: so they can be bisected for the surfaces near a level.
 
     Args:
         surfaces: the surfaces of all cells, as `Surfaces`.
@@ -109,15 +109,15 @@ def bound_levels(
         end: id past the last cell.
     """
     for cell in range(begin, end):
-        first_surface = surfaces.first[cell]
-        stop = surfaces.end[cell]
+        first_in_cell = surfaces.first[cell]
+        end_in_cell = surfaces.end[cell]
         highest_level = np.int32(-1)
-        for j in range(first_surface, stop):
+        for j in range(first_in_cell, end_in_cell):
             if preliminary_level[j] >= 0:
                 highest_level = max(highest_level, np.int32(final_level[preliminary_level[j]]))
             highest_level_below[j] = highest_level
         lowest_level = NO_LEVEL_ABOVE
-        for j in range(stop - 1, first_surface - 1, -1):
+        for j in range(end_in_cell - 1, first_in_cell - 1, -1):
             if preliminary_level[j] >= 0:
                 lowest_level = min(lowest_level, np.int32(final_level[preliminary_level[j]]))
             lowest_level_above[j] = lowest_level
@@ -167,20 +167,23 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
         row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                first_surface = surfaces.first[cell]
-                stop = surfaces.end[cell]
+                first_in_cell = surfaces.first[cell]
+                end_in_cell = surfaces.end[cell]
                 floor_height[cell] = math.nan
                 ring_of_cell[cell] = NO_FLOOR
                 # the level's surfaces of the cell are in [first_on_level, stop_on_level)
-                first_on_level = find_first_at_or_above(
-                    highest_level_below, first_surface, stop, level_number
+                first_surface_on_level = find_first_at_or_above(
+                    highest_level_below, first_in_cell, end_in_cell, level_number
                 )
-                stop_on_level = find_first_above(
-                    lowest_level_above, first_surface, stop, level_number
+                end_surface_on_level = find_first_above(
+                    lowest_level_above, first_in_cell, end_in_cell, level_number
                 )
-                for j in range(first_on_level, stop_on_level):
-                    level = growth_state.preliminary_level[j]
-                    if level >= 0 and growth_state.final_level[level] == level_number:
+                for j in range(first_surface_on_level, end_surface_on_level):
+                    preliminary_number = growth_state.preliminary_level[j]
+                    if (
+                        preliminary_number >= 0
+                        and growth_state.final_level[preliminary_number] == level_number
+                    ):
                         floor_height[cell] = surfaces.z[j]
                         ring_of_cell[cell] = 0
                 if ring_of_cell[cell] == 0:
@@ -188,31 +191,38 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
                 # the floor may grow between the levels below and above, with room for an agent
                 lowest_z = -math.inf
                 highest_z = math.inf
-                below = (
-                    find_first_at_or_above(lowest_level_above, first_surface, stop, level_number)
+                surface_below = (
+                    find_first_at_or_above(
+                        lowest_level_above, first_in_cell, end_in_cell, level_number
+                    )
                     - 1
                 )
-                if below >= first_surface:
-                    lowest_z = surfaces.z[below] + growth_state.agent_height - LIMIT_SLACK
-                above = find_first_above(highest_level_below, first_surface, stop, level_number)
-                if above < stop:
-                    highest_z = surfaces.z[above] - growth_state.agent_height + LIMIT_SLACK
-                highest_growable = np.int64(-1)
+                if surface_below >= first_in_cell:
+                    lowest_z = surfaces.z[surface_below] + growth_state.agent_height - LIMIT_SLACK
+                surface_above = find_first_above(
+                    highest_level_below, first_in_cell, end_in_cell, level_number
+                )
+                if surface_above < end_in_cell:
+                    highest_z = surfaces.z[surface_above] - growth_state.agent_height + LIMIT_SLACK
+                highest_growable_surface = np.int64(-1)
                 for j in range(
-                    find_first_at_or_above(surfaces.z, first_surface, stop, lowest_z), stop
+                    find_first_at_or_above(surfaces.z, first_in_cell, end_in_cell, lowest_z),
+                    end_in_cell,
                 ):
                     if surfaces.z[j] > highest_z:
                         break
                     can_grow[j] = CANNOT_GROW
-                    if _can_grow_at(labelled_surfaces, growth_state, stop, j, lowest_z, highest_z):
+                    if _can_grow_at(
+                        labelled_surfaces, growth_state, end_in_cell, j, lowest_z, highest_z
+                    ):
                         can_grow[j] = CAN_GROW
-                        if highest_growable < 0:
+                        if highest_growable_surface < 0:
                             ring_of_cell[cell] = OPEN_CELL - j
-                        highest_growable = np.int64(j)
-                if highest_growable >= 0:
+                        highest_growable_surface = np.int64(j)
+                if highest_growable_surface >= 0:
                     if num_cells == cells.shape[0]:
                         return block_index
-                    can_grow[highest_growable] = CAN_GROW_NO_HIGHER
+                    can_grow[highest_growable_surface] = CAN_GROW_NO_HIGHER
                     cells[num_cells] = cell
                     num_cells += 1
         row_counts[block_index] = num_cells - num_cells_before
@@ -247,31 +257,32 @@ def _grow_into(growth_state, cell, ring_number):
     ring_of_cell = growth_state.ring_of_cell
     can_grow = growth_state.can_grow
     # read once, as other threads may grow the same floor into the cell
-    first_growable = OPEN_CELL - ring_of_cell[cell]
+    lowest_growable_surface = OPEN_CELL - ring_of_cell[cell]
     nearest_z = math.nan
-    least_difference = growth_state.max_step + LIMIT_SLACK
-    if first_growable < 0:
+    least_height_difference = growth_state.max_step + LIMIT_SLACK
+    if lowest_growable_surface < 0:
         return False
     for neighbor in _neighbors_of(growth_state.surfaces.lattice, cell):
         if neighbor < 0 or not 0 <= ring_of_cell[neighbor] < ring_number:
             continue
-        surface = first_growable
+        surface = lowest_growable_surface
         while True:
-            difference = (
+            height_difference = (
                 abs(z[surface] - floor_height[neighbor])
                 if can_grow[surface] != CANNOT_GROW
                 else math.inf
             )
             # gaps within SAME_HEIGHT are equal; then the lower surface counts
-            is_nearer = difference < least_difference - SAME_HEIGHT
+            is_nearer = height_difference < least_height_difference - SAME_HEIGHT
             if is_nearer or (
-                difference <= least_difference + SAME_HEIGHT and z[surface] < nearest_z
+                height_difference <= least_height_difference + SAME_HEIGHT
+                and z[surface] < nearest_z
             ):
                 nearest_z = z[surface]
-                least_difference = min(difference, least_difference)
-            elif math.isnan(nearest_z) and difference <= least_difference:
+                least_height_difference = min(height_difference, least_height_difference)
+            elif math.isnan(nearest_z) and height_difference <= least_height_difference:
                 nearest_z = z[surface]
-                least_difference = difference
+                least_height_difference = height_difference
             # the floor can't grow at the cell's higher surfaces
             if can_grow[surface] == CAN_GROW_NO_HIGHER:
                 break
@@ -343,11 +354,13 @@ def grow_remaining_rings(growth_state, ring_number, cells_to_grow):
     """
     while cells_to_grow.shape[0] > 0:
         next_cells = np.empty(4 * cells_to_grow.shape[0], np.int64)
-        num_next = 0
+        num_next_cells = 0
         for cell in cells_to_grow:
             if _grow_into(growth_state, cell, ring_number):
-                num_next = _list_open_neighbors(growth_state, cell, next_cells, num_next)
-        cells_to_grow = next_cells[:num_next]
+                num_next_cells = _list_open_neighbors(
+                    growth_state, cell, next_cells, num_next_cells
+                )
+        cells_to_grow = next_cells[:num_next_cells]
         ring_number += 1
 
 
@@ -364,7 +377,7 @@ def list_links(
     begin,
     end,
 ):
-    """List the pairs of neighboring cells that only a step between levels, or only a slope, joins.
+    """List neighboring cells joined by a step between levels, or by a slope too steep for a step.
 
     Each cell of ``blocks[begin:end]`` is paired with its eastern and its southern neighbor. This is
     a kernel for `navbake.baker.core.blocks.list_rows`.
@@ -374,8 +387,8 @@ def list_links(
         preliminary_level: the preliminary number of each surface's level, negative for none, int32.
         final_level: the final number of the level for each preliminary number, int64.
         max_step: the highest step that the agent takes [m].
-        can_slopes_join: whether surfaces that no step joins are also linked where `slopes_join`
-            says so.
+        can_slopes_join: whether surfaces that no step joins are also linked where
+            `are_joined_by_slopes` says so.
         blocks: ids of blocks of cells.
         row_counts: receives how many links each block has.
         row_arrays: one array that receives the links, (n, 4) int64: the lower level and its cell,
@@ -403,13 +416,16 @@ def list_links(
                 for direction, neighbor in enumerate(_neighbors_of(lattice, cell)[:2]):
                     if neighbor < 0:
                         continue
-                    first_near = first_surface[neighbor]
-                    stop = end_surface[neighbor]
+                    first_near_surface = first_surface[neighbor]
+                    end_in_neighbor = end_surface[neighbor]
                     for surface in range(first_surface[cell], end_surface[cell]):
-                        # heights ascend in both cells, so `low` only moves up
-                        while first_near < stop and z[first_near] < z[surface] - max_rise:
-                            first_near += 1
-                        for neighbor_surface in range(first_near, stop):
+                        # heights ascend in both cells, so `first_near_surface` only moves up
+                        while (
+                            first_near_surface < end_in_neighbor
+                            and z[first_near_surface] < z[surface] - max_rise
+                        ):
+                            first_near_surface += 1
+                        for neighbor_surface in range(first_near_surface, end_in_neighbor):
                             if z[neighbor_surface] > z[surface] + max_rise:
                                 break
                             if (
@@ -424,7 +440,7 @@ def list_links(
                             )
                             is_link = surface_level != neighbor_level and is_step
                             if can_slopes_join and not is_link:
-                                is_link = slopes_join(
+                                is_link = are_joined_by_slopes(
                                     surfaces, surface, neighbor_surface, direction, max_step
                                 )
                             if not is_link:

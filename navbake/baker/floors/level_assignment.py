@@ -48,7 +48,7 @@ from navbake.baker.floors.regions import (
     Regions,
     describe_surfaces,
     find_components,
-    region_join_rule,
+    make_region_join_rule,
 )
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.threads import run_in_chunks
@@ -76,7 +76,7 @@ NO_HISTOGRAM_ROWS = NO_ROWS, NO_HEIGHTS
 NO_SHRINKING = AreaTest(0, 0, np.empty(0, dtype=np.int64))
 
 
-def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightRange]:
+def list_level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightRange]:
     """Return the range of heights in which each level of the configuration may have a floor.
 
     A range begins `CONFIGURED_GROUND_TOLERANCE` below the level's ground. It ends at the level's
@@ -95,8 +95,8 @@ def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightR
             top = level_settings[level_number + 1].ground - CONFIGURED_GROUND_TOLERANCE
         if level_setting.top is not None:
             top = min(top, level_setting.top)
-        lowest = level_setting.ground - CONFIGURED_GROUND_TOLERANCE
-        height_ranges.append(HeightRange(lowest, top - LIMIT_SLACK))
+        lowest_height = level_setting.ground - CONFIGURED_GROUND_TOLERANCE
+        height_ranges.append(HeightRange(lowest_height, top - LIMIT_SLACK))
     return height_ranges
 
 
@@ -125,7 +125,7 @@ class LevelAssignment(NamedTuple):
         preliminary_level: for each surface, the preliminary number of its level, negative for none,
             int32. Preliminary numbers also count levels that have no surface in the end.
         final_level: for each preliminary number, the index of the level in `grounds`, int64.
-        counts: how many surfaces each region has on each level.
+        surface_counts: how many surfaces each region has on each level.
         surfaces_without_level: summaries of the surfaces that are on no level, because their
             columns have more surfaces than there are levels.
     """
@@ -134,7 +134,7 @@ class LevelAssignment(NamedTuple):
     names: list[str]
     preliminary_level: Int32
     final_level: Int
-    counts: RegionLevelCounts
+    surface_counts: RegionLevelCounts
     surfaces_without_level: list[Patch]
 
 
@@ -200,7 +200,7 @@ class HeightHistogram(NamedTuple):
         """Return the entries that a mask of shape (n,) marks."""
         return HeightHistogram._make(column[is_selected] for column in self)
 
-    def most_common_height(self) -> float:
+    def find_most_common_height(self) -> float:
         """Return the lowest height in the bin with the most surfaces [m]."""
         height_bins, bin_index = np.unique(self.height_bin, return_inverse=True)
         fullest_bin = int(np.bincount(bin_index, self.num_surfaces).argmax())
@@ -240,27 +240,29 @@ def assign_levels(
         regions: all regions.
         is_floor: the regions whose surfaces are assigned, shape (regions,), bool.
         level_settings: the levels of the configuration; only surfaces in the ranges of heights that
-            `level_height_ranges` has for them are assigned. If empty, the levels are found.
+            `list_level_height_ranges` has for them are assigned. If empty, the levels are found.
         agent: the agent, of which the step and slope are used.
         settings: the settings of `floors`; `min_area` and `shrink` are used.
     """
-    group = np.empty(len(regions.surfaces.z), dtype=np.int8)
+    group_of_surface = np.empty(len(regions.surfaces.z), dtype=np.int8)
     has_stacked_candidates = np.empty(regions.blocks.num_blocks, dtype=np.bool_)
-    height_ranges = np.array(level_height_ranges(level_settings), dtype=np.float64).reshape(-1, 2)
+    height_ranges = np.array(list_level_height_ranges(level_settings), dtype=np.float64).reshape(
+        -1, 2
+    )
     run_in_chunks(
         kernels.mark_candidates,
         regions.blocks.num_blocks,
         regions.label_surfaces(is_floor),
         height_ranges,
-        group,
+        group_of_surface,
         has_stacked_candidates,
     )
     is_stacked = bool(has_stacked_candidates.any())
     if is_stacked:
-        candidates = _find_stairs(regions, group, agent.traversable_floor_height)
+        candidates = _find_stairs(regions, group_of_surface, agent.traversable_floor_height)
     else:
         # stairs matter only where surfaces lie above each other
-        candidates = Candidates(group, NO_GROUPS, np.empty(0, np.bool_))
+        candidates = Candidates(group_of_surface, NO_GROUPS, np.empty(0, np.bool_))
     assignment_input = AssignmentInput(
         regions=regions,
         candidates=candidates,
@@ -275,14 +277,18 @@ def assign_levels(
     else:
         grounds = _find_grounds(assignment_input)
         surface_levels = _move_grounds_down(assignment_input, grounds)
-    without_level: list[Patch] = []
+    surfaces_without_level: list[Patch] = []
     if (surface_levels.component_levels.level <= NO_FREE_LEVEL).any():
-        surface_levels, without_level = _resolve_full_columns(assignment_input, surface_levels)
+        surface_levels, surfaces_without_level = _resolve_full_columns(
+            assignment_input, surface_levels
+        )
     name_of_ground = {level.ground: level.name for level in level_settings}
-    return _drop_empty_levels(regions, surface_levels, name_of_ground, without_level)
+    return _drop_empty_levels(regions, surface_levels, name_of_ground, surfaces_without_level)
 
 
-def _find_stairs(regions: Regions, group: NDArray[np.int8], max_step: float) -> Candidates:
+def _find_stairs(
+    regions: Regions, group_of_surface: NDArray[np.int8], max_step: float
+) -> Candidates:
     """Find which of the surfaces to assign belong to stairs and ramps.
 
     A plateau is a set of connected surfaces at one height: a tread, a landing, a piece of a ramp,
@@ -293,14 +299,14 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], max_step: float) -> 
 
     Args:
         regions: all regions.
-        group: 0 for each surface to assign, else -1, shape (surfaces,), int8.
+        group_of_surface: 0 for each surface to assign, else -1, shape (surfaces,), int8.
         max_step: the highest step [m].
 
     Returns:
         The surfaces to assign, their plateaus, and which plateaus belong to stairs.
     """
-    plateau_rule = JoinRule(min(max_step, HEIGHT_BIN), max_link_step=max_step)
-    components = find_components(regions.surfaces, plateau_rule, group.astype(np.int32))
+    join_rule = JoinRule(min(max_step, HEIGHT_BIN), max_link_step=max_step)
+    components = find_components(regions.surfaces, join_rule, group_of_surface.astype(np.int32))
     plateau_of_component = components.merge()
     num_plateaus = int(plateau_of_component.max(initial=-1)) + 1
 
@@ -309,8 +315,8 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], max_step: float) -> 
         cross_tabulate,
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
-        components.number,
-        regions.components.number,
+        components.component_of_surface,
+        regions.components.component_of_surface,
         NO_GROUPS,
     )
     plateau_of_row = plateau_of_component[histogram_rows[:, 0]]
@@ -326,7 +332,7 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], max_step: float) -> 
     np.maximum.at(plateau_area, plateau_of_row, floor_area)
 
     # steps between plateaus, from the lower to the upper one
-    first_plateau, second_plateau = components.linked_pairs(plateau_of_component)
+    first_plateau, second_plateau = components.find_linked_pairs(plateau_of_component)
     is_first_lower = plateau_height[first_plateau] < plateau_height[second_plateau]
     lower_plateau = np.where(is_first_lower, first_plateau, second_plateau)
     upper_plateau = np.where(is_first_lower, second_plateau, first_plateau)
@@ -342,7 +348,9 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], max_step: float) -> 
     )
     # what leads both up and down to larger floors lies between them
     is_stair = STAIR_AREA_RATIO * plateau_area < np.minimum(largest_area_above, largest_area_below)
-    return Candidates(group, components.number, is_stair[plateau_of_component])
+    return Candidates(
+        group_of_surface, components.component_of_surface, is_stair[plateau_of_component]
+    )
 
 
 def _count_near_height(region: Int, height_bin: Int, num_surfaces: Int, half_step: float) -> Int:
@@ -371,8 +379,8 @@ def _count_near_height(region: Int, height_bin: Int, num_surfaces: Int, half_ste
     )
     first_bin = np.searchsorted(axis_bins, axis_bins - num_bins, side="left")
     end_bin = np.searchsorted(axis_bins, axis_bins + num_bins, side="right")
-    num_near: Int = (cumulative_count[end_bin] - cumulative_count[first_bin])[index_in_bins]
-    return num_near
+    num_near_height: Int = (cumulative_count[end_bin] - cumulative_count[first_bin])[index_in_bins]
+    return num_near_height
 
 
 def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
@@ -387,7 +395,7 @@ def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
     if ground is None:
         # nothing is large enough: take the most common height of the lowest surfaces
         selection = HeightSelection(-np.inf, LOWEST_SURFACES, half_step)
-        ground = _count_heights(assignment_input, selection, NO_SHRINKING).most_common_height()
+        ground = _count_heights(assignment_input, selection, NO_SHRINKING).find_most_common_height()
     grounds = [ground]
     while assignment_input.is_stacked:
         height_limits = [np.inf]
@@ -427,29 +435,29 @@ def _find_next_ground(
         selection = HeightSelection(ground, ALL_BANDS, half_step, top)
         histogram = _count_heights(assignment_input, selection, NO_SHRINKING)
         bands, band_index = np.unique(histogram.band, return_inverse=True)
-        sums = np.bincount(band_index, histogram.num_surfaces)
-        num_in_band = dict(zip(bands.tolist(), sums.tolist(), strict=True))
+        num_surfaces_of_band = np.bincount(band_index, histogram.num_surfaces)
+        num_surfaces_by_band = dict(zip(bands.tolist(), num_surfaces_of_band.tolist(), strict=True))
         # two bands of half a step each, the lower one first
         lower_bands = {
             lower_band
-            for band in num_in_band
+            for band in num_surfaces_by_band
             for lower_band in (band - 1, band)
             if lower_band >= bands[0]
         }
         for band in sorted(lower_bands):
-            end = (band + 2) * half_step
-            num_surfaces = num_in_band.get(band, 0) + num_in_band.get(band + 1, 0)
-            if num_surfaces < area_test.min_cells or end > top:
+            end_height = (band + 2) * half_step
+            num_surfaces = num_surfaces_by_band.get(band, 0) + num_surfaces_by_band.get(band + 1, 0)
+            if num_surfaces < area_test.min_cells or end_height > top:
                 continue
             # stairs and thresholds are too narrow to remain after shrinking
-            selection = HeightSelection(ground, band, half_step, end)
-            remaining = _count_heights(assignment_input, selection, area_test)
-            if remaining.num_surfaces.sum() < area_test.min_cells:
+            selection = HeightSelection(ground, band, half_step, end_height)
+            remaining_histogram = _count_heights(assignment_input, selection, area_test)
+            if remaining_histogram.num_surfaces.sum() < area_test.min_cells:
                 continue
-            if len(remaining.num_surfaces):
-                return remaining.most_common_height()
-            in_bands = np.isin(histogram.band, [band, band + 1])
-            return histogram.select(in_bands).most_common_height()
+            if len(remaining_histogram.num_surfaces):
+                return remaining_histogram.find_most_common_height()
+            is_in_bands = np.isin(histogram.band, [band, band + 1])
+            return histogram.select(is_in_bands).find_most_common_height()
     return None
 
 
@@ -464,7 +472,7 @@ def _count_heights(
         area_test: the disc by which their cells are shrunk before they are counted.
     """
     regions = assignment_input.regions
-    _, (rows, low) = regions.blocks.list_rows(
+    _, (rows, lowest_z) = regions.blocks.list_rows(
         kernels.count_heights,
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
@@ -473,7 +481,7 @@ def _count_heights(
         area_test,
     )
     return HeightHistogram(
-        band=rows[:, 0], height_bin=rows[:, 1], num_surfaces=rows[:, 3], lowest_z=low
+        band=rows[:, 0], height_bin=rows[:, 1], num_surfaces=rows[:, 3], lowest_z=lowest_z
     )
 
 
@@ -489,15 +497,15 @@ def _assign_surfaces(
             to assign than there are levels.
     """
     regions = assignment_input.regions
-    level = np.empty(len(regions.surfaces.z), dtype=np.int32)
+    level_of_surface = np.empty(len(regions.surfaces.z), dtype=np.int32)
     _, (histogram_rows, lowest_z) = regions.blocks.list_rows(
         kernels.assign_surfaces_to_levels,
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
         assignment_input.candidates,
         LevelRule(np.array(grounds), assignment_input.tolerance, skips_floors),
-        regions.components.number,
-        level,
+        regions.components.component_of_surface,
+        level_of_surface,
     )
     component_levels = ComponentLevels(
         component=histogram_rows[:, 0],
@@ -505,7 +513,7 @@ def _assign_surfaces(
         num_surfaces=histogram_rows[:, 3],
         lowest_z=lowest_z,
     )
-    return SurfaceLevels(grounds, skips_floors, level, component_levels)
+    return SurfaceLevels(grounds, skips_floors, level_of_surface, component_levels)
 
 
 def _move_grounds_down(assignment_input: AssignmentInput, grounds: list[float]) -> SurfaceLevels:
@@ -553,43 +561,47 @@ def _move_grounds_down_once(
     grounds = surface_levels.grounds
 
     # the connected parts of each level
-    rule = JoinRule(max_step, max_link_step=max_step)
-    components = find_components(regions.surfaces, rule, surface_levels.level_of_surface)
+    join_rule = JoinRule(max_step, max_link_step=max_step)
+    components = find_components(regions.surfaces, join_rule, surface_levels.level_of_surface)
     part_of_component = components.merge()
     num_parts = int(part_of_component.max(initial=-1)) + 1
     _, (histogram_rows, lowest_z) = regions.blocks.list_rows(
         cross_tabulate,
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
-        components.number,
+        components.component_of_surface,
         candidates.component_of_surface,
         surface_levels.level_of_surface,
     )
     part_of_row = part_of_component[histogram_rows[:, 0]]
-    lowest_of_part = np.full(num_parts, np.inf)
-    np.minimum.at(lowest_of_part, part_of_row, lowest_z)
+    lowest_z_of_part = np.full(num_parts, np.inf)
+    np.minimum.at(lowest_z_of_part, part_of_row, lowest_z)
     level_of_part = np.zeros(num_parts, dtype=np.int64)
     level_of_part[part_of_row] = histogram_rows[:, 2]
     is_floor_row = ~candidates.is_stair[histogram_rows[:, 1]]
     has_floor = np.bincount(part_of_row[is_floor_row], minlength=num_parts) > 0
 
     # steps between parts, in both directions
-    first_part, second_part = components.linked_pairs(part_of_component)
+    first_part, second_part = components.find_linked_pairs(part_of_component)
     from_part = np.append(first_part, second_part)
     to_part = np.append(second_part, first_part)
     # parts from which all steps lead to the level above
-    is_up = level_of_part[to_part] == level_of_part[from_part] + 1
-    leads_up = np.bincount(from_part[is_up], minlength=num_parts) > 0
-    leads_elsewhere = np.bincount(from_part[~is_up], minlength=num_parts) > 0
+    is_step_up = level_of_part[to_part] == level_of_part[from_part] + 1
+    has_step_up = np.bincount(from_part[is_step_up], minlength=num_parts) > 0
+    has_other_step = np.bincount(from_part[~is_step_up], minlength=num_parts) > 0
     ground_above = np.append(grounds, np.inf)[level_of_part + 1]
-    is_near = lowest_of_part >= ground_above - max_step - LIMIT_SLACK
-    belongs_above = has_floor & leads_up & ~leads_elsewhere & is_near
+    is_just_below_ground = lowest_z_of_part >= ground_above - max_step - LIMIT_SLACK
+    belongs_to_level_above = has_floor & has_step_up & ~has_other_step & is_just_below_ground
     # the lowest part that belongs to each level, infinite where none does
-    lowest_part = np.full(len(grounds), np.inf)
-    np.minimum.at(lowest_part, level_of_part[belongs_above] + 1, lowest_of_part[belongs_above])
+    lowest_z_by_level = np.full(len(grounds), np.inf)
+    np.minimum.at(
+        lowest_z_by_level,
+        level_of_part[belongs_to_level_above] + 1,
+        lowest_z_of_part[belongs_to_level_above],
+    )
     return [
         min(ground, round(lowest_z, GROUND_DECIMALS)) if lowest_z < np.inf else ground
-        for ground, lowest_z in zip(grounds, lowest_part.tolist(), strict=True)
+        for ground, lowest_z in zip(grounds, lowest_z_by_level.tolist(), strict=True)
     ]
 
 
@@ -620,14 +632,14 @@ def _resolve_full_columns(
         ):
             break
         # stairs may be needed where floors under them are not
-        levels_of_stairs = _assign_surfaces(
+        levels_with_stairs = _assign_surfaces(
             assignment_input, surface_levels.grounds, skips_floors=True
         )
-        floors_without_level = _list_regions_without_level(regions, levels_of_stairs)
+        floors_without_level = _list_regions_without_level(regions, levels_with_stairs)
         if _are_dispensable(
-            assignment_input, levels_of_stairs, floors_without_level, walkable_areas
+            assignment_input, levels_with_stairs, floors_without_level, walkable_areas
         ):
-            surface_levels = levels_of_stairs
+            surface_levels = levels_with_stairs
             regions_without_level = floors_without_level
             break
         added_ground = _choose_extra_ground(
@@ -635,11 +647,13 @@ def _resolve_full_columns(
         )
         grounds = sorted([*surface_levels.grounds, added_ground])
         surface_levels = _assign_surfaces(assignment_input, grounds)
-    left_out = []
+    left_out_patches = []
     for region_surfaces in regions_without_level:
         has_no_level = surface_levels.level_of_surface[region_surfaces.surface_id] <= NO_FREE_LEVEL
-        left_out.append(describe_surfaces(regions.lattice, region_surfaces.select(has_no_level)))
-    return surface_levels, left_out
+        left_out_patches.append(
+            describe_surfaces(regions.lattice, region_surfaces.select(has_no_level))
+        )
+    return surface_levels, left_out_patches
 
 
 def _list_regions_without_level(
@@ -681,8 +695,8 @@ def _choose_extra_ground(
     grounds = surface_levels.grounds
     component_levels = surface_levels.component_levels
     has_no_level = component_levels.level == NO_FREE_LEVEL
-    lowest_without = float(component_levels.lowest_z[has_no_level].min(initial=np.inf))
-    if lowest_without == np.inf:
+    lowest_z_without_level = float(component_levels.lowest_z[has_no_level].min(initial=np.inf))
+    if lowest_z_without_level == np.inf:
         # all of them lie at grounds of levels, whose places are taken: add one above all levels
         return max(grounds) + EXTRA_LEVEL_RISE
     candidate_heights = []
@@ -691,10 +705,12 @@ def _choose_extra_ground(
         candidate_heights.append(region_surfaces.z[is_candidate])
     candidate_z = np.concatenate(candidate_heights)
     # above each ground below the surface
-    grounds_below = [ground + LIMIT_SLACK for ground in grounds if ground <= lowest_without]
-    lowest_allowed = max([lowest_without - UNEVENNESS, *grounds_below])
-    is_near = (candidate_z >= lowest_allowed) & (candidate_z <= lowest_without)
-    return round(float(candidate_z[is_near].min(initial=lowest_without)), GROUND_DECIMALS)
+    grounds_below = [ground + LIMIT_SLACK for ground in grounds if ground <= lowest_z_without_level]
+    lowest_allowed_z = max([lowest_z_without_level - UNEVENNESS, *grounds_below])
+    is_near_lowest = (candidate_z >= lowest_allowed_z) & (candidate_z <= lowest_z_without_level)
+    return round(
+        float(candidate_z[is_near_lowest].min(initial=lowest_z_without_level)), GROUND_DECIMALS
+    )
 
 
 def _are_dispensable(
@@ -733,36 +749,40 @@ def _are_dispensable(
         is_left_out[region_surfaces.cell[has_no_level]] = True
         if is_large_enough(lattice, size_limits, is_left_out):
             return False
-    candidate_group = assignment_input.candidates.group_of_surface
-    remaining_group = np.where(
-        surface_levels.level_of_surface <= NO_FREE_LEVEL, np.int8(-1), candidate_group
+    group_of_surface = assignment_input.candidates.group_of_surface
+    group_of_remaining_surface = np.where(
+        surface_levels.level_of_surface <= NO_FREE_LEVEL, np.int8(-1), group_of_surface
     )
     # where a walkable area is divided, several large ones take the place of one
-    remaining_areas = _find_walkable_areas(assignment_input, remaining_group)
+    remaining_areas = _find_walkable_areas(assignment_input, group_of_remaining_surface)
     min_cells = make_area_test(lattice, settings).min_cells
-    num_remaining = _count_large_walkable_areas(remaining_areas, regions_without_level, min_cells)
-    return num_remaining <= _count_large_walkable_areas(
+    num_remaining_areas = _count_large_walkable_areas(
+        remaining_areas, regions_without_level, min_cells
+    )
+    return num_remaining_areas <= _count_large_walkable_areas(
         walkable_areas, regions_without_level, min_cells
     )
 
 
-def _find_walkable_areas(assignment_input: AssignmentInput, group: NDArray[np.int8]) -> Components:
+def _find_walkable_areas(
+    assignment_input: AssignmentInput, group_of_surface: NDArray[np.int8]
+) -> Components:
     """Find walkable areas: sets of surfaces between which an agent can walk by steps and slopes.
 
     Args:
         assignment_input: all surfaces, and the agent.
-        group: 0 for each surface that counts, else -1, shape (surfaces,).
+        group_of_surface: 0 for each surface that counts, else -1, shape (surfaces,).
 
     Returns:
         The part of each area in each block of cells; `Components.merge` joins and numbers them.
     """
     surfaces = assignment_input.regions.surfaces
-    rule = region_join_rule(surfaces.lattice, assignment_input.agent)
-    return find_components(surfaces, rule, group.astype(np.int32))
+    join_rule = make_region_join_rule(surfaces.lattice, assignment_input.agent)
+    return find_components(surfaces, join_rule, group_of_surface.astype(np.int32))
 
 
 def _count_large_walkable_areas(
-    walkable_areas: Components, regions: list[RegionSurfaces], min_surfaces: int
+    walkable_areas: Components, surfaces_by_region: list[RegionSurfaces], min_surfaces: int
 ) -> int:
     """Count the walkable areas that have at least `min_surfaces` surfaces in one of some regions.
 
@@ -771,8 +791,8 @@ def _count_large_walkable_areas(
     """
     area_of_component = walkable_areas.merge()
     num_large_areas = 0
-    for region_surfaces in regions:
-        component_of_surface = walkable_areas.number[region_surfaces.surface_id]
+    for region_surfaces in surfaces_by_region:
+        component_of_surface = walkable_areas.component_of_surface[region_surfaces.surface_id]
         area_of_surface = area_of_component[component_of_surface[component_of_surface >= 0]]
         num_large_areas += int(np.count_nonzero(np.bincount(area_of_surface) >= min_surfaces))
     return num_large_areas
@@ -782,7 +802,7 @@ def _drop_empty_levels(
     regions: Regions,
     surface_levels: SurfaceLevels,
     name_of_ground: dict[float, str | None],
-    without_level: list[Patch],
+    surfaces_without_level: list[Patch],
 ) -> LevelAssignment:
     """Remove the levels without surfaces, and name the remaining levels.
 
@@ -791,25 +811,25 @@ def _drop_empty_levels(
         surface_levels: the level of each surface.
         name_of_ground: ground height [m] -> configured name. A level without one is named by its
             number.
-        without_level: the surfaces that are left out, see `LevelAssignment`.
+        surfaces_without_level: the surfaces that are left out, see `LevelAssignment`.
     """
     component_levels = surface_levels.component_levels
     has_level = component_levels.level >= 0
     level_of_row = component_levels.level[has_level]
-    is_used = np.bincount(level_of_row, minlength=len(surface_levels.grounds)) > 0
-    final_level = np.cumsum(is_used, dtype=np.int64) - 1
-    grounds = [surface_levels.grounds[k] for k in np.flatnonzero(is_used).tolist()]
+    has_surfaces = np.bincount(level_of_row, minlength=len(surface_levels.grounds)) > 0
+    final_level = np.cumsum(has_surfaces, dtype=np.int64) - 1
+    grounds = [surface_levels.grounds[k] for k in np.flatnonzero(has_surfaces).tolist()]
     return LevelAssignment(
         grounds=grounds,
         names=_name_levels([name_of_ground.get(ground) for ground in grounds]),
         preliminary_level=surface_levels.level_of_surface,
         final_level=final_level,
-        counts=RegionLevelCounts(
+        surface_counts=RegionLevelCounts(
             region=regions.region_of_component[component_levels.component[has_level]],
             level=final_level[level_of_row],
             num_surfaces=component_levels.num_surfaces[has_level],
         ),
-        surfaces_without_level=without_level,
+        surfaces_without_level=surfaces_without_level,
     )
 
 

@@ -38,7 +38,7 @@ NO_FREE_LEVEL_AT_GROUND = -3  # the candidate lies at the ground of a level
 
 
 class Candidates(NamedTuple):
-    """Which surfaces are to be assigned to levels, and which of them belong to stairs.
+    """The surfaces to assign to levels (candidates), and those of them that belong to stairs.
 
     Attributes:
         group_of_surface: for each surface, 0 if it is a candidate, that is to be assigned, else -1,
@@ -55,7 +55,7 @@ class Candidates(NamedTuple):
 
 
 class HeightSelection(NamedTuple):
-    """Which of the candidates (surfaces to assign to levels) `count_heights` counts, by height.
+    """A selection by height of the candidates (surfaces to assign) that `count_heights` counts.
 
     Heights are divided into bands: band n goes from ``n * half_step`` to ``(n + 1) * half_step``.
 
@@ -102,7 +102,7 @@ def _is_stair(candidates, surface):
 def mark_candidates(
     labelled_surfaces, height_ranges, group_of_surface, has_stacked_candidates, begin, end
 ):
-    """Mark the surfaces that are to be assigned to levels: candidates.
+    """Mark the candidates: the surfaces that are to be assigned to levels.
 
     Args:
         labelled_surfaces: a `LabelledSurfaces` with the regions whose surfaces are candidates.
@@ -161,7 +161,7 @@ def _band_of(surfaces, candidates, j, selection, is_lowest):
 
 
 @subkernel(**NO_REFCOUNT)
-def _count_block(surfaces, candidates, selection, area_test, block, masks, columns, num):
+def _count_block(surfaces, candidates, selection, area_test, block, masks, row_arrays, num_rows):
     """Make the histogram of heights of one block of cells, see `count_heights`.
 
     Args:
@@ -172,36 +172,39 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, colum
         block: the id of the block.
         masks: two masks to write: the block's cells with a counted surface, with a margin of the
             disc's radius; and the cells that remain of them after shrinking.
-        columns: the arrays that receive the rows, see `count_heights`.
-        num: how many rows earlier blocks have.
+        row_arrays: the arrays that receive the rows, see `count_heights`.
+        num_rows: how many rows earlier blocks have.
 
     Returns:
         How many rows all blocks have now, or -1 if there is no room for another row.
     """
-    rows, lowest = columns
+    rows, lowest_z = row_arrays
     radius = area_test.radius
-    num_before = num
+    num_rows_before = num_rows
     lattice = surfaces.lattice
     row0, row1, col0, col1 = block_window(lattice, block)
-    mask, remaining = masks
+    counted_mask, is_remaining = masks
     # the first pass marks the cells with a counted surface, also in the margin; then they are
     # shrunk; the second pass counts the surfaces of the remaining cells
     for is_marking in (True, False):
         if is_marking and radius == 0:
             continue
         if not is_marking and radius > 0:
-            shrink(mask, area_test, remaining)
+            shrink(counted_mask, area_test, is_remaining)
         margin = radius if is_marking else 0
         for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
             for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
-                if not is_marking and radius > 0 and not remaining[row - row0, col - col0]:
+                if not is_marking and radius > 0 and not is_remaining[row - row0, col - col0]:
                     continue
                 is_lowest = True
                 cell = row * lattice.width + col
-                stop = surfaces.end[cell]
-                lowest_z = selection.ground - LIMIT_SLACK
+                end_in_cell = surfaces.end[cell]
+                lowest_counted_z = selection.ground - LIMIT_SLACK
                 for j in range(
-                    find_first_at_or_above(surfaces.z, surfaces.first[cell], stop, lowest_z), stop
+                    find_first_at_or_above(
+                        surfaces.z, surfaces.first[cell], end_in_cell, lowest_counted_z
+                    ),
+                    end_in_cell,
                 ):
                     z = surfaces.z[j]
                     if z >= selection.top or (selection.ground == -math.inf and not is_lowest):
@@ -213,18 +216,20 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, colum
                     if band == NO_BAND:
                         continue
                     if is_marking:
-                        mask[row - row0 + radius, col - col0 + radius] = 1
+                        counted_mask[row - row0 + radius, col - col0 + radius] = 1
                         continue
-                    row_index = count_row(rows, num_before, num, band, height_bin(z), 0)
+                    row_index = count_row(rows, num_rows_before, num_rows, band, height_bin(z), 0)
                     if row_index < 0:
                         return row_index
-                    lowest[row_index] = min(lowest[row_index], z) if row_index < num else z
-                    num = max(num, row_index + 1)
-    return num
+                    lowest_z[row_index] = min(lowest_z[row_index], z) if row_index < num_rows else z
+                    num_rows = max(num_rows, row_index + 1)
+    return num_rows
 
 
 @kernel(nogil=True)
-def count_heights(surfaces, candidates, selection, area_test, blocks, counts, columns, begin, end):
+def count_heights(
+    surfaces, candidates, selection, area_test, blocks, row_counts, row_arrays, begin, end
+):
     """Count how many surfaces of floors lie at each height, in ``blocks[begin:end]``.
 
     The surfaces to assign to levels that are no stairs are floors; `selection` determines which of
@@ -239,8 +244,8 @@ def count_heights(surfaces, candidates, selection, area_test, blocks, counts, co
         selection: a `HeightSelection`: which of these surfaces are counted.
         area_test: an `AreaTest`, by whose disc the cells are shrunk; with radius 0 they are not.
         blocks: ids of blocks of cells.
-        counts: receives how many rows each block has.
-        columns: two arrays that receive the rows: the number of a band, a `height_bin`, a 0
+        row_counts: receives how many rows each block has.
+        row_arrays: two arrays that receive the rows: the number of a band, a `height_bin`, a 0
             without a meaning, and the number of surfaces, (n, 4) int64; and the lowest height of
             these surfaces, (n,) float64 [m].
         begin: index in `blocks` of the first block to count.
@@ -249,17 +254,24 @@ def count_heights(surfaces, candidates, selection, area_test, blocks, counts, co
     Returns:
         The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    num = np.int64(0)
-    size = BLOCK + 2 * area_test.radius
-    for k in range(begin, end):
-        masks = np.zeros((size, size), np.int32), np.empty((BLOCK, BLOCK), np.bool_)
-        num_after = _count_block(
-            surfaces, candidates, selection, area_test, blocks[k], masks, columns, num
+    num_rows = np.int64(0)
+    mask_width = BLOCK + 2 * area_test.radius
+    for block_index in range(begin, end):
+        masks = np.zeros((mask_width, mask_width), np.int32), np.empty((BLOCK, BLOCK), np.bool_)
+        num_rows_after = _count_block(
+            surfaces,
+            candidates,
+            selection,
+            area_test,
+            blocks[block_index],
+            masks,
+            row_arrays,
+            num_rows,
         )
-        if num_after < 0:
-            return k
-        counts[k] = num_after - num
-        num = num_after
+        if num_rows_after < 0:
+            return block_index
+        row_counts[block_index] = num_rows_after - num_rows
+        num_rows = num_rows_after
     return end
 
 
@@ -344,12 +356,17 @@ def assign_surfaces_to_levels(
         row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                num_to_separate = _assign_base_levels(
+                num_candidates_to_separate = _assign_base_levels(
                     surfaces, candidates, rule, cell, level_of_surface
                 )
-                if num_to_separate > 0:
+                if num_candidates_to_separate > 0:
                     _assign_different_levels(
-                        surfaces, candidates, rule, cell, level_of_surface, num_to_separate
+                        surfaces,
+                        candidates,
+                        rule,
+                        cell,
+                        level_of_surface,
+                        num_candidates_to_separate,
                     )
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
                     if level_of_surface[j] == -1:
@@ -474,38 +491,48 @@ def _align_with_levels(base_level, move_cost, skip_cost, num_levels, aligned_lev
 
 
 @kernel
-def find_largest_areas(lower_of_step, upper_of_step, floor_area, steps_by_lower, steps_by_upper):
-    """Find the largest floor that is reached from each plateau by going only up, and only down.
+def find_largest_areas(
+    lower_plateau_of_step,
+    upper_plateau_of_step,
+    floor_area,
+    steps_by_lower_plateau,
+    steps_by_upper_plateau,
+):
+    """Find the largest floors reached from each plateau by going only up, and by going only down.
 
     A plateau is a tread, a landing, a piece of a ramp, or a floor between thresholds.
 
     Args:
-        lower_of_step: the lower plateau of each step between two plateaus, (steps,) int64.
-        upper_of_step: the upper plateau of each step, (steps,) int64.
+        lower_plateau_of_step: the lower plateau of each step between two plateaus, (steps,) int64.
+        upper_plateau_of_step: the upper plateau of each step, (steps,) int64.
         floor_area: how many surfaces the floor of each plateau has, (plateaus,) int64.
-        steps_by_lower: indices of the steps, ordered by the height of the lower plateau, (steps,)
-            int64.
-        steps_by_upper: indices of the steps, ordered by the height of the upper plateau, (steps,)
-            int64.
+        steps_by_lower_plateau: indices of the steps, ordered by the height of the lower plateau,
+            (steps,) int64.
+        steps_by_upper_plateau: indices of the steps, ordered by the height of the upper plateau,
+            (steps,) int64.
 
     Returns:
         For each plateau, how many surfaces the largest floor has that is reached by going up, and
         the largest that is reached by going down, (plateaus,) int64 each; 0 for none.
     """
-    largest_above = np.zeros_like(floor_area)
-    largest_below = np.zeros_like(floor_area)
+    largest_area_above = np.zeros_like(floor_area)
+    largest_area_below = np.zeros_like(floor_area)
     # steps in the order of their lower plateaus, the highest first: so all steps up from a plateau
     # are done before the steps that lead up to it
-    for step_index in steps_by_lower[::-1]:
-        lower_plateau = lower_of_step[step_index]
-        upper_plateau = upper_of_step[step_index]
-        largest_above[lower_plateau] = max(
-            largest_above[lower_plateau], floor_area[upper_plateau], largest_above[upper_plateau]
+    for step_index in steps_by_lower_plateau[::-1]:
+        lower_plateau = lower_plateau_of_step[step_index]
+        upper_plateau = upper_plateau_of_step[step_index]
+        largest_area_above[lower_plateau] = max(
+            largest_area_above[lower_plateau],
+            floor_area[upper_plateau],
+            largest_area_above[upper_plateau],
         )
-    for step_index in steps_by_upper:
-        lower_plateau = lower_of_step[step_index]
-        upper_plateau = upper_of_step[step_index]
-        largest_below[upper_plateau] = max(
-            largest_below[upper_plateau], floor_area[lower_plateau], largest_below[lower_plateau]
+    for step_index in steps_by_upper_plateau:
+        lower_plateau = lower_plateau_of_step[step_index]
+        upper_plateau = upper_plateau_of_step[step_index]
+        largest_area_below[upper_plateau] = max(
+            largest_area_below[upper_plateau],
+            floor_area[lower_plateau],
+            largest_area_below[lower_plateau],
         )
-    return largest_above, largest_below
+    return largest_area_above, largest_area_below

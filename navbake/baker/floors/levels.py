@@ -19,7 +19,7 @@ from navbake.baker.floors.growth import GrownFloor, find_level_links, grow_floor
 from navbake.baker.floors.level_assignment import (
     LevelAssignment,
     assign_levels,
-    level_height_ranges,
+    list_level_height_ranges,
 )
 from navbake.baker.floors.outline import (
     OccupancyTest,
@@ -70,7 +70,7 @@ class LevelFloor:
 
 @dataclass(frozen=True)
 class Floors:
-    """The floors of all levels, the links between them, and surfaces of which warnings tell.
+    """The floors of all levels, the links between them, and the surfaces that warnings report.
 
     Attributes:
         levels: the floor of each level, lowest first.
@@ -138,7 +138,7 @@ def find_floors(
     surfaces = find_surfaces(columns, shapes.planes, agent)
     is_cropped = mark_cropped_sides(lattice, shapes.bounds)
 
-    def find_context(surfaces: Surfaces) -> RegionContext:
+    def find_region_context(surfaces: Surfaces) -> RegionContext:
         regions = find_regions(surfaces, agent)
         is_large = find_large_regions(
             regions, np.ones(regions.num_regions, dtype=np.bool_), settings
@@ -153,14 +153,14 @@ def find_floors(
             is_occupied=is_occupied,
         )
 
-    region_context = find_context(surfaces)
+    region_context = find_region_context(surfaces)
     if not region_context.regions.num_regions:
         raise SceneError(_explain_no_floor(columns, surfaces, agent))
     if not settings.tops:
         is_ridge = find_ridges(region_context, settings.starts)
         if is_ridge.any():
             surfaces = clear_flags(surfaces, is_ridge)
-            region_context = find_context(surfaces)
+            region_context = find_region_context(surfaces)
             if not region_context.is_large.any():
                 raise SceneError(
                     f"no floor: what is large enough is narrower than {RIDGE_WIDTH:g} m between "
@@ -168,42 +168,44 @@ def find_floors(
                 )
     regions = region_context.regions
     is_large = region_context.is_large
-    rejected = find_rejected_regions(
-        region_context, level_height_ranges(level_settings or ()), shapes.height_fields
+    rejected_regions = find_rejected_regions(
+        region_context, list_level_height_ranges(level_settings or ()), shapes.height_fields
     )
-    is_start = find_start_regions(region_context, rejected, settings.starts)
-    is_furniture = rejected.is_top | rejected.is_shelf
+    is_start = find_start_regions(region_context, rejected_regions, settings.starts)
+    is_furniture = rejected_regions.is_top | rejected_regions.is_shelf
     # where agents start is a floor, whatever the rules say
-    is_floor = is_large & ~(is_furniture | rejected.is_roof) | is_start
+    is_floor = is_large & ~(is_furniture | rejected_regions.is_roof) | is_start
     if not is_floor.any():
         raise SceneError(
             f"no floor: the largest standable region keeps less than {settings.min_area:g} m² "
             f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
             f"`floors.shrink` if it is a floor"
         )
-    reached = find_reached_levels(region_context, is_floor, is_start, level_settings)
-    assignment = reached.assignment
-    grown_floors = grow_floors(regions, assignment, is_large | is_start, agent)
-    reported_roofs = mark_reported_roofs(region_context, rejected.is_roof & ~is_start, is_floor)
-    enclosed = find_enclosed_floors(surfaces, agent, settings)
+    reached_levels = find_reached_levels(region_context, is_floor, is_start, level_settings)
+    assignment = reached_levels.assignment
+    floors_by_level = grow_floors(regions, assignment, is_large | is_start, agent)
+    is_reported_roof = mark_reported_roofs(
+        region_context, rejected_regions.is_roof & ~is_start, is_floor
+    )
+    enclosed_floors = find_enclosed_floors(surfaces, agent, settings)
     plane_geoms = shapes.planes.geom
     return Floors(
-        levels=_make_level_floors(assignment, grown_floors, lattice, settings, is_occupied),
+        levels=_make_level_floors(assignment, floors_by_level, lattice, settings, is_occupied),
         links=find_level_links(regions, assignment, agent),
         tops=describe_regions(regions, is_furniture & ~is_start),
-        roofs=describe_regions(regions, reported_roofs),
+        roofs=describe_regions(regions, is_reported_roof),
         small_starts=describe_regions(regions, is_start & ~is_large),
-        unreached_floors=find_unreached_floors(regions, assignment, reached.is_reached),
-        removed_floors=reached.removed_floors,
-        enclosed_by_meshes=[patch for patch in enclosed if patch.geom not in plane_geoms],
-        enclosed_by_planes=[patch for patch in enclosed if patch.geom in plane_geoms],
-        voids=reached.voids,
+        unreached_floors=find_unreached_floors(regions, assignment, reached_levels.is_reached),
+        removed_floors=reached_levels.removed_floors,
+        enclosed_by_meshes=[patch for patch in enclosed_floors if patch.geom not in plane_geoms],
+        enclosed_by_planes=[patch for patch in enclosed_floors if patch.geom in plane_geoms],
+        voids=reached_levels.voids,
         surfaces_without_level=assignment.surfaces_without_level,
     )
 
 
 class ReachedLevels(NamedTuple):
-    """The levels of the grid, which regions agents get to, and what is left out.
+    """The levels of the grid, the regions that agents reach, and the floors that are left out.
 
     Attributes:
         assignment: the levels, and the level of each surface.
@@ -225,7 +227,7 @@ def find_reached_levels(
     is_start: Bool,
     level_settings: Sequence[LevelSettings] | None,
 ) -> ReachedLevels:
-    """Assign floors to levels, and leave out those that no agent gets to.
+    """Assign floors to levels, and leave out the floors that no agent reaches.
 
     With `floors.reach: steps`, the floors that no path from a start leads to are left out.
     Otherwise only voids are left out: levels that no path leads to and in which nobody can stand
@@ -245,61 +247,67 @@ def find_reached_levels(
     regions = region_context.regions
     settings = region_context.settings
     agent = region_context.agent
-    by_steps = settings.reach == "steps"
+    is_reach_required = settings.reach == "steps"
     has_starts = bool(is_start.any())
-    reached = ReachedRegions(is_start, np.zeros_like(is_floor))
+    reached_regions = ReachedRegions(is_start, np.zeros_like(is_floor))
     assignment = None
-    if not has_starts or (level_settings is None and not by_steps):
+    if not has_starts or (level_settings is None and not is_reach_required):
         # starts and voids depend on the levels of all floors, whatever the configuration has
         assignment = assign_levels(regions, is_floor, (), agent, settings)
         if not has_starts:
-            is_reached = mark_largest_on_lowest_level(assignment.counts, regions.num_regions)
-            reached = reached._replace(is_reached=is_reached)
+            is_reached = mark_largest_on_lowest_level(
+                assignment.surface_counts, regions.num_regions
+            )
+            reached_regions = reached_regions._replace(is_reached=is_reached)
         if level_settings is None and not settings.voids:
-            reached = find_voids(region_context, assignment.counts, reached.is_reached, has_starts)
-    height_ranges = level_height_ranges(level_settings or ())
-    for level_number, heights in enumerate(height_ranges):
-        if not regions.mark_in_range(is_floor, heights).any():
+            reached_regions = find_voids(
+                region_context, assignment.surface_counts, reached_regions.is_reached, has_starts
+            )
+    height_ranges = list_level_height_ranges(level_settings or ())
+    for level_number, height_range in enumerate(height_ranges):
+        if not regions.mark_regions_in_range(is_floor, height_range).any():
             raise SceneError(
                 _explain_no_floor_on(level_settings or (), level_number, region_context.columns)
             )
-    is_included = is_floor & (reached.is_reached if by_steps else ~reached.is_void)
+    is_included = is_floor & (
+        reached_regions.is_reached if is_reach_required else ~reached_regions.is_void
+    )
     if (
         assignment is None
         or level_settings is not None
         or not np.array_equal(is_included, is_floor)
     ):
         assignment = assign_levels(regions, is_included, level_settings or (), agent, settings)
-        if not len(assignment.counts.level):
+        if not len(assignment.surface_counts.level):
             start_text = "what `floors.from` names"
             if not has_starts:
                 start_text = "the largest floor of the lowest level"
             raise SceneError(f"no floor: {start_text} lies outside of the `levels`")
-    removed_by_reach: list[Patch] = []
+    removed_floors: list[Patch] = []
     voids: list[Patch] = []
-    if by_steps:
-        is_removed = is_floor & ~reached.is_reached
-        removed_by_reach = describe_regions(regions, is_removed, height_ranges)
+    if is_reach_required:
+        is_removed = is_floor & ~reached_regions.is_reached
+        removed_floors = describe_regions(regions, is_removed, height_ranges)
     else:
-        voids = describe_regions(regions, reached.is_void)
-    return ReachedLevels(assignment, reached.is_reached, removed_by_reach, voids)
+        voids = describe_regions(regions, reached_regions.is_void)
+    return ReachedLevels(assignment, reached_regions.is_reached, removed_floors, voids)
 
 
 def _make_level_floors(
     assignment: LevelAssignment,
-    grown_floors: list[GrownFloor],
+    floors_by_level: list[GrownFloor],
     lattice: Lattice,
     settings: FloorSettings,
     is_occupied: OccupancyTest,
 ) -> list[LevelFloor]:
     """Make the `LevelFloor` of each level, lowest first; `floors.fill` closes its holes."""
     levels = []
-    for name, ground, grown_floor in zip(
-        assignment.names, assignment.grounds, grown_floors, strict=True
+    for name, ground, floor in zip(
+        assignment.names, assignment.grounds, floors_by_level, strict=True
     ):
-        height = grown_floor.height.reshape(lattice.shape)
-        is_standable = (grown_floor.ring_of_cell == 0).reshape(lattice.shape)
-        level = LevelFloor(name, ground, height, is_standable)
+        floor_height = floor.height.reshape(lattice.shape)
+        is_standable = (floor.ring_of_cell == 0).reshape(lattice.shape)
+        level = LevelFloor(name, ground, floor_height, is_standable)
         if settings.fill:
             level = fill_holes(level, settings.fill / lattice.cell_size**2, is_occupied)
         levels.append(level)
@@ -325,12 +333,17 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
     from scipy.ndimage import binary_dilation, label  # likewise
 
     hole_of_cell, _ = label(np.isnan(level.floor))  # connected by cells' edges
-    num_cells = np.bincount(hole_of_cell.ravel()).astype(np.float64)  # [cells]
+    num_cells_in_hole = np.bincount(hole_of_cell.ravel()).astype(np.float64)  # [cells]
     # holes at the lattice's border are not surrounded by floor
-    for border in (hole_of_cell[0], hole_of_cell[-1], hole_of_cell[:, 0], hole_of_cell[:, -1]):
-        num_cells[border] = np.inf
-    num_cells[0] = np.inf  # cells with a floor
-    is_filled: Bool = (num_cells <= max_cells + LIMIT_SLACK)[hole_of_cell]
+    for border_holes in (
+        hole_of_cell[0],
+        hole_of_cell[-1],
+        hole_of_cell[:, 0],
+        hole_of_cell[:, -1],
+    ):
+        num_cells_in_hole[border_holes] = np.inf
+    num_cells_in_hole[0] = np.inf  # cells with a floor
+    is_filled: Bool = (num_cells_in_hole <= max_cells + LIMIT_SLACK)[hole_of_cell]
     if not is_filled.any():
         return replace(level, unseen=is_filled)
     # holes to close, with their rims
@@ -342,10 +355,10 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
     is_free = is_near_hole.copy()
     is_free[is_near_hole] = ~is_occupied(np.flatnonzero(is_near_hole), floor[is_near_hole], None)
     # free cells connected to floor at the rim, and things that stand in a hole with such cells
-    free_part, _ = label(is_free)
-    is_connected = is_free & np.isin(free_part, free_part[is_free & is_rim])
-    has_reached_cell = np.isin(hole_of_cell, hole_of_cell[is_connected & is_filled])
-    is_filled &= is_connected | (has_reached_cell & ~is_free)
+    part_of_cell, _ = label(is_free)
+    is_connected = is_free & np.isin(part_of_cell, part_of_cell[is_free & is_rim])
+    is_in_reached_hole = np.isin(hole_of_cell, hole_of_cell[is_connected & is_filled])
+    is_filled &= is_connected | (is_in_reached_hole & ~is_free)
     floor[~is_filled & (hole_of_cell > 0)] = np.nan
     return replace(level, floor=floor, standable=level.standable | is_filled, unseen=is_filled)
 
@@ -353,8 +366,8 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
 def crop_floors(floors: Floors, window: Window) -> Floors:
     """Crop the floors of a whole scene to the window that is baked.
 
-    Left out are levels without a place to stand in the window, and the surfaces outside of it of
-    which warnings would tell.
+    Levels without a place to stand in the window are left out, and so are the patches that lie
+    outside of it.
 
     Args:
         floors: the floors on the whole lattice.
@@ -363,31 +376,31 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
     Raises:
         SceneError: no floor lies in the window.
     """
-    shown_levels = [k for k, level in enumerate(floors.levels) if level.standable[window].any()]
-    if not shown_levels:
+    levels_in_window = [k for k, level in enumerate(floors.levels) if level.standable[window].any()]
+    if not levels_in_window:
         raise SceneError("no floor lies inside of `grid.bounds`")
     new_number_of_level = np.full(len(floors.levels), -1, dtype=np.int64)
-    new_number_of_level[shown_levels] = np.arange(len(shown_levels))
+    new_number_of_level[levels_in_window] = np.arange(len(levels_in_window))
     width = floors.levels[0].floor.shape[1]
 
     def crop_patches(patches: list[Patch]) -> list[Patch]:
         return [patch for patch in patches if _is_inside(patch, window, width)]
 
-    unreached = []
-    for level_part in floors.unreached_floors:
-        level = int(new_number_of_level[level_part.level])
-        if level >= 0 and _is_inside(level_part.patch, window, width):
-            unreached.append(replace(level_part, level=level))
+    unreached_floors = []
+    for unreached_on_level in floors.unreached_floors:
+        new_number = int(new_number_of_level[unreached_on_level.level])
+        if new_number >= 0 and _is_inside(unreached_on_level.patch, window, width):
+            unreached_floors.append(replace(unreached_on_level, level=new_number))
     return Floors(
         levels=[
             _crop_level(floors.levels[old_number], window, old_number, new_number)
-            for new_number, old_number in enumerate(shown_levels)
+            for new_number, old_number in enumerate(levels_in_window)
         ],
         links=_crop_links(floors.links, new_number_of_level, window, width),
         tops=crop_patches(floors.tops),
         roofs=crop_patches(floors.roofs),
         small_starts=crop_patches(floors.small_starts),
-        unreached_floors=unreached,
+        unreached_floors=unreached_floors,
         removed_floors=crop_patches(floors.removed_floors),
         enclosed_by_meshes=crop_patches(floors.enclosed_by_meshes),
         enclosed_by_planes=crop_patches(floors.enclosed_by_planes),
@@ -436,16 +449,18 @@ def _crop_links(links: Int, new_number_of_level: Int, window: Window, width: int
         The links with both ends in the window; new level numbers, and cell ids in the window.
     """
     lower_level, lower_cell, upper_level, upper_cell = links.T
-    has_levels = (new_number_of_level[lower_level] >= 0) & (new_number_of_level[upper_level] >= 0)
+    has_both_levels = (new_number_of_level[lower_level] >= 0) & (
+        new_number_of_level[upper_level] >= 0
+    )
     _, is_lower_inside = crop_cells(lower_cell, window, width)
     _, is_upper_inside = crop_cells(upper_cell, window, width)
-    is_shown = has_levels & is_lower_inside & is_upper_inside
-    new_lower_cell, _ = crop_cells(lower_cell[is_shown], window, width)
-    new_upper_cell, _ = crop_cells(upper_cell[is_shown], window, width)
+    is_link_inside = has_both_levels & is_lower_inside & is_upper_inside
+    new_lower_cell, _ = crop_cells(lower_cell[is_link_inside], window, width)
+    new_upper_cell, _ = crop_cells(upper_cell[is_link_inside], window, width)
     link_columns = [
-        new_number_of_level[lower_level[is_shown]],
+        new_number_of_level[lower_level[is_link_inside]],
         new_lower_cell,
-        new_number_of_level[upper_level[is_shown]],
+        new_number_of_level[upper_level[is_link_inside]],
         new_upper_cell,
     ]
     return np.stack(link_columns, axis=1)
@@ -468,14 +483,14 @@ def _explain_no_floor_on(
         top = level_settings[level_number + 1].ground
     if level_setting.top is not None:
         top = min(top, level_setting.top)
-    lowest = np.inf
-    highest = -np.inf
+    lowest_z = np.inf
+    highest_z = -np.inf
     for chunk in columns.row_chunks():
-        lowest = min(lowest, chunk.z.min(initial=np.inf))
-        highest = max(highest, chunk.z.max(initial=-np.inf))
+        lowest_z = min(lowest_z, chunk.z.min(initial=np.inf))
+        highest_z = max(highest_z, chunk.z.max(initial=-np.inf))
     return (
         f"no floor on {name} (ground {level_setting.ground:g} m, top {top:g} m) of `levels`: "
-        f"the scene's surfaces span {lowest:g} to {highest:g} m"
+        f"the scene's surfaces span {lowest_z:g} to {highest_z:g} m"
     )
 
 

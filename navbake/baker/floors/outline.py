@@ -91,7 +91,7 @@ class ListedEdges(NamedTuple):
 
 
 class RegionContext(NamedTuple):
-    """The regions of a scene with their edges: what the rules for tops, roofs and shelves need.
+    """The regions of a scene with their edges, for the rules that find tops, roofs and shelves.
 
     Attributes:
         regions: all regions, also those of furniture.
@@ -152,29 +152,29 @@ class RegionContext(NamedTuple):
         # ended
         open_edges = np.arange(len(cell))
         for k in range(num_cells_beyond):
-            cells = neighbor_cells(
+            cells = find_neighbor_cells(
                 regions.lattice, edges.cell[open_edges], edges.direction[open_edges], k + 1
             )
             is_inside = cells >= 0
             open_edges = open_edges[is_inside]
             cells = cells[is_inside]
             # a surface within a step is no drop
-            limits = edges.z[open_edges] - max_step - LIMIT_SLACK
+            height_limits = edges.z[open_edges] - max_step - LIMIT_SLACK
             surface_below, regions_below = find_highest_below(
-                labelled_surfaces, cells, limits, edges.region[open_edges]
+                labelled_surfaces, cells, height_limits, edges.region[open_edges]
             )
-            is_outside = surface_below != SAME_REGION
-            open_edges = open_edges[is_outside]
-            surface_below = surface_below[is_outside]
-            edges.cells_beyond[open_edges, k] = cells[is_outside]
-            edges.regions_below[open_edges, k] = regions_below[is_outside]
+            is_outside_region = surface_below != SAME_REGION
+            open_edges = open_edges[is_outside_region]
+            surface_below = surface_below[is_outside_region]
+            edges.cells_beyond[open_edges, k] = cells[is_outside_region]
+            edges.regions_below[open_edges, k] = regions_below[is_outside_region]
             has_floor = surface_below >= 0
             floor_heights = labelled_surfaces.surfaces.z[surface_below[has_floor]]
             edges.floors_below[open_edges[has_floor], k] = floor_heights
         return edges
 
     def classify_barriers(self, edges: RegionEdges, agent: AgentSettings) -> NDArray[np.uint8]:
-        """Classify edges by what stands in the two cells at each of them, and nothing else.
+        """Classify edges by the obstacles in the two cells at each edge, without looking for drops.
 
         Args:
             edges: the edges.
@@ -187,23 +187,23 @@ class RegionContext(NamedTuple):
             the lattice ends there. OPEN: nothing stands in the two cells, even if a floor lies
             below.
         """
-        outer_cells = neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
+        outer_cells = find_neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
         ending = np.full(len(outer_cells), OPEN, dtype=np.uint8)
         ending[outer_cells < 0] = BORDER
         candidate_edges = np.arange(len(outer_cells))
-        range_at_feet, range_at_head = probe_ranges(agent)
+        range_at_feet, range_at_head = make_probe_ranges(agent)
         # what is in the way of the feet is a barrier; if of the head, too, it is a wall
-        for heights, ending_if_met in ((range_at_feet, BARRIER), (range_at_head, WALL)):
-            is_met = self.is_occupied(
-                edges.cell[candidate_edges], edges.z[candidate_edges], heights
+        for height_range, ending_if_blocked in ((range_at_feet, BARRIER), (range_at_head, WALL)):
+            is_blocked = self.is_occupied(
+                edges.cell[candidate_edges], edges.z[candidate_edges], height_range
             )
-            unmet_indices = np.flatnonzero(~is_met & (outer_cells[candidate_edges] >= 0))
-            unmet_cells = outer_cells[candidate_edges[unmet_indices]]
-            is_met[unmet_indices] = self.is_occupied(
-                unmet_cells, edges.z[candidate_edges[unmet_indices]], heights
+            unblocked_indices = np.flatnonzero(~is_blocked & (outer_cells[candidate_edges] >= 0))
+            unblocked_outer_cells = outer_cells[candidate_edges[unblocked_indices]]
+            is_blocked[unblocked_indices] = self.is_occupied(
+                unblocked_outer_cells, edges.z[candidate_edges[unblocked_indices]], height_range
             )
-            candidate_edges = candidate_edges[is_met]
-            ending[candidate_edges] = ending_if_met
+            candidate_edges = candidate_edges[is_blocked]
+            ending[candidate_edges] = ending_if_blocked
         return ending
 
     def classify_edges(self, edges: RegionEdges) -> EdgeEndings:
@@ -227,7 +227,7 @@ class RegionContext(NamedTuple):
             edges: edges of large regions, see `select_edges`.
         """
         agent = self.agent
-        range_at_feet, _ = probe_ranges(agent)
+        range_at_feet, _ = make_probe_ranges(agent)
         # the columns of all these cells are cast at once, see `cast_ahead`
         cells_beyond = edges.cells_beyond[edges.cells_beyond >= 0]
         columns = self.columns.columns_at(np.concatenate([edges.cell, cells_beyond]))
@@ -241,9 +241,11 @@ class RegionContext(NamedTuple):
             candidate_edges = candidate_edges[edges.cells_beyond[candidate_edges, k] >= 0]
             if k > 0:  # `classify_barriers` has tested the nearest cell
                 cells = edges.cells_beyond[candidate_edges, k]
-                is_barred = self.is_occupied(cells, edges.z[candidate_edges], range_at_feet)
-                ending[candidate_edges[is_barred]] = BARRIER
-                candidate_edges = candidate_edges[~is_barred]
+                is_blocked_at_feet = self.is_occupied(
+                    cells, edges.z[candidate_edges], range_at_feet
+                )
+                ending[candidate_edges[is_blocked_at_feet]] = BARRIER
+                candidate_edges = candidate_edges[~is_blocked_at_feet]
             cells = edges.cells_beyond[candidate_edges, k]
             continued_z[candidate_edges] = find_highest_within_step(
                 columns.start[cells],
@@ -256,10 +258,10 @@ class RegionContext(NamedTuple):
             floor_heights = edges.floors_below[edges_with_floor, k]
             # with a surface above it that continues from the region, the floor is another storey
             is_covered = continued_z[edges_with_floor] > floor_heights + agent.height + LIMIT_SLACK
-            is_blocked = self.is_occupied(
+            is_floor_occupied = self.is_occupied(
                 edges.cells_beyond[edges_with_floor, k], floor_heights, None
             )
-            drop_edges = edges_with_floor[~is_covered & ~is_blocked]
+            drop_edges = edges_with_floor[~is_covered & ~is_floor_occupied]
             ending[drop_edges] = DROP
             floor_height[drop_edges] = edges.floors_below[drop_edges, k]
             floor_region[drop_edges] = edges.regions_below[drop_edges, k]
@@ -283,8 +285,8 @@ class RegionContext(NamedTuple):
         is_beyond_known: Bool = (ending != BORDER) | ~self.is_cropped[direction]
         return is_beyond_known
 
-    def fraction_of_edges(self, edges: RegionEdges, is_marked: Bool, is_counted: Bool) -> Float:
-        """Compute for each region which fraction of its edges a mask marks.
+    def compute_edge_fraction(self, edges: RegionEdges, is_marked: Bool, is_counted: Bool) -> Float:
+        """Compute the fraction of each region's edges that a mask marks.
 
         Args:
             edges: the edges.
@@ -357,7 +359,7 @@ def make_region_context(
 def find_highest_below(
     labelled_surfaces: LabelledSurfaces,
     cells: Int,
-    limits: Float,
+    height_limits: Float,
     excluded_regions: Int32 | None = None,
 ) -> tuple[Int, Int32]:
     """Find in each cell the highest surface that lies below a given height.
@@ -365,7 +367,7 @@ def find_highest_below(
     Args:
         labelled_surfaces: all surfaces, and the regions whose surfaces count.
         cells: ids of cells, shape (n,).
-        limits: for each cell, the height below which the surface must lie, shape (n,) [m].
+        height_limits: for each cell, the height below which the surface must lie, shape (n,) [m].
         excluded_regions: for each cell, a region. If it has a surface in the cell, at any height,
             the answer for the cell is SAME_REGION, shape (n,); None for no such regions.
 
@@ -383,7 +385,7 @@ def find_highest_below(
         labelled_surfaces,
         cells,
         excluded_regions,
-        limits,
+        height_limits,
         surface_below,
         regions_below,
         least=MIN_CELLS_PER_THREAD,
@@ -405,9 +407,11 @@ def mark_cropped_sides(lattice: Lattice, bounds: Float | None) -> Bool:
     if bounds is None:
         return np.ones(4, dtype=np.bool_)
     x_min, y_min, x_max, y_max = lattice.bounds
-    low, high = bounds
-    scene_beyond = np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max])
-    return scene_beyond > LIMIT_SLACK
+    scene_min, scene_max = bounds
+    scene_reach_beyond = np.array(
+        [scene_max[0] - x_max, y_min - scene_min[1], x_min - scene_min[0], scene_max[1] - y_max]
+    )
+    return scene_reach_beyond > LIMIT_SLACK
 
 
 def find_hole_edges(edges: RegionEdges, lattice: Lattice) -> Bool:
@@ -437,7 +441,9 @@ def find_hole_edges(edges: RegionEdges, lattice: Lattice) -> Bool:
     return is_in_hole
 
 
-def neighbor_cells(lattice: Lattice, cells: Int, direction: Int | int, distance: int = 1) -> Int:
+def find_neighbor_cells(
+    lattice: Lattice, cells: Int, direction: Int | int, distance: int = 1
+) -> Int:
     """Return the neighbors of cells in a direction, `distance` cells away.
 
     Args:
@@ -456,11 +462,11 @@ def neighbor_cells(lattice: Lattice, cells: Int, direction: Int | int, distance:
     return np.where(is_inside, row * lattice.width + col, -1)
 
 
-def probe_ranges(agent: AgentSettings) -> tuple[HeightRange, HeightRange]:
+def make_probe_ranges(agent: AgentSettings) -> tuple[HeightRange, HeightRange]:
     """Return two thin ranges of heights above a floor [m]: at an agent's feet, and at its head.
 
-    What an agent can't step over meets the first range, as that begins at the agent's step. What is
-    as high as a wall meets both.
+    An obstacle that an agent can't step over meets the first range, which begins at the agent's
+    step. An obstacle as high as a wall meets both ranges.
     """
     feet_height = agent.traversable_floor_height
     head_height = agent.height

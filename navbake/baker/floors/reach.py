@@ -1,6 +1,6 @@
-"""Find which floors agents get to: where they start, and which floors no path leads to.
+"""Find the floors that agents reach from their starts, and the floors that no path leads to.
 
-Warnings tell of the floors that no path leads to. Two kinds of them are found here, too: voids,
+Warnings report the floors that no path leads to. Two kinds of them are found here, too: voids,
 which are too low to stand upright in, and floors inside of closed meshes.
 """
 
@@ -17,8 +17,8 @@ from navbake.baker.floors.level_assignment import LevelAssignment, RegionLevelCo
 from navbake.baker.floors.outline import (
     DROP,
     RegionContext,
+    find_neighbor_cells,
     make_region_context,
-    neighbor_cells,
 )
 from navbake.baker.floors.region_kernels import RegionSurfaces
 from navbake.baker.floors.regions import (
@@ -71,7 +71,7 @@ class UnreachedFloors:
 
 
 def find_start_regions(
-    region_context: RegionContext, rejected: RejectedRegions, positions: list[list[float]]
+    region_context: RegionContext, rejected_regions: RejectedRegions, positions: list[list[float]]
 ) -> Bool:
     """Find the regions on which agents start, from the positions of `floors.from`.
 
@@ -83,7 +83,7 @@ def find_start_regions(
 
     Args:
         region_context: all regions with their edges.
-        rejected: tops, shelves and roofs, which are floors only if an agent starts on them.
+        rejected_regions: tops, shelves and roofs, which are floors only if an agent starts on them.
         positions: `floors.from`: x, y, z of each position, world frame [m].
 
     Returns:
@@ -97,7 +97,9 @@ def find_start_regions(
     surfaces = regions.surfaces
     max_step = region_context.agent.traversable_floor_height
     is_small = regions.num_surfaces * lattice.cell_size**2 < LARGE_TOP_AREA
-    may_start = region_context.is_large & ~rejected.is_shelf & ~(rejected.is_top & is_small)
+    may_start = (
+        region_context.is_large & ~rejected_regions.is_shelf & ~(rejected_regions.is_top & is_small)
+    )
     is_start = np.zeros(regions.num_regions, dtype=np.bool_)
     for position_number, (x, y, z) in enumerate(positions):
         row, col = lattice.rows_cols([x, y])
@@ -106,26 +108,28 @@ def find_start_regions(
         if 0 <= row < lattice.height and 0 <= col < lattice.width:
             surface_ids = np.arange(surfaces.first[cell], surfaces.end[cell])
             surface_ids = surface_ids[regions.region_of(surface_ids) >= 0]
-        heights = surfaces.z[surface_ids]
+        surface_heights = surfaces.z[surface_ids]
         regions_in_column = regions.region_of(surface_ids)
-        regions_below = regions_in_column[heights <= z + max_step + LIMIT_SLACK]
+        regions_below = regions_in_column[surface_heights <= z + max_step + LIMIT_SLACK]
         if not len(regions_below):
-            cell_text = "there is none in that cell"
-            if len(heights):
-                cell_text = f"floors there are at {', '.join(f'{z:.2f}' for z in heights)} m"
+            heights_text = "there is none in that cell"
+            if len(surface_heights):
+                heights_text = (
+                    f"floors there are at {', '.join(f'{z:.2f}' for z in surface_heights)} m"
+                )
             raise SceneError(
                 f"no floor at `floors.from[{position_number}]` ({x:g}, {y:g}, {z:g}): "
-                f"expected one that an agent can stand on, at most a step higher; {cell_text}"
+                f"expected one that an agent can stand on, at most a step higher; {heights_text}"
             )
         # the first that exists: the region at the position, a floor below it, a floor beside it
         regions_at_position = regions_in_column[
-            abs(heights - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK
+            abs(surface_heights - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK
         ]
-        floors_below = regions_below[may_start[regions_below]]
+        floor_regions_below = regions_below[may_start[regions_below]]
         if len(regions_at_position):
             start_region = int(regions_at_position[-1])
-        elif len(floors_below):
-            start_region = int(floors_below[-1])
+        elif len(floor_regions_below):
+            start_region = int(floor_regions_below[-1])
         else:
             start_region = _find_floor_beside(region_context, may_start, int(regions_below[-1]))
         is_start[start_region] = True
@@ -163,20 +167,22 @@ def _find_floor_beside(
     return int(np.bincount(floor_regions).argmax()) if len(floor_regions) else furniture_region
 
 
-def mark_largest_on_lowest_level(counts: RegionLevelCounts, num_regions: int) -> Bool:
+def mark_largest_on_lowest_level(surface_counts: RegionLevelCounts, num_regions: int) -> Bool:
     """Mark the region that has the most surfaces on the lowest level.
 
     Args:
-        counts: how many surfaces each region has on each level.
+        surface_counts: how many surfaces each region has on each level.
         num_regions: how many regions there are.
 
     Returns:
         A mask, shape (regions,), bool; True for that region alone.
     """
-    is_on_lowest = counts.level == counts.level.min()
-    num_surfaces = np.bincount(counts.region[is_on_lowest], counts.num_surfaces[is_on_lowest])
-    is_largest: Bool = np.arange(num_regions) == num_surfaces.argmax()
-    return is_largest
+    is_on_lowest_level = surface_counts.level == surface_counts.level.min()
+    num_surfaces = np.bincount(
+        surface_counts.region[is_on_lowest_level], surface_counts.num_surfaces[is_on_lowest_level]
+    )
+    is_largest_region: Bool = np.arange(num_regions) == num_surfaces.argmax()
+    return is_largest_region
 
 
 def count_surfaces_below_headroom(region_context: RegionContext) -> Int:
@@ -192,11 +198,11 @@ def count_surfaces_below_headroom(region_context: RegionContext) -> Int:
     surfaces = regions.surfaces
     cells = regions.blocks.list_cells(np.arange(regions.blocks.num_blocks))
     cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
-    region = regions.region_of(surface_ids)
-    has_region = region >= 0
+    region_of_surface = regions.region_of(surface_ids)
+    has_region = region_of_surface >= 0
     cell = cells[cell_index[has_region]]
     surface_ids = surface_ids[has_region]
-    is_low = np.zeros(len(cell), dtype=np.bool_)
+    is_below_headroom = np.zeros(len(cell), dtype=np.bool_)
     run_in_chunks(
         find_blocked_lines,
         len(cell),
@@ -204,10 +210,12 @@ def count_surfaces_below_headroom(region_context: RegionContext) -> Int:
         surfaces.z[surface_ids] + region_context.agent.height - TOUCH_DEPTH,
         surfaces.z[surface_ids] + ADULT_HEADROOM,
         region_context.columns.columns_at(cell).hits,
-        is_low,
+        is_below_headroom,
         least=MIN_LINES_PER_THREAD,
     )
-    return np.bincount(region[has_region][is_low], minlength=regions.num_regions)
+    return np.bincount(
+        region_of_surface[has_region][is_below_headroom], minlength=regions.num_regions
+    )
 
 
 class ReachedRegions(NamedTuple):
@@ -224,13 +232,16 @@ class ReachedRegions(NamedTuple):
 
 
 def find_voids(
-    region_context: RegionContext, counts: RegionLevelCounts, is_reached: Bool, has_starts: bool
+    region_context: RegionContext,
+    surface_counts: RegionLevelCounts,
+    is_reached: Bool,
+    has_starts: bool,
 ) -> ReachedRegions:
     """Find the voids: levels that no path leads to and in which nobody can stand upright.
 
     Args:
         region_context: all regions, and the hits of all columns.
-        counts: how many surfaces each region has on each level.
+        surface_counts: how many surfaces each region has on each level.
         is_reached: which regions are reached so far, shape (regions,), bool.
         has_starts: whether `floors.from` says where agents start. If not, they start on the largest
             floor of the lowest level in which an adult can stand upright.
@@ -239,28 +250,34 @@ def find_voids(
         The regions that agents reach from their starts, and those that are on voids.
     """
     is_void = np.zeros_like(is_reached)
-    level_numbers = np.unique(counts.level)
+    level_numbers = np.unique(surface_counts.level)
     # headroom is measured only if some level is not reached at all
-    if np.isin(level_numbers, counts.level[is_reached[counts.region]]).all():
+    if np.isin(level_numbers, surface_counts.level[is_reached[surface_counts.region]]).all():
         return ReachedRegions(is_reached, is_void)
     num_with_low_headroom = count_surfaces_below_headroom(region_context)
     # the regions on each level, without repeats
     num_regions = region_context.regions.num_regions
-    pair_ids = np.unique(counts.level * num_regions + counts.region)
+    pair_ids = np.unique(surface_counts.level * num_regions + surface_counts.region)
     level, region = np.divmod(pair_ids, num_regions)
-    num_on_level = np.bincount(level, region_context.regions.num_surfaces[region])
-    num_low_on_level = np.bincount(level, num_with_low_headroom[region])
-    low_share = num_low_on_level[level_numbers] / num_on_level[level_numbers]
-    low_levels = level_numbers[low_share >= VOID_SHARE]
-    is_on_low_level = np.isin(counts.level, low_levels)
+    num_surfaces_on_level = np.bincount(level, region_context.regions.num_surfaces[region])
+    num_low_surfaces_on_level = np.bincount(level, num_with_low_headroom[region])
+    share_of_low_surfaces = (
+        num_low_surfaces_on_level[level_numbers] / num_surfaces_on_level[level_numbers]
+    )
+    low_levels = level_numbers[share_of_low_surfaces >= VOID_SHARE]
+    is_on_low_level = np.isin(surface_counts.level, low_levels)
     if not has_starts and len(low_levels) < len(level_numbers):
-        high_level_counts = RegionLevelCounts._make(column[~is_on_low_level] for column in counts)
+        high_level_counts = RegionLevelCounts._make(
+            column[~is_on_low_level] for column in surface_counts
+        )
         is_reached = mark_largest_on_lowest_level(high_level_counts, len(is_reached))
-    is_on_reached_level = np.isin(counts.level, counts.level[is_reached[counts.region]])
+    is_on_reached_level = np.isin(
+        surface_counts.level, surface_counts.level[is_reached[surface_counts.region]]
+    )
     is_on_void_level = is_on_low_level & ~is_on_reached_level
     # a region that is also on a level that is no void stays
-    is_void[counts.region[is_on_void_level]] = True
-    is_void[counts.region[~is_on_void_level]] = False
+    is_void[surface_counts.region[is_on_void_level]] = True
+    is_void[surface_counts.region[~is_on_void_level]] = False
     return ReachedRegions(is_reached, is_void)
 
 
@@ -276,22 +293,24 @@ def find_unreached_floors(
         assignment: the level of each surface, and how many surfaces each region has on each level.
         is_reached: which regions are reached, shape (regions,), bool.
     """
-    counts = assignment.counts
+    surface_counts = assignment.surface_counts
     num_regions = regions.num_regions
     # how many surfaces each region has on each level
     pair_ids, pair_of_row = np.unique(
-        counts.level * num_regions + counts.region, return_inverse=True
+        surface_counts.level * num_regions + surface_counts.region, return_inverse=True
     )
     level, region = np.divmod(pair_ids, num_regions)
-    num_surfaces = np.bincount(pair_of_row, counts.num_surfaces)
+    num_surfaces = np.bincount(pair_of_row, surface_counts.num_surfaces)
     num_levels = len(assignment.grounds)
-    is_partly_reached = np.bincount(level, is_reached[region], num_levels) > 0
+    is_level_partly_reached = np.bincount(level, is_reached[region], num_levels) > 0
     area = num_surfaces * regions.lattice.cell_size**2
     is_large = area >= REPORTED_AREA - LIMIT_SLACK
-    is_reported = ~is_reached[region] & (is_large | ~is_partly_reached[level])
+    is_reported = ~is_reached[region] & (is_large | ~is_level_partly_reached[level])
     patches = _describe_on_levels(regions, assignment, pair_ids[is_reported])
     return [
-        UnreachedFloors(level_number, patch, is_whole_level=not is_partly_reached[level_number])
+        UnreachedFloors(
+            level_number, patch, is_whole_level=not is_level_partly_reached[level_number]
+        )
         for level_number, patch in patches.items()
     ]
 
@@ -325,13 +344,17 @@ def _describe_on_levels(
     pair_of_surface = np.where(
         preliminary_level >= 0, final_level * regions.num_regions + region, -1
     )
-    by_pair = np.argsort(pair_of_surface, kind="stable")
-    first_of_pair = np.searchsorted(pair_of_surface[by_pair], pair_ids, side="left")
-    end_of_pair = np.searchsorted(pair_of_surface[by_pair], pair_ids, side="right")
+    sort_indices = np.argsort(pair_of_surface, kind="stable")
+    first_index_of_pair = np.searchsorted(pair_of_surface[sort_indices], pair_ids, side="left")
+    end_index_of_pair = np.searchsorted(pair_of_surface[sort_indices], pair_ids, side="right")
     # number of a level -> for each region of a pair, the indices of its surfaces on the level
     indices_on_level: dict[int, list[Int]] = {}
-    for pair_id, first, end in zip(pair_ids.tolist(), first_of_pair, end_of_pair, strict=True):
-        indices_on_level.setdefault(pair_id // regions.num_regions, []).append(by_pair[first:end])
+    for pair_id, first, end in zip(
+        pair_ids.tolist(), first_index_of_pair, end_index_of_pair, strict=True
+    ):
+        indices_on_level.setdefault(pair_id // regions.num_regions, []).append(
+            sort_indices[first:end]
+        )
     lattice = regions.lattice
     patches = {}
     for level_number, indices_by_region in indices_on_level.items():
@@ -352,9 +375,9 @@ def find_enclosed_floors(
 ) -> list[Patch]:
     """Find floors on which no agent can stand because they are inside of closed meshes or planes.
 
-    Not listed is a floor that goes on outside of the mesh along a quarter of its outline, at most a
-    step higher or lower: there a closed object, such as a crate, stands on a floor. A floor of at
-    least 50 m² is always listed, as the mesh may be a building.
+    A floor is not listed if it continues outside of the mesh along a quarter of its outline, at
+    most a step higher or lower: a closed object, such as a crate, then stands on a floor. A floor
+    of at least 50 m² is always listed, as the mesh may be a building.
 
     Args:
         surfaces: all surfaces.
@@ -368,15 +391,15 @@ def find_enclosed_floors(
     if not is_enclosed.any():
         return []
     # each region is of one mesh or plane
-    group = np.where(is_enclosed, surfaces.geom, np.int32(-1))
-    regions = find_regions(surfaces, agent, group)
+    group_of_surface = np.where(is_enclosed, surfaces.geom, np.int32(-1))
+    regions = find_regions(surfaces, agent, group_of_surface)
     is_large = find_large_regions(regions, regions.num_surfaces > 0, settings)
     patches = []
     for region_surfaces in regions.list_surfaces(np.flatnonzero(is_large)):
         num_edges = 0
-        num_continuing = 0
+        num_continuing_edges = 0
         for direction in range(4):
-            neighbors = neighbor_cells(regions.lattice, region_surfaces.cell, direction)
+            neighbors = find_neighbor_cells(regions.lattice, region_surfaces.cell, direction)
             # edges of the region in this direction, and how many of them continue outside
             is_edge = ~np.isin(neighbors, region_surfaces.cell)
             num_edges += int(np.count_nonzero(is_edge))
@@ -389,8 +412,8 @@ def find_enclosed_floors(
                 region_surfaces.z[is_inside],
                 agent.traversable_floor_height,
             )
-            num_continuing += int(np.count_nonzero(~np.isnan(continued_z)))
+            num_continuing_edges += int(np.count_nonzero(~np.isnan(continued_z)))
         patch = describe_surfaces(regions.lattice, region_surfaces)
-        if patch.area >= BUILDING_AREA or num_continuing < CONTINUING_SHARE * num_edges:
+        if patch.area >= BUILDING_AREA or num_continuing_edges < CONTINUING_SHARE * num_edges:
             patches.append(patch)
     return sorted(patches, key=lambda patch: -patch.area)

@@ -144,19 +144,21 @@ def _find_surface_below(labelled_surfaces, row, col, excluded_region, height_lim
     """
     surfaces = labelled_surfaces.surfaces
     cell = row * surfaces.lattice.width + col
-    first_surface = np.int64(surfaces.first[cell])
-    stop = np.int64(surfaces.end[cell])
+    first_in_cell = np.int64(surfaces.first[cell])
+    end_in_cell = np.int64(surfaces.end[cell])
     if excluded_region >= 0:
         lowest_z = labelled_surfaces.lowest_z[excluded_region]
-        for j in range(find_first_at_or_above(surfaces.z, first_surface, stop, lowest_z), stop):
+        for j in range(
+            find_first_at_or_above(surfaces.z, first_in_cell, end_in_cell, lowest_z), end_in_cell
+        ):
             if surfaces.z[j] > labelled_surfaces.highest_z[excluded_region]:
                 break
             if region_of_surface(labelled_surfaces, j) == excluded_region:
                 return SAME_REGION
-    surface = find_first_at_or_above(surfaces.z, first_surface, stop, height_limit) - 1
-    while surface >= first_surface and region_of_surface(labelled_surfaces, surface) < 0:
+    surface = find_first_at_or_above(surfaces.z, first_in_cell, end_in_cell, height_limit) - 1
+    while surface >= first_in_cell and region_of_surface(labelled_surfaces, surface) < 0:
         surface -= 1
-    return surface if surface >= first_surface else NO_SURFACE
+    return surface if surface >= first_in_cell else NO_SURFACE
 
 
 @subkernel(**NO_REFCOUNT)
@@ -199,14 +201,14 @@ def mark_large_regions(
     radius = area_test.radius
     for index in range(begin, end):
         region = regions[index]
-        num_remaining = 0
+        num_remaining_cells = 0
         shorter_side = min(
             boxes[region, 2] - boxes[region, 0],
             boxes[region, 3] - boxes[region, 1],
         )
         for block_index in range(first_block[index], first_block[index + 1]):
             # enough cells remain, or none can
-            if num_remaining >= area_test.min_cells or shorter_side <= 2 * radius:
+            if num_remaining_cells >= area_test.min_cells or shorter_side <= 2 * radius:
                 break
             row0, row1, col0, col1 = block_window(
                 labelled_surfaces.surfaces.lattice, blocks[block_index]
@@ -220,8 +222,8 @@ def mark_large_regions(
                 _mark_region(labelled_surfaces, region, (row0, row1, col0, col1), radius, mask)
                 is_remaining = np.empty((row1 - row0, col1 - col0), np.bool_)
                 shrink(mask, area_test, is_remaining)
-                num_remaining += int(is_remaining.sum())
-        is_large[region] = num_remaining >= area_test.min_cells
+                num_remaining_cells += int(is_remaining.sum())
+        is_large[region] = num_remaining_cells >= area_test.min_cells
 
 
 @subkernel(inline="always")
@@ -260,7 +262,15 @@ def _has_drop(labelled_surfaces, row, col, direction, region, height_limit, num_
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def list_edges(
-    labelled_surfaces, lowest, step, num_cells_beyond, blocks, counts, columns, begin, end
+    labelled_surfaces,
+    lowest_z,
+    max_step,
+    num_cells_beyond,
+    blocks,
+    row_counts,
+    row_arrays,
+    begin,
+    end,
 ):
     """List the edges of regions in ``blocks[begin:end]``.
 
@@ -268,26 +278,26 @@ def list_edges(
 
     Args:
         labelled_surfaces: a `LabelledSurfaces` with the regions.
-        lowest: the height of the lowest surface of all these regions, or less [m].
-        step: the highest step [m].
+        lowest_z: the height of the lowest surface of all these regions, or less [m].
+        max_step: the highest step [m].
         num_cells_beyond: how many cells beyond an edge are searched for lower surfaces.
         blocks: ids of blocks of cells.
-        counts: receives how many edges each block has.
-        columns: one array that receives the rows, (n, 5) int64: the component, the cell, the id of
-            the surface, the direction out of the region, and 1 if another region has a surface more
-            than a step lower in the cells beyond the edge, else 0.
+        row_counts: receives how many edges each block has.
+        row_arrays: one array that receives the rows, (n, 5) int64: the component, the cell, the id
+            of the surface, the direction out of the region, and 1 if another region has a surface
+            more than a step lower in the cells beyond the edge, else 0.
         begin: index in `blocks` of the first block to list.
         end: index past the last one.
 
     Returns:
         The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    (rows,) = columns
-    num = 0
+    (rows,) = row_arrays
+    num_rows = 0
     surfaces = labelled_surfaces.surfaces
-    for k in range(begin, end):
-        num_before = num
-        row0, row1, col0, col1 = block_window(surfaces.lattice, blocks[k])
+    for block_index in range(begin, end):
+        num_rows_before = num_rows
+        row0, row1, col0, col1 = block_window(surfaces.lattice, blocks[block_index])
         for row in range(row0, row1):
             for col in range(col0, col1):
                 cell = row * surfaces.lattice.width + col
@@ -295,26 +305,34 @@ def list_edges(
                     region = region_of_surface(labelled_surfaces, j)
                     if region < 0:
                         continue
-                    limit = surfaces.z[j] - step - LIMIT_SLACK
+                    height_limit = surfaces.z[j] - max_step - LIMIT_SLACK
                     for direction in range(4):
-                        r, c = _step_to(surfaces.lattice, row, col, direction)
-                        if r >= 0:
-                            below = _find_surface_below(labelled_surfaces, r, c, region, limit)
-                            if below == SAME_REGION:
+                        neighbor_row, neighbor_col = _step_to(surfaces.lattice, row, col, direction)
+                        if neighbor_row >= 0:
+                            surface_below = _find_surface_below(
+                                labelled_surfaces, neighbor_row, neighbor_col, region, height_limit
+                            )
+                            if surface_below == SAME_REGION:
                                 continue
-                        if num == rows.shape[0]:
-                            return k
+                        if num_rows == rows.shape[0]:
+                            return block_index
                         # no region has a surface below the lowest one
-                        has_drop = limit > lowest and _has_drop(
-                            labelled_surfaces, row, col, direction, region, limit, num_cells_beyond
+                        has_drop = height_limit > lowest_z and _has_drop(
+                            labelled_surfaces,
+                            row,
+                            col,
+                            direction,
+                            region,
+                            height_limit,
+                            num_cells_beyond,
                         )
-                        rows[num, 0] = labelled_surfaces.component_of_surface[j]
-                        rows[num, 1] = cell
-                        rows[num, 2] = j
-                        rows[num, 3] = direction
-                        rows[num, 4] = 1 if has_drop else 0
-                        num += 1
-        counts[k] = num - num_before
+                        rows[num_rows, 0] = labelled_surfaces.component_of_surface[j]
+                        rows[num_rows, 1] = cell
+                        rows[num_rows, 2] = j
+                        rows[num_rows, 3] = direction
+                        rows[num_rows, 4] = 1 if has_drop else 0
+                        num_rows += 1
+        row_counts[block_index] = num_rows - num_rows_before
     return end
 
 
@@ -376,7 +394,9 @@ def mark_hole_edges(cells, directions, first_edge_of_region, lattice, is_in_hole
     # ids of cells on a padded lattice: a margin around it, and an empty column between two rows
     width = lattice.width
     padded_width = lattice.width + 3
-    to_neighbor = np.array([1, padded_width, -1, -padded_width])  # east, south, west and north
+    id_step_of_direction = np.array(
+        [1, padded_width, -1, -padded_width]
+    )  # east, south, west and north
     # SAME_REGION in the region's cells at edges; beyond edges, the parents of union-find
     parent = np.full(padded_width * (lattice.height + 3), NO_SURFACE, np.int32)
     inner_cells, outer_cells = np.empty((2, cells.shape[0]), np.int64)
@@ -386,7 +406,7 @@ def mark_hole_edges(cells, directions, first_edge_of_region, lattice, is_in_hole
         first_outer_cell = np.int64(parent.shape[0])
         for edge in range(first_edge, end_edge):
             inner_cells[edge] = (cells[edge] // width + 1) * padded_width + cells[edge] % width + 1
-            outer_cells[edge] = inner_cells[edge] + to_neighbor[directions[edge]]
+            outer_cells[edge] = inner_cells[edge] + id_step_of_direction[directions[edge]]
             first_outer_cell = min(first_outer_cell, outer_cells[edge])
             parent[inner_cells[edge]] = SAME_REGION
             parent[outer_cells[edge]] = outer_cells[edge]

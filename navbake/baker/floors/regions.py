@@ -51,8 +51,9 @@ class Components(NamedTuple):
     """The connected components of surfaces inside of each block, numbered block by block.
 
     Attributes:
-        number: the component of each surface, -1 for none, shape (surfaces,), int32.
-        block: the block that each component lies in, shape (components,).
+        component_of_surface: the component of each surface, -1 for none, shape (surfaces,), int32.
+        block_of_component: the id of the block that each component lies in, shape (components,),
+            int64.
         measures: seven numbers of each component, such as how many surfaces it has, see
             `label_blocks`, shape (components, 7).
         lowest_z: the lowest height of each component, shape (components,) [m].
@@ -60,8 +61,8 @@ class Components(NamedTuple):
         pairs: pairs of components that meet, as `list_pairs` lists them, shape (n, 4).
     """
 
-    number: Int32
-    block: Int
+    component_of_surface: Int32
+    block_of_component: Int
     measures: Int
     lowest_z: Float
     highest_z: Float
@@ -72,7 +73,7 @@ class Components(NamedTuple):
         """Return the number of components."""
         return len(self.measures)
 
-    def pairs_of_kind(self, kind: int) -> Int:
+    def list_pairs_of_kind(self, kind: int) -> Int:
         """Return those of `pairs` that have one kind (JOINED, LINKED or STACKED), shape (n, 4)."""
         _, _, kinds, _ = self.pairs.T
         pairs: Int = self.pairs[kinds == kind]
@@ -85,9 +86,9 @@ class Components(NamedTuple):
             For each component, the number of the merged component that it is a part of, shape
             (components,), int32. Merged components are numbered in the order of their first parts.
         """
-        return label_components(self.pairs_of_kind(JOINED)[:, :2].T, self.num_components)
+        return label_components(self.list_pairs_of_kind(JOINED)[:, :2].T, self.num_components)
 
-    def linked_pairs(self, merged_component: Int32) -> tuple[Int, Int]:
+    def find_linked_pairs(self, merged_component: Int32) -> tuple[Int, Int]:
         """Find the pairs of different merged components that are linked, see `JoinRule`.
 
         Args:
@@ -96,7 +97,9 @@ class Components(NamedTuple):
         Returns:
             The lower and the higher number of each pair, without repeats, shape (n,) each.
         """
-        linked_components = merged_component[self.pairs_of_kind(LINKED)[:, :2]].astype(np.int64)
+        linked_components = merged_component[self.list_pairs_of_kind(LINKED)[:, :2]].astype(
+            np.int64
+        )
         lower_number = linked_components.min(axis=1)
         higher_number = linked_components.max(axis=1)
         is_different = lower_number != higher_number
@@ -107,15 +110,17 @@ class Components(NamedTuple):
         return np.divmod(pair_ids, max(self.num_components, 1))
 
 
-def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS) -> Components:
+def find_components(
+    surfaces: Surfaces, join_rule: JoinRule, group_of_surface: Int32 = NO_GROUPS
+) -> Components:
     """Find the connected components of surfaces inside of each block of cells.
 
     Args:
         surfaces: all surfaces.
-        rule: the limits within which surfaces are connected, or else linked.
-        group: the group of each surface, shape (surfaces,). Only surfaces of the same group are
-            connected; those of a negative group are left out. If empty, all standable surfaces are
-            in the same group.
+        join_rule: the limits within which surfaces are connected, or else linked.
+        group_of_surface: the group of each surface, shape (surfaces,). Only surfaces of the same
+            group are connected; those of a negative group are left out. If empty, all standable
+            surfaces are in the same group.
     """
     blocks = Blocks(surfaces.lattice)
     number_in_block = np.empty(len(surfaces.z), dtype=np.int32)
@@ -123,8 +128,8 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
         kernels.label_blocks,
         (NO_MEASURES, NO_HEIGHT_RANGES),
         surfaces,
-        group,
-        rule,
+        group_of_surface,
+        join_rule,
         number_in_block,
     )
     numbering = ComponentNumbering(
@@ -132,10 +137,12 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
         first_number_of_block=np.searchsorted(block_of_component, np.arange(blocks.num_blocks)),
         overall_number=np.empty(len(surfaces.z), dtype=np.int32),
     )
-    _, (pairs,) = blocks.list_rows(kernels.list_pairs, (NO_ROWS,), surfaces, group, rule, numbering)
+    _, (pairs,) = blocks.list_rows(
+        kernels.list_pairs, (NO_ROWS,), surfaces, group_of_surface, join_rule, numbering
+    )
     return Components(
-        number=numbering.overall_number,
-        block=block_of_component,
+        component_of_surface=numbering.overall_number,
+        block_of_component=block_of_component,
         measures=measures,
         lowest_z=heights[:, kernels.LOWEST],
         highest_z=heights[:, kernels.HIGHEST],
@@ -149,13 +156,14 @@ class RegionStacks(NamedTuple):
     The same pair may have several entries, whose numbers of cells have to be added up.
 
     Attributes:
-        upper: the upper region, int32.
-        lower: the region of the next surface below, which may be the same region, int32.
+        upper_region: id of the upper region, int32.
+        lower_region: id of the region of the next surface below, which may be the same region,
+            int32.
         num_cells: in how many cells the two lie above each other, int64.
     """
 
-    upper: Int32
-    lower: Int32
+    upper_region: Int32
+    lower_region: Int32
     num_cells: Int
 
 
@@ -207,13 +215,13 @@ class Regions:
         Args:
             is_selected: the selected regions, shape (regions,), bool.
         """
-        is_marked = is_selected[self.region_of_component]
-        region_of_component = np.where(is_marked, self.region_of_component, np.int32(-1)).astype(
-            np.int32
-        )
+        is_component_selected = is_selected[self.region_of_component]
+        region_of_component = np.where(
+            is_component_selected, self.region_of_component, np.int32(-1)
+        ).astype(np.int32)
         return LabelledSurfaces(
             self.surfaces,
-            component_of_surface=self.components.number,
+            component_of_surface=self.components.component_of_surface,
             region_of_component=region_of_component,
             lowest_z=self.lowest_z,
             highest_z=self.highest_z,
@@ -221,12 +229,14 @@ class Regions:
 
     def region_of(self, surface_ids: Int) -> Int32:
         """Return the region of each surface id, -1 for surfaces without a region."""
-        component = self.components.number[surface_ids]
+        component = self.components.component_of_surface[surface_ids]
         return np.where(component >= 0, self.region_of_component[component], np.int32(-1))
 
     def find_stacks(self) -> RegionStacks:
         """Find the pairs of regions that lie above each other, and in how many cells."""
-        upper_component, lower_component, _, num_cells = self.components.pairs_of_kind(STACKED).T
+        upper_component, lower_component, _, num_cells = self.components.list_pairs_of_kind(
+            STACKED
+        ).T
         return RegionStacks(
             self.region_of_component[upper_component],
             self.region_of_component[lower_component],
@@ -237,63 +247,71 @@ class Regions:
         """Return the surfaces of a region, in the order of cell ids."""
         return self.list_surfaces(np.array([region]))[0]
 
-    def list_surfaces(self, regions: Int) -> list[RegionSurfaces]:
+    def list_surfaces(self, region_ids: Int) -> list[RegionSurfaces]:
         """Return the surfaces of each of some regions, in the order of cell ids.
 
         Args:
-            regions: ids of regions, ascending, shape (n,).
+            region_ids: ids of regions, ascending, shape (n,).
         """
-        if not len(regions):
+        if not len(region_ids):
             return []
         surfaces = self.surfaces
         # only the cells in the box around all the regions have to be searched
-        row0, col0 = self.box[regions, :2].min(axis=0).tolist()
-        row1, col1 = self.box[regions, 2:].max(axis=0).tolist()
-        in_box = np.add.outer(np.arange(row0, row1) * self.lattice.width, np.arange(col0, col1))
-        cells = in_box.ravel()
+        row0, col0 = self.box[region_ids, :2].min(axis=0).tolist()
+        row1, col1 = self.box[region_ids, 2:].max(axis=0).tolist()
+        cells_in_box = np.add.outer(
+            np.arange(row0, row1) * self.lattice.width, np.arange(col0, col1)
+        )
+        cells = cells_in_box.ravel()
         cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
         is_selected = np.zeros(
             self.num_regions + 1, dtype=np.bool_
         )  # the last entry is for no region
-        is_selected[regions] = True
+        is_selected[region_ids] = True
         region = self.region_of(surface_ids)
-        in_regions = np.flatnonzero(is_selected[region])
+        indices_in_regions = np.flatnonzero(is_selected[region])
         # sorted once, so that the columns are not searched again for each region
-        by_region = in_regions[np.argsort(region[in_regions], kind="stable")]
-        surface_ids = surface_ids[by_region]
+        indices_by_region = indices_in_regions[
+            np.argsort(region[indices_in_regions], kind="stable")
+        ]
+        surface_ids = surface_ids[indices_by_region]
         region_surfaces = RegionSurfaces(
-            cell=cells[cell_index[by_region]],
+            cell=cells[cell_index[indices_by_region]],
             z=surfaces.z[surface_ids],
             geom=surfaces.geom[surface_ids],
             surface_id=surface_ids,
         )
-        first_of_region = np.searchsorted(region[by_region], regions)
-        end_of_region = np.append(first_of_region[1:], len(by_region))
-        ranges = zip(first_of_region.tolist(), end_of_region.tolist(), strict=True)
+        first_index_of_region = np.searchsorted(region[indices_by_region], region_ids)
+        end_index_of_region = np.append(first_index_of_region[1:], len(indices_by_region))
+        ranges = zip(first_index_of_region.tolist(), end_index_of_region.tolist(), strict=True)
         return [region_surfaces.select(slice(first, end)) for first, end in ranges]
 
-    def mark_in_range(self, is_tested: Bool, heights: HeightRange) -> Bool:
+    def mark_regions_in_range(self, is_tested: Bool, height_range: HeightRange) -> Bool:
         """Mark the regions that have a surface in a range of heights.
 
         Args:
             is_tested: the regions to test, shape (regions,).
-            heights: the range [low, high) [m].
+            height_range: the range [low, high) [m].
 
         Returns:
             A mask, shape (regions,), bool.
         """
-        is_in_range = is_tested & (heights.low <= self.lowest_z) & (self.lowest_z < heights.high)
+        is_in_range = (
+            is_tested & (height_range.low <= self.lowest_z) & (self.lowest_z < height_range.high)
+        )
         # regions that begin below the range, and end in it or above it
-        reaches_in = is_tested & (self.lowest_z < heights.low) & (heights.low <= self.highest_z)
-        region_ids = np.flatnonzero(reaches_in)
+        reaches_into_range = (
+            is_tested & (self.lowest_z < height_range.low) & (height_range.low <= self.highest_z)
+        )
+        region_ids = np.flatnonzero(reaches_into_range)
         surfaces_by_region = self.list_surfaces(region_ids)
         for region, region_surfaces in zip(region_ids, surfaces_by_region, strict=True):
             z = region_surfaces.z
-            is_in_range[region] = ((heights.low <= z) & (z < heights.high)).any()
+            is_in_range[region] = ((height_range.low <= z) & (z < height_range.high)).any()
         return is_in_range
 
 
-def region_join_rule(lattice: Lattice, agent: AgentSettings) -> JoinRule:
+def make_region_join_rule(lattice: Lattice, agent: AgentSettings) -> JoinRule:
     """Return the rule by which surfaces are joined into regions: by steps, and by slopes.
 
     Args:
@@ -303,16 +321,20 @@ def region_join_rule(lattice: Lattice, agent: AgentSettings) -> JoinRule:
     return JoinRule(agent.traversable_floor_height, can_slopes_join=may_slopes_join(lattice, agent))
 
 
-def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GROUPS) -> Regions:
+def find_regions(
+    surfaces: Surfaces, agent: AgentSettings, group_of_surface: Int32 = NO_GROUPS
+) -> Regions:
     """Connect surfaces to regions by steps and slopes.
 
     Args:
         surfaces: all surfaces.
         agent: the agent, of which the step and slope are used.
-        group: the group of each surface, negative to leave it out, shape (surfaces,). A region lies
-            in one group. If empty, all standable surfaces are in the same group.
+        group_of_surface: the group of each surface, negative to leave it out, shape (surfaces,). A
+            region lies in one group. If empty, all standable surfaces are in the same group.
     """
-    components = find_components(surfaces, region_join_rule(surfaces.lattice, agent), group)
+    components = find_components(
+        surfaces, make_region_join_rule(surfaces.lattice, agent), group_of_surface
+    )
     merged_component = components.merge()
     num_regions = int(merged_component.max(initial=-1)) + 1
     # sort components by region: those of a region then stand side by side, and the measures of the
@@ -320,26 +342,26 @@ def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GRO
     sort_indices = np.argsort(merged_component, kind="stable")
     first_component = np.searchsorted(merged_component[sort_indices], np.arange(num_regions))
     measures = components.measures[sort_indices]
-    sums = np.add.reduceat(measures, first_component)
-    minima = np.minimum.reduceat(measures, first_component)
-    maxima = np.maximum.reduceat(measures, first_component)
+    measure_sums = np.add.reduceat(measures, first_component)
+    measure_minima = np.minimum.reduceat(measures, first_component)
+    measure_maxima = np.maximum.reduceat(measures, first_component)
     # number regions by their first surfaces, so that neither threads nor blocks change the order
-    by_first_surface = np.argsort(minima[:, kernels.FIRST_SURFACE])
-    region_of_merged = np.argsort(by_first_surface).astype(np.int32)
-    first_cells = minima[:, [kernels.FIRST_ROW, kernels.FIRST_COL]]
-    end_cells = maxima[:, [kernels.END_ROW, kernels.END_COL]]
+    order_by_first_surface = np.argsort(measure_minima[:, kernels.FIRST_SURFACE])
+    region_of_merged_component = np.argsort(order_by_first_surface).astype(np.int32)
+    first_cells = measure_minima[:, [kernels.FIRST_ROW, kernels.FIRST_COL]]
+    end_cells = measure_maxima[:, [kernels.END_ROW, kernels.END_COL]]
     return Regions(
         surfaces=surfaces,
         components=components,
-        region_of_component=region_of_merged[merged_component],
-        num_surfaces=sums[by_first_surface, kernels.NUM_SURFACES],
-        num_uncovered=sums[by_first_surface, kernels.NUM_UNCOVERED],
-        box=np.hstack([first_cells, end_cells])[by_first_surface],
+        region_of_component=region_of_merged_component[merged_component],
+        num_surfaces=measure_sums[order_by_first_surface, kernels.NUM_SURFACES],
+        num_uncovered=measure_sums[order_by_first_surface, kernels.NUM_UNCOVERED],
+        box=np.hstack([first_cells, end_cells])[order_by_first_surface],
         lowest_z=np.minimum.reduceat(components.lowest_z[sort_indices], first_component)[
-            by_first_surface
+            order_by_first_surface
         ],
         highest_z=np.maximum.reduceat(components.highest_z[sort_indices], first_component)[
-            by_first_surface
+            order_by_first_surface
         ],
     )
 
@@ -362,9 +384,9 @@ def find_large_regions(regions: Regions, is_tested: Bool, settings: FloorSetting
     is_large = np.zeros(regions.num_regions, dtype=np.bool_)
     candidate_regions = np.flatnonzero(is_tested & (regions.num_surfaces >= area_test.min_cells))
     # the blocks of each candidate, one candidate after the other
-    is_of_candidate = np.isin(regions.region_of_component, candidate_regions)
-    region_of_component = regions.region_of_component[is_of_candidate].astype(np.int64)
-    block_of_component = regions.components.block[is_of_candidate]
+    is_component_of_candidate = np.isin(regions.region_of_component, candidate_regions)
+    region_of_component = regions.region_of_component[is_component_of_candidate].astype(np.int64)
+    block_of_component = regions.components.block_of_component[is_component_of_candidate]
     # one number for each pair of a region and a block
     pair_ids = np.unique(region_of_component * regions.blocks.num_blocks + block_of_component)
     paired_region, paired_block = np.divmod(pair_ids, regions.blocks.num_blocks)
@@ -381,22 +403,22 @@ def find_large_regions(regions: Regions, is_tested: Bool, settings: FloorSetting
         is_large,
     )
     if settings.fill:
-        max_cells = settings.fill / regions.lattice.cell_size**2
+        max_hole_cells = settings.fill / regions.lattice.cell_size**2
         for region_id in np.flatnonzero(is_tested & ~is_large).tolist():
             row0, col0, row1, col1 = regions.box[region_id].tolist()
             if (row1 - row0) * (col1 - col0) >= area_test.min_cells:
-                is_in_region = _fill_region(regions, region_id, max_cells)
+                is_in_region = _fill_region(regions, region_id, max_hole_cells)
                 is_large[region_id] = keeps_min_cells(area_test, is_in_region)
     return is_large
 
 
-def _fill_region(regions: Regions, region: int, max_cells: float) -> Bool:
-    """Mark the cells of a region, and those of its holes with at most `max_cells` cells.
+def _fill_region(regions: Regions, region: int, max_hole_cells: float) -> Bool:
+    """Mark the cells of a region, and those of its holes with at most `max_hole_cells` cells.
 
     Args:
         regions: all regions.
         region: the region's id.
-        max_cells: holes with more cells are not marked.
+        max_hole_cells: holes with more cells are not marked.
 
     Returns:
         A mask of the cells of the region's box, see `Regions.box`, shape (rows, cols).
@@ -409,8 +431,8 @@ def _fill_region(regions: Regions, region: int, max_cells: float) -> Bool:
     is_empty = np.ones((row1 - row0 + 2, col1 - col0 + 2), dtype=np.bool_)
     is_empty[row - row0 + 1, col - col0 + 1] = False
     hole_of_cell, _ = label(is_empty)
-    num_cells = np.bincount(hole_of_cell.ravel())  # [cells]
-    is_filled_hole = num_cells <= max_cells + LIMIT_SLACK
+    num_cells_in_hole = np.bincount(hole_of_cell.ravel())  # [cells]
+    is_filled_hole = num_cells_in_hole <= max_hole_cells + LIMIT_SLACK
     is_filled_hole[0] = True  # the region's cells
     is_filled_hole[hole_of_cell[0, 0]] = False
     is_in_region: Bool = is_filled_hole[hole_of_cell][1:-1, 1:-1]
@@ -464,10 +486,10 @@ def find_nearest_position(
     Returns:
         World coordinates x, y, z [m].
     """
-    rows, cols = np.divmod(surfaces.cell, lattice.width)
-    nearest_surface = int(((rows - row) ** 2 + (cols - col) ** 2).argmin())
-    x = lattice.center_x()[cols[nearest_surface]]
-    y = lattice.center_y()[rows[nearest_surface]]
+    surface_rows, surface_cols = np.divmod(surfaces.cell, lattice.width)
+    nearest_surface = int(((surface_rows - row) ** 2 + (surface_cols - col) ** 2).argmin())
+    x = lattice.center_x()[surface_cols[nearest_surface]]
+    y = lattice.center_y()[surface_rows[nearest_surface]]
     return float(x), float(y), float(surfaces.z[nearest_surface])
 
 
@@ -486,7 +508,9 @@ def describe_regions(
     for surfaces in regions.list_surfaces(np.flatnonzero(is_described)):
         if height_ranges:
             z = surfaces.z
-            is_in_range = [(z >= heights.low) & (z < heights.high) for heights in height_ranges]
+            is_in_range = [
+                (z >= height_range.low) & (z < height_range.high) for height_range in height_ranges
+            ]
             surfaces = surfaces.select(np.any(is_in_range, axis=0))
         if len(surfaces.z):
             patches.append(describe_surfaces(regions.lattice, surfaces))

@@ -20,8 +20,8 @@ from navbake.baker.floors.outline import (
     RegionContext,
     find_highest_below,
     find_hole_edges,
-    neighbor_cells,
-    probe_ranges,
+    find_neighbor_cells,
+    make_probe_ranges,
 )
 from navbake.baker.floors.region_kernels import RegionEdges, RegionSurfaces
 from navbake.baker.floors.regions import find_large_regions
@@ -98,17 +98,17 @@ def find_rejected_regions(
     """
     regions = region_context.regions
     is_large = region_context.is_large
-    no_regions = np.zeros(regions.num_regions, dtype=np.bool_)
-    is_top = no_regions
-    is_shelf = no_regions
-    is_roof = no_regions
+    is_no_region = np.zeros(regions.num_regions, dtype=np.bool_)
+    is_top = is_no_region
+    is_shelf = is_no_region
+    is_roof = is_no_region
     stacks = regions.find_stacks()
     num_surfaces = np.maximum(regions.num_surfaces, 1)
     sky_fraction = regions.num_uncovered / num_surfaces
     # furniture counts, too: a hall's roof lies over its floor whatever stands there
-    num_cells_over = stacks.num_cells * (stacks.upper != stacks.lower)
+    num_cells_over_others = stacks.num_cells * (stacks.upper_region != stacks.lower_region)
     fraction_over_regions = (
-        np.bincount(stacks.upper, num_cells_over, regions.num_regions) / num_surfaces
+        np.bincount(stacks.upper_region, num_cells_over_others, regions.num_regions) / num_surfaces
     )
     if not region_context.settings.tops:
         is_top = _find_tops(region_context, height_fields)
@@ -127,10 +127,10 @@ def find_rejected_regions(
         is_roof = _find_roofs(region_context, may_be_roof, fraction_over_regions)
     is_floor = is_large & ~(is_top | is_shelf | is_roof)
     if not is_floor.any():
-        is_roof = no_regions
+        is_roof = is_no_region
     # a level of the configuration keeps its roof if it has no other floor
-    for heights in height_ranges:
-        is_on_level = regions.mark_in_range(is_large, heights)
+    for height_range in height_ranges:
+        is_on_level = regions.mark_regions_in_range(is_large, height_range)
         if not (is_on_level & is_floor).any():
             is_roof = is_roof & ~is_on_level
     return RejectedRegions(is_top & ~is_roof, is_shelf & ~is_roof, is_roof)
@@ -140,14 +140,16 @@ class TopDrops(NamedTuple):
     """How many edges of a region drop to each of the regions below it.
 
     Attributes:
-        num_drops_to: id of the region below -> how many edges drop to it. Empty if the region can't
-            be a top because it has too few drops, or room for an agent under it, see `_find_tops`.
-        num_drops_in_holes: like `num_drops_to`, but only for edges at the rims of holes.
+        num_drops_to_region: id of the region below -> how many edges drop to it. Empty if the
+            region can't be a top because it has too few drops, or room for an agent under it, see
+            `_find_tops`.
+        num_hole_drops_to_region: like `num_drops_to_region`, but only for edges at the rims of
+            holes.
         num_outline_edges: how many edges the region's outer rim has.
     """
 
-    num_drops_to: Counter[int]
-    num_drops_in_holes: Counter[int]
+    num_drops_to_region: Counter[int]
+    num_hole_drops_to_region: Counter[int]
     num_outline_edges: int
 
 
@@ -191,11 +193,11 @@ def _find_tops(region_context: RegionContext, height_fields: Int32) -> Bool:
     drops_by_region = _count_drops(region_context, may_be_top)
     num_drops_to_floor = Counter[int]()  # region below -> drops to it from all regions
     for region_drops in drops_by_region.values():
-        num_drops_to_floor.update(region_drops.num_drops_to)
+        num_drops_to_floor.update(region_drops.num_drops_to_region)
     is_top = np.zeros(regions.num_regions, dtype=np.bool_)
     is_too_large = np.zeros(regions.num_regions, dtype=np.bool_)
     for region, region_drops in drops_by_region.items():
-        if not region_drops.num_drops_to or _is_raised_ground(
+        if not region_drops.num_drops_to_region or _is_raised_ground(
             region_context, region, region_drops, height_fields
         ):
             continue
@@ -203,18 +205,20 @@ def _find_tops(region_context: RegionContext, height_fields: Int32) -> Bool:
         is_small = num_surfaces * regions.lattice.cell_size**2 <= LARGE_TOP_AREA
         # or the largest floor that it drops to is larger
         is_small |= (
-            regions.num_surfaces[list(region_drops.num_drops_to)].max()
+            regions.num_surfaces[list(region_drops.num_drops_to_region)].max()
             > MIN_FLOOR_RATIO * num_surfaces
         )
         # for each floor in its holes: the drops to it from these holes, and from other regions
         drops_around_floor = [
-            num_in_holes
+            num_hole_drops
             + num_drops_to_floor[floor_region]
-            - region_drops.num_drops_to[floor_region]
-            for floor_region, num_in_holes in region_drops.num_drops_in_holes.items()
+            - region_drops.num_drops_to_region[floor_region]
+            for floor_region, num_hole_drops in region_drops.num_hole_drops_to_region.items()
         ]
-        is_wound_through = max(drops_around_floor, default=0) > region_drops.num_outline_edges
-        is_top[region] = is_small or is_wound_through
+        has_floor_winding_through = (
+            max(drops_around_floor, default=0) > region_drops.num_outline_edges
+        )
+        is_top[region] = is_small or has_floor_winding_through
         is_too_large[region] = not is_top[region]
     return is_top | (
         is_too_large & ~_mark_wider_than(region_context, is_too_large, MAX_WALL_TOP_WIDTH)
@@ -238,18 +242,20 @@ def _is_raised_ground(
     geom = _main_geom(region_context, region)
     if geom not in height_fields:
         return False
-    num_on_field = sum(
+    num_drops_on_field = sum(
         num_drops
-        for floor_region, num_drops in region_drops.num_drops_to.items()
+        for floor_region, num_drops in region_drops.num_drops_to_region.items()
         if _main_geom(region_context, floor_region) == geom
     )
-    return 2 * num_on_field > region_drops.num_drops_to.total()
+    return 2 * num_drops_on_field > region_drops.num_drops_to_region.total()
 
 
 def _main_geom(region_context: RegionContext, region: int) -> int:
     """Return the id of the geom that most surfaces of a region belong to."""
-    geoms, counts = np.unique(region_context.regions.surfaces_of(region).geom, return_counts=True)
-    return int(geoms[counts.argmax()])
+    geoms, num_surfaces = np.unique(
+        region_context.regions.surfaces_of(region).geom, return_counts=True
+    )
+    return int(geoms[num_surfaces.argmax()])
 
 
 def _mark_wider_than(region_context: RegionContext, is_candidate: Bool, width: float) -> Bool:
@@ -259,8 +265,8 @@ def _mark_wider_than(region_context: RegionContext, is_candidate: Bool, width: f
     """
     if not is_candidate.any():
         return is_candidate
-    one_cell = {"min_area": region_context.regions.lattice.cell_size**2, "shrink": width / 2}
-    settings = region_context.settings.model_copy(update=one_cell)
+    one_cell_limits = {"min_area": region_context.regions.lattice.cell_size**2, "shrink": width / 2}
+    settings = region_context.settings.model_copy(update=one_cell_limits)
     return find_large_regions(region_context.regions, is_candidate, settings)
 
 
@@ -278,27 +284,31 @@ def _count_drops(region_context: RegionContext, is_candidate: Bool) -> dict[int,
         return {}
     regions = region_context.regions
     edges = region_context.select_edges(is_candidate, region_context.num_cells_beyond)
-    has_floor = np.asarray((~np.isnan(edges.floors_below)).any(axis=1))
+    has_floor_below = np.asarray((~np.isnan(edges.floors_below)).any(axis=1))
     is_in_hole = find_hole_edges(edges, regions.lattice)
     # drop the regions that have too few floors below their outline, to classify fewer edges
-    may_continue = (edges.cells_beyond[:, 0] < 0) & region_context.is_cropped[edges.direction]
-    is_certain = ~may_continue & ~is_in_hole
-    possible_fraction = region_context.fraction_of_edges(edges, has_floor, is_certain | has_floor)
-    drops_enough = ~(possible_fraction < MIN_DROP_SHARE)
-    is_possible = drops_enough[edges.region]
-    edges = edges.select(is_possible)
-    is_in_hole = is_in_hole[is_possible]
+    may_region_continue = (edges.cells_beyond[:, 0] < 0) & region_context.is_cropped[
+        edges.direction
+    ]
+    is_surely_outline = ~may_region_continue & ~is_in_hole
+    max_drop_fraction = region_context.compute_edge_fraction(
+        edges, has_floor_below, is_surely_outline | has_floor_below
+    )
+    can_drop_enough = ~(max_drop_fraction < MIN_DROP_SHARE)
+    is_edge_of_possible_top = can_drop_enough[edges.region]
+    edges = edges.select(is_edge_of_possible_top)
+    is_in_hole = is_in_hole[is_edge_of_possible_top]
     endings = region_context.classify_edges(edges)
     is_drop = endings.ending == DROP
     # edges in holes without a drop are around things that stand on the region, such as pillows
     is_counted = endings.is_beyond_known & (~is_in_hole | is_drop)
-    may_be_top = region_context.fraction_of_edges(edges, is_drop, is_counted) >= MIN_DROP_SHARE
+    may_be_top = region_context.compute_edge_fraction(edges, is_drop, is_counted) >= MIN_DROP_SHARE
     drops_by_region = {}
     for region in np.flatnonzero(is_candidate).tolist():
         is_of_region = edges.region == region
         floor_heights = np.sort(endings.floor_height[is_of_region & is_drop])
-        num_drops_to = Counter[int]()
-        num_drops_in_holes = Counter[int]()
+        num_drops_to_region = Counter[int]()
+        num_hole_drops_to_region = Counter[int]()
         if may_be_top[region] and len(floor_heights):
             # the median; the lower one of the two middle heights
             floor_height = float(floor_heights[(len(floor_heights) - 1) // 2])
@@ -306,12 +316,14 @@ def _count_drops(region_context: RegionContext, is_candidate: Bool) -> dict[int,
                 _count_cells_over_room(region_context, region, floor_height)
                 <= MAX_SHARE_OVER_ROOM * regions.num_surfaces[region]
             ):
-                num_drops_to.update(endings.floor_region[is_of_region & is_drop].tolist())
-                num_drops_in_holes.update(
+                num_drops_to_region.update(endings.floor_region[is_of_region & is_drop].tolist())
+                num_hole_drops_to_region.update(
                     endings.floor_region[is_of_region & is_drop & is_in_hole].tolist()
                 )
         num_outline_edges = int(np.count_nonzero(~is_in_hole[is_of_region]))
-        drops_by_region[region] = TopDrops(num_drops_to, num_drops_in_holes, num_outline_edges)
+        drops_by_region[region] = TopDrops(
+            num_drops_to_region, num_hole_drops_to_region, num_outline_edges
+        )
     return drops_by_region
 
 
@@ -369,9 +381,11 @@ def _find_roofs(
     Returns:
         A mask, shape (regions,), bool.
     """
-    is_half_over = is_candidate & (fraction_over_regions < MIN_SHARE_OVER_FLOOR)
-    is_over_walls = _mark_over_walls(region_context, is_half_over)
-    return _mark_without_walls(region_context, is_candidate & (~is_half_over | is_over_walls))
+    is_less_than_half_over = is_candidate & (fraction_over_regions < MIN_SHARE_OVER_FLOOR)
+    is_over_walls = _mark_over_walls(region_context, is_less_than_half_over)
+    return _mark_without_walls(
+        region_context, is_candidate & (~is_less_than_half_over | is_over_walls)
+    )
 
 
 def _mark_without_walls(region_context: RegionContext, is_candidate: Bool) -> Bool:
@@ -388,29 +402,32 @@ def _mark_without_walls(region_context: RegionContext, is_candidate: Bool) -> Bo
     """
     if not is_candidate.any():
         return is_candidate
-    wall_height = max(region_context.agent.height, MIN_WALL_HEIGHT)
-    agent = region_context.agent.model_copy(update={"height": wall_height})
+    min_wall_height = max(region_context.agent.height, MIN_WALL_HEIGHT)
+    agent = region_context.agent.model_copy(update={"height": min_wall_height})
     lattice = region_context.regions.lattice
     edges = _select_outer_edges(region_context, is_candidate, num_cells_beyond=0)
-    farthest_in = -int(np.ceil(region_context.settings.shrink / lattice.cell_size))
+    innermost_distance = -int(np.ceil(region_context.settings.shrink / lattice.cell_size))
     # from the innermost cells near an edge to those just beyond it
-    cells_near = [
-        neighbor_cells(lattice, edges.cell, edges.direction, distance)
-        for distance in range(farthest_in, 2)
+    cells_by_distance = [
+        find_neighbor_cells(lattice, edges.cell, edges.direction, distance)
+        for distance in range(innermost_distance, 2)
     ]
-    all_cells_near = np.concatenate(cells_near)
-    region_context.cast_ahead(all_cells_near[all_cells_near >= 0])
+    all_near_cells = np.concatenate(cells_by_distance)
+    region_context.cast_ahead(all_near_cells[all_near_cells >= 0])
     ending = region_context.classify_barriers(edges, agent)
     is_beyond_known = region_context.mark_known_beyond(ending, edges.direction)
     # `classify_barriers` has tested the cells at the edge and beyond it
-    for cells in cells_near[-3::-1]:
-        edges_near = np.flatnonzero(is_beyond_known & (ending != WALL) & (cells >= 0))
-        for heights in probe_ranges(agent):
-            is_met = region_context.is_occupied(cells[edges_near], edges.z[edges_near], heights)
-            edges_near = edges_near[is_met]
-        ending[edges_near] = WALL
+    for cells in cells_by_distance[-3::-1]:
+        edge_indices = np.flatnonzero(is_beyond_known & (ending != WALL) & (cells >= 0))
+        for height_range in make_probe_ranges(agent):
+            is_blocked = region_context.is_occupied(
+                cells[edge_indices], edges.z[edge_indices], height_range
+            )
+            edge_indices = edge_indices[is_blocked]
+        ending[edge_indices] = WALL
     return is_candidate & (
-        region_context.fraction_of_edges(edges, ending == WALL, is_beyond_known) <= MAX_WALL_SHARE
+        region_context.compute_edge_fraction(edges, ending == WALL, is_beyond_known)
+        <= MAX_WALL_SHARE
     )
 
 
@@ -447,7 +464,7 @@ def _find_shelves(region_context: RegionContext, is_candidate: Bool) -> Bool:
         return is_candidate
     edges = _select_outer_edges(region_context, is_candidate, region_context.num_cells_beyond)
     endings = region_context.classify_edges(edges)
-    drop_fraction = region_context.fraction_of_edges(
+    drop_fraction = region_context.compute_edge_fraction(
         edges, endings.ending == DROP, endings.is_beyond_known
     )
     return is_candidate & (drop_fraction > MIN_SHELF_DROP_SHARE)
@@ -471,7 +488,7 @@ def _mark_over_walls(region_context: RegionContext, is_candidate: Bool) -> Bool:
         return is_over_walls
     regions = region_context.regions
     lattice = regions.lattice
-    eaves_cells = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
+    eaves_depth = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
     # all regions count, also furniture
     labelled_surfaces = regions.label_surfaces(np.ones_like(is_candidate))
     region_ids = np.flatnonzero(is_candidate)
@@ -480,17 +497,19 @@ def _mark_over_walls(region_context: RegionContext, is_candidate: Bool) -> Bool:
             labelled_surfaces, region_surfaces.cell, region_surfaces.z
         )
         is_over_region = (region_below >= 0) & (region_below != region)
-        is_over = np.zeros(lattice.shape, dtype=np.bool_)
-        is_over.flat[region_surfaces.cell] = (
+        is_over_region_or_wall = np.zeros(lattice.shape, dtype=np.bool_)
+        is_over_region_or_wall.flat[region_surfaces.cell] = (
             mark_over_wall_tops(region_context, region_surfaces) | is_over_region
         )
         # dilate by a square, first along one axis, then along the other
-        for mask in (is_over, is_over.T):
-            mask_before = mask.copy()
-            for k in range(1, min(eaves_cells, len(mask) - 1) + 1):
-                mask[k:] |= mask_before[:-k]
-                mask[:-k] |= mask_before[k:]
-        is_over_walls[region] = is_over.flat[region_surfaces.cell].mean() >= MIN_SHARE_OVER_WALLS
+        for mask in (is_over_region_or_wall, is_over_region_or_wall.T):
+            undilated_mask = mask.copy()
+            for k in range(1, min(eaves_depth, len(mask) - 1) + 1):
+                mask[k:] |= undilated_mask[:-k]
+                mask[:-k] |= undilated_mask[k:]
+        is_over_walls[region] = (
+            is_over_region_or_wall.flat[region_surfaces.cell].mean() >= MIN_SHARE_OVER_WALLS
+        )
     return is_over_walls
 
 
@@ -508,24 +527,26 @@ def mark_over_wall_tops(region_context: RegionContext, roof_surfaces: RegionSurf
     columns = region_context.columns.columns_at(cell_ids)
     first_hit = columns.start[cell_ids]
     end_hit = columns.start[cell_ids + 1]
-    is_over = np.zeros(len(cell_ids), dtype=np.bool_)
+    is_over_wall_top = np.zeros(len(cell_ids), dtype=np.bool_)
     # all pairs of a hit and the next one above it
     for k in range(int((end_hit - first_hit).max(initial=0)) - 1):
-        cells_with_pair = np.flatnonzero(first_hit + k + 1 < end_hit)
-        lower_hit = first_hit[cells_with_pair] + k
+        indices_with_pair = np.flatnonzero(first_hit + k + 1 < end_hit)
+        lower_hit = first_hit[indices_with_pair] + k
         lower_z = columns.z[lower_hit]
-        gap = columns.z[lower_hit + 1] - lower_z
+        height_difference = columns.z[lower_hit + 1] - lower_z
         lower_faces_up = columns.normal[lower_hit, 2] > 0
         upper_faces_up = columns.normal[lower_hit + 1, 2] > 0
         # at one height, the roof's lower side may stand before the wall's top
-        max_gap = np.where(
+        max_height_difference = np.where(
             lower_faces_up, region_context.agent.traversable_floor_height, SAME_HEIGHT
         )
-        is_wall_top = (gap < max_gap) & (lower_faces_up | upper_faces_up)
-        is_over[cells_with_pair] |= is_wall_top & (
-            lower_z < roof_surfaces.z[cells_with_pair] - SAME_HEIGHT
+        is_wall_top = (height_difference < max_height_difference) & (
+            lower_faces_up | upper_faces_up
         )
-    return is_over
+        is_over_wall_top[indices_with_pair] |= is_wall_top & (
+            lower_z < roof_surfaces.z[indices_with_pair] - SAME_HEIGHT
+        )
+    return is_over_wall_top
 
 
 def mark_reported_roofs(region_context: RegionContext, is_roof: Bool, is_floor: Bool) -> Bool:

@@ -11,7 +11,7 @@ from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.component_kernels import max_rise_of
 from navbake.baker.floors.region_kernels import region_of_surface
-from navbake.baker.floors.surface_kernels import EAST, SOUTH, STANDABLE, slopes_join
+from navbake.baker.floors.surface_kernels import EAST, SOUTH, STANDABLE, are_joined_by_slopes
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 
@@ -43,10 +43,11 @@ def _find_joined_surface(surfaces, rule, surface, cell, axis, sign):
     nearest_surface = np.int64(-1)
     # a little more, as sums are rounded
     max_rise = max_rise_of(rule) + LIMIT_SLACK
-    stop = surfaces.end[neighbor]
+    end_in_neighbor = surfaces.end[neighbor]
     lowest_z = surfaces.z[surface] - max_rise
     for i in range(
-        find_first_at_or_above(surfaces.z, surfaces.first[neighbor], stop, lowest_z), stop
+        find_first_at_or_above(surfaces.z, surfaces.first[neighbor], end_in_neighbor, lowest_z),
+        end_in_neighbor,
     ):
         if surfaces.z[i] > surfaces.z[surface] + max_rise:
             break
@@ -56,9 +57,9 @@ def _find_joined_surface(surfaces, rule, surface, cell, axis, sign):
         is_joined = rise <= rule.max_step + LIMIT_SLACK
         if not is_joined and rule.can_slopes_join:
             if sign > 0:
-                is_joined = slopes_join(surfaces, surface, i, axis, rule.max_step)
+                is_joined = are_joined_by_slopes(surfaces, surface, i, axis, rule.max_step)
             else:
-                is_joined = slopes_join(surfaces, i, surface, axis, rule.max_step)
+                is_joined = are_joined_by_slopes(surfaces, i, surface, axis, rule.max_step)
         if is_joined and (
             nearest_surface < 0 or rise < abs(surfaces.z[nearest_surface] - surfaces.z[surface])
         ):

@@ -7,9 +7,9 @@ import numpy as np
 from navbake.baker.core.components import label_components, list_adjacent_pairs
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.component_kernels import JoinRule
-from navbake.baker.floors.outline import RegionContext, neighbor_cells, probe_ranges
+from navbake.baker.floors.outline import RegionContext, find_neighbor_cells, make_probe_ranges
 from navbake.baker.floors.reach import MAX_DISTANCE_ON_SURFACE
-from navbake.baker.floors.regions import region_join_rule
+from navbake.baker.floors.regions import make_region_join_rule
 from navbake.baker.floors.ridge_kernels import list_narrow_runs, list_surfaces_of_runs
 from navbake.baker.floors.surface_kernels import EAST, NORTH, SOUTH, WEST, Surfaces
 from navbake.baker.floors.surfaces import find_highest_within_step
@@ -45,17 +45,17 @@ def find_ridges(region_context: RegionContext, positions: list[list[float]]) -> 
     surfaces = regions.surfaces
     cell_size = regions.lattice.cell_size
     is_ridge = np.zeros(len(surfaces.z), dtype=np.bool_)
-    rule = region_join_rule(regions.lattice, region_context.agent)
-    max_cells = int(MAX_RUN_LENGTH / cell_size + LIMIT_SLACK)
+    join_rule = make_region_join_rule(regions.lattice, region_context.agent)
+    max_run_cells = int(MAX_RUN_LENGTH / cell_size + LIMIT_SLACK)
     labelled_surfaces = regions.label_surfaces(region_context.is_large)
     _, (runs,) = regions.blocks.list_rows(
-        list_narrow_runs, (NO_RUNS,), labelled_surfaces, rule, max_cells
+        list_narrow_runs, (NO_RUNS,), labelled_surfaces, join_rule, max_run_cells
     )
     runs = runs[_mark_runs_between_drops(region_context, runs)]
     if not len(runs):
         return is_ridge
-    surface_ids, cell_ids, width = _measure_widths(surfaces, rule, runs)
-    is_narrow = width < RIDGE_WIDTH - LIMIT_SLACK
+    surface_ids, cell_ids, region_width = _measure_widths(surfaces, join_rule, runs)
+    is_narrow = region_width < RIDGE_WIDTH - LIMIT_SLACK
     surface_ids = surface_ids[is_narrow]
     cell_ids = cell_ids[is_narrow]
     # narrow surfaces in cells that share a side or a corner make up a ridge
@@ -72,12 +72,12 @@ def find_ridges(region_context: RegionContext, positions: list[list[float]]) -> 
     return is_ridge
 
 
-def _measure_widths(surfaces: Surfaces, rule: JoinRule, runs: Int) -> tuple[Int, Int, Float]:
+def _measure_widths(surfaces: Surfaces, join_rule: JoinRule, runs: Int) -> tuple[Int, Int, Float]:
     """Measure how wide a region is between its drops, at each surface of some rows of cells.
 
     Args:
         surfaces: all surfaces.
-        rule: the rule by which the surfaces of a row of cells are joined.
+        join_rule: the rule by which the surfaces of a row of cells are joined.
         runs: the rows of cells with drops at both ends, as `list_narrow_runs` lists them,
             shape (k, 6).
 
@@ -86,16 +86,18 @@ def _measure_widths(surfaces: Surfaces, rule: JoinRule, runs: Int) -> tuple[Int,
         each of them, square to its drops, (n,) [m].
     """
     num_cells = runs[:, 1]
-    first_row = np.cumsum(num_cells) - num_cells
+    first_row_of_run = np.cumsum(num_cells) - num_cells
     surface_cells = np.empty((int(num_cells.sum()), 2), dtype=np.int64)
-    run_in_chunks(list_surfaces_of_runs, len(runs), surfaces, rule, runs, first_row, surface_cells)
-    surface_ids, first_index, surface_index = np.unique(
+    run_in_chunks(
+        list_surfaces_of_runs, len(runs), surfaces, join_rule, runs, first_row_of_run, surface_cells
+    )
+    surface_ids, first_occurrence, surface_index = np.unique(
         surface_cells[:, 0], return_index=True, return_inverse=True
     )
     # a strip of width w at an angle a to x has the length w / sin(a) along x, w / cos(a) along y
     run_length = np.repeat(num_cells, num_cells) * surfaces.lattice.cell_size
-    inverse_square = np.bincount(surface_index, 1.0 / run_length**2)
-    return surface_ids, surface_cells[first_index, 1], 1.0 / np.sqrt(inverse_square)
+    inverse_square_width = np.bincount(surface_index, 1.0 / run_length**2)
+    return surface_ids, surface_cells[first_occurrence, 1], 1.0 / np.sqrt(inverse_square_width)
 
 
 def _mark_runs_between_drops(region_context: RegionContext, runs: Int) -> Bool:
@@ -112,12 +114,12 @@ def _mark_runs_between_drops(region_context: RegionContext, runs: Int) -> Bool:
     direction = np.where(axis == EAST, EAST, SOUTH)
     opposite_direction = np.where(axis == EAST, WEST, NORTH)
     # the ends of one run are far from those of another: cast their columns together
-    cells_beyond = neighbor_cells(region_context.regions.lattice, cell_ids, direction)
-    other_cells_beyond = neighbor_cells(
+    cells_beyond = find_neighbor_cells(region_context.regions.lattice, cell_ids, direction)
+    other_cells_beyond = find_neighbor_cells(
         region_context.regions.lattice, other_cell_ids, opposite_direction
     )
-    all_beyond = np.concatenate([cells_beyond, other_cells_beyond])
-    region_context.cast_ahead(all_beyond[all_beyond >= 0])
+    all_cells_beyond = np.concatenate([cells_beyond, other_cells_beyond])
+    region_context.cast_ahead(all_cells_beyond[all_cells_beyond >= 0])
     is_between_drops = _mark_drops(region_context, surface_ids, cell_ids, direction)
     runs_with_drop = np.flatnonzero(is_between_drops)
     is_between_drops[runs_with_drop] = _mark_drops(
@@ -151,7 +153,7 @@ def _mark_drops(
     lattice = region_context.regions.lattice
     max_step = region_context.agent.traversable_floor_height
     z = region_context.regions.surfaces.z[surface_ids]
-    cells_beyond = neighbor_cells(lattice, cell_ids, direction)
+    cells_beyond = find_neighbor_cells(lattice, cell_ids, direction)
     is_drop = (cells_beyond >= 0) | ~region_context.is_cropped[direction]
     indices_inside = np.flatnonzero(cells_beyond >= 0)
     columns = region_context.columns.columns_at(cells_beyond[indices_inside])
@@ -166,7 +168,7 @@ def _mark_drops(
         lowest_z[end_hit > first_hit] = columns.z[first_hit[end_hit > first_hit]]
         is_drop[indices_inside[lowest_z > z[indices_inside] - max_step]] = False
         is_drop[cells_beyond < 0] = False
-    range_at_feet, _ = probe_ranges(region_context.agent)
+    range_at_feet, _ = make_probe_ranges(region_context.agent)
     for cells in (cells_beyond, cell_ids):
         tested_indices = np.flatnonzero(is_drop & (cells >= 0))
         is_drop[tested_indices] = ~region_context.is_occupied(
@@ -191,11 +193,11 @@ def _mark_short_ridges(ridge_of_surface: Int32, cell_ids: Int, lattice: Lattice)
     max_cells = RIDGE_WIDTH / lattice.cell_size + LIMIT_SLACK
     is_short = np.ones(int(ridge_of_surface.max(initial=-1)) + 1, dtype=np.bool_)
     for row_or_col in np.divmod(cell_ids, lattice.width):
-        lowest = np.full(len(is_short), np.iinfo(np.int64).max)
-        highest = np.full(len(is_short), -1)
-        np.minimum.at(lowest, ridge_of_surface, row_or_col)
-        np.maximum.at(highest, ridge_of_surface, row_or_col)
-        is_short &= highest - lowest + 1 <= max_cells
+        lowest_index = np.full(len(is_short), np.iinfo(np.int64).max)
+        highest_index = np.full(len(is_short), -1)
+        np.minimum.at(lowest_index, ridge_of_surface, row_or_col)
+        np.maximum.at(highest_index, ridge_of_surface, row_or_col)
+        is_short &= highest_index - lowest_index + 1 <= max_cells
     return is_short
 
 
@@ -219,12 +221,12 @@ def _mark_ridges_at_positions(
         A mask of the ridges, shape (ridges,).
     """
     lattice = region_context.regions.lattice
-    heights = region_context.regions.surfaces.z[surface_ids]
+    surface_heights = region_context.regions.surfaces.z[surface_ids]
     has_position = np.zeros(int(ridge_of_surface.max(initial=-1)) + 1, dtype=np.bool_)
     for x, y, z in positions:
         row, col = lattice.rows_cols([x, y])
         is_at_position = cell_ids == int(row) * lattice.width + int(col)
-        is_at_position &= np.abs(heights - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK
+        is_at_position &= np.abs(surface_heights - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK
         if 0 <= col < lattice.width:
             has_position[ridge_of_surface[is_at_position]] = True
     return has_position
@@ -233,7 +235,7 @@ def _mark_ridges_at_positions(
 def clear_flags(surfaces: Surfaces, is_cleared: Bool) -> Surfaces:
     """Return all surfaces, with `Surfaces.flags` set to 0 where a mask is True.
 
-    No agent stands on such a surface then, but a floor beside it may still go on there.
+    No agent stands on such a surface then, but a floor beside it may still continue there.
 
     Args:
         surfaces: all surfaces.

@@ -85,12 +85,12 @@ def count_planes_around(planes, lattice, cell, z):
     last_geom = np.int32(-1)
     for plane in range(planes.geom.shape[0]):
         x, y = cell_center(lattice, cell)
-        depth = (
+        distance_from_plane = (
             planes.mat[plane, 2] * (x - planes.pos[plane, 0])
             + planes.mat[plane, 5] * (y - planes.pos[plane, 1])
             + planes.mat[plane, 8] * (z - planes.pos[plane, 2])
         )
-        if depth < -SAME_HEIGHT:
+        if distance_from_plane < -SAME_HEIGHT:
             num_planes = num_planes + 1
             last_geom = planes.geom[plane]
     return num_planes, last_geom
@@ -111,21 +111,21 @@ def _winding_at(hits, hit):
 
 
 @subkernel(inline="always")
-def _find_enclosing_mesh(hits, hit, stop):
+def _find_enclosing_mesh(hits, hit, end_hit):
     """Return the geom id of the closed mesh around a hit of a column, -1 if there is none.
 
-    Of several meshes it is the one whose upper side is nearest above the hit. `stop` is the index
-    past the column's last hit.
+    Of several meshes it is the one whose upper side is nearest above the hit. `end_hit` is the
+    index past the column's last hit.
     """
     z = hits.z
     normal = hits.normal
     geom = hits.geom
     closed = hits.closed
-    for j in range(hit + 1, stop):
+    for j in range(hit + 1, end_hit):
         if closed[j] != CLOSED_SURFACE or normal[j, 2] <= 0.0 or z[j] - z[hit] <= SAME_HEIGHT:
             continue
         winding = 0
-        for k in range(hit + 1, stop):
+        for k in range(hit + 1, end_hit):
             if geom[k] == geom[j] and closed[k] == CLOSED_SURFACE and z[k] - z[hit] > SAME_HEIGHT:
                 winding += 1 if normal[k, 2] > 0.0 else -1
         if winding > 0:
@@ -171,10 +171,10 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
     num_rows = 0
     for index in range(begin, end):
         first_hit = hits.start[cells[index]]
-        stop = hits.start[cells[index] + 1]
+        end_hit = hits.start[cells[index] + 1]
         num_rows_before = num_rows
         # every hit may become a row
-        if num_rows + stop - first_hit > heights.shape[0]:
+        if num_rows + end_hit - first_hit > heights.shape[0]:
             return index
         standable_z = -math.inf  # height of the last standable surface
         enclosed_z = -math.inf  # height of the last enclosed surface
@@ -184,19 +184,19 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
         # is at the hit's height (within SAME_HEIGHT) is around it, one whose top is there is not
         num_meshes = 0
         num_solids = 0
-        for hit in range(first_hit, stop):
+        for hit in range(first_hit, end_hit):
             mesh_winding, solid_winding = _winding_at(hits, hit)
             num_meshes += mesh_winding
             num_solids += solid_winding
-        next_above = first_hit  # the next hit above the hit, not at its height
-        for hit in range(first_hit, stop):
+        next_hit_above = first_hit  # the next hit above the hit, not at its height
+        for hit in range(first_hit, end_hit):
             z = hits.z[hit]
-            while next_above < stop and hits.z[next_above] - z <= SAME_HEIGHT:
-                mesh_winding, solid_winding = _winding_at(hits, next_above)
+            while next_hit_above < end_hit and hits.z[next_hit_above] - z <= SAME_HEIGHT:
+                mesh_winding, solid_winding = _winding_at(hits, next_hit_above)
                 num_meshes -= mesh_winding
                 num_solids -= solid_winding
-                next_above += 1
-            height_above = hits.z[next_above] if next_above < stop else math.inf
+                next_hit_above += 1
+            height_of_next_hit = hits.z[next_hit_above] if next_hit_above < end_hit else math.inf
             normal_z = hits.normal[hit, 2]
             is_gentle = normal_z >= agent_limits.min_normal_z
             # too steep, and no bump that is low enough to step over
@@ -206,11 +206,11 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
                 continue
             if not is_gentle and normal_z <= MAX_SIDE_UP and gentle_z - standable_z > SAME_HEIGHT:
                 # the side of a tread covers the tread below, which is the floor
-                has_headroom = height_above - gentle_z >= agent_limits.headroom - LIMIT_SLACK
+                has_headroom = height_of_next_hit - gentle_z >= agent_limits.headroom - LIMIT_SLACK
                 if num_meshes + num_solids <= 0 and has_headroom:
                     standable_z = gentle_z
                     flags[gentle_row] |= (
-                        STANDABLE if height_above < math.inf else STANDABLE | UNCOVERED
+                        STANDABLE if height_of_next_hit < math.inf else STANDABLE | UNCOVERED
                     )
                     continue
             heights[num_rows] = z
@@ -223,22 +223,22 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
                 gentle_row = num_rows
                 if (
                     z - standable_z > SAME_HEIGHT
-                    and height_above - z >= agent_limits.headroom - LIMIT_SLACK
+                    and height_of_next_hit - z >= agent_limits.headroom - LIMIT_SLACK
                 ):
                     num_planes, plane_geom = count_planes_around(planes, lattice, cells[index], z)
                     # only closed meshes, or only planes, are around the hit
-                    in_meshes_or_planes_alone = num_solids <= 0 and (
+                    is_in_meshes_or_planes_alone = num_solids <= 0 and (
                         num_meshes <= 0 or num_planes == 0
                     )
                     if num_meshes + num_solids + num_planes <= 0:
                         flags[num_rows] |= STANDABLE
                         standable_z = z
-                        if hits.z[stop - 1] - z <= LIMIT_SLACK:
+                        if hits.z[end_hit - 1] - z <= LIMIT_SLACK:
                             flags[num_rows] |= UNCOVERED
-                    elif in_meshes_or_planes_alone and z - enclosed_z > SAME_HEIGHT:
+                    elif is_in_meshes_or_planes_alone and z - enclosed_z > SAME_HEIGHT:
                         flags[num_rows] |= ENCLOSED
                         enclosed_z = z
-                        mesh_geom = _find_enclosing_mesh(hits, hit, stop)
+                        mesh_geom = _find_enclosing_mesh(hits, hit, end_hit)
                         geoms[num_rows] = mesh_geom if mesh_geom >= 0 else plane_geom
             num_rows += 1
         row_counts[index] = num_rows - num_rows_before
@@ -246,7 +246,7 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
 
 
 @subkernel(**NO_REFCOUNT)
-def slopes_join(surfaces, surface_a, surface_b, direction, max_step):
+def are_joined_by_slopes(surfaces, surface_a, surface_b, direction, max_step):
     """Return whether slopes join two surfaces of neighboring cells that no step joins.
 
     The slope of each of the two surfaces predicts how much the floor rises from `surface_a` to

@@ -55,8 +55,8 @@ def may_slopes_join(lattice: Lattice, agent: AgentSettings) -> bool:
         lattice: the lattice of the cells.
         agent: the agent, of which the slope and step are used.
     """
-    rise = lattice.cell_size * np.tan(np.radians(agent.max_slope))
-    return bool(rise > agent.traversable_floor_height)
+    rise_per_cell = lattice.cell_size * np.tan(np.radians(agent.max_slope))
+    return bool(rise_per_cell > agent.traversable_floor_height)
 
 
 def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -> Surfaces:
@@ -84,7 +84,7 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
     arrays_by_chunk: list[list[NDArray[Any]]] = []
     for chunk in columns.row_chunks():
         cells = _cells_by_block(lattice, chunk.valid_rows)
-        num_in_cell, arrays = list_rows(
+        num_surfaces_in_cell, row_arrays = list_rows(
             list_surfaces,
             cells,
             no_rows,
@@ -95,10 +95,10 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
             least=LEAST_CELLS,
         )
         # surfaces of this chunk come after those of earlier chunks
-        end_surface[cells] = num_surfaces + np.cumsum(num_in_cell)
-        first_surface[cells] = end_surface[cells] - num_in_cell
-        num_surfaces += int(num_in_cell.sum())
-        arrays_by_chunk.append(arrays)
+        end_surface[cells] = num_surfaces + np.cumsum(num_surfaces_in_cell)
+        first_surface[cells] = end_surface[cells] - num_surfaces_in_cell
+        num_surfaces += int(num_surfaces_in_cell.sum())
+        arrays_by_chunk.append(row_arrays)
     z, geom, flags, normal = join_arrays(arrays_by_chunk)
     return Surfaces(lattice, first_surface, end_surface, z, geom, flags, normal)
 
