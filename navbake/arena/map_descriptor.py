@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError, QueryError
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.lattice import CELL_SLACK, Lattice, num_cells
+from navbake.navgrid.lattice import CELL_SLACK, Lattice, count_cells
 from navbake.types import Bool, Float, Int
 from navbake.voxels.grid import finite_array
 
@@ -298,7 +298,7 @@ def place_squares(
                 value=square,
                 expected="larger squares",
             )
-        shape = (num_cells(y_high - bottom, square), num_cells(x_high - left_side, square))
+        shape = (count_cells(y_high - bottom, square), count_cells(x_high - left_side, square))
     rows, cols = shape
     if rows < 1 or cols < 1:
         raise _make_argument_error(

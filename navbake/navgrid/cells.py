@@ -52,7 +52,7 @@ LAYERS = {
     "island": Layer(lambda grid: list(islands_of(grid)), 0),
     "clearance": Layer(lambda grid: [measure_clearance(level) for level in grid.levels], 0),
 }
-"""Name -> layer. `values_at` takes any other name as that of an attribute of the file."""
+"""The layers by name. `values_at` takes any other name for the name of an attribute in the file."""
 
 
 def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Cell | None:
@@ -121,8 +121,8 @@ def position_of(grid: GridBase, cells: CellsLike) -> Float:
     """
     checked_cells = check_cells(grid, cells)
     positions = np.empty((*checked_cells.level.shape, 3), dtype=np.float64)
-    for number, level in enumerate(grid.levels):
-        is_on_level = checked_cells.level == number
+    for level_number, level in enumerate(grid.levels):
+        is_on_level = checked_cells.level == level_number
         rows = checked_cells.row[is_on_level]
         cols = checked_cells.col[is_on_level]
         floor_z = _floors_of_cells(level, rows, cols)
@@ -152,13 +152,13 @@ def check_cells(grid: GridBase, cells: CellsLike) -> Cells:
         )
     checked_cells = Cells(*(array.astype(np.int64) for array in arrays))
     level, row, col = checked_cells
-    exists = (level >= 0) & (level < len(grid.levels)) & (row >= 0) & (col >= 0)
+    is_existing = (level >= 0) & (level < len(grid.levels)) & (row >= 0) & (col >= 0)
     # a level that does not exist gets the shape of level 0; its cells are faulty anyway
     level_shapes = np.array([level_grid.shape for level_grid in grid.levels])
-    shapes = level_shapes[np.where(exists, level, 0)]
-    exists &= (row < shapes[..., 0]) & (col < shapes[..., 1])
-    if not exists.all():
-        missing_cell = tuple(int(axis[~exists].ravel()[0]) for axis in checked_cells)
+    shapes_of_levels = level_shapes[np.where(is_existing, level, 0)]
+    is_existing &= (row < shapes_of_levels[..., 0]) & (col < shapes_of_levels[..., 1])
+    if not is_existing.all():
+        missing_cell = tuple(int(axis[~is_existing].ravel()[0]) for axis in checked_cells)
         raise QueryError(
             f"no cell (level, row, col) = {missing_cell} in {grid.scene_id!r}",
             key="cells",
@@ -217,10 +217,10 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
             if checked_positions.ndim > 1
             else checked_positions
         )
-        text = ", ".join(f"{coordinate:g}" for coordinate in faulty_position)
+        position_text = ", ".join(f"{coordinate:g}" for coordinate in faulty_position)
         expected = "a position of finite numbers"
         raise QueryError(
-            f"expected {expected}, got {text}",
+            f"expected {expected}, got {position_text}",
             key="position",
             value=tuple(faulty_position.tolist()),
             expected=expected,
@@ -261,40 +261,38 @@ def _find_cells_below(grid: GridBase, positions: Float) -> Int:
     """
     z = positions[:, 2]
     # float32 moved the floors of files, in proportion to their height
-    highest_floor_allowed = z + grid.max_step + STEP_SLACK + np.abs(z) * FLOAT32_ROUNDING
+    max_floor_z = z + grid.max_step + STEP_SLACK + np.abs(z) * FLOAT32_ROUNDING
     num_positions = len(positions)
     cells_on_floor = np.full((3, num_positions), -1, dtype=np.int64)
     cells_on_ground = np.full((3, num_positions), -1, dtype=np.int64)
-    highest_floor = np.full(num_positions, -np.inf)
-    highest_ground = np.full(num_positions, -np.inf)
+    highest_floor_z = np.full(num_positions, -np.inf)
+    highest_ground_z = np.full(num_positions, -np.inf)
     # the highest floor that is allowed counts; a ground counts only if there is no such floor
-    for number, level in enumerate(grid.levels):
-        cells = _find_cells_on_level(grid, number, positions)
+    for level_number, level in enumerate(grid.levels):
+        cells = _find_cells_on_level(grid, level_number, positions)
         is_inside = cells[0] >= 0
         floor_z = np.full(num_positions, np.nan)
         floor_z[is_inside] = _floors_of_cells(level, cells[1, is_inside], cells[2, is_inside])
-        is_nearer = (floor_z <= highest_floor_allowed) & (floor_z > highest_floor)  # False for NaN
-        highest_floor[is_nearer] = floor_z[is_nearer]
-        cells_on_floor[:, is_nearer] = cells[:, is_nearer]
+        is_higher = (floor_z <= max_floor_z) & (floor_z > highest_floor_z)  # False for NaN
+        highest_floor_z[is_higher] = floor_z[is_higher]
+        cells_on_floor[:, is_higher] = cells[:, is_higher]
         has_ground_only: Bool = is_inside & np.isnan(floor_z)
-        is_nearer = (
-            has_ground_only
-            & (level.ground <= highest_floor_allowed)
-            & (level.ground > highest_ground)
+        is_higher = (
+            has_ground_only & (level.ground <= max_floor_z) & (level.ground > highest_ground_z)
         )
-        highest_ground[is_nearer] = level.ground
-        cells_on_ground[:, is_nearer] = cells[:, is_nearer]
+        highest_ground_z[is_higher] = level.ground
+        cells_on_ground[:, is_higher] = cells[:, is_higher]
     return np.where(cells_on_floor[0] >= 0, cells_on_floor, cells_on_ground)
 
 
-def _find_cells_on_level(grid: GridBase, number: int, positions: Float) -> Int:
+def _find_cells_on_level(grid: GridBase, level_number: int, positions: Float) -> Int:
     """Return level, row and column of positions on one level, shape (3, n); -1 outside it."""
-    x_min, y_max, cell_size, width, height = grid.levels[number].lattice
+    x_min, y_max, cell_size, width, height = grid.levels[level_number].lattice
     row = np.floor((y_max - positions[:, 1]) / cell_size)
     col = np.floor((positions[:, 0] - x_min) / cell_size)
     # compared as floats: far positions overflow int64
     is_inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
-    level = np.full(len(positions), number)
+    level = np.full(len(positions), level_number)
     return np.where(is_inside, (level, row, col), -1.0).astype(np.int64)
 
 
@@ -313,7 +311,7 @@ def _floors_of_cells(level: SceneGrid2D, rows: Int, cols: Int) -> Float:
 
 @dataclass(frozen=True)
 class Place:
-    """All layers of a grid in one cell.
+    """The values of all layers of a grid in one cell.
 
     Attributes:
         cell: Level, row and column.
@@ -347,12 +345,12 @@ class Place:
     def is_blocked(self) -> bool:
         """Whether an obstacle of `grid.block` currently blocks the cell."""
         level, row, col = self.cell
-        state = self.grid.levels[level].obstacle_state
-        return state is not None and bool(state.mask_of(BLOCKED)[row, col])
+        obstacle_state = self.grid.levels[level].obstacle_state
+        return obstacle_state is not None and bool(obstacle_state.mask_of(BLOCKED)[row, col])
 
 
 def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:
-    """Return all layers in the cell of a position; see `GridBase.at`.
+    """Return the values of all layers in the cell of a position; see `GridBase.at`.
 
     Args:
         grid: The grid.
@@ -360,14 +358,14 @@ def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Pl
         level: The level of the cell, 0 is the lowest; None to find it by z.
 
     Returns:
-        The layers; None if there is no cell.
+        The values; None if there is no cell.
     """
     cell = cell_at(grid, position, level)
     return None if cell is None else place_in(grid, cell)
 
 
 def place_in(grid: NavGrid, cell: Cell) -> Place:
-    """Return all layers in a cell.
+    """Return the values of all layers in a cell.
 
     Args:
         grid: The grid.
@@ -404,7 +402,7 @@ def _find_room_id(grid: NavGrid, cell: Cell) -> str | None:
 def values_at(
     grid: NavGrid, layer: str, positions: ArrayLike, level: int | None = None
 ) -> NDArray[Any]:
-    """Return one layer at many positions; see `GridBase.values_at`.
+    """Return the values of one layer at many positions; see `GridBase.values_at`.
 
     Args:
         grid: The grid.
@@ -420,27 +418,27 @@ def values_at(
     """
     cells = cells_at(grid, positions, level)
     value_outside: float | None = None
-    arrays: dict[int, NDArray[Any]] = {}  # level -> array; a level may lack the attribute
+    array_by_level: dict[int, NDArray[Any]] = {}  # level -> array; a level may lack the attribute
     if layer in LAYERS:
         value_outside = LAYERS[layer].outside
-        arrays = dict(enumerate(LAYERS[layer].compute(grid)))
+        array_by_level = dict(enumerate(LAYERS[layer].compute(grid)))
     else:
-        for number, level_grid in enumerate(grid.levels):
+        for level_number, level_grid in enumerate(grid.levels):
             if layer in level_grid.attributes:
-                arrays[number] = level_grid.attributes[layer]
-    if not arrays:
-        names = [*LAYERS]
+                array_by_level[level_number] = level_grid.attributes[layer]
+    if not array_by_level:
+        layer_names = [*LAYERS]
         for level_grid in grid.levels:
-            names += level_grid.attributes
-        hint = suggest(layer, names, max_listed=len(names))
+            layer_names += level_grid.attributes
+        hint = suggest(layer, layer_names, max_listed=len(layer_names))
         raise QueryError(
             f"no layer {layer!r} in {grid.scene_id!r}: {hint}", key="layer", value=layer, hint=hint
         )
-    dtype = np.result_type(*arrays.values())
+    dtype = np.result_type(*array_by_level.values())
     if value_outside is None:
         value_outside = np.nan if dtype.kind == "f" else 0
     values = np.full(cells.level.shape, value_outside, dtype=dtype)
-    for number, array in arrays.items():
-        is_on_level = cells.level == number
+    for level_number, array in array_by_level.items():
+        is_on_level = cells.level == level_number
         values[is_on_level] = array[cells.row[is_on_level], cells.col[is_on_level]]
     return values

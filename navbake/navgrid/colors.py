@@ -81,16 +81,18 @@ def color_rooms(grid: NavGrid, level_number: int) -> NDArray[np.uint8]:
     num_rooms = int(room_index.max(initial=0))
     rooms = [room for room in grid.rooms if room.level == level_number and room.index <= num_rooms]
     index_by_id = {room.id: room.index for room in rooms}
-    pairs = find_neighbours(room_index, math.ceil(MAX_NEIGHBOR_GAP / level.lattice.cell_size))
+    neighbour_pairs = find_neighbours(
+        room_index, math.ceil(MAX_NEIGHBOR_GAP / level.lattice.cell_size)
+    )
     for room in rooms:
         for neighbour in room.neighbours:
             neighbour_index = index_by_id.get(neighbour.room, room.index)
             if neighbour_index != room.index:
-                pairs.add((room.index, neighbour_index))
+                neighbour_pairs.add((room.index, neighbour_index))
     outdoor_indices = {room.index for room in rooms if room.outdoors}
-    pairs = {pair for pair in pairs if not outdoor_indices.intersection(pair)}
+    neighbour_pairs = {pair for pair in neighbour_pairs if not outdoor_indices.intersection(pair)}
     palette = np.array([rgb_of(color) for color in ROOMS], dtype=np.uint8)
-    colors = palette[choose_colors(num_rooms, pairs, len(palette))]
+    colors = palette[choose_colors(num_rooms, neighbour_pairs, len(palette))]
     for outdoor_index in outdoor_indices:
         colors[outdoor_index] = rgb_of(OUTDOORS)
     return colors
@@ -110,7 +112,7 @@ def find_neighbours(part_of_cell: NDArray[Any], max_gap: int) -> set[tuple[int, 
     Returns:
         Pairs of part numbers, the smaller number first.
     """
-    all_pairs = [np.empty((0, 2), dtype=np.int64)]
+    pair_arrays = [np.empty((0, 2), dtype=np.int64)]
     for lines in (part_of_cell, part_of_cell.T):
         line_numbers, change_indices = np.nonzero(lines[:, 1:] != lines[:, :-1])
         parts_before = lines[line_numbers, change_indices]
@@ -123,8 +125,8 @@ def find_neighbours(part_of_cell: NDArray[Any], max_gap: int) -> set[tuple[int, 
         )
         touching_pairs = np.stack([parts_before, parts_after], axis=1)
         pairs_across_gaps = np.stack([parts_before[:-1], parts_after[1:]], axis=1)[is_gap]
-        all_pairs += [touching_pairs, pairs_across_gaps]
-    pairs = np.sort(np.concatenate(all_pairs), axis=1)
+        pair_arrays += [touching_pairs, pairs_across_gaps]
+    pairs = np.sort(np.concatenate(pair_arrays), axis=1)
     pairs = pairs[(pairs[:, 0] > 0) & (pairs[:, 0] < pairs[:, 1])]
     return set(map(tuple, np.unique(pairs, axis=0).tolist()))
 
@@ -145,21 +147,24 @@ def choose_colors(num_parts: int, pairs: Iterable[tuple[int, int]], num_colors: 
         For each part the number of its colour, from 0; shape (num_parts + 1,), int64. Entry 0
         belongs to no part.
     """
-    neighbours: list[set[int]] = [set() for _ in range(num_parts + 1)]
-    for first, second in pairs:
-        neighbours[first].add(second)
-        neighbours[second].add(first)
+    neighbours_by_part: list[set[int]] = [set() for _ in range(num_parts + 1)]
+    for first_part, second_part in pairs:
+        neighbours_by_part[first_part].add(second_part)
+        neighbours_by_part[second_part].add(first_part)
     colors = np.full(num_parts + 1, -1, dtype=np.int64)
     num_uses = [0] * num_colors
-    for part in sorted(range(1, num_parts + 1), key=lambda part: (-len(neighbours[part]), part)):
+    for part_number in sorted(
+        range(1, num_parts + 1),
+        key=lambda part_number: (-len(neighbours_by_part[part_number]), part_number),
+    ):
         num_conflicts = [0] * num_colors
-        for neighbour in neighbours[part]:
+        for neighbour in neighbours_by_part[part_number]:
             if colors[neighbour] >= 0:
                 num_conflicts[colors[neighbour]] += 1
         best_color = min(
             range(num_colors), key=lambda color: (num_conflicts[color], num_uses[color], color)
         )
-        colors[part] = best_color
+        colors[part_number] = best_color
         num_uses[best_color] += 1
     colors[0] = 0
     return colors

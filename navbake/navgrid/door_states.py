@@ -55,24 +55,24 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     _mark_doors(list(doors_before.values()), occupied_masks, solid_masks, is_blocked=False)
     _mark_doors(doors_after, occupied_masks, solid_masks, is_blocked=True)
     levels = []
-    for number, level in enumerate(grid.levels):
-        is_occupied = occupied_masks[number].reshape(level.shape)
+    for level_number, level in enumerate(grid.levels):
+        is_occupied = occupied_masks[level_number].reshape(level.shape)
         was_occupied = level.occupancy.astype(np.bool_)
-        is_solid = solid_masks[number].reshape(level.shape)
-        obstacles = level.obstacle_state
-        if obstacles is not None:
-            is_occupied |= obstacles.mask_of(OCCUPIED)
-            is_solid |= obstacles.mask_of(OCCUPIED)
+        is_solid = solid_masks[level_number].reshape(level.shape)
+        obstacle_state = level.obstacle_state
+        if obstacle_state is not None:
+            is_occupied |= obstacle_state.mask_of(OCCUPIED)
+            is_solid |= obstacle_state.mask_of(OCCUPIED)
         weights = level.weights.copy()
         # cells that no door changes keep their weight
         weights[is_occupied & ~was_occupied] = np.inf
         weights[~is_occupied & was_occupied] = 1.0
-        if obstacles is not None:
-            weights[obstacles.mask_of(BLOCKED)] = np.inf
+        if obstacle_state is not None:
+            weights[obstacle_state.mask_of(BLOCKED)] = np.inf
         user_data = None
         if grid.navbake.get("names", True):
             user_data = with_door_names(
-                UserData.of(level.user_data), doors_after, number, len(grid.levels)
+                UserData.of(level.user_data), doors_after, level_number, len(grid.levels)
             )
         attributes = {"occupancy": is_occupied.astype(np.uint8)}
         if "solid" in level.attributes:
@@ -132,10 +132,10 @@ def _mark_doors(
         is_blocked: The value to set.
     """
     for door in doors:
-        for number, cells in enumerate(door.cells_in(door.state, len(occupied_masks))):
-            occupied_masks[number][cells] = is_blocked
-        for number, cells in enumerate(door.solid_in(door.state, len(solid_masks))):
-            solid_masks[number][cells] = is_blocked
+        for level_number, cells in enumerate(door.cells_in(door.state, len(occupied_masks))):
+            occupied_masks[level_number][cells] = is_blocked
+        for level_number, cells in enumerate(door.solid_in(door.state, len(solid_masks))):
+            solid_masks[level_number][cells] = is_blocked
 
 
 def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
@@ -153,10 +153,10 @@ def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
         raise QueryError(
             f"expected {expected}, got {states!r}", key="states", value=states, expected=expected
         )
-    names = [link.name for link in grid.links]
+    link_names = [link.name for link in grid.links]
     for name, state in states.items():
-        if name not in names:
-            hint = suggest(name, names)
+        if name not in link_names:
+            hint = suggest(name, link_names)
             raise QueryError(
                 f"no link {name!r} in {grid.scene_id!r}: {hint}", key=name, value=state, hint=hint
             )
@@ -195,24 +195,25 @@ def with_door_names(
     if not doors:
         return user_data  # without parsing it
     # all cells that a door blocks in any state: the user data may be from that state
-    doors_by_cell: dict[int, set[str]] = {}
-    blocking_by_cell: dict[int, set[str]] = {}  # doors that block the cell in their current state
+    door_ids_by_cell: dict[int, set[str]] = {}
+    # doors that block the cell in their current state
+    blocking_ids_by_cell: dict[int, set[str]] = {}
     for door in doors:
         for state in door.cells:
             for cell in door.cells_in(state, num_levels)[level].tolist():
-                door_ids = doors_by_cell.setdefault(cell, set())
+                door_ids = door_ids_by_cell.setdefault(cell, set())
                 if state in ("closed", door.state):
                     door_ids.add(door.id)
                 if state == door.state:
-                    blocking_by_cell.setdefault(cell, set()).add(door.id)
+                    blocking_ids_by_cell.setdefault(cell, set()).add(door.id)
     all_door_ids = {door.id for door in doors}
-    cells = np.fromiter(doors_by_cell, dtype=np.int64, count=len(doors_by_cell))
+    cells = np.fromiter(door_ids_by_cell, dtype=np.int64, count=len(door_ids_by_cell))
     new_entries: dict[int, Json] = {}
-    for cell, entry in zip(doors_by_cell, user_data.find(cells), strict=True):
+    for cell, entry in zip(door_ids_by_cell, user_data.find(cells), strict=True):
         new_entries[cell] = _with_door_ids(
             _without_doors(entry, all_door_ids),
-            doors_by_cell[cell],
-            blocking_by_cell.get(cell, set()),
+            door_ids_by_cell[cell],
+            blocking_ids_by_cell.get(cell, set()),
         )
     return user_data.with_entries(new_entries)
 
@@ -225,11 +226,11 @@ def _without_doors(entry: Json, door_ids: set[str]) -> Json:
         key: value for key, value in entry.items() if key not in ("doors", "blockers")
     }
     if isinstance(entry_without_doors.get("objects"), list):
-        objects = [
+        object_names = [
             name for name in names_in(entry_without_doors, "objects") if name not in door_ids
         ]
-        entry_without_doors["objects"] = objects
-        if not objects:
+        entry_without_doors["objects"] = object_names
+        if not object_names:
             del entry_without_doors["objects"]
     return entry_without_doors
 
@@ -239,9 +240,9 @@ def _with_door_ids(entry: Json, door_ids: set[str], blocking_ids: set[str]) -> J
     if not door_ids:
         return entry
     name_lists: Json = {"doors": sorted(door_ids)}
-    objects = sorted({*names_in(entry, "objects"), *blocking_ids})
-    if objects:
-        name_lists["objects"] = objects
+    object_names = sorted({*names_in(entry, "objects"), *blocking_ids})
+    if object_names:
+        name_lists["objects"] = object_names
     entry = {**name_lists, **{key: value for key, value in entry.items() if key not in name_lists}}
     # blockers are listed only where they aren't all that stands in the cell
     if blocking_ids and blocking_ids != {
@@ -301,16 +302,16 @@ def name_doors(leaf_ids: Iterable[str]) -> dict[str, str]:
         Id of a leaf -> name of its door.
     """
     unique_ids = dict.fromkeys(leaf_ids)
-    names = {}
+    door_name_by_leaf = {}
     for leaf_id in unique_ids:
-        stem, _, side = leaf_id.rpartition("_")
+        door_name, _, side = leaf_id.rpartition("_")
         is_pair = (
             side in ("right", "left")
-            and f"{stem}_right" in unique_ids
-            and f"{stem}_left" in unique_ids
+            and f"{door_name}_right" in unique_ids
+            and f"{door_name}_left" in unique_ids
         )
-        names[leaf_id] = stem if is_pair else leaf_id
-    return names
+        door_name_by_leaf[leaf_id] = door_name if is_pair else leaf_id
+    return door_name_by_leaf
 
 
 def mark_door_cells(grid: NavGrid, level_number: int, *, in_current_state: bool) -> Bool:
@@ -333,11 +334,11 @@ def mark_door_cells(grid: NavGrid, level_number: int, *, in_current_state: bool)
     return is_door_cell
 
 
-Ends = tuple[tuple[float, float], tuple[float, float]]
+LineEnds = tuple[tuple[float, float], tuple[float, float]]
 """Both ends of a line, world x, y [m]."""
 
 
-def find_leaf_ends(grid: NavGrid, door: Door, level_number: int) -> Ends | None:
+def find_leaf_ends(grid: NavGrid, door: Door, level_number: int) -> LineEnds | None:
     """Find the ends of a door's leaf on a level.
 
     The leaf is taken in the first state in which the grid has cells of it on the level: closed, the
@@ -369,10 +370,10 @@ def find_leaf_ends(grid: NavGrid, door: Door, level_number: int) -> Ends | None:
     cell_size = level.lattice.cell_size
     centers = level.lattice.positions(*np.divmod(cells, level.width))
     middle = centers.mean(axis=0)
-    offsets = centers - middle
+    center_offsets = centers - middle
     # the longer principal axis: the eigenvector of the largest eigenvalue
-    axis = _point_right(np.linalg.eigh(offsets.T @ offsets)[1][:, 1])
-    if np.ptp(offsets @ axis) * np.abs(axis).min() < cell_size / 2:
+    axis = _point_right(np.linalg.eigh(center_offsets.T @ center_offsets)[1][:, 1])
+    if np.ptp(center_offsets @ axis) * np.abs(axis).min() < cell_size / 2:
         # within half a cell, it runs along a row or a column
         axis = np.round(axis) + 0.0
     extra_length = 0.0
@@ -386,10 +387,12 @@ def find_leaf_ends(grid: NavGrid, door: Door, level_number: int) -> Ends | None:
                 axis: Unit vector x, y along which the leaf is taken to run.
             """
             normal = _point_right(np.array([-axis[1], axis[0]]))
-            distances = centers @ axis
-            offset = np.median(centers @ normal) * normal
-            ends = np.array([[distances.min() - cell_size], [distances.max() + cell_size]])
-            rows, cols = level.lattice.rows_cols(ends * axis + offset)
+            positions_on_axis = centers @ axis
+            normal_offset = np.median(centers @ normal) * normal
+            end_positions_on_axis = np.array(
+                [[positions_on_axis.min() - cell_size], [positions_on_axis.max() + cell_size]]
+            )
+            rows, cols = level.lattice.rows_cols(end_positions_on_axis * axis + normal_offset)
             rows = (rows + 1).clip(0, is_free.shape[0] - 1)
             cols = (cols + 1).clip(0, is_free.shape[1] - 1)
             return int(np.count_nonzero(~is_free[rows, cols]))
@@ -399,7 +402,7 @@ def find_leaf_ends(grid: NavGrid, door: Door, level_number: int) -> Ends | None:
             axis = shorter_axis
         extra_length = grid.agent_radius
     # to the outermost edges of the cells
-    distances = offsets @ axis
+    distances = center_offsets @ axis
     extra_length += cell_size / 2 / np.abs(axis).max()
     end_distances = np.array([[distances.min() - extra_length], [distances.max() + extra_length]])
     ends = (np.round(middle + end_distances * axis, DECIMALS) + 0.0).tolist()

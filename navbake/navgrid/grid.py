@@ -59,7 +59,8 @@ class GridBase(GridMethods):
         cell_size: Edge of a cell [file units], > 0.
         unit: Metres per file unit, > 0.
         metadata: The metadata, as in the file.
-        timings: The timings, as in the file; comparisons of grids ignore them.
+        timings: Milliseconds of each stage of the bake, as in the file; comparisons of grids ignore
+            them.
         extra: Fields of the file that the format does not define; they are written back.
         cached_islands: The digest of the grid's data at the last call of
             `navbake.navgrid.islands.find_islands`, and the islands that it found; None before.
@@ -112,8 +113,10 @@ class GridBase(GridMethods):
         )
         num_rooms = sum(int(np.count_nonzero(np.unique(level.room_index))) for level in self.levels)
         rooms_text = count_of(num_rooms, "room")
-        facts = f"{levels_text}, {free_area:.1f} m² free, {rooms_text}, {self.describe_radius()}"
-        return f"{type(self).__name__}({self.scene_id!r}, {facts})"
+        facts_text = (
+            f"{levels_text}, {free_area:.1f} m² free, {rooms_text}, {self.describe_radius()}"
+        )
+        return f"{type(self).__name__}({self.scene_id!r}, {facts_text})"
 
     def describe_radius(self) -> str:
         """Describe the grid's radius in words, and whether it comes from a bake or an inflation."""
@@ -123,8 +126,11 @@ class GridBase(GridMethods):
     @property
     def is_blocked(self) -> bool:
         """Whether an added obstacle (see `block`) currently blocks any cell."""
-        states = [level.obstacle_state for level in self.levels]
-        return any(state is not None and state.is_blocked for state in states)
+        obstacle_states = [level.obstacle_state for level in self.levels]
+        return any(
+            obstacle_state is not None and obstacle_state.is_blocked
+            for obstacle_state in obstacle_states
+        )
 
     def without_obstacles(self) -> Self:
         """Return a grid in which no added obstacle (see `block`) blocks a cell.
@@ -282,14 +288,14 @@ class GridBase(GridMethods):
     @property
     def level_names(self) -> list[str]:
         """The levels' names, lowest first; ``level 0``, ``level 1``, … if the file has none."""
-        names = [f"level {number}" for number in range(len(self.levels))]
+        names = [f"level {level_number}" for level_number in range(len(self.levels))]
         entries = self.navbake.get("levels")
         if not isinstance(entries, list):
             return names
-        for number, entry in enumerate(entries[: len(names)]):
+        for level_number, entry in enumerate(entries[: len(names)]):
             name = entry.get("name") if isinstance(entry, dict) else None
             if isinstance(name, str) and name:
-                names[number] = name
+                names[level_number] = name
         return names
 
     @property
@@ -299,10 +305,10 @@ class GridBase(GridMethods):
 
 
 class DerivedWeights:
-    """The attribute `SceneGrid2D.weights`, which may be derived from the occupancy on first use.
+    """Gives levels the attribute `SceneGrid2D.weights`, whose array may be made on first access.
 
-    Deriving the weights of a million cells takes as long as the rest of a small update, which does
-    not need them.
+    If no weights were set, they are derived from the occupancy then. Deriving the weights of a
+    million cells takes as long as the rest of a small update, which does not need them.
     """
 
     def __get__(self, level: SceneGrid2D, owner: type | None = None) -> NDArray[Any]:
@@ -369,10 +375,10 @@ class SceneGrid2D(GridBase):
         return [self]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Replace the level, as `MultiLevelGrid.with_levels` does for grids of several levels.
+        """Return the grid with its one level replaced: the new level is itself the grid.
 
         Args:
-            levels: A list with the new level alone, which is returned.
+            levels: A list with the new level alone.
             metadata: The new metadata; None to keep the metadata of the new level.
         """
         (level,) = levels
@@ -406,8 +412,8 @@ class SceneGrid2D(GridBase):
         if weights is None:
             # weights that are not derived yet may be derived later, from the new level's occupancy,
             # unless that is replaced
-            is_replaced = attributes is not None and "occupancy" in attributes
-            weights = self.weights if is_replaced else self.__dict__["weights"]
+            is_occupancy_replaced = attributes is not None and "occupancy" in attributes
+            weights = self.weights if is_occupancy_replaced else self.__dict__["weights"]
         return replace(
             self,
             weights=DERIVED_WEIGHTS if weights is None else weights,
@@ -418,14 +424,18 @@ class SceneGrid2D(GridBase):
 
     def without_obstacles(self) -> Self:
         """Return a level in which no added obstacle blocks a cell; `self` if none does now."""
-        state = self.obstacle_state
-        if state is None or not state.is_blocked:
+        obstacle_state = self.obstacle_state
+        if obstacle_state is None or not obstacle_state.is_blocked:
             return self
         occupied_attributes = {
-            name: np.where(state.mask_of(OCCUPIED), without_obstacles, self.attributes[name])
-            for name, without_obstacles in state.occupied.items()
+            name: np.where(
+                obstacle_state.mask_of(OCCUPIED), layer_without_obstacles, self.attributes[name]
+            )
+            for name, layer_without_obstacles in obstacle_state.attributes_without_obstacles.items()
         }
-        weights = np.where(state.mask_of(BLOCKED), state.weights, self.weights)
+        weights = np.where(
+            obstacle_state.mask_of(BLOCKED), obstacle_state.weights_without_obstacles, self.weights
+        )
         return self.with_layers(weights=weights, attributes=occupied_attributes)
 
     @property
@@ -600,11 +610,11 @@ class MultiLevelGrid(GridBase):
     def __post_init__(self) -> None:
         if not self.grids:
             raise FormatError("a MultiLevelGrid has at least one level, got none")
-        for number, grid in enumerate(self.grids):
-            if not grid.metadata or grid.metadata == self.metadata:
-                grid.metadata = cut_metadata(self.metadata, number)
+        for level_number, level in enumerate(self.grids):
+            if not level.metadata or level.metadata == self.metadata:
+                level.metadata = cut_metadata(self.metadata, level_number)
             # another copy, to compare with the metadata of the level, which callers may change
-            self._inherited_metadata.append(cut_metadata(self.metadata, number))
+            self._inherited_metadata.append(cut_metadata(self.metadata, level_number))
 
     @property
     def levels(self) -> list[SceneGrid2D]:

@@ -109,7 +109,7 @@ class GridMethods:
         return position_of(self._as_grid(), cells)
 
     def at(self, position: ArrayLike, level: int | None = None) -> Place | None:
-        """Return all layers of the grid in the cell of a position.
+        """Return the values of all layers of the grid in the cell of a position.
 
         Args:
             position: World x, y, z [m], shape (3,). x, y are enough with `level`, or on a grid of
@@ -135,7 +135,7 @@ class GridMethods:
     def values_at(
         self, layer: str, positions: ArrayLike, level: int | None = None
     ) -> NDArray[np.generic]:
-        """Return one layer of the grid at many positions.
+        """Return the values of one layer of the grid at many positions.
 
         | layer | value | dtype | outside the grid |
         |---|---|---|---|

@@ -59,7 +59,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
 
 
 def values_by_area(grid: GridBase, values: Sequence[object], outside: object) -> NDArray[Any]:
-    """Give each cell the value of the area that it is in.
+    """Return an array by flat id: for each cell, the value that belongs to the cell's area.
 
     Args:
         grid: The grid.
@@ -115,21 +115,21 @@ def label_islands(
     ):
         level_cells = slice(first_cell, end_cell)
         is_free = free[level_cells].reshape(-1, num_cols)
-        floor_of_cell = floor[level_cells].reshape(-1, num_cols)
-        begins_here = begins_run[level_cells].reshape(-1, num_cols)
+        level_floor = floor[level_cells].reshape(-1, num_cols)
+        level_begins_run = begins_run[level_cells].reshape(-1, num_cols)
         # an unknown floor, NaN, is level with its neighbours
         joins_right = is_free[:, 1:] & is_free[:, :-1]
-        joins_right &= ~(np.abs(floor_of_cell[:, 1:] - floor_of_cell[:, :-1]) > max_rise)
-        begins_here[:, 1:] &= ~joins_right
+        joins_right &= ~(np.abs(level_floor[:, 1:] - level_floor[:, :-1]) > max_rise)
+        level_begins_run[:, 1:] &= ~joins_right
         joins_down = (
-            is_free[1:]
-            & is_free[:-1]
-            & ~(np.abs(floor_of_cell[1:] - floor_of_cell[:-1]) > max_rise)
+            is_free[1:] & is_free[:-1] & ~(np.abs(level_floor[1:] - level_floor[:-1]) > max_rise)
         )
         # one pair of cells for each pair of runs
-        joins_down[:, 1:] &= ~joins_down[:, :-1] | begins_here[1:, 1:] | begins_here[:-1, 1:]
-        upper_cell = np.flatnonzero(joins_down) + first_cell
-        cell_pairs.append(np.stack([upper_cell, upper_cell + num_cols], axis=1))
+        joins_down[:, 1:] &= (
+            ~joins_down[:, :-1] | level_begins_run[1:, 1:] | level_begins_run[:-1, 1:]
+        )
+        upper_cells = np.flatnonzero(joins_down) + first_cell
+        cell_pairs.append(np.stack([upper_cells, upper_cells + num_cols], axis=1))
     run_of_cell = np.cumsum(begins_run) - 1
     run_pairs = run_of_cell[np.concatenate(cell_pairs)]
     root_of_run = np.arange(np.count_nonzero(begins_run))
@@ -179,9 +179,9 @@ def _join_linked(island_of_run: Int, linked_islands: Int) -> Int:
 
 
 def islands_of(grid: GridBase) -> list[Int32]:
-    """Return the islands of a grid, as stored in its file, or else as `find_islands` finds them.
+    """Return the islands of a grid: those stored in its file, or else those of `find_islands`.
 
-    What `find_islands` finds is cached until the grid changes.
+    The result of `find_islands` is cached until the grid changes.
 
     A stored layer ``island`` is used under three conditions: navbake wrote the file (in files of
     other programs the layer may mean anything), no added obstacle blocks a cell, and the grid has
@@ -218,7 +218,9 @@ def _digest_sources(grid: GridBase) -> bytes:
     return digest.digest()
 
 
-def measure_clearance(level: SceneGrid2D, cells: CellRange | None = None) -> NDArray[np.float32]:
+def measure_clearance(
+    level: SceneGrid2D, cell_range: CellRange | None = None
+) -> NDArray[np.float32]:
     """Measure the distance from each free cell to the nearest cell that is not free [m].
 
     The distance is measured between centres, and half a cell is subtracted. Cells outside the grid
@@ -227,24 +229,24 @@ def measure_clearance(level: SceneGrid2D, cells: CellRange | None = None) -> NDA
 
     Args:
         level: The level.
-        cells: Measure in this range of cells only, and ignore blocked cells beyond it; None for all
-            cells.
+        cell_range: Measure in this range of cells only, and ignore blocked cells beyond it; None
+            for all cells.
 
     Returns:
-        The clearance [m], of the shape of the level or of `cells`, float32; 0 in cells that are
-        not free.
+        The clearance [m], of the shape of the level or of `cell_range`, float32; 0 in cells that
+        are not free.
     """
     from scipy.ndimage import distance_transform_edt  # scipy loads slowly
 
-    first_row, stop_row, first_col, stop_col = cells or (0, level.height, 0, level.width)
+    first_row, stop_row, first_col, stop_col = cell_range or (0, level.height, 0, level.width)
     is_free = level.free[first_row:stop_row, first_col:stop_col]
-    is_open = level.free_for_point[first_row:stop_row, first_col:stop_col]
+    is_free_for_point = level.free_for_point[first_row:stop_row, first_col:stop_col]
     # one blocked cell beyond each side of the cells that is an edge of the grid
     pad_top = int(first_row == 0)
     pad_left = int(first_col == 0)
     pad_bottom = int(stop_row == level.height)
     pad_right = int(stop_col == level.width)
-    padded_mask = np.pad(is_open, ((pad_top, pad_bottom), (pad_left, pad_right)))
+    padded_mask = np.pad(is_free_for_point, ((pad_top, pad_bottom), (pad_left, pad_right)))
     distances = distance_transform_edt(padded_mask)  # in cells
     distances = distances[
         pad_top : pad_top + is_free.shape[0], pad_left : pad_left + is_free.shape[1]
@@ -253,7 +255,7 @@ def measure_clearance(level: SceneGrid2D, cells: CellRange | None = None) -> NDA
 
 
 def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
-    """Group the steps between levels into stairs.
+    """Group the steps between levels that lie side by side: each group is a stair.
 
     Steps belong to one stair if they join the same two levels, and their cells on the first of
     these levels touch, also at corners.
@@ -270,12 +272,12 @@ def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
     for level_pair in np.unique(steps[:, ::2], axis=0).tolist():
         steps_of_pair = steps[(steps[:, ::2] == level_pair).all(axis=1)]
         level = grid.levels[level_pair[0]]
-        is_step = np.zeros(level.shape, dtype=np.bool_)
-        cells = np.divmod(steps_of_pair[:, 1], level.width)
-        is_step[cells] = True
-        group_numbers = ndimage.label(is_step, np.ones((3, 3)))[0][cells]
-        for number in np.unique(group_numbers).tolist():
-            yield steps_of_pair[group_numbers == number]
+        is_step_cell = np.zeros(level.shape, dtype=np.bool_)
+        rows_and_cols = np.divmod(steps_of_pair[:, 1], level.width)
+        is_step_cell[rows_and_cols] = True
+        group_numbers = ndimage.label(is_step_cell, np.ones((3, 3)))[0][rows_and_cols]
+        for group_number in np.unique(group_numbers).tolist():
+            yield steps_of_pair[group_numbers == group_number]
 
 
 def step_limit(grid: GridBase) -> float:
@@ -296,7 +298,9 @@ def renew_islands(grid: GridBase) -> None:
 
 
 def add_layers(grid: GridBase, names: Iterable[str]) -> None:
-    """Compute derived layers, and store them as attributes; existing ones are replaced.
+    """Compute the layers ``island`` and ``clearance``, and store them as attributes of the levels.
+
+    Layers of these names that the levels already have are replaced.
 
     Args:
         grid: The grid, which changes.

@@ -48,8 +48,8 @@ def rounded(value: float, digits: int = 6) -> float:
     return round(float(value), digits) + 0.0
 
 
-def num_cells(extent: float, cell_size: float, rounding: float = 0.0) -> int:
-    """Count the cells that cover an extent: ``ceil(extent / cell_size)``, at least 1.
+def count_cells(extent: float, cell_size: float, rounding: float = 0.0) -> int:
+    """Count the cells that cover a length: ``ceil(extent / cell_size)``, at least 1.
 
     Args:
         extent: Length to cover [m].
@@ -85,8 +85,8 @@ class Lattice(NamedTuple):
             rounding: By how much the extent may be too large because of rounding [m].
         """
         x_low, y_low, x_high, y_high = bounds
-        width = num_cells(x_high - x_low + 2 * margin, cell_size, rounding)
-        height = num_cells(y_high - y_low + 2 * margin, cell_size, rounding)
+        width = count_cells(x_high - x_low + 2 * margin, cell_size, rounding)
+        height = count_cells(y_high - y_low + 2 * margin, cell_size, rounding)
         x_mid = (x_low + x_high) / 2
         y_mid = (y_low + y_high) / 2
         x_min = x_mid - width * cell_size / 2
@@ -117,7 +117,7 @@ class Lattice(NamedTuple):
         return self.y_max - (np.arange(self.height, dtype=np.float64) + 0.5) * self.cell_size
 
     def rows_cols(self, xy: ArrayLike) -> tuple[Int, Int]:
-        """Return the rows and columns of positions, which may lie outside the lattice.
+        """Return row and column of the cell that each position is in; outside the lattice, too.
 
         Args:
             xy: Finite positions, world x, y and maybe z [m], shape (..., 2) or (..., 3).
@@ -174,15 +174,15 @@ class Lattice(NamedTuple):
         """
         x_low, y_low = bounds[0, :2] - margin
         x_high, y_high = bounds[1, :2] + margin
-        row, col = self.rows_cols([[x_low, y_high], [x_high, y_low]])
-        rows = slice(max(int(row[0]) - 1, 0), min(int(row[1]) + 2, self.height))
-        cols = slice(max(int(col[0]) - 1, 0), min(int(col[1]) + 2, self.width))
+        corner_rows, corner_cols = self.rows_cols([[x_low, y_high], [x_high, y_low]])
+        rows = slice(max(int(corner_rows[0]) - 1, 0), min(int(corner_rows[1]) + 2, self.height))
+        cols = slice(max(int(corner_cols[0]) - 1, 0), min(int(corner_cols[1]) + 2, self.width))
         if rows.start >= rows.stop or cols.start >= cols.stop:
             return None
         return rows, cols
 
     def cut(self, rows: slice, cols: slice) -> Lattice:
-        """Return the part of the lattice with some rows and columns.
+        """Return the lattice of some of the rows and columns alone.
 
         Args:
             rows: The range of rows, with a start and an end.
@@ -206,7 +206,8 @@ def find_outline_fault(points: ArrayLike) -> str | None:
     corners or a coordinate beyond 1e10 m. Sides may touch, and corners may be repeated.
 
     Args:
-        points: Corners in order, shape (n, 2), the first not repeated at the end.
+        points: x, y of the corners [m], in order, shape (n, 2); the first is not repeated at the
+            end.
 
     Returns:
         A phrase for an error message; None for a valid outline.
@@ -220,15 +221,18 @@ def find_outline_fault(points: ArrayLike) -> str | None:
         return "corners that all lie in a line"
     sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
     num_at_once = max(1, MAX_PAIRS // len(sides))
-    for first_side in range(0, len(sides), num_at_once):
-        some_sides = sides[first_side : first_side + num_at_once, None]
-        is_crossing = _separates(some_sides, sides[None]) & _separates(sides[None], some_sides)
-        crossing = np.argwhere(is_crossing)
-        if len(crossing):  # the first side that crosses another, and the first that it crosses
-            row, col = crossing[0]
-            crossing_pair = sides[[first_side + row, col]]
-            texts = [f"[{x0:g}, {y0:g}] to [{x1:g}, {y1:g}]" for x0, y0, x1, y1 in crossing_pair]
-            return "sides that cross: " + " and ".join(texts)
+    for first_side_index in range(0, len(sides), num_at_once):
+        side_batch = sides[first_side_index : first_side_index + num_at_once, None]
+        is_crossing = _separates(side_batch, sides[None]) & _separates(sides[None], side_batch)
+        crossing_indices = np.argwhere(is_crossing)
+        if len(crossing_indices):
+            # the first side that crosses another, and the first that it crosses
+            batch_index, crossed_index = crossing_indices[0]
+            crossing_pair = sides[[first_side_index + batch_index, crossed_index]]
+            side_texts = [
+                f"[{x0:g}, {y0:g}] to [{x1:g}, {y1:g}]" for x0, y0, x1, y1 in crossing_pair
+            ]
+            return "sides that cross: " + " and ".join(side_texts)
     return None
 
 
@@ -300,16 +304,16 @@ def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
         The mask, shape (height, width), bool.
     """
     # in each row, +1 at the first column that a side runs through, -1 after the last
-    changes = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
+    coverage_changes = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
     origin = np.array([lattice.x_min, lattice.y_max])
     for ring in rings:
         # column and row of each corner, with fractions
         corners = (np.asarray(ring, dtype=np.float64).reshape(-1, 2) - origin) / lattice.cell_size
         corners[:, 1] *= -1.0
         for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            upper, lower = (start, end) if start[1] <= end[1] else (end, start)
-            upper_col, upper_row = upper
-            lower_col, lower_row = lower
+            upper_end, lower_end = (start, end) if start[1] <= end[1] else (end, start)
+            upper_col, upper_row = upper_end
+            lower_col, lower_row = lower_end
             first_row = math.floor(upper_row + CELL_SLACK)
             stop_row = math.ceil(lower_row - CELL_SLACK)
             rows = np.arange(max(first_row, 0), min(stop_row, lattice.height))
@@ -323,8 +327,8 @@ def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
                 cols = np.array([[upper_col], [lower_col]])
             first_col = np.floor(cols.min(axis=0) + CELL_SLACK).clip(0, lattice.width)
             stop_col = np.ceil(cols.max(axis=0) - CELL_SLACK).clip(first_col, lattice.width)
-            np.add.at(changes, (rows, first_col.astype(np.int64)), 1)
-            np.add.at(changes, (rows, stop_col.astype(np.int64)), -1)
-    is_on_side = np.cumsum(changes[:, :-1], axis=1) > 0
+            np.add.at(coverage_changes, (rows, first_col.astype(np.int64)), 1)
+            np.add.at(coverage_changes, (rows, stop_col.astype(np.int64)), -1)
+    is_on_side = np.cumsum(coverage_changes[:, :-1], axis=1) > 0
     is_touched: Bool = cover_cells(rings, lattice) | is_on_side
     return is_touched

@@ -146,9 +146,9 @@ def parse_areas(entries: JsonValue) -> tuple[Area, ...]:
             expected=f"at most {MAX_AREAS} areas",
             place=AREAS,
         )
-    for number, entry in enumerate(area_entries):
+    for entry_number, entry in enumerate(area_entries):
         if entry.name in areas:
-            raise _make_duplicate_error(entry.name, f"{AREAS}[{number}].name")
+            raise _make_duplicate_error(entry.name, f"{AREAS}[{entry_number}].name")
         areas[entry.name] = Area(entry.name, float(entry.cost), entry.speed, entry.agents)
     return tuple(areas.values())
 
@@ -258,8 +258,8 @@ class Link:
             end: Index of the last stop.
         """
         lower_index, upper_index = sorted((begin, end))
-        places = [stop.position for stop in self.stops[lower_index : upper_index + 1]]
-        return sum(math.dist(place, next_place) for place, next_place in pairwise(places))
+        stop_positions = [stop.position for stop in self.stops[lower_index : upper_index + 1]]
+        return sum(math.dist(place, next_place) for place, next_place in pairwise(stop_positions))
 
     def to_json(self) -> Json:
         """Return the link's entry in the file's table."""
@@ -309,7 +309,7 @@ def find_arcs(
     """
     speed = DEFAULT_SPEED if agent is None else agent.speed
     arc_rows = []
-    for number, link in enumerate(links):
+    for link_index, link in enumerate(links):
         cells = [int(first_cells[stop.level]) + stop.cell for stop in link.stops]
         width = math.inf if link.width is None else link.width
         for start_index, end_index in np.ndindex(len(cells), len(cells)):
@@ -323,19 +323,19 @@ def find_arcs(
                 (
                     cells[start_index],
                     cells[end_index],
-                    number,
+                    link_index,
                     width,
                     cost + extra_cost,
                     seconds + extra_cost,
                 )
             )
-    table = np.array(arc_rows, dtype=np.float64).reshape(-1, 6)
+    arc_table = np.array(arc_rows, dtype=np.float64).reshape(-1, 6)
     return Arcs(
-        ends=table[:, :2].astype(np.int64),
-        link=table[:, 2].astype(np.int64),
-        width=table[:, 3].copy(),
-        cost=table[:, 4].copy(),
-        seconds=table[:, 5].copy(),
+        ends=arc_table[:, :2].astype(np.int64),
+        link=arc_table[:, 2].astype(np.int64),
+        width=arc_table[:, 3].copy(),
+        cost=arc_table[:, 4].copy(),
+        seconds=arc_table[:, 5].copy(),
     )
 
 
@@ -372,12 +372,12 @@ def parse_steps(entries: JsonValue, cell_counts: Sequence[int]) -> Int:
         FormatError: The table is broken, or a cell does not exist.
     """
     entry_numbers = []  # of the steps in the table
-    rows = []
-    for number, entry in enumerate(_parse_entries(entries)):
+    step_rows = []
+    for entry_number, entry in enumerate(_parse_entries(entries)):
         if isinstance(entry, tuple):
-            entry_numbers.append(number)
-            rows.append(entry)
-    steps = np.array(rows, dtype=np.int64).reshape(-1, 4)
+            entry_numbers.append(entry_number)
+            step_rows.append(entry)
+    steps = np.array(step_rows, dtype=np.int64).reshape(-1, 4)
     for index, (level, cell) in enumerate(steps.reshape(-1, 2).tolist()):
         _check_cell(level, cell, cell_counts, f"link {entry_numbers[index // 2]}")
     steps.flags.writeable = False
@@ -395,15 +395,15 @@ def parse_links(entries: JsonValue, cell_counts: Sequence[int]) -> tuple[Link, .
         FormatError: The table is broken, a name stands twice, or a cell does not exist.
     """
     links: dict[str, Link] = {}
-    for number, entry in enumerate(_parse_entries(entries)):
+    for entry_number, entry in enumerate(_parse_entries(entries)):
         if isinstance(entry, tuple):
             continue
-        place = f"{LINKS}[{number}]"
+        place = f"{LINKS}[{entry_number}]"
         stops = [
             Stop(level, cell, position)
             for (level, cell), position in zip(entry.stops, entry.positions, strict=False)
         ]
-        link: Link = read_table({**entries[number], "stops": stops}, Link, place)
+        link: Link = read_table({**entries[entry_number], "stops": stops}, Link, place)
         if link.name in links:
             raise _make_duplicate_error(link.name, f"{place}.name")
         if len(entry.positions) != len(entry.stops):
@@ -416,17 +416,17 @@ def parse_links(entries: JsonValue, cell_counts: Sequence[int]) -> tuple[Link, .
                 place=f"{place}.positions",
             )
         for stop in stops:
-            _check_cell(stop.level, stop.cell, cell_counts, f"link {number} ({link.name!r})")
+            _check_cell(stop.level, stop.cell, cell_counts, f"link {entry_number} ({link.name!r})")
         links[link.name] = link
     return tuple(links.values())
 
 
-def _check_cell(level: int, cell: int, cell_counts: Sequence[int], entry: str) -> None:
-    """Raise a FormatError for a cell that does not exist; it names the `entry` with the cell."""
+def _check_cell(level: int, cell: int, cell_counts: Sequence[int], entry_name: str) -> None:
+    """Raise a FormatError for a cell that does not exist; `entry_name` is the entry with it."""
     if not (0 <= level < len(cell_counts) and 0 <= cell < cell_counts[level]):
         expected = "an existing cell"
         raise FormatError(
-            f"expected {expected}, got cell {cell} of level {level} in {entry} at `{LINKS}`",
+            f"expected {expected}, got cell {cell} of level {level} in {entry_name} at `{LINKS}`",
             value=(level, cell),
             expected=expected,
             place=LINKS,

@@ -45,16 +45,16 @@ def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
         For each attribute ``{"name", "type", "dataType", …}``.
     """
     entries = metadata.get("cellAttributes")
-    entry_of_name: dict[str, Json] = {}
+    file_entry_by_name: dict[str, Json] = {}
     for entry in entries if isinstance(entries, list) else []:
         if isinstance(entry, dict) and isinstance(entry.get("name"), str):
-            entry_of_name[entry["name"]] = entry
+            file_entry_by_name[entry["name"]] = entry
     entry_by_attribute: dict[str, Json] = {}
     for arrays in levels:
         for name, array in arrays.items():
             if name in entry_by_attribute:
                 continue
-            entry = entry_of_name.get(name, {})
+            entry = file_entry_by_name.get(name, {})
             dtype = array.dtype
             # the array's dtype counts; the file's name for it is not changed
             array_type = entry.get("type")
@@ -86,10 +86,10 @@ def read_table(entries: JsonValue, table_type: type[Table], place: str) -> Table
         return msgspec.convert(entries, table_type)
     except msgspec.ValidationError as error:
         # msgspec writes places as `$.area` or `$[0].name`, and none for the whole
-        text = str(error) if "`$" in str(error) else f"{error} - at `$`"
-        text = text.replace(" - at ", " at ").replace("`$", f"`{place}")
-        faulty_place = text.rpartition(" at `")[2].rstrip("`")
-        raise FormatError(f"{text[0].lower()}{text[1:]}", place=faulty_place) from error
+        error_text = str(error) if "`$" in str(error) else f"{error} - at `$`"
+        error_text = error_text.replace(" - at ", " at ").replace("`$", f"`{place}")
+        faulty_place = error_text.rpartition(" at `")[2].rstrip("`")
+        raise FormatError(f"{error_text[0].lower()}{error_text[1:]}", place=faulty_place) from error
 
 
 def to_entry(record: DataclassInstance, *left_out: str) -> Json:
@@ -173,14 +173,14 @@ def cut_rooms(rooms: list[Json], level: int) -> list[Json]:
 
     The rooms' neighbours on other levels are left out.
     """
-    rooms_elsewhere = {room["id"] for room in rooms if room["level"] != level}
+    other_room_ids = {room["id"] for room in rooms if room["level"] != level}
     level_rooms = []
     for room in rooms:
         if room["level"] == level:
             neighbours = [
                 neighbour
                 for neighbour in room["neighbours"]
-                if neighbour["room"] not in rooms_elsewhere
+                if neighbour["room"] not in other_room_ids
             ]
             # a copy: the whole grid's table stays as it is
             level_rooms.append({**room, "level": 0, "neighbours": neighbours})

@@ -24,7 +24,7 @@ Layers = list[Int]
 """Ascending cell ids for each of the four layers."""
 
 CellRange = tuple[int, int, int, int]
-"""A rectangle of cells: first row, end row, first column, end column; the ends are not in it."""
+"""A rectangle of cells: first row, stop row, first column, stop column; the stops are not in it."""
 
 # Attributes that obstacles change in place
 CHANGING_ATTRIBUTES = {"occupancy", "solid", "clearance"}
@@ -39,8 +39,10 @@ class ObstacleState:
         count: How many obstacles affect each cell in each of four ways, shape (4, height, width),
             uint16. The ways, the first index, are `OCCUPIED`, `BLOCKED`, `NO_DIAGONAL` and
             `NO_OFF_CENTER`.
-        weights: Weights of the level as they are without obstacles, shape (height, width).
-        occupied: The attributes of `OCCUPIED_ATTRIBUTES` by name, as they are without obstacles.
+        weights_without_obstacles: Weights of the level as they are without obstacles, shape
+            (height, width).
+        attributes_without_obstacles: The attributes of `OCCUPIED_ATTRIBUTES` by name, as they are
+            without obstacles.
         max_clearance: Largest clearance without obstacles [cells]; None if the level has no layer
             ``clearance``, or one that means something else.
         revision: Number of changes so far.
@@ -48,13 +50,13 @@ class ObstacleState:
 
     def __init__(
         self,
-        weights: NDArray[np.floating],
-        occupied: Mapping[str, NDArray[np.generic]],
+        weights_without_obstacles: NDArray[np.floating],
+        attributes_without_obstacles: Mapping[str, NDArray[np.generic]],
         max_clearance: float | None,
     ) -> None:
-        self.count = np.zeros((NUM_LAYERS, *weights.shape), dtype=np.uint16)
-        self.weights = weights
-        self.occupied = occupied
+        self.count = np.zeros((NUM_LAYERS, *weights_without_obstacles.shape), dtype=np.uint16)
+        self.weights_without_obstacles = weights_without_obstacles
+        self.attributes_without_obstacles = attributes_without_obstacles
         self.max_clearance = max_clearance
         self.revision = 0
         self._log: list[CellRange] = []
@@ -75,14 +77,14 @@ class ObstacleState:
         """
         return np.asarray(self.count[layer] > 0)
 
-    def log_change(self, cells: CellRange) -> None:
+    def log_change(self, cell_range: CellRange) -> None:
         """Log that an obstacle has changed cells, so that searches update them.
 
         Args:
-            cells: The range of these cells.
+            cell_range: A range that holds all of these cells.
         """
         self.revision += 1
-        self._log.append(cells)
+        self._log.append(cell_range)
         del self._log[:-MAX_LOG]
 
     def changes_since(self, revision: int) -> list[CellRange] | None:

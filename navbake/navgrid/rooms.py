@@ -20,8 +20,8 @@ from navbake.types import Float, Int, Json, Vector3
 
 ROOMS = "metadata.navbake.rooms"
 DOORS = "metadata.navbake.doors"
-State: TypeAlias = Literal["modelled", "open", "closed", "removed"]
-DOOR_STATES: tuple[str, ...] = get_args(State)
+DoorState: TypeAlias = Literal["modelled", "open", "closed", "removed"]
+DOOR_STATES: tuple[str, ...] = get_args(DoorState)
 # Rooms beside a yard are a building from this area on; a hut or a shelter in the open is none [m²]
 MIN_BUILDING_AREA = 10.0
 MAX_DOOR_DISTANCE = 0.4  # a door this close to an opening between rooms is in the opening [m]
@@ -112,9 +112,9 @@ def parse_rooms(entries: object, num_levels: int) -> tuple[Room, ...]:
     if isinstance(entries, list | tuple):
         entries = [{"name": None, **room} if isinstance(room, dict) else room for room in entries]
     rooms: list[Room] = read_table(entries, list[Room], ROOMS)
-    for number, room in enumerate(rooms):
+    for entry_number, room in enumerate(rooms):
         if not 0 <= room.level < num_levels or room.index < 1:
-            place = f"{ROOMS}[{number}]"
+            place = f"{ROOMS}[{entry_number}]"
             expected = "a level of the grid and an index >= 1"
             raise FormatError(
                 f"expected {expected} at `{place}`",
@@ -145,10 +145,10 @@ def measure_rooms(
     room_index = room_index.ravel()
     # bincount with weights sums the coordinates of all rooms' cells in one pass
     num_cells = np.bincount(room_index)
-    divisor = np.maximum(num_cells, 1)
-    mean_x = np.bincount(room_index, x.ravel()) / divisor
-    mean_y = np.bincount(room_index, y.ravel()) / divisor
-    mean_z = np.bincount(room_index, floor_z.ravel()) / divisor
+    num_cells_or_one = np.maximum(num_cells, 1)
+    mean_x = np.bincount(room_index, x.ravel()) / num_cells_or_one
+    mean_y = np.bincount(room_index, y.ravel()) / num_cells_or_one
+    mean_z = np.bincount(room_index, floor_z.ravel()) / num_cells_or_one
     return [
         Room(
             index=int(index),
@@ -171,18 +171,18 @@ Runs = list[int]
 
 def to_runs(cells: Int) -> Runs:
     """Pack ascending cell ids, shape (n,), into runs: first id, number of ids, and so on."""
-    starts = np.flatnonzero(np.diff(cells, prepend=-2) != 1)
-    counts = np.diff(starts, append=len(cells))
-    runs: Runs = np.stack([cells[starts], counts], axis=1).ravel().tolist()
+    run_starts = np.flatnonzero(np.diff(cells, prepend=-2) != 1)
+    run_lengths = np.diff(run_starts, append=len(cells))
+    runs: Runs = np.stack([cells[run_starts], run_lengths], axis=1).ravel().tolist()
     return runs
 
 
 def from_runs(runs: Sequence[int]) -> Int:
     """Unpack the runs that `to_runs` made into ascending cell ids, shape (n,), int64."""
-    pairs = np.array(runs, dtype=np.int64).reshape(-1, 2)
-    if not len(pairs):
+    run_pairs = np.array(runs, dtype=np.int64).reshape(-1, 2)
+    if not len(run_pairs):
         return np.empty(0, dtype=np.int64)
-    return np.concatenate([np.arange(first, first + count) for first, count in pairs])
+    return np.concatenate([np.arange(first, first + count) for first, count in run_pairs])
 
 
 @dataclass(frozen=True)
@@ -267,11 +267,11 @@ class _DoorEntry(msgspec.Struct):
     """The entry of a door in a file; for each state, pairs of a level and the runs of cells."""
 
     id: str
-    state: State
-    cells: dict[State, list[tuple[int, list[int]]]]
+    state: DoorState
+    cells: dict[DoorState, list[tuple[int, list[int]]]]
     joint: str | None = None
     rooms: tuple[str | None, ...] = ()
-    solid: dict[State, list[tuple[int, list[int]]]] = {}
+    solid: dict[DoorState, list[tuple[int, list[int]]]] = {}
 
 
 def parse_doors(entries: object, cell_counts: Sequence[int]) -> tuple[Door, ...]:
@@ -286,8 +286,8 @@ def parse_doors(entries: object, cell_counts: Sequence[int]) -> tuple[Door, ...]
     """
     doors: dict[str, Door] = {}
     door_entries: list[_DoorEntry] = read_table(entries, list[_DoorEntry], DOORS)
-    for number, entry in enumerate(door_entries):
-        place = f"{DOORS}[{number}]"
+    for entry_number, entry in enumerate(door_entries):
+        place = f"{DOORS}[{entry_number}]"
         if entry.id in doors:
             raise FormatError(
                 f"expected unique ids, got {entry.id!r} twice at `{place}.id`",
@@ -296,11 +296,11 @@ def parse_doors(entries: object, cell_counts: Sequence[int]) -> tuple[Door, ...]
                 place=f"{place}.id",
             )
         for runs_by_state in (entry.cells, entry.solid):
-            for state, by_level in runs_by_state.items():
-                levels = [level for level, _ in by_level]
+            for state, level_runs in runs_by_state.items():
+                levels = [level for level, _ in level_runs]
                 is_valid = len(set(levels)) == len(levels) and all(
                     0 <= level < len(cell_counts) and _are_runs(runs, cell_counts[level])
-                    for level, runs in by_level
+                    for level, runs in level_runs
                 )
                 if not is_valid:
                     expected = "each level once, with [first cell, count, …] within the grid"
@@ -309,8 +309,8 @@ def parse_doors(entries: object, cell_counts: Sequence[int]) -> tuple[Door, ...]
                         expected=expected,
                         place=place,
                     )
-        cells = {str(state): dict(by_level) for state, by_level in entry.cells.items()}
-        solid = {str(state): dict(by_level) for state, by_level in entry.solid.items()}
+        cells = {str(state): dict(level_runs) for state, level_runs in entry.cells.items()}
+        solid = {str(state): dict(level_runs) for state, level_runs in entry.solid.items()}
         doors[entry.id] = Door(entry.id, entry.joint, entry.rooms, entry.state, cells, solid)
     return tuple(doors.values())
 

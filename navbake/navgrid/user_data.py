@@ -122,7 +122,7 @@ class UserData(MutableMapping[int, Json]):
         has_entry = np.append(source.cells, -1)[indices] == cells
         entry_indices = np.where(has_entry, np.append(source.entry_index, -1)[indices], -1)
         entries = [*source.entries, {}]  # the last one has number -1, too
-        return [entries[number] for number in entry_indices.tolist()]
+        return [entries[entry_index] for entry_index in entry_indices.tolist()]
 
     def shared_entries(self) -> SharedEntries:
         """Return all entries and their cells, in the source's order.

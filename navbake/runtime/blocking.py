@@ -112,12 +112,14 @@ def _make_obstacle_state(level: SceneGrid2D) -> ObstacleState:
     level.attributes = dict(level.attributes)
     for name in CHANGING_ATTRIBUTES & level.attributes.keys():
         level.attributes[name] = np.array(level.attributes[name], order="C")
-    occupied_layers = {
+    attributes_without_obstacles = {
         name: level.attributes[name].copy()
         for name in OCCUPIED_ATTRIBUTES
         if name in level.attributes
     }
-    return ObstacleState(level.weights.copy(), occupied_layers, _largest_clearance(level))
+    return ObstacleState(
+        level.weights.copy(), attributes_without_obstacles, _largest_clearance(level)
+    )
 
 
 def _change_counts(
@@ -139,13 +141,13 @@ def _change_counts(
             layer_counts[ids] -= 1
     _write_cells(
         level.weights,
-        obstacle_state.weights,
+        obstacle_state.weights_without_obstacles,
         np.inf,
         counts[BLOCKED],
         layers[BLOCKED],
         is_added=is_added,
     )
-    for name, layer in obstacle_state.occupied.items():
+    for name, layer in obstacle_state.attributes_without_obstacles.items():
         _write_cells(
             level.attributes[name], layer, 1.0, counts[OCCUPIED], layers[OCCUPIED],
             is_added=is_added,
@@ -214,13 +216,13 @@ def _update_clearance(
     ]
 
 
-def _pad_range(cells: CellRange, num_cells: int, level: SceneGrid2D) -> CellRange:
+def _pad_range(cell_range: CellRange, num_cells: int, level: SceneGrid2D) -> CellRange:
     """Extend a rectangle of cells by a number of cells on each side, but not beyond the level."""
     return (
-        max(cells[0] - num_cells, 0),
-        min(cells[1] + num_cells, level.height),
-        max(cells[2] - num_cells, 0),
-        min(cells[3] + num_cells, level.width),
+        max(cell_range[0] - num_cells, 0),
+        min(cell_range[1] + num_cells, level.height),
+        max(cell_range[2] - num_cells, 0),
+        min(cell_range[3] + num_cells, level.width),
     )
 
 

@@ -269,7 +269,7 @@ class Search:
                 )
         self._update_moves(level_number, (first_row - 1, stop_row + 1, first_col - 1, stop_col + 1))
 
-    def _update_moves(self, level_number: int, cells: CellRange) -> None:
+    def _update_moves(self, level_number: int, cell_range: CellRange) -> None:
         """Compute the moves of some cells of a level again."""
         search_kernels.find_moves(
             self.flat.free,
@@ -279,7 +279,7 @@ class Search:
             self.cut_corners,
             self.flat.layout,
             level_number,
-            cells,
+            cell_range,
             self._moves,
         )
 

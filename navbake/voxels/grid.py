@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.lazy import resolve
-from navbake.navgrid.lattice import CELL_SLACK, LEAST_EDGE, MAX_COORDINATE, num_cells
+from navbake.navgrid.lattice import CELL_SLACK, LEAST_EDGE, MAX_COORDINATE, count_cells
 from navbake.processes import measure_free_memory
 from navbake.types import Bool, Float, Int, Vector3
 
@@ -353,7 +353,7 @@ def place_grid(
                 expected=expected,
             )
         max_length = HUGE_COUNT * edge
-        shape = _as_shape([num_cells(min(float(length), max_length), edge) for length in extent])
+        shape = _as_shape([count_cells(min(float(length), max_length), edge) for length in extent])
     check_memory(shape, 1)  # before arrays overflow
     origin = center - np.array(shape) * edge / 2
     if layout == "airsim":

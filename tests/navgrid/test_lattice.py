@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.lattice import Lattice, num_cells
+from navbake.navgrid.lattice import Lattice, count_cells
 
 CELL_SIZES = st.sampled_from([0.05, 0.1, 0.25, 0.3, 1.0])
 EDGES = st.floats(-50, 50).map(lambda x: round(x, 3))
@@ -89,7 +89,7 @@ def test_cover_holds_its_bounds_centred_in_the_fewest_cells(x, y, dx, dy, cell_s
     ],
 )
 def test_num_cells_rounds_up_but_for_rounding_errors(extent, cell_size, expected):
-    assert num_cells(extent, cell_size) == expected
+    assert count_cells(extent, cell_size) == expected
 
 
 @given(lattices(), st.data())
