@@ -181,7 +181,7 @@ class Obstacles:
         self._half_mesh_names: dict[tuple[int, bytes], list[str]] = {}
         self._half_mesh_attributes: dict[int, list[Json]] = {}
         for geom, geom_selection in enumerate(scene.selections):
-            if not geom_selection.counted or geom in excluded_geoms:
+            if not geom_selection.is_counted or geom in excluded_geoms:
                 continue
             rotation = data.geom_xmat[geom].reshape(3, 3).copy()
             position = data.geom_xpos[geom]

@@ -410,7 +410,7 @@ class Stages:
             structure_occupancy=self.occupancy,
             footprint=self.footprint,
             agent=self.config.agent,
-            mover_of=self.scene.mover_of,
+            mover_of_geom=self.scene.mover_of_geom,
         )
 
     # ------------------------------------------------------------ areas and links
@@ -510,7 +510,7 @@ class Stages:
             lost_floors=find_lost_floors(
                 self.scene.shapes,
                 self.is_obstacle_geom,
-                mover_of=self.scene.mover_of,
+                mover_of_geom=self.scene.mover_of_geom,
                 levels=self.floors.levels,
                 lattice=self.lattice,
                 agent=self.config.agent,

@@ -79,7 +79,7 @@ def warn_uncounted(
         geom_ids=selections,
         meshes=scene.meshes,
     )
-    inputs = MovableSearchInputs(lattice, floors, occupancy, footprint, agent, scene.mover_of)
+    inputs = MovableSearchInputs(lattice, floors, occupancy, footprint, agent, scene.mover_of_geom)
     occupants = find_movable_occupants(inputs, shapes, is_candidate)
     num_blocked = np.zeros(len(is_candidate), dtype=np.int64)
     num_free = np.zeros(len(is_candidate), dtype=np.int64)
@@ -122,7 +122,7 @@ def _mark_candidates(scene: Scene) -> Bool:
     reasons = [selection.reason for selection in scene.selections]
     is_candidate: Bool = np.isin(reasons, (CANT_COLLIDE, COLLIDES_IN_PAIRS))
     is_candidate &= mark_drawn(scene.model)
-    is_candidate &= scene.is_structure_body[scene.mover_of]
+    is_candidate &= scene.is_structure_body[scene.mover_of_geom]
     is_candidate &= scene.model.geom_type != PLANE
     is_candidate &= 2.0 * scene.model.geom_aabb[:, 3:].min(axis=1) >= MIN_THICKNESS
     return is_candidate

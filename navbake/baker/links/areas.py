@@ -283,7 +283,9 @@ def _collect_geoms(scene: Scene, geoms: Sequence[int]) -> Shapes:
     selections = {}
     for geom in geoms:
         selection = scene.selections[geom]
-        mesh_mode = selection.mesh_mode if selection.counted else "surface"
-        selections[geom] = GeomSelection(counted=True, reason="marks an area", mesh_mode=mesh_mode)
+        mesh_mode = selection.mesh_mode if selection.is_counted else "surface"
+        selections[geom] = GeomSelection(
+            is_counted=True, reason="marks an area", mesh_mode=mesh_mode
+        )
     shapes, *_ = collect_shapes(scene.model, scene.data, selections, scene.exact_meshes, geoms)
     return shapes

@@ -275,7 +275,7 @@ def _find_cars(search: LinkSearch, patterns: Sequence[str], max_gap: float) -> I
             is_car_geom=is_car_geom,
             window=window,
             floor_mask=_mark_cells(car_floor.cells, window, window_lattice, lattice),
-            outline_mask=_mark_cells(car_floor.outline, window, window_lattice, lattice),
+            outline_mask=_mark_cells(car_floor.footprint_cells, window, window_lattice, lattice),
             floor_height=car_floor.height,
             min_height=min(end_heights),
             max_height=max(end_heights),

@@ -322,14 +322,14 @@ class TrackedScene:
             scene.data,
             shapes=scene.shapes,
             is_counted=is_counted,
-            is_movable_body=scene.movable,
+            is_movable_body=scene.is_movable_body,
             is_structure_body=scene.is_structure_body,
             named_leaves=scene.named_leaves,
             settings=self._config.doors,
         )
         leaves = self._reuse_leaves(leaves, is_moved, snapshot)
         roles = assign_roles(
-            scene.model, is_counted, scene.movable, scene.is_structure_body, leaves
+            scene.model, is_counted, scene.is_movable_body, scene.is_structure_body, leaves
         )
         return replace(scene, leaves=leaves, pattern_warnings=pattern_warnings, roles=roles)
 

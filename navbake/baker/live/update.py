@@ -184,13 +184,13 @@ def _update_lost_floors(
         Id of the body -> the area [m²], see `BakedPose.lost_floors`.
     """
     scene = pose.scene
-    mover_of = scene.mover_of
+    mover_of_geom = scene.mover_of_geom
     is_changed_body = np.zeros(len(scene.is_structure_body), dtype=np.bool_)
-    is_changed_body[mover_of[is_changed]] = True
+    is_changed_body[mover_of_geom[is_changed]] = True
     changed_areas = find_lost_floors(
         scene.shapes,
-        pose.is_obstacle_geom & is_changed_body[mover_of],
-        mover_of=mover_of,
+        pose.is_obstacle_geom & is_changed_body[mover_of_geom],
+        mover_of_geom=mover_of_geom,
         levels=structure.floors.levels,
         lattice=structure.lattice,
         agent=config.agent,

@@ -22,7 +22,7 @@ MIN_LOST_AREA = 1.0
 def find_lost_floors(
     shapes: Shapes,
     is_checked: Bool,
-    mover_of: Int,
+    mover_of_geom: Int,
     levels: Sequence[LevelFloor],
     lattice: Lattice,
     agent: AgentSettings,
@@ -33,7 +33,7 @@ def find_lost_floors(
         shapes: all geometry that the bake uses.
         is_checked: for each geom, whether it is one of the movable geoms to check, shape (ngeom,),
             bool.
-        mover_of: for each geom, the id of the body that it moves with, shape (ngeom,).
+        mover_of_geom: for each geom, the id of the body that it moves with, shape (ngeom,).
         levels: the levels with the floors that structure makes.
         lattice: the lattice of the floors.
         agent: the agent that would stand on the tops.
@@ -48,7 +48,7 @@ def find_lost_floors(
     is_checked_box = is_checked[geom_of_box]
     # an endless geom counts as far as the lattice reaches
     boxes = clip_boxes(lattice, shapes.boxes[is_checked_box], 0.0)
-    movers = mover_of[geom_of_box[is_checked_box]]
+    movers = mover_of_geom[geom_of_box[is_checked_box]]
     box_areas = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
     large_movers = np.flatnonzero(np.bincount(movers, box_areas) >= min_area)
     area_of_mover = dict[int, float]()
@@ -65,7 +65,7 @@ def find_lost_floors(
             has_no_floor &= ~(level.floor[window] <= highest_corner[2])
         if np.count_nonzero(has_no_floor) * cell_area < min_area:
             continue
-        mover_shapes = shapes.only(is_checked & (mover_of == mover))
+        mover_shapes = shapes.only(is_checked & (mover_of_geom == mover))
         top_height = find_standable_tops(mover_shapes, lattice.cut(*window), agent)
         is_lost_floor = ~np.isnan(top_height)
         for level in levels:

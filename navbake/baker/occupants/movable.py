@@ -110,7 +110,7 @@ class MovableSearchInputs(NamedTuple):
         structure_occupancy: the cells that structure occupies.
         footprint: the volume over a floor that has to be free.
         agent: the agent; its height and largest slope are read.
-        mover_of: for each geom, the id of the body that it moves with.
+        mover_of_geom: for each geom, the id of the body that it moves with.
     """
 
     lattice: Lattice
@@ -118,7 +118,7 @@ class MovableSearchInputs(NamedTuple):
     structure_occupancy: StructureOccupancy
     footprint: Footprint
     agent: AgentSettings
-    mover_of: Int
+    mover_of_geom: Int
 
 
 NO_ENTRIES = OccupantEntries(
@@ -146,7 +146,9 @@ def find_movable_occupants(
         entries=[[NO_ENTRIES] * num_chunks for _ in inputs.floors.levels],
         blocked=inputs.structure_occupancy.levels,
         blocked_squares=inputs.structure_occupancy.blocked_squares,
-        num_free_cells_blocked=np.zeros(int(inputs.mover_of.max(initial=0)) + 1, dtype=np.int64),
+        num_free_cells_blocked=np.zeros(
+            int(inputs.mover_of_geom.max(initial=0)) + 1, dtype=np.int64
+        ),
     )
     boxes = shapes.boxes[is_obstacle_geom[shapes.geom_of_box]]
     return update_movable_occupants(no_occupants, inputs, shapes, is_obstacle_geom, boxes)
@@ -195,10 +197,10 @@ def update_movable_occupants(
                 entries[level_number], row_cells, movables.entries, lattice
             )
             num_free_cells_blocked -= _count_free_cells_blocked(
-                replaced_entries, structure_mask, inputs.mover_of, num_bodies
+                replaced_entries, structure_mask, inputs.mover_of_geom, num_bodies
             )
             num_free_cells_blocked += _count_free_cells_blocked(
-                movables.entries, structure_mask, inputs.mover_of, num_bodies
+                movables.entries, structure_mask, inputs.mover_of_geom, num_bodies
             )
             _update_blocked_mask(blocked[level_number], structure_mask, row_cells, movables.blocked)
             if (
@@ -289,14 +291,14 @@ def join_entries(entry_chunks: Sequence[OccupantEntries]) -> OccupantEntries:
 
 
 def _count_free_cells_blocked(
-    entries: OccupantEntries, is_blocked_by_structure: Bool, mover_of: Int, num_bodies: int
+    entries: OccupantEntries, is_blocked_by_structure: Bool, mover_of_geom: Int, num_bodies: int
 ) -> Int:
     """Count for each body the cells that it blocks and structure doesn't.
 
     Args:
         entries: geoms in cells of a level.
         is_blocked_by_structure: a mask of the cells that structure blocks, shape (height, width).
-        mover_of: for each geom, the id of the body that it moves with.
+        mover_of_geom: for each geom, the id of the body that it moves with.
         num_bodies: number of bodies.
 
     Returns:
@@ -305,7 +307,7 @@ def _count_free_cells_blocked(
     blocks_free_cell = (entries.flags & BLOCKING) > 0
     blocks_free_cell &= ~is_blocked_by_structure.ravel()[entries.cell]
     # a cell's entries lie together, and so do those of a body in it
-    bodies = mover_of[entries.geom[blocks_free_cell]]
+    bodies = mover_of_geom[entries.geom[blocks_free_cell]]
     cell_body_key = entries.cell[blocks_free_cell] * num_bodies + bodies
     is_first_of_pair = np.diff(cell_body_key, prepend=-1) != 0
     return np.bincount(cell_body_key[is_first_of_pair] % num_bodies, minlength=num_bodies)

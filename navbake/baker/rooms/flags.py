@@ -308,7 +308,9 @@ def find_markers(model: mujoco.MjModel, settings: RoomSettings) -> tuple[list[in
     """
     geom_ids = list[int]()
     if "geoms" in settings.sources:
-        geom_ids, _ = _match_names(all_names(model).own_geoms, tuple(settings.geoms), "geoms")
+        geom_ids, _ = _match_names(
+            all_names(model).stated_geom_names, tuple(settings.geoms), "geoms"
+        )
     site_ids = list[int]()
     if "sites" in settings.sources:
         site_ids, _ = _match_names(all_names(model).sites, tuple(settings.sites), "sites")
@@ -330,7 +332,7 @@ def _mark_by_geoms(
     a floor (of a carpet or a podium, see `MarkedRooms.covered`).
     """
     num_geoms = scene.model.ngeom
-    names = all_names(scene.model).own_geoms
+    names = all_names(scene.model).stated_geom_names
     matching_geoms, warnings = _match_names(names, tuple(settings.geoms), "geoms")
     is_on_structure = scene.is_structure_body[scene.model.geom_bodyid]  # movables mark no rooms
     marking_geoms = [geom for geom in matching_geoms if is_on_structure[geom]]

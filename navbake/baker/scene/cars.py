@@ -35,14 +35,14 @@ class CarFloor(NamedTuple):
 
     Attributes:
         cells: ids of the cells that the floor covers, ascending.
-        outline: ids of the cells over which any part of the car lies, seen from above; an id may
-            occur several times.
+        footprint_cells: ids of the cells over which any part of the car lies, seen from above; an
+            id may occur several times.
         height: z of the floor's highest point [m].
         geom: the id of the geom that most of the floor belongs to.
     """
 
     cells: Int
-    outline: Int
+    footprint_cells: Int
     height: float
     geom: int
 
@@ -88,20 +88,20 @@ def measure_car(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> CarFl
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
     cell_of_hit = np.repeat(np.arange(lattice.width * lattice.height), np.diff(columns.start))
     # The headroom above a hit is the distance to the next hit of its vertical column.
-    is_last = np.append(cell_of_hit, -1)[1:] != cell_of_hit
-    headroom = np.where(is_last, np.inf, np.append(columns.z, np.inf)[1:] - columns.z)
+    is_last_of_column = np.append(cell_of_hit, -1)[1:] != cell_of_hit
+    headroom = np.where(is_last_of_column, np.inf, np.append(columns.z, np.inf)[1:] - columns.z)
     is_floor = columns.normal[:, 2] >= make_agent_limits(agent).min_normal_z
     is_floor &= headroom >= agent.height - LIMIT_SLACK
-    heights, height_counts = np.unique(np.round(columns.z[is_floor], 3), return_counts=True)
+    floor_heights, height_counts = np.unique(np.round(columns.z[is_floor], 3), return_counts=True)
     # The floor is the lowest large surface; the car's roof may be another one.
     is_large = 2 * height_counts >= height_counts.max(initial=0)
-    height = heights[is_large].min(initial=np.inf)
+    height = floor_heights[is_large].min(initial=np.inf)
     is_floor &= np.abs(columns.z - height) <= FLOOR_FLATNESS
     if np.count_nonzero(is_floor) * lattice.cell_size**2 < MIN_CAR_AREA:
         return None
     return CarFloor(
         cells=cell_of_hit[is_floor],
-        outline=cell_of_hit,
+        footprint_cells=cell_of_hit,
         height=float(columns.z[is_floor].max()),
         geom=int(np.bincount(columns.geom[is_floor]).argmax()),
     )

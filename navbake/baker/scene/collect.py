@@ -52,13 +52,13 @@ class GeomSelection(NamedTuple):
     """Whether a geom counts, and how it is represented.
 
     Attributes:
-        counted: whether the geom takes part in the bake.
+        is_counted: whether the geom takes part in the bake.
         reason: why it does or does not.
         mesh_mode: how a mesh is represented: ``hull`` for its convex hull; ``surface`` or ``auto``
             for its triangles; ``shell`` for its triangles, as sheets that enclose nothing.
     """
 
-    counted: bool
+    is_counted: bool
     reason: str
     mesh_mode: str
 
@@ -67,11 +67,11 @@ class CountDecision(NamedTuple):
     """Whether a geom counts, and why.
 
     Attributes:
-        counted: whether the geom takes part in the bake.
+        is_counted: whether the geom takes part in the bake.
         reason: why it does or does not.
     """
 
-    counted: bool
+    is_counted: bool
     reason: str
 
 
@@ -82,8 +82,8 @@ def select_geoms(
     model: mujoco.MjModel,
     settings: SceneSettings,
     find_hidden: Callable[[int], str],
-    left_out_bodies: Bool,
-    ground: int | None = None,
+    is_left_out_body: Bool,
+    ground_geom: int | None = None,
     file_mesh_modes: Mapping[int, str] | None = None,
 ) -> tuple[list[GeomSelection], list[str]]:
     """Decide for each geom whether it counts, and for meshes, how they are represented.
@@ -106,52 +106,52 @@ def select_geoms(
         settings: `scene.geoms`, `scene.meshes` and `scene.exclude` are used.
         find_hidden: a function: id of a mesh geom -> what its hull hides, such as ``room to stand
             in``; an empty text if it hides nothing.
-        left_out_bodies: for each body, whether it is left out because it can move, (nbody,).
-        ground: id of the geom that `scene.ground` adds; None if there is none.
+        is_left_out_body: for each body, whether it is left out because it can move, (nbody,).
+        ground_geom: id of the geom that `scene.ground` adds; None if there is none.
         file_mesh_modes: geom id -> the mesh mode that the scene's file states.
 
     Returns:
         A selection for each geom, in the order of ids; and warnings.
     """
     names = all_names(model).geoms
-    exclusions, warnings = _find_exclusions(model, settings, left_out_bodies, names)
+    exclusions, warnings = _find_exclusions(model, settings, is_left_out_body, names)
     can_collide = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     any_can_collide = any(
-        collides_itself and not exclusion
-        for collides_itself, exclusion in zip(can_collide, exclusions, strict=True)
+        geom_can_collide and not exclusion
+        for geom_can_collide, exclusion in zip(can_collide, exclusions, strict=True)
     )
     decisions = _apply_geoms_setting(model, settings.geoms, can_collide, any_can_collide)
     for geom, exclusion in enumerate(exclusions):
         if exclusion:
             decisions[geom] = CountDecision(False, exclusion)
-    if ground is not None:
-        decisions[ground] = CountDecision(True, "added by `scene.ground`")
+    if ground_geom is not None:
+        decisions[ground_geom] = CountDecision(True, "added by `scene.ground`")
     mesh_modes, mode_warnings = _find_mesh_modes(model, settings, names)
     warnings += mode_warnings
     for geom, mesh_mode in (file_mesh_modes or {}).items():
         if mesh_modes[geom] == "auto":
             mesh_modes[geom] = mesh_mode
     surface_names = list[str]()  # of meshes whose hull hides something
-    hidden_by_first = ""
+    first_hidden_text = ""
     # In MuJoCo, the hull of a mesh collides, but not that of a signed distance field.
     for geom in np.flatnonzero(can_collide & (model.geom_type == constants.MESH)).tolist():
-        if mesh_modes[geom] == "auto" and decisions[geom].counted:
+        if mesh_modes[geom] == "auto" and decisions[geom].is_counted:
             hidden_text = find_hidden(geom)
             if hidden_text:
                 mesh_modes[geom] = "surface"
                 surface_names.append(names[geom].geom)
-                hidden_by_first = hidden_by_first or hidden_text
+                first_hidden_text = first_hidden_text or hidden_text
             else:
                 mesh_modes[geom] = "hull"
     if surface_names:
         num_more_text = f", and {len(surface_names) - 1} more" if len(surface_names) > 1 else ""
         warnings.append(
             f"mesh geom {surface_names[0]!r}{num_more_text} counts by its triangles, because its "
-            f"convex hull hides {hidden_by_first}; MuJoCo collides the hull: set `scene.meshes` to "
-            "surface or hull to say which"
+            f"convex hull hides {first_hidden_text}; MuJoCo collides the hull: set `scene.meshes` "
+            "to surface or hull to say which"
         )
     selections = [
-        GeomSelection(decision.counted, decision.reason, mesh_mode)
+        GeomSelection(decision.is_counted, decision.reason, mesh_mode)
         for decision, mesh_mode in zip(decisions, mesh_modes, strict=True)
     ]
     return selections, warnings
@@ -227,6 +227,12 @@ def mark_drawn(model: mujoco.MjModel) -> Bool:
     """Mark the geoms that MuJoCo's viewers draw: not fully transparent, in a group that is drawn.
 
     A geom's opacity is its material's, unless its own colour was set.
+
+    Args:
+        model: the model.
+
+    Returns:
+        A mask, shape (ngeom,).
     """
     alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
     is_default = (model.geom_rgba == DEFAULT_COLOR).all(axis=1)
@@ -356,8 +362,8 @@ def represent_mesh(
         hull = hull_faces(vertices) if hull is None else hull
         if hull is not None:
             # Vertices inside the hull are left out.
-            used_vertices, index = np.unique(hull, return_inverse=True)
-            faces = index.reshape(hull.shape).astype(np.int32)
+            used_vertices, vertex_index = np.unique(hull, return_inverse=True)
+            faces = vertex_index.reshape(hull.shape).astype(np.int32)
             return _make_single_part(vertices[used_vertices], faces, constants.CONVEX_SOLID, "hull")
     faces = faces.astype(np.int32, copy=False)
     if mesh_mode == "shell":
@@ -406,7 +412,7 @@ def collect_shapes(
     triangles = list[tuple[int, GeomTriangles]]()
     is_endless = np.zeros(model.ngeom, dtype=np.bool_)
     geoms = range(len(selections)) if geom_ids is None else geom_ids
-    counted_ids = np.array([geom for geom in geoms if selections[geom].counted], dtype=np.int64)
+    counted_ids = np.array([geom for geom in geoms if selections[geom].is_counted], dtype=np.int64)
     pose_numbers = np.hstack(
         [data.geom_xpos[counted_ids], data.geom_xmat[counted_ids], model.geom_size[counted_ids]]
     )
@@ -476,10 +482,10 @@ def _is_ground_plane(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> b
     fill all that is behind it.
     """
     body = model.geom_bodyid[geom]
-    stands = model.body_weldid[body] == 0 and model.body_mocapid[body] < 0
+    is_static = model.body_weldid[body] == 0 and model.body_mocapid[body] < 0
     can_collide = model.geom_contype[geom] != 0 or model.geom_conaffinity[geom] != 0
-    faces_up = data.geom_xmat[geom, 8] >= np.sqrt(0.5)
-    return bool(stands and can_collide and faces_up)
+    is_facing_up = data.geom_xmat[geom, 8] >= np.sqrt(0.5)
+    return bool(is_static and can_collide and is_facing_up)
 
 
 def drawn_box_of_planes(
@@ -501,8 +507,8 @@ def drawn_box_of_planes(
         half_sides = model.geom_size[geom, :2]
         if (half_sides > 0).all():
             rotation = data.geom_xmat[geom].reshape(3, 3)
-            rectangle = tessellate("plane", half_sides.tolist()).vertices
-            corners.append(rectangle @ rotation.T + data.geom_xpos[geom])
+            rectangle_corners = tessellate("plane", half_sides.tolist()).vertices
+            corners.append(rectangle_corners @ rotation.T + data.geom_xpos[geom])
     if not corners:
         return None
     all_corners = np.concatenate(corners)

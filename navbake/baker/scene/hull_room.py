@@ -45,7 +45,8 @@ UP_DECIMALS = 9
 ROOM = "room to stand in"
 GROUND = "ground that is more than a step deeper"
 
-# What may begin above a hit: room that needs a ceiling, or room above a floor; 0 for neither
+# The kind of room that may begin above a hit: room that needs a ceiling, or room above a floor; 0
+# for neither
 NEEDS_CEILING = 1
 ROOM_OVER_FLOOR = 2
 
@@ -92,8 +93,8 @@ class HullRoomTest:
         """
         if not self.is_large(geom) and not self._may_hide_ground(geom):
             return ""
-        up = np.round(self.data.geom_xmat[geom].reshape(3, 3)[2], UP_DECIMALS) + 0.0
-        key = (int(self.model.geom_dataid[geom]), up.tobytes())
+        up_in_mesh_frame = np.round(self.data.geom_xmat[geom].reshape(3, 3)[2], UP_DECIMALS) + 0.0
+        key = (int(self.model.geom_dataid[geom]), up_in_mesh_frame.tobytes())
         if key not in self._hidden:
             self._hidden[key] = self._search_hull(geom)
         return self._hidden[key]
@@ -165,7 +166,7 @@ class HullRoomTest:
         return shapes
 
 
-def _mark_room(mesh: Columns, hull: Columns, min_height: float) -> Bool:
+def _mark_room(mesh_columns: Columns, hull_columns: Columns, min_height: float) -> Bool:
     """Mark the cells on whose vertical line a mesh's hull hides room for an agent.
 
     See `HullRoomTest.find_hidden` for what room is. The hits of a line are sorted by z. For each
@@ -175,8 +176,8 @@ def _mark_room(mesh: Columns, hull: Columns, min_height: float) -> Bool:
     mesh's closed parts.
 
     Args:
-        mesh: the hits of the mesh's surfaces.
-        hull: the hits of the hull, on the same lattice.
+        mesh_columns: the hits of the mesh's surfaces.
+        hull_columns: the hits of the hull, on the same lattice.
         min_height: the least height of room [m].
 
     Returns:
@@ -185,22 +186,24 @@ def _mark_room(mesh: Columns, hull: Columns, min_height: float) -> Bool:
     # Upwards, a line enters the hull at a hit that faces down: room may begin there. It leaves the
     # hull at a hit that faces up: room may end there. In the mesh, room begins above a hit that
     # faces up, whatever is above it, and ends below one that faces down.
-    hull_faces_up = (hull.normal[:, 2] > 0).astype(np.int64)
-    mesh_faces_up = (mesh.normal[:, 2] > 0).astype(np.int64)
-    room_begins = np.concatenate(
+    hull_faces_up = (hull_columns.normal[:, 2] > 0).astype(np.int64)
+    mesh_faces_up = (mesh_columns.normal[:, 2] > 0).astype(np.int64)
+    room_begin_kind = np.concatenate(
         [NEEDS_CEILING * (1 - hull_faces_up), ROOM_OVER_FLOOR * mesh_faces_up]
     )
-    room_ends = np.concatenate([hull_faces_up, 1 - mesh_faces_up])
+    can_room_end = np.concatenate([hull_faces_up, 1 - mesh_faces_up])
     # How the number of closed parts that the line is in changes at a hit: +1, -1 or 0
-    mesh_depth_change = np.where(mesh.hits.closed == OPEN_SURFACE, 0, 1 - 2 * mesh_faces_up)
+    mesh_depth_change = np.where(mesh_columns.hits.closed == OPEN_SURFACE, 0, 1 - 2 * mesh_faces_up)
     closed_part_changes = np.concatenate([np.zeros_like(hull_faces_up), mesh_depth_change])
-    cell_of_hit = np.concatenate([_list_cells_of_hits(hull), _list_cells_of_hits(mesh)])
-    z = np.concatenate([hull.z, mesh.z])
-    sort_indices = np.lexsort((room_ends, z, cell_of_hit))
+    cell_of_hit = np.concatenate(
+        [_list_cells_of_hits(hull_columns), _list_cells_of_hits(mesh_columns)]
+    )
+    z = np.concatenate([hull_columns.z, mesh_columns.z])
+    sort_indices = np.lexsort((can_room_end, z, cell_of_hit))
     cell_of_hit = cell_of_hit[sort_indices]
     z = z[sort_indices]
-    room_begins = room_begins[sort_indices]
-    room_ends = room_ends[sort_indices]
+    room_begin_kind = room_begin_kind[sort_indices]
+    can_room_end = can_room_end[sort_indices]
     num_closed_parts = np.cumsum(closed_part_changes[sort_indices])
     # Each cell starts at depth 0: subtract the depth at the end of the previous cell.
     num_closed_parts -= np.concatenate([[0], num_closed_parts])[
@@ -210,42 +213,45 @@ def _mark_room(mesh: Columns, hull: Columns, min_height: float) -> Bool:
         np.diff(z) >= min_height - LIMIT_SLACK
     )
     is_outside = num_closed_parts[:-1] <= 0
-    is_over_floor = room_begins[:-1] == ROOM_OVER_FLOOR
-    is_below_ceiling = (room_begins[:-1] == NEEDS_CEILING) & (room_ends[1:] >= 1)
+    is_over_floor = room_begin_kind[:-1] == ROOM_OVER_FLOOR
+    is_below_ceiling = (room_begin_kind[:-1] == NEEDS_CEILING) & (can_room_end[1:] >= 1)
     is_room = is_high_enough & is_outside & (is_over_floor | is_below_ceiling)
-    has_room = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
+    has_room = np.zeros(len(mesh_columns.start) - 1, dtype=np.bool_)
     has_room[cell_of_hit[:-1][is_room]] = True
     return has_room
 
 
-def _find_uppermost_surface(mesh: Columns, limits: AgentLimits) -> tuple[Bool, Float]:
+def _find_uppermost_surface(mesh_columns: Columns, limits: AgentLimits) -> tuple[Bool, Float]:
     """Find the uppermost surface of a mesh on the vertical line of each cell.
 
     Args:
-        mesh: the hits of the mesh's surfaces.
+        mesh_columns: the hits of the mesh's surfaces.
         limits: the agent's limits, of which the slope is used.
 
     Returns:
         Whether the surface is no steeper than the agent's slope, shape (cells,); and its height,
         NaN for cells without a hit, shape (cells,) [m].
     """
-    is_gentle = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
-    top_z = np.full(len(mesh.start) - 1, np.nan)
-    cells = np.flatnonzero(np.diff(mesh.start) > 0)
-    top_hits = mesh.start[cells + 1] - 1
-    is_gentle[cells] = mesh.normal[top_hits, 2] >= limits.min_normal_z
-    top_z[cells] = mesh.z[top_hits]
+    is_gentle = np.zeros(len(mesh_columns.start) - 1, dtype=np.bool_)
+    top_z = np.full(len(mesh_columns.start) - 1, np.nan)
+    cells = np.flatnonzero(np.diff(mesh_columns.start) > 0)
+    top_hits = mesh_columns.start[cells + 1] - 1
+    is_gentle[cells] = mesh_columns.normal[top_hits, 2] >= limits.min_normal_z
+    top_z[cells] = mesh_columns.z[top_hits]
     return is_gentle, top_z
 
 
-def _find_depth(mesh: Columns, hull: Columns) -> Float:
+def _find_depth(mesh_columns: Columns, hull_columns: Columns) -> Float:
     """Return how deep below the hull the mesh's uppermost surface is, shape (cells,) [m].
 
     It is 0 in cells whose line misses the mesh or its hull.
     """
-    depth = np.zeros(len(mesh.start) - 1)
-    cells = np.flatnonzero((np.diff(mesh.start) > 0) & (np.diff(hull.start) > 0))
-    depth[cells] = hull.z[hull.start[cells + 1] - 1] - mesh.z[mesh.start[cells + 1] - 1]
+    depth = np.zeros(len(mesh_columns.start) - 1)
+    cells = np.flatnonzero((np.diff(mesh_columns.start) > 0) & (np.diff(hull_columns.start) > 0))
+    depth[cells] = (
+        hull_columns.z[hull_columns.start[cells + 1] - 1]
+        - mesh_columns.z[mesh_columns.start[cells + 1] - 1]
+    )
     return depth
 
 
@@ -300,8 +306,8 @@ def _mark_tops(
         distances = ndimage.distance_transform_edt(padded_surfaces == surface)
         half_width = (distances.max() - 0.5) * lattice.cell_size
         is_top[surface] = 2 * half_width < MAX_TOP_WIDTH
-    is_marked: Bool = is_top[surface_of_cell.ravel()]
-    return is_marked
+    is_top_cell: Bool = is_top[surface_of_cell.ravel()]
+    return is_top_cell
 
 
 def _list_cells_of_hits(columns: Columns) -> Int:

@@ -29,17 +29,17 @@ if TYPE_CHECKING:
 UNLIMITED_HINGE_RANGE = np.pi / 2  # how far a hinge without limits opens [rad]
 UNLIMITED_SLIDE_RANGE = 1.0  # how far a slide without limits opens [m]
 # The limits of the size of a leaf that no pattern names, and a tolerance for rounded sizes [m]
-MIN_HEIGHT = 1.5
-MIN_WIDTH = 0.4
-MAX_WIDTH = 2.5
-MAX_THICKNESS = 0.2
+MIN_LEAF_HEIGHT = 1.5
+MIN_LEAF_WIDTH = 0.4
+MAX_LEAF_WIDTH = 2.5
+MAX_LEAF_THICKNESS = 0.2
 SIZE_ROUNDING = 1e-6
 # A leaf without a joint stands between two jambs. These are the largest thickness of a jamb, the
 # least height by which it rises above the leaf, and its largest distance from the leaf's end [m]
 MAX_JAMB_THICKNESS = 0.6
 MIN_JAMB_RISE = 0.1
 MAX_JAMB_GAP = 0.1
-MAX_LISTED = 3  # the most bodies that a warning names
+MAX_LISTED_BODIES = 3  # the most bodies that a warning names
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class DoorCandidate:
         return self.positions.get(state, self.positions.get("modelled"))
 
     def only(self, shapes: Shapes) -> Shapes:
-        """Return the part of some shapes that belongs to this candidate's geoms."""
+        """Return the shapes of this candidate's geoms, selected from all shapes of a scene."""
         return shapes.only(mark_candidate_geoms(len(shapes.is_endless), [self]))
 
 
@@ -187,9 +187,9 @@ def find_door_candidates(
 
 def _find_only_joints(model: mujoco.MjModel) -> dict[int, int]:
     """Return body id -> joint id, for the bodies whose only joint is a hinge or slide."""
-    is_single = np.isin(model.jnt_type, (HINGE, SLIDE))
-    is_single &= model.body_jntnum[model.jnt_bodyid] == 1
-    return {int(model.jnt_bodyid[joint]): joint for joint in np.flatnonzero(is_single).tolist()}
+    is_only_joint = np.isin(model.jnt_type, (HINGE, SLIDE))
+    is_only_joint &= model.body_jntnum[model.jnt_bodyid] == 1
+    return {int(model.jnt_bodyid[joint]): joint for joint in np.flatnonzero(is_only_joint).tolist()}
 
 
 def _find_leaf_geoms(
@@ -205,10 +205,8 @@ def _find_leaf_geoms(
     Returns:
         Body id -> id of its largest geom, for each such body.
     """
-    all_geoms = [
-        largest_geom for body_geoms in geoms_of_body.values() for largest_geom in body_geoms
-    ]
-    is_measured_geom = np.isin(np.arange(num_geoms), all_geoms)
+    measured_geoms = [geom for body_geoms in geoms_of_body.values() for geom in body_geoms]
+    is_measured_geom = np.isin(np.arange(num_geoms), measured_geoms)
     extents = measure_extents(shapes.only(is_measured_geom), num_geoms)
     leaf_geoms = {}
     for body, body_geoms in geoms_of_body.items():
@@ -216,11 +214,12 @@ def _find_leaf_geoms(
             continue
         largest_geom = find_geom_of_largest_side(extents, body_geoms)
         is_tall = (
-            extents.top[largest_geom] - extents.bottom[largest_geom] >= MIN_HEIGHT - SIZE_ROUNDING
+            extents.top[largest_geom] - extents.bottom[largest_geom]
+            >= MIN_LEAF_HEIGHT - SIZE_ROUNDING
         )
-        is_wide = extents.long_side[largest_geom] >= MIN_WIDTH - SIZE_ROUNDING
-        is_too_wide = extents.long_side[largest_geom] > MAX_WIDTH + SIZE_ROUNDING
-        is_thin = extents.short_side[largest_geom] <= MAX_THICKNESS + SIZE_ROUNDING
+        is_wide = extents.long_side[largest_geom] >= MIN_LEAF_WIDTH - SIZE_ROUNDING
+        is_too_wide = extents.long_side[largest_geom] > MAX_LEAF_WIDTH + SIZE_ROUNDING
+        is_thin = extents.short_side[largest_geom] <= MAX_LEAF_THICKNESS + SIZE_ROUNDING
         if is_tall and is_wide and is_thin and not is_too_wide:
             leaf_geoms[body] = largest_geom
     return leaf_geoms
@@ -327,8 +326,8 @@ def _warn_unused_pattern(
     bodies_in_doors = [body for body in matched_bodies if len(counted_geoms[body])]
     body_text = "parts of other doors" if bodies_in_doors else "bodies without geoms that count"
     listed_names = [names[body] for body in bodies_in_doors or matched_bodies]
-    more = ", …" if len(listed_names) > MAX_LISTED else ""
-    matches_text = f"only {body_text}: {', '.join(listed_names[:MAX_LISTED])}{more}"
+    more_text = ", …" if len(listed_names) > MAX_LISTED_BODIES else ""
+    matches_text = f"only {body_text}: {', '.join(listed_names[:MAX_LISTED_BODIES])}{more_text}"
     unmatched_names = [
         name for body, name in enumerate(names) if body and body not in matched_bodies
     ]

@@ -115,7 +115,7 @@ class SceneModel(NamedTuple):
         model: the model. It has a tetrahedron in place of each mesh of `exact_meshes`.
         exact_meshes: geom id -> mesh in the world frame: the meshes of a mesh file, or those of a
             parsed scene that never move.
-        ground: id of the geom that `scene.ground` adds; None if there is none.
+        ground_geom: id of the geom that `scene.ground` adds; None if there is none.
         warnings: warnings of MuJoCo and of the reader.
         data: the model's pose; None if the settings define it.
         named_leaves: names of the bodies that are leaves of doors, as the file says.
@@ -123,7 +123,7 @@ class SceneModel(NamedTuple):
 
     model: mujoco.MjModel
     exact_meshes: dict[int, NamedMesh]
-    ground: int | None
+    ground_geom: int | None
     warnings: list[str]
     data: mujoco.MjData | None = None
     named_leaves: frozenset[str] = frozenset()
@@ -207,7 +207,7 @@ class CompileLimits(NamedTuple):
 
 
 class CompileResult(NamedTuple):
-    """What the child process returns besides the model's file.
+    """The values that the child process returns besides the model's file.
 
     Attributes:
         warnings: warnings of MuJoCo and of the reader.
@@ -244,8 +244,8 @@ def load_isolated(
     scene_path = Path(settings.path)
     with scratch_folder() as folder:
         (folder / JOB_FILE).write_bytes(pickle.dumps((settings, limits)))
-        import_path = [import_folder or os.getcwd() for import_folder in sys.path]
-        command = [sys.executable, "-c", CHILD_CODE.format(path=import_path), str(folder)]
+        import_folders = [import_folder or os.getcwd() for import_folder in sys.path]
+        command = [sys.executable, "-c", CHILD_CODE.format(path=import_folders), str(folder)]
         max_seconds = limits.seconds + IMPORT_SECONDS  # except on Windows, the child ends earlier
         try:
             exit_status = subprocess.run(
@@ -282,7 +282,7 @@ def load_isolated(
     return SceneModel(
         model=model,
         exact_meshes=result.exact_meshes,
-        ground=find_ground(model, settings),
+        ground_geom=find_ground(model, settings),
         warnings=warnings,
         named_leaves=result.named_leaves,
     )
@@ -380,7 +380,7 @@ def _load_urdf(path: Path, settings: SceneSettings, warnings: list[str]) -> mujo
     packages = RosPackages(settings.model_path)
     urdf_text, mesh_files = read_urdf(path, settings.geoms, warnings, packages)
 
-    def build() -> mujoco.MjModel:
+    def build_urdf_model() -> mujoco.MjModel:
         spec = mujoco.MjSpec.from_string(urdf_text)
         read_mesh_file = cache(
             lambda mesh_key: read_named_meshes(mesh_files[mesh_key], warnings=warnings)
@@ -391,7 +391,7 @@ def _load_urdf(path: Path, settings: SceneSettings, warnings: list[str]) -> mujo
             fill_mesh(mesh, vertices, faces)
         return compile_geometry(spec, settings.ground, warnings)
 
-    return compile_model(path, warnings, build)
+    return compile_model(path, warnings, build_urdf_model)
 
 
 def _drop_missing_textures(spec: mujoco.MjSpec, path: Path, warnings: list[str]) -> None:
@@ -467,10 +467,10 @@ def read_urdf(
     try:
         root = parse_xml(path.read_bytes())
         compiler = _find_urdf_compiler(root)
-        visuals_count = (
+        are_visuals_counted = (
             geoms_setting in ("visual", "all") or root.find("link/collision/geometry") is None
         )
-        if compiler.get("discardvisual") == "true" or not visuals_count:
+        if compiler.get("discardvisual") == "true" or not are_visuals_counted:
             dropped_meshes = list[str]()
             for link in list(root.iter("link")):
                 for visual in link.findall("visual"):
@@ -503,13 +503,13 @@ def _find_urdf_compiler(root: ElementTree.Element) -> ElementTree.Element:
     mujoco_element = root.find("mujoco")
     if mujoco_element is None:
         mujoco_element = ElementTree.SubElement(root, "mujoco")
-    compiler = mujoco_element.find("compiler")
-    if compiler is None:
-        compiler = ElementTree.SubElement(mujoco_element, "compiler")
-    defaults = {"discardvisual": "false", "fusestatic": "false"}
-    compiler.attrib = {**defaults, **compiler.attrib, "meshdir": ""}
-    compiler.attrib.pop("assetdir", None)
-    return compiler
+    compiler_element = mujoco_element.find("compiler")
+    if compiler_element is None:
+        compiler_element = ElementTree.SubElement(mujoco_element, "compiler")
+    default_attributes = {"discardvisual": "false", "fusestatic": "false"}
+    compiler_element.attrib = {**default_attributes, **compiler_element.attrib, "meshdir": ""}
+    compiler_element.attrib.pop("assetdir", None)
+    return compiler_element
 
 
 def _describe_missing_meshes(urdf: Path, filenames: list[str]) -> str:

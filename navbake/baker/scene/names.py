@@ -64,13 +64,13 @@ class ModelNames(NamedTuple):
     Attributes:
         geoms: for each geom, the names of the geom, its mesh and its body.
         bodies: the bodies' names; ``body <id>`` if a body has none.
-        own_geoms: the geoms' names; empty if a geom has none.
+        stated_geom_names: the geoms' names; empty if a geom has none.
         sites: the sites' names; empty if a site has none.
     """
 
     geoms: list[GeomNames]
     bodies: list[str]
-    own_geoms: tuple[str, ...]
+    stated_geom_names: tuple[str, ...]
     sites: tuple[str, ...]
 
 
@@ -109,7 +109,7 @@ def _read_names(model: mujoco.MjModel) -> ModelNames:
         )
     ]
     return ModelNames(
-        geoms=geoms, bodies=body_names, own_geoms=tuple(geom_names), sites=tuple(site_names)
+        geoms=geoms, bodies=body_names, stated_geom_names=tuple(geom_names), sites=tuple(site_names)
     )
 
 

@@ -17,7 +17,7 @@ from navbake.types import Int32
 # A joint may be this far out of its range without a warning: angles are rounded [rad or m]
 RANGE_SLACK = 1e-4
 # Type of a joint -> the values that set its position, as errors state them
-JOINT_VALUES = {
+JOINT_VALUE_TEXTS = {
     FREE: "7 numbers (x, y, z [m], quaternion w, x, y, z)",
     BALL: "4 numbers (quaternion w, x, y, z)",
     SLIDE: "1 number [m]",
@@ -52,7 +52,7 @@ def pose_model(model: mujoco.MjModel, settings: SceneSettings) -> mujoco.MjData:
             mujoco.mj_resetDataKeyframe(model, data, keyframe)
         for name, setting_value in settings.joints.items():
             joint = _find_joint(model, name, settings)
-            expected_text = JOINT_VALUES[int(model.jnt_type[joint])]
+            expected_text = JOINT_VALUE_TEXTS[int(model.jnt_type[joint])]
             joint_values = np.atleast_1d(np.asarray(setting_value, dtype=np.float64))
             setting_text = f"at `scene.joints.{name}`"
             if len(joint_values) != int(expected_text[0]):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # The roles of geoms. MOVING_STRUCTURE carries floors, but is no wall
 LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE, LEAF = range(5)
 # The names of these roles in reports
-ROLES = ("", "structure", "structure that moves", "movable", "leaf")
+ROLE_NAMES = ("", "structure", "structure that moves", "movable", "leaf")
 
 # MuJoCo's codes of what an actuator moves (mjtTrn)
 JOINT, JOINT_IN_PARENT, SLIDER_CRANK, TENDON, SITE, BODY = range(6)
@@ -40,7 +40,8 @@ class SceneRoles(NamedTuple):
     Attributes:
         roles: for each geom, LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE or LEAF, shape
             (ngeom,), uint8.
-        movable: for each body, whether it can move and carries no floor, shape (nbody,), bool.
+        is_movable_body: for each body, whether it can move and carries no floor, shape (nbody,),
+            bool.
         is_structure_body: for each body, whether it is structure, shape (nbody,), bool.
         mover_of_body: for each body, the id of the body that it moves with: of a movable body, its
             topmost movable ancestor or itself; of any other body, itself; shape (nbody,).
@@ -51,7 +52,7 @@ class SceneRoles(NamedTuple):
     """
 
     roles: NDArray[np.uint8]
-    movable: Bool
+    is_movable_body: Bool
     is_structure_body: Bool
     mover_of_body: Int
     leaves: list[DoorCandidate]
@@ -144,7 +145,7 @@ def find_roles(
         roles = assign_roles(model, is_counted, is_movable_body, is_structure_body, leaves)
     return SceneRoles(
         roles=roles,
-        movable=is_movable_body,
+        is_movable_body=is_movable_body,
         is_structure_body=is_structure_body,
         mover_of_body=_find_movers(model, is_movable_body),
         leaves=leaves,

@@ -30,7 +30,7 @@ from navbake.baker.scene.names import all_names, name_at, names_at
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.roles import (
     LEAF,
-    ROLES,
+    ROLE_NAMES,
     SceneRoles,
     find_actuated_bodies,
     find_roles,
@@ -53,7 +53,7 @@ from navbake.types import Bool, Float, Int, Int32
 if TYPE_CHECKING:
     import mujoco
 
-LARGE_ARRAY = 1 << 20  # larger arrays are hashed without a copy [bytes]
+MAX_COPIED_BYTES = 1 << 20  # larger arrays are hashed without a copy
 # More bytes than this are hashed in a thread; fewer are hashed before a thread would start [bytes]
 MIN_THREAD_BYTES = 1 << 17
 # A mesh that is higher or wider, or a scene that is narrower, is probably not in metres [m]
@@ -78,7 +78,7 @@ class GeomReport:
             inside is occupied) or partly closed. The last two may state how many triangles were
             turned to face out.
         reason: why it is counted or left out.
-        role: one of `roles.ROLES`; empty if it isn't counted.
+        role: one of `roles.ROLE_NAMES`; empty if it isn't counted.
     """
 
     id: int
@@ -114,7 +114,7 @@ class Scene:
         meshes: a cache of the triangles of the model's meshes, for geoms in other poses.
         roles: for each geom, its role: LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE or
             LEAF, (ngeom,), uint8.
-        movable: for each body, whether it can move and carries no floor, (nbody,).
+        is_movable_body: for each body, whether it can move and carries no floor, (nbody,).
         is_structure_body: for each body, whether it is structure, (nbody,).
         mover_of_body: for each body, the id of the body that it moves with: of a movable body, its
             topmost movable ancestor or itself; of any other body, itself; (nbody,).
@@ -139,7 +139,7 @@ class Scene:
     exact_meshes: dict[int, NamedMesh]
     meshes: MeshTriangles
     roles: NDArray[np.uint8]
-    movable: Bool
+    is_movable_body: Bool
     is_structure_body: Bool
     mover_of_body: Int
     actuated_bodies: frozenset[int]
@@ -149,7 +149,7 @@ class Scene:
     pattern_warnings: list[str]
 
     @property
-    def mover_of(self) -> Int:
+    def mover_of_geom(self) -> Int:
         """For each geom, the id of the body that it moves with, see `mover_of_body`, (ngeom,)."""
         mover_of_geom: Int = self.mover_of_body[self.model.geom_bodyid]
         return mover_of_geom
@@ -229,7 +229,7 @@ def load_scene(
     except SceneError as error:
         raise SceneError(f"{error}, in {settings.path}") from error
     roles = counted_geoms.roles
-    _check_any_counts(counted_geoms.selections, scene_model.ground, settings)
+    _check_any_counts(counted_geoms.selections, scene_model.ground_geom, settings)
     structure = counted_geoms.shapes.only(mark_structure(roles.roles))
     bounds = structure.bounds
     if bounds is None:
@@ -262,7 +262,7 @@ def load_scene(
         exact_meshes=exact_meshes,
         meshes=meshes,
         roles=roles.roles,
-        movable=roles.movable,
+        is_movable_body=roles.is_movable_body,
         is_structure_body=roles.is_structure_body,
         mover_of_body=roles.mover_of_body,
         actuated_bodies=frozenset(roles.mover_of_body[[*find_actuated_bodies(model)]].tolist()),
@@ -303,11 +303,11 @@ def _count_geoms(
     with all geoms, then without the movables.
     """
     hull_room = HullRoomTest(scene_model.model, data, meshes, config.agent, config.floors)
-    no_bodies = np.zeros(scene_model.model.nbody, dtype=np.bool_)
-    counted_geoms = _count_geoms_without(no_bodies, scene_model, hull_room, config)
+    no_left_out_bodies = np.zeros(scene_model.model.nbody, dtype=np.bool_)
+    counted_geoms = _count_geoms_without(no_left_out_bodies, scene_model, hull_room, config)
     if config.scene.exclude.movable:
         roles = counted_geoms.roles
-        is_left_out_body = roles.movable.copy()
+        is_left_out_body = roles.is_movable_body.copy()
         is_left_out_body[scene_model.model.geom_bodyid[roles.roles == LEAF]] = False
         counted_geoms = _count_geoms_without(is_left_out_body, scene_model, hull_room, config)
     return counted_geoms
@@ -331,8 +331,8 @@ def _count_geoms_without(
         model,
         config.scene,
         find_hidden=hull_room.find_hidden,
-        left_out_bodies=is_left_out_body,
-        ground=scene_model.ground,
+        is_left_out_body=is_left_out_body,
+        ground_geom=scene_model.ground_geom,
         file_mesh_modes={geom: mesh.mode for geom, mesh in exact_meshes.items()},
     )
     sky_warnings = list[str]()
@@ -345,7 +345,7 @@ def _count_geoms_without(
         model,
         data,
         shapes=shapes,
-        is_counted=np.array([selection.counted for selection in selections], dtype=np.bool_),
+        is_counted=np.array([selection.is_counted for selection in selections], dtype=np.bool_),
         named_leaves=scene_model.named_leaves,
         config=config,
     )
@@ -369,10 +369,10 @@ def _leave_out_skies(
 
     Their entries in `selections`, one for each geom, are changed.
     """
-    is_counted = np.array([selection.counted for selection in selections], dtype=np.bool_)
+    is_counted = np.array([selection.is_counted for selection in selections], dtype=np.bool_)
     sky_geoms = find_skies(model, data, is_counted, min_room=agent.height)
     for geom in sky_geoms:
-        selections[geom] = selections[geom]._replace(counted=False, reason="encloses everything")
+        selections[geom] = selections[geom]._replace(is_counted=False, reason="encloses everything")
     if not sky_geoms:
         return []
     names = ", ".join(repr(all_names(model).geoms[geom].geom) for geom in sky_geoms)
@@ -383,15 +383,17 @@ def _leave_out_skies(
 
 
 def _check_any_counts(
-    selections: list[GeomSelection], ground: int | None, settings: SceneSettings
+    selections: list[GeomSelection], ground_geom: int | None, settings: SceneSettings
 ) -> None:
     """Raise a SceneError if no geom counts, except the ground that `scene.ground` adds."""
-    scene_geoms = [selection for geom, selection in enumerate(selections) if geom != ground]
-    if not scene_geoms:
+    scene_selections = [
+        selection for geom, selection in enumerate(selections) if geom != ground_geom
+    ]
+    if not scene_selections:
         raise SceneError(f"{settings.path} has no geoms: nothing to bake")
-    if not any(selection.counted for selection in scene_geoms):
-        reasons = "; ".join(sorted({selection.reason for selection in scene_geoms})[:3])
-        problem_text = f"none of the {len(scene_geoms)} geoms of {settings.path} counts"
+    if not any(selection.is_counted for selection in scene_selections):
+        reasons = "; ".join(sorted({selection.reason for selection in scene_selections})[:3])
+        problem_text = f"none of the {len(scene_selections)} geoms of {settings.path} counts"
         raise SceneError(f"{problem_text} (`scene.geoms` is {settings.geoms}): {reasons}")
 
 
@@ -407,10 +409,10 @@ def _report_geoms(model: mujoco.MjModel, counted_geoms: CountedGeoms) -> list[Ge
                 name=names.geom,
                 body=names.body,
                 type=TYPE_NAMES.get(geom_types[geom], "unknown"),
-                counted=selection.counted,
+                counted=selection.is_counted,
                 shape=counted_geoms.shape_kinds.get(geom, ""),
                 reason=selection.reason,
-                role=ROLES[roles[geom]],
+                role=ROLE_NAMES[roles[geom]],
             )
         )
     return reports
@@ -450,10 +452,10 @@ def _warn_lost_objects(model: mujoco.MjModel) -> list[str]:
         if has_face.all():
             continue
         lost_vertices = vertices[~has_face]
-        extent = np.ptp(lost_vertices, axis=0)
-        if np.count_nonzero(extent) < 2:  # spare points, and no object
+        side_lengths = np.ptp(lost_vertices, axis=0)
+        if np.count_nonzero(side_lengths) < 2:  # spare points, and no object
             continue
-        size_text = " x ".join(f"{side:.3g}" for side in extent)
+        size_text = " x ".join(f"{side_length:.3g}" for side_length in side_lengths)
         name = name_at(model, int(model.name_meshadr[mesh])) or Path(path).stem
         warnings.append(
             f"mesh {name!r}: {len(lost_vertices)} of {len(vertices)} vertices have no face, and "
@@ -501,10 +503,10 @@ def _warn_size(
     suffix = Path(settings.path).suffix.lower()
     # SDF and USD have a known unit.
     is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES | STAGE_SUFFIXES
-    box = bounds_of_meshes(exact_meshes.values()) if is_mesh_file else bounds
-    sides = np.diff(box, axis=0)[0]
-    width = float(sides.max())
-    height = float(sides[2])
+    bounds_to_check = bounds_of_meshes(exact_meshes.values()) if is_mesh_file else bounds
+    side_lengths = np.diff(bounds_to_check, axis=0)[0]
+    width = float(side_lengths.max())
+    height = float(side_lengths[2])
     if width < MIN_SCENE_WIDTH:
         hint = "MuJoCo's unit is the metre: check the lengths, or the `scale` of its meshes"
         if suffix in STAGE_SUFFIXES:
@@ -559,7 +561,7 @@ def start_hashing(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     exact_meshes: dict[int, NamedMesh],
-    names: DigestedNames | None = None,
+    digested_names: DigestedNames | None = None,
 ) -> Callable[[], str]:
     """Start to compute the sha256 of everything in a posed model that a bake depends on.
 
@@ -571,18 +573,20 @@ def start_hashing(
         data: the model's pose.
         exact_meshes: geom id -> mesh in the world frame, for the meshes that the model has only a
             tetrahedron for.
-        names: the part of the digest that depends on names; computed if None.
+        digested_names: the part of the digest that depends on names; computed if None.
 
     Returns:
         A function that waits for the digest, and returns it as hexadecimal digits.
     """
-    if names is None:
-        names = digest_names(model)
-    digest = names.geom_hash.copy()
+    if digested_names is None:
+        digested_names = digest_names(model)
+    digest = digested_names.geom_hash.copy()
     pending_bytes = bytearray()
-    for array_number, array in enumerate(_digested_arrays(model, data, exact_meshes, names)):
+    for array_number, array in enumerate(
+        _digested_arrays(model, data, exact_meshes, digested_names)
+    ):
         pending_bytes += f"{array_number} {array.dtype.str} {array.shape}\n".encode()
-        if array.nbytes > LARGE_ARRAY:
+        if array.nbytes > MAX_COPIED_BYTES:
             digest.update(pending_bytes)
             digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
             pending_bytes = bytearray()
@@ -600,7 +604,7 @@ def _digested_arrays(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     exact_meshes: dict[int, NamedMesh],
-    names: DigestedNames,
+    digested_names: DigestedNames,
 ) -> Iterator[NDArray[np.generic]]:
     """Yield the arrays of a posed model that a bake uses; the digest depends on their order."""
     yield from (model.geom_type, model.geom_size, model.geom_dataid, model.geom_bodyid)
@@ -613,7 +617,7 @@ def _digested_arrays(
     yield from (model.jnt_type, model.jnt_bodyid, is_limited, model.jnt_range)
     yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
     yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
-    yield from (names.sites, names.joints)
+    yield from (digested_names.sites, digested_names.joints)
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
     yield from (model.mesh_graphadr, model.mesh_graph)
     yield from (model.hfield_nrow, model.hfield_ncol, model.hfield_size, model.hfield_data)

@@ -45,14 +45,16 @@ def find_skies(
     """
     lowest_corners, highest_corners = geom_boxes(model, data)
     body_of_geom = model.geom_bodyid
-    can_stand = (
+    is_static_geom = (
         is_counted & (model.body_weldid[body_of_geom] == 0) & (model.body_mocapid[body_of_geom] < 0)
     )
-    if (can_stand & (model.geom_type == constants.PLANE)).any():
+    if (is_static_geom & (model.geom_type == constants.PLANE)).any():
         return []
-    is_finite = can_stand & (model.geom_type != constants.PLANE)
-    is_finite &= np.isfinite(lowest_corners).all(axis=1) & np.isfinite(highest_corners).all(axis=1)
-    remaining_geoms = np.flatnonzero(is_finite)
+    is_finite_geom = is_static_geom & (model.geom_type != constants.PLANE)
+    is_finite_geom &= np.isfinite(lowest_corners).all(axis=1) & np.isfinite(highest_corners).all(
+        axis=1
+    )
+    remaining_geoms = np.flatnonzero(is_finite_geom)
     skies = list[int]()
     while len(remaining_geoms) > 1:
         largest_geom = int(
@@ -93,10 +95,10 @@ def find_skies(
 def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Float, Float]:
     """Return the lowest and the highest corner of each geom's bounding box, (ngeom, 3) each [m]."""
     rotation = data.geom_xmat.reshape(-1, 3, 3)
-    box = model.geom_aabb
+    local_boxes = model.geom_aabb
     with np.errstate(all="ignore"):  # the numbers of strangers' models
-        center = data.geom_xpos + (rotation @ box[:, :3, None])[..., 0]
-        half_size = (np.abs(rotation) @ box[:, 3:, None])[..., 0]
+        center = data.geom_xpos + (rotation @ local_boxes[:, :3, None])[..., 0]
+        half_size = (np.abs(rotation) @ local_boxes[:, 3:, None])[..., 0]
         return center - half_size, center + half_size
 
 

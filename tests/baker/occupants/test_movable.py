@@ -76,12 +76,12 @@ def test_cells_are_occupied_by_what_stands_or_blocks_them(seed):
 @pytest.mark.parametrize("seed", range(12))
 def test_a_body_takes_the_cells_that_it_blocks_and_nothing_standing_does(seed):
     stages = random_stages(seed)
-    mover_of = stages.scene.mover_of
+    mover_of_geom = stages.scene.mover_of_geom
     taken = set()
     for number, standing in enumerate(stages.occupancy.levels):
         for cell, geom, flags in listed(stages, number):
             if flags & BLOCKING and not standing.flat[cell]:
-                taken.add((number, cell, int(mover_of[geom])))
+                taken.add((number, cell, int(mover_of_geom[geom])))
     expected = np.zeros(len(stages.occupants.num_free_cells_blocked), dtype=np.int64)
     for _, _, mover in taken:
         expected[mover] += 1

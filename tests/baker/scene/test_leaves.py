@@ -40,7 +40,7 @@ def look_for(scene: Scene, **settings: Any) -> tuple[list[DoorCandidate], list[s
         scene.data,
         shapes=scene.shapes,
         is_counted=np.array([geom.counted for geom in scene.geoms]),
-        is_movable_body=scene.movable,
+        is_movable_body=scene.is_movable_body,
         is_structure_body=scene.is_structure_body,
         named_leaves=scene.named_leaves,
         settings=DoorSettings(**settings),

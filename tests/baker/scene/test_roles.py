@@ -331,4 +331,4 @@ def test_exclude_movable_keeps_doors_and_what_carries_floors(tmp_path):
     assert roles(scene)["leaf"] == "leaf"
     assert roles(scene)["boards"] == "structure that moves"
     assert roles(scene)["seat"] == ""
-    np.testing.assert_array_equal(scene.movable, [False, True, False, True])
+    np.testing.assert_array_equal(scene.is_movable_body, [False, True, False, True])
