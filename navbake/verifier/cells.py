@@ -19,7 +19,7 @@ from navbake.config.settings import BakeConfig, FloorSettings
 from navbake.navgrid.grid import GridBase
 from navbake.types import Bool, Float, Int, Vector3
 from navbake.verifier import report
-from navbake.verifier.obstacles import ENCLOSING, PlacedShape
+from navbake.verifier.obstacles import ENCLOSING_KINDS, PlacedShape
 from navbake.verifier.probes import (
     CIRCLE_DIRECTIONS,
     DISPUTED,
@@ -66,19 +66,19 @@ class StandingPlace(NamedTuple):
     Attributes:
         row: Row of the cell on the lowest level's lattice; the cell may lie outside the grid.
         col: Column of the cell.
-        surface: Index among the surfaces to stand on in the cell's column, 0 for the lowest.
+        surface_index: Index among the surfaces to stand on in the cell's column, 0 for the lowest.
     """
 
     row: int
     col: int
-    surface: int
+    surface_index: int
 
 
 class OutlineEdge(NamedTuple):
-    """What lies beyond one side of a place at the edge of a region: a wall, a drop or nothing.
+    """One side of a place at the edge of a region; beyond it is a wall, a drop or nothing.
 
     Attributes:
-        is_wall: Whether a wall stands there.
+        is_wall: Whether a wall stands beyond it.
         landing: The highest place to stand below a drop; None for a wall, or if there is none.
     """
 
@@ -87,7 +87,7 @@ class OutlineEdge(NamedTuple):
 
 
 class RegionSearch(NamedTuple):
-    """The region that a search found: places to stand that steps connect, and that no level has.
+    """The result of a search: a region of places to stand that steps connect and no level has.
 
     Attributes:
         places: The places of the region.
@@ -108,13 +108,13 @@ class LevelCell(NamedTuple):
 
 
 class LevelArrays(NamedTuple):
-    """A level's floors, and how to find a cell of level 0's lattice in them.
+    """A level's floors, and the shift from rows and columns of level 0's lattice to the level's.
 
     Attributes:
         floor: Heights of the floors, (height, width) [m], NaN for none.
         is_free: Whether each cell is free, (height, width).
-        row_shift: What to add to a row of level 0's lattice to get the row on this level.
-        col_shift: What to add to a column of level 0's lattice to get the column on this level.
+        row_shift: How much larger a cell's row is on this level than on level 0's lattice.
+        col_shift: How much larger a cell's column is on this level than on level 0's lattice.
     """
 
     floor: Float
@@ -124,7 +124,7 @@ class LevelArrays(NamedTuple):
 
 
 def compute_floor_tolerance(*coordinates: float) -> float:
-    """Return by how much the height of a floor may differ from that of a surface [m].
+    """Return the largest difference of height at which a floor still lies on a surface [m].
 
     Args:
         coordinates: World coordinates of the place [m]; far from the origin, rounding is coarser.
@@ -154,8 +154,8 @@ class FloorCheck:
         config: The settings of the bake; None if they are unknown.
 
     Attributes:
-        num_ignored_regions: How many regions were ignored so far.
-        ignored_area: Their area [m²].
+        num_ignored_regions: The number of regions that were ignored so far.
+        ignored_area: The area of the ignored regions [m²].
     """
 
     def __init__(
@@ -167,8 +167,10 @@ class FloorCheck:
         self._lattice = grid.levels[0].lattice
         self._levels = list[LevelArrays]()
         for level in grid.levels:
-            shift = find_cell_shift(self._lattice, level.lattice)
-            self._levels.append(LevelArrays(level.floor, level.free, shift.rows, shift.cols))
+            cell_shift = find_cell_shift(self._lattice, level.lattice)
+            self._levels.append(
+                LevelArrays(level.floor, level.free, cell_shift.rows, cell_shift.cols)
+            )
         bakes_all_floors = (
             config is not None and config.levels == "auto" and config.floors.reach == "all"
         )
@@ -184,7 +186,7 @@ class FloorCheck:
             lambda row, col: probe.cast_line(*self._center(row, col))
         )
         self._all_standable_at = lru_cache(200_000)(
-            lambda row, col: self._line_at(row, col).standable_hits(
+            lambda row, col: self._line_at(row, col).find_standable_hits(
                 agent.height, agent.min_normal_z
             )
         )
@@ -219,18 +221,18 @@ class FloorCheck:
         lattice_shift = find_cell_shift(sample.level.lattice, self._lattice)
         missing_places: list[tuple[int, int, float]] = []  # row, column, height
         # the grid's floors over holes of a scan are no surfaces
-        unseen = sample.level.attributes.get("unseen", np.zeros(sample.level.shape))
+        is_unseen = sample.level.attributes.get("unseen", np.zeros(sample.level.shape))
         for cell, has_no_floor in enumerate(np.isnan(sample.floor).tolist()):
             position = sample.position(cell)
             x, y, z = position
             vertical_line = self._probe.cast_line(x, y)
             tolerance = compute_floor_tolerance(x, y, z)
-            standable_hits = vertical_line.standable_hits(
+            standable_hits = vertical_line.find_standable_hits(
                 self._agent.height, self._agent.min_normal_z
             )
             if not has_no_floor:
                 counts.floors += 1
-            is_unchecked = has_no_floor or bool(unseen[sample.rows[cell], sample.cols[cell]])
+            is_unchecked = has_no_floor or bool(is_unseen[sample.rows[cell], sample.cols[cell]])
             if is_unchecked or vertical_line.has_upward_hit(z - tolerance, z + tolerance):
                 row = int(sample.rows[cell]) + lattice_shift.rows
                 col = int(sample.cols[cell]) + lattice_shift.cols
@@ -241,12 +243,12 @@ class FloorCheck:
                         findings += self._check_missing_place(row, col, (x, y, hit.z), sample, cell)
                 continue
             # at the edge of a crack, a floor on a slope may have any of the slope's heights
-            is_gap = all(abs(hit.z - z) > self._agent.step for hit in standable_hits)
+            is_far_from_surfaces = all(abs(hit.z - z) > self._agent.step for hit in standable_hits)
             has_surface_nearby = self._probe.has_upward_hit_nearby(
                 position,
                 tolerance,
                 self._settings.crack,
-                min_normal_z=self._agent.min_normal_z if is_gap else np.inf,
+                min_normal_z=self._agent.min_normal_z if is_far_from_surfaces else np.inf,
             )
             if has_surface_nearby:
                 counts.in_cracks += 1
@@ -255,10 +257,10 @@ class FloorCheck:
                 findings.append(self._floor_off_finding(sample, cell, z, vertical_line.hits))
         for row, col, z in missing_places:
             # the place itself is lost, or the one near it where a search began
-            search_cell = (row - row % self._stride, col - col % self._stride)
+            search_start_cell = (row - row % self._stride, col - col % self._stride)
             counts.lost += any(
                 self._place_near(*row_col, z) in self._lost_places
-                for row_col in ((row, col), search_cell)
+                for row_col in ((row, col), search_start_cell)
             )
         return findings
 
@@ -292,7 +294,7 @@ class FloorCheck:
         start_place = self._place_near(row, col, position[2])
         if start_place is None:
             return []
-        start_hit = self._standable_at(row, col)[start_place.surface]
+        start_hit = self._standable_at(row, col)[start_place.surface_index]
         x, y = self._center(row, col)
         standing_position = (x, y, start_hit.z)
         if not is_step:
@@ -300,8 +302,10 @@ class FloorCheck:
                 return []
             two_strides = 2 * self._stride
             neighbor_places = [
-                self._place_near(row + two_strides * down, col + two_strides * right, start_hit.z)
-                for down, right in GRID_DIRECTIONS
+                self._place_near(
+                    row + two_strides * row_offset, col + two_strides * col_offset, start_hit.z
+                )
+                for row_offset, col_offset in GRID_DIRECTIONS
             ]
             if neighbor_places.count(None) >= 2:
                 return []
@@ -324,13 +328,13 @@ class FloorCheck:
 
     def _is_step_from_free_cell(self, row: int, col: int, z: float) -> bool:
         """Return whether the floor of a free neighbour cell is a surface at most a step away."""
-        step = self._agent.step - FLOOR_TOLERANCE
-        for down, right in GRID_DIRECTIONS:
-            for level_cell in self._level_cells_at(row + down, col + right):
+        max_step = self._agent.step - FLOOR_TOLERANCE
+        for row_offset, col_offset in GRID_DIRECTIONS:
+            for level_cell in self._level_cells_at(row + row_offset, col + col_offset):
                 floor = level_cell.floor
-                if not level_cell.is_free or not abs(floor - z) <= step:
+                if not level_cell.is_free or not abs(floor - z) <= max_step:
                     continue
-                hits = self._standable_at(row + down, col + right)
+                hits = self._standable_at(row + row_offset, col + col_offset)
                 if any(abs(hit.z - floor) <= compute_floor_tolerance(floor) for hit in hits):
                     return True
         return False
@@ -340,10 +344,15 @@ class FloorCheck:
         cells = {(place.row, place.col) for place in region.places}
         # floors are shrunk: only cells that are farther from the outline count
         num_strides = int(self._settings.shrink / self._stride_length) + 1
-        offsets = [multiple * self._stride for multiple in range(-num_strides, num_strides + 1)]
-        offset_pairs = list(product(offsets, offsets))
+        cell_offsets = [
+            multiple * self._stride for multiple in range(-num_strides, num_strides + 1)
+        ]
+        cell_offset_pairs = list(product(cell_offsets, cell_offsets))
         num_inner_cells = sum(
-            all((row + down, col + right) in cells for down, right in offset_pairs)
+            all(
+                (row + row_offset, col + col_offset) in cells
+                for row_offset, col_offset in cell_offset_pairs
+            )
             for row, col in cells
         )
         # a drop to the region itself, such as beside its own stairs, does not count
@@ -363,93 +372,94 @@ class FloorCheck:
             (place.row, place.col)
             for place in region.places
             if any(
-                place._replace(surface=surface_index) not in region.places
-                for surface_index in range(place.surface)
+                place._replace(surface_index=lower_index) not in region.places
+                for lower_index in range(place.surface_index)
             )
         }
         if len(cells_over_others) <= MAX_COVERED_SHARE * len(cells):
             return "there is nothing to stand on under it"
         return ""
 
-    def _search_region(self, start: StandingPlace) -> RegionSearch:
+    def _search_region(self, start_place: StandingPlace) -> RegionSearch:
         """Search breadth first over places that are a step apart, from one that no level has.
 
         The search continues over places that levels have, too. It ends early once their area
         reaches `MIN_REACHED_AREA`: then steps lead from the grid's floors to the region.
         """
-        lost_places = {start}
+        lost_places = {start_place}
         places_on_levels = set[StandingPlace]()
-        open_places = deque([start])
+        queued_places = deque([start_place])
         outline = list[OutlineEdge]()
         is_reached = False
-        while open_places and len(lost_places) < MAX_SEARCH_PLACES and not is_reached:
-            place = open_places.popleft()
-            z = self._standable_at(place.row, place.col)[place.surface].z
-            for down, right in GRID_DIRECTIONS:
-                row = place.row + down * self._stride
-                col = place.col + right * self._stride
+        while queued_places and len(lost_places) < MAX_SEARCH_PLACES and not is_reached:
+            place = queued_places.popleft()
+            z = self._standable_at(place.row, place.col)[place.surface_index].z
+            for row_offset, col_offset in GRID_DIRECTIONS:
+                row = place.row + row_offset * self._stride
+                col = place.col + col_offset * self._stride
                 # the floors outside the grid are unknown: the search ends there
                 neighbor = self._place_near(row, col, z) if self._is_on_grid(row, col) else None
                 if neighbor is None:
                     if place in lost_places:
-                        outline.append(self._find_edge(place.row, place.col, down, right, z))
+                        outline.append(
+                            self._find_edge(place.row, place.col, row_offset, col_offset, z)
+                        )
                     continue
                 if neighbor in lost_places or neighbor in places_on_levels:
                     continue
-                neighbor_z = self._standable_at(row, col)[neighbor.surface].z
+                neighbor_z = self._standable_at(row, col)[neighbor.surface_index].z
                 if not self._has_floor(row, col, neighbor_z):
                     lost_places.add(neighbor)
                 elif place in lost_places and not self._is_walkable(
-                    place.row, place.col, down, right, z
+                    place.row, place.col, row_offset, col_offset, z
                 ):
-                    outline.append(self._find_edge(place.row, place.col, down, right, z))
+                    outline.append(self._find_edge(place.row, place.col, row_offset, col_offset, z))
                     continue
                 else:
                     places_on_levels.add(neighbor)
                     reached_area = len(places_on_levels) * self._stride_length**2
                     is_reached = reached_area >= MIN_REACHED_AREA
-                open_places.append(neighbor)
+                queued_places.append(neighbor)
         return RegionSearch(lost_places, is_reached, outline)
 
-    def _is_walkable(self, row: int, col: int, down: int, right: int, z: float) -> bool:
+    def _is_walkable(self, row: int, col: int, row_offset: int, col_offset: int, z: float) -> bool:
         """Return whether an agent can walk a stride from cell to cell, starting at height z [m].
 
         Args:
             row: Row of the first cell.
             col: Column of the first cell.
-            down: Row offset of each next cell.
-            right: Column offset of each next cell.
+            row_offset: Row offset of each next cell.
+            col_offset: Column offset of each next cell.
             z: Height of the floor in the first cell [m].
         """
         for num_cells in range(1, self._stride + 1):
-            next_row = row + num_cells * down
-            next_col = col + num_cells * right
+            next_row = row + num_cells * row_offset
+            next_col = col + num_cells * col_offset
             place = self._place_near(next_row, next_col, z)
             if place is None:
                 return False
-            z = self._standable_at(next_row, next_col)[place.surface].z
+            z = self._standable_at(next_row, next_col)[place.surface_index].z
         return True
 
-    def _find_edge(self, row: int, col: int, down: int, right: int, z: float) -> OutlineEdge:
+    def _find_edge(
+        self, row: int, col: int, row_offset: int, col_offset: int, z: float
+    ) -> OutlineEdge:
         """Find what lies beyond one side of a place at the edge of a region.
 
         Args:
             row: Row of the place.
             col: Column of the place.
-            down: Row offset towards that side.
-            right: Column offset towards that side.
+            row_offset: Row offset towards that side.
+            col_offset: Column offset towards that side.
             z: Height of the place [m].
         """
-        lowest_wall_top = z + self._agent.step
-        highest_wall_bottom = z + max(self._agent.height, MIN_WALL_HEIGHT)
+        max_wall_bottom = z + self._agent.step
+        min_wall_top = z + max(self._agent.height, MIN_WALL_HEIGHT)
         for _ in range(self._stride):
-            row = row + down
-            col = col + right
+            row = row + row_offset
+            col = col + col_offset
             solid_ranges = self._line_at(row, col).solid_ranges
-            if any(
-                bottom < lowest_wall_top and top > highest_wall_bottom
-                for bottom, top in solid_ranges
-            ):
+            if any(bottom < max_wall_bottom and top > min_wall_top for bottom, top in solid_ranges):
                 return OutlineEdge(is_wall=True, landing=None)
         num_surfaces_below = sum(hit.z < z for hit in self._standable_at(row, col))
         landing = StandingPlace(row, col, num_surfaces_below - 1) if num_surfaces_below else None
@@ -503,27 +513,29 @@ class FloorCheck:
         limits: at the edge of a surface, or at a limit, rounding decides.
         """
         for cos, sin in PROBE_DIRECTIONS:
-            line = self._probe.cast_line(x + EDGE_TOLERANCE * cos, y + EDGE_TOLERANCE * sin)
-            standable = line.standable_hits(
+            vertical_line = self._probe.cast_line(
+                x + EDGE_TOLERANCE * cos, y + EDGE_TOLERANCE * sin
+            )
+            standable_hits = vertical_line.find_standable_hits(
                 self._agent.height + FLOOR_TOLERANCE, self._agent.min_normal_z + NORMAL_Z_MARGIN
             )
-            if not any(abs(hit.z - z) <= FLOOR_TOLERANCE for hit in standable):
+            if not any(abs(hit.z - z) <= FLOOR_TOLERANCE for hit in standable_hits):
                 return False
         return True
 
 
 class CellContacts(NamedTuple):
-    """What the prisms over the cells of a sample touch.
+    """The obstacles that the prisms over the cells of a sample touch.
 
     Attributes:
-        obstacle: The id of an obstacle that a prism touches, (n,); -1 for none.
-        prism: The index of the prism that touches the obstacle, (n,).
-        disputed: Whether MuJoCo and FCL contradict each other, (n,).
+        obstacle_of_cell: The id of an obstacle that a prism touches, (n,); -1 for none.
+        prism_of_cell: The index of the prism that touches the obstacle, (n,).
+        is_disputed: Whether MuJoCo and FCL contradict each other, (n,).
     """
 
-    obstacle: Int
-    prism: Int
-    disputed: Bool
+    obstacle_of_cell: Int
+    prism_of_cell: Int
+    is_disputed: Bool
 
 
 class CellCrossing(NamedTuple):
@@ -591,9 +603,11 @@ class OccupancyCheck:
         """
         has_volume = sample.is_free & ~np.isnan(sample.floor)
         contacts = self._find_contacts(sample, has_volume, volume, -self._tolerance)
-        is_untouched = has_volume & (contacts.obstacle < 0)
-        enclosing_obstacle = self._find_enclosing(sample, is_untouched, volume[0])
-        obstacles = np.where(enclosing_obstacle >= 0, enclosing_obstacle, contacts.obstacle)
+        is_untouched = has_volume & (contacts.obstacle_of_cell < 0)
+        enclosing_obstacle_of_cell = self._find_enclosing(sample, is_untouched, volume[0])
+        obstacle_of_cell = np.where(
+            enclosing_obstacle_of_cell >= 0, enclosing_obstacle_of_cell, contacts.obstacle_of_cell
+        )
 
         text = "is free, though it has no floor"
         cells_without_floor = np.flatnonzero(sample.is_free & ~has_volume).tolist()
@@ -601,10 +615,10 @@ class OccupancyCheck:
             sample.make_finding(report.NO_FLOOR, cell, text) for cell in cells_without_floor
         ]
 
-        is_untouched_cell = has_volume & (obstacles < 0)
+        is_free_in_scene = has_volume & (obstacle_of_cell < 0)
         step_tolerance = self._agent.step + self._tolerance
         text = f"is free, but no floor is within {self._agent.step:g} m of its level's ground"
-        for cell in np.flatnonzero(is_untouched_cell & (not sample.has_cell_floors)).tolist():
+        for cell in np.flatnonzero(is_free_in_scene & (not sample.has_cell_floors)).tolist():
             # a floor is a surface that faces up, also one beside a crack or an edge
             position = sample.position(cell)
             x, y, z = position
@@ -612,20 +626,22 @@ class OccupancyCheck:
                 z - step_tolerance, z + step_tolerance
             )
             if not has_floor and not self._probe.has_upward_hit_nearby(position, step_tolerance):
-                is_untouched_cell[cell] = False
+                is_free_in_scene[cell] = False
                 findings.append(sample.make_finding(report.NO_FLOOR, cell, text))
 
-        counts.disputed += int((is_untouched_cell & contacts.disputed).sum())
-        counts.free_touches += int((obstacles >= 0).sum())
-        counts.free_free += int((is_untouched_cell & ~contacts.disputed).sum())
-        for cell in np.flatnonzero(obstacles >= 0).tolist():
-            obstacle = int(obstacles[cell])
+        counts.disputed += int((is_free_in_scene & contacts.is_disputed).sum())
+        counts.free_touches += int((obstacle_of_cell >= 0).sum())
+        counts.free_free += int((is_free_in_scene & ~contacts.is_disputed).sum())
+        for cell in np.flatnonzero(obstacle_of_cell >= 0).tolist():
+            obstacle = int(obstacle_of_cell[cell])
             name = self._obstacles.geom_name(obstacle)
             depth = None
-            if enclosing_obstacle[cell] >= 0:
+            if enclosing_obstacle_of_cell[cell] >= 0:
                 text = f"is free, but lies inside of {name!r}"
             elif self._is_measured(report.FREE_TOUCHES):
-                placed_prism = volume[int(contacts.prism[cell])].over_cell(sample, cell)
+                placed_prism = volume[int(contacts.prism_of_cell[cell])].prism_over_cell(
+                    sample, cell
+                )
                 depth = self._probe.measure_depth(placed_prism.prism, placed_prism.center, obstacle)
                 text = f"is free, but {name!r} reaches {depth:.4f} m into it"
             else:
@@ -650,24 +666,26 @@ class OccupancyCheck:
         """
         is_checked = ~sample.is_free & ~np.isnan(sample.floor) & ~is_excused
         contacts = self._find_contacts(sample, is_checked, volume, self._tolerance)
-        is_apart = is_checked & (contacts.obstacle < 0) & ~contacts.disputed
-        is_apart &= self._find_enclosing(sample, is_apart, volume[0]) < 0
-        for cell in np.flatnonzero(is_apart & (not sample.has_cell_floors)).tolist():
+        is_untouched = is_checked & (contacts.obstacle_of_cell < 0) & ~contacts.is_disputed
+        is_untouched &= self._find_enclosing(sample, is_untouched, volume[0]) < 0
+        for cell in np.flatnonzero(is_untouched & (not sample.has_cell_floors)).tolist():
             # a cell without a place to stand within a step of the ground may be blocked
-            line = self._probe.cast_line(*sample.centers[cell])
-            standable = line.standable_hits(self._agent.height, self._agent.min_normal_z)
-            ground_height = sample.floor[cell]
-            is_apart[cell] = any(
-                abs(hit.z - ground_height) <= self._agent.step for hit in standable
+            vertical_line = self._probe.cast_line(*sample.centers[cell])
+            standable_hits = vertical_line.find_standable_hits(
+                self._agent.height, self._agent.min_normal_z
             )
-            self.num_groundless += not is_apart[cell]
+            ground_height = sample.floor[cell]
+            is_untouched[cell] = any(
+                abs(hit.z - ground_height) <= self._agent.step for hit in standable_hits
+            )
+            self.num_groundless += not is_untouched[cell]
 
-        num_apart = int(is_apart.sum())
-        counts.blocked_apart += num_apart
-        counts.blocked_blocked += int((~sample.is_free).sum()) - num_apart
+        num_untouched = int(is_untouched.sum())
+        counts.blocked_apart += num_untouched
+        counts.blocked_blocked += int((~sample.is_free).sum()) - num_untouched
         return [
             self._blocked_finding(sample, cell, volume)
-            for cell in np.flatnonzero(is_apart).tolist()
+            for cell in np.flatnonzero(is_untouched).tolist()
         ]
 
     def _blocked_finding(self, sample: LevelSample, cell: int, volume: list[CellPrisms]) -> Finding:
@@ -679,15 +697,17 @@ class OccupancyCheck:
             text = f"is blocked for {self._inflation_reach:g} m, but nothing within that radius "
             text += "is in the way"
         elif self._is_measured(report.BLOCKED_APART):
-            nearest_obstacles = []
+            obstacle_gaps = []
             for prisms in volume:
-                placed = prisms.over_cell(sample, cell)
-                nearest = self._probe.find_nearest(placed.prism, placed.center)
-                if nearest is not None:
-                    nearest_obstacles.append(nearest)
+                placed_prism = prisms.prism_over_cell(sample, cell)
+                nearest_gap = self._probe.find_nearest_obstacle(
+                    placed_prism.prism, placed_prism.center
+                )
+                if nearest_gap is not None:
+                    obstacle_gaps.append(nearest_gap)
             text = f"is blocked, but nothing is within {MAX_MEASURED_GAP:g} m"
-            if nearest_obstacles:
-                gap, obstacle = min(nearest_obstacles)
+            if obstacle_gaps:
+                gap, obstacle = min(obstacle_gaps)
                 name = self._obstacles.geom_name(obstacle)
                 text = "is blocked, but nothing touches the volume over it: the nearest geom, "
                 text += f"{name!r}, is {gap:.4f} m off"
@@ -702,24 +722,24 @@ class OccupancyCheck:
         self, sample: LevelSample, is_checked: Bool, volume: list[CellPrisms], margin: float
     ) -> CellContacts:
         """Find what the volumes over the checked cells, enlarged by a margin [m], touch."""
-        touched_obstacle = np.full(len(is_checked), -1)
-        touching_prism = np.zeros(len(is_checked), np.int64)
-        disputed = np.zeros_like(is_checked)
-        for k, prisms in enumerate(volume):
-            has_height = is_checked & (prisms.high > prisms.low)
+        obstacle_of_cell = np.full(len(is_checked), -1)
+        prism_of_cell = np.zeros(len(is_checked), np.int64)
+        is_disputed = np.zeros_like(is_checked)
+        for prism_index, prisms in enumerate(volume):
+            has_height = is_checked & (prisms.high_z > prisms.low_z)
             for obstacle, shape in enumerate(self._obstacles.shapes):
                 # twice the margin: rounding must not exclude a cell by its box
                 cells = _find_cells_near(
-                    sample, has_height & (touched_obstacle < 0), shape, prisms, 2 * abs(margin)
+                    sample, has_height & (obstacle_of_cell < 0), shape, prisms, 2 * abs(margin)
                 )
                 for cell in cells.tolist():
-                    prism, center = prisms.over_cell(sample, cell)
+                    prism, center = prisms.prism_over_cell(sample, cell)
                     contact = self._probe.find_contact(obstacle, prism, center, margin)
-                    disputed[cell] |= contact == DISPUTED
+                    is_disputed[cell] |= contact == DISPUTED
                     if contact == TOUCHES:
-                        touched_obstacle[cell] = obstacle
-                        touching_prism[cell] = k
-        return CellContacts(touched_obstacle, touching_prism, disputed)
+                        obstacle_of_cell[cell] = obstacle
+                        prism_of_cell[cell] = prism_index
+        return CellContacts(obstacle_of_cell, prism_of_cell, is_disputed)
 
     def _find_enclosing(self, sample: LevelSample, is_checked: Bool, prisms: CellPrisms) -> Int:
         """Return the obstacle that the middle of each checked cell's volume lies in, -1 for none.
@@ -727,14 +747,14 @@ class OccupancyCheck:
         If a point lies inside a solid, the ray up from it leaves solids more often than it enters
         them. At the surface of a cavity, entering and leaving are exchanged.
         """
-        enclosing_obstacle = np.full(len(is_checked), -1)
-        depth = np.zeros(len(is_checked), dtype=np.int64)
+        obstacle_of_cell = np.full(len(is_checked), -1)
+        num_enclosing = np.zeros(len(is_checked), dtype=np.int64)
         for crossing in self._find_crossings(sample, is_checked, prisms):
-            depth[crossing.cell] += crossing.num_exits - crossing.num_entries
+            num_enclosing[crossing.cell] += crossing.num_exits - crossing.num_entries
             if crossing.num_exits > crossing.num_entries:
-                enclosing_obstacle[crossing.cell] = crossing.obstacle
-        enclosing_obstacle[depth <= 0] = -1
-        return enclosing_obstacle
+                obstacle_of_cell[crossing.cell] = crossing.obstacle
+        obstacle_of_cell[num_enclosing <= 0] = -1
+        return obstacle_of_cell
 
     def _find_crossings(
         self, sample: LevelSample, is_checked: Bool, prisms: CellPrisms
@@ -743,15 +763,15 @@ class OccupancyCheck:
 
         Yields only cells whose middle lies in the obstacle's bounding box.
         """
-        middle = (prisms.low + prisms.high) / 2
-        points = CellPrisms(0.0, False, middle, middle)
+        middle_z = (prisms.low_z + prisms.high_z) / 2
+        point_prisms = CellPrisms(0.0, False, middle_z, middle_z)
         for obstacle, shape in enumerate(self._obstacles.shapes):
-            if shape.kind not in ENCLOSING:
+            if shape.kind not in ENCLOSING_KINDS:
                 continue
-            for cell in _find_cells_near(sample, is_checked, shape, points).tolist():
+            for cell in _find_cells_near(sample, is_checked, shape, point_prisms).tolist():
                 x, y = sample.centers[cell].tolist()
                 num_exits, num_entries = self._probe.count_crossings(
-                    obstacle, (x, y, float(middle[cell]))
+                    obstacle, (x, y, float(middle_z[cell]))
                 )
                 yield CellCrossing(obstacle, cell, num_exits, num_entries)
 
@@ -767,15 +787,15 @@ def _find_cells_near(
     lattice = sample.level.lattice
     half_width = prisms.half_size + margin
     # rows ascend in a sample: only those between the box's ends are compared
-    box_y = np.array([shape.high[1] + half_width, shape.low[1] - half_width])
+    box_y = np.array([shape.high_corner[1] + half_width, shape.low_corner[1] - half_width])
     box_rows = (lattice.y_max - box_y) / lattice.cell_size
     first_row, last_row = np.clip(box_rows, 0, lattice.height).astype(np.int64)
-    begin, end = np.searchsorted(sample.rows, [first_row - 1, last_row + 1])
-    window = slice(begin, end)
+    begin_index, end_index = np.searchsorted(sample.rows, [first_row - 1, last_row + 1])
+    window = slice(begin_index, end_index)
     x, y = sample.centers[window].T
-    low = prisms.low[window] - margin
-    high = prisms.high[window] + margin
-    overlaps = is_checked[window] & (low < shape.high[2]) & (high > shape.low[2])
-    overlaps &= (x + half_width > shape.low[0]) & (x - half_width < shape.high[0])
-    overlaps &= (y + half_width > shape.low[1]) & (y - half_width < shape.high[1])
-    return np.asarray(begin + np.flatnonzero(overlaps))
+    low_z = prisms.low_z[window] - margin
+    high_z = prisms.high_z[window] + margin
+    overlaps = is_checked[window] & (low_z < shape.high_corner[2]) & (high_z > shape.low_corner[2])
+    overlaps &= (x + half_width > shape.low_corner[0]) & (x - half_width < shape.high_corner[0])
+    overlaps &= (y + half_width > shape.low_corner[1]) & (y - half_width < shape.high_corner[1])
+    return np.asarray(begin_index + np.flatnonzero(overlaps))

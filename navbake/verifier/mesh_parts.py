@@ -43,22 +43,22 @@ class HalfEdges(NamedTuple):
     """The half-edges of triangles: half-edge 3 f + k runs from corner k of triangle f to the next.
 
     Attributes:
-        edge: The edge of each half-edge, (3 m,).
+        edge_id: The edge of each half-edge, (3 m,).
         direction: 1 where a half-edge runs from its lower to its higher point, else -1, (3 m,).
-        opposite: The third corner of its triangle, (3 m,).
-        by_edge: The half-edges, sorted by their edge, (3 m,).
-        start: The half-edges of edge e are ``by_edge[start[e] : start[e + 1]]``, (edges + 1,).
+        opposite_point_id: The point at the third corner of the triangle, (3 m,).
+        sorted_by_edge: The half-edges, sorted by their edge, (3 m,).
+        start: Where the half-edges of each edge begin in `sorted_by_edge`, (edges + 1,).
     """
 
-    edge: Int
+    edge_id: Int
     direction: Int
-    opposite: Int
-    by_edge: Int
+    opposite_point_id: Int
+    sorted_by_edge: Int
     start: Int
 
 
 class Patches(NamedTuple):
-    """Triangles that are connected over edges at which two triangles meet.
+    """The patches of a mesh: triangles that are connected over edges at which exactly two meet.
 
     Attributes:
         patch_of_face: The patch of each triangle, (m,); -1 for triangles that are left out.
@@ -92,57 +92,57 @@ def split_mesh_parts(vertices: Float, faces: Int) -> list[ClassifiedPart]:
         The parts that enclose a volume; then all other triangles as one open surface, if there are
         any.
     """
-    _, point_of_vertex = np.unique(vertices, axis=0, return_inverse=True)
-    corner_points = point_of_vertex.reshape(-1)[faces].reshape(-1, 3)
-    is_proper = (corner_points != np.roll(corner_points, 1, axis=1)).all(axis=1)
-    faces = faces[is_proper]
-    corner_points = corner_points[is_proper]
-    is_first = _mark_first_copies(corner_points)
-    faces = faces[is_first]
-    corner_points = corner_points[is_first]
+    _, point_id_of_vertex = np.unique(vertices, axis=0, return_inverse=True)
+    corner_point_ids = point_id_of_vertex.reshape(-1)[faces].reshape(-1, 3)
+    has_distinct_corners = (corner_point_ids != np.roll(corner_point_ids, 1, axis=1)).all(axis=1)
+    faces = faces[has_distinct_corners]
+    corner_point_ids = corner_point_ids[has_distinct_corners]
+    is_first_copy = _mark_first_copies(corner_point_ids)
+    faces = faces[is_first_copy]
+    corner_point_ids = corner_point_ids[is_first_copy]
     if not len(faces):
         return []
     face_areas, _ = _measure_faces(vertices, faces)
-    half_edges = _find_half_edges(corner_points)
-    is_left = np.ones(len(faces), np.bool_)
+    half_edges = _find_half_edges(corner_point_ids)
+    is_remaining = np.ones(len(faces), np.bool_)
     while True:
-        _remove_open_surfaces(half_edges, is_left)
-        patches = _find_patches(half_edges, face_areas, is_left)
-        if not _drop_membranes(half_edges, face_areas, patches, is_left):
+        _remove_open_surfaces(half_edges, is_remaining)
+        patches = _find_patches(half_edges, face_areas, is_remaining)
+        if not _drop_membranes(half_edges, face_areas, patches, is_remaining):
             break
-    part_of_face = _unite_patches(half_edges, patches, is_left)
+    part_of_face = _unite_patches(half_edges, patches, is_remaining)
     return _classify_parts(vertices, faces, part_of_face, patches.is_flipped)
 
 
-def _mark_first_copies(corner_points: Int) -> Bool:
+def _mark_first_copies(corner_point_ids: Int) -> Bool:
     """Mark each triangle unless an earlier one has the same corners in the same cyclic order."""
-    if not len(corner_points):
+    if not len(corner_point_ids):
         return np.zeros(0, np.bool_)
-    lowest_corner = corner_points.argmin(axis=1)
+    lowest_corner_index = corner_point_ids.argmin(axis=1)
     rotated_corners = np.take_along_axis(
-        corner_points, (lowest_corner[:, None] + np.arange(3)) % 3, axis=1
+        corner_point_ids, (lowest_corner_index[:, None] + np.arange(3)) % 3, axis=1
     )
-    _, first_copies = np.unique(rotated_corners, axis=0, return_index=True)
-    is_first = np.zeros(len(corner_points), np.bool_)
-    is_first[first_copies] = True
-    return is_first
+    _, first_copy_faces = np.unique(rotated_corners, axis=0, return_index=True)
+    is_first_copy = np.zeros(len(corner_point_ids), np.bool_)
+    is_first_copy[first_copy_faces] = True
+    return is_first_copy
 
 
-def _find_half_edges(corner_points: Int) -> HalfEdges:
+def _find_half_edges(corner_point_ids: Int) -> HalfEdges:
     """Return the half-edges of triangles, given the points at their corners, (m, 3)."""
-    begin_points = corner_points.ravel()
-    end_points = np.roll(corner_points, -1, axis=1).ravel()
-    sorted_ends = np.sort(np.stack([begin_points, end_points], axis=1), axis=1)
-    _, edge_of_half_edge, num_at_edge = np.unique(
+    begin_point_ids = corner_point_ids.ravel()
+    end_point_ids = np.roll(corner_point_ids, -1, axis=1).ravel()
+    sorted_ends = np.sort(np.stack([begin_point_ids, end_point_ids], axis=1), axis=1)
+    _, edge_of_half_edge, num_half_edges_at_edge = np.unique(
         sorted_ends, axis=0, return_inverse=True, return_counts=True
     )
     edge_of_half_edge = edge_of_half_edge.reshape(-1)
     return HalfEdges(
-        edge=edge_of_half_edge,
-        direction=np.where(begin_points < end_points, 1, -1),
-        opposite=np.roll(corner_points, -2, axis=1).ravel(),
-        by_edge=np.argsort(edge_of_half_edge, kind="stable"),
-        start=np.concatenate([[0], np.cumsum(num_at_edge)]),
+        edge_id=edge_of_half_edge,
+        direction=np.where(begin_point_ids < end_point_ids, 1, -1),
+        opposite_point_id=np.roll(corner_point_ids, -2, axis=1).ravel(),
+        sorted_by_edge=np.argsort(edge_of_half_edge, kind="stable"),
+        start=np.concatenate([[0], np.cumsum(num_half_edges_at_edge)]),
     )
 
 
@@ -154,15 +154,15 @@ def _list_remaining_half_edges(
     Returns:
         The half-edges, (n,); and for each, the index of its edge in `edges`, (n,).
     """
-    first_positions = half_edges.start[edges]
-    num_half_edges = half_edges.start[edges + 1] - first_positions
+    first_sorted_indices = half_edges.start[edges]
+    num_half_edges = half_edges.start[edges + 1] - first_sorted_indices
     edge_index = np.repeat(np.arange(len(edges)), num_half_edges)
-    positions = np.arange(len(edge_index)) + np.repeat(
-        first_positions - (np.cumsum(num_half_edges) - num_half_edges), num_half_edges
+    sorted_indices = np.arange(len(edge_index)) + np.repeat(
+        first_sorted_indices - (np.cumsum(num_half_edges) - num_half_edges), num_half_edges
     )
-    listed_half_edges = half_edges.by_edge[positions]
-    is_of_remaining = is_remaining[listed_half_edges // 3]
-    return listed_half_edges[is_of_remaining], edge_index[is_of_remaining]
+    listed_half_edges = half_edges.sorted_by_edge[sorted_indices]
+    is_remaining_half_edge = is_remaining[listed_half_edges // 3]
+    return listed_half_edges[is_remaining_half_edge], edge_index[is_remaining_half_edge]
 
 
 def _remove_open_surfaces(half_edges: HalfEdges, is_remaining: Bool) -> None:
@@ -175,19 +175,19 @@ def _remove_open_surfaces(half_edges: HalfEdges, is_remaining: Bool) -> None:
         remaining_half_edges, edge_index = _list_remaining_half_edges(
             half_edges, edges, is_remaining
         )
-        num_remaining = np.bincount(edge_index, minlength=len(edges))
-        opposite_points = half_edges.opposite[remaining_half_edges]
+        num_remaining_at_edge = np.bincount(edge_index, minlength=len(edges))
+        opposite_point_ids = half_edges.opposite_point_id[remaining_half_edges]
         # the sum of two equal numbers is twice their largest
-        largest_point = np.zeros(len(edges), np.int64)
-        np.maximum.at(largest_point, edge_index, opposite_points)
+        largest_point_id = np.zeros(len(edges), np.int64)
+        np.maximum.at(largest_point_id, edge_index, opposite_point_ids)
         has_same_opposite = (
-            np.bincount(edge_index, opposite_points, len(edges)) == 2 * largest_point
+            np.bincount(edge_index, opposite_point_ids, len(edges)) == 2 * largest_point_id
         )
-        is_bare = (num_remaining == 1) | ((num_remaining == 2) & has_same_opposite)
+        is_bare = (num_remaining_at_edge == 1) | ((num_remaining_at_edge == 2) & has_same_opposite)
         removed_faces = np.unique(remaining_half_edges[is_bare[edge_index]] // 3)
         is_remaining[removed_faces] = False
         half_edges_of_removed = 3 * removed_faces[:, None] + np.arange(3)
-        edges = np.unique(half_edges.edge[half_edges_of_removed])
+        edges = np.unique(half_edges.edge_id[half_edges_of_removed])
 
 
 def _find_patches(half_edges: HalfEdges, face_areas: Float, is_remaining: Bool) -> Patches:
@@ -203,51 +203,55 @@ def _find_patches(half_edges: HalfEdges, face_areas: Float, is_remaining: Bool) 
     )
     is_manifold = np.bincount(edge_index, minlength=len(all_edges))[edge_index] == 2
     first_half_edges, second_half_edges = remaining_half_edges[is_manifold].reshape(-1, 2).T
-    runs_along = half_edges.direction[first_half_edges] == half_edges.direction[second_half_edges]
+    is_same_direction = (
+        half_edges.direction[first_half_edges] == half_edges.direction[second_half_edges]
+    )
     begin_nodes = first_half_edges // 3
-    end_nodes = second_half_edges // 3 + num_faces * runs_along
+    end_nodes = second_half_edges // 3 + num_faces * is_same_direction
     begin_nodes = np.concatenate([begin_nodes, begin_nodes + num_faces])
     end_nodes = np.concatenate([end_nodes, (end_nodes + num_faces) % (2 * num_faces)])
-    oriented_component = _find_components(begin_nodes, end_nodes, 2 * num_faces)
-    component = _find_components(begin_nodes % num_faces, end_nodes % num_faces, num_faces)
+    component_of_oriented_face = _find_components(begin_nodes, end_nodes, 2 * num_faces)
+    component_of_face = _find_components(begin_nodes % num_faces, end_nodes % num_faces, num_faces)
     patch_of_face = np.full(num_faces, -1)
     remaining_faces = np.flatnonzero(is_remaining)
-    _, first_index, patch_of_face[remaining_faces] = np.unique(
-        component[remaining_faces], return_index=True, return_inverse=True
+    _, first_index_of_patch, patch_of_face[remaining_faces] = np.unique(
+        component_of_face[remaining_faces], return_index=True, return_inverse=True
     )
-    num_patches = len(first_index)
+    num_patches = len(first_index_of_patch)
     is_opposite = (
-        oriented_component[remaining_faces]
-        != oriented_component[remaining_faces[first_index]][patch_of_face[remaining_faces]]
+        component_of_oriented_face[remaining_faces]
+        != component_of_oriented_face[remaining_faces[first_index_of_patch]][
+            patch_of_face[remaining_faces]
+        ]
     )
-    opposite_area = np.bincount(
+    opposite_area_of_patch = np.bincount(
         patch_of_face[remaining_faces], face_areas[remaining_faces] * is_opposite, num_patches
     )
-    total_area = np.bincount(
+    area_of_patch = np.bincount(
         patch_of_face[remaining_faces], face_areas[remaining_faces], num_patches
     )
-    opposite_excess = 2.0 * opposite_area - total_area
-    is_even = np.abs(opposite_excess) <= EVEN_SHARE * total_area
+    opposite_excess_of_patch = 2.0 * opposite_area_of_patch - area_of_patch
+    is_even_patch = np.abs(opposite_excess_of_patch) <= EVEN_SHARE * area_of_patch
     is_flipped = np.zeros(num_faces, np.bool_)
     is_flipped[remaining_faces] = (
-        is_opposite != (opposite_excess > 0.0)[patch_of_face[remaining_faces]]
-    ) & ~is_even[patch_of_face[remaining_faces]]
+        is_opposite != (opposite_excess_of_patch > 0.0)[patch_of_face[remaining_faces]]
+    ) & ~is_even_patch[patch_of_face[remaining_faces]]
     return Patches(patch_of_face, num_patches, is_flipped)
 
 
 def _find_components(begin_nodes: Int, end_nodes: Int, num_nodes: int) -> Int:
     """Return the connected component of each node of a graph, given the ends of its edges."""
-    edge_values = np.ones(len(begin_nodes), np.int8)
-    graph = coo_array((edge_values, (begin_nodes, end_nodes)), (num_nodes, num_nodes))
-    component: Int = connected_components(graph, directed=False)[1]
-    return component
+    edge_weights = np.ones(len(begin_nodes), np.int8)
+    graph = coo_array((edge_weights, (begin_nodes, end_nodes)), (num_nodes, num_nodes))
+    component_of_node: Int = connected_components(graph, directed=False)[1]
+    return component_of_node
 
 
 def _find_wound_directions(half_edges: HalfEdges, patches: Patches) -> Int:
     """Return the directions of half-edges after triangles were inverted, (3 m,)."""
     sign_of_face = np.where(patches.is_flipped, -1, 1)
-    directions: Int = half_edges.direction * np.repeat(sign_of_face, 3)
-    return directions
+    wound_directions: Int = half_edges.direction * np.repeat(sign_of_face, 3)
+    return wound_directions
 
 
 def _drop_membranes(
@@ -264,31 +268,33 @@ def _drop_membranes(
     """
     num_edges = len(half_edges.start) - 1
     shared_half_edges = np.flatnonzero(np.repeat(is_remaining, 3))
-    edge_of_half_edge = half_edges.edge[shared_half_edges]
+    edge_of_half_edge = half_edges.edge_id[shared_half_edges]
     is_shared = np.bincount(edge_of_half_edge, minlength=num_edges)[edge_of_half_edge] > 2
     shared_half_edges = shared_half_edges[is_shared]
     if not len(shared_half_edges):
         return False
     remaining_faces = np.flatnonzero(is_remaining)
-    patch_area = np.bincount(
+    area_of_patch = np.bincount(
         patches.patch_of_face[remaining_faces], face_areas[remaining_faces], patches.num_patches
     )
     wound_directions = _find_wound_directions(half_edges, patches)
-    # of each patch, by how much it changes the balance of each of its edges
-    patch_edge_pairs = (
+    # An edge's balance is the sum of its half-edges' directions, 0 if each has a partner. A pair is
+    # a patch and one of its edges; the pair's balance is that of the patch's half-edges there.
+    patch_edge_codes = (
         patches.patch_of_face[shared_half_edges // 3] * num_edges
-        + half_edges.edge[shared_half_edges]
+        + half_edges.edge_id[shared_half_edges]
     )
-    patch_edge_pairs, pair_index = np.unique(patch_edge_pairs, return_inverse=True)
+    patch_edge_codes, pair_index = np.unique(patch_edge_codes, return_inverse=True)
     pair_balance = np.bincount(pair_index, wound_directions[shared_half_edges]).astype(np.int64)
-    pair_patch, pair_edge = np.divmod(patch_edge_pairs, num_edges)
+    pair_patch, pair_edge = np.divmod(patch_edge_codes, num_edges)
     edge_balance = np.bincount(pair_edge, pair_balance, num_edges).astype(np.int64)
-    first_pair = np.searchsorted(pair_patch, np.arange(patches.num_patches + 1))
+    first_pair_of_patch = np.searchsorted(pair_patch, np.arange(patches.num_patches + 1))
     is_dropped = np.zeros(patches.num_patches, np.bool_)
-    for patch in np.argsort(patch_area, kind="stable").tolist():
-        patch_edges = pair_edge[first_pair[patch] : first_pair[patch + 1]]
+    for patch in np.argsort(area_of_patch, kind="stable").tolist():
+        patch_edges = pair_edge[first_pair_of_patch[patch] : first_pair_of_patch[patch + 1]]
         balance_without_patch = (
-            edge_balance[patch_edges] - pair_balance[first_pair[patch] : first_pair[patch + 1]]
+            edge_balance[patch_edges]
+            - pair_balance[first_pair_of_patch[patch] : first_pair_of_patch[patch + 1]]
         )
         if np.abs(edge_balance[patch_edges]).sum() > np.abs(balance_without_patch).sum():
             edge_balance[patch_edges] = balance_without_patch
@@ -306,25 +312,29 @@ def _unite_patches(half_edges: HalfEdges, patches: Patches, is_remaining: Bool) 
     num_edges = len(half_edges.start) - 1
     remaining_half_edges = np.flatnonzero(np.repeat(is_remaining, 3))
     wound_directions = _find_wound_directions(half_edges, patches)[remaining_half_edges]
-    edge_balance = np.bincount(half_edges.edge[remaining_half_edges], wound_directions, num_edges)
-    patch_edge_pairs = (
-        patches.patch_of_face[remaining_half_edges // 3] * num_edges
-        + half_edges.edge[remaining_half_edges]
+    edge_balance = np.bincount(
+        half_edges.edge_id[remaining_half_edges], wound_directions, num_edges
     )
-    patch_edge_pairs, pair_index = np.unique(patch_edge_pairs, return_inverse=True)
-    is_unclosed = np.bincount(pair_index, wound_directions, len(patch_edge_pairs)) != 0
-    unclosed_patches, unclosed_edges = np.divmod(patch_edge_pairs[is_unclosed], num_edges)
+    patch_edge_codes = (
+        patches.patch_of_face[remaining_half_edges // 3] * num_edges
+        + half_edges.edge_id[remaining_half_edges]
+    )
+    patch_edge_codes, pair_index = np.unique(patch_edge_codes, return_inverse=True)
+    is_unclosed = np.bincount(pair_index, wound_directions, len(patch_edge_codes)) != 0
+    unclosed_patches, unclosed_edges = np.divmod(patch_edge_codes[is_unclosed], num_edges)
     # patches and edges are the nodes of one graph
-    component = _find_components(
+    component_of_patch = _find_components(
         unclosed_patches, patches.num_patches + unclosed_edges, patches.num_patches + num_edges
     )[: patches.num_patches]
-    is_open = np.zeros(component.max(initial=-1) + 1, np.bool_)
-    is_open[component[unclosed_patches[edge_balance[unclosed_edges] != 0]]] = True
-    part = np.full(len(is_remaining), -1)
+    is_open = np.zeros(component_of_patch.max(initial=-1) + 1, np.bool_)
+    is_open[component_of_patch[unclosed_patches[edge_balance[unclosed_edges] != 0]]] = True
+    part_of_face = np.full(len(is_remaining), -1)
     remaining_faces = np.flatnonzero(is_remaining)
-    part_of_face = component[patches.patch_of_face[remaining_faces]]
-    part[remaining_faces] = np.where(is_open[part_of_face], -1, part_of_face)
-    return part
+    part_of_remaining_face = component_of_patch[patches.patch_of_face[remaining_faces]]
+    part_of_face[remaining_faces] = np.where(
+        is_open[part_of_remaining_face], -1, part_of_remaining_face
+    )
+    return part_of_face
 
 
 def _classify_parts(
@@ -344,10 +354,10 @@ def _classify_parts(
     wound_faces = np.where(is_flipped[:, None], faces[:, ::-1], faces)
     closed_faces = np.flatnonzero(part_of_face >= 0)
     closed_faces = closed_faces[np.argsort(part_of_face[closed_faces], kind="stable")]
-    first_of_part = np.flatnonzero(np.diff(part_of_face[closed_faces], prepend=-1))
-    for part_faces in np.split(closed_faces, first_of_part[1:]) if len(closed_faces) else []:
-        area, volume = _measure_faces(vertices, wound_faces[part_faces])
-        thickness = volume.sum() / max(area.sum(), np.finfo(np.float64).tiny)
+    start_of_part = np.flatnonzero(np.diff(part_of_face[closed_faces], prepend=-1))
+    for part_faces in np.split(closed_faces, start_of_part[1:]) if len(closed_faces) else []:
+        areas, volumes = _measure_faces(vertices, wound_faces[part_faces])
+        thickness = volumes.sum() / max(areas.sum(), np.finfo(np.float64).tiny)
         if thickness > MAX_SHEET_THICKNESS:
             solids.append(ClassifiedPart(SOLID, wound_faces[part_faces]))
         elif thickness < -MAX_SHEET_THICKNESS:
@@ -381,28 +391,28 @@ def _is_surrounding(vertices: Float, outer_faces: Int, inner_faces: Int) -> bool
     if (outer_points.max(axis=0) < inner_points.max(axis=0)).any():
         return False
     face_areas, _ = _measure_faces(vertices, inner_faces)
-    point = inner_corners[face_areas.argmax()].mean(axis=0)
+    inner_point = inner_corners[face_areas.argmax()].mean(axis=0)
     to_first_corners, to_second_corners, to_third_corners = np.moveaxis(
-        vertices[outer_faces] - point, 1, 0
+        vertices[outer_faces] - inner_point, 1, 0
     )
-    length_a = np.linalg.norm(to_first_corners, axis=1)
-    length_b = np.linalg.norm(to_second_corners, axis=1)
-    length_c = np.linalg.norm(to_third_corners, axis=1)
+    first_lengths = np.linalg.norm(to_first_corners, axis=1)
+    second_lengths = np.linalg.norm(to_second_corners, axis=1)
+    third_lengths = np.linalg.norm(to_third_corners, axis=1)
     triple_products = (to_first_corners * np.cross(to_second_corners, to_third_corners)).sum(axis=1)
-    scalar = length_a * length_b * length_c
-    scalar += (to_first_corners * to_second_corners).sum(axis=1) * length_c + (
+    angle_denominators = first_lengths * second_lengths * third_lengths
+    angle_denominators += (to_first_corners * to_second_corners).sum(axis=1) * third_lengths + (
         to_second_corners * to_third_corners
-    ).sum(axis=1) * length_a
-    scalar += (to_third_corners * to_first_corners).sum(axis=1) * length_b
-    solid_angle = 2.0 * np.arctan2(triple_products, scalar)
-    return bool(solid_angle.sum() / (4.0 * np.pi) > MIN_WINDING)
+    ).sum(axis=1) * first_lengths
+    angle_denominators += (to_third_corners * to_first_corners).sum(axis=1) * second_lengths
+    solid_angles = 2.0 * np.arctan2(triple_products, angle_denominators)
+    return bool(solid_angles.sum() / (4.0 * np.pi) > MIN_WINDING)
 
 
 def _measure_faces(vertices: Float, faces: ArrayLike) -> tuple[Float, Float]:
     """Return the area of each triangle [m²], and the volume of its pyramid to one point [m³]."""
     corners = vertices[np.asarray(faces)]
     a, b, c = np.moveaxis(corners - corners[0, 0], 1, 0)
-    cross = np.cross(b - a, c - a)
-    volume: Float = (a * cross).sum(axis=1) / 6.0
-    area: Float = np.linalg.norm(cross, axis=1) / 2.0
-    return area, volume
+    cross_products = np.cross(b - a, c - a)
+    volumes: Float = (a * cross_products).sum(axis=1) / 6.0
+    areas: Float = np.linalg.norm(cross_products, axis=1) / 2.0
+    return areas, volumes

@@ -37,49 +37,50 @@ GEOM = mujoco.mjtGeom
 CONVEX = "convex"  # a solid or a hull
 HALF_SPACE = "half-space"  # an infinite plane, solid below
 HEIGHT_FIELD = "height field"
-ENCLOSING = (HEIGHT_FIELD, SOLID, CAVITY)  # a column inside of these may not touch their surface
+# a column inside of shapes of these kinds may not touch their surface
+ENCLOSING_KINDS = (HEIGHT_FIELD, SOLID, CAVITY)
 
-FACES_UP = np.sqrt(0.5)  # the least z of the normal of a plane that is ground
+MIN_GROUND_NORMAL_Z = np.sqrt(0.5)  # the least z of the normal of a plane that is ground
 INFINITE_HALF_SIZE = 1e4  # stands for the infinite side of a plane whose other side is finite [m]
 MIN_NORMAL_Z = 1e-9  # least |z| of the unit normal of a face that a vertical line can cross
 SAME_DIRECTION_COSINE = 1 - 1e-12  # least cosine between directions that count as the same
 
 
 class SolidGeometry(NamedTuple):
-    """How FCL and a support function represent one type of MuJoCo's solid geoms.
+    """FCL's shape and the extents of one type of MuJoCo's solid geoms.
 
     Attributes:
         make_shape: Makes FCL's shape from the geom's size, (3,) [m].
-        extent: Returns how far the solid reaches from its centre in a direction [m]. It takes the
-            geom's size, (3,) [m], and a unit vector in the geom's frame, (3,).
+        measure_extent: Returns how far the solid reaches from its centre in a direction [m]. It
+            takes the geom's size, (3,) [m], and a unit vector in the geom's frame, (3,).
     """
 
     make_shape: Callable[[Float], fcl.CollisionGeometry]
-    extent: Callable[[Float, Float], float | np.floating]
+    measure_extent: Callable[[Float, Float], float | np.floating]
 
 
 SOLID_GEOMETRIES: dict[int, SolidGeometry] = {
     GEOM.mjGEOM_SPHERE: SolidGeometry(
         make_shape=lambda size: fcl.Sphere(size[0]),
-        extent=lambda size, direction: size[0],
+        measure_extent=lambda size, direction: size[0],
     ),
     GEOM.mjGEOM_CAPSULE: SolidGeometry(
         make_shape=lambda size: fcl.Capsule(size[0], 2 * size[1]),
-        extent=lambda size, direction: size[0] + size[1] * abs(direction[2]),
+        measure_extent=lambda size, direction: size[0] + size[1] * abs(direction[2]),
     ),
     GEOM.mjGEOM_ELLIPSOID: SolidGeometry(
         make_shape=lambda size: fcl.Ellipsoid(*size),
-        extent=lambda size, direction: np.linalg.norm(size * direction),
+        measure_extent=lambda size, direction: np.linalg.norm(size * direction),
     ),
     GEOM.mjGEOM_CYLINDER: SolidGeometry(
         make_shape=lambda size: fcl.Cylinder(size[0], 2 * size[1]),
-        extent=lambda size, direction: (
+        measure_extent=lambda size, direction: (
             size[0] * np.hypot(direction[0], direction[1]) + size[1] * abs(direction[2])
         ),
     ),
     GEOM.mjGEOM_BOX: SolidGeometry(
         make_shape=lambda size: fcl.Box(*(2 * size)),
-        extent=lambda size, direction: (size * np.abs(direction)).sum(),
+        measure_extent=lambda size, direction: (size * np.abs(direction)).sum(),
     ),
 }
 """MuJoCo's geom type -> how the solid geom is represented."""
@@ -92,21 +93,24 @@ class PlacedShape(NamedTuple):
         geom: The id of the geom in the scene's model.
         kind: The kind of shape, such as `CONVEX`.
         collision_object: FCL's object, at its pose.
-        low: The lower corner of the bounding box, (3,) [m]; may be infinite.
-        high: The upper corner of the bounding box, (3,) [m]; may be infinite.
+        low_corner: The lower corner of the bounding box, (3,) [m]; may be infinite.
+        high_corner: The upper corner of the bounding box, (3,) [m]; may be infinite.
         hull_points: The corners of a hull, (n, 3) [m]; None for shapes that are no hulls.
     """
 
     geom: int
     kind: str
     collision_object: fcl.CollisionObject
-    low: Float
-    high: Float
+    low_corner: Float
+    high_corner: Float
     hull_points: Float | None
 
     @property
     def is_same_in_mujoco(self) -> bool:
-        """Whether MuJoCo collides the same shape; it doesn't for surfaces and finite planes."""
+        """Whether MuJoCo collides the same shape.
+
+        In place of a surface, it collides a hull, an endless plane, or nothing.
+        """
         return self.kind in (CONVEX, HALF_SPACE)
 
 
@@ -143,7 +147,7 @@ class MeshArrays(NamedTuple):
 
 
 class Obstacles:
-    """The counted geoms of a scene, in a pose that doors may change.
+    """The geoms of a scene that count, as shapes in one pose of the scene.
 
     Each obstacle is a geom of `model`, and has that geom's id. Each part of a mesh is an obstacle
     of its own. After the obstacles, the model has a box and a cylinder, which serve as probes, and
@@ -162,9 +166,9 @@ class Obstacles:
             triangles in the same place, so rays are cast at both geoms.
         model: The MuJoCo model of the obstacles.
         data: The pose of `model`.
-        size: A view of the sizes of the geoms of `model`.
-        pos: A view of the positions of the geoms of `model` [m].
-        mat: A view of the rotations of the geoms of `model`, (n, 9).
+        geom_sizes: A view of the sizes of the geoms of `model`.
+        geom_positions: A view of the positions of the geoms of `model` [m].
+        geom_rotations: A view of the rotations of the geoms of `model`, (n, 9).
 
     Raises:
         SceneError: MuJoCo cannot compile a model of the shapes.
@@ -190,8 +194,10 @@ class Obstacles:
                 position = _find_middle(scene.exact_meshes[geom].vertices)
             for shape in self._shapes_of_geom(geom, geom_selection.mesh_mode):
                 self._place_shape(geom, shape, rotation, position)
-        self.geom_names = [report.name for report in scene.geoms]
-        box_corners = np.array([(shape.low, shape.high) for shape in self.shapes]).reshape(-1, 2, 3)
+        self.geom_names = [geom_report.name for geom_report in scene.geoms]
+        box_corners = np.array(
+            [(shape.low_corner, shape.high_corner) for shape in self.shapes]
+        ).reshape(-1, 2, 3)
         self._low, self._high = np.ascontiguousarray(box_corners.transpose(1, 2, 0))
 
         world = self._spec.worldbody
@@ -199,10 +205,10 @@ class Obstacles:
         world.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
         num_geoms = len(self.shapes) + 2
         self.half_meshes = dict[int, list[int]]()
-        for obstacle, half_meshes in self._half_mesh_attributes.items():
-            self.half_meshes[obstacle] = list(range(num_geoms, num_geoms + len(half_meshes)))
-            num_geoms += len(half_meshes)
-            for attributes in half_meshes:
+        for obstacle, half_mesh_list in self._half_mesh_attributes.items():
+            self.half_meshes[obstacle] = list(range(num_geoms, num_geoms + len(half_mesh_list)))
+            num_geoms += len(half_mesh_list)
+            for attributes in half_mesh_list:
                 world.add_geom(**attributes)
 
         try:
@@ -212,27 +218,31 @@ class Obstacles:
             raise SceneError(f"MuJoCo can't hold the shapes that count: {error_text}") from error
         # the compiler scales heights to the range from 0 to 1
         for field_index, heights in enumerate(self._field_heights):
-            first_height = int(model.hfield_adr[field_index])
-            model.hfield_data[first_height : first_height + heights.size] = heights.ravel()
+            first_height_index = int(model.hfield_adr[field_index])
+            model.hfield_data[first_height_index : first_height_index + heights.size] = (
+                heights.ravel()
+            )
         self.data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, self.data)
         # each access to such an attribute makes a new view, which the probes would repeat
-        self.size = model.geom_size
-        self.pos = self.data.geom_xpos
-        self.mat = self.data.geom_xmat
+        self.geom_sizes = model.geom_size
+        self.geom_positions = self.data.geom_xpos
+        self.geom_rotations = self.data.geom_xmat
 
     def geom_name(self, obstacle: int) -> str:
         """Return the name of the geom that an obstacle belongs to."""
         return self.geom_names[self.shapes[obstacle].geom]
 
-    def overlapping(self, low: ArrayLike, high: ArrayLike) -> list[int]:
+    def find_overlapping(self, low_corner: ArrayLike, high_corner: ArrayLike) -> list[int]:
         """Return the ids of the obstacles whose bounding boxes overlap a box, ascending.
 
         Args:
-            low: The lower corner of the box, (3,) [m]; may be infinite.
-            high: The upper corner of the box, (3,) [m]; may be infinite.
+            low_corner: The lower corner of the box, (3,) [m]; may be infinite.
+            high_corner: The upper corner of the box, (3,) [m]; may be infinite.
         """
-        overlaps = (self._low <= np.reshape(high, (3, 1))) & (self._high >= np.reshape(low, (3, 1)))
+        overlaps = (self._low <= np.reshape(high_corner, (3, 1))) & (
+            self._high >= np.reshape(low_corner, (3, 1))
+        )
         obstacles: list[int] = np.flatnonzero(overlaps.all(axis=0)).tolist()
         return obstacles
 
@@ -250,14 +260,15 @@ class Obstacles:
         shape = self.shapes[obstacle]
         if shape.hull_points is not None:
             return float((shape.hull_points @ direction).max())
-        position = self.pos[obstacle]
-        rotation = self.mat[obstacle].reshape(3, 3)
+        position = self.geom_positions[obstacle]
+        rotation = self.geom_rotations[obstacle].reshape(3, 3)
         if shape.kind == HALF_SPACE:
             is_along_normal = direction @ rotation[:, 2] > SAME_DIRECTION_COSINE
             return float(position @ direction) if is_along_normal else np.inf
         solid = SOLID_GEOMETRIES[int(self.model.geom_type[obstacle])]
         return float(
-            position @ direction + solid.extent(self.size[obstacle], rotation.T @ direction)
+            position @ direction
+            + solid.measure_extent(self.geom_sizes[obstacle], rotation.T @ direction)
         )
 
     def _shapes_of_geom(self, geom: int, mesh_mode: str) -> list[GeomShape]:
@@ -275,8 +286,8 @@ class Obstacles:
             mesh_id = int(model.geom_dataid[geom])
             key = (mesh_id, mesh_mode)
             if key not in self._shapes_of_mesh:
-                arrays = _read_mesh_arrays(model, mesh_id)
-                self._shapes_of_mesh[key] = self._mesh_shapes(arrays, mesh_mode)
+                mesh_arrays = _read_mesh_arrays(model, mesh_id)
+                self._shapes_of_mesh[key] = self._mesh_shapes(mesh_arrays, mesh_mode)
             return self._shapes_of_mesh[key]
         if geom_type == GEOM.mjGEOM_HFIELD:
             return [self._height_field(int(model.geom_dataid[geom]))]
@@ -306,9 +317,13 @@ class Obstacles:
         """
         model = self._scene.model
         body = int(model.geom_bodyid[geom])
-        stands = model.body_weldid[body] == 0 and model.body_mocapid[body] < 0
+        is_standing = model.body_weldid[body] == 0 and model.body_mocapid[body] < 0
         can_collide = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        return bool(stands and can_collide and self._scene.data.geom_xmat[geom, 8] >= FACES_UP)
+        return bool(
+            is_standing
+            and can_collide
+            and self._scene.data.geom_xmat[geom, 8] >= MIN_GROUND_NORMAL_Z
+        )
 
     def _place_shape(self, geom: int, shape: GeomShape, rotation: Float, position: Float) -> None:
         """Place a shape in the world, and add the geom that represents it to MuJoCo's model."""
@@ -330,7 +345,7 @@ class Obstacles:
         else:
             solid = SOLID_GEOMETRIES[shape.geom_attributes["type"]]
             size = shape.geom_attributes["size"]
-            half_sizes = np.array([solid.extent(size, axis) for axis in rotation])
+            half_sizes = np.array([solid.measure_extent(size, axis) for axis in rotation])
             low_corner = position - half_sizes
             high_corner = position + half_sizes
 
@@ -366,25 +381,25 @@ class Obstacles:
             second_corners = points[triangles[:, 1]]
             third_corners = points[triangles[:, 2]]
             normals = np.cross(second_corners - first_corners, third_corners - first_corners)
-            normal_rises = normals @ up_direction
-            min_rises = MIN_NORMAL_Z * np.linalg.norm(normals, axis=1)
-            facing_up = triangles[normal_rises > min_rises]
-            facing_down = triangles[normal_rises < -min_rises]
+            world_normal_z = normals @ up_direction
+            min_world_normal_z = MIN_NORMAL_Z * np.linalg.norm(normals, axis=1)
+            upward_triangles = triangles[world_normal_z > min_world_normal_z]
+            downward_triangles = triangles[world_normal_z < -min_world_normal_z]
             self._half_mesh_names[key] = [
-                self._add_mesh(*_drop_unused_vertices(points, half_mesh))
-                for half_mesh in (facing_up, facing_down)
-                if len(half_mesh)
+                self._add_mesh(*_drop_unused_vertices(points, half_triangles))
+                for half_triangles in (upward_triangles, downward_triangles)
+                if len(half_triangles)
             ]
         return self._half_mesh_names[key]
 
-    def _mesh_shapes(self, mesh: MeshArrays, mode: str) -> list[GeomShape]:
+    def _mesh_shapes(self, mesh: MeshArrays, mesh_mode: str) -> list[GeomShape]:
         """Return the shapes of a mesh: its hull, its surface as a whole, or each of its parts."""
-        if mode == "hull":
+        if mesh_mode == "hull":
             with suppress(QhullError, ValueError):  # flat meshes have no hull
                 return [self._hull(mesh.hull_vertices)]
         # rays are cast at the half meshes; this geom only keeps the numbering
         placeholder: Json = {"type": GEOM.mjGEOM_SPHERE, "size": [1e-3, 0, 0]}
-        if mode == "shell":
+        if mesh_mode == "shell":
             parts = [ClassifiedPart(OPEN_SURFACE, mesh.faces)]
         else:
             parts = split_mesh_parts(mesh.vertices, mesh.faces)
@@ -414,10 +429,10 @@ class Obstacles:
         model = self._scene.model
         num_rows = int(model.hfield_nrow[field_id])
         num_cols = int(model.hfield_ncol[field_id])
-        first_height = int(model.hfield_adr[field_id])
+        first_height_index = int(model.hfield_adr[field_id])
         size = model.hfield_size[field_id]
         heights = (
-            model.hfield_data[first_height : first_height + num_rows * num_cols]
+            model.hfield_data[first_height_index : first_height_index + num_rows * num_cols]
             .reshape(num_rows, num_cols)
             .copy()
         )
@@ -449,13 +464,18 @@ class Obstacles:
             axis=-1,
         ).reshape(-1, 4)
         bottom_squares = top_squares[:, ::-1] + num_top_points
-        outline_points = np.concatenate(
+        outline_indices = np.concatenate(
             [point_index[0], point_index[1:, -1], point_index[-1, -2::-1], point_index[-2::-1, 0]]
         )
-        begin_points = outline_points[:-1]
-        end_points = outline_points[1:]
+        begin_indices = outline_indices[:-1]
+        end_indices = outline_indices[1:]
         side_squares = np.stack(
-            [begin_points + num_top_points, end_points + num_top_points, end_points, begin_points],
+            [
+                begin_indices + num_top_points,
+                end_indices + num_top_points,
+                end_indices,
+                begin_indices,
+            ],
             axis=-1,
         )
         all_squares = np.concatenate([top_squares, bottom_squares, side_squares])
@@ -512,6 +532,6 @@ def _read_mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> MeshArrays:
     # `mesh_graph` holds the numbers of the hull's vertices and faces, the addresses of the
     # vertices' edges, then the vertices' ids
     num_hull_vertices = int(model.mesh_graph[graph_address])
-    first_id = graph_address + 2 + num_hull_vertices
-    hull_ids = model.mesh_graph[first_id:][:num_hull_vertices]
-    return MeshArrays(vertices, faces, vertices[hull_ids])
+    first_hull_id_index = graph_address + 2 + num_hull_vertices
+    hull_vertex_ids = model.mesh_graph[first_hull_id_index:][:num_hull_vertices]
+    return MeshArrays(vertices, faces, vertices[hull_vertex_ids])

@@ -37,7 +37,7 @@ EDGE_TOLERANCE = 1e-6  # a line this near to an edge of a surface may meet the s
 # a disc with lines at four radii and in all `CIRCLE_DIRECTIONS` has no point that is farther from
 # the nearest line than this share of the disc's radius
 NEARBY_SPACING = 1 / 3
-CIRCLE_DIRECTIONS = [(np.cos(a), np.sin(a)) for a in np.arange(16) * (np.pi / 8)]
+CIRCLE_DIRECTIONS = [(np.cos(angle), np.sin(angle)) for angle in np.arange(16) * (np.pi / 8)]
 
 # Contacts between a prism and an obstacle. DISPUTED is truthy: while a depth or a gap is measured,
 # it counts as a touch.
@@ -88,7 +88,7 @@ class HeightRange(NamedTuple):
 
 
 class SurfaceCrossings(NamedTuple):
-    """How often the vertical ray up from a point leaves and enters the inside of a surface."""
+    """How often a vertical ray from a point leaves and enters the volume inside of a surface."""
 
     num_exits: int
     num_entries: int
@@ -137,7 +137,7 @@ class VerticalLine(NamedTuple):
                 return True
         return False
 
-    def standable_hits(self, agent_height: float, min_normal_z: float) -> list[SurfaceHit]:
+    def find_standable_hits(self, agent_height: float, min_normal_z: float) -> list[SurfaceHit]:
         """Return the surfaces that an agent can stand on, lowest first.
 
         Of several surfaces at the same height, one is returned.
@@ -147,7 +147,7 @@ class VerticalLine(NamedTuple):
             min_normal_z: The least z of the unit normal of a surface: the cosine of the steepest
                 slope.
         """
-        standing_hits: list[SurfaceHit] = []
+        standable_hits: list[SurfaceHit] = []
         for hit in self.hits:
             if hit.normal_z < min_normal_z - NORMAL_Z_SLACK or self.is_inside(hit.z):
                 continue
@@ -157,10 +157,12 @@ class VerticalLine(NamedTuple):
                 if hit_above.z > hit.z + SAME_HEIGHT_TOLERANCE
             )
             ceiling = min(heights_above, default=np.inf)
-            is_new_height = not standing_hits or hit.z - standing_hits[-1].z > SAME_HEIGHT_TOLERANCE
+            is_new_height = (
+                not standable_hits or hit.z - standable_hits[-1].z > SAME_HEIGHT_TOLERANCE
+            )
             if ceiling - hit.z >= agent_height and is_new_height:
-                standing_hits.append(hit)
-        return standing_hits
+                standable_hits.append(hit)
+        return standable_hits
 
 
 class UprightPrism(NamedTuple):
@@ -235,7 +237,7 @@ class ObstacleProbe:
         hits: list[SurfaceHit] = []
         solid_ranges: list[HeightRange] = []
         depth_changes: list[tuple[float, int]] = []  # height, and the change of the depth there
-        for obstacle in self.obstacles.overlapping((x, y, -np.inf), (x, y, np.inf)):
+        for obstacle in self.obstacles.find_overlapping((x, y, -np.inf), (x, y, np.inf)):
             kind = self.obstacles.shapes[obstacle].kind
             obstacle_hits = self._find_surface_hits(obstacle, x, y)
             hits += obstacle_hits
@@ -249,12 +251,12 @@ class ObstacleProbe:
         # the line is inside where it has entered more solids than cavities
         inside_depth = 0
         underside_z = 0.0
-        for z, change in sorted(depth_changes):
-            if inside_depth <= 0 < inside_depth + change:
+        for z, depth_change in sorted(depth_changes):
+            if inside_depth <= 0 < inside_depth + depth_change:
                 underside_z = z
-            elif inside_depth > 0 >= inside_depth + change:
+            elif inside_depth > 0 >= inside_depth + depth_change:
                 solid_ranges.append(HeightRange(underside_z, z))
-            inside_depth += change
+            inside_depth += depth_change
         return VerticalLine(sorted(hits), solid_ranges)
 
     def has_upward_hit_nearby(
@@ -280,7 +282,7 @@ class ObstacleProbe:
         x, y, z = position
         half_width = max_distance + EDGE_TOLERANCE
         half_size = np.array([half_width, half_width, height_tolerance])
-        if not self.obstacles.overlapping(position - half_size, position + half_size):
+        if not self.obstacles.find_overlapping(position - half_size, position + half_size):
             return False
         distances = (EDGE_TOLERANCE, max_distance / 4, max_distance / 2, max_distance)
         for distance, (cos, sin) in product(distances, CIRCLE_DIRECTIONS):
@@ -302,20 +304,22 @@ class ObstacleProbe:
             obstacle: The id of a height field or of a part of a mesh.
             point: Where the ray begins, world x, y, z [m].
         """
-        geoms = self.obstacles.half_meshes.get(obstacle, [obstacle])
-        normals = [hit.normal_z for geom in geoms for hit in self._find_hits(geom, *point, UPWARD)]
+        geom_ids = self.obstacles.half_meshes.get(obstacle, [obstacle])
+        normals_z = [
+            hit.normal_z for geom in geom_ids for hit in self._find_hits(geom, *point, UPWARD)
+        ]
         if self._geom_type[obstacle] == GEOM.mjGEOM_HFIELD:  # its underside is entered first
-            return SurfaceCrossings((len(normals) + 1) // 2, len(normals) // 2)
-        num_exits = sum(normal_z > 0 for normal_z in normals)
-        num_entries = sum(normal_z < 0 for normal_z in normals)
+            return SurfaceCrossings((len(normals_z) + 1) // 2, len(normals_z) // 2)
+        num_exits = sum(normal_z > 0 for normal_z in normals_z)
+        num_entries = sum(normal_z < 0 for normal_z in normals_z)
         return SurfaceCrossings(num_exits, num_entries)
 
     def _find_surface_hits(self, obstacle: int, x: float, y: float) -> list[SurfaceHit]:
         """Return the crossings of a vertical line with one obstacle, lowest first."""
         shape = self.obstacles.shapes[obstacle]
         if shape.kind == HALF_SPACE:
-            plane_point = self.obstacles.pos[obstacle]
-            normal = self.obstacles.mat[obstacle, 2::3]
+            plane_point = self.obstacles.geom_positions[obstacle]
+            normal = self.obstacles.geom_rotations[obstacle, 2::3]
             if abs(normal[2]) < VERTICAL_PLANE_NORMAL_Z:
                 return []
             z = (
@@ -323,16 +327,16 @@ class ObstacleProbe:
                 - ((x - plane_point[0]) * normal[0] + (y - plane_point[1]) * normal[1]) / normal[2]
             )
             return [SurfaceHit(float(z), float(normal[2]), obstacle)]
-        z_above = float(shape.high[2]) + RAY_MARGIN
-        z_below = float(shape.low[2]) - RAY_MARGIN
+        z_above = float(shape.high_corner[2]) + RAY_MARGIN
+        z_below = float(shape.low_corner[2]) - RAY_MARGIN
         if shape.kind in (CONVEX, HEIGHT_FIELD):
             lowest_hit = self._cast_ray(obstacle, x, y, z_below, UPWARD)
             highest_hit = self._cast_ray(obstacle, x, y, z_above, DOWNWARD)
             hits = [hit for hit in (lowest_hit, highest_hit) if hit is not None]
         else:
-            geoms = self.obstacles.half_meshes.get(obstacle, [obstacle])
+            geom_ids = self.obstacles.half_meshes.get(obstacle, [obstacle])
             hits = sorted(
-                hit for geom in geoms for hit in self._find_hits(geom, x, y, z_above, DOWNWARD)
+                hit for geom in geom_ids for hit in self._find_hits(geom, x, y, z_above, DOWNWARD)
             )
         return [SurfaceHit(hit.z, hit.normal_z, obstacle) for hit in hits]
 
@@ -365,9 +369,9 @@ class ObstacleProbe:
             )
         else:
             distance = mujoco.mju_rayGeom(
-                obstacles.pos[geom],
-                obstacles.mat[geom],
-                obstacles.size[geom],
+                obstacles.geom_positions[geom],
+                obstacles.geom_rotations[geom],
+                obstacles.geom_sizes[geom],
                 ray_origin,
                 ray_vector,
                 geom_type,
@@ -380,7 +384,7 @@ class ObstacleProbe:
     def find_contact(
         self, obstacle: int, prism: UprightPrism, center: Float, margin: float = 0.0
     ) -> int:
-        """Return whether a prism touches an obstacle.
+        """Return the contact of a prism with an obstacle: none, a touch, or a disputed touch.
 
         Args:
             obstacle: The obstacle's id.
@@ -402,7 +406,7 @@ class ObstacleProbe:
         enlarged_prism = UprightPrism(half_x, half_y, half_z, prism.is_round, prism.yaw)
         if enlarged_prism != self._prism:
             self._resize(enlarged_prism)
-        self._center = obstacles.pos[self._geom] = center
+        self._center = obstacles.geom_positions[self._geom] = center
         self._object.setTranslation(center)
         shape = obstacles.shapes[obstacle]
         touches_by_fcl = fcl.collide(self._object, shape.collision_object) > 0
@@ -424,12 +428,12 @@ class ObstacleProbe:
         self._object, self._rotation = self._prism_object(prism)
         self._geom = geom = len(obstacles.shapes) + prism.is_round
         if prism.is_round:
-            size = np.array([prism.half_x, prism.half_z, 0.0])
+            geom_size = np.array([prism.half_x, prism.half_z, 0.0])
         else:
-            size = np.array([prism.half_x, prism.half_y, prism.half_z])
-        obstacles.size[geom] = size
-        obstacles.mat[geom] = self._rotation.ravel()
-        obstacles.model.geom_rbound[geom] = np.linalg.norm(size) + size.max()
+            geom_size = np.array([prism.half_x, prism.half_y, prism.half_z])
+        obstacles.geom_sizes[geom] = geom_size
+        obstacles.geom_rotations[geom] = self._rotation.ravel()
+        obstacles.model.geom_rbound[geom] = np.linalg.norm(geom_size) + geom_size.max()
 
     def _is_separated(self, obstacle: int) -> bool:
         """Return whether a plane provably lies between the prism and a convex obstacle.
@@ -439,24 +443,24 @@ class ObstacleProbe:
         finds, between the centres, and along the axes of both shapes.
         """
         obstacles = self.obstacles
-        nearest_points = np.zeros((2, 3))
+        mujoco_nearest_points = np.zeros((2, 3))
         mujoco.mj_geomDistance(
             obstacles.model,
             obstacles.data,
             self._geom,
             obstacle,
             NEAREST_POINTS_LIMIT,
-            nearest_points.ravel(),
+            mujoco_nearest_points.ravel(),
         )
-        fcl_distance = fcl.DistanceResult()
+        fcl_result = fcl.DistanceResult()
         distance_request = fcl.DistanceRequest(enable_nearest_points=True)
         collision_object = obstacles.shapes[obstacle].collision_object
-        fcl.distance(self._object, collision_object, distance_request, fcl_distance)
-        point_on_prism, point_on_obstacle = fcl_distance.nearest_points
-        center_offset = obstacles.pos[obstacle] - self._center
-        obstacle_rotation = obstacles.mat[obstacle].reshape(3, 3)
+        fcl.distance(self._object, collision_object, distance_request, fcl_result)
+        point_on_prism, point_on_obstacle = fcl_result.nearest_points
+        center_offset = obstacles.geom_positions[obstacle] - self._center
+        obstacle_rotation = obstacles.geom_rotations[obstacle].reshape(3, 3)
         candidate_vectors = [
-            nearest_points[1] - nearest_points[0],
+            mujoco_nearest_points[1] - mujoco_nearest_points[0],
             np.subtract(point_on_obstacle, point_on_prism),
             center_offset,
             center_offset * [1.0, 1.0, 0.0],
@@ -472,18 +476,20 @@ class ObstacleProbe:
             if not MIN_DIRECTION_LENGTH < vector_length < np.inf:
                 continue
             direction = candidate_vector / vector_length
-            axis_x, axis_y, axis_z = np.abs(self._rotation.T @ direction)
+            direction_x, direction_y, direction_z = np.abs(self._rotation.T @ direction)
             half_width = (
-                half_x * np.hypot(axis_x, axis_y) if is_round else half_x * axis_x + half_y * axis_y
+                half_x * np.hypot(direction_x, direction_y)
+                if is_round
+                else half_x * direction_x + half_y * direction_y
             )
-            prism_end = float(self._center @ direction + half_width + half_z * axis_z)
+            prism_end = float(self._center @ direction + half_width + half_z * direction_z)
             obstacle_begin = -obstacles.support(obstacle, -direction)
             if obstacle_begin - prism_end > MIN_PROVED_GAP:
                 return True
         return False
 
     def measure_depth(self, prism: UprightPrism, center: Float, obstacle: int) -> float:
-        """Return by how much a prism must shrink on all sides so as not to touch an obstacle.
+        """Return how far a prism has to shrink on all sides to touch an obstacle no longer.
 
         Args:
             prism: A prism that touches the obstacle.
@@ -496,7 +502,7 @@ class ObstacleProbe:
         largest_depth = min(prism.half_x, prism.half_y, prism.half_z)
         return -self._bisect_margin(prism, center, obstacle, low=-largest_depth, high=0.0)
 
-    def find_nearest(self, prism: UprightPrism, center: Float) -> ObstacleGap | None:
+    def find_nearest_obstacle(self, prism: UprightPrism, center: Float) -> ObstacleGap | None:
         """Return the obstacle that a growing prism touches first, and its gap to the prism.
 
         Args:
@@ -509,7 +515,7 @@ class ObstacleProbe:
         half_size = np.array([prism.half_x, prism.half_y, prism.half_z]) + MAX_MEASURED_GAP
         nearest_gap = None
         gap = MAX_MEASURED_GAP
-        for obstacle in self.obstacles.overlapping(center - half_size, center + half_size):
+        for obstacle in self.obstacles.find_overlapping(center - half_size, center + half_size):
             if self.find_contact(obstacle, prism, center, gap):
                 gap = self._bisect_margin(prism, center, obstacle, low=0.0, high=gap)
                 nearest_gap = ObstacleGap(gap, obstacle)
@@ -520,9 +526,9 @@ class ObstacleProbe:
     ) -> float:
         """Return the margin [m] at which a prism begins to touch an obstacle, by bisection."""
         for _ in range(NUM_BISECTIONS):
-            middle = (low + high) / 2
-            if self.find_contact(obstacle, prism, center, middle):
-                high = middle
+            middle_margin = (low + high) / 2
+            if self.find_contact(obstacle, prism, center, middle_margin):
+                high = middle_margin
             else:
-                low = middle
+                low = middle_margin
         return high

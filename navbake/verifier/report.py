@@ -90,7 +90,7 @@ class LevelCounts:
 
 @dataclass
 class SweepCounts:
-    """The counts of a cylinder that was swept along paths.
+    """How many paths a cylinder was swept along, and how many of them touch something.
 
     Attributes:
         radius: The cylinder's radius [m].

@@ -21,15 +21,17 @@ from navbake.verifier.probes import (
 from navbake.verifier.sample import AgentSizes
 
 RIDGE_WIDTH = 0.4  # what is narrower between two drops is a ridge [m]
-MAX_RUN_LENGTH = 2 * RIDGE_WIDTH  # cells across a ridge are looked at over this length [m]
+MAX_WALK_LENGTH = 2 * RIDGE_WIDTH  # cells across a ridge are looked at over this length [m]
 FEET_THICKNESS = 0.01  # of the slice above a step in which something bars the way [m]
-AXES = ((0, 1), (1, 0))  # row and column to the next cell along x, and along y
+AXIS_OFFSETS = ((0, 1), (1, 0))  # row and column to the next cell along x, and along y
 
 StandableAt = Callable[[int, int], list[SurfaceHit]]
+"""Returns the surfaces to stand on in a cell, given the cell's row and column."""
 LineAt = Callable[[int, int], VerticalLine]
+"""Returns the vertical line through the centre of a cell, given the cell's row and column."""
 
 
-class RunEnd(NamedTuple):
+class WalkEnd(NamedTuple):
     """How far an agent can walk along a row or column of cells, and what ends the walk.
 
     Attributes:
@@ -68,7 +70,7 @@ class RidgeProbe:
         self._lattice = lattice
         self._line_at = line_at
         self._standable_at = standable_at
-        self._max_cells = int(MAX_RUN_LENGTH / lattice.cell_size) + 1
+        self._max_cells = int(MAX_WALK_LENGTH / lattice.cell_size) + 1
         self.is_ridge = lru_cache(200_000)(self._is_ridge)
 
     def _is_ridge(self, row: int, col: int, z: float) -> bool:
@@ -83,9 +85,9 @@ class RidgeProbe:
             z: The height of the place [m].
         """
         inverse_lengths = [0.0, 0.0]
-        for axis, (down, right) in enumerate(AXES):
-            end_ahead = self._walk(row, col, down, right, z)
-            end_behind = self._walk(row, col, -down, -right, z)
+        for axis, (row_offset, col_offset) in enumerate(AXIS_OFFSETS):
+            end_ahead = self._walk(row, col, row_offset, col_offset, z)
+            end_behind = self._walk(row, col, -row_offset, -col_offset, z)
             num_cells = (
                 end_ahead.num_cells + end_behind.num_cells
             )  # one less than the cells of the row
@@ -96,21 +98,21 @@ class RidgeProbe:
             )
         return math.hypot(*inverse_lengths) * RIDGE_WIDTH > 1
 
-    def _walk(self, row: int, col: int, down: int, right: int, z: float) -> RunEnd:
+    def _walk(self, row: int, col: int, row_offset: int, col_offset: int, z: float) -> WalkEnd:
         """Walk from a place over cells until no surface is within a step of the one before."""
         for num_cells in range(self._max_cells + 1):
-            next_row = row + down
-            next_col = col + right
+            next_row = row + row_offset
+            next_col = col + col_offset
             surface_heights = [hit.z for hit in self._standable_at(next_row, next_col)]
             nearest_height = min(
                 surface_heights, key=lambda height: abs(height - z), default=math.inf
             )
             if abs(nearest_height - z) > self._agent.step:
-                return RunEnd(num_cells, self._is_drop((row, col), (next_row, next_col), z))
+                return WalkEnd(num_cells, self._is_drop((row, col), (next_row, next_col), z))
             row = next_row
             col = next_col
             z = nearest_height
-        return RunEnd(self._max_cells + 1, False)
+        return WalkEnd(self._max_cells + 1, False)
 
     def _is_drop(self, cell: tuple[int, int], next_cell: tuple[int, int], z: float) -> bool:
         """Return whether a surface ends at a drop between two cells, and not at a wall."""
@@ -120,8 +122,8 @@ class RidgeProbe:
 
     def _is_barred(self, row: int, col: int, z: float) -> bool:
         """Return whether something stands over a cell, just above a step from height z [m]."""
-        low_end = z + self._agent.step
-        middle_z = low_end + FEET_THICKNESS / 2
+        low_z = z + self._agent.step
+        middle_z = low_z + FEET_THICKNESS / 2
         if self._line_at(row, col).is_inside(middle_z):
             return True
         x = self._lattice.x_min + (col + 0.5) * self._lattice.cell_size
@@ -132,7 +134,7 @@ class RidgeProbe:
         prism = UprightPrism(half_size, half_size, FEET_THICKNESS / 2, False)
         return any(
             self._probe.find_contact(obstacle, prism, center) != NO_CONTACT
-            for obstacle in self._probe.obstacles.overlapping(
+            for obstacle in self._probe.obstacles.find_overlapping(
                 center - half_extent, center + half_extent
             )
         )

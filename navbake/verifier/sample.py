@@ -67,14 +67,14 @@ class InflatedGrid(NamedTuple):
             footprint.
         inflation_reach: The largest distance from a cell's centre at which something may have made
             the inflation block the cell [m]; 0 for a grid that is not inflated.
-        by_centers: Whether every occupied cell within that distance makes the inflation block a
-            cell, as in the mode ``minos``; otherwise only cells with a solid do.
+        measures_from_centers: Whether every occupied cell within that distance makes the inflation
+            block a cell, as in the mode ``minos``; otherwise only cells with a solid do.
     """
 
     grid: NavGrid
     radius: float | None
     inflation_reach: float
-    by_centers: bool = False
+    measures_from_centers: bool = False
 
 
 def inflate_for_radius(grid: NavGrid, radius: float | None, notes: list[str]) -> InflatedGrid:
@@ -105,7 +105,7 @@ def inflate_for_radius(grid: NavGrid, radius: float | None, notes: list[str]) ->
             )
         note = "inflated in the mode minos, which measures from the centres of cells"
         notes.append(f"{note}: free cells are judged by the baked footprint")
-        return InflatedGrid(grid, None, largest_radius, by_centers=True)
+        return InflatedGrid(grid, None, largest_radius, measures_from_centers=True)
     if radius is None:
         return InflatedGrid(grid, largest_radius if inflations else None, largest_radius)
     if radius < largest_radius:
@@ -123,7 +123,7 @@ class LevelSample:
     """The sampled cells of one level.
 
     Attributes:
-        level_id: The level's index, 0 for the lowest.
+        level_number: The level's number, 0 for the lowest.
         level: The level's grid.
         rows: Rows of the cells, (n,), ascending.
         cols: Columns of the cells, (n,).
@@ -136,7 +136,7 @@ class LevelSample:
             at the level's ground.
     """
 
-    level_id: int
+    level_number: int
     level: SceneGrid2D
     rows: Int
     cols: Int
@@ -147,7 +147,11 @@ class LevelSample:
     has_cell_floors: bool
 
     def position(self, cell: int) -> Vector3:
-        """Return the centre of a cell, world x, y, z [m]; z is its floor or the level's ground."""
+        """Return the centre of a cell, world x, y, z [m]; z is its floor or the level's ground.
+
+        Args:
+            cell: The cell's index in the sample.
+        """
         x, y = self.centers[cell].tolist()
         z = float(self.floor[cell])
         return x, y, self.level.ground if np.isnan(z) else z
@@ -165,7 +169,7 @@ class LevelSample:
             size: A measure of the disagreement [m or m²]; None if it is not measured.
         """
         row_col = (int(self.rows[cell]), int(self.cols[cell]))
-        return Finding(kind, self.level_id, row_col, self.position(cell), text, geom, size)
+        return Finding(kind, self.level_number, row_col, self.position(cell), text, geom, size)
 
 
 def has_cell_floors(level: SceneGrid2D) -> bool:
@@ -181,7 +185,7 @@ def has_cell_floors(level: SceneGrid2D) -> bool:
 
 
 def take_sample(
-    grid: GridBase, num_cells: int | None, seed: int, levels_with_floors: Sequence[bool]
+    grid: GridBase, num_cells: int | None, seed: int, levels_have_cell_floors: Sequence[bool]
 ) -> list[LevelSample]:
     """Draw cells of all levels at random, without replacement, each with the same probability.
 
@@ -189,8 +193,8 @@ def take_sample(
         grid: The grid.
         num_cells: How many cells to draw, >= 1; all cells if None or if the grid has fewer.
         seed: The seed of the random generator, >= 0.
-        levels_with_floors: What `has_cell_floors` returned for each level before the grid was
-            inflated.
+        levels_have_cell_floors: For each level, whether it stated floors of single cells before the
+            grid was inflated, see `has_cell_floors`.
 
     Returns:
         A sample for each level, which may be empty.
@@ -202,22 +206,22 @@ def take_sample(
         rng = np.random.default_rng(seed)
         sampled_cells = np.sort(rng.choice(len(sampled_cells), num_cells, replace=False))
     samples = []
-    for level_id, (level, level_has_cell_floors) in enumerate(
-        zip(grid.levels, levels_with_floors, strict=True)
+    for level_number, (level, level_has_cell_floors) in enumerate(
+        zip(grid.levels, levels_have_cell_floors, strict=True)
     ):
-        is_on_level = (sampled_cells >= first_cell_of_level[level_id]) & (
-            sampled_cells < first_cell_of_level[level_id + 1]
+        is_on_level = (sampled_cells >= first_cell_of_level[level_number]) & (
+            sampled_cells < first_cell_of_level[level_number + 1]
         )
-        cells = sampled_cells[is_on_level] - first_cell_of_level[level_id]
-        rows, cols = np.divmod(cells, level.width)
+        cell_ids = sampled_cells[is_on_level] - first_cell_of_level[level_number]
+        rows, cols = np.divmod(cell_ids, level.width)
         floor_heights = (
             level.floor_of(rows, cols)
             if level_has_cell_floors
-            else np.full(len(cells), level.ground)
+            else np.full(len(cell_ids), level.ground)
         )
         samples.append(
             LevelSample(
-                level_id=level_id,
+                level_number=level_number,
                 level=level,
                 rows=rows,
                 cols=cols,
@@ -232,14 +236,14 @@ def take_sample(
 
 
 class CellShift(NamedTuple):
-    """What to add to a cell's row and column to convert them to another lattice."""
+    """How much larger a cell's row and column are on one lattice than on another."""
 
     rows: int
     cols: int
 
 
 def find_cell_shift(source: Lattice, target: Lattice) -> CellShift:
-    """Return what to add to rows and columns to convert them from one lattice to another.
+    """Return how much larger a cell's row and column are on a target lattice than on its own.
 
     Args:
         source: The lattice that rows and columns refer to.
@@ -254,13 +258,13 @@ class LevelCells(NamedTuple):
     """The floors of n cells of a level, some of which may lie outside the level.
 
     Attributes:
-        level_id: The level's index.
+        level_number: The level's number, 0 for the lowest.
         floor: Heights of the floors, (n,) [m], NaN for none.
         blocks_others: Whether an inflation may block other cells because of this cell, (n,).
         is_inside: Whether the cell lies on the level's lattice, (n,).
     """
 
-    level_id: int
+    level_number: int
     floor: Float
     blocks_others: Bool
     is_inside: Bool
@@ -272,29 +276,29 @@ class CellNeighborhood:
     Args:
         grid: The inflated grid.
         step: The highest step that the agent takes [m].
-        by_centers: Whether any occupied cell makes the inflation block other cells, as in the mode
-            ``minos``; otherwise only cells with a solid do.
+        measures_from_centers: Whether any occupied cell makes the inflation block other cells, as
+            in the mode ``minos``; otherwise only cells with a solid do.
     """
 
-    def __init__(self, grid: GridBase, step: float, *, by_centers: bool = False) -> None:
+    def __init__(self, grid: GridBase, step: float, *, measures_from_centers: bool = False) -> None:
         self._step = step
         self._lattices = [level.lattice for level in grid.levels]
         self._floors = [level.floor for level in grid.levels]
         # a cell that blocks others must be blocked itself, so that it is verified, too
         self._blocking_cells = [
-            (level.occupancy != 0) & ~level.free & (by_centers | (level.solid != 0))
+            (level.occupancy != 0) & ~level.free & (measures_from_centers | (level.solid != 0))
             for level in grid.levels
         ]
 
     def find_floors_under(
-        self, level_id: int, rows: Int, cols: Int, floor: Float, radius: float
+        self, level_number: int, rows: Int, cols: Int, floor: Float, radius: float
     ) -> tuple[Float, Float]:
         """Find the lowest and the highest floor under each of n discs, on any level.
 
         Floors that are more than a step above or below the disc's own floor are ignored.
 
         Args:
-            level_id: The level of the discs' centres.
+            level_number: The level of the discs' centres.
             rows: Rows of the discs' centres, (n,).
             cols: Columns of the discs' centres, (n,).
             floor: The floor of each disc, (n,) [m].
@@ -305,7 +309,7 @@ class CellNeighborhood:
         """
         lowest_floor = floor.copy()
         highest_floor = floor.copy()
-        for cells in self._cells_under(level_id, rows, cols, radius):
+        for cells in self._cells_under(level_number, rows, cols, radius):
             is_within_step = np.abs(cells.floor - floor) <= self._step + STEP_SLACK
             lowest_floor = np.where(
                 is_within_step, np.fmin(lowest_floor, cells.floor), lowest_floor
@@ -315,7 +319,9 @@ class CellNeighborhood:
             )
         return lowest_floor, highest_floor
 
-    def has_reason(self, level_id: int, rows: Int, cols: Int, floor: Float, radius: float) -> Bool:
+    def has_blocking_reason(
+        self, level_number: int, rows: Int, cols: Int, floor: Float, radius: float
+    ) -> Bool:
         """Return whether an inflation had a reason to block cells.
 
         A reason is another cell whose square overlaps the disc around the cell's centre: a cell
@@ -324,7 +330,7 @@ class CellNeighborhood:
         and is occupied. Beyond the edge of a grid of a single level, nothing is a reason.
 
         Args:
-            level_id: The level of the cells.
+            level_number: The level of the cells.
             rows: Rows of the cells, (n,).
             cols: Columns of the cells, (n,).
             floor: The floors of the cells, (n,) [m].
@@ -334,39 +340,39 @@ class CellNeighborhood:
             Whether there is a reason, (n,).
         """
         is_excused = np.zeros(len(rows), dtype=np.bool_)
-        for cells in self._cells_under(level_id, rows, cols, radius):
-            if cells.level_id == level_id:
+        for cells in self._cells_under(level_number, rows, cols, radius):
+            if cells.level_number == level_number:
                 is_ledge = ~(np.abs(cells.floor - floor) <= self._step - STEP_SLACK)
-                is_baked = cells.is_inside | (len(self._lattices) > 1)
-                is_excused |= (cells.blocks_others | is_ledge) & is_baked
+                is_possible_reason = cells.is_inside | (len(self._lattices) > 1)
+                is_excused |= (cells.blocks_others | is_ledge) & is_possible_reason
             else:
                 is_higher = cells.floor > floor + self._step
                 is_excused |= ~np.isnan(cells.floor) & (cells.blocks_others | is_higher)
         return is_excused
 
     def _cells_under(
-        self, level_id: int, rows: Int, cols: Int, radius: float
+        self, level_number: int, rows: Int, cols: Int, radius: float
     ) -> Iterator[LevelCells]:
         """Yield the cells that open discs around n cells' centres overlap.
 
         There is one item for each level and each offset in rows and columns from the centre: the n
         cells at this offset from the n centres.
         """
-        cell_size = self._lattices[level_id].cell_size
-        max_offset = int(radius / cell_size + 0.5) + 1
+        cell_size = self._lattices[level_number].cell_size
+        max_cell_offset = int(radius / cell_size + 0.5) + 1
         # the distance from the centre to the nearest edge of a row or column of cells
-        offsets = np.arange(-max_offset, max_offset + 1)
-        edge_distance = np.maximum(np.abs(offsets) - 0.5, 0.0) * cell_size
+        cell_offsets = np.arange(-max_cell_offset, max_cell_offset + 1)
+        edge_distance = np.maximum(np.abs(cell_offsets) - 0.5, 0.0) * cell_size
         is_overlapping = np.hypot(edge_distance[:, None], edge_distance) < radius * (
             1 - TOUCHING_SHARE
         )
-        for row_offset, col_offset in (np.argwhere(is_overlapping) - max_offset).tolist():
+        for row_offset, col_offset in (np.argwhere(is_overlapping) - max_cell_offset).tolist():
             for target_level in range(len(self._lattices)):
-                yield self.cells_on_level(
-                    level_id, target_level, rows + row_offset, cols + col_offset
+                yield self.find_cells_on_level(
+                    level_number, target_level, rows + row_offset, cols + col_offset
                 )
 
-    def cells_on_level(
+    def find_cells_on_level(
         self, source_level: int, target_level: int, rows: Int, cols: Int
     ) -> LevelCells:
         """Return the cells of one level at rows and columns of another level's lattice.
@@ -377,11 +383,11 @@ class CellNeighborhood:
             rows: Rows of the cells, (n,); the cells may lie outside the levels.
             cols: Columns of the cells, (n,).
         """
-        lattice = self._lattices[target_level]
-        shift = find_cell_shift(self._lattices[source_level], lattice)
-        target_rows = rows + shift.rows
-        target_cols = cols + shift.cols
-        is_inside = lattice.holds(target_rows, target_cols)
+        target_lattice = self._lattices[target_level]
+        cell_shift = find_cell_shift(self._lattices[source_level], target_lattice)
+        target_rows = rows + cell_shift.rows
+        target_cols = cols + cell_shift.cols
+        is_inside = target_lattice.holds(target_rows, target_cols)
         target_rows = np.where(is_inside, target_rows, 0)
         target_cols = np.where(is_inside, target_cols, 0)
         floor = np.where(is_inside, self._floors[target_level][target_rows, target_cols], np.nan)
@@ -395,27 +401,27 @@ class CellPrisms(NamedTuple):
     Attributes:
         half_size: Half of the edge of a square, or the radius of a disc [m].
         is_round: Whether the footprint is a disc.
-        low: The lower end over each cell, (n,) [m].
-        high: The upper end over each cell, (n,) [m]; it may lie below the lower end.
+        low_z: The lower end over each cell, (n,) [m].
+        high_z: The upper end over each cell, (n,) [m]; it may lie below the lower end.
     """
 
     half_size: float
     is_round: bool
-    low: Float
-    high: Float
+    low_z: Float
+    high_z: Float
 
-    def over_cell(self, sample: LevelSample, cell: int) -> PlacedPrism:
+    def prism_over_cell(self, sample: LevelSample, cell: int) -> PlacedPrism:
         """Return the prism over a cell.
 
         Args:
             sample: The sample.
             cell: The cell's index in the sample.
         """
-        low = self.low[cell]
-        high = self.high[cell]
-        half_height = round(float(high - low) / 2, PRISM_DIGITS)
+        low_z = self.low_z[cell]
+        high_z = self.high_z[cell]
+        half_height = round(float(high_z - low_z) / 2, PRISM_DIGITS)
         prism = UprightPrism(self.half_size, self.half_size, half_height, self.is_round)
-        return PlacedPrism(prism, np.array([*sample.centers[cell], (low + high) / 2]))
+        return PlacedPrism(prism, np.array([*sample.centers[cell], (low_z + high_z) / 2]))
 
 
 def make_volumes(
@@ -454,7 +460,7 @@ def make_volumes(
     if radius <= half_cell:
         return [square_prisms]
     lowest_floor, highest_floor = neighborhood.find_floors_under(
-        sample.level_id, sample.rows, sample.cols, floor_heights, radius
+        sample.level_number, sample.rows, sample.cols, floor_heights, radius
     )
     return [
         square_prisms,

@@ -86,8 +86,8 @@ def find_source(
             problem = "expected a data with a mujoco.MjModel or MjSpec: give the model, too"
             raise ConfigError(problem)
         stated_scene = {
-            key: setting
-            for key, setting in stated_scene.items()
+            key: setting_value
+            for key, setting_value in stated_scene.items()
             if key not in ("keyframe", "joints")
         }
 
@@ -205,9 +205,9 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
         if door.state == "removed":
             removed_geoms |= door_geoms
             continue
-        position = _joint_position(model, body, door)
-        if position is not None:
-            data.qpos[model.jnt_qposadr[model.body_jntadr[body]]] = position
+        joint_position = _joint_position(model, body, door)
+        if joint_position is not None:
+            data.qpos[model.jnt_qposadr[model.body_jntadr[body]]] = joint_position
     mujoco.mj_kinematics(model, data)
     return DoorPose(data, removed_geoms, floorless_geoms, unknown_doors)
 
@@ -219,17 +219,17 @@ def _joint_position(model: mujoco.MjModel, body: int, door: Door) -> float | Non
     the end of the range that is farther from there. None if the pose stays as modelled: for other
     states, and for a door that does not have exactly one joint, a hinge or a slide.
     """
-    joint = int(model.body_jntadr[body])
-    if door.state not in ("open", "closed") or joint < 0 or model.body_jntnum[body] != 1:
+    joint_id = int(model.body_jntadr[body])
+    if door.state not in ("open", "closed") or joint_id < 0 or model.body_jntnum[body] != 1:
         return None
-    joint_type = int(model.jnt_type[joint])
+    joint_type = int(model.jnt_type[joint_id])
     if joint_type not in (HINGE, SLIDE):
         return None
     low = 0.0
     high = DEFAULT_HINGE_RANGE if joint_type == HINGE else DEFAULT_SLIDE_RANGE
-    if model.jnt_limited[joint]:
-        low, high = model.jnt_range[joint].tolist()
-    closed = min(max(0.0, low), high)
+    if model.jnt_limited[joint_id]:
+        low, high = model.jnt_range[joint_id].tolist()
+    closed_position = min(max(0.0, low), high)
     if door.state == "closed":
-        return closed
-    return max(high, low, key=lambda end: abs(end - closed))
+        return closed_position
+    return max(high, low, key=lambda range_end: abs(range_end - closed_position))

@@ -31,9 +31,9 @@ from navbake.verifier.sample import STEP_SLACK, AgentSizes, CellNeighborhood
 
 MAX_TRIES_PER_PATH = 20  # how often a start and a goal are drawn to find a path between them
 MIN_STRETCH_LENGTH = 1e-6  # shorter parts of a path, at a corner of cells, belong to no cell [m]
-SAME_FLOOR = 1e-4  # parts of a path whose floors differ by less are swept as one [m]
+SAME_FLOOR_TOLERANCE = 1e-4  # parts of a path whose floors differ by less are swept as one [m]
 STRAIGHT_LINK_KINDS = ("drop", "jump")  # kinds of links that run straight between their stops
-CAR_STEP = 0.02  # distance between the positions of a lift's car that are checked [m]
+CAR_MOVE_SPACING = 0.02  # distance between the positions of a lift's car that are checked [m]
 
 
 class PathStretch(NamedTuple):
@@ -46,7 +46,7 @@ class PathStretch(NamedTuple):
         lowest_floor: The lowest floor under the swept cylinder, of those at most a step from
             `floor` [m].
         highest_floor: The highest of these floors [m].
-        level_id: The index of its level.
+        level_number: The number of its level, 0 for the lowest.
     """
 
     begin: Float
@@ -54,7 +54,7 @@ class PathStretch(NamedTuple):
     floor: float
     lowest_floor: float
     highest_floor: float
-    level_id: int
+    level_number: int
 
 
 class SweptContact(NamedTuple):
@@ -65,7 +65,7 @@ class SweptContact(NamedTuple):
 
 
 class PathContacts(NamedTuple):
-    """What a cylinder touches along a path.
+    """The touches of a cylinder that is swept along a path.
 
     Attributes:
         findings: The first touch within the heights that have to be free (see `PathSweep`); empty
@@ -108,7 +108,7 @@ class PathSweep:
         self._tolerance = tolerance
         self._neighborhood = CellNeighborhood(grid, agent.step)
 
-    def run(self, num_paths: int, seed: int) -> tuple[SweepCounts, list[Finding]]:
+    def sweep_random_paths(self, num_paths: int, seed: int) -> tuple[SweepCounts, list[Finding]]:
         """Plan paths between random places, and sweep the cylinder along each.
 
         Args:
@@ -123,14 +123,14 @@ class PathSweep:
         """
         counts = SweepCounts(self._radius)
         findings = list[Finding]()
-        finder = PathFinder(self._grid)
+        path_finder = PathFinder(self._grid)
         rng = np.random.default_rng(seed)
         for _ in range(num_paths * MAX_TRIES_PER_PATH):
-            start = finder.random_point(rng) if counts.paths < num_paths else None
+            start = path_finder.random_point(rng) if counts.paths < num_paths else None
             if start is None:
                 break
-            goal = finder.random_point(rng, reachable_from=start)
-            path = None if goal is None else finder.find_path(start, goal)
+            goal = path_finder.random_point(rng, reachable_from=start)
+            path = None if goal is None else path_finder.find_path(start, goal)
             if path is None or path.length == 0.0:
                 continue
             contacts = self._sweep_path(path.positions, path.levels)
@@ -159,18 +159,18 @@ class PathSweep:
         return PathContacts([], touches_near_ends)
 
     def _path_finding(
-        self, stretch: PathStretch, heights: HeightRange, contact: SweptContact
+        self, stretch: PathStretch, height_range: HeightRange, contact: SweptContact
     ) -> Finding:
         """Return the finding for a cylinder that touches something on a stretch of a path."""
         name = self._probe.obstacles.geom_name(contact.obstacle)
         depth = contact.depth + self._tolerance
         x, y = ((stretch.begin + stretch.end) / 2).tolist()
-        row, col = self._grid.levels[stretch.level_id].lattice.rows_cols([x, y])
+        row, col = self._grid.levels[stretch.level_number].lattice.rows_cols([x, y])
         text = f"a cylinder of {self._radius:g} m on a path runs {depth:.4f} m into "
-        text += f"{name!r}, between {heights.low:.3f} and {heights.high:.3f} m"
+        text += f"{name!r}, between {height_range.low:.3f} and {height_range.high:.3f} m"
         return Finding(
             PATH_TOUCHES,
-            level=stretch.level_id,
+            level=stretch.level_number,
             cell=(int(row), int(col)),
             position=(x, y, stretch.floor),
             text=text,
@@ -189,16 +189,20 @@ class PathSweep:
             fractions = _find_cell_edge_fractions(lattice, begin, end)
             piece_ends = begin[:2] + np.outer(fractions, end[:2] - begin[:2])
             piece_middles = (piece_ends[1:] + piece_ends[:-1]) / 2
-            path_heights = (fractions[1:] + fractions[:-1]) / 2
-            path_heights = begin[2] + path_heights * (end[2] - begin[2])
+            middle_fractions = (fractions[1:] + fractions[:-1]) / 2
+            path_heights = begin[2] + middle_fractions * (end[2] - begin[2])
 
             # where the path changes to another level, the nearer of the two levels' floors counts
-            level_ids = sorted({int(levels[point_index]), int(levels[point_index + 1])})
-            rows_cols = [lattices[level_id].rows_cols(piece_middles) for level_id in level_ids]
+            level_numbers = sorted({int(levels[point_index]), int(levels[point_index + 1])})
+            rows_cols = [
+                lattices[level_number].rows_cols(piece_middles) for level_number in level_numbers
+            ]
             level_floors = np.stack(
                 [
-                    self._neighborhood.cells_on_level(level_id, level_id, rows, cols).floor
-                    for level_id, (rows, cols) in zip(level_ids, rows_cols, strict=True)
+                    self._neighborhood.find_cells_on_level(
+                        level_number, level_number, rows, cols
+                    ).floor
+                    for level_number, (rows, cols) in zip(level_numbers, rows_cols, strict=True)
                 ]
             )
             height_gaps = np.nan_to_num(np.abs(level_floors - path_heights), nan=np.inf)
@@ -207,10 +211,12 @@ class PathSweep:
             piece_floors = np.where(np.isnan(piece_floors), path_heights, piece_floors)
 
             # the cylinder's axis may be half of a cell's diagonal away from the cell's centre
-            radius = self._radius + lattice.cell_size * np.sqrt(0.5)
+            floor_radius = self._radius + lattice.cell_size * np.sqrt(0.5)
             floors_under = [
-                self._neighborhood.find_floors_under(level_id, rows, cols, piece_floors, radius)
-                for level_id, (rows, cols) in zip(level_ids, rows_cols, strict=True)
+                self._neighborhood.find_floors_under(
+                    level_number, rows, cols, piece_floors, floor_radius
+                )
+                for level_number, (rows, cols) in zip(level_numbers, rows_cols, strict=True)
             ]
             for piece_index, nearest_index in enumerate(nearest_level_index.tolist()):
                 lowest_floor, highest_floor = floors_under[nearest_index]
@@ -220,7 +226,7 @@ class PathSweep:
                     floor=float(piece_floors[piece_index]),
                     lowest_floor=float(lowest_floor[piece_index]),
                     highest_floor=float(highest_floor[piece_index]),
-                    level_id=level_ids[nearest_index],
+                    level_number=level_numbers[nearest_index],
                 )
                 if piece_index and _has_same_floors(stretches[-1], stretch):
                     stretches[-1] = stretches[-1]._replace(end=stretch.end)
@@ -228,14 +234,16 @@ class PathSweep:
                     stretches.append(stretch)
         return stretches
 
-    def _sweep_stretch(self, stretch: PathStretch, heights: HeightRange) -> SweptContact | None:
+    def _sweep_stretch(
+        self, stretch: PathStretch, height_range: HeightRange
+    ) -> SweptContact | None:
         """Return the first obstacle between two heights that the cylinder touches on a stretch.
 
         The swept volume is the union of the cylinder at both ends and a box between them.
         """
-        half_z = (heights.high - heights.low) / 2 - self._tolerance
+        half_z = (height_range.high - height_range.low) / 2 - self._tolerance
         radius = self._radius - self._tolerance
-        middle_z = (heights.low + heights.high) / 2
+        middle_z = (height_range.low + height_range.high) / 2
         if half_z <= 0:
             return None
         stretch_vector = stretch.end - stretch.begin
@@ -250,7 +258,7 @@ class PathSweep:
         ]
         low_corner = np.minimum(stretch.begin, stretch.end) - radius
         high_corner = np.maximum(stretch.begin, stretch.end) + radius
-        obstacles = self._probe.obstacles.overlapping(
+        obstacles = self._probe.obstacles.find_overlapping(
             np.array([*low_corner, middle_z - half_z]), np.array([*high_corner, middle_z + half_z])
         )
         for obstacle in obstacles:
@@ -263,20 +271,20 @@ class PathSweep:
 
 def _has_same_floors(stretch: PathStretch, next_stretch: PathStretch) -> bool:
     """Return whether two stretches of a straight line can be swept as one."""
-    if stretch.level_id != next_stretch.level_id:
+    if stretch.level_number != next_stretch.level_number:
         return False
     floors = (stretch.floor, stretch.lowest_floor, stretch.highest_floor)
     next_floors = (next_stretch.floor, next_stretch.lowest_floor, next_stretch.highest_floor)
-    return np.allclose(floors, next_floors, rtol=0, atol=SAME_FLOOR)
+    return np.allclose(floors, next_floors, rtol=0, atol=SAME_FLOOR_TOLERANCE)
 
 
 def _find_cell_edge_fractions(lattice: Lattice, begin: Float, end: Float) -> Float:
     """Return where a line crosses cells' edges, as fractions of its length, 0 to 1, ascending."""
     fractions = np.array([0.0, 1.0])
     lattice_corner = np.array([lattice.x_min, lattice.y_max])
-    begin_cell = (begin[:2] - lattice_corner) / lattice.cell_size
-    end_cell = (end[:2] - lattice_corner) / lattice.cell_size
-    for begin_coordinate, end_coordinate in zip(begin_cell, end_cell, strict=True):
+    begin_in_cells = (begin[:2] - lattice_corner) / lattice.cell_size
+    end_in_cells = (end[:2] - lattice_corner) / lattice.cell_size
+    for begin_coordinate, end_coordinate in zip(begin_in_cells, end_in_cells, strict=True):
         edge_coordinates = np.arange(
             np.floor(min(begin_coordinate, end_coordinate)) + 1,
             np.ceil(max(begin_coordinate, end_coordinate)),
@@ -325,10 +333,10 @@ def check_links(
         elif link.kind == "lift" and link.auto:
             # the car's body has the link's name, to which the bake may have added a number
             for name in (link.name, link.name.rpartition("#")[0]):
-                car = body_names.index(name) if name in body_names else 0
-                joint = int(model.body_jntadr[car])
-                if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-                    findings += _check_shaft(link, car, grid, scene, probe, tolerance)
+                car_body = body_names.index(name) if name in body_names else 0
+                joint_id = int(model.body_jntadr[car_body])
+                if joint_id >= 0 and model.jnt_type[joint_id] == mujoco.mjtJoint.mjJNT_SLIDE:
+                    findings += _check_shaft(link, car_body, grid, scene, probe, tolerance)
                     break
             else:
                 notes.append(f"lift {link.name!r} was not checked: no body of its name slides")
@@ -339,29 +347,31 @@ class WalkedPart(NamedTuple):
     """How far an agent walks along a link before it has to leave the floor.
 
     Attributes:
-        last_index: The index of the last point on the floor, -1 for none.
+        last_point_index: The index of the last point on the floor, -1 for none.
         floor: The height of the floor there [m].
     """
 
-    last_index: int
+    last_point_index: int
     floor: float
 
 
-def _walk_from_stop(level: SceneGrid2D, points: Float, max_step: float) -> WalkedPart:
+def _walk_from_stop(level: SceneGrid2D, line_points: Float, max_step: float) -> WalkedPart:
     """Return how far an agent walks on a level over points of a straight line, (n, 2) [m].
 
     It ends before the first point that is not free, has no floor, or is more than a step higher or
     lower than the point before.
     """
-    rows, cols = level.lattice.rows_cols(points)
+    rows, cols = level.lattice.rows_cols(line_points)
     is_inside = level.lattice.holds(rows, cols)
     rows = rows[is_inside]
     cols = cols[is_inside]
     floor_heights = level.floor_of(rows, cols)
-    is_step = np.abs(np.diff(floor_heights, prepend=floor_heights[:1])) > max_step + STEP_SLACK
-    is_blocked = ~level.free[rows, cols] | np.isnan(floor_heights) | is_step
-    last_index = int(np.argmax(np.append(is_blocked, True))) - 1
-    return WalkedPart(last_index, float(floor_heights[max(last_index, 0)]))
+    is_too_high_step = (
+        np.abs(np.diff(floor_heights, prepend=floor_heights[:1])) > max_step + STEP_SLACK
+    )
+    is_blocked = ~level.free[rows, cols] | np.isnan(floor_heights) | is_too_high_step
+    last_point_index = int(np.argmax(np.append(is_blocked, True))) - 1
+    return WalkedPart(last_point_index, float(floor_heights[max(last_point_index, 0)]))
 
 
 def _check_drop_or_jump(
@@ -379,12 +389,13 @@ def _check_drop_or_jump(
     cell_size = start_level.lattice.cell_size
     link_vector = end_position - start_position
     num_cells = max(round(float(np.abs(link_vector).max()) / cell_size), 1)
-    points = start_position + np.linspace(0.0, 1.0, num_cells + 1)[:, None] * link_vector
+    line_points = start_position + np.linspace(0.0, 1.0, num_cells + 1)[:, None] * link_vector
 
-    start_walk = _walk_from_stop(start_level, points, agent.step)
-    landing_walk = _walk_from_stop(end_level, points[::-1], agent.step)
-    crossed_points = points[
-        max(start_walk.last_index, 0) : len(points) - max(landing_walk.last_index, 0)
+    start_walk = _walk_from_stop(start_level, line_points, agent.step)
+    landing_walk = _walk_from_stop(end_level, line_points[::-1], agent.step)
+    crossed_points = line_points[
+        max(start_walk.last_point_index, 0) : len(line_points)
+        - max(landing_walk.last_point_index, 0)
     ]
     if len(crossed_points) < 2:  # the agent walks from stop to stop
         return []
@@ -395,16 +406,16 @@ def _check_drop_or_jump(
     floors[-1] = landing_walk.floor
     half_cell = cell_size / 2
     for (x, y), floor in zip(crossed_points.tolist(), floors.tolist(), strict=True):
-        low_end = floor + agent.step + tolerance
-        high_end = higher_floor + agent.height - tolerance
-        half_z = (high_end - low_end) / 2
-        center = np.array([x, y, (low_end + high_end) / 2])
+        low_z = floor + agent.step + tolerance
+        high_z = higher_floor + agent.height - tolerance
+        half_z = (high_z - low_z) / 2
+        center = np.array([x, y, (low_z + high_z) / 2])
         prisms = [UprightPrism(half_cell, half_cell, half_z, False)]
         if agent.radius > half_cell:
             prisms.append(UprightPrism(agent.radius, agent.radius, half_z, True))
         half_width = max(half_cell, agent.radius)
         half_size = np.array([half_width, half_width, half_z])
-        for obstacle in probe.obstacles.overlapping(center - half_size, center + half_size):
+        for obstacle in probe.obstacles.find_overlapping(center - half_size, center + half_size):
             if any(
                 probe.find_contact(obstacle, prism, center, -tolerance) == TOUCHES
                 for prism in prisms
@@ -426,42 +437,45 @@ def _check_drop_or_jump(
 
 
 def _check_shaft(
-    link: Link, car: int, grid: GridBase, scene: Scene, probe: ObstacleProbe, tolerance: float
+    link: Link, car_body: int, grid: GridBase, scene: Scene, probe: ObstacleProbe, tolerance: float
 ) -> list[Finding]:
     """Move a lift's car through its joint's range, and check by FCL that it touches nothing."""
     findings = list[Finding]()
     model = scene.model
     obstacles = probe.obstacles
     up_direction = np.array([0.0, 0.0, 1.0])
-    joint = int(model.body_jntadr[car])
-    car_geoms = geoms_of_bodies(model, car, int(find_subtree_ends(model)[car])).tolist()
-    joint_axis_z = float(scene.data.xaxis[joint, 2])
-    joint_position = float(scene.data.qpos[model.jnt_qposadr[joint]])
+    joint_id = int(model.body_jntadr[car_body])
+    car_geoms = geoms_of_bodies(model, car_body, int(find_subtree_ends(model)[car_body])).tolist()
+    joint_axis_z = float(scene.data.xaxis[joint_id, 2])
+    joint_position = float(scene.data.qpos[model.jnt_qposadr[joint_id]])
     lowest_move, highest_move = sorted(
-        joint_axis_z * (range_end - joint_position) for range_end in model.jnt_range[joint]
+        joint_axis_z * (range_end - joint_position) for range_end in model.jnt_range[joint_id]
     )
     # what the car rests on or reaches at the ends of its range is no obstacle
-    num_moves = max(int((highest_move - lowest_move) / CAR_STEP), 1) + 1
-    moves = np.linspace(lowest_move + tolerance, highest_move - tolerance, num_moves)
+    num_moves = max(int((highest_move - lowest_move) / CAR_MOVE_SPACING), 1) + 1
+    car_moves = np.linspace(lowest_move + tolerance, highest_move - tolerance, num_moves)
     for car_shape in obstacles.shapes:
         if car_shape.geom not in car_geoms:
             continue
         shaft_obstacles = [
             obstacle
-            for obstacle in obstacles.overlapping(
-                car_shape.low + up_direction * moves[0], car_shape.high + up_direction * moves[-1]
+            for obstacle in obstacles.find_overlapping(
+                car_shape.low_corner + up_direction * car_moves[0],
+                car_shape.high_corner + up_direction * car_moves[-1],
             )
             if obstacles.shapes[obstacle].geom not in car_geoms
         ]
         car_object = car_shape.collision_object
         modelled_position = np.array(car_object.getTranslation())
-        for move, obstacle in product(moves.tolist(), shaft_obstacles):
-            car_object.setTranslation(modelled_position + up_direction * move)
+        for car_move, obstacle in product(car_moves.tolist(), shaft_obstacles):
+            car_object.setTranslation(modelled_position + up_direction * car_move)
             if fcl.collide(car_object, obstacles.shapes[obstacle].collision_object) > 0:
                 name = obstacles.geom_name(obstacle)
                 text = f"the car of {link.kind} {link.name!r} runs into {name!r}, "
-                text += f"moved by {move:.2f} m"
-                position = (car_shape.low + car_shape.high) / 2 + up_direction * move
+                text += f"moved by {car_move:.2f} m"
+                position = (
+                    car_shape.low_corner + car_shape.high_corner
+                ) / 2 + up_direction * car_move
                 findings.append(
                     _link_finding(LINK_TOUCHES, link, grid, position.tolist(), text, name)
                 )

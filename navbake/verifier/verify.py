@@ -126,13 +126,13 @@ def _check_arguments(
 
 
 def _check_number(
-    argument: object, expected: str, *, minimum: float, is_whole: bool = False
+    argument: object, expected_text: str, *, minimum: float, is_whole: bool = False
 ) -> None:
     """Raise a QueryError unless an argument is a finite number >= a minimum, maybe whole."""
-    types = (int, np.integer) if is_whole else (int, float, np.integer, np.floating)
-    is_number = isinstance(argument, types) and not isinstance(argument, bool)
+    number_types = (int, np.integer) if is_whole else (int, float, np.integer, np.floating)
+    is_number = isinstance(argument, number_types) and not isinstance(argument, bool)
     if not is_number or not minimum <= argument < np.inf:  # type: ignore[operator]
-        raise QueryError(f"expected {expected}, got {argument!r}")
+        raise QueryError(f"expected {expected_text}, got {argument!r}")
 
 
 def verify_scene(
@@ -183,10 +183,10 @@ def verify_scene(
             "made smaller by it on all sides, and half of a cell's width and of the height has to "
             "stay"
         )
-    levels_with_floors = [has_cell_floors(level) for level in baked_grid.levels]
-    inflation = inflate_for_radius(baked_grid, radius, notes)
-    verified_grid = inflation.grid
-    if inflation.inflation_reach > 0 and config is not None and config.grid.bounds is not None:
+    levels_have_cell_floors = [has_cell_floors(level) for level in baked_grid.levels]
+    inflated_grid = inflate_for_radius(baked_grid, radius, notes)
+    verified_grid = inflated_grid.grid
+    if inflated_grid.inflation_reach > 0 and config is not None and config.grid.bounds is not None:
         note = "`grid.bounds` cut the grid, which knows nothing of what lies beyond"
         notes.append(f"{note}: a larger agent's cylinder may touch it")
     if grid.is_blocked:
@@ -194,24 +194,26 @@ def verify_scene(
 
     obstacles = Obstacles(scene, door_pose.data, door_pose.removed_geoms)
     probe = ObstacleProbe(obstacles)
-    occupancy_check = OccupancyCheck(probe, agent, tolerance, inflation.inflation_reach)
+    occupancy_check = OccupancyCheck(probe, agent, tolerance, inflated_grid.inflation_reach)
     floor_check = None
-    if all(levels_with_floors):
+    if all(levels_have_cell_floors):
         floor_obstacles = obstacles
         if door_pose.floorless_geoms:
             floor_obstacles = Obstacles(scene, door_pose.data, door_pose.floorless_geoms)
         floor_check = FloorCheck(verified_grid, ObstacleProbe(floor_obstacles), agent, config)
-    neighborhood = CellNeighborhood(verified_grid, agent.step, by_centers=inflation.by_centers)
-    samples = take_sample(verified_grid, sample, seed, levels_with_floors)
+    neighborhood = CellNeighborhood(
+        verified_grid, agent.step, measures_from_centers=inflated_grid.measures_from_centers
+    )
+    samples = take_sample(verified_grid, sample, seed, levels_have_cell_floors)
     levels = list[LevelCounts]()
     findings = list[Finding]()
     for level_sample, name in zip(samples, verified_grid.level_names, strict=True):
         counts = LevelCounts(name, cells=len(level_sample.rows))
         levels.append(counts)
-        free_volume = make_volumes(level_sample, agent, neighborhood, inflation.radius)
+        free_volume = make_volumes(level_sample, agent, neighborhood, inflated_grid.radius)
         findings += occupancy_check.check_free(level_sample, counts, free_volume)
         baked_volume = make_volumes(level_sample, agent, neighborhood)
-        is_excused = _mark_excused_cells(level_sample, neighborhood, inflation.inflation_reach)
+        is_excused = _mark_excused_cells(level_sample, neighborhood, inflated_grid.inflation_reach)
         findings += occupancy_check.check_blocked(level_sample, counts, baked_volume, is_excused)
         if floor_check is not None:
             findings += floor_check.check(level_sample, counts)
@@ -221,16 +223,16 @@ def verify_scene(
     notes += _describe_unchecked(floor_check, occupancy_check)
 
     sweep_counts = None
-    sweep_radius = agent.radius if inflation.radius is None else inflation.radius
+    sweep_radius = agent.radius if inflated_grid.radius is None else inflated_grid.radius
     if paths and sweep_radius <= tolerance:
         notes.append("no paths were swept: the agent's radius isn't above the tolerance")
     elif paths:
         swept_grid = verified_grid
-        if inflation.radius is None:
+        if inflated_grid.radius is None:
             swept_grid = verified_grid.inflate(sweep_radius)
         try:
-            sweep = PathSweep(swept_grid, probe, agent, sweep_radius, tolerance)
-            sweep_counts, path_findings = sweep.run(paths, seed)
+            path_sweep = PathSweep(swept_grid, probe, agent, sweep_radius, tolerance)
+            sweep_counts, path_findings = path_sweep.sweep_random_paths(paths, seed)
             findings += path_findings
             if sweep_counts.paths < paths:
                 notes.append(f"only {sweep_counts.paths} paths were found between random places")
@@ -243,7 +245,7 @@ def verify_scene(
         num_cells=sum(level.width * level.height for level in verified_grid.levels),
         seed=seed,
         tolerance=tolerance,
-        radius=inflation.radius,
+        radius=inflated_grid.radius,
         levels=levels,
         sweeps=sweep_counts,
         findings=findings,
@@ -253,9 +255,9 @@ def verify_scene(
     if door_pose.unknown_doors:
         notes.append(f"the scene has no doors {', '.join(map(repr, door_pose.unknown_doors[:5]))}")
     if not verified_grid.navbake:
-        sizes = f"radius {verified_grid.agent_radius:g} m, step {verified_grid.max_step:g} m"
+        sizes_text = f"radius {verified_grid.agent_radius:g} m, step {verified_grid.max_step:g} m"
         note = f"the grid is of another program: an agent of {verified_grid.agent_height:g} m"
-        notes.append(f"{note}, {sizes}")
+        notes.append(f"{note}, {sizes_text}")
     return report
 
 
@@ -269,8 +271,8 @@ def _mark_excused_cells(
     is_excused = (
         (inflation_reach > 0) & ~sample.is_free & ~sample.is_occupied & ~np.isnan(sample.floor)
     )
-    is_excused[is_excused] = neighborhood.has_reason(
-        sample.level_id,
+    is_excused[is_excused] = neighborhood.has_blocking_reason(
+        sample.level_number,
         sample.rows[is_excused],
         sample.cols[is_excused],
         sample.floor[is_excused],
