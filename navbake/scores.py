@@ -473,11 +473,11 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
         ]
     expected = "arrays episode (k), start (k + 1) and positions (n, 3)"
     with open_archive(os.fspath(path), expected) as archive:
-        episode_ids = archive.read("episode", archive.top)
-        start_rows = archive.read("start", archive.top)
-        positions = archive.read("positions", archive.top)
-        stop_flags = archive.read("stop", archive.top) if "stop" in archive else None
-        times = archive.read("times", archive.top) if "times" in archive else None
+        episode_ids = archive.read("episode", archive.root_place)
+        start_rows = archive.read("start", archive.root_place)
+        positions = archive.read("positions", archive.root_place)
+        stop_flags = archive.read("stop", archive.root_place) if "stop" in archive else None
+        times = archive.read("times", archive.root_place) if "times" in archive else None
         have_matching_shapes = (
             start_rows.shape == (len(episode_ids) + 1,)
             and positions.ndim == 2

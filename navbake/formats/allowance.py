@@ -65,7 +65,7 @@ def format_value(value: object) -> str:
 
 @dataclass(frozen=True)
 class JsonPath:
-    """A location in a file, which errors state; indexing it returns the location of an entry.
+    """The location of a value in a file, for errors; indexing it returns an entry's location.
 
     Attributes:
         file: the file's name, or what the content was read from.
@@ -102,9 +102,9 @@ class JsonPath:
         Raises:
             FormatError: always.
         """
-        where = f"at `{self.path}` in" if self.path else "in"
+        place_text = f"at `{self.path}` in" if self.path else "in"
         file = self.file if self.file.isprintable() else repr(self.file)
-        message = f"{fault} {where} {file}"
+        message = f"{fault} {place_text} {file}"
         raise FormatError(
             f"{message}; {remedy}" if remedy else message,
             path=self.file,
@@ -274,7 +274,7 @@ def _refuse_first_invalid(value: JsonValue, place: JsonPath) -> None:
 
 
 class Allowance:
-    """How many cells, and how many bytes of memory and of text, reading a file may still take.
+    """The cells, and the bytes of memory and of text, that reading a file may still take.
 
     By default this depends on the file's size. The caller of a reader may set a different limit, by
     an argument: ``max_cells`` for grids, ``max_voxels`` for voxels. With ``max_voxels``, the memory
@@ -299,11 +299,11 @@ class Allowance:
             raise FormatError(message, key=keyword, value=limit, expected=expected)
         self._keyword = keyword
         self._remedy = f"pass {keyword} if that is meant" if keyword else ""
-        memory = FREE_BYTES + BYTES_PER_BYTE * num_bytes
-        self._rule = f"a file of {num_bytes:,} bytes may fill ({memory:,} bytes)"
+        num_memory_bytes = FREE_BYTES + BYTES_PER_BYTE * num_bytes
+        self._rule = f"a file of {num_bytes:,} bytes may fill ({num_memory_bytes:,} bytes)"
         self._cells = {"max_cells": MAX_CELLS, "max_voxels": MAX_VOXELS, "": MAX_PIXELS}[keyword]
-        self._memory: float = memory
-        self._text = memory // BYTES_PER_TEXT_BYTE
+        self._memory: float = num_memory_bytes
+        self._text = num_memory_bytes // BYTES_PER_TEXT_BYTE
         self._num_bytes = num_bytes
         if limit is not None:
             self._rule = f"{keyword} = {limit} allows"
@@ -311,24 +311,24 @@ class Allowance:
             self._memory = BYTES_PER_CELL * limit if keyword == "max_cells" else math.inf
 
     def take_cells(self, shape: Sequence[int], place: JsonPath) -> None:
-        """Take the cells, voxels or pixels of an array from the allowance.
+        """Subtract the cells, voxels or pixels of an array from those that are left.
 
         Args:
             shape: the array's shape.
             place: its location in the file, for errors.
 
         Raises:
-            FormatError: there are too many.
+            FormatError: too few cells are left.
         """
         if math.prod(shape) > self._cells:
             unit = self._keyword.removeprefix("max_") or "pixels"
-            counts = " × ".join(format_value(int(count)) for count in shape)
-            fault = f"too many {unit} ({counts}, expected {self._cells:,} at most)"
+            shape_text = " × ".join(format_value(int(count)) for count in shape)
+            fault = f"too many {unit} ({shape_text}, expected {self._cells:,} at most)"
             place.fail(fault, self._remedy, expected=f"{self._cells:,} at most", value=tuple(shape))
         self._cells -= math.prod(shape)
 
     def take_array(self, shape: Sequence[int], itemsize: int, place: JsonPath) -> None:
-        """Take the memory of an array from the allowance.
+        """Subtract the memory of an array from the memory that is left.
 
         Args:
             shape: the array's shape.
@@ -350,7 +350,7 @@ class Allowance:
                 raise FormatError(f"{place.file}: {error}", path=place.file) from None
 
     def take_text(self, num_bytes: int, place: JsonPath) -> None:
-        """Take unpacked JSON from the allowance.
+        """Subtract unpacked JSON from the text that is left.
 
         Args:
             num_bytes: the size of the text [bytes].

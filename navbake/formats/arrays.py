@@ -27,8 +27,8 @@ def decode_array(
     shape: tuple[int, int],
     allowance: Allowance,
     *,
-    default: object = None,
-    null: float = np.nan,
+    default_datatype: object = None,
+    null_value: float = np.nan,
 ) -> NDArray[Any]:
     """Decode the array of a layer of a level, as a NavGrid file has it.
 
@@ -40,8 +40,8 @@ def decode_array(
         place: its location in the file, for errors.
         shape: height and width of the level.
         allowance: what the array's memory is taken from.
-        default: the datatype that the metadata state for the array; float64 if None.
-        null: the number that replaces ``null`` in arrays of floats.
+        default_datatype: the datatype that the metadata state for the array; float64 if None.
+        null_value: the number that replaces ``null`` in arrays of floats.
 
     Returns:
         The array, of this shape, with the datatype that the file states.
@@ -56,16 +56,16 @@ def decode_array(
         place.refuse("an array", value)
     if value.get("type") not in (None, "array"):
         place["type"].refuse("'array'", value["type"])
-    datatype = "float64" if default is None else default
+    datatype = "float64" if default_datatype is None else default_datatype
     datatype_place = place
     for key in ("dataType", "datatype"):  # ``datatype`` counts where a file has both
         if value.get(key) is not None:
             datatype = value[key]
             datatype_place = place[key]
-    name = datatype_name(datatype) if isinstance(datatype, str) else ""
-    if name not in DATATYPES:
+    dtype_name = datatype_name(datatype) if isinstance(datatype, str) else ""
+    if dtype_name not in DATATYPES:
         datatype_place.refuse(f"a datatype of {', '.join(DATATYPES)}", datatype)
-    dtype = np.dtype(name)
+    dtype = np.dtype(dtype_name)
     num_cells = math.prod(shape)
     if value.get("length") is not None:
         length = check_whole_number(value["length"], place["length"], 0)
@@ -80,11 +80,11 @@ def decode_array(
         place["encoding"].refuse("'rle' or 'raw'", encoding)
     if encoding == "rle":
         counts = _check_counts(data, data_place, num_cells)
-        run_values = _cast_values(data, data_place, 2, dtype, null)
+        run_values = _cast_values(data, data_place, 2, dtype, null_value)
         return np.repeat(run_values, counts).reshape(shape)
     if len(data) != num_cells:
         data_place.fail(f"expected {num_cells} values, one a cell, got {len(data)}")
-    return _cast_values(data, data_place, 1, dtype, null).reshape(shape)
+    return _cast_values(data, data_place, 1, dtype, null_value).reshape(shape)
 
 
 def _check_counts(data: list[JsonValue], place: JsonPath, num_cells: int) -> Int:
@@ -106,14 +106,14 @@ def _check_counts(data: list[JsonValue], place: JsonPath, num_cells: int) -> Int
 
 
 def _cast_values(
-    data: list[JsonValue], place: JsonPath, step: int, dtype: np.dtype[Any], null: float
+    data: list[JsonValue], place: JsonPath, stride: int, dtype: np.dtype[Any], null_value: float
 ) -> NDArray[Any]:
-    """Convert every `step`-th entry to a dtype; None becomes the number `null`.
+    """Convert every `stride`-th entry to a dtype; None becomes the number `null_value`.
 
     A FormatError is raised for the first entry that the dtype can't hold.
     """
-    types = (int, float, type(None)) if dtype.kind == "f" else (int, float)
-    values = _to_float64(data, place, slice(0, None, step), f"a value of {dtype}", types)
+    allowed_types = (int, float, type(None)) if dtype.kind == "f" else (int, float)
+    values = _to_float64(data, place, slice(0, None, stride), f"a value of {dtype}", allowed_types)
     if dtype.kind == "f":
         # JSON has no infinity, so one comes from a number beyond the dtype
         with np.errstate(over="ignore"):
@@ -126,24 +126,28 @@ def _cast_values(
             | (values != np.floor(values))
         )
     if is_invalid.any():
-        index = step * int(np.argmax(is_invalid))
+        index = stride * int(np.argmax(is_invalid))
         place[index].refuse(f"a value of {dtype}", data[index])
-    if dtype.kind == "f" and not np.isnan(null):
-        values[np.isnan(values)] = null
+    if dtype.kind == "f" and not np.isnan(null_value):
+        values[np.isnan(values)] = null_value
     return values.astype(dtype, copy=False)
 
 
 def _to_float64(
-    data: list[JsonValue], place: JsonPath, selection: slice, expected: str, types: tuple[type, ...]
+    data: list[JsonValue],
+    place: JsonPath,
+    selection: slice,
+    expected: str,
+    allowed_types: tuple[type, ...],
 ) -> Float:
     """Convert a slice of a list to an array; None becomes NaN.
 
-    A FormatError is raised for the first entry whose type is none of `types`.
+    A FormatError is raised for the first entry whose type is none of `allowed_types`.
     """
     entries = data[selection]
-    if not set(map(type, entries)) <= set(types):  # as a type of its own, bool is no int
+    if not set(map(type, entries)) <= set(allowed_types):  # as a type of its own, bool is no int
         indices = range(len(data))[selection]
-        index = next(index for index in indices if type(data[index]) not in types)
+        index = next(index for index in indices if type(data[index]) not in allowed_types)
         place[index].refuse(expected, data[index])
     return np.array(entries, dtype=np.float64)
 
@@ -168,19 +172,19 @@ def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
         place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
     cells = array.reshape(-1)
     run_start_chunks = [np.zeros(1, np.int64)]  # of runs
-    for first in range(1, len(cells), CHUNK_LENGTH):
-        chunk = _normalize_values(cells[first - 1 : first + CHUNK_LENGTH])
-        differs = chunk[1:] != chunk[:-1]
+    for chunk_start in range(1, len(cells), CHUNK_LENGTH):
+        chunk = _normalize_values(cells[chunk_start - 1 : chunk_start + CHUNK_LENGTH])
+        is_run_start = chunk[1:] != chunk[:-1]
         if chunk.dtype.kind == "f":
-            differs &= ~(np.isnan(chunk[1:]) & np.isnan(chunk[:-1]))
-        run_start_chunks.append(np.flatnonzero(differs) + first)
+            is_run_start &= ~(np.isnan(chunk[1:]) & np.isnan(chunk[:-1]))
+        run_start_chunks.append(np.flatnonzero(is_run_start) + chunk_start)
     run_starts = np.concatenate(run_start_chunks)
     run_lengths = np.diff(run_starts, append=len(cells))
 
     texts = []
-    for first in range(0, len(run_starts), CHUNK_LENGTH):
-        values = _normalize_values(cells[run_starts[first : first + CHUNK_LENGTH]])
-        counts = run_lengths[first : first + CHUNK_LENGTH]
+    for chunk_start in range(0, len(run_starts), CHUNK_LENGTH):
+        values = _normalize_values(cells[run_starts[chunk_start : chunk_start + CHUNK_LENGTH]])
+        counts = run_lengths[chunk_start : chunk_start + CHUNK_LENGTH]
         if values.dtype.kind == "f":
             words = [b""] * (2 * len(counts))
             words[0::2] = _dump_numbers(values).split(b",")

@@ -117,15 +117,17 @@ def encode_with(file_format: FileFormat, grid: NavGrid, path: Path, **options: o
     """
     for option in options:
         if option not in file_format.write_options:
-            accepted = ", ".join(file_format.write_options) or "none"
+            accepted_options = ", ".join(file_format.write_options) or "none"
             raise FormatError(
-                f"{file_format.name} takes no option {option!r}, it takes: {accepted}",
+                f"{file_format.name} takes no option {option!r}, it takes: {accepted_options}",
                 key=option,
                 value=options[option],
             )
     if not file_format.loses:
-        encoded: Files = resolve(f"navbake.formats.{file_format.encode}")(grid, path, **options)
-        return encoded
+        encoded_files: Files = resolve(f"navbake.formats.{file_format.encode}")(
+            grid, path, **options
+        )
+        return encoded_files
 
     from navbake.formats import map_losses  # loads numpy
 
@@ -148,11 +150,11 @@ def encode_with(file_format: FileFormat, grid: NavGrid, path: Path, **options: o
     if file_format.closes:
         options.pop("stairs", None)
         options.pop("agent", None)
-        closed_masks = closed_cells.masks()
-        if file_format.lays_closed_cells:
-            options["closed_masks"] = closed_masks
-        elif any(mask.any() for mask in closed_masks):
-            map_grid = map_losses.close_cells(map_grid, closed_masks)
+        closed_cell_masks = closed_cells.join_masks()
+        if file_format.marks_closed_cells:
+            options["closed_cell_masks"] = closed_cell_masks
+        elif any(mask.any() for mask in closed_cell_masks):
+            map_grid = map_losses.close_cells(map_grid, closed_cell_masks)
     files: Files = resolve(f"navbake.formats.{file_format.encode}")(map_grid, path, **options)
     losses = map_losses.describe_losses(
         grid, file_format.loses, closed_cells, level=level, agent=agent

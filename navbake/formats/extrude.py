@@ -29,7 +29,7 @@ import numpy as np
 from navbake.errors import FormatError
 from navbake.formats.floor_mesh import cover_with_quads
 from navbake.formats.level_paths import select_levels
-from navbake.formats.source import Files, check_named
+from navbake.formats.source import Files, check_name_encoding
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Json
@@ -72,7 +72,7 @@ def encode_mjcf(
     height: float | None = None,
     flat: bool | None = None,
 ) -> Files:
-    """Encode a grid as a scene, and the settings by which the scene bakes to the same cells.
+    """Encode a grid as a MuJoCo scene, and the settings by which the scene bakes to its cells.
 
     Args:
         grid: the grid.
@@ -135,10 +135,13 @@ def encode_mjcf(
 
     settings = _make_settings(grid, path, lattice, levels, stacked_floors)
     settings_path = path.with_suffix(".yaml")
-    check_named(path)
-    head = f"# Bakes {_format_comment(path.name)} to the cells that it was made of.\n"
+    check_name_encoding(path)
+    header_comment = f"# Bakes {_format_comment(path.name)} to the cells that it was made of.\n"
     lines = _write_scene(grid.scene_id or path.stem, box_groups, settings, settings_path.name)
-    return {path: "".join(lines).encode(), settings_path: head.encode() + encode_yaml(settings)}
+    return {
+        path: "".join(lines).encode(),
+        settings_path: header_comment.encode() + encode_yaml(settings),
+    }
 
 
 def _find_floor(level: SceneGrid2D, is_flat: bool) -> Float:
@@ -166,33 +169,41 @@ def _join_lattices(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice
     windows = []
     for level in levels:
         lattice = level.lattice
-        offset = (np.array(lattice.bounds) - common_lattice.bounds) / cell_size
+        offset_in_cells = (np.array(lattice.bounds) - common_lattice.bounds) / cell_size
         has_same_size = abs(lattice.cell_size - cell_size) <= CELL_SIZE_TOLERANCE
-        if not has_same_size or np.abs(offset - np.rint(offset)).max() > LATTICE_TOLERANCE:
+        if (
+            not has_same_size
+            or np.abs(offset_in_cells - np.rint(offset_in_cells)).max() > LATTICE_TOLERANCE
+        ):
             raise FormatError("expected levels on one lattice: extrude one (level) at a time")
-        row = round((common_lattice.y_max - lattice.y_max) / cell_size)
-        col = round((lattice.x_min - common_lattice.x_min) / cell_size)
-        windows.append((slice(row, row + lattice.height), slice(col, col + lattice.width)))
+        first_row = round((common_lattice.y_max - lattice.y_max) / cell_size)
+        first_col = round((lattice.x_min - common_lattice.x_min) / cell_size)
+        windows.append(
+            (
+                slice(first_row, first_row + lattice.height),
+                slice(first_col, first_col + lattice.width),
+            )
+        )
     return common_lattice, windows
 
 
-def _make_boxes(lattice: Lattice, mask: Bool, low_z: Float, high_z: Float) -> Float:
+def _make_boxes(lattice: Lattice, is_covered: Bool, low_z: Float, high_z: Float) -> Float:
     """Cover the cells of a mask by few boxes.
 
     Args:
         lattice: the lattice of the cells.
-        mask: the cells to cover, shape (height, width).
+        is_covered: the cells to cover, shape (height, width).
         low_z: world z where the box of each cell begins [m], shape (height, width).
         high_z: world z where the box of each cell ends [m], shape (height, width).
 
     Returns:
         The lower and upper corner of each box, world x, y, z [m], shape (n, 2, 3).
     """
-    height_pairs = np.stack([low_z[mask], high_z[mask]], axis=1)
+    height_pairs = np.stack([low_z[is_covered], high_z[is_covered]], axis=1)
     unique_pairs, pair_numbers = np.unique(height_pairs, axis=0, return_inverse=True)
-    labels = np.zeros(mask.shape, dtype=np.int32)
-    labels[mask] = pair_numbers.ravel() + 1
-    quads = cover_with_quads(labels, np.zeros(mask.shape), 0.0, 0.0, -BOX_INSET)
+    labels = np.zeros(is_covered.shape, dtype=np.int32)
+    labels[is_covered] = pair_numbers.ravel() + 1
+    quads = cover_with_quads(labels, np.zeros(is_covered.shape), 0.0, 0.0, -BOX_INSET)
     quad_labels = labels[quads.first_cell[:, 0], quads.first_cell[:, 1]]
     z = unique_pairs[quad_labels.astype(np.int64) - 1]
     # the first two corners of a quad differ in x, the second and the third in y
@@ -213,10 +224,10 @@ def _make_settings(
         raise FormatError("expected levels with ascending grounds: extrude one (level) at a time")
     level_entries: list[Json] = [{"ground": ground} for ground in grounds]
     level_entries[-1]["top"] = round(max(highest_floor, grounds[-1]) + TOP_MARGIN, DECIMALS)
-    step = min(grid.max_step, 0.99 * grid.agent_height)
+    max_step = min(grid.max_step, 0.99 * grid.agent_height)
     return {
         "scene": {"path": path.name},
-        "agent": {"height": grid.agent_height, "radius": 0.0, "traversable_floor_height": step},
+        "agent": {"height": grid.agent_height, "radius": 0.0, "traversable_floor_height": max_step},
         "grid": {
             "cell_size": lattice.cell_size,
             "bounds": [round(value, DECIMALS) + 0.0 for value in lattice.bounds],

@@ -97,10 +97,13 @@ class FloorMesh:
     @property
     def faces(self) -> Int:
         """The triangles of all levels, as indices into `vertices`, shape (m, 3), int64."""
-        counts = [len(level.vertices) for level in self.levels]
-        first_vertex = np.cumsum([0, *counts])
+        num_vertices_of_level = [len(level.vertices) for level in self.levels]
+        first_vertex = np.cumsum([0, *num_vertices_of_level])
         return np.concatenate(
-            [level.faces + first_vertex[number] for number, level in enumerate(self.levels)]
+            [
+                level.faces + first_vertex[level_number]
+                for level_number, level in enumerate(self.levels)
+            ]
         )
 
     @property
@@ -132,8 +135,10 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
     Raises:
         QueryError: the tolerance is invalid.
     """
-    is_length = isinstance(tolerance, int | float | np.number) and 0 <= tolerance <= MAX_COORDINATE
-    if not is_length:
+    is_valid_tolerance = (
+        isinstance(tolerance, int | float | np.number) and 0 <= tolerance <= MAX_COORDINATE
+    )
+    if not is_valid_tolerance:
         raise QueryError(
             f"expected a tolerance of 0 m or more, got {tolerance!r}",
             key="tolerance",
@@ -154,7 +159,7 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
     max_gradient = math.tan(math.radians(max_slope)) * (1 + SLOPE_TOLERANCE)
 
     levels = []
-    for number, level in enumerate(grid.levels):
+    for level_number, level in enumerate(grid.levels):
         lattice = level.lattice
         cell_size = lattice.cell_size
         room_index = level.room_index.astype(np.int32)
@@ -167,19 +172,22 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
         x = lattice.x_min + quads.cols * cell_size
         y = lattice.y_max - quads.rows * cell_size
         vertices = np.stack([x, y, quads.heights], axis=-1)[sort_indices].reshape(-1, 3)
-        level_indices, room = np.unique(room_of_quad[sort_indices], return_inverse=True)
-        indices = [index for index in level_indices.tolist() if index]
+        unique_room_indices, room = np.unique(room_of_quad[sort_indices], return_inverse=True)
+        room_indices = [index for index in unique_room_indices.tolist() if index]
         mesh = LevelMesh(
-            name=grid.level_names[number],
+            name=grid.level_names[level_number],
             origin=(lattice.x_min, lattice.y_max, level.ground),
             vertices=vertices,
             # number 0 is "no room", also where all cells are in a room
-            room=room.astype(np.int64) + (len(indices) == len(level_indices)),
+            room=room.astype(np.int64) + (len(room_indices) == len(unique_room_indices)),
             rooms=[
                 NO_ROOM,
-                *(room_names.get((number, index), f"{number}:{index}") for index in indices),
+                *(
+                    room_names.get((level_number, index), f"{level_number}:{index}")
+                    for index in room_indices
+                ),
             ],
-            indices=[0, *indices],
+            indices=[0, *room_indices],
         )
         levels.append(mesh)
     return FloorMesh(levels)
@@ -231,9 +239,9 @@ def cover_with_quads(
         + np.array([-1, 1, 1, -1]) * margin
     )
     # planes are given at the first cell's centre
-    down = rows - first_row[:, None] - 0.5
-    right = cols - first_col[:, None] - 0.5
-    corner_heights = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:]
+    rows_down = rows - first_row[:, None] - 0.5
+    cols_right = cols - first_col[:, None] - 0.5
+    corner_heights = planes[:, :1] + cols_right * planes[:, 1:2] + rows_down * planes[:, 2:]
     return Quads(bounds[:, :2], rows, cols, corner_heights)
 
 
@@ -248,8 +256,8 @@ def find_room_colors(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
         For each level, the sRGB colours of `LevelMesh.rooms`, shape (n, 3), uint8.
     """
     level_colors = []
-    for number, level in enumerate(mesh.levels):
-        colors = color_rooms(grid, number)[level.indices]
+    for level_number, level in enumerate(mesh.levels):
+        colors = color_rooms(grid, level_number)[level.indices]
         colors[0] = rgb_of(FREE)
         level_colors.append(colors)
     return level_colors
@@ -271,13 +279,13 @@ class GlbBuffer:
 
         Args:
             content: the bytes.
-            target: glTF's number for what the bytes are, see `VERTEX_TARGET`; None for an image.
+            target: glTF's number of the kind of data, such as `VERTEX_TARGET`; None for an image.
 
         Returns:
             The number of their buffer view.
         """
-        view = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(content)}
-        self._views.append(view if target is None else {**view, "target": target})
+        buffer_view = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(content)}
+        self._views.append(buffer_view if target is None else {**buffer_view, "target": target})
         self._data += content + bytes(-len(content) % 4)
         return len(self._views) - 1
 
@@ -320,10 +328,14 @@ class GlbBuffer:
     def _add(self, values: NDArray[Any], vector_type: str, target: int, **fields: JsonValue) -> int:
         """Append values and their accessor; return its number. Types are such as ``VEC3``."""
         values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
-        view = self.add_bytes(values.tobytes(), target)
+        buffer_view = self.add_bytes(values.tobytes(), target)
         component_type = COMPONENT_TYPES[values.dtype]
-        entry = {"bufferView": view, "componentType": component_type, "count": len(values)}
-        self._accessors.append({**entry, "type": vector_type, **fields})
+        accessor = {
+            "bufferView": buffer_view,
+            "componentType": component_type,
+            "count": len(values),
+        }
+        self._accessors.append({**accessor, "type": vector_type, **fields})
         return len(self._accessors) - 1
 
     def pack(self, document: Json) -> bytes:
@@ -392,14 +404,14 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = HEIGHT_TOLERANCE
             first_quad, stop_quad = np.searchsorted(level.room, [room, room + 1]).tolist()
             room_name = level.rooms[room]
             materials = document["materials"]
-            positions = buffer.add_positions(vertices[4 * first_quad : 4 * stop_quad])
-            faces = buffer.add_indices(
+            positions_accessor = buffer.add_positions(vertices[4 * first_quad : 4 * stop_quad])
+            faces_accessor = buffer.add_indices(
                 level.faces[: 2 * (stop_quad - first_quad)].astype(np.uint32)
             )
             primitives.append(
                 {
-                    "attributes": {"POSITION": positions},
-                    "indices": faces,
+                    "attributes": {"POSITION": positions_accessor},
+                    "indices": faces_accessor,
                     "material": len(materials),
                     "extras": {"room": room_name},
                 }
@@ -446,16 +458,16 @@ def encode_obj(
         lines.append(f"o {_unique_name(level.name, used_level_names)}\n")
         x, y, z = level.vertices.T
         z = np.round(z, 6)  # drops the noise of float32
-        points = np.stack([x, z, 0.0 - y] if up == "y" else [x, y, z], axis=1)
+        positions = np.stack([x, z, 0.0 - y] if up == "y" else [x, y, z], axis=1)
         vertex_colors = colors[np.repeat(level.room, 4)] / 255
-        values = np.hstack([points, vertex_colors]).ravel().tolist()
-        lines.append((OBJ_VERTEX * len(points)) % tuple(values))
+        values = np.hstack([positions, vertex_colors]).ravel().tolist()
+        lines.append((OBJ_VERTEX * len(positions)) % tuple(values))
         faces = level.faces + num_vertices + 1  # counted from 1 through the file
         for room in np.unique(level.room).tolist():
             room_faces = faces[np.repeat(level.room == room, 2)].ravel().tolist()
             lines.append(f"g {_unique_name(level.rooms[room], used_room_names)}\n")
             lines.append((OBJ_QUAD * (len(room_faces) // 6)) % tuple(room_faces))
-        num_vertices += len(points)
+        num_vertices += len(positions)
     return {path: "".join(lines).encode()}
 
 

@@ -43,9 +43,9 @@ class FileFormat(NamedTuple):
         closes: which free cells are written as occupied, to keep robots out where the format can't
             say why: ``stairs`` (see `navbake.formats.map_losses.find_stair_cells`) and ``areas``
             that bar the agent.
-        lays_closed_cells: True if the writer marks the cells of `closes` itself, by an option
-            `closed_masks`. If False, `convert.encode_with` makes them occupied in the grid that it
-            passes to the writer.
+        marks_closed_cells: True if the writer marks the cells of `closes` itself, by an option
+            `closed_cell_masks`. If False, `convert.encode_with` makes them occupied in the grid
+            that it passes to the writer.
     """
 
     name: str
@@ -59,7 +59,7 @@ class FileFormat(NamedTuple):
     inflates: bool = False
     loses: tuple[str, ...] = ()
     closes: tuple[str, ...] = ()
-    lays_closed_cells: bool = False
+    marks_closed_cells: bool = False
 
 
 ALL_LOSSES = ("heights", "steps", "areas", "links", "agents", "doors")
@@ -99,7 +99,7 @@ GRID_FORMATS = (
         list_parts="nav2:list_images",
         loses=ALL_LOSSES,
         closes=("stairs", "areas"),
-        lays_closed_cells=True,
+        marks_closed_cells=True,
     ),
     FileFormat(
         name="nav2-keepout",
@@ -337,8 +337,8 @@ def find_format(
     ]
     if matches:
         # max returns the first of equally long endings
-        _, longest_match = max(matches, key=lambda match: len(match[0]))
-        return longest_match
+        _, best_format = max(matches, key=lambda match: len(match[0]))
+        return best_format
 
     formats_text = ", ".join(
         f"{'/'.join(file_format.endings)} ({file_format.name})" for file_format in usable_formats

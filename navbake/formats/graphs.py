@@ -196,28 +196,30 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
         QueryError: a weight is negative.
     """
     search = Search(grid, cut_corners=cut_corners)
-    flat = search.flat
+    flat_grid = search.flat
     moves = search.graph.moves
     links = search.graph.links
-    cells = np.flatnonzero(flat.free)
+    cells = np.flatnonzero(flat_grid.free)
     # the dtype that scipy would choose, so that it copies nothing
     fits_int32 = len(cells) * len(NEIGHBORS) <= np.iinfo(np.int32).max
     index_dtype = np.int32 if fits_int32 else np.int64
-    node_of_cell: NDArray[Any] = np.full(flat.num_cells, -1, dtype=index_dtype)  # of each cell
+    node_of_cell: NDArray[Any] = np.full(flat_grid.num_cells, -1, dtype=index_dtype)  # of each cell
     node_of_cell[cells] = np.arange(len(cells))
-    level, row, col = flat.to_cells(cells)
-    width = flat.layout.width[level]
-    cell_sizes = flat.layout.cell_size[level]
+    level, row, col = flat_grid.to_cells(cells)
+    width = flat_grid.layout.width[level]
+    cell_sizes = flat_grid.layout.cell_size[level]
     # of each cell and neighbour, shape (n, 8)
     is_step: Bool = np.stack(
         [moves[cells] >> neighbor.move_bit & 1 for neighbor in NEIGHBORS], axis=1
     ).astype(bool)
-    offsets = np.stack([neighbor.down * width + neighbor.right for neighbor in NEIGHBORS], axis=1)
+    id_offsets = np.stack(
+        [neighbor.down * width + neighbor.right for neighbor in NEIGHBORS], axis=1
+    )
     length_factors = np.array(
         [np.sqrt(2.0) if neighbor.down and neighbor.right else 1.0 for neighbor in NEIGHBORS]
     )
-    target_cell = (cells[:, None] + offsets)[is_step]
-    costs = (cell_sizes[:, None] * length_factors)[is_step] * flat.weight[target_cell]
+    target_cell = (cells[:, None] + id_offsets)[is_step]
+    costs = (cell_sizes[:, None] * length_factors)[is_step] * flat_grid.weight[target_cell]
     row_starts = np.zeros(len(cells) + 1, dtype=index_dtype)
     np.cumsum(np.count_nonzero(is_step, axis=1), out=row_starts[1:])
     # neighbours are in the matrix's order already
@@ -226,9 +228,9 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
 
     link_source = np.repeat(links.cell, np.diff(links.start))
     link_target = links.target
-    is_open = flat.free[link_source] & flat.free[link_target]
+    is_open = flat_grid.free[link_source] & flat_grid.free[link_target]
     if is_open.any():  # if a link joins neighbours, the cheaper step counts
-        link_weight = flat.weight[link_target[is_open]]
+        link_weight = flat_grid.weight[link_target[is_open]]
         link_cost = links.length[is_open] * link_weight + links.cost[is_open]
         steps = matrix.tocoo()
         costs = np.append(steps.data, link_cost)
@@ -238,8 +240,8 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
         costs = costs[sort_indices]
         sources = sources[sort_indices]
         targets = targets[sort_indices]
-        is_first = np.append(True, (np.diff(sources) != 0) | (np.diff(targets) != 0))
-        entries = (costs[is_first], (sources[is_first], targets[is_first]))
+        is_cheapest = np.append(True, (np.diff(sources) != 0) | (np.diff(targets) != 0))
+        entries = (costs[is_cheapest], (sources[is_cheapest], targets[is_cheapest]))
         matrix = sparse.csr_array(entries, shape=shape, dtype=np.float64)
     return CellGraph(
         matrix=matrix,
@@ -247,7 +249,7 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
         row=row,
         col=col,
         cell=row * width + col,
-        position=flat.positions(cells),
+        position=flat_grid.positions(cells),
         grid=grid,
     )
 
@@ -391,15 +393,17 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
     """
     search = Search(grid)
     room_map = map_rooms(grid)
-    flat = search.flat
+    flat_grid = search.flat
     rooms = room_map.rooms
     openings = dict(enumerate(_find_openings(search, room_map.number)))
     # id of a room -> its number, from 1; 0 stands for the outside
-    room_numbers: dict[str | None, int] = {room.id: k for k, room in enumerate(rooms, 1)}
+    number_of_room: dict[str | None, int] = {
+        room.id: room_number for room_number, room in enumerate(rooms, 1)
+    }
     connections: list[tuple[tuple[int, int], RoomWay]] = []  # (numbers of the rooms, connection)
 
     def add_connection(
-        numbers: tuple[int, int],
+        room_numbers: tuple[int, int],
         kind: str,
         width: float,
         position: Iterable[float],
@@ -407,12 +411,12 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
         passable: bool = True,
     ) -> None:
         x, y, z = map(rounded, position)
-        ids = [rooms[number - 1].id if number else OUTSIDE for number in numbers]
+        room_ids = [rooms[number - 1].id if number else OUTSIDE for number in room_numbers]
         length = sum(
-            math.dist(rooms[number - 1].centroid, (x, y, z)) for number in numbers if number
+            math.dist(rooms[number - 1].centroid, (x, y, z)) for number in room_numbers if number
         )
         connection = RoomWay(
-            rooms=(ids[0], ids[1]),
+            rooms=(room_ids[0], room_ids[1]),
             kind=kind,
             door=door.id if door else None,
             state=door.state if door else None,
@@ -421,15 +425,17 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
             position=(x, y, z),
             length=round(length, 6),
         )
-        connections.append((numbers, connection))
+        connections.append((room_numbers, connection))
 
     for door in grid.doors:
-        door_rooms = sorted(room_numbers.get(room, 0) for room in door.rooms)
-        leaf_ends = {level: find_leaf_ends(grid, door, level) for level in door.levels}
-        level = next((number for number, ends in leaf_ends.items() if ends is not None), None)
+        door_rooms = sorted(number_of_room.get(room, 0) for room in door.rooms)
+        leaf_ends_of_level = {level: find_leaf_ends(grid, door, level) for level in door.levels}
+        level = next(
+            (number for number, ends in leaf_ends_of_level.items() if ends is not None), None
+        )
         if level is None or len(door_rooms) != 2 or door_rooms[0] == door_rooms[1]:
             continue  # the door has no line, or joins no two rooms
-        leaf = np.array(leaf_ends[level])
+        leaf_ends = np.array(leaf_ends_of_level[level])
         joined_rooms = (door_rooms[0], door_rooms[1])
         # the openings that the door closes
         opening_numbers = [
@@ -437,18 +443,19 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
             for number, opening in openings.items()
             if opening.kind == "open"
             and opening.rooms == joined_rooms
-            and int(flat.level_of(opening.cells[0])) == level
-            and _find_distance(leaf, flat.positions(opening.cells)[:, :2]) <= MAX_DOOR_DISTANCE
+            and int(flat_grid.level_of(opening.cells[0])) == level
+            and _find_distance(leaf_ends, flat_grid.positions(opening.cells)[:, :2])
+            <= MAX_DOOR_DISTANCE
         ]
         for number in opening_numbers:
             del openings[number]
-        x, y = leaf.mean(axis=0)
+        x, y = leaf_ends.mean(axis=0)
         cell = grid.cell_at((x, y), level)
         z = grid.levels[level].ground if cell is None else float(grid.position_of(cell)[2])
         add_connection(
             joined_rooms,
             kind="door",
-            width=float(np.linalg.norm(leaf[1] - leaf[0])),
+            width=float(np.linalg.norm(leaf_ends[1] - leaf_ends[0])),
             position=(x, y, z),
             door=door,
             passable=bool(opening_numbers),
@@ -478,40 +485,40 @@ def _find_openings(search: Search, room_of_cell: Int32) -> Iterator[_Opening]:
     """
     from navbake.runtime.grid_arrays import EAST, SOUTH  # numba loads slowly
 
-    flat = search.flat
+    flat_grid = search.flat
     moves = search.graph.moves
     all_steps: list[_RoomSteps] = []
-    for level in range(flat.num_levels):
-        level_cells = flat.cells_of(level)
+    for level in range(flat_grid.num_levels):
+        level_cells = flat_grid.cells_of(level)
         first_cell = level_cells.start
-        width = int(flat.layout.width[level])
+        width = int(flat_grid.layout.width[level])
         ends: list[Int] = []
         corners: list[Int] = []
         # a cell's east side runs from its upper right corner down to the lower right one, its south
         # side from the lower left corner to the lower right one
-        for move, step, first_corner in ((EAST, 1, (0, 1)), (SOUTH, width, (1, 0))):
-            cells = first_cell + np.flatnonzero(moves[level_cells] & move)
+        for move_bit, id_offset, first_corner in ((EAST, 1, (0, 1)), (SOUTH, width, (1, 0))):
+            cells = first_cell + np.flatnonzero(moves[level_cells] & move_bit)
             room = room_of_cell[cells]
-            next_room = room_of_cell[cells + step]
+            next_room = room_of_cell[cells + id_offset]
             cells = cells[(room != next_room) & (room > 0) & (next_room > 0)]
             row, col = np.divmod(cells - first_cell, width)
-            ends.append(np.stack([cells, cells + step]))
+            ends.append(np.stack([cells, cells + id_offset]))
             down, right = first_corner
             corners.append(np.array([[row + down, col + right], [row + 1, col + 1]]))
         all_steps.append(
             _RoomSteps("open", np.concatenate(ends, axis=-1), np.concatenate(corners, axis=-1))
         )
 
-    link_ends = np.stack(flat.step_ends())
-    level_of_end, row, col = flat.to_cells(link_ends)
+    link_ends = np.stack(flat_grid.step_ends())
+    level_of_end, row, col = flat_grid.to_cells(link_ends)
     is_neighbor = level_of_end[0] == level_of_end[1]
     is_neighbor &= np.abs(row[0] - row[1]) + np.abs(col[0] - col[1]) == 1
     source_room, target_room = room_of_cell[link_ends]
     # each step exists in both directions, of which one is enough
-    joins_rooms = flat.free[link_ends].all(axis=0) & ~is_neighbor
+    joins_rooms = flat_grid.free[link_ends].all(axis=0) & ~is_neighbor
     joins_rooms &= (source_room > 0) & (source_room < target_room)
     # stack the rows of all levels, so that corners of different levels differ
-    row_stride = int(flat.layout.height.max()) + 1
+    row_stride = int(flat_grid.layout.height.max()) + 1
     stacked_row = (row + level_of_end * row_stride)[0, joins_rooms]
     source_col = col[0, joins_rooms]
     link_corners = np.array(
@@ -524,23 +531,23 @@ def _find_openings(search: Search, room_of_cell: Int32) -> Iterator[_Opening]:
 
     for steps in all_steps:
         room_pairs = np.sort(room_of_cell[steps.ends], axis=0).astype(np.int64)
-        for group in _group_connected(room_pairs, steps.corners):
-            extents = np.ptp(steps.corners[:, :, group], axis=(0, 2))
+        for step_indices in _group_connected(room_pairs, steps.corners):
+            extents = np.ptp(steps.corners[:, :, step_indices], axis=(0, 2))
             num_rows, num_cols = extents.tolist()
-            group_level = flat.level_of(steps.ends[0, group[0]])
-            cell_size = float(flat.layout.cell_size[group_level])
+            group_level = flat_grid.level_of(steps.ends[0, step_indices[0]])
+            cell_size = float(flat_grid.layout.cell_size[group_level])
             if steps.kind == "open":
                 opening_width = math.hypot(num_rows * cell_size, num_cols * cell_size)
             else:
                 opening_width = max(num_rows, num_cols) * cell_size
-            group_ends = steps.ends[:, group]
-            lower_room, higher_room = room_pairs[:, group[0]].tolist()
+            group_ends = steps.ends[:, step_indices]
+            lower_room, higher_room = room_pairs[:, step_indices[0]].tolist()
             yield _Opening(
                 rooms=(lower_room, higher_room),
                 kind=steps.kind,
                 cells=np.unique(group_ends),
                 width=opening_width,
-                position=flat.positions(group_ends).mean(axis=(0, 1)),
+                position=flat_grid.positions(group_ends).mean(axis=(0, 1)),
             )
 
 
@@ -574,12 +581,14 @@ def _group_connected(room_pairs: Int, corners: Int) -> Iterator[Int]:
     yield from np.split(sort_indices, np.flatnonzero(np.diff(component[sort_indices])) + 1)
 
 
-def _find_distance(line: Float, points: Float) -> float:
+def _find_distance(segment: Float, positions: Float) -> float:
     """Return the distance from the nearest of some points to a line segment [m]."""
-    start = line[0]
-    extent = line[1] - line[0]
-    fractions = np.clip((points - start) @ extent / max(float(extent @ extent), 1e-300), 0.0, 1.0)
-    return float(np.linalg.norm(points - start - fractions[:, None] * extent, axis=1).min())
+    start = segment[0]
+    extent = segment[1] - segment[0]
+    fractions = np.clip(
+        (positions - start) @ extent / max(float(extent @ extent), 1e-300), 0.0, 1.0
+    )
+    return float(np.linalg.norm(positions - start - fractions[:, None] * extent, axis=1).min())
 
 
 def encode_graphml(grid: NavGrid, path: Path) -> Files:
@@ -623,11 +632,11 @@ def _number_edges(graph: networkx.MultiGraph[Any]) -> networkx.MultiGraph[Any]:
 
     In files, the keys of edges are their ids.
     """
-    numbered = graph.__class__()
-    numbered.add_nodes_from(graph.nodes(data=True))
-    for number, (first, second, attributes) in enumerate(graph.edges(data=True)):
-        numbered.add_edge(first, second, key=number, **attributes)
-    return numbered
+    numbered_graph = graph.__class__()
+    numbered_graph.add_nodes_from(graph.nodes(data=True))
+    for number, (first_node, second_node, attributes) in enumerate(graph.edges(data=True)):
+        numbered_graph.add_edge(first_node, second_node, key=number, **attributes)
+    return numbered_graph
 
 
 def encode_networkx(graph: networkx.Graph[Any], *, as_gml: bool = False) -> bytes:
@@ -649,8 +658,8 @@ def encode_networkx(graph: networkx.Graph[Any], *, as_gml: bool = False) -> byte
     node_attributes = [attributes for _, attributes in clean_graph.nodes(data=True)]
     edge_attributes = [attributes for _, _, attributes in clean_graph.edges(data=True)]
     for attributes in (clean_graph.graph, *node_attributes, *edge_attributes):
-        replaced = {key: replace_characters(value) for key, value in attributes.items()}
-        attributes.update(replaced)
+        clean_attributes = {key: replace_characters(value) for key, value in attributes.items()}
+        attributes.update(clean_attributes)
     file = io.BytesIO()
     if as_gml:
         networkx_module.write_gml(clean_graph, file)

@@ -54,8 +54,8 @@ def encode_grscenes(grid: NavGrid, path: Path, *, level: int | None = None) -> F
         FormatError: there is no such level, or the path has another ending.
     """
     files: Files = {}
-    for number, level_path in list_level_paths(grid, path, level, (".npy",)).items():
-        grid_level = grid.levels[number]
+    for level_number, level_path in list_level_paths(grid, path, level, (".npy",)).items():
+        grid_level = grid.levels[level_number]
         values = np.zeros((grid_level.height + 1, grid_level.width + 1))
         values[0, 1:] = grid_level.lattice.center_x()
         values[1:, 0] = grid_level.lattice.center_y()

@@ -1,4 +1,4 @@
-"""Which levels of a grid a file format writes, and the path of each level's file."""
+"""Selects the levels of a grid that are written to files, and names the file of each level."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def select_levels(
 
 
 def check_written_level(grid: NavGrid, level: int) -> None:
-    """Raise a FormatError for the number of a level that the grid doesn't have.
+    """Check that a grid has a level.
 
     Args:
         grid: the grid.
@@ -74,7 +74,10 @@ def list_level_paths(
     Raises:
         FormatError: the path has none of these endings, or the grid has no such level.
     """
-    numbers = select_levels(grid, path, level, endings)
-    if len(numbers) == 1:
-        return {numbers[0]: path}
-    return {number: path.with_name(f"{path.stem}_{number}{path.suffix}") for number in numbers}
+    level_numbers = select_levels(grid, path, level, endings)
+    if len(level_numbers) == 1:
+        return {level_numbers[0]: path}
+    return {
+        level_number: path.with_name(f"{path.stem}_{level_number}{path.suffix}")
+        for level_number in level_numbers
+    }

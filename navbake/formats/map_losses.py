@@ -1,4 +1,4 @@
-"""Finds free cells that a map must show as occupied, and describes what a map can't hold of a grid.
+"""Finds free cells that a map must show as occupied, and describes the losses of writing a map.
 
 A map without heights shows a stair as flat floor, and a planner of wheeled robots would plan up the
 stair. So navbake writes the stair's cells as occupied, unless its user wants them free. A map
@@ -57,11 +57,11 @@ class ClosedCells(NamedTuple):
     stair_masks: list[Bool]
     barred_masks: list[Bool]
 
-    def masks(self) -> list[Bool]:
+    def join_masks(self) -> list[Bool]:
         """Return the closed cells of each level, shape (height, width), bool."""
         return [
-            stairs | barred
-            for stairs, barred in zip(self.stair_masks, self.barred_masks, strict=True)
+            stair_mask | barred_mask
+            for stair_mask, barred_mask in zip(self.stair_masks, self.barred_masks, strict=True)
         ]
 
 
@@ -80,7 +80,7 @@ def find_closed_cells(
             ``free`` to close none. None means ``occupied``.
         agent: the agent that the map is for: its name in the grid, or the agent itself. None means
             any: only areas that bar all agents are closed.
-        closes_areas: whether the cells of areas that bar the agent are found, too.
+        closes_areas: whether to close the cells of areas that bar the agent, too.
 
     Returns:
         The cells.
@@ -94,22 +94,22 @@ def find_closed_cells(
     if stairs is not None:
         check_choice(stairs, STAIRS_CHOICES, "stairs", FormatError)
     map_agent = find_agent(grid, agent)
-    no_cells = [np.zeros(level.shape, dtype=bool) for level in grid.levels]
-    stair_cells = no_cells
+    empty_masks = [np.zeros(level.shape, dtype=bool) for level in grid.levels]
+    stair_masks = empty_masks
     if stairs != "free":
-        stair_cells = [find_stair_cells(grid, number) for number in range(len(grid.levels))]
-    barred_cells = no_cells
-    is_barred = [area.bars(map_agent) for area in grid.areas]
-    if closes_areas and any(is_barred):
-        is_barred_cell = values_by_area(grid, is_barred, False)
-        level_ends = np.cumsum([level.width * level.height for level in grid.levels])
-        barred_cells = [
-            cells.reshape(level.shape) & level.free
-            for cells, level in zip(
-                np.split(is_barred_cell, level_ends[:-1]), grid.levels, strict=True
+        stair_masks = [find_stair_cells(grid, number) for number in range(len(grid.levels))]
+    barred_masks = empty_masks
+    is_barred_area = [area.bars(map_agent) for area in grid.areas]
+    if closes_areas and any(is_barred_area):
+        is_barred_cell = values_by_area(grid, is_barred_area, False)
+        level_stops = np.cumsum([level.width * level.height for level in grid.levels])
+        barred_masks = [
+            is_barred_on_level.reshape(level.shape) & level.free
+            for is_barred_on_level, level in zip(
+                np.split(is_barred_cell, level_stops[:-1]), grid.levels, strict=True
             )
         ]
-    return ClosedCells(stair_cells, barred_cells)
+    return ClosedCells(stair_masks, barred_masks)
 
 
 def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
@@ -123,7 +123,7 @@ def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
     outdoors counts for a quarter of its size, so that the floor of the rooms is taken except in
     small buildings. A cell is ground if its floor is within a step (the grid's
     `traversableFloorHeight`) of the ground height. A robot reaches the ground, and all that smooth
-    floor joins to it, such as a ramp and the floor at its top. All other free cells are found:
+    floor joins to it, such as a ramp and the floor at its top. All other free cells are returned:
     stairs, landings, platforms, and floors below a ledge.
 
     A part of the level that no free cells connect with the ground gets a ground height of its own,
@@ -134,7 +134,7 @@ def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
         level_number: the level's number.
 
     Returns:
-        Mask of the found cells, shape (height, width), bool; all False if the grid has no floor
+        Mask of these cells, shape (height, width), bool; all False if the grid has no floor
         heights.
     """
     level = grid.levels[level_number]
@@ -146,7 +146,7 @@ def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
         return is_closed
     max_step = step_limit(grid) * grid.unit
     num_cells = level.width * level.height
-    smooth_parts = label_islands(  # the largest is number 1
+    smooth_part_of_cell = label_islands(  # the largest is number 1
         first_cells=np.array([0, num_cells]),
         widths=np.array([level.width]),
         free=has_floor.ravel(),
@@ -162,35 +162,41 @@ def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
         room.index for room in grid.rooms if room.level == level_number and room.outdoors
     ]
     is_outdoors = np.isin(level.room_index, outdoor_rooms)
-    part_sizes = np.bincount(smooth_parts[has_floor])
-    sizes_in_rooms = np.bincount(smooth_parts[has_floor & ~is_outdoors], minlength=len(part_sizes))
-    is_ground_part = has_floor & (smooth_parts == 1)
-    if sizes_in_rooms.max() * OUTDOORS_FACTOR >= part_sizes.max():
-        is_ground_part = has_floor & ~is_outdoors & (smooth_parts == sizes_in_rooms.argmax())
-    ground_height = find_commonest_height(floor[is_ground_part])
+    part_sizes = np.bincount(smooth_part_of_cell[has_floor])
+    indoor_part_sizes = np.bincount(
+        smooth_part_of_cell[has_floor & ~is_outdoors], minlength=len(part_sizes)
+    )
+    is_in_ground_part = has_floor & (smooth_part_of_cell == 1)
+    if indoor_part_sizes.max() * OUTDOORS_FACTOR >= part_sizes.max():
+        is_in_ground_part = (
+            has_floor & ~is_outdoors & (smooth_part_of_cell == indoor_part_sizes.argmax())
+        )
+    ground_height = find_commonest_height(floor[is_in_ground_part])
     is_ground = is_free & ~(np.abs(floor - ground_height) > max_step)
     if not (is_free & ~is_ground).any():
         return is_closed
 
-    regions, num_regions = ndimage.label(is_free, structure=np.ones((3, 3)))
-    has_step_from_elsewhere = np.zeros(num_regions + 1, dtype=bool)
-    regions_by_cell = regions.ravel()
+    region_of_cell, num_regions = ndimage.label(is_free, structure=np.ones((3, 3)))
+    has_step_from_other_level = np.zeros(num_regions + 1, dtype=bool)
+    flat_region_of_cell = region_of_cell.ravel()
     for first_level, first_cell, second_level, second_cell in grid.step_array:
         if first_level != second_level:
             if first_level == level_number:
-                has_step_from_elsewhere[regions_by_cell[first_cell]] = True
+                has_step_from_other_level[flat_region_of_cell[first_cell]] = True
             if second_level == level_number:
-                has_step_from_elsewhere[regions_by_cell[second_cell]] = True
+                has_step_from_other_level[flat_region_of_cell[second_cell]] = True
     has_ground = np.zeros(num_regions + 1, dtype=bool)
-    has_ground[regions[is_ground]] = True
-    for region in np.flatnonzero(~has_ground & ~has_step_from_elsewhere)[1:].tolist():
-        is_in_region = regions == region
-        largest_part = smooth_parts[is_in_region].min()
-        height = find_commonest_height(floor[is_in_region & (smooth_parts == largest_part)])
-        is_ground |= is_in_region & ~(np.abs(floor - height) > max_step)
-    is_reached = np.zeros(int(smooth_parts.max()) + 1, dtype=bool)
-    is_reached[smooth_parts[is_ground]] = True
-    is_closed[is_free] = ~is_reached[smooth_parts[is_free]]
+    has_ground[region_of_cell[is_ground]] = True
+    for region in np.flatnonzero(~has_ground & ~has_step_from_other_level)[1:].tolist():
+        is_in_region = region_of_cell == region
+        largest_part = smooth_part_of_cell[is_in_region].min()
+        region_height = find_commonest_height(
+            floor[is_in_region & (smooth_part_of_cell == largest_part)]
+        )
+        is_ground |= is_in_region & ~(np.abs(floor - region_height) > max_step)
+    is_reached_part = np.zeros(int(smooth_part_of_cell.max()) + 1, dtype=bool)
+    is_reached_part[smooth_part_of_cell[is_ground]] = True
+    is_closed[is_free] = ~is_reached_part[smooth_part_of_cell[is_free]]
     return is_closed
 
 
@@ -205,9 +211,9 @@ def find_commonest_height(floor: Float) -> float:
     Returns:
         The mean of the heights that round to the commonest one [m].
     """
-    bins = np.round(floor / HEIGHT_BIN)
-    heights, counts = np.unique(bins, return_counts=True)
-    return float(floor[bins == heights[counts.argmax()]].mean())
+    height_bins = np.round(floor / HEIGHT_BIN)
+    unique_bins, bin_counts = np.unique(height_bins, return_counts=True)
+    return float(floor[height_bins == unique_bins[bin_counts.argmax()]].mean())
 
 
 def _find_slope_rise(grid: NavGrid, level: SceneGrid2D) -> float:
@@ -246,13 +252,13 @@ def _find_ramp_steps(floor: Float, slope_rise: float, cell_size: float) -> Int:
     num_rises = math.floor(LEAST_TREAD / (LEAST_TREAD - cell_size)) + 1
     cells = np.arange(floor.size).reshape(floor.shape)
     step_lists = [no_steps]
-    for heights, ids in ((floor, cells), (floor.T, cells.T)):
+    for heights, cell_ids in ((floor, cells), (floor.T, cells.T)):
         rises = np.diff(heights, axis=1)
         if rises.shape[1] < num_rises:
             continue
-        windows = sliding_window_view(rises, num_rises, axis=1)
-        lowest_rise = windows.min(axis=2)  # NaN where a cell has no floor
-        highest_rise = windows.max(axis=2)
+        rise_windows = sliding_window_view(rises, num_rises, axis=1)
+        lowest_rise = rise_windows.min(axis=2)  # NaN where a cell has no floor
+        highest_rise = rise_windows.max(axis=2)
         for sign, least_rise, most_rise in (
             (1.0, lowest_rise, highest_rise),
             (-1.0, -highest_rise, -lowest_rise),
@@ -268,21 +274,23 @@ def _find_ramp_steps(floor: Float, slope_rise: float, cell_size: float) -> Int:
             )
             largest_rise = sliding_window_view(window_rise, num_rises + 2, axis=1).max(axis=2)
             is_ramp = (sign * rises > 0.0) & (sign * rises <= largest_rise)
-            step_lists.append(np.stack([ids[:, :-1][is_ramp], ids[:, 1:][is_ramp]], axis=1))
+            step_lists.append(
+                np.stack([cell_ids[:, :-1][is_ramp], cell_ids[:, 1:][is_ramp]], axis=1)
+            )
     return np.concatenate(step_lists)
 
 
-def close_cells(grid: NavGrid, masks: Sequence[Bool]) -> NavGrid:
+def close_cells(grid: NavGrid, closed_cell_masks: Sequence[Bool]) -> NavGrid:
     """Copy a grid, with some cells made occupied.
 
     Args:
         grid: the grid, which stays as it is.
-        masks: for each level, the cells to close, shape (height, width), bool.
+        closed_cell_masks: for each level, the cells to close, shape (height, width), bool.
     """
     levels = []
-    for level, mask in zip(grid.levels, masks, strict=True):
-        weights = np.where(mask, np.inf, level.weights)
-        occupancy = np.where(mask, np.uint8(1), level.occupancy)
+    for level, is_closed in zip(grid.levels, closed_cell_masks, strict=True):
+        weights = np.where(is_closed, np.inf, level.weights)
+        occupancy = np.where(is_closed, np.uint8(1), level.occupancy)
         attributes = {"occupancy": occupancy}
         if "floorHeight" not in level.attributes:
             attributes["floorHeight"] = level.floor_height.copy()
@@ -290,7 +298,7 @@ def close_cells(grid: NavGrid, masks: Sequence[Bool]) -> NavGrid:
     return grid.with_levels(levels)
 
 
-# ---------------------------------------------------------------- what is told
+# ---------------------------------------------------------------- losses
 
 
 def describe_losses(
@@ -318,10 +326,10 @@ def describe_losses(
     level_numbers = list(range(len(grid.levels))) if level is None else [level]
     phrases = []
     if "heights" in kinds:
-        floors = [grid.levels[k].floor[grid.levels[k].free] for k in level_numbers]
+        free_floors = [grid.levels[k].floor[grid.levels[k].free] for k in level_numbers]
         height_ranges = [
             f"{np.nanmin(floor):.2f} to {np.nanmax(floor):.2f} m"
-            for floor in floors
+            for floor in free_floors
             if not np.isnan(floor).all() and np.nanmax(floor) - np.nanmin(floor) > HEIGHT_BIN
         ]
         if height_ranges:
@@ -334,24 +342,23 @@ def describe_losses(
         )
     if "areas" in kinds:
         map_agent = find_agent(grid, agent)
-        barring_areas = [area.name for area in grid.areas if area.bars(map_agent)]
+        barring_area_names = [area.name for area in grid.areas if area.bars(map_agent)]
         barred_area = _measure_area(grid, closed_cells.barred_masks, level_numbers)
         if barred_area:
-            phrases.append(
-                f"barred areas ({_list_names(barring_areas)}: {barred_area:.2f} m² are occupied)"
-            )
-        other_areas = [
+            names_text = _list_names(barring_area_names)
+            phrases.append(f"barred areas ({names_text}: {barred_area:.2f} m² are occupied)")
+        other_area_names = [
             area.name
             for area in grid.areas
-            if (area.name not in barring_areas or not barred_area)
+            if (area.name not in barring_area_names or not barred_area)
             and (area.cost != 1.0 or area.speed is not None or area.agents is not None)
         ]
-        if other_areas:
-            phrases.append(f"costs, speeds and agents of areas ({_list_names(other_areas)})")
+        if other_area_names:
+            phrases.append(f"costs, speeds and agents of areas ({_list_names(other_area_names)})")
     if "steps" in kinds:
         is_between_levels = grid.step_array[:, 0] != grid.step_array[:, 2]
-        is_written = np.isin(grid.step_array[:, ::2], level_numbers).any(axis=1)
-        num_steps = int(np.count_nonzero(is_between_levels & is_written))
+        is_on_written_level = np.isin(grid.step_array[:, ::2], level_numbers).any(axis=1)
+        num_steps = int(np.count_nonzero(is_between_levels & is_on_written_level))
         if num_steps:
             phrases.append(f"steps between levels ({num_steps})")
     if "links" in kinds and grid.links:
@@ -373,6 +380,6 @@ def _measure_area(grid: NavGrid, masks: Sequence[Bool], level_numbers: Collectio
 
 def _list_names(names: Sequence[str]) -> str:
     """List some names, and how many more there are."""
-    first_names = ", ".join(names[:MAX_NAMES])
-    num_more = len(names) - MAX_NAMES
-    return f"{first_names} and {num_more} more" if num_more > 0 else first_names
+    listed_names = ", ".join(names[:MAX_NAMES])
+    num_unlisted = len(names) - MAX_NAMES
+    return f"{listed_names} and {num_unlisted} more" if num_unlisted > 0 else listed_names

@@ -89,21 +89,21 @@ def encode_mcap(
         MissingDependencyError: mcap-ros2-support is not installed.
     """
     mcap_writer = import_extra("mcap_ros2.writer", "mcap", "MCAP")
-    numbers = select_levels(grid, path, level, (".mcap",))
+    level_numbers = select_levels(grid, path, level, (".mcap",))
     if any(planned_path is None for planned_path in route):
         raise FormatError("expected paths as `route`, got None: there is no path")
     file = io.BytesIO()
     schemas = dict[str, Any]()
     with mcap_writer.Writer(file) as writer:
 
-        def write(topic: str, message_type: str, message: Json) -> None:
+        def write_message(topic: str, message_type: str, message: Json) -> None:
             if message_type not in schemas:
                 name = message_type.replace("/", "/msg/")
                 schemas[message_type] = writer.register_msgdef(name, define_message(message_type))
             writer.write_message(topic, schemas[message_type], message, log_time=0, publish_time=0)
 
-        for number in numbers:
-            grid_level = grid.levels[number]
+        for level_number in level_numbers:
+            grid_level = grid.levels[level_number]
             x_min, y_min, _, _ = grid_level.lattice.bounds
             map_info = {
                 "resolution": grid_level.lattice.cell_size,
@@ -111,22 +111,25 @@ def encode_mcap(
                 "width": grid_level.width,
                 "height": grid_level.height,
             }
-            values = compute_occupancy_values(grid, number)[::-1]  # a message begins at the bottom
+            # a message begins at the bottom
+            values = compute_occupancy_values(grid, level_number)[::-1]
             message = {"header": MAP_FRAME, "info": map_info, "data": values.ravel().tolist()}
-            topic = "/map" if len(numbers) == 1 else f"/map_{number}"
-            write(topic, "nav_msgs/OccupancyGrid", message)
-        for number, planned_path in enumerate(route):
+            topic = "/map" if len(level_numbers) == 1 else f"/map_{level_number}"
+            write_message(topic, "nav_msgs/OccupancyGrid", message)
+        for path_number, planned_path in enumerate(route):
             poses = [
                 {"header": MAP_FRAME, "pose": _make_pose(position, heading)}
                 for position, heading in zip(
                     planned_path.positions, find_headings(planned_path.positions), strict=True
                 )
             ]
-            write(f"/path_{number}", "nav_msgs/Path", {"header": MAP_FRAME, "poses": poses})
-        if len(numbers) == len(grid.levels):
+            write_message(
+                f"/path_{path_number}", "nav_msgs/Path", {"header": MAP_FRAME, "poses": poses}
+            )
+        if len(level_numbers) == len(grid.levels):
             markers = list(_make_markers(grid))
             if markers:
-                write("/links", "visualization_msgs/MarkerArray", {"markers": markers})
+                write_message("/links", "visualization_msgs/MarkerArray", {"markers": markers})
     return {path: file.getvalue()}
 
 
@@ -140,19 +143,19 @@ def _make_markers(grid: NavGrid) -> Iterator[Json]:
     width = np.array([grid_level.width for grid_level in grid.levels])[level]
     row, col = np.divmod(cell, width)
     step_ends = grid.position_of((level, row, col))
-    namespaced_lines: list[
+    lines_of_namespaces: list[
         tuple[str, list[Sequence[float]]]
     ] = []  # (namespace, both ends of each line)
     if len(step_ends):
-        namespaced_lines.append(("links", list(step_ends)))
+        lines_of_namespaces.append(("links", list(step_ends)))
     for link in grid.links:
-        stops = [stop.position for stop in link.stops]
-        namespaced_lines.append((link.name, list(chain.from_iterable(pairwise(stops)))))
-    for number, (namespace, points) in enumerate(namespaced_lines):
+        stop_positions = [stop.position for stop in link.stops]
+        lines_of_namespaces.append((link.name, list(chain.from_iterable(pairwise(stop_positions)))))
+    for marker_id, (namespace, points) in enumerate(lines_of_namespaces):
         yield {
             "header": MAP_FRAME,
             "ns": namespace,
-            "id": number,
+            "id": marker_id,
             "type": LINE_LIST,
             "pose": {"orientation": NO_ROTATION},
             "scale": {"x": LINE_WIDTH},
@@ -185,7 +188,7 @@ def find_headings(positions: Float) -> list[float]:
         n angles about z, from x [rad].
     """
     headings: list[float] = []
-    num_pending = 0  # points so far that have the heading of the next step that leads elsewhere
+    num_pending = 0  # points that wait for the heading of the next horizontal step
     for start, end in pairwise(positions[:, :2].tolist()):
         num_pending += 1
         if start != end:

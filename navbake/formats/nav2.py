@@ -37,7 +37,7 @@ from navbake.formats.navgrid import check_grid
 from navbake.formats.source import (
     Files,
     Pixels,
-    check_named,
+    check_name_encoding,
     check_path,
     encode_image,
     read_pixels,
@@ -98,7 +98,7 @@ def encode_nav2(
     image: str | None = None,
     inflation: float | None = None,
     scaling: float | None = None,
-    closed_masks: Sequence[Bool] | None = None,
+    closed_cell_masks: Sequence[Bool] | None = None,
 ) -> Files:
     """Encode the maps of a grid: for each level an image, and a YAML that names it.
 
@@ -117,9 +117,9 @@ def encode_nav2(
             costs by nav2's formula; not in mode ``trinary``. With it, `radius` is the radius of the
             grid's agent by default.
         scaling: nav2's ``cost_scaling_factor`` [1/m]; 10 if None.
-        closed_masks: for each level, the free cells that the map must show as occupied (stairs, and
-            areas that bar the robot, see `navbake.formats.map_losses.ClosedCells`), shape (height,
-            width), bool. They are not inflated. None for no such cells.
+        closed_cell_masks: for each level, the free cells that the map must show as occupied
+            (stairs, and areas that bar the robot, see `navbake.formats.map_losses.ClosedCells`),
+            shape (height, width), bool. They are not inflated. None for no such cells.
 
     Returns:
         The content of each file by its path.
@@ -151,8 +151,8 @@ def encode_nav2(
             values = occupancy.compute_costmap_values(
                 grid, level_number, robot_radius, inflation, scaling
             )
-        if closed_masks is not None:
-            values[closed_masks[level_number]] = occupancy.OCCUPIED
+        if closed_cell_masks is not None:
+            values[closed_cell_masks[level_number]] = occupancy.OCCUPIED
         files |= encode_map(grid.levels[level_number], values, yaml_path, mode, image)
     return files
 
@@ -186,7 +186,7 @@ def encode_map(
         opacity = np.where(is_unknown, 0, 255)
         pixels = np.stack([grey, grey, grey, opacity], axis=-1)
     image_path = path.with_suffix(f".{image}")
-    check_named(image_path)
+    check_name_encoding(image_path)
     x_min, y_min, _, _ = level.lattice.bounds
     occupied_threshold = OCCUPIED_THRESHOLD
     free_threshold = FREE_THRESHOLD
@@ -241,12 +241,12 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
         >>> path = navbake.PathFinder(grid).find_path((-4, 2, 0), (4, -3, 0))
     """
     values, lattice, map_yaml = read_map(path, rules)
-    content = {
+    yaml_content = {
         **map_yaml._asdict(),
         "image": map_yaml.image.name,
         "origin": list(map_yaml.origin),
     }
-    metadata = {"sceneId": readable_stem(path), "nav2": content}
+    metadata = {"sceneId": readable_stem(path), "nav2": yaml_content}
     level = occupancy.level_from_values(values, lattice, map_yaml.ground, metadata)
     check_grid(level, JsonPath(check_path(path)))
     return level
@@ -316,21 +316,22 @@ def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
         return float(check_number(entries.get(key, ABSENT), place[key]))
 
     resolution = read_float("resolution")
-    occupied = read_float("occupied_thresh")
-    free = read_float("free_thresh")
+    occupied_threshold = read_float("occupied_thresh")
+    free_threshold = read_float("free_thresh")
     if not LEAST_EDGE <= resolution <= MAX_COORDINATE:
         place["resolution"].refuse("a number > 0 [m]", resolution)
-    if not 0 <= free < occupied <= 1:
+    if not 0 <= free_threshold < occupied_threshold <= 1:
         place["free_thresh"].fail(
-            f"expected 0 <= free_thresh < occupied_thresh <= 1, got {free:g} and {occupied:g}"
+            "expected 0 <= free_thresh < occupied_thresh <= 1, "
+            f"got {free_threshold:g} and {occupied_threshold:g}"
         )
     mode = entries.get("mode", "trinary")
     if mode not in MODES:
         place["mode"].refuse(" or ".join(MODES), mode)
     negate = entries.get("negate", ABSENT)
     if isinstance(negate, str):  # YAML's words for true and false, as yaml-cpp takes them
-        words = {"yes": 1, "on": 1, "y": 1, "no": 0, "off": 0, "n": 0}
-        negate = words.get(negate.lower(), negate)
+        number_of_word = {"yes": 1, "on": 1, "y": 1, "no": 0, "off": 0, "n": 0}
+        negate = number_of_word.get(negate.lower(), negate)
     if not isinstance(negate, int):
         place["negate"].refuse("0 or 1", negate)
     origin = check_vector(entries.get("origin", ABSENT), place["origin"])
@@ -345,8 +346,8 @@ def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
         origin=origin,
         mode=mode,
         negate=bool(negate),
-        occupied=occupied,
-        free=free,
+        occupied=occupied_threshold,
+        free=free_threshold,
         ground=ground,
     )
 
@@ -364,42 +365,48 @@ def read_pixel_values(
     Returns:
         The values, shape (height, width), int8, row 0 at the top.
     """
-    light = pixels.channel_sum
-    max_light = 3 * pixels.max_channel
+    brightness = pixels.channel_sum
+    max_brightness = 3 * pixels.max_channel
     opacity = pixels.opacity
-    is_main = rules == "main"
+    follows_main = rules == "main"
     # nav2 computes in float or in double
-    float_type: type[np.floating[Any]] = np.float32 if is_main else np.float64
-    if is_main:
-        light = pixels.luma
-        max_light = 255
+    float_type: type[np.floating[Any]] = np.float32 if follows_main else np.float64
+    if follows_main:
+        brightness = pixels.luma
+        max_brightness = 255
     elif map_yaml.mode == "trinary" and opacity is not None:
-        light = light + opacity
-        max_light = 4 * pixels.max_channel
+        brightness = brightness + opacity
+        max_brightness = 4 * pixels.max_channel
 
     # make a table first: there are few different greys, or sums of channels
-    shade = np.arange(max_light + 1, dtype=float_type) / float_type(max_light)
-    darkness = shade if map_yaml.negate else 1 - shade
+    lightness = np.arange(max_brightness + 1, dtype=float_type) / float_type(max_brightness)
+    darkness = lightness if map_yaml.negate else 1 - lightness
     occupied_threshold = float_type(map_yaml.occupied)
     free_threshold = float_type(map_yaml.free)
     if map_yaml.mode == "raw":
-        raw_values = np.rint(shade * 255)
-        value_of_light = np.where(raw_values <= occupancy.OCCUPIED, raw_values, occupancy.UNKNOWN)
+        raw_values = np.rint(lightness * 255)
+        value_of_brightness = np.where(
+            raw_values <= occupancy.OCCUPIED, raw_values, occupancy.UNKNOWN
+        )
     else:
-        other_values: NDArray[Any] = np.full(max_light + 1, float(occupancy.UNKNOWN))
+        other_values: NDArray[Any] = np.full(max_brightness + 1, float(occupancy.UNKNOWN))
         if map_yaml.mode == "scale":
             percent = (
                 (darkness - free_threshold) / float_type(map_yaml.occupied - map_yaml.free) * 100
             )
-            other_values = np.floor(percent + float_type(0.5)) if is_main else np.rint(percent)
-        is_free = darkness <= free_threshold if is_main else darkness < free_threshold
-        is_occupied = occupied_threshold <= darkness if is_main else occupied_threshold < darkness
-        value_of_light = np.where(
+            other_values = np.floor(percent + float_type(0.5)) if follows_main else np.rint(percent)
+        is_free = darkness <= free_threshold if follows_main else darkness < free_threshold
+        is_occupied = (
+            occupied_threshold <= darkness if follows_main else occupied_threshold < darkness
+        )
+        value_of_brightness = np.where(
             is_free, occupancy.FREE, np.where(is_occupied, occupancy.OCCUPIED, other_values)
         )
-    values: occupancy.OccupancyValues = value_of_light.astype(np.int8)[light]
+    values: occupancy.OccupancyValues = value_of_brightness.astype(np.int8)[brightness]
 
-    hides_transparent = map_yaml.mode == "scale" or (is_main and map_yaml.mode == "trinary")
-    if opacity is not None and hides_transparent:
+    is_transparent_unknown = map_yaml.mode == "scale" or (
+        follows_main and map_yaml.mode == "trinary"
+    )
+    if opacity is not None and is_transparent_unknown:
         values[opacity != 255] = occupancy.UNKNOWN
     return values

@@ -70,7 +70,7 @@ class Zone(NamedTuple):
 
 
 class FilterScale(NamedTuple):
-    """How the values of a speed mask become speed limits: ``base + multiplier * value``.
+    """The scale of a speed mask: a value stands for the speed limit ``base + multiplier * value``.
 
     Attributes:
         type: nav2's number of the type of filter, such as `SPEED_PERCENT`.
@@ -142,24 +142,24 @@ def encode_mask(
         files |= encode_map(grid.levels[level_number], masks[level_number], yaml_path, "raw", image)
         filter_name = "speed" if is_speed_mask else "keepout"
         mask_topic = f"{filter_name}_filter_mask"
-        filter_info = {
+        filter_parameters = {
             "type": scale.type,
             "filter_info_topic": f"{filter_name}_filter_info",
             "mask_topic": mask_topic,
             "base": scale.base,
             "multiplier": scale.multiplier,
         }
-        map_server = {
+        map_server_parameters = {
             "yaml_filename": yaml_path.name,
             "topic_name": mask_topic,
             "frame_id": "map",
         }
         content = {
-            f"{filter_name}_costmap_filter_info_server": {"ros__parameters": filter_info},
-            f"{filter_name}_filter_mask_server": {"ros__parameters": map_server},
+            f"{filter_name}_costmap_filter_info_server": {"ros__parameters": filter_parameters},
+            f"{filter_name}_filter_mask_server": {"ros__parameters": map_server_parameters},
         }
-        text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-        files[_find_parameters_path(yaml_path)] = text.encode()
+        parameters_text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+        files[_find_parameters_path(yaml_path)] = parameters_text.encode()
     return files
 
 
@@ -171,7 +171,7 @@ def _mark_areas(
     grid: NavGrid, agent: Agent | None, is_speed_mask: bool, absolute: bool
 ) -> tuple[list[OccupancyValues], FilterScale]:
     """Make the mask of each level from the grid's areas; return the masks and their scale."""
-    area_values = np.zeros(len(grid.areas) + 1, dtype=np.int8)  # of each area; areas count from 1
+    value_of_area = np.zeros(len(grid.areas) + 1, dtype=np.int8)  # of each area; areas count from 1
     scale = FilterScale()
     if is_speed_mask:
         agent_speed = DEFAULT_SPEED if agent is None else agent.speed
@@ -184,11 +184,11 @@ def _mark_areas(
             scale = FilterScale(SPEED_ABSOLUTE, 0.0, limit_per_value)
     for area_number, area in enumerate(grid.areas, 1):
         if not is_speed_mask:
-            area_values[area_number] = OCCUPIED if area.bars(agent) else FREE
+            value_of_area[area_number] = OCCUPIED if area.bars(agent) else FREE
         elif area.speed is not None:
-            scaled_limit = math.floor(area.speed / limit_per_value * (1.0 + LIMIT_SLACK))
-            area_values[area_number] = min(scaled_limit, MAX_VALUE)
-            if not area_values[area_number]:
+            mask_value = math.floor(area.speed / limit_per_value * (1.0 + LIMIT_SLACK))
+            value_of_area[area_number] = min(mask_value, MAX_VALUE)
+            if not value_of_area[area_number]:
                 raise FormatError(
                     f"expected a speed of {limit_per_value:g} m/s or more, which a value of 1 "
                     f"stands for, got {area.speed:g} m/s in area {area.name!r}",
@@ -196,15 +196,19 @@ def _mark_areas(
                     value=area.speed,
                     expected=f"a speed of {limit_per_value:g} m/s or more",
                 )
-    if not area_values.any():
+    if not value_of_area.any():
         reason = "bars this agent" if agent else "bars all agents"
         if is_speed_mask:
             reason = "has a speed"
         raise FormatError(f"a mask needs zones or areas: no area of the grid {reason}")
-    costly_areas = [area.name for area in grid.areas if area.cost != 1.0 and not area.bars(agent)]
-    if costly_areas and not is_speed_mask:
-        LOG.warning("a keepout mask has no costs of areas: left out of %s", ", ".join(costly_areas))
-    return [area_values[level.area_index] for level in grid.levels], scale
+    costly_area_names = [
+        area.name for area in grid.areas if area.cost != 1.0 and not area.bars(agent)
+    ]
+    if costly_area_names and not is_speed_mask:
+        LOG.warning(
+            "a keepout mask has no costs of areas: left out of %s", ", ".join(costly_area_names)
+        )
+    return [value_of_area[level.area_index] for level in grid.levels], scale
 
 
 def _find_multiplier(speeds: Sequence[float]) -> float:
@@ -255,15 +259,16 @@ def _mark_zones(
                     expected=expected,
                 )
             mask_value = int(percent_text)
-        matches = [candidate for candidate in available_zones if name in candidate.names]
-        if not matches:
-            owner = "the grid" if zones_path is None else f"the grid or {zones_path}"
+        matching_zones = [candidate for candidate in available_zones if name in candidate.names]
+        if not matching_zones:
+            owner_text = "the grid" if zones_path is None else f"the grid or {zones_path}"
             zone_names = (candidate.names[-1] for candidate in available_zones)
-            hint = suggest(name, zone_names, MAX_LISTED, owner)
+            hint = suggest(name, zone_names, MAX_LISTED, owner_text)
             raise FormatError(
                 f"no room or polygon is called {name!r}: {hint}", key="zone", value=name, hint=hint
             )
-        marked_zones += [(match, mask_value) for match in matches]  # on all levels with that name
+        # on all levels with that name
+        marked_zones += [(matching_zone, mask_value) for matching_zone in matching_zones]
     if not marked_zones:
         raise FormatError("a mask needs zones: rooms by name, id or number, or polygons (GeoJSON)")
     masks: list[OccupancyValues] = [
@@ -271,10 +276,10 @@ def _mark_zones(
     ]
     # the least value is written last, so it counts where zones overlap
     for marked_zone, mask_value in sorted(marked_zones, key=lambda mark: -mark[1]):
-        cells = marked_zone.mask
-        if cells is None:
-            cells = grid.levels[marked_zone.level].room_index == marked_zone.room_index
-        masks[marked_zone.level][cells] = mask_value
+        is_marked = marked_zone.mask
+        if is_marked is None:
+            is_marked = grid.levels[marked_zone.level].room_index == marked_zone.room_index
+        masks[marked_zone.level][is_marked] = mask_value
     return masks
 
 
@@ -311,14 +316,14 @@ def _find_zones(
             )
         rings = [outline["points"], *outline["rings"]]
         lattice = grid.levels[level_number].lattice
-        touched = touch_cells(rings, lattice)
-        mask = cover_cells(rings, lattice) if is_speed_mask else touched
-        if not mask.any():
+        is_touched = touch_cells(rings, lattice)
+        is_in_zone = cover_cells(rings, lattice) if is_speed_mask else is_touched
+        if not is_in_zone.any():
             fault = f"lies outside of level {level_number}: it holds no cell"
-            if touched.any():
+            if is_touched.any():
                 fault = f"is thinner than a cell of level {level_number}: it holds no cell's centre"
             raise FormatError(f"{name!r} in {zones_path} {fault}", path=str(zones_path), value=name)
-        zones.append(Zone((name,), level_number, None, mask))
+        zones.append(Zone((name,), level_number, None, is_in_zone))
     return zones
 
 
@@ -358,9 +363,9 @@ def read_mask(
         FormatError: a file is broken, there is no such level, or there are too many areas.
         QueryError: the grid has no such agent.
     """
-    mask, mask_lattice, map_yaml = read_map(path)
+    mask_values, mask_lattice, map_yaml = read_map(path)
     if grid is None:
-        free_values = np.zeros_like(mask)
+        free_values = np.zeros_like(mask_values)
         level = 0
         metadata: Json = {"sceneId": readable_stem(path), "navbake": {}}
         grid = level_from_values(free_values, mask_lattice, map_yaml.ground, metadata)
@@ -373,7 +378,7 @@ def read_mask(
     is_inside = (rows >= 0) & (rows < mask_lattice.height)
     is_inside &= (cols >= 0) & (cols < mask_lattice.width)
     values = np.zeros(lattice.shape, dtype=np.int8)
-    values[is_inside] = mask[rows[is_inside], cols[is_inside]]
+    values[is_inside] = mask_values[rows[is_inside], cols[is_inside]]
 
     mask_agent = find_agent(grid, agent)
     agent_speed = DEFAULT_SPEED if mask_agent is None else mask_agent.speed
@@ -395,13 +400,13 @@ def read_mask(
             raise FormatError(message, path=str(path), expected=f"at most {MAX_AREAS} areas")
         area_index[values == mask_value] = len(areas)
 
-    tables = {"areas": [area.to_json() for area in areas]}
+    area_table = {"areas": [area.to_json() for area in areas]}
     levels = []
     for level_number, grid_level in enumerate(grid.levels):
-        metadata = {**grid_level.metadata, "navbake": {**grid_level.navbake, **tables}}
+        metadata = {**grid_level.metadata, "navbake": {**grid_level.navbake, **area_table}}
         attributes = {"area": area_index} if level_number == level else {}
         levels.append(grid_level.with_layers(attributes=attributes, metadata=metadata))
-    metadata = {**grid.metadata, "navbake": {**grid.navbake, **tables}}
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, **area_table}}
     marked_grid: NavGrid = grid.with_levels(levels, metadata)
     renew_islands(marked_grid)
     return marked_grid

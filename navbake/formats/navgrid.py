@@ -63,11 +63,11 @@ LOG = logging.getLogger("navbake.formats")
 ReadLayer: TypeAlias = Callable[[tuple[int, int], JsonPath], NDArray[Any]]
 """A function of a layer's shape and location that returns its array."""
 
-SCENE_FIELDS = (
+SCENE_GRID_FIELDS = (
     "type", "metadata", "weights", "userData", "tileAttributes", "width", "height", "cellSize",
     "min", "unit", "bbox", "timings",
 )  # fmt: skip
-MULTI_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "timings")
+MULTI_LEVEL_GRID_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "timings")
 # attributes of a grid that hold parsed tables of its metadata
 LINK_TABLES = ("step_array", "links")
 METADATA_TABLES = (*LINK_TABLES, "areas", "agents", "doors", "stated_rooms")
@@ -107,24 +107,28 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
         >>> grid.levels[0].shape
         (117, 126)
     """
-    text, num_bytes, top = read_navgrid_text(source)
-    content = _parse_file(text, top)
+    text, num_bytes, root_place = read_navgrid_text(source)
+    content = _parse_file(text, root_place)
     allowance = Allowance(num_bytes, "max_cells", max_cells)
     grid_type = content.get("type", ABSENT)
     if grid_type == "MultiLevelGrid":
-        return warn_of_newer(read_multi_level_grid(content, top, allowance), top)
+        return warn_of_newer_version(
+            read_multi_level_grid(content, root_place, allowance), root_place
+        )
     if grid_type != "SceneGrid2D":
-        top["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", grid_type)
-    return warn_of_newer(check_grid(read_level(content, top, allowance), top), top)
+        root_place["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", grid_type)
+    return warn_of_newer_version(
+        check_grid(read_level(content, root_place, allowance), root_place), root_place
+    )
 
 
-def _parse_file(content: bytes, top: JsonPath) -> Json:
+def _parse_file(content: bytes, root_place: JsonPath) -> Json:
     """Parse a file; in a long one, each level's ``userData`` stay text."""
     if len(content) >= SPLIT_BYTES:
         with suppress(msgspec.DecodeError, RecursionError, orjson.JSONDecodeError):
             fields = msgspec.json.decode(content, type=dict[str, msgspec.Raw])
-            kind = orjson.loads(memoryview(fields.get("type", b"null")))
-            if kind != "MultiLevelGrid" or "grids" not in fields:
+            grid_type = orjson.loads(memoryview(fields.get("type", b"null")))
+            if grid_type != "MultiLevelGrid" or "grids" not in fields:
                 return _parse_level(fields)
             levels = msgspec.json.decode(fields["grids"], type=list[dict[str, msgspec.Raw]])
             other_fields = {
@@ -133,27 +137,27 @@ def _parse_file(content: bytes, top: JsonPath) -> Json:
                 if key != "grids"
             }
             return {**other_fields, "grids": [_parse_level(level) for level in levels]}
-    return check_object(parse_json(content, top), top)  # names the line of the fault
+    return check_object(parse_json(content, root_place), root_place)  # names the line of the fault
 
 
 def _parse_level(fields: dict[str, msgspec.Raw]) -> Json:
     """Parse the fields of a level, except its ``userData``, which stay text."""
     level: Json = {}
-    for key, raw in fields.items():
-        text = memoryview(raw)
+    for key, raw_value in fields.items():
+        text = memoryview(raw_value)
         level[key] = text if key == "userData" else orjson.loads(text)
     return level
 
 
 def read_multi_level_grid(
-    content: Json, top: JsonPath, allowance: Allowance, key: str = "grids"
+    content: Json, root_place: JsonPath, allowance: Allowance, key: str = "grids"
 ) -> MultiLevelGrid:
     """Make a MultiLevelGrid from the content of a file.
 
     Args:
         content: the parsed file. In place of a layer's array, it may hold a `ReadLayer`, a function
             that reads the array from elsewhere.
-        top: the top of the file, for errors.
+        root_place: the location of the whole file, for errors.
         allowance: what the arrays' memory is taken from.
         key: the key of the levels in the file, for errors.
 
@@ -165,29 +169,29 @@ def read_multi_level_grid(
     """
     level_contents = content.get("grids", ABSENT)
     if not isinstance(level_contents, list) or not level_contents:
-        top[key].refuse("a list of at least one level", level_contents)
+        root_place[key].refuse("a list of at least one level", level_contents)
     defaults: Json = {}  # fields that count for levels without them
     for name in ("cellSize", "unit"):
         if content.get(name) is not None:
-            check_number(content[name], top[name], positive=True)
+            check_number(content[name], root_place[name], positive=True)
             defaults[name] = content[name]
-    metadata = read_metadata(content, top)
+    metadata = read_metadata(content, root_place)
     defaults["metadata"] = metadata
     levels = []
     for level_number, level_content in enumerate(level_contents):
-        level_fields = check_object(level_content, top[key][level_number])
+        level_fields = check_object(level_content, root_place[key][level_number])
         if level_fields.get("type", "SceneGrid2D") != "SceneGrid2D":
-            top[key][level_number]["type"].refuse("'SceneGrid2D'", level_fields["type"])
-        levels.append(read_level(level_fields, top[key][level_number], allowance, defaults))
+            root_place[key][level_number]["type"].refuse("'SceneGrid2D'", level_fields["type"])
+        levels.append(read_level(level_fields, root_place[key][level_number], allowance, defaults))
     grid = MultiLevelGrid(
         grids=levels,
         cell_size=float(defaults.get("cellSize", levels[0].cell_size)),
         unit=float(defaults.get("unit", 1)),
         metadata=metadata,
-        timings=check_optional_object(content, "timings", top),
-        extra=_find_unknown_fields(content, MULTI_FIELDS, top),
+        timings=check_optional_object(content, "timings", root_place),
+        extra=_find_unknown_fields(content, MULTI_LEVEL_GRID_FIELDS, root_place),
     )
-    check_grid(grid, top, key)
+    check_grid(grid, root_place, key)
     return grid
 
 
@@ -225,25 +229,34 @@ def read_level(
     def read_layer(
         layer: ReadLayer | JsonValue,
         layer_place: JsonPath,
-        default: object = None,
-        null: float = math.nan,
+        default_datatype: object = None,
+        null_value: float = math.nan,
     ) -> NDArray[Any]:
         if callable(layer):
             array: NDArray[Any] = layer((height, width), layer_place)
             return array
         return decode_array(
-            layer, layer_place, (height, width), allowance, default=default, null=null
+            layer,
+            layer_place,
+            (height, width),
+            allowance,
+            default_datatype=default_datatype,
+            null_value=null_value,
         )
 
-    datatypes = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
+    datatype_of_layer = {
+        entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []
+    }
     attributes_place = place["tileAttributes"]
     layers = check_object(fields.get("tileAttributes", {}), attributes_place)
     attributes = {
-        name: read_layer(layer, attributes_place[name], default=datatypes.get(name))
+        name: read_layer(
+            layer, attributes_place[name], default_datatype=datatype_of_layer.get(name)
+        )
         for name, layer in layers.items()
     }
     if "weights" in fields:
-        weights = read_layer(fields["weights"], place["weights"], null=math.inf)
+        weights = read_layer(fields["weights"], place["weights"], null_value=math.inf)
         if not callable(fields["weights"]):
             weights = weights.astype(np.float64, copy=False)
     else:
@@ -272,12 +285,12 @@ def read_level(
         user_data=_read_user_data(content.get("userData"), place["userData"], width * height),
         metadata=metadata,
         timings=check_optional_object(content, "timings", place),
-        extra=_find_unknown_fields(content, SCENE_FIELDS, place),
+        extra=_find_unknown_fields(content, SCENE_GRID_FIELDS, place),
     )
 
 
 def read_metadata(content: Json, place: JsonPath) -> Json:
-    """Check the metadata of a grid or level where readers rely on them, and return them.
+    """Return the metadata of a grid or level, after a check of the parts that readers use.
 
     Args:
         content: the parsed grid or level.
@@ -315,8 +328,8 @@ def _read_user_data(value: JsonValue, place: JsonPath, num_cells: int) -> UserDa
         for key, cell_id in zip(entries, cell_ids, strict=True):
             if not 0 <= cell_id < num_cells or str(cell_id) != key:
                 expected = f"a cell's id from 0 to {num_cells - 1} as key"
-                what = f"expected {expected}, got {format_value(key)}"
-                place.fail(what)
+                message = f"expected {expected}, got {format_value(key)}"
+                place.fail(message)
         if not set(map(type, entries.values())) <= {dict}:
             for key, entry in entries.items():
                 if not isinstance(entry, dict):
@@ -328,32 +341,32 @@ def _read_user_data(value: JsonValue, place: JsonPath, num_cells: int) -> UserDa
     return UserData(check_entries(value))
 
 
-def check_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
+def check_grid(grid: NavGrid, root_place: JsonPath, key: str = "") -> NavGrid:
     """Check a grid's levels, their sizes and places, and all its tables; return the grid.
 
     Args:
         grid: the grid that a reader made of a file.
-        top: the top of the file, for errors.
+        root_place: the location of the whole file, for errors.
         key: the key of the levels in the file, "" if the file is a single level.
 
     Raises:
         FormatError: cells are too small, a level lies too far from the origin, or the table of
             steps, links, areas, agents, doors or rooms is broken.
     """
-    for number, level in enumerate(grid.levels):
-        place = top[key][number] if key else top
-        edge = level.lattice.cell_size
-        if not edge >= LEAST_EDGE:  # sizes and areas of smaller cells can't be computed
-            place.fail(f"expected cells of {LEAST_EDGE:g} m or more, got {edge:g} m")
+    for level_number, level in enumerate(grid.levels):
+        place = root_place[key][level_number] if key else root_place
+        cell_size = level.lattice.cell_size
+        if not cell_size >= LEAST_EDGE:  # sizes and areas of smaller cells can't be computed
+            place.fail(f"expected cells of {LEAST_EDGE:g} m or more, got {cell_size:g} m")
         if not all(abs(value) <= MAX_COORDINATE for value in (*level.lattice.bounds, level.ground)):
             place.fail(
                 f"expected a level within {MAX_COORDINATE:g} m of the origin, got {level.width} × "
-                f"{level.height} cells of {edge:g} m from {level.min_yup} on"
+                f"{level.height} cells of {cell_size:g} m from {level.min_yup} on"
             )
     try:
         check_tables(grid, METADATA_TABLES)
     except FormatError as error:
-        raise FormatError(f"{error} in {top.file}", path=top.file) from None
+        raise FormatError(f"{error} in {root_place.file}", path=root_place.file) from None
     return grid
 
 
@@ -371,26 +384,32 @@ def check_tables(grid: NavGrid, attributes: Iterable[str]) -> None:
         getattr(grid, attribute)
 
 
-def warn_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> NavGrid:
+def warn_of_newer_version(
+    grid: NavGrid, root_place: JsonPath, is_newer_format: bool = False
+) -> NavGrid:
     """Log a warning if a newer navbake wrote a grid's file; return the grid.
 
     Args:
         grid: the grid, whose metadata state a version.
-        top: the top of the file, for the warning.
-        is_newer: whether the version of the file's format is newer than this navbake's.
+        root_place: the location of the whole file, for the warning.
+        is_newer_format: whether the version of the file's format is newer than this navbake's.
     """
 
     def parse_version(version: str) -> list[int]:
         return [int(part) for part in re.findall("[0-9]{1,9}", version)[:3]]
 
     version = grid.navbake.get("version")
-    states_newer = isinstance(version, str) and parse_version(version) > parse_version(__version__)
-    if is_newer or states_newer:
-        writer = f"navbake {format_value(version)[1:-1]}" if states_newer else "a newer navbake"
+    states_newer_version = isinstance(version, str) and parse_version(version) > parse_version(
+        __version__
+    )
+    if is_newer_format or states_newer_version:
+        writer_text = (
+            f"navbake {format_value(version)[1:-1]}" if states_newer_version else "a newer navbake"
+        )
         LOG.warning(
             "%s is by %s, this is %s: parts of it may be unknown here",
-            printable(top.file),
-            writer,
+            printable(root_place.file),
+            writer_text,
             __version__,
         )
     return grid
@@ -442,10 +461,10 @@ def encode_files(grid: NavGrid, path: Path) -> Files:
     """
     content = dumps_navgrid(grid)
     if path.name.lower().endswith(".gz"):
-        packed = io.BytesIO()
-        with gzip.GzipFile("", "wb", compresslevel=6, fileobj=packed, mtime=0) as file:
+        packed_file = io.BytesIO()
+        with gzip.GzipFile("", "wb", compresslevel=6, fileobj=packed_file, mtime=0) as file:
             file.write(content)
-        content = packed.getvalue()
+        content = packed_file.getvalue()
     return {path: content}
 
 
@@ -459,27 +478,27 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         FormatError: a number outside of arrays is NaN or infinite, the format lacks an array's
             dtype, or JSON can't hold a value in the metadata, user data or extra fields.
     """
-    top = JsonPath("the grid to be written")
+    root_place = JsonPath("the grid to be written")
     if isinstance(grid, SceneGrid2D):
-        fields = _level_fields(grid, top, grid.metadata)
+        fields = _level_fields(grid, root_place, grid.metadata)
     else:
         check_tables(grid, LINK_TABLES)
         grid_attributes = grid.cell_attributes
         levels = []
-        for number, level in enumerate(grid.grids):
+        for level_number, level in enumerate(grid.grids):
             # metadata that equal the grid's, with all dtypes, are left out
-            inherits_metadata = grid.inherits_metadata(number, level)
+            inherits_metadata = grid.inherits_metadata(level_number, level)
             inherits_metadata &= all(entry in grid_attributes for entry in level.cell_attributes)
             metadata = None if inherits_metadata else level.metadata
-            levels.append(_level_fields(level, top["grids"][number], metadata))
+            levels.append(_level_fields(level, root_place["grids"][level_number], metadata))
         fields = {
             "type": "MultiLevelGrid",
-            "metadata": _encode_metadata(grid, top),
-            "cellSize": check_number(grid.cell_size, top["cellSize"], positive=True),
-            "unit": check_number(grid.unit, top["unit"], positive=True),
+            "metadata": _encode_metadata(grid, root_place),
+            "cellSize": check_number(grid.cell_size, root_place["cellSize"], positive=True),
+            "unit": check_number(grid.unit, root_place["unit"], positive=True),
             "grids": levels,
-            "timings": check_json(grid.timings, top["timings"]),
-            **_extra_fields(grid, top),
+            "timings": check_json(grid.timings, root_place["timings"]),
+            **_extra_fields(grid, root_place),
         }
 
     try:  # OPT_SERIALIZE_NUMPY only because of np.float64
@@ -549,18 +568,18 @@ def _extra_fields(grid: NavGrid, place: JsonPath) -> Json:
     return {key: check_json(grid.extra[key], place[key]) for key in grid.extra}
 
 
-def check_extra(extra: Json, kind: type[NavGrid], place: JsonPath) -> None:
+def check_extra(extra: Json, grid_class: type[NavGrid], place: JsonPath) -> None:
     """Raise a FormatError if an extra field has the name of a field of the format.
 
     Args:
         extra: the extra fields.
-        kind: the class of the grid that has them.
+        grid_class: the class of the grid that has them.
         place: the grid's location, for errors.
 
     Raises:
         FormatError: the format has a field of that name.
     """
-    for key in MULTI_FIELDS if kind is MultiLevelGrid else SCENE_FIELDS:
+    for key in MULTI_LEVEL_GRID_FIELDS if grid_class is MultiLevelGrid else SCENE_GRID_FIELDS:
         if key in extra:
             place[key].fail("extra fields can't stand in for one of the format's own")
 
@@ -579,34 +598,34 @@ def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> bytes:
         FormatError: the level has no such cell, or an entry is no JSON object.
     """
     num_cells = grid.width * grid.height
-    source = UserData.of(grid.user_data).source
-    if isinstance(source, SharedEntries):
-        cell_ids = source.cells.tolist()
-        entry_numbers = source.entry_index.tolist()
-        entries = source.entries
+    stored_entries = UserData.of(grid.user_data).source
+    if isinstance(stored_entries, SharedEntries):
+        cell_ids = stored_entries.cells.tolist()
+        entry_numbers = stored_entries.entry_index.tolist()
+        entries = stored_entries.entries
         check_json(list(entries), place)
     else:
-        for cell_id, value in source.items():
+        for cell_id, value in stored_entries.items():
             if not isinstance(cell_id, int | np.integer):
                 place.fail(
                     f"expected cell ids from 0 to {num_cells - 1}, got {format_value(cell_id)}"
                 )
             if not isinstance(value, dict):
                 place[int(cell_id)].refuse("an object", value)
-        cell_ids = sorted(map(int, source))
+        cell_ids = sorted(map(int, stored_entries))
         entry_numbers = range(len(cell_ids))
-        entries = [source[cell_id] for cell_id in cell_ids]
-        entry_of_cell = zip(cell_ids, entries, strict=True)
-        check_json({str(cell_id): entry for cell_id, entry in entry_of_cell}, place)
+        entries = [stored_entries[cell_id] for cell_id in cell_ids]
+        cell_entry_pairs = zip(cell_ids, entries, strict=True)
+        check_json({str(cell_id): entry for cell_id, entry in cell_entry_pairs}, place)
     if cell_ids and not 0 <= cell_ids[0] <= cell_ids[-1] < num_cells:
         wrong_id = cell_ids[0] if cell_ids[0] < 0 else cell_ids[-1]
         place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {wrong_id}", value=wrong_id)
-    texts = [orjson.dumps(entry) for entry in entries]
+    entry_texts = [orjson.dumps(entry) for entry in entries]
     chunks = []
     for first_index in range(0, len(cell_ids), CELLS_AT_ONCE):
         chunk_slice = slice(first_index, first_index + CELLS_AT_ONCE)
         # map instead of a generator: there may be millions of cells
-        chunk_texts = map(texts.__getitem__, entry_numbers[chunk_slice])
+        chunk_texts = map(entry_texts.__getitem__, entry_numbers[chunk_slice])
         pairs = zip(cell_ids[chunk_slice], chunk_texts, strict=True)
         chunks.append(b",".join(map(b'"%d":%b'.__mod__, pairs)))
     return b"{%b}" % b",".join(chunks)

@@ -42,7 +42,7 @@ from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.types import Json
 from navbake.voxels.grid import VoxelGrid
 
-Content: TypeAlias = str | PathLike[str] | bytes
+PathOrBytes: TypeAlias = str | PathLike[str] | bytes
 """A path, or a file's content."""
 
 VERSION = 1  # of both kinds of archives
@@ -61,13 +61,15 @@ class Archive:
 
     Attributes:
         allowance: what the arrays' memory is taken from.
-        top: the archive's location, for errors.
+        root_place: the archive's location, for errors.
     """
 
-    def __init__(self, archive: zipfile.ZipFile, allowance: Allowance, top: JsonPath) -> None:
+    def __init__(
+        self, archive: zipfile.ZipFile, allowance: Allowance, root_place: JsonPath
+    ) -> None:
         self._archive = archive
         self.allowance = allowance
-        self.top = top
+        self.root_place = root_place
         self._members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
 
     def __contains__(self, name: str) -> bool:
@@ -123,8 +125,8 @@ class Archive:
         """
         array = self.read(name, place)
         if array.shape != shape or array.dtype.kind not in "biuf":
-            got = f"{array.dtype} of {array.shape}"
-            place.fail(f"expected numbers of shape {shape}, got {got}")
+            actual_text = f"{array.dtype} of {array.shape}"
+            place.fail(f"expected numbers of shape {shape}, got {actual_text}")
         return array
 
 
@@ -143,7 +145,7 @@ def _convert_errors(expected: str, name: str) -> Iterator[None]:
         raise FormatError(message, path=name, expected=expected) from error
 
 
-def read_npy(source: Content) -> NDArray[Any]:
+def read_npy(source: PathOrBytes) -> NDArray[Any]:
     """Read a single array (``.npy``).
 
     Args:
@@ -156,15 +158,15 @@ def read_npy(source: Content) -> NDArray[Any]:
         FormatError: the file is no such array.
     """
     expected = "an array (.npy)"
-    data, name = read_bytes(source, beginnings=NPY_MAGIC, expected=expected)
+    content, name = read_bytes(source, beginnings=NPY_MAGIC, expected=expected)
     with _convert_errors(expected, name):
-        array: NDArray[Any] = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+        array: NDArray[Any] = np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
     return array
 
 
 @contextmanager
 def open_archive(
-    source: Content, expected: str, keyword: str = "", limit: int | None = None
+    source: PathOrBytes, expected: str, keyword: str = "", limit: int | None = None
 ) -> Iterator[Archive]:
     """Open an archive whose arrays are read within an allowance.
 
@@ -180,9 +182,9 @@ def open_archive(
     Raises:
         FormatError: the file can't be read or is broken, also while the archive is open.
     """
-    data, name = read_bytes(source, beginnings=ZIP_MAGIC, expected=expected)
-    with _convert_errors(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
-        yield Archive(packed, Allowance(len(data), keyword, limit), JsonPath(name))
+    content, name = read_bytes(source, beginnings=ZIP_MAGIC, expected=expected)
+    with _convert_errors(expected, name), zipfile.ZipFile(io.BytesIO(content)) as zip_file:
+        yield Archive(zip_file, Allowance(len(content), keyword, limit), JsonPath(name))
 
 
 def _pack_arrays(arrays: Mapping[str, Any]) -> bytes:
@@ -219,7 +221,7 @@ def encode_npz(grid: VoxelGrid) -> bytes:
     return _pack_arrays(arrays)
 
 
-def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
+def read_npz(source: PathOrBytes, *, max_voxels: int | None = None) -> VoxelGrid:
     """Read voxels that `encode_npz` wrote.
 
     Args:
@@ -234,30 +236,30 @@ def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
         FormatError: the file holds no voxels, is broken, or needs too much memory.
     """
     with open_archive(source, "a .npz of voxels", "max_voxels", max_voxels) as archive:
-        top = archive.top
+        root_place = archive.root_place
         if GRID_MARKER in archive and "values" not in archive:
-            message = f"{top.file} holds a grid, no voxels: navbake.from_npz reads it"
-            raise FormatError(message, path=top.file, hint="navbake.from_npz reads it")
-        values = archive.read("values", top)
-        origin = archive.read("origin", top)
-        res = archive.read("res", top)
-        archive.allowance.take_cells(values.shape, top)
-        ids = archive.read("ids", top) if "ids" in archive else np.zeros(0)
-        names = archive.read("names", top) if "names" in archive else np.zeros(0)
-        known = archive.read("known", top) if "known" in archive else None
+            message = f"{root_place.file} holds a grid, no voxels: navbake.from_npz reads it"
+            raise FormatError(message, path=root_place.file, hint="navbake.from_npz reads it")
+        values = archive.read("values", root_place)
+        origin = archive.read("origin", root_place)
+        res = archive.read("res", root_place)
+        archive.allowance.take_cells(values.shape, root_place)
+        ids = archive.read("ids", root_place) if "ids" in archive else np.zeros(0)
+        names = archive.read("names", root_place) if "names" in archive else np.zeros(0)
+        is_known = archive.read("known", root_place) if "known" in archive else None
         if ids.shape != names.shape or ids.ndim != 1:
             raise ValueError(f"expected as many names as IDs, got {names.shape} for {ids.shape}")
-        name_pairs = zip(ids.tolist(), names.tolist(), strict=True)
+        id_name_pairs = zip(ids.tolist(), names.tolist(), strict=True)
         try:
             return VoxelGrid(
                 values=values,
                 origin=tuple(origin.tolist()),
                 res=float(res),
-                names={int(voxel_id): str(name) for voxel_id, name in name_pairs},
-                known=known,
+                names={int(voxel_id): str(name) for voxel_id, name in id_name_pairs},
+                known=is_known,
             )
         except FormatError as error:
-            raise FormatError(f"{top.file}: {error}", path=top.file) from error
+            raise FormatError(f"{root_place.file}: {error}", path=root_place.file) from error
 
 
 # ---------------------------------------------------------------- grids
@@ -277,19 +279,19 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
         FormatError: a layer has no numbers, or the metadata, user data or extra fields have
             values that JSON lacks.
     """
-    top = JsonPath("the grid to be written")
+    root_place = JsonPath("the grid to be written")
     arrays: dict[str, NDArray[Any]] = {}
     document: Json = {
         "version": VERSION,
         "type": type(grid).__name__,
-        **_encode_fields(grid, grid.metadata, top),
+        **_encode_fields(grid, grid.metadata, root_place),
         "levels": [],
     }
-    for number, level in enumerate(grid.levels):
-        has_metadata = isinstance(grid, MultiLevelGrid) and not grid.inherits_metadata(
-            number, level
+    for level_number, level in enumerate(grid.levels):
+        has_own_metadata = isinstance(grid, MultiLevelGrid) and not grid.inherits_metadata(
+            level_number, level
         )
-        place = top["levels"][number]
+        place = root_place["levels"][level_number]
         # attribute -> name of its array: the same one if a zip file may contain it
         array_names = {
             name: name if PLAIN_NAME.fullmatch(name) else f"attribute {index}"
@@ -297,7 +299,7 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
         }
         document["levels"].append(
             {
-                **_encode_fields(level, level.metadata if has_metadata else None, place),
+                **_encode_fields(level, level.metadata if has_own_metadata else None, place),
                 "width": level.width,
                 "height": level.height,
                 "attributes": array_names,
@@ -305,14 +307,14 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
                 "bbox": level.bbox_yup,
             }
         )
-        arrays[f"{number}/weights"] = level.weights
+        arrays[f"{level_number}/weights"] = level.weights
         for name, array in level.attributes.items():
-            arrays[f"{number}/{array_names[name]}"] = array
+            arrays[f"{level_number}/{array_names[name]}"] = array
         user_data = navgrid.encode_user_data(level, place["userData"])
-        arrays[f"{number}/userData"] = np.frombuffer(user_data, dtype=np.uint8)
+        arrays[f"{level_number}/userData"] = np.frombuffer(user_data, dtype=np.uint8)
     for name, array in arrays.items():
         if array.dtype.kind not in "biuf":
-            top[name].fail(f"expected numbers, got an array of {array.dtype}")
+            root_place[name].fail(f"expected numbers, got an array of {array.dtype}")
     try:
         text = orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY)
     except orjson.JSONEncodeError as error:
@@ -332,7 +334,7 @@ def _encode_fields(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Jso
     }
 
 
-def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
+def read_grid_npz(source: PathOrBytes, *, max_cells: int | None = None) -> NavGrid:
     """Read a grid from an archive that `encode_grid_npz` wrote.
 
     Args:
@@ -348,35 +350,42 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
     """
     expected = "a .npz of a grid"
     with open_archive(source, expected, "max_cells", max_cells) as archive:
-        top = archive.top
+        root_place = archive.root_place
         allowance = archive.allowance
         if GRID_MARKER not in archive:
             hint = ": it holds voxels, navbake.load_voxels reads them"
             hint = hint if "values" in archive else ""
-            message = f"expected {expected}, {top.file} has no array `{GRID_MARKER}`{hint}"
-            raise FormatError(message, path=top.file, expected=expected)
-        document = check_object(parse_json(archive.read_text(GRID_MARKER, top), top), top)
-        version = check_whole_number(document.get("version", ABSENT), top["version"], 1)
-        entries = document.get("levels", ABSENT)
+            message = f"expected {expected}, {root_place.file} has no array `{GRID_MARKER}`{hint}"
+            raise FormatError(message, path=root_place.file, expected=expected)
+        document = check_object(
+            parse_json(archive.read_text(GRID_MARKER, root_place), root_place), root_place
+        )
+        version = check_whole_number(document.get("version", ABSENT), root_place["version"], 1)
+        level_entries = document.get("levels", ABSENT)
         grid_type = document.get("type", ABSENT)
-        if not isinstance(entries, list) or not entries:
-            top["levels"].refuse("a list of levels", entries)
-        levels = [_decode_level(archive, number, entry) for number, entry in enumerate(entries)]
+        if not isinstance(level_entries, list) or not level_entries:
+            root_place["levels"].refuse("a list of levels", level_entries)
+        levels = [
+            _decode_level(archive, level_number, level_entry)
+            for level_number, level_entry in enumerate(level_entries)
+        ]
         if grid_type == "MultiLevelGrid":
-            content = {**_merge_extra(document, MultiLevelGrid, top), "grids": levels}
-            grid = navgrid.read_multi_level_grid(content, top, allowance, "levels")
-            return navgrid.warn_of_newer(grid, top, version > VERSION)
-        if grid_type != "SceneGrid2D" or len(entries) != 1:
-            top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", grid_type)
-        _check_extra_fields(document, SceneGrid2D, top)
-        defaults = {"metadata": navgrid.read_metadata(document, top)}
-        level = navgrid.read_level(levels[0], top["levels"][0], allowance, defaults)
-        return navgrid.warn_of_newer(navgrid.check_grid(level, top), top, version > VERSION)
+            content = {**_merge_extra(document, MultiLevelGrid, root_place), "grids": levels}
+            grid = navgrid.read_multi_level_grid(content, root_place, allowance, "levels")
+            return navgrid.warn_of_newer_version(grid, root_place, version > VERSION)
+        if grid_type != "SceneGrid2D" or len(level_entries) != 1:
+            root_place["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", grid_type)
+        _check_extra_fields(document, SceneGrid2D, root_place)
+        defaults = {"metadata": navgrid.read_metadata(document, root_place)}
+        level = navgrid.read_level(levels[0], root_place["levels"][0], allowance, defaults)
+        return navgrid.warn_of_newer_version(
+            navgrid.check_grid(level, root_place), root_place, version > VERSION
+        )
 
 
-def _decode_level(archive: Archive, number: int, value: object) -> Json:
+def _decode_level(archive: Archive, level_number: int, value: object) -> Json:
     """Return a level as in a NavGrid file; in place of its arrays are functions that read them."""
-    place = archive.top["levels"][number]
+    place = archive.root_place["levels"][level_number]
     entry = check_object(value, place)
     array_names = check_object(entry.get("attributes", ABSENT), place["attributes"])
     corners = entry.get("bbox")
@@ -384,27 +393,27 @@ def _decode_level(archive: Archive, number: int, value: object) -> Json:
         place["bbox"].refuse("two corners", corners)
 
     def make_reader(name: str) -> Callable[[tuple[int, int], JsonPath], NDArray[Any]]:
-        return lambda shape, place: archive.read_layer(f"{number}/{name}", shape, place)
+        return lambda shape, place: archive.read_layer(f"{level_number}/{name}", shape, place)
 
     return {
         **_merge_extra(entry, SceneGrid2D, place),
         "bbox": None if corners is None else {"min": corners[0], "max": corners[1]},
         "weights": make_reader("weights"),
         "tileAttributes": {attribute: make_reader(name) for attribute, name in array_names.items()},
-        "userData": memoryview(archive.read_text(f"{number}/userData", place["userData"])),
+        "userData": memoryview(archive.read_text(f"{level_number}/userData", place["userData"])),
     }
 
 
-def _check_extra_fields(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
+def _check_extra_fields(entry: Json, grid_class: type[NavGrid], place: JsonPath) -> Json:
     """Return an entry's extra fields, after a check that none is a field of the format."""
     extra = check_optional_object(entry, "extra", place)
-    navgrid.check_extra(extra, kind, place["extra"])
+    navgrid.check_extra(extra, grid_class, place["extra"])
     return extra
 
 
-def _merge_extra(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
+def _merge_extra(entry: Json, grid_class: type[NavGrid], place: JsonPath) -> Json:
     """Return an entry's fields and its extra fields in one object, as in a NavGrid file."""
-    extra = _check_extra_fields(entry, kind, place)
+    extra = _check_extra_fields(entry, grid_class, place)
     archive_fields = ("version", "extra", "levels", "attributes")
     fields = {key: value for key, value in entry.items() if key not in archive_fields}
     return {**extra, **fields}

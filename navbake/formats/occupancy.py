@@ -44,7 +44,7 @@ OccupancyValues: TypeAlias = NDArray[np.int8]
 """Values of ``nav_msgs/OccupancyGrid``, shape (height, width), row 0 at the top."""
 
 
-def compute_occupancy_values(grid: NavGrid, number: int) -> OccupancyValues:
+def compute_occupancy_values(grid: NavGrid, level_number: int) -> OccupancyValues:
     """Compute the value of each cell of a level in a ``nav_msgs/OccupancyGrid``.
 
     A free cell is 0, or 1 to 98 if its weight is above 1. A blocked cell is unknown (-1) if it has
@@ -53,12 +53,12 @@ def compute_occupancy_values(grid: NavGrid, number: int) -> OccupancyValues:
 
     Args:
         grid: the grid.
-        number: the level's number.
+        level_number: the level's number.
 
     Returns:
         The values, shape (height, width), int8.
     """
-    level = grid.levels[number]
+    level = grid.levels[level_number]
     with np.errstate(invalid="ignore"):
         costs = np.where(level.weights > 1, np.clip(level.weights, MIN_COST, MAX_COST), 0)
     values = _publish_costs(costs.astype(np.uint8))
@@ -70,7 +70,7 @@ def compute_occupancy_values(grid: NavGrid, number: int) -> OccupancyValues:
 
 
 def compute_costmap_values(
-    grid: NavGrid, number: int, radius: float, inflation: float, scaling: float = NAV2_SCALING
+    grid: NavGrid, level_number: int, radius: float, inflation: float, scaling: float = NAV2_SCALING
 ) -> OccupancyValues:
     """Compute the values of a level's costmap: its obstacles inflated by nav2's formula.
 
@@ -79,7 +79,7 @@ def compute_costmap_values(
 
     Args:
         grid: the grid, not inflated.
-        number: the level's number.
+        level_number: the level's number.
         radius: the robot's inscribed radius [m].
         inflation: nav2's ``inflation_radius`` [m], at least the radius.
         scaling: nav2's ``cost_scaling_factor`` [1/m].
@@ -99,8 +99,8 @@ def compute_costmap_values(
             expected=expected,
         )
     inflated_grid = grid.inflate(radius, inflation - radius, costs="nav2", scaling=scaling)
-    values = compute_occupancy_values(inflated_grid, number)
-    costs = nav2_costs(grid, radius, inflation, scaling, level=number)
+    values = compute_occupancy_values(inflated_grid, level_number)
+    costs = nav2_costs(grid, radius, inflation, scaling, level=level_number)
     is_free = (values >= FREE) & (values < INSCRIBED)
     values[is_free] = np.maximum(values, _publish_costs(costs))[is_free]
     return values
@@ -246,11 +246,11 @@ def align_with_axes(
         lattice.shape
     )  # share of each new cell, unless that is occupied already
     occupied_rows, occupied_cols = np.nonzero(values == OCCUPIED)
-    for begin in range(0, len(occupied_rows), CELLS_AT_ONCE):
-        chunk = slice(begin, begin + CELLS_AT_ONCE)
-        right = occupied_cols[chunk] + 0.5
-        up = height - occupied_rows[chunk] - 0.5
-        centers = np.stack([cos * right - sin * up, sin * right + cos * up], axis=-1)
+    for chunk_start in range(0, len(occupied_rows), CELLS_AT_ONCE):
+        chunk_slice = slice(chunk_start, chunk_start + CELLS_AT_ONCE)
+        map_x = occupied_cols[chunk_slice] + 0.5
+        map_y = height - occupied_rows[chunk_slice] - 0.5
+        centers = np.stack([cos * map_x - sin * map_y, sin * map_x + cos * map_y], axis=-1)
         _add_covered_shares(covered_shares, turned_values, lattice, centers, cos, sin)
     turned_values[covered_shares >= MIN_COVER] = OCCUPIED
     x = x + lattice.x_min * resolution
@@ -297,26 +297,30 @@ def _add_covered_shares(
     # half of both extents together, the same along all four directions [cells]
     max_distance = (1.0 + abs(cos) + abs(sin)) / 2
     row, col = lattice.rows_cols(centers)
-    for down, right in np.ndindex(3, 3):
-        rows = row + down - 1
-        cols = col + right - 1
+    for neighbor_row, neighbor_col in np.ndindex(3, 3):
+        rows = row + neighbor_row - 1
+        cols = col + neighbor_col - 1
         dx = lattice.x_min + cols + 0.5 - centers[:, 0]
         dy = lattice.y_max - rows - 0.5 - centers[:, 1]
         turned_dx = cos * dx + sin * dy
         turned_dy = cos * dy - sin * dx
-        overlaps = np.max(np.abs([dx, dy, turned_dx, turned_dy]), axis=0) < max_distance
-        overlaps &= (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
-        overlaps[overlaps] = turned_values[rows[overlaps], cols[overlaps]] != OCCUPIED
+        is_overlapping = np.max(np.abs([dx, dy, turned_dx, turned_dy]), axis=0) < max_distance
+        is_overlapping &= (
+            (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
+        )
+        is_overlapping[is_overlapping] = (
+            turned_values[rows[is_overlapping], cols[is_overlapping]] != OCCUPIED
+        )
         # from the square's centre to the cell's, along the cell's sides and along the square's
-        offset = np.stack([dx, dy], axis=-1)[overlaps]
-        turned_offset = np.stack([turned_dx, turned_dy], axis=-1)[overlaps]
+        center_offset = np.stack([dx, dy], axis=-1)[is_overlapping]
+        turned_center_offset = np.stack([turned_dx, turned_dy], axis=-1)[is_overlapping]
         # the cell's sides in the square, and the square's in the cell, about the square's centre
-        area = _integrate_sides(turned_offset, cos, -sin, True)
-        area = area + _integrate_sides(-offset, cos, sin, False)
-        np.add.at(covered_shares, (rows[overlaps], cols[overlaps]), area)
+        area = _integrate_sides(turned_center_offset, cos, -sin, True)
+        area = area + _integrate_sides(-center_offset, cos, sin, False)
+        np.add.at(covered_shares, (rows[is_overlapping], cols[is_overlapping]), area)
 
 
-def _integrate_sides(centers: Float, cos: float, sin: float, about_origin: bool) -> Float:
+def _integrate_sides(centers: Float, cos: float, sin: float, is_about_origin: bool) -> Float:
     """Integrate over the parts of turned squares' sides that are inside of a fixed square.
 
     All squares have edge 1; the fixed one has its centre at 0, 0. Sides are cut by Liang and
@@ -326,7 +330,7 @@ def _integrate_sides(centers: Float, cos: float, sin: float, about_origin: bool)
         centers: the centres of the turned squares, shape (n, 2).
         cos: the cosine of their yaw.
         sin: the sine of their yaw.
-        about_origin: whether the integral is about 0, 0; else it is about each square's centre.
+        is_about_origin: whether the integral is about 0, 0; else it is about each square's centre.
 
     Returns:
         For each square, half the sum of the cross products of the ends of these parts, shape (n,).
@@ -342,7 +346,7 @@ def _integrate_sides(centers: Float, cos: float, sin: float, about_origin: bool)
         leave_fraction = np.minimum(side_fractions[1].min(axis=1), 1.0)[:, None]
         first_end = side_start + enter_fraction * side
         second_end = side_start + np.maximum(leave_fraction, enter_fraction) * side
-        if not about_origin:
+        if not is_about_origin:
             first_end = first_end - centers
             second_end = second_end - centers
         integrals += (first_end[:, 0] * second_end[:, 1] - first_end[:, 1] * second_end[:, 0]) / 2

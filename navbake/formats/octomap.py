@@ -74,8 +74,8 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         expected = "an octree as bt or ot"
         raise FormatError(f"expected {expected}, got {kind!r}", value=kind, expected=expected)
     first_keys = _find_first_key(grid)
-    has_odds = kind == "ot"
-    bits_per_child = 1 if has_odds else 2
+    has_log_odds = kind == "ot"
+    bits_per_child = 1 if has_log_odds else 2
     states = np.where(grid.occupied, np.uint8(OCCUPIED), np.uint8(UNKNOWN))
     if free:
         is_known = True if grid.known is None else grid.known
@@ -97,52 +97,54 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         states = child_states[0::2] | child_states[1::2]
         states = states[:, 0::2] | states[:, 1::2]
         states = NODE_STATES[states[:, :, 0::2] | states[:, :, 1::2]]
-        parent_places = np.argwhere(states >= MIXED_WITHOUT_OCCUPIED)  # of nodes with children
-        i, j, k = parent_places.T
+        parent_indices = np.argwhere(states >= MIXED_WITHOUT_OCCUPIED)  # of nodes with children
+        i, j, k = parent_indices.T
         half_x, half_y, half_z = states.shape
-        octets = child_states.reshape(half_x, 2, half_y, 2, half_z, 2)
+        child_states_in_octets = child_states.reshape(half_x, 2, half_y, 2, half_z, 2)
         # a child has the number x + 2 y + 4 z
-        children = octets[i, :, j, :, k].swapaxes(1, 3).reshape(-1, 8)
-        corners = (parent_places + (level_keys >> 1)) << (level + 1)
-        bits = CHILD_BITS[kind][children] << (np.arange(8) * bits_per_child)
+        sibling_states = child_states_in_octets[i, :, j, :, k].swapaxes(1, 3).reshape(-1, 8)
+        parent_corners = (parent_indices + (level_keys >> 1)) << (level + 1)
+        child_bits = CHILD_BITS[kind][sibling_states] << (np.arange(8) * bits_per_child)
         # the file's order: Morton codes of corners, then parents before children
-        parent_keys = _morton_codes(corners) << 5
+        parent_keys = _morton_codes(parent_corners) << 5
         sort_keys.append(parent_keys | depth - 1)
-        entries.append(bits.sum(axis=1))
+        entries.append(child_bits.sum(axis=1))
         node_states.append(states[i, j, k].astype(np.int64))
-        num_nodes += int(np.count_nonzero(children != UNKNOWN))
+        num_nodes += int(np.count_nonzero(sibling_states != UNKNOWN))
         if depth == 1:
-            num_nodes += len(parent_places)  # the root
-        if has_odds:  # leaves have entries as well, of no children
-            node, child = np.nonzero((children != UNKNOWN) & (children < MIXED_WITHOUT_OCCUPIED))
+            num_nodes += len(parent_indices)  # the root
+        if has_log_odds:  # leaves have entries as well, of no children
+            node, child = np.nonzero(
+                (sibling_states != UNKNOWN) & (sibling_states < MIXED_WITHOUT_OCCUPIED)
+            )
             leaf_keys = parent_keys[node] | (child << 3 * level + 5) | depth
             sort_keys.append(leaf_keys)
             entries.append(np.zeros_like(leaf_keys))
-            node_states.append(children[node, child].astype(np.int64))
+            node_states.append(sibling_states[node, child].astype(np.int64))
     sort_indices = np.argsort(np.concatenate(sort_keys))
     nodes = np.concatenate(entries)[sort_indices].astype("<u2")
-    if has_odds:  # a node has the greatest log-odds of its children
+    if has_log_odds:  # a node has the greatest log-odds of its children
         sorted_states = np.concatenate(node_states)[sort_indices]
         is_occupied = (sorted_states & (OCCUPIED | MIXED_WITH_OCCUPIED)) != 0
-        odds = CERTAIN_ODDS[is_occupied.astype(np.int64)]
-        nodes = np.append(odds, nodes[:, None].astype(np.uint8), axis=1)
-    res = f"{grid.res:g}"  # six digits, as OctoMap writes it, if they are exact
-    if not math.isclose(float(res), grid.res, rel_tol=1e-12):
-        res = repr(grid.res)
-    header = f"{FIRST_LINES[kind]}\n{COMMENT}\nid OcTree\nsize {num_nodes}\nres {res}\ndata\n"
+        log_odds = CERTAIN_ODDS[is_occupied.astype(np.int64)]
+        nodes = np.append(log_odds, nodes[:, None].astype(np.uint8), axis=1)
+    res_text = f"{grid.res:g}"  # six digits, as OctoMap writes it, if they are exact
+    if not math.isclose(float(res_text), grid.res, rel_tol=1e-12):
+        res_text = repr(grid.res)
+    header = f"{FIRST_LINES[kind]}\n{COMMENT}\nid OcTree\nsize {num_nodes}\nres {res_text}\ndata\n"
     return header.encode() + nodes.tobytes()
 
 
-def _morton_codes(places: Int) -> Int:
+def _morton_codes(coordinates: Int) -> Int:
     """Interleave the bits of x, y and z: those of x are the lowest of each three.
 
     Args:
-        places: x, y, z, each below 2**16, shape (n, 3).
+        coordinates: x, y, z, each below 2**16, shape (n, 3).
 
     Returns:
         The codes, shape (n,).
     """
-    codes = places.copy()
+    codes = coordinates.copy()
     masks = (0xFF0000FF, 0xF00F00F00F, 0xC30C30C30C3, 0x249249249249)
     for shift, mask in zip((16, 8, 4, 2), masks, strict=True):
         codes = (codes | codes << shift) & mask
@@ -154,12 +156,12 @@ def _find_first_key(grid: VoxelGrid) -> Int:
     """Return the keys of the grid's first voxel along each axis, shape (3,)."""
     corner_in_voxels = np.array(grid.origin) / grid.res
     nearest_corner = np.round(corner_in_voxels)
-    max_offset = np.abs(corner_in_voxels - nearest_corner).max()
-    if max_offset > LATTICE_TOLERANCE:
+    max_misalignment = np.abs(corner_in_voxels - nearest_corner).max()
+    if max_misalignment > LATTICE_TOLERANCE:
         raise FormatError(
             f"an octree's voxels lie on whole multiples of their edge {grid.res:g} m, and this "
             f"grid's lower corner ({', '.join(f'{c:g}' for c in grid.origin)}) is "
-            f"{max_offset * grid.res:.3g} m off: make the grid with align=True (--align)"
+            f"{max_misalignment * grid.res:.3g} m off: make the grid with align=True (--align)"
         )
     if np.abs([nearest_corner, nearest_corner + grid.shape]).max() > CENTER_KEY:
         max_extent = CENTER_KEY * grid.res
@@ -203,9 +205,9 @@ def read_octomap(
     allowance = Allowance(len(data), "max_voxels", max_voxels)
     nodes = np.frombuffer(data, dtype=np.uint8, offset=data_offset)
     if has_colors and kind == "ot":
-        num_whole = len(nodes) // COLOR_NODE_BYTES
-        records = nodes[: num_whole * COLOR_NODE_BYTES].reshape(-1, COLOR_NODE_BYTES)
-        last_bytes = nodes[num_whole * COLOR_NODE_BYTES :]
+        num_whole_records = len(nodes) // COLOR_NODE_BYTES
+        records = nodes[: num_whole_records * COLOR_NODE_BYTES].reshape(-1, COLOR_NODE_BYTES)
+        last_bytes = nodes[num_whole_records * COLOR_NODE_BYTES :]
         nodes = np.append(np.delete(records, COLOR_BYTES, axis=1).ravel(), last_bytes)
     notes = list[str]()
     leaves = np.empty((0, 5), np.int32)
@@ -213,19 +215,23 @@ def read_octomap(
         notes.append(f"{name} is an empty tree: nothing is known")
     else:
         entries = nodes[: len(nodes) // 5 * 5].reshape(-1, 5)
-        odds = np.ascontiguousarray(entries[:, :4]).view("<f4").ravel()  # of an .ot
+        log_odds = np.ascontiguousarray(entries[:, :4]).view("<f4").ravel()  # of an .ot
         # leaves are counted first: the size in the header may be wrong
-        num_leaves, num_bytes, num_nodes = read_leaves(nodes, odds, kind == "ot", leaves)
+        num_leaves, num_bytes, num_nodes = read_leaves(nodes, log_odds, kind == "ot", leaves)
         if num_leaves < 0:
-            got = "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"
-            raise FormatError(f"expected {num_stated_nodes} nodes in {name}, got {got}", path=name)
+            actual_text = (
+                "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"
+            )
+            raise FormatError(
+                f"expected {num_stated_nodes} nodes in {name}, got {actual_text}", path=name
+            )
         if num_bytes != len(nodes):
-            got = f"got {len(nodes)}: data run over"
-            message = f"expected {num_bytes} bytes of nodes in {name}, {got}"
+            actual_text = f"{len(nodes)}: data run over"
+            message = f"expected {num_bytes} bytes of nodes in {name}, got {actual_text}"
             raise FormatError(message, path=name)
         allowance.take_array((num_leaves,), LEAF_BYTES, place)
         leaves = np.empty((num_leaves, 5), np.int32)
-        read_leaves(nodes, odds, kind == "ot", leaves)
+        read_leaves(nodes, log_odds, kind == "ot", leaves)
         if num_nodes != num_stated_nodes:
             notes.append(f"{name} has {num_nodes} nodes, and says {num_stated_nodes}")
     if bounds is not None:
@@ -297,15 +303,15 @@ def _read_header(data: bytes, source: str) -> tuple[str, int, float, int, bool]:
     num_nodes = numbers[0][0]
     res = numbers[1][0]
     if lines.get("id") not in (["OcTree"], ["ColorOcTree"]):
-        got = " ".join(lines.get("id", ["none"]))
+        actual_text = " ".join(lines.get("id", ["none"]))
         raise FormatError(
-            f"expected a tree of id OcTree or ColorOcTree in {source}, got {got!r}",
+            f"expected a tree of id OcTree or ColorOcTree in {source}, got {actual_text!r}",
             path=source,
             key="id",
-            value=got,
+            value=actual_text,
         )
     if num_nodes < 0 or not res > 0:
-        where = f"`size` and `res` in the header of {source}"
-        message = f"expected numbers > 0 as {where}, got {num_nodes:g} and {res:g}"
+        place_text = f"`size` and `res` in the header of {source}"
+        message = f"expected numbers > 0 as {place_text}, got {num_nodes:g} and {res:g}"
         raise FormatError(message, path=source, expected="numbers > 0")
     return kind, int(num_nodes), res, data_offset, lines["id"] == ["ColorOcTree"]

@@ -65,13 +65,13 @@ def name_room_files(folder: Path, stem: str) -> RoomFiles:
         folder: the folder of the map.
         stem: the map's name without the number of the level and the ending.
     """
-    match = MAP_WORD.fullmatch(stem)
-    name_head = match[1] if match else f"{stem}_"
-    names_head = "" if name_head == OMNIGIBSON_HEAD else name_head
+    name_match = MAP_WORD.fullmatch(stem)
+    name_head = name_match[1] if name_match else f"{stem}_"
+    list_head = "" if name_head == OMNIGIBSON_HEAD else name_head
     return RoomFiles(
         folder / f"{name_head}insseg_0.png",
         folder / f"{name_head}semseg_0.png",
-        folder / f"{names_head}room_categories.txt",
+        folder / f"{list_head}room_categories.txt",
     )
 
 
@@ -101,44 +101,51 @@ def encode_omnigibson(
             there are more than 255 rooms, or a category isn't in the list.
     """
     files: Files = {}
-    for number in select_levels(grid, path, level, (".png",)):
-        grid_level = grid.levels[number]
+    for level_number in select_levels(grid, path, level, (".png",)):
+        grid_level = grid.levels[level_number]
         lattice = grid_level.lattice
         if lattice.cell_size < PIXEL_SIZE - PIXEL_MARGIN:
             expected = f"cells of {PIXEL_SIZE} m at least"
-            got = f"{lattice.cell_size:g} m"
+            actual_text = f"{lattice.cell_size:g} m"
             raise FormatError(
-                f"expected {expected}, got {got}", value=lattice.cell_size, expected=expected
+                f"expected {expected}, got {actual_text}",
+                value=lattice.cell_size,
+                expected=expected,
             )
         # half of the image's edge [pixels]; room maps need a 0, so there is a margin
         half_size = math.ceil(max(map(abs, lattice.bounds)) / PIXEL_SIZE) + 1
         if (2 * half_size) ** 2 > MAX_PIXELS:
             extent = half_size * PIXEL_SIZE
             max_extent = math.isqrt(MAX_PIXELS) // 2 * PIXEL_SIZE
-            fault = f"OmniGibson's maps are centred on the origin, and level {number} ends"
+            fault = f"OmniGibson's maps are centred on the origin, and level {level_number} ends"
             expected = f"{max_extent:.1f} m at most"
             raise FormatError(
                 f"{fault} {extent:.1f} m from it, expected {expected}",
                 value=extent,
                 expected=expected,
             )
-        text = orjson.dumps({**lattice._asdict(), "ground": grid_level.ground}).decode()
+        lattice_text = orjson.dumps({**lattice._asdict(), "ground": grid_level.ground}).decode()
         is_free = np.ones((2 * half_size, 2 * half_size), dtype=bool)
         # a pixel overlaps two cells at most along each axis: those at its corners
         half_pixel = PIXEL_SIZE / 2 - PIXEL_MARGIN
-        for right, up in itertools.product((-half_pixel, half_pixel), repeat=2):
-            is_free &= _sample_pixels(grid_level.free, lattice, half_size, right, up)
+        for x_offset, y_offset in itertools.product((-half_pixel, half_pixel), repeat=2):
+            is_free &= _sample_pixels(grid_level.free, lattice, half_size, x_offset, y_offset)
         pixels = np.where(is_free, np.uint8(255), np.uint8(0))
-        map_path = path.with_name(f"{path.stem}_{number}{path.suffix}")
-        if number == 0 and NO_OBJECTS not in path.stem:
+        map_path = path.with_name(f"{path.stem}_{level_number}{path.suffix}")
+        if level_number == 0 and NO_OBJECTS not in path.stem:
             room_files = name_room_files(path.parent, path.stem)
             files |= _encode_room_maps(grid, room_files, half_size, categories)
-        files[map_path] = encode_image(pixels, "PNG", navbake=text)  # after what is read with it
+        # after the room maps, which are read with it
+        files[map_path] = encode_image(pixels, "PNG", navbake=lattice_text)
     return files
 
 
 def _sample_pixels(
-    layer: NDArray[Any], lattice: Lattice, half_size: int, right: float = 0.0, up: float = 0.0
+    layer: NDArray[Any],
+    lattice: Lattice,
+    half_size: int,
+    x_offset: float = 0.0,
+    y_offset: float = 0.0,
 ) -> NDArray[Any]:
     """Return a layer's value at a point of each pixel; 0 outside of the lattice.
 
@@ -146,11 +153,13 @@ def _sample_pixels(
         layer: the value of each cell, shape (height, width).
         lattice: the lattice of the cells.
         half_size: half of the image's edge [pixels].
-        right: how far the point is to the right of the pixel's middle [m].
-        up: how far the point is above the pixel's middle [m].
+        x_offset: how far the point is to the right of the pixel's middle [m].
+        y_offset: how far the point is above the pixel's middle [m].
     """
-    middle = (np.arange(2 * half_size) + (0.5 - half_size)) * PIXEL_SIZE
-    rows, cols = lattice.rows_cols(np.stack([middle + right, middle + up], axis=-1))
+    pixel_middles = (np.arange(2 * half_size) + (0.5 - half_size)) * PIXEL_SIZE
+    rows, cols = lattice.rows_cols(
+        np.stack([pixel_middles + x_offset, pixel_middles + y_offset], axis=-1)
+    )
     # a border of zeros stands for everything outside
     height, width = layer.shape
     rows = np.clip(rows + 1, 0, height + 1)
@@ -207,8 +216,8 @@ def _encode_room_maps(
 def _find_category(room_name: str) -> str:
     """Return the category of a room by its name: ``Living room 2`` is a ``living_room``."""
     name = room_name.lower()
-    number = REVERSED_NUMBER.match(name[::-1])
-    name = name[: len(name) - (number.end() if number else 0)]
+    number_match = REVERSED_NUMBER.match(name[::-1])
+    name = name[: len(name) - (number_match.end() if number_match else 0)]
     return name.replace(" ", "_") or DEFAULT_CATEGORY
 
 
@@ -237,8 +246,8 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
     cells_text = image.info.get("navbake")
     num_pixels = image.width
     if image.width != image.height:
-        got = f"{image.width} × {image.height} pixels"
-        message = f"expected a square map in {path}, got {got}"
+        actual_text = f"{image.width} × {image.height} pixels"
+        message = f"expected a square map in {path}, got {actual_text}"
         raise FormatError(message, path=str(path), value=image.size, expected="a square map")
     if image.mode not in ("1", "L"):
         message = f"expected a map of one channel in {path}, got {image.mode}"
@@ -296,14 +305,14 @@ def _find_room_files(path: Path) -> RoomFiles | None:
 def _parse_cells(text: str, path: str | PathLike[str]) -> tuple[Lattice, float]:
     """Return the lattice and the ground that the text of a map states."""
     try:
-        cells: Json = orjson.loads(text)
-        ground = float(cells.pop("ground"))
-        lattice = Lattice(**cells)
+        lattice_fields: Json = orjson.loads(text)
+        ground = float(lattice_fields.pop("ground"))
+        lattice = Lattice(**lattice_fields)
         is_valid = lattice.cell_size >= PIXEL_SIZE - PIXEL_MARGIN
         is_valid &= min(lattice.width, lattice.height) >= 1
         is_valid &= abs(ground) <= MAX_COORDINATE and lattice.width * lattice.height <= MAX_PIXELS
         is_valid &= type(lattice.width) is type(lattice.height) is int
-        if not is_valid or not all(abs(edge) <= MAX_COORDINATE for edge in lattice.bounds):
+        if not is_valid or not all(abs(bound) <= MAX_COORDINATE for bound in lattice.bounds):
             raise ValueError("out of range")
     except (ArithmeticError, AttributeError, KeyError, TypeError, ValueError) as error:
         expected = "the cells of a map"
@@ -317,7 +326,9 @@ def _parse_cells(text: str, path: str | PathLike[str]) -> tuple[Lattice, float]:
     return lattice, ground
 
 
-def _read_room_maps(room_files: RoomFiles, size: int) -> tuple[NDArray[np.uint8], dict[int, str]]:
+def _read_room_maps(
+    room_files: RoomFiles, image_size: int
+) -> tuple[NDArray[np.uint8], dict[int, str]]:
     """Read the room number of each pixel, and the names that OmniGibson gives the rooms.
 
     A name is the room's category (that of its first pixel) with a number: the rooms of a category
@@ -325,39 +336,39 @@ def _read_room_maps(room_files: RoomFiles, size: int) -> tuple[NDArray[np.uint8]
 
     Args:
         room_files: the files.
-        size: the edge of each image [pixels].
+        image_size: the edge of each image [pixels].
 
     Returns:
         The image of room numbers, and number of a room -> its name.
     """
-    room_numbers = _read_room_map(room_files.rooms, size)
-    category_numbers = _read_room_map(room_files.categories, size)
+    room_numbers = _read_room_map(room_files.rooms, image_size)
+    category_numbers = _read_room_map(room_files.categories, image_size)
     names_path = room_files.category_names
     category_names = _read_lines(names_path) if names_path.exists() else []
     room_names = dict[int, str]()
-    num_named = Counter[str]()
+    num_rooms_of_category = Counter[str]()
     unique_numbers, first_pixel = np.unique(room_numbers, return_index=True)
     first_category = category_numbers.ravel()[first_pixel]
-    for number, category in zip(unique_numbers.tolist(), first_category.tolist(), strict=True):
-        if number and 1 <= category <= len(category_names) and category_names[category - 1]:
+    for room_number, category in zip(unique_numbers.tolist(), first_category.tolist(), strict=True):
+        if room_number and 1 <= category <= len(category_names) and category_names[category - 1]:
             name = category_names[category - 1]
-            room_names[number] = f"{name}_{num_named[name]}"
-            num_named[name] += 1
+            room_names[room_number] = f"{name}_{num_rooms_of_category[name]}"
+            num_rooms_of_category[name] += 1
     return room_numbers, room_names
 
 
-def _read_room_map(path: Path, size: int) -> NDArray[np.uint8]:
+def _read_room_map(path: Path, image_size: int) -> NDArray[np.uint8]:
     """Read the bytes of a square image; zeros if it does not exist."""
     if not path.exists():
-        return np.zeros((size, size), dtype=np.uint8)
+        return np.zeros((image_size, image_size), dtype=np.uint8)
     image = open_image(path, ("PNG",))
-    if image.size != (size, size) or image.mode not in ("L", "P"):
-        expected = f"bytes of {size} × {size}"
-        got = f"{image.mode} of {image.width} × {image.height}"
+    if image.size != (image_size, image_size) or image.mode not in ("L", "P"):
+        expected = f"bytes of {image_size} × {image_size}"
+        actual_text = f"{image.mode} of {image.width} × {image.height}"
         raise FormatError(
-            f"expected {expected} in {path}, got {got}",
+            f"expected {expected} in {path}, got {actual_text}",
             path=str(path),
-            value=got,
+            value=actual_text,
             expected=expected,
         )
     return np.asarray(image)

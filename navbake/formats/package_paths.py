@@ -50,7 +50,7 @@ class RosPackages:
     def __init__(self, folders: Sequence[Path] = ()) -> None:
         self._folders = folders
 
-    def list_stated(self, name: str) -> Iterator[Path]:
+    def list_stated_folders(self, name: str) -> Iterator[Path]:
         """Yield the folders where a package may be, by the setting `scene.model_path`.
 
         Args:
@@ -59,7 +59,7 @@ class RosPackages:
         for folder in self._folders:
             yield from _list_package_folders(folder, name)
 
-    def list_installed(self, name: str) -> Iterator[Path]:
+    def list_installed_folders(self, name: str) -> Iterator[Path]:
         """Yield the folders where a package may be, by ROS's environment variables, in ROS's order.
 
         Args:
@@ -75,23 +75,23 @@ class RosPackages:
     @cached_property
     def _nested_packages(self) -> dict[str, Path]:
         """Name -> folder, of packages at any depth in the folders of ROS_PACKAGE_PATH."""
-        packages = dict[str, Path]()
-        unread = _folders_of(ROS_PACKAGE_PATH)[::-1]
+        folder_of_package = dict[str, Path]()
+        unread_folders = _folders_of(ROS_PACKAGE_PATH)[::-1]
         num_folders = 0
-        while unread and num_folders < MAX_FOLDERS:
-            folder = unread.pop()
+        while unread_folders and num_folders < MAX_FOLDERS:
+            folder = unread_folders.pop()
             num_folders += 1
             package_file = folder / PACKAGE_FILE
             if package_file.is_file():
                 try:
-                    stated_name = PACKAGE_NAME.search(package_file.read_bytes())
+                    name_match = PACKAGE_NAME.search(package_file.read_bytes())
                 except OSError:
-                    stated_name = None
-                name = folder.name if stated_name is None else stated_name[1].decode()
-                packages.setdefault(name, folder)
+                    name_match = None
+                name = folder.name if name_match is None else name_match[1].decode()
+                folder_of_package.setdefault(name, folder)
                 continue  # there are no packages in packages
-            unread += _list_subfolders(folder)[::-1]
-        return packages
+            unread_folders += _list_subfolders(folder)[::-1]
+        return folder_of_package
 
 
 def _folders_of(variable: str) -> list[Path]:
@@ -135,7 +135,7 @@ class FuelFile(NamedTuple):
     version: str
     path: str
 
-    def list_in_folder(self, folder: Path) -> Iterator[Path]:
+    def list_paths_in_folder(self, folder: Path) -> Iterator[Path]:
         """Yield the possible paths of the file in a folder of models.
 
         The model's folder is found whatever the case of its name.
@@ -146,23 +146,27 @@ class FuelFile(NamedTuple):
         for model_folder in _list_equal_names(folder, self.name):
             yield model_folder / self.path
 
-    def list_in_caches(self) -> Iterator[Path]:
+    def list_paths_in_caches(self) -> Iterator[Path]:
         """Yield the possible paths of the file in the caches of Fuel, latest versions first."""
-        caches = [folder for variable in FUEL_CACHE_PATHS for folder in _folders_of(variable)]
-        caches += [Path.home() / cache for cache in FUEL_CACHES]
+        cache_folders = [
+            folder for variable in FUEL_CACHE_PATHS for folder in _folders_of(variable)
+        ]
+        cache_folders += [Path.home() / cache_folder for cache_folder in FUEL_CACHES]
         servers = dict.fromkeys((self.server.lower(), *FUEL_SERVERS))
-        for cache in caches:
+        for cache_folder in cache_folders:
             for server in servers:
-                models = cache / server / self.owner.lower() / "models"
-                for model_folder in _list_equal_names(models, self.name):
+                models_folder = cache_folder / server / self.owner.lower() / "models"
+                for model_folder in _list_equal_names(models_folder, self.name):
                     for version_folder in self._list_versions(model_folder):
                         yield version_folder / self.path
 
     def _list_versions(self, model_folder: Path) -> list[Path]:
         if self.version.isdecimal():
             return [model_folder / self.version]
-        versions = [folder for folder in _list_subfolders(model_folder) if folder.name.isdecimal()]
-        return sorted(versions, key=lambda folder: int(folder.name), reverse=True)
+        version_folders = [
+            folder for folder in _list_subfolders(model_folder) if folder.name.isdecimal()
+        ]
+        return sorted(version_folders, key=lambda folder: int(folder.name), reverse=True)
 
 
 def parse_fuel_address(uri: str) -> FuelFile | None:
@@ -175,14 +179,14 @@ def parse_fuel_address(uri: str) -> FuelFile | None:
     for pattern in (FUEL_ADDRESS, FUEL_CACHE_FILE):
         match = pattern.fullmatch(uri)
         if match is not None:
-            parts = {key: unquote(value or "") for key, value in match.groupdict().items()}
+            fields = {key: unquote(value or "") for key, value in match.groupdict().items()}
             if "\0" in uri or "%00" in uri:
                 return None
-            return FuelFile(**{**parts, "path": parts["path"].strip("/")})
+            return FuelFile(**{**fields, "path": fields["path"].strip("/")})
     return None
 
 
-def equal_model_names(name: str, other_name: str) -> bool:
+def is_same_model_name(name: str, other_name: str) -> bool:
     """Return whether two names stand for the same model on Fuel.
 
     Upper and lower case are equal, and so are a blank and ``_``.
@@ -199,7 +203,7 @@ def _list_equal_names(folder: Path, name: str) -> list[Path]:
     if "/" in name or name in ("", os.curdir, os.pardir):
         return []
     try:
-        names = sorted(entry for entry in os.listdir(folder) if equal_model_names(entry, name))
+        names = sorted(entry for entry in os.listdir(folder) if is_same_model_name(entry, name))
     except OSError:
         names = []
     return [folder / equal_name for equal_name in dict.fromkeys((name, *names))]

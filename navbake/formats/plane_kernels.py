@@ -44,8 +44,8 @@ def cover_planes(labels, heights, tolerance, max_rise):
                 continue
             rise_right = _find_even_rise(labels, heights, is_uncovered, row, col, 0, 1, tolerance)
             rise_down = _find_even_rise(labels, heights, is_uncovered, row, col, 1, 0, tolerance)
-            best_rows = 0
-            best_cols = 0
+            best_num_rows = 0
+            best_num_cols = 0
             best_x_rise = 0.0
             best_y_rise = 0.0
             # level, sloped along the row, along the column, along both
@@ -53,49 +53,50 @@ def cover_planes(labels, heights, tolerance, max_rise):
                 x_rise = rise_right * (slope_kind % 2)
                 y_rise = rise_down * (slope_kind // 2)
                 # without a rise, the plane is one of the others
-                is_same = (slope_kind % 2 > 0 and rise_right == 0.0) or (
+                is_duplicate_plane = (slope_kind % 2 > 0 and rise_right == 0.0) or (
                     slope_kind // 2 > 0 and rise_down == 0.0
                 )
-                if is_same or x_rise * x_rise + y_rise * y_rise > max_rise * max_rise:
+                if is_duplicate_plane or x_rise * x_rise + y_rise * y_rise > max_rise * max_rise:
                     continue
                 num_rows, num_cols = _find_largest_rectangle(
                     labels, heights, is_uncovered, row, col, x_rise, y_rise, tolerance
                 )
                 # a slope takes three cells: any two heights lie on a line
-                is_short = (x_rise != 0.0 and num_cols < 3) or (y_rise != 0.0 and num_rows < 3)
-                if num_rows * num_cols > best_rows * best_cols and not is_short:
-                    best_rows = num_rows
-                    best_cols = num_cols
+                is_too_short = (x_rise != 0.0 and num_cols < 3) or (y_rise != 0.0 and num_rows < 3)
+                if num_rows * num_cols > best_num_rows * best_num_cols and not is_too_short:
+                    best_num_rows = num_rows
+                    best_num_cols = num_cols
                     best_x_rise = x_rise
                     best_y_rise = y_rise
-            is_uncovered[row : row + best_rows, col : col + best_cols] = False
+            is_uncovered[row : row + best_num_rows, col : col + best_num_cols] = False
             if num_planes == bounds.shape[0]:
                 bounds = np.concatenate((bounds, np.empty_like(bounds)))
                 planes = np.concatenate((planes, np.empty_like(planes)))
-            bounds[num_planes] = row, col, row + best_rows, col + best_cols
+            bounds[num_planes] = row, col, row + best_num_rows, col + best_num_cols
             planes[num_planes] = heights[row, col], best_x_rise, best_y_rise
             num_planes += 1
     return bounds[:num_planes].copy(), planes[:num_planes].copy()
 
 
 @subkernel
-def _find_even_rise(labels, heights, is_uncovered, row, col, down, right, tolerance):
+def _find_even_rise(labels, heights, is_uncovered, row, col, row_step, col_step, tolerance):
     """Return the rise from cell to cell of three cells of one label in a line [m].
 
-    It is 0 if they don't rise evenly. The line leads `down` rows and `right` columns on each time.
+    It is 0 if they don't rise evenly. From each cell to the next are `row_step` rows and `col_step`
+    columns.
     """
-    last_row = row + 2 * down
-    last_col = col + 2 * right
+    last_row = row + 2 * row_step
+    last_col = col + 2 * col_step
     if last_row >= labels.shape[0] or last_col >= labels.shape[1]:
         return 0.0
     label = labels[row, col]
     for step in range(1, 3):
-        step_row = row + step * down
-        step_col = col + step * right
+        step_row = row + step * row_step
+        step_col = col + step * col_step
         if not is_uncovered[step_row, step_col] or labels[step_row, step_col] != label:
             return 0.0
     rise = (heights[last_row, last_col] - heights[row, col]) / 2
-    middle_rise = heights[row + down, col + right] - heights[row, col]
+    middle_rise = heights[row + row_step, col + col_step] - heights[row, col]
     return rise if abs(middle_rise - rise) <= tolerance else 0.0
 
 
@@ -111,22 +112,25 @@ def _find_largest_rectangle(labels, heights, is_uncovered, row, col, x_rise, y_r
     label = labels[row, col]
     first_height = heights[row, col]
     width = labels.shape[1] - col
-    best_rows = 0
-    best_cols = 0
+    best_num_rows = 0
+    best_num_cols = 0
     for rect_row in range(row, labels.shape[0]):
         row_height = first_height + (rect_row - row) * y_rise
-        num_fitting = 0
-        while num_fitting < width:
-            rect_col = col + num_fitting
+        num_fitting_cells = 0
+        while num_fitting_cells < width:
+            rect_col = col + num_fitting_cells
             if not is_uncovered[rect_row, rect_col] or labels[rect_row, rect_col] != label:
                 break
-            if abs(heights[rect_row, rect_col] - row_height - num_fitting * x_rise) > tolerance:
+            if (
+                abs(heights[rect_row, rect_col] - row_height - num_fitting_cells * x_rise)
+                > tolerance
+            ):
                 break
-            num_fitting += 1
-        width = num_fitting
-        if width * (labels.shape[0] - row) <= best_rows * best_cols:
+            num_fitting_cells += 1
+        width = num_fitting_cells
+        if width * (labels.shape[0] - row) <= best_num_rows * best_num_cols:
             break  # the width never grows, so no number of rows makes it larger
-        if width * (rect_row - row + 1) > best_rows * best_cols:
-            best_rows = rect_row - row + 1
-            best_cols = width
-    return best_rows, best_cols
+        if width * (rect_row - row + 1) > best_num_rows * best_num_cols:
+            best_num_rows = rect_row - row + 1
+            best_num_cols = width
+    return best_num_rows, best_num_cols

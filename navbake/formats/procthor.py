@@ -49,35 +49,39 @@ def encode_procthor(grid: NavGrid, path: Path, *, level: int | None = None) -> F
         FormatError: there is no such level, or one has more than 255 rooms.
     """
     files: Files = {}
-    for number, level_path in list_level_paths(grid, path, level, (".png",)).items():
-        grid_level = grid.levels[number]
+    for level_number, level_path in list_level_paths(grid, path, level, (".png",)).items():
+        grid_level = grid.levels[level_number]
         num_rooms = grid_level.room_index.max(initial=0)
         if num_rooms > MAX_ROOMS:
-            got = f"level {number} has {num_rooms}"
-            raise FormatError(f"a ProcTHORMap numbers rooms up to {MAX_ROOMS}, {got}")
-        free_bytes = np.where(grid_level.free, np.uint8(255), np.uint8(0))
-        pixels = np.stack([free_bytes, free_bytes, grid_level.room_index.astype(np.uint8)], axis=-1)
+            actual_text = f"level {level_number} has {num_rooms}"
+            raise FormatError(f"a ProcTHORMap numbers rooms up to {MAX_ROOMS}, {actual_text}")
+        free_channel = np.where(grid_level.free, np.uint8(255), np.uint8(0))
+        pixels = np.stack(
+            [free_channel, free_channel, grid_level.room_index.astype(np.uint8)], axis=-1
+        )
         cell_size = grid_level.lattice.cell_size
         x_min = grid_level.lattice.x_min
         y_max = grid_level.lattice.y_max
-        density = 1.0 / cell_size  # pixels per metre
-        is_whole = abs(density - round(density)) < INTEGER_TOLERANCE
-        rooms = [room for room in grid.rooms if room.level == number]
-        texts: Json = {
+        pixels_per_metre = 1.0 / cell_size
+        is_whole = abs(pixels_per_metre - round(pixels_per_metre)) < INTEGER_TOLERANCE
+        rooms = [room for room in grid.rooms if room.level == level_number]
+        value_of_keyword: Json = {
             "world_to_map": [
-                [0.0, -density, 0.0, y_max / cell_size - 0.5],
-                [density, 0.0, 0.0, -x_min / cell_size - 0.5],
+                [0.0, -pixels_per_metre, 0.0, y_max / cell_size - 0.5],
+                [pixels_per_metre, 0.0, 0.0, -x_min / cell_size - 0.5],
             ],
             "map_to_world": [
                 [0.0, cell_size, x_min + cell_size / 2],
                 [-cell_size, 0.0, y_max - cell_size / 2],
                 [0.0, 0.0, grid_level.ground],
             ],
-            "px_per_m": round(density) if is_whole else density,
+            "px_per_m": round(pixels_per_metre) if is_whole else pixels_per_metre,
             "room_ids_to_name": {str(room.index): room.name or room.id for room in rooms},
         }
-        encoded_texts = {key: orjson.dumps(text).decode() for key, text in texts.items()}
-        files[level_path] = encode_image(pixels, "PNG", **encoded_texts)
+        text_of_keyword = {
+            key: orjson.dumps(text).decode() for key, text in value_of_keyword.items()
+        }
+        files[level_path] = encode_image(pixels, "PNG", **text_of_keyword)
     return files
 
 
@@ -109,8 +113,8 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
             message, path=str(path), value=image.mode, expected="a map of 1 or 3 channels"
         )
     red, _, blue = np.moveaxis(np.asarray(image.convert("RGB")), -1, 0)
-    rooms = blue if image.mode == "RGB" else np.zeros_like(blue)
-    layers, lattice = _straighten(np.stack([red, rooms]), world_to_map, path)
+    room_channel = blue if image.mode == "RGB" else np.zeros_like(blue)
+    layers, lattice = _straighten(np.stack([red, room_channel]), world_to_map, path)
     is_free = layers[0] > 0
     room_index = layers[1].astype(np.uint16)
     ground = float(map_to_world[2, 2])
@@ -181,7 +185,7 @@ def _straighten(
     y_max = (origin_row + 0.5) * cell_size
     lattice = Lattice(x_min, y_max, cell_size, width, height)
     if not cell_size >= LEAST_EDGE or not all(
-        abs(edge) <= MAX_COORDINATE for edge in lattice.bounds
+        abs(bound) <= MAX_COORDINATE for bound in lattice.bounds
     ):
         raise _make_range_error(path)
     return np.ascontiguousarray(layers), lattice
@@ -193,11 +197,11 @@ def _make_range_error(path: str | PathLike[str]) -> FormatError:
 
 
 def _read_matrix(
-    texts: Mapping[Any, Any], key: str, shape: tuple[int, int], path: str | PathLike[str]
+    image_texts: Mapping[Any, Any], key: str, shape: tuple[int, int], path: str | PathLike[str]
 ) -> Float:
     """Read the matrix that the text `key` of an image states."""
     try:
-        matrix = np.array(_parse_text(texts.get(key), key, path))
+        matrix = np.array(_parse_text(image_texts.get(key), key, path))
     except ValueError:  # rows of several lengths
         matrix = np.empty(0)
     if matrix.shape != shape or matrix.dtype.kind not in "if":

@@ -163,13 +163,17 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
 
 def _warn_of_omissions(grid: NavGrid, lift_entries: Mapping[str, Json]) -> None:
     """Log a warning if the grid has links without an entry, steps or areas: they are left out."""
-    omitted = [f"the link {link.name!r}" for link in grid.links if link.name not in lift_entries]
+    omitted_names = [
+        f"the link {link.name!r}" for link in grid.links if link.name not in lift_entries
+    ]
     if len(grid.step_array):
-        omitted.append("steps between levels")
+        omitted_names.append("steps between levels")
     if grid.areas:
-        omitted.append("areas")
-    if omitted:
-        LOG.warning("buildings of Open-RMF have no place for %s: left out", ", ".join(omitted))
+        omitted_names.append("areas")
+    if omitted_names:
+        LOG.warning(
+            "buildings of Open-RMF have no place for %s: left out", ", ".join(omitted_names)
+        )
 
 
 def _find_elevation(level: SceneGrid2D) -> float:
@@ -210,8 +214,8 @@ def _add_walls(
     is_wall = _find_wall_cells(grid, level_number, lifts)
     cell_size = level.lattice.cell_size
     for outline, *holes in trace_polygons(is_wall.astype(np.uint8), level.lattice).get(1, []):
-        area = shapely.Polygon(outline, holes).simplify(cell_size / 2)
-        for ring in _inset_rings(area, cell_size):
+        wall_geometry = shapely.Polygon(outline, holes).simplify(cell_size / 2)
+        for ring in _inset_rings(wall_geometry, cell_size):
             vertices = [building_level.add_vertex(x, y) for x, y in ring.coords]
             for start, end in pairwise(vertices):
                 if start != end:
@@ -246,19 +250,19 @@ def _find_wall_cells(grid: NavGrid, level_number: int, lifts: Iterable[Link]) ->
         car = LiftCar(lift.name, *lift.car)
         car_x, car_y = to_car_frame(car, x, y)
         is_beside = abs(car_x) > car.width / 2 + SHAFT_GAP
-        is_before = abs(car_y) > car.depth / 2 + SHAFT_GAP
-        is_wall &= is_beside | is_before
+        is_in_front = abs(car_y) > car.depth / 2 + SHAFT_GAP
+        is_wall &= is_beside | is_in_front
     return is_wall
 
 
-def _inset_rings(area: BaseGeometry, cell_size: float) -> Iterator[LinearRing]:
+def _inset_rings(wall_geometry: BaseGeometry, cell_size: float) -> Iterator[LinearRing]:
     """Yield the middle lines of walls that fill an area of wall cells.
 
     A line runs half a wall and half a cell inside of the area's outline: a wall cell is one that a
     wall touches, so a wall ends half a cell inside of it on average. Where the area is too narrow
     for that, the line runs nearer to the outline.
     """
-    remaining_parts = [area]
+    remaining_parts = [wall_geometry]
     full_inset = (WALL_THICKNESS + cell_size) / 2
     for inset_fraction in (1.0, 0.95, 0.75, 0.5, 0.25, 0.0):
         inset = inset_fraction * full_inset
@@ -270,10 +274,12 @@ def _inset_rings(area: BaseGeometry, cell_size: float) -> Iterator[LinearRing]:
                 yield polygon.exterior
                 yield from polygon.interiors
             # what these walls don't cover gets walls with a smaller inset
-            uncovered = part.difference(inset_area.buffer(1.05 * inset, join_style="mitre"))
+            uncovered_geometry = part.difference(
+                inset_area.buffer(1.05 * inset, join_style="mitre")
+            )
             remaining_parts += [
                 uncovered_part
-                for uncovered_part in shapely.get_parts(uncovered)
+                for uncovered_part in shapely.get_parts(uncovered_geometry)
                 if uncovered_part.area > cell_size**2
             ]
 
@@ -327,7 +333,7 @@ def _join_leaves(lines: Iterable[DoorLine]) -> dict[str, list[DoorLine]]:
 
 def _find_line_ends(leaves: list[DoorLine]) -> tuple[Float, Float]:
     """Return the two ends of the line over all leaves of a door, world x, y [m]."""
-    ends = np.array([end_index for leaf in leaves for end_index in (leaf.start, leaf.end)])
+    ends = np.array([end for leaf in leaves for end in (leaf.start, leaf.end)])
     distances = np.linalg.norm(ends[:, None] - ends[None], axis=2)
     start_index, end_index = np.unravel_index(int(distances.argmax()), distances.shape)
     return ends[start_index], ends[end_index]
@@ -372,14 +378,14 @@ def _find_motion(
         is_sliding = "open" in door.cells and None not in door.rooms
         return _DoorMotion("sliding" if is_sliding else "hinged", direction=1, axis="start")
     width = float(np.hypot(*(end - start)))
-    to_start = (start - end) / max(width, 1e-9)  # unit vector from end to start
-    to_side = np.array([-to_start[1], to_start[0]])  # to the left of that
-    offset = (open_positions - (start + end) / 2).mean(axis=0)
-    is_sliding = abs(offset @ to_side) < MAX_SLIDE_OFFSET * width / num_leaves
-    is_hinged_at_end = num_leaves == 1 and offset @ to_start < 0
+    start_direction = (start - end) / max(width, 1e-9)  # unit vector from end to start
+    side_direction = np.array([-start_direction[1], start_direction[0]])  # to the left of that
+    leaf_offset = (open_positions - (start + end) / 2).mean(axis=0)
+    is_sliding = abs(leaf_offset @ side_direction) < MAX_SLIDE_OFFSET * width / num_leaves
+    is_hinged_at_end = num_leaves == 1 and leaf_offset @ start_direction < 0
     return _DoorMotion(
         kind="sliding" if is_sliding else "hinged",
-        direction=1 if offset @ to_side >= 0 else -1,
+        direction=1 if leaf_offset @ side_direction >= 0 else -1,
         axis="end" if is_hinged_at_end else "start",
     )
 
@@ -400,16 +406,16 @@ def _add_lanes(building_levels: list[_BuildingLevel], grid: NavGrid) -> None:
     nodes_in_shafts = find_nodes_in_cars(graph, car_plans, SHAFT_MARGIN)
     landing_positions = _place_landings(graph, car_plans)
 
-    def add_node(number: int) -> int:
-        node = graph.nodes[number]
-        x, y = landing_positions.get(number, node.position[:2])
+    def add_node(node_index: int) -> int:
+        node = graph.nodes[node_index]
+        x, y = landing_positions.get(node_index, node.position[:2])
         vertex: int = building_levels[node.level].add_vertex(x, y, node.name)
         return vertex
 
     def add_lane(level: int, start: int, end: int, lane: Lane | None = None) -> None:
-        two_way = lane.two_way if lane is not None else False
+        is_two_way = lane.two_way if lane is not None else False
         lane_fields: Json = {
-            "bidirectional": [BOOLEAN_TYPE, two_way],
+            "bidirectional": [BOOLEAN_TYPE, is_two_way],
             "graph_idx": [INTEGER_TYPE, 0],
         }
         if lane is not None and lane.speed is not None:
@@ -423,10 +429,10 @@ def _add_lanes(building_levels: list[_BuildingLevel], grid: NavGrid) -> None:
             add_lane(level, add_node(lane.start), add_node(lane.end), lane)
     for stop in make_car_stops(graph, car_plans):
         car_vertex = building_levels[stop.level].add_vertex(stop.x, stop.y, stop.name)
-        for number in stop.entries:
-            add_lane(stop.level, add_node(number), car_vertex)
-        for number in stop.exits:
-            add_lane(stop.level, car_vertex, add_node(number))
+        for node_index in stop.entries:
+            add_lane(stop.level, add_node(node_index), car_vertex)
+        for node_index in stop.exits:
+            add_lane(stop.level, car_vertex, add_node(node_index))
 
 
 def _place_landings(
@@ -445,8 +451,8 @@ def _place_landings(
     landing_positions = {}
     for plan in car_plans:
         car = plan.car
-        for number in landings[car.name]:
-            x, y = graph.nodes[number].position[:2]
+        for node_index in landings[car.name]:
+            x, y = graph.nodes[node_index].position[:2]
             if not is_in_car(car, x, y, SHAFT_MARGIN):
                 continue
             car_x, car_y = to_car_frame(car, x, y)
@@ -457,7 +463,7 @@ def _place_landings(
                 car_y = door.y + math.copysign(SHAFT_GAP, door.y)
             cos = math.cos(car.yaw)
             sin = math.sin(car.yaw)
-            landing_positions[number] = (
+            landing_positions[node_index] = (
                 car.x + car_x * cos - car_y * sin,
                 car.y + car_x * sin + car_y * cos,
             )
@@ -495,7 +501,7 @@ def _make_lift(link: Link, car: LiftCar, grid: NavGrid, level_names: list[str]) 
     """
     doors: Json = {}  # side of the car -> entry of its door
     level_doors: dict[str, list[str]] = {}  # level's name -> sides that open there
-    initial_level = None
+    initial_level_name = None
     for stop in link.stops:
         door = _find_car_door(car, stop.position[0], stop.position[1])
         door_width = min(link.width or 1.0, door.side_length - 2 * SHAFT_GAP)
@@ -512,15 +518,15 @@ def _make_lift(link: Link, car: LiftCar, grid: NavGrid, level_names: list[str]) 
         # the car stands on the level of the first stop that has a floor in the shaft
         level = grid.levels[stop.level]
         row, col = level.lattice.rows_cols(np.array([car.x, car.y]))
-        if initial_level is None and np.isfinite(level.floor[row, col]):
-            initial_level = level_names[stop.level]
+        if initial_level_name is None and np.isfinite(level.floor[row, col]):
+            initial_level_name = level_names[stop.level]
     return {
         "x": car.x,
         "y": car.y,
         "yaw": car.yaw,
         "width": car.width,
         "depth": car.depth,
-        "initial_floor_name": initial_level or next(iter(level_doors)),
+        "initial_floor_name": initial_level_name or next(iter(level_doors)),
         "lowest_floor": level_names[min(stop.level for stop in link.stops)],
         "highest_floor": level_names[max(stop.level for stop in link.stops)],
         "level_doors": level_doors,

@@ -154,13 +154,13 @@ class _GraphReader:
     the entry of a node or lane has its index in the graph as ``number``.
 
     Attributes:
-        top: the top of the file, for errors.
+        root_place: the location of the whole file, for errors.
         nodes: key -> node.
         lanes: the one-way lanes, in the file's order.
     """
 
     def __init__(self, file: str) -> None:
-        self.top = JsonPath(file)
+        self.root_place = JsonPath(file)
         self.nodes: dict[object, _NodeEntry] = {}
         self.lanes: list[_LaneEntry] = []
 
@@ -197,9 +197,9 @@ class _GraphReader:
             place: its location in the file, for errors.
         """
         for key in (start, end):
-            parts = key if isinstance(key, tuple) else (key,)
-            has_hash = all(isinstance(part, int | str) for part in parts)
-            if not has_hash or key not in self.nodes:
+            key_parts = key if isinstance(key, tuple) else (key,)
+            is_hashable = all(isinstance(key_part, int | str) for key_part in key_parts)
+            if not is_hashable or key not in self.nodes:
                 place.refuse("the id of a node", key)
         start_position = self.nodes[start].node.position
         end_position = self.nodes[end].node.position
@@ -233,7 +233,7 @@ class _GraphReader:
         ]
         for entry in node_entries:
             if not 0 <= entry.node.level < MAX_LEVELS:
-                self.top.fail(
+                self.root_place.fail(
                     f"expected a level from 0 to {MAX_LEVELS - 1} of node {entry.node.name!r}, "
                     f"got {format_value(entry.node.level)}"
                 )
@@ -244,15 +244,15 @@ class _GraphReader:
         if isinstance(graph_entry, dict):
             fields |= graph_entry
         fields |= {"nodes": nodes, "lanes": join_opposite_lanes(lanes)}
-        graph: RouteGraph = read_table(fields, RouteGraph, f"navbake in {self.top.file}")
+        graph: RouteGraph = read_table(fields, RouteGraph, f"navbake in {self.root_place.file}")
         used_names = set[str]()
         for node in nodes:
             if node.name in used_names or not 0 <= node.level < len(graph.level_names):
-                self.top.fail(f"expected nodes of unique names on known levels, got {node}")
+                self.root_place.fail(f"expected nodes of unique names on known levels, got {node}")
             used_names.add(node.name)
         for doorway in graph.doorways:
             if not 0 <= doorway.level < len(graph.level_names):
-                self.top.fail(f"expected doorways on known levels, got {doorway}")
+                self.root_place.fail(f"expected doorways on known levels, got {doorway}")
         return graph
 
 
@@ -329,8 +329,8 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
 
-def _make_feature(kind: str, coordinates: Sequence[object], properties: Json) -> Json:
-    geometry = {"type": kind, "coordinates": coordinates}
+def _make_feature(geometry_type: str, coordinates: Sequence[object], properties: Json) -> Json:
+    geometry = {"type": geometry_type, "coordinates": coordinates}
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
@@ -351,15 +351,15 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
     """
     content, name = source.read_json(path, expected="a GeoJSON FeatureCollection")
     reader = _GraphReader(name)
-    top = check_object(content, reader.top)
-    features = top.get("features")
+    root = check_object(content, reader.root_place)
+    features = root.get("features")
     if not isinstance(features, list):
-        reader.top["features"].refuse("a list of features", features)
-    graph_entry = check_optional_object(top, "navbake", reader.top)
-    speed_place = reader.top["navbake"]["speed"]
+        reader.root_place["features"].refuse("a list of features", features)
+    graph_entry = check_optional_object(root, "navbake", reader.root_place)
+    speed_place = reader.root_place["navbake"]["speed"]
     agent_speed = check_number(graph_entry.get("speed", DEFAULT_SPEED), speed_place)
     for index, feature in enumerate(features):
-        place = reader.top["features"][index]
+        place = reader.root_place["features"][index]
         geometry = check_object(check_object(feature, place).get("geometry"), place["geometry"])
         properties = check_object(feature.get("properties"), place["properties"])
         metadata = check_optional_object(properties, "metadata", place["properties"])
@@ -387,7 +387,7 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
 
 def encode_lif(graph: RouteGraph) -> bytes:
     """Encode a graph in the VDMA's Layout Interchange Format (JSON): each level is a layout."""
-    vehicle = graph.agent or "agent"
+    vehicle_type = graph.agent or "agent"
     layouts: list[Json] = [
         {
             "layoutId": f"{number}",
@@ -408,7 +408,7 @@ def encode_lif(graph: RouteGraph) -> bytes:
                 "nodeName": node.name,
                 "mapId": graph.level_names[node.level],
                 "nodePosition": {"x": x, "y": y},
-                "vehicleTypeNodeProperties": [{"vehicleTypeId": vehicle}],
+                "vehicleTypeNodeProperties": [{"vehicleTypeId": vehicle_type}],
                 "navbake": {**encode_element(node), "number": number},
             }
         )
@@ -416,7 +416,7 @@ def encode_lif(graph: RouteGraph) -> bytes:
         start = graph.nodes[lane.start]
         end = graph.nodes[lane.end]
         vehicle_properties = {
-            "vehicleTypeId": vehicle,
+            "vehicleTypeId": vehicle_type,
             "orientationType": "TANGENTIAL",
             "rotationAllowed": True,
             "maxSpeed": graph.speed if lane.speed is None else lane.speed,
@@ -459,8 +459,8 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
     """
     content, name = source.read_json(path, expected="a LIF (JSON)")
     reader = _GraphReader(name)
-    top = check_object(content, reader.top)
-    layouts = _list_layouts(top, reader.top)
+    root = check_object(content, reader.root_place)
+    layouts = _list_layouts(root, reader.root_place)
     name_key = _unique_name_key(layouts)
     for level, (layout, layout_place) in enumerate(layouts):
         for number, node in enumerate(_check_objects(layout, "nodes", layout_place)):
@@ -480,24 +480,24 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
             navbake_entry = check_optional_object(edge, "navbake", place)
             entry: Json = {"name": edge.get("edgeId")}
             if not navbake_entry:
-                vehicle_types = [
+                vehicle_properties = [
                     properties
                     for key in LIF_EDGE_PROPERTIES
                     for properties in _check_objects(edge, key, place)
                 ]
-                if vehicle_types and vehicle_types[0].get("maxSpeed"):
-                    entry["speed"] = vehicle_types[0]["maxSpeed"]
+                if vehicle_properties and vehicle_properties[0].get("maxSpeed"):
+                    entry["speed"] = vehicle_properties[0]["maxSpeed"]
             start = edge.get("startNodeId", ABSENT)
             end = edge.get("endNodeId", ABSENT)
             reader.add_lane(start, end, entry | navbake_entry, place)
-    names = [
+    level_names = [
         str(layout.get("layoutName") or f"level {level}")
         for level, (layout, _) in enumerate(layouts)
     ]
-    return reader.make_graph(top.get("navbake"), names)
+    return reader.make_graph(root.get("navbake"), level_names)
 
 
-def _list_layouts(top: Json, place: JsonPath) -> list[tuple[Json, JsonPath]]:
+def _list_layouts(root: Json, place: JsonPath) -> list[tuple[Json, JsonPath]]:
     """List the layouts of a LIF, each with its place in the file.
 
     Version 1 has them at the top, version 2 in the ``origins``.
@@ -505,17 +505,17 @@ def _list_layouts(top: Json, place: JsonPath) -> list[tuple[Json, JsonPath]]:
     Raises:
         FormatError: the file has neither, or something else at their place.
     """
-    if "layouts" not in top and "origins" not in top:
-        information = check_optional_object(top, "metaInformation", place)
+    if "layouts" not in root and "origins" not in root:
+        information = check_optional_object(root, "metaInformation", place)
         version = information.get("lifVersion")
         stated_version = "no lifVersion" if version is None else f"lifVersion {version!r}"
         expected = "`layouts` (LIF 1) or `origins` (LIF 2)"
         place.fail(f"expected {expected}, got neither, with {stated_version}")
     layouts = [
         (layout, place["layouts"][number])
-        for number, layout in enumerate(_check_objects(top, "layouts", place))
+        for number, layout in enumerate(_check_objects(root, "layouts", place))
     ]
-    for number, origin in enumerate(_check_objects(top, "origins", place)):
+    for number, origin in enumerate(_check_objects(root, "origins", place)):
         origin_place = place["origins"][number]
         layouts += [
             (layout, origin_place["layouts"][index])
@@ -688,11 +688,11 @@ def read_rmf(path: str | PathLike[str]) -> RouteGraph:
     """
     content, name = source.read_yaml_source(path, expected="a navigation graph")
     reader = _GraphReader(name)
-    top = check_object(content, reader.top)
-    levels = check_object(top.get("levels"), reader.top["levels"])
-    graph_entry = check_optional_object(top, "navbake", reader.top)
+    root = check_object(content, reader.root_place)
+    levels = check_object(root.get("levels"), reader.root_place["levels"])
+    graph_entry = check_optional_object(root, "navbake", reader.root_place)
     for level, (level_name, level_content) in enumerate(levels.items()):
-        place = reader.top["levels"][str(level_name)]
+        place = reader.root_place["levels"][str(level_name)]
         _read_rmf_level(reader, level, str(level_name), check_object(level_content, place), place)
     _read_hidden_nodes(reader, graph_entry)
     _read_hidden_lanes(reader, graph_entry)
@@ -700,8 +700,8 @@ def read_rmf(path: str | PathLike[str]) -> RouteGraph:
     if not graph_entry:
         _join_lifts(reader)
         graph_entry = {
-            "cars": _read_rmf_lifts(top, reader.top),
-            "doorways": _read_rmf_doors(top, reader.top, level_names),
+            "cars": _read_rmf_lifts(root, reader.root_place),
+            "doorways": _read_rmf_doors(root, reader.root_place, level_names),
         }
     return reader.make_graph(graph_entry, level_names)
 
@@ -741,10 +741,10 @@ def _read_rmf_level(
         reader.add_lane((level, start), (level, end), entry, lane_place)
 
 
-def _read_rmf_lifts(top: Json, place: JsonPath) -> list[Json]:
+def _read_rmf_lifts(root: Json, place: JsonPath) -> list[Json]:
     """Read the table of lifts: for each, the fields of its `LiftCar`."""
     cars = []
-    for name, lift in check_optional_object(top, "lifts", place).items():
+    for name, lift in check_optional_object(root, "lifts", place).items():
         lift_place = place["lifts"][str(name)]
         lift_entry = check_object(lift, lift_place)
         position = _check_numbers(lift_entry, "position", 3, lift_place)
@@ -755,11 +755,11 @@ def _read_rmf_lifts(top: Json, place: JsonPath) -> list[Json]:
     return cars
 
 
-def _read_rmf_doors(top: Json, place: JsonPath, level_names: list[str]) -> list[Json]:
+def _read_rmf_doors(root: Json, place: JsonPath, level_names: list[str]) -> list[Json]:
     """Read the table of doors: for each, the fields of its `Doorway`."""
     doorways = []
     level_numbers = {name: number for number, name in enumerate(level_names)}
-    for name, door in check_optional_object(top, "doors", place).items():
+    for name, door in check_optional_object(root, "doors", place).items():
         door_place = place["doors"][str(name)]
         door_entry = check_object(door, door_place)
         level_name = str(door_entry.get("map"))
@@ -785,7 +785,7 @@ def _check_numbers(content: Json, key: str, count: int, place: JsonPath) -> list
 
 def _read_hidden_nodes(reader: _GraphReader, graph_entry: Json) -> None:
     """Read the nodes of navbake's own entry, which lie in the cars of lifts."""
-    place = reader.top["navbake"]
+    place = reader.root_place["navbake"]
     for index, node in enumerate(_check_objects(graph_entry, "nodes", place)):
         reader.add_node(("navbake", index), node.get("position"), node, place["nodes"][index])
 
@@ -796,7 +796,7 @@ def _read_hidden_lanes(reader: _GraphReader, graph_entry: Json) -> None:
     for entry in reader.nodes.values():
         if isinstance(entry.number, int | float):
             key_of_number.setdefault(entry.number, entry.key)
-    place = reader.top["navbake"]
+    place = reader.root_place["navbake"]
     for index, (start, end, lane) in enumerate(_check_rows(graph_entry, "lanes", place)):
         lane_place = place["lanes"][index]
         for number in (start, end):
@@ -814,7 +814,7 @@ def _join_lifts(reader: _GraphReader) -> None:
             nodes_of_lift.setdefault(node_entry.node.link, []).append(node_entry)
     for link, node_entries in nodes_of_lift.items():
         if len(node_entries) > MAX_LIFT_NODES:
-            reader.top.fail(
+            reader.root_place.fail(
                 f"expected {MAX_LIFT_NODES} nodes at most of lift {link[:40]!r}, "
                 f"got {len(node_entries):,}"
             )
@@ -822,7 +822,7 @@ def _join_lifts(reader: _GraphReader) -> None:
             if start.node.level != end.node.level:
                 length = math.dist(start.node.position, end.node.position)
                 lane_entry = {"name": link, "kind": "lift", "link": link, "length": length}
-                reader.add_lane(start.key, end.key, lane_entry, reader.top)
+                reader.add_lane(start.key, end.key, lane_entry, reader.root_place)
 
 
 def _check_rows(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any, Json]]:
@@ -938,9 +938,9 @@ def _from_networkx(nx_graph: networkx.Graph[Any], name: str) -> RouteGraph:
     reader = _GraphReader(name)
     for node, entry in nx_graph.nodes(data=True):
         position = [entry.get("x"), entry.get("y"), entry.get("z", 0.0)]
-        reader.add_node(node, position, {**entry, "name": str(node)}, reader.top[str(node)])
+        reader.add_node(node, position, {**entry, "name": str(node)}, reader.root_place[str(node)])
     for start, end, edge in nx_graph.edges(data=True):
-        place = reader.top[f"{start} - {end}"]
+        place = reader.root_place[f"{start} - {end}"]
         entry = {"name": f"{start} - {end}", **edge}
         reader.add_lane(start, end, entry, place)
         if not nx_graph.is_directed():

@@ -84,7 +84,7 @@ def check_inputs(scene: Path, folders: Sequence[Path] = ()) -> None:
         folders: the folders of the setting `scene.model_path`.
 
     Raises:
-        SceneError: there is such an input.
+        SceneError: the scene's path isn't UTF-8, or an input is a pipe or a device.
     """
     if os.fsencode(scene).decode(errors="replace") != str(scene):
         message = f"MuJoCo reads paths in UTF-8 only, got {scene}: rename it"
@@ -94,7 +94,7 @@ def check_inputs(scene: Path, folders: Sequence[Path] = ()) -> None:
 
 def find_inputs(
     scene: Path,
-    files: FileAccess | None = None,
+    file_access: FileAccess | None = None,
     *,
     with_textures: bool = False,
     with_missing: bool = False,
@@ -112,7 +112,7 @@ def find_inputs(
 
     Args:
         scene: the scene's file.
-        files: access to the files if they are not on this machine.
+        file_access: access to the files if they are not on this machine.
         with_textures: include textures and skins.
         with_missing: include all possible paths of each missing file.
         folders: folders of the models of an SDF, and of the packages of a URDF, see
@@ -127,8 +127,8 @@ def find_inputs(
 
     @cache
     def exists(path: Path) -> bool:
-        if files is not None:
-            return files.has(path)
+        if file_access is not None:
+            return file_access.has(path)
         try:
             check_regular(path)
         except OSError as error:
@@ -140,26 +140,28 @@ def find_inputs(
         """Return the content of a file; empty if it can't be read."""
         if exists(path):
             with suppress(OSError):
-                if files is not None:
-                    files.ensure_local(path)
+                if file_access is not None:
+                    file_access.ensure_local(path)
                 return path.read_bytes()
         return b""
 
-    inputs: set[Path] = set()
+    input_paths: set[Path] = set()
 
     def add_existing(candidates: Iterable[Path], only_first: bool = False) -> None:
-        """Add the paths of a file that exist to `inputs`; if none exists and `with_missing`, all.
+        """Add the existing paths of a file to `input_paths`; if none exists, maybe all.
+
+        All are added if `with_missing` is True.
 
         Args:
             candidates: the possible paths of the file, in the order of search.
             only_first: whether to add only the first existing path.
         """
         candidates = list(candidates)
-        existing = [path for path in candidates if exists(path)]
-        if existing:
-            inputs.update(existing[:1] if only_first else existing)
+        existing_paths = [path for path in candidates if exists(path)]
+        if existing_paths:
+            input_paths.update(existing_paths[:1] if only_first else existing_paths)
         elif with_missing:
-            inputs.update(candidates)
+            input_paths.update(candidates)
 
     suffix = scene.suffix.lower()
     elements = _list_elements(read_file(scene)) if suffix in XML_SUFFIXES else []
@@ -173,12 +175,12 @@ def find_inputs(
             add_existing(candidates)
     if suffix in SDF_SUFFIXES | USD_SUFFIXES:
         unread_files = [scene]
-        read_files = set[Path]()
+        searched_files = set[Path]()
         while unread_files:
             file = unread_files.pop()
-            if file in read_files:
+            if file in searched_files:
                 continue
-            read_files.add(file)
+            searched_files.add(file)
             content = read_file(file)
             if suffix in USD_SUFFIXES:
                 candidate_lists = _list_usd_paths(file, with_textures) if content else []
@@ -187,12 +189,12 @@ def find_inputs(
             for candidates in candidate_lists:
                 add_existing(candidates)
                 unread_files += [path for path in candidates if exists(path)]
-    for mesh in [scene, *inputs]:
-        if mesh.suffix.lower() == ".gltf":
-            for uri in _list_buffer_names(read_file(mesh)):
+    for path in [scene, *input_paths]:
+        if path.suffix.lower() == ".gltf":
+            for uri in _list_buffer_names(read_file(path)):
                 names = {uri, uri.strip(), unquote(uri)}
-                add_existing(mesh.parent / name for name in names)
-    return [scene, *sorted(inputs - {scene})]
+                add_existing(path.parent / name for name in names)
+    return [scene, *sorted(input_paths - {scene})]
 
 
 def _list_usd_paths(layer: Path, with_textures: bool) -> list[list[Path]]:
@@ -243,18 +245,20 @@ def list_mesh_paths(urdf: Path, name: str, packages: RosPackages) -> Iterator[Pa
     """
     scheme, _, bare_name = name.rpartition("://")
     mesh_path = Path(bare_name)
-    parts = mesh_path.parts
-    is_in_package = scheme in PACKAGE_SCHEMES and len(parts) > 1 and not mesh_path.is_absolute()
+    name_parts = mesh_path.parts
+    is_in_package = (
+        scheme in PACKAGE_SCHEMES and len(name_parts) > 1 and not mesh_path.is_absolute()
+    )
     folders = [urdf.parent, *urdf.absolute().parent.parents]
     if is_in_package:
-        for package in packages.list_stated(parts[0]):
-            yield package.joinpath(*parts[1:])
-    for first in range(len(parts) if len(parts) <= MAX_NAME_PARTS else 1):
+        for package_folder in packages.list_stated_folders(name_parts[0]):
+            yield package_folder.joinpath(*name_parts[1:])
+    for num_dropped_parts in range(len(name_parts) if len(name_parts) <= MAX_NAME_PARTS else 1):
         for folder in folders:
-            yield folder.joinpath(*parts[first:])
-        if first == 0 and is_in_package:
-            for package in packages.list_installed(parts[0]):
-                yield package.joinpath(*parts[1:])
+            yield folder.joinpath(*name_parts[num_dropped_parts:])
+        if num_dropped_parts == 0 and is_in_package:
+            for package_folder in packages.list_installed_folders(name_parts[0]):
+                yield package_folder.joinpath(*name_parts[1:])
 
 
 def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[Path]:
@@ -278,18 +282,18 @@ def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterat
     """
     scheme, _, name = uri.rpartition("://")
     fuel_file = parse_fuel_address(uri)
-    is_beside = scheme in ("", "file")
-    path = Path(name if is_beside else name.lstrip("/"))
-    if is_beside:
+    is_plain_path = scheme in ("", "file")
+    path = Path(name if is_plain_path else name.lstrip("/"))
+    if is_plain_path:
         yield file.parent / path
     elif scheme in ("http", "https", "fuel"):  # by its name alone
         path = Path(path.name)
     for folder in _list_model_folders(file, folders):
         if fuel_file is not None:
-            yield from fuel_file.list_in_folder(folder)
+            yield from fuel_file.list_paths_in_folder(folder)
         yield folder / path
     if fuel_file is not None:
-        yield from fuel_file.list_in_caches()
+        yield from fuel_file.list_paths_in_caches()
 
 
 def _list_model_folders(file: Path, folders: Sequence[Path]) -> Iterator[Path]:
@@ -316,8 +320,8 @@ def find_model_file(path: Path) -> Path:
     """
     if not path.is_dir():
         return path
-    config = path / MODEL_CONFIG
-    entries = _list_config_entries(config.read_bytes()) if config.is_file() else []
+    config_file = path / MODEL_CONFIG
+    entries = _list_config_entries(config_file.read_bytes()) if config_file.is_file() else []
     if not entries:
         return path / MODEL_SDF
     return path / max(entries, key=lambda entry: entry.version).name
@@ -397,23 +401,24 @@ def _list_mjcf_paths(
     """
     folder_attributes = ALL_FOLDER_ATTRIBUTES if with_textures else FOLDER_ATTRIBUTES
     file_attributes = ALL_FILE_ATTRIBUTES if with_textures else FILE_ATTRIBUTES
-    names: dict[tuple[tuple[Path, ...], str], None] = {}  # (folders of the name, name), ordered
+    # (folders of the name, name), an ordered set
+    names_in_folders: dict[tuple[tuple[Path, ...], str], None] = {}
     compiler_folders = {""}
     unread_files = [_MjcfFile(scene, scene.parent)]
-    read_files = set[tuple[str, ...]]()
+    searched_files = set[tuple[str, ...]]()
     elements_of_file = dict[str, list[StartTag]]()
     while unread_files:
         file = unread_files.pop()
         real_path = os.path.realpath(file.path)
         # a file is searched again where its names are relative to other folders
-        identity = (
+        file_identity = (
             real_path,
             os.path.realpath(file.path.parent),
             os.path.realpath(file.model_folder),
         )
-        if identity in read_files:
+        if file_identity in searched_files:
             continue
-        read_files.add(identity)
+        searched_files.add(file_identity)
         if real_path not in elements_of_file:
             elements_of_file[real_path] = _list_elements(read_file(file.path))
         base_folders = tuple(dict.fromkeys((scene.parent, file.model_folder, file.path.parent)))
@@ -428,7 +433,7 @@ def _list_mjcf_paths(
                 name = _replace_backslashes(element.attributes.get(key, ""))
                 if not name or "\0" in name:
                     continue
-                names[base_folders, name] = None
+                names_in_folders[base_folders, name] = None
                 is_xml = Path(name).suffix.lower() in XML_SUFFIXES
                 if element.name not in MODEL_ELEMENTS and not is_xml:
                     continue
@@ -437,13 +442,13 @@ def _list_mjcf_paths(
                     included_files[_MjcfFile(path, model_folder)] = None
         unread_files += included_files
     folders = sorted(compiler_folders)
-    if len(names) * len(folders) > MAX_CANDIDATES:
+    if len(names_in_folders) * len(folders) > MAX_CANDIDATES:
         raise SceneError(
-            f"{scene} names {len(names):,} files, and {len(folders):,} folders in which each may "
-            "be: too many to look for all",
+            f"{scene} names {len(names_in_folders):,} files, and {len(folders):,} folders in which "
+            "each may be: too many to look for all",
             path=str(scene),
         )
-    return [_list_paths(base_folders, folders, name) for base_folders, name in names]
+    return [_list_paths(base_folders, folders, name) for base_folders, name in names_in_folders]
 
 
 def _list_paths(base_folders: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:

@@ -134,23 +134,23 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
             expected=expected,
         )
     shapes: list[Shape] = []
-    for number, level in enumerate(grid.levels):
-        level_name = grid.level_names[number]
+    for level_number, level in enumerate(grid.levels):
+        level_name = grid.level_names[level_number]
         height = rounded(level.ground)
         cell_area = level.lattice.cell_size**2
         if ROOM in kinds:
-            rooms = {room.index: room for room in grid.rooms if room.level == number}
-            num_cells = np.bincount(level.room_index.ravel())  # of each room
-            for index, parts in trace_polygons(level.room_index, level.lattice).items():
-                room = rooms.get(index)
+            rooms = {room.index: room for room in grid.rooms if room.level == level_number}
+            num_cells_of_room = np.bincount(level.room_index.ravel())  # of each room
+            for room_index, parts in trace_polygons(level.room_index, level.lattice).items():
+                room = rooms.get(room_index)
                 shape = Shape(
                     kind=ROOM,
-                    level=number,
+                    level=level_number,
                     level_name=level_name,
                     height=height,
-                    id=room.id if room else f"{number}:{index}",
+                    id=room.id if room else f"{level_number}:{room_index}",
                     name=(room.name or None) if room else None,
-                    area=rounded(int(num_cells[index]) * cell_area),
+                    area=rounded(int(num_cells_of_room[room_index]) * cell_area),
                     parts=parts,
                     line=None,
                     more={"outdoors": True} if room and room.outdoors else {},
@@ -159,7 +159,7 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
         if WALKABLE in kinds and level.free.any():
             shape = Shape(
                 kind=WALKABLE,
-                level=number,
+                level=level_number,
                 level_name=level_name,
                 height=height,
                 id=None,
@@ -171,19 +171,19 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
             )
             shapes.append(shape)
         for door in grid.doors if DOOR in kinds else ():
-            ends = find_leaf_ends(grid, door, number)
-            if ends is None:
+            leaf_ends = find_leaf_ends(grid, door, level_number)
+            if leaf_ends is None:
                 continue
             shape = Shape(
                 kind=DOOR,
-                level=number,
+                level=level_number,
                 level_name=level_name,
                 height=height,
                 id=door.id,
                 name=None,
                 area=0.0,
                 parts=[],
-                line=np.array(ends),
+                line=np.array(leaf_ends),
                 more={"state": door.state, "rooms": list(door.rooms)},
             )
             shapes.append(shape)
@@ -217,18 +217,18 @@ def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[lis
         first_row = window[0].start
         first_col = window[1].start
         parts: list[list[Float]] = [[] for _ in range(num_parts)]
-        for part, corners in _trace_rings(part_numbers):
+        for part_number, corners in _trace_rings(part_numbers):
             x = lattice.x_min + (corners[:, 1] + first_col) * lattice.cell_size
             y = lattice.y_max - (corners[:, 0] + first_row) * lattice.cell_size
-            points = np.stack([x, y], axis=-1)
+            ring_points = np.stack([x, y], axis=-1)
             if lattice.cell_size > MIN_ROUNDED_EDGE:
-                points = np.round(points, DECIMALS)
-            parts[part - 1].append(points + 0.0)  # no -0.0
+                ring_points = np.round(ring_points, DECIMALS)
+            parts[part_number - 1].append(ring_points + 0.0)  # no -0.0
         parts_by_label[label] = parts
     return parts_by_label
 
 
-def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
+def _trace_rings(part_numbers: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     """Yield the rings around parts of cells.
 
     This is contour following with crack codes (Freeman 1961; Rosenfeld and Kak, Digital Picture
@@ -238,32 +238,32 @@ def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     the part lies ahead, and turns left otherwise. So no ring has a corner twice.
 
     Args:
-        parts: the number of each cell's part, from 1; 0 for none; shape (height, width).
+        part_numbers: the number of each cell's part, from 1; 0 for none; shape (height, width).
 
     Yields:
         For each ring, the number of its part, and its corners: row and column, shape (n, 2), where
         0, 0 is the upper left corner of the first cell. Seen with rows downwards, outer rings run
         anticlockwise and holes clockwise. The outer ring of a part comes before its holes.
     """
-    padded = np.pad(parts, 1)
-    part_of_cell = padded.ravel()  # of each cell, by flat index
-    width = padded.shape[1]
+    padded_part_numbers = np.pad(part_numbers, 1)
+    part_of_cell = padded_part_numbers.ravel()  # of each cell, by flat index
+    width = padded_part_numbers.shape[1]
     # directions 0 to 3 lead east, north, west, south, along a cell's south, east, north, west
     # side; a left turn adds 1
-    ahead_offset = np.array([1, -width, -1, width])
-    right_offset = np.array([width, 1, -width, -1])
+    index_offset_ahead = np.array([1, -width, -1, width])
+    index_offset_right = np.array([width, 1, -width, -1])
     cells, directions = np.divmod(np.arange(4 * part_of_cell.size), 4)
-    right_part = part_of_cell[(cells + right_offset[directions]) % part_of_cell.size]
+    right_part = part_of_cell[(cells + index_offset_right[directions]) % part_of_cell.size]
     steps = np.flatnonzero((part_of_cell[cells] > 0) & (part_of_cell[cells] != right_part))
     cells = cells[steps]
     directions = directions[steps]
 
-    cell_ahead = cells + ahead_offset[directions]
-    cell_ahead_right = cell_ahead + right_offset[directions]
+    cell_ahead = cells + index_offset_ahead[directions]
+    cell_ahead_right = cell_ahead + index_offset_right[directions]
     turns_right = part_of_cell[cell_ahead_right] == part_of_cell[cells]
-    goes_on = part_of_cell[cell_ahead] == part_of_cell[cells]
-    next_cell = np.where(turns_right, cell_ahead_right, np.where(goes_on, cell_ahead, cells))
-    turn = np.where(turns_right, 3, np.where(goes_on, 0, 1))
+    goes_straight = part_of_cell[cell_ahead] == part_of_cell[cells]
+    next_cell = np.where(turns_right, cell_ahead_right, np.where(goes_straight, cell_ahead, cells))
+    turn = np.where(turns_right, 3, np.where(goes_straight, 0, 1))
     next_direction = (directions + turn) % 4
     next_step = np.searchsorted(steps, 4 * next_cell + next_direction).tolist()
     is_corner = (next_direction != directions).tolist()
@@ -272,19 +272,19 @@ def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     row, col = np.divmod(cells, width)
     end_row = row + np.array([0, -1, -1, 0])[directions]
     end_col = col + np.array([0, 0, -1, -1])[directions]
-    ends = np.stack([end_row, end_col], axis=1)
+    end_corners = np.stack([end_row, end_col], axis=1)
     is_done = np.zeros(len(steps), dtype=np.bool_)
     for first_step in np.flatnonzero(directions == 2).tolist():  # each ring has a side to the north
         if is_done[first_step]:
             continue
-        ring = []
+        ring_steps = []
         step = first_step
         while not is_done[step]:
             is_done[step] = True
             if is_corner[step]:
-                ring.append(step)
+                ring_steps.append(step)
             step = next_step[step]
-        yield int(part_of_cell[cells[first_step]]), ends[ring]
+        yield int(part_of_cell[cells[first_step]]), end_corners[ring_steps]
 
 
 # ---------------------------------------------------------------- files
@@ -388,8 +388,8 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
         FormatError: the file is broken; the error names the feature.
     """
     outlines: list[Json] = []
-    for number, feature in enumerate(_read_features(path)):
-        place = _FeaturePlace(str(path), f"feature {number}")
+    for feature_number, feature in enumerate(_read_features(path)):
+        place = _FeaturePlace(str(path), f"feature {feature_number}")
         is_feature = isinstance(feature, dict) and feature.get("type") == "Feature"
         place.check(is_feature, "a Feature", feature)
         properties = feature.get("properties")
@@ -405,7 +405,7 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
         is_name = name is None or (isinstance(name, str) and name != "")
         place.check(is_name, "text at `properties.name`", name)
         if name is not None:
-            place = _FeaturePlace(str(path), f"feature {number} ({name!r})")
+            place = _FeaturePlace(str(path), f"feature {feature_number} ({name!r})")
         if isinstance(level, float) and level.is_integer():
             level = int(level)
         is_level = level != "" if isinstance(level, str) else type(level) is int and level >= 0
@@ -445,11 +445,11 @@ def read_links_or_areas(path: str | os.PathLike[str], section: str) -> list[Json
         FormatError: the file is broken; the error names the feature.
     """
     entries = []
-    for number, feature in enumerate(_read_features(path, accepts_lists=True)):
+    for feature_number, feature in enumerate(_read_features(path, accepts_lists=True)):
         if not isinstance(feature, dict) or feature.get("type") != "Feature":
             entries.append(feature)
             continue
-        place = _FeaturePlace(str(path), f"feature {number}")
+        place = _FeaturePlace(str(path), f"feature {feature_number}")
         geometry = feature.get("geometry")
         geometry_type = geometry.get("type") if isinstance(geometry, dict) else None
         properties = feature.get("properties")
@@ -498,14 +498,14 @@ class _FeaturePlace(NamedTuple):
         if is_valid:
             return
         if value is None:
-            got = "none"
+            actual_text = "none"
         elif isinstance(value, str):
-            got = value[:60]
+            actual_text = value[:60]
         elif isinstance(value, dict | list):
-            got = format_value(value)
+            actual_text = format_value(value)
         else:
-            got = repr(value)[:60]
-        self.fail(f"expected {expected}, got {got}", value, expected)
+            actual_text = repr(value)[:60]
+        self.fail(f"expected {expected}, got {actual_text}", value, expected)
 
 
 def _read_features(path: str | os.PathLike[str], *, accepts_lists: bool = False) -> list[JsonValue]:

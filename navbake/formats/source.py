@@ -130,9 +130,11 @@ def read_bytes(
         stream = io.BytesIO(source)
         name = "the bytes given"
     elif not callable(getattr(source, "read", None)):
-        readable = "a path, a file's content or a file opened in binary mode"
+        expected_source = "a path, a file's content or a file opened in binary mode"
         raise FormatError(
-            f"expected {readable}, got {describe_type(source)}", value=source, expected=readable
+            f"expected {expected_source}, got {describe_type(source)}",
+            value=source,
+            expected=expected_source,
         )
     try:
         if path is not None and os.path.isdir(path):
@@ -142,17 +144,19 @@ def read_bytes(
         with nullcontext(cast("BinaryIO", stream)) if path is None else open(path, "rb") as file:
             content = file.read(FIRST_BYTES)
             if not isinstance(content, bytes):
-                got = "text" if isinstance(content, str) else describe_type(content)
-                JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
+                actual_text = "text" if isinstance(content, str) else describe_type(content)
+                JsonPath(name).fail(f"expected a file opened in binary mode, got {actual_text}")
             if not content.startswith(beginnings):
-                got = _format_beginning(content)
-                JsonPath(name).fail(f"expected {expected}, got {got}", remedy, expected=expected)
+                actual_text = _format_beginning(content)
+                JsonPath(name).fail(
+                    f"expected {expected}, got {actual_text}", remedy, expected=expected
+                )
             chunks = [content]
-            size = len(content)
+            num_bytes = len(content)
             while chunk := file.read(16 * FIRST_BYTES):
                 chunks.append(chunk)
-                size += len(chunk)
-                if size > MAX_BYTES:
+                num_bytes += len(chunk)
+                if num_bytes > MAX_BYTES:
                     JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
             return b"".join(chunks), name
     except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
@@ -166,24 +170,24 @@ def _format_beginning(text: bytes) -> str:
     return f"{format_value(beginning)[1:]}…" if beginning else "nothing"
 
 
-def unpack(data: bytes, name: str) -> bytes:
+def unpack(content: bytes, name: str) -> bytes:
     """Unpack gzip or bzip2, detected by the content; return other data as they are.
 
     Args:
-        data: the content of a file.
+        content: the content of a file.
         name: the file's name, for errors.
 
     Raises:
         FormatError: the packed data are broken, or unpack to more than an `Allowance` of text.
     """
-    packing, open_packed = OPENERS.get(data[:2], ("", None))
+    packing, open_packed = OPENERS.get(content[:2], ("", None))
     if open_packed is None:
-        return data
-    allowance = Allowance(len(data), "max_cells")
+        return content
+    allowance = Allowance(len(content), "max_cells")
     chunks = []
     try:
-        with open_packed(io.BytesIO(data)) as unpacked:
-            while chunk := unpacked.read(16 * FIRST_BYTES):
+        with open_packed(io.BytesIO(content)) as unpacked_file:
+            while chunk := unpacked_file.read(16 * FIRST_BYTES):
                 allowance.take_text(len(chunk), JsonPath(name))
                 chunks.append(chunk)
     except (EOFError, OSError, zlib.error) as error:
@@ -199,8 +203,8 @@ def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
         source: a path, the file's content, or the file opened in binary mode.
 
     Returns:
-        The text without a byte order mark, the file's size before unpacking [bytes], and the top
-        of the file, for errors.
+        The text without a byte order mark, the file's size before unpacking [bytes], and the
+        location of the whole file, for errors.
 
     Raises:
         FormatError: the file can't be read, or is no JSON object.
@@ -209,19 +213,19 @@ def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
     remedy = NAVGRID_REMEDY
     path = str(source) if isinstance(source, str | os.PathLike) else ""
     if path.lower().endswith((".yaml", ".yml")):
-        shown_path = format_path(path)
+        path_text = format_path(path)
         grid_path = format_path(f"{Path(path).stem}.grid.json")
         remedy = (
-            f"of settings, `navbake bake {shown_path}` makes one, of a map of nav2, "
-            f"`navbake convert {shown_path} {grid_path}`"
+            f"of settings, `navbake bake {path_text}` makes one, of a map of nav2, "
+            f"`navbake convert {path_text} {grid_path}`"
         )
     text, name = read_bytes(source, beginnings=beginnings, expected=NAVGRID_TEXT, remedy=remedy)
     num_bytes = len(text)
-    top = JsonPath(name)
+    root_place = JsonPath(name)
     text = unpack(text, name).removeprefix(BOM)
     if _format_beginning(text)[1:2] != "{":
-        top.fail(f"expected {NAVGRID_TEXT}, got {_format_beginning(text)}", remedy)
-    return text, num_bytes, top
+        root_place.fail(f"expected {NAVGRID_TEXT}, got {_format_beginning(text)}", remedy)
+    return text, num_bytes, root_place
 
 
 def parse_json(content: bytes | memoryview, place: JsonPath) -> JsonValue:
@@ -310,8 +314,8 @@ class Pixels(NamedTuple):
         max_channel: the largest value of each channel, 255 or 65535.
         opacity: the opacity of each pixel, 0 to 255, shape (height, width), uint8; None if the
             image has none.
-        luma: luma by Rec. 601, 0 to 255, shape (height, width), uint8. It equals what
-            GraphicsMagick computes with quanta of 16 bits.
+        luma: luma by Rec. 601, 0 to 255, shape (height, width), uint8. It equals
+            the luma of GraphicsMagick with quanta of 16 bits.
     """
 
     channel_sum: NDArray[Any]
@@ -373,9 +377,9 @@ def read_pixels(source: str | os.PathLike[str]) -> Pixels:
         luma = np.asarray(image.convert("L"))
         return Pixels(3 * luma.astype(np.uint16), 255, None, luma)
     channels = np.asarray(image.convert("RGBA" if has_opacity else "RGB"))
-    light = channels[..., :3].sum(axis=2, dtype=np.uint16)
+    channel_sum = channels[..., :3].sum(axis=2, dtype=np.uint16)
     luma = (channels[..., :3] @ np.array(LUMA_SHARES, dtype=np.uint32) >> 10).astype(np.uint8)
-    return Pixels(light, 255, channels[..., 3] if has_opacity else None, luma)
+    return Pixels(channel_sum, 255, channels[..., 3] if has_opacity else None, luma)
 
 
 def encode_image(pixels: NDArray[np.uint8], kind: str, **texts: str) -> bytes:
@@ -401,7 +405,7 @@ def encode_image(pixels: NDArray[np.uint8], kind: str, **texts: str) -> bytes:
 def read_header(
     data: bytes,
     source: str,
-    numbers: Mapping[str, tuple[int, type]],
+    number_types: Mapping[str, tuple[int, type]],
     defaults: Mapping[str, list[str]] | None = None,
 ) -> tuple[dict[str, list[str]], list[list[JsonValue]], int]:
     """Read the header of a binvox or OctoMap file: lines of a name and values, up to ``data``.
@@ -409,14 +413,14 @@ def read_header(
     Args:
         data: the content of the file.
         source: the file's name, for errors.
-        numbers: name of a line whose values must be numbers -> how many, and their type (int or
-            float).
+        number_types: name of a line whose values must be numbers -> how many, and their type (int
+            or float).
         defaults: name of a line that may be missing -> the values that it has then, as text.
 
     Returns:
         Three results: name of each line -> its values as text, where a comment's name begins with
-        ``#``; for each entry of `numbers`, the line's numbers; and the offset of the data after the
-        header [bytes].
+        ``#``; for each entry of `number_types`, the line's numbers; and the offset of the data
+        after the header [bytes].
 
     Raises:
         FormatError: a line is missing, or its numbers are not those that are expected.
@@ -432,8 +436,8 @@ def read_header(
         ).split() or [""]
         lines[first_word] = words
         line_start = line_stop + 1
-    line_numbers = []
-    for name, (count, number_type) in numbers.items():
+    numbers_of_lines = []
+    for name, (count, number_type) in number_types.items():
         if name not in lines:
             message = f"no line `{name}` in the header of {source}"
             raise FormatError(message, path=source, key=name)
@@ -445,23 +449,23 @@ def read_header(
         if not is_valid:
             noun = "whole number" if number_type is int else "number"
             expected = f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-            where = f"at `{name}` in the header of {source}"
+            place_text = f"at `{name}` in the header of {source}"
             text = " ".join(lines[name])[:60]
             raise FormatError(
-                f"expected {expected} {where}, got {text!r}",
+                f"expected {expected} {place_text}, got {text!r}",
                 path=source,
                 key=name,
                 value=text,
                 expected=expected,
             )
-        line_numbers.append(values)
-    return lines, line_numbers, line_start
+        numbers_of_lines.append(values)
+    return lines, numbers_of_lines, line_start
 
 
 # ---------------------------------------------------------------- writing
 
 
-def check_named(path: Path) -> None:
+def check_name_encoding(path: Path) -> None:
     """Check that a file's name is UTF-8, so that another file can contain it.
 
     Raises:

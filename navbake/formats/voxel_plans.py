@@ -1,4 +1,4 @@
-"""Reads voxel files, OctoMap's and binvox, as a grid of one level: the floor plan of some heights.
+"""Reads voxel files (OctoMap, binvox) as a grid of one level: the floor plan between two heights.
 
 As in ``octomap_server``, which projects a tree onto a map, a column of voxels is occupied if a
 voxel between the heights is, else free if one is known to be free, else unknown.

@@ -1,10 +1,10 @@
-"""Reads and writes voxel files by their suffix, with the tables of their IDs; and binvox.
+"""Reads and writes voxel files of all formats, with the tables of their IDs.
 
-binvox is run-length encoded voxels after a text header. A voxel grid ``g[x, y, z]`` of the world, z
-up, is written by the rules of the format: ``dim nx nz ny``, y fastest, then z, then x;
-``translate`` is the lower corner of the first voxel, ``scale`` the grid's longest side. So a
-voxel's centre is ``translate + (i + 0.5) * res`` with ``res = scale / max(dim)``. Version 1 holds 0
-and 1, version 2 any byte.
+This module holds the format binvox: run-length encoded voxels after a text header. A voxel grid
+``g[x, y, z]`` of the world, z up, is written by the rules of the format: ``dim nx nz ny``, y
+fastest, then z, then x; ``translate`` is the lower corner of the first voxel, ``scale`` the grid's
+longest side. So a voxel's centre is ``translate + (i + 0.5) * res`` with
+``res = scale / max(dim)``. Version 1 holds 0 and 1, version 2 any byte.
 
 AirSim writes a different layout under the same name: x fastest, then z, then y. ``scale`` is one
 over the size along x. ``translate`` is minus half of the size; the grid's position is missing. Of n
@@ -99,8 +99,8 @@ def write_voxels(
     files: Files = {}
     if grid.is_segmented:
         ids = {str(voxel_id): grid.names[voxel_id] for voxel_id in sorted(grid.names)}
-        table = json.dumps({"rule": ID_RULE, "ids": ids}, indent=2, ensure_ascii=False)
-        files[id_table_path(path)] = f"{table}\n".encode()
+        table_text = json.dumps({"rule": ID_RULE, "ids": ids}, indent=2, ensure_ascii=False)
+        files[id_table_path(path)] = f"{table_text}\n".encode()
     files[Path(path)] = content  # after the table that is read with it
     write_files(files)
 
@@ -234,7 +234,7 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
             f"that occur from 1)"
         )
     file_values = _view_in_file_order(values.astype(np.uint8, copy=False), layout == "airsim")
-    voxels = file_values.ravel()
+    flat_values = file_values.ravel()
     nx, ny, nz = grid.shape
     translate = list(grid.origin)
     scale = grid.res * max(grid.shape)
@@ -247,12 +247,12 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
         f"translate {translate_text}\nscale {_format_number(scale)}\ndata\n"
     )
     # pairs of value and count; a run longer than a byte can count takes several pairs
-    run_start = np.concatenate([[0], np.flatnonzero(voxels[1:] != voxels[:-1]) + 1])
-    run_length = np.diff(run_start, append=len(voxels))
-    num_pairs = -(-run_length // MAX_BYTE)
-    pairs = np.full((int(num_pairs.sum()), 2), MAX_BYTE, dtype=np.uint8)
-    pairs[:, 0] = np.repeat(voxels[run_start], num_pairs)
-    pairs[np.cumsum(num_pairs) - 1, 1] = run_length - MAX_BYTE * (num_pairs - 1)
+    run_start = np.concatenate([[0], np.flatnonzero(flat_values[1:] != flat_values[:-1]) + 1])
+    run_length = np.diff(run_start, append=len(flat_values))
+    num_pairs_of_run = -(-run_length // MAX_BYTE)
+    pairs = np.full((int(num_pairs_of_run.sum()), 2), MAX_BYTE, dtype=np.uint8)
+    pairs[:, 0] = np.repeat(flat_values[run_start], num_pairs_of_run)
+    pairs[np.cumsum(num_pairs_of_run) - 1, 1] = run_length - MAX_BYTE * (num_pairs_of_run - 1)
     return header.encode() + pairs.tobytes()
 
 
@@ -346,15 +346,18 @@ def read_binvox(
     pairs = np.frombuffer(data, dtype=np.uint8, offset=header.data_offset)
     # checked before any array of the header's size is made
     num_voxels = math.prod(dim)
-    num_in_runs = int(pairs[1::2].sum(dtype=np.int64))
-    if num_in_runs != num_voxels or len(pairs) % 2:
-        got = "half a run" if len(pairs) % 2 else f"{num_in_runs} voxels"
-        if num_in_runs != num_voxels:
-            got += ": too many" if num_in_runs > num_voxels else ": too few"
-        where = f"{name} (dim {' '.join(format_value(count) for count in dim)})"
+    num_voxels_in_runs = int(pairs[1::2].sum(dtype=np.int64))
+    if num_voxels_in_runs != num_voxels or len(pairs) % 2:
+        actual_text = "half a run" if len(pairs) % 2 else f"{num_voxels_in_runs} voxels"
+        if num_voxels_in_runs != num_voxels:
+            actual_text += ": too many" if num_voxels_in_runs > num_voxels else ": too few"
+        place_text = f"{name} (dim {' '.join(format_value(count) for count in dim)})"
         expected = f"runs of {format_value(num_voxels)} voxels"
         raise FormatError(
-            f"expected {expected} in {where}, got {got}", path=name, value=got, expected=expected
+            f"expected {expected} in {place_text}, got {actual_text}",
+            path=name,
+            value=actual_text,
+            expected=expected,
         )
     allowance.take_cells((nx, ny, nz), place)
     allowance.take_array((nx, ny, nz), 2, place)  # in the file's order, then in ours
@@ -384,11 +387,11 @@ def read_binvox(
     # the middle of the first voxel, from the grid's position
     first_middle = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge
     center = check_three(position, "the position to be x, y, z [m]")
-    is_unsure = voxel_edge is None and edges.max() > edge * (1 + AIRSIM_TOLERANCE)
+    is_edge_uncertain = voxel_edge is None and edges.max() > edge * (1 + AIRSIM_TOLERANCE)
+    hint = " at most (give `voxel_edge`: the sizes are no whole multiples)"
     notes.append(
         f"{name}: laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "
-        f"north, east, up, voxels of {edge:g} m"
-        f"{' at most (give `voxel_edge`: the sizes are no whole multiples)' if is_unsure else ''}, "
+        f"north, east, up, voxels of {edge:g} m{hint if is_edge_uncertain else ''}, "
         f"round ({', '.join(f'{coordinate:g}' for coordinate in center)})"
     )
     x, y, z = (center + first_middle - edge / 2).tolist()
@@ -450,8 +453,8 @@ def _read_binvox_header(data: bytes, source: str) -> _BinvoxHeader:
         message = f"expected `scale` > 0, got {scale:g} in {source}"
         raise FormatError(message, path=source, key="scale", value=scale, expected="a number > 0")
     if max(*map(abs, translate), scale) > MAX_COORDINATE:
-        got = f"({', '.join(f'{value:g}' for value in translate)}) and {scale:g}"
+        actual_text = f"({', '.join(f'{value:g}' for value in translate)}) and {scale:g}"
         expected = f"`translate` and `scale` up to {MAX_COORDINATE:g} m"
-        message = f"expected {expected}, got {got} in {source}"
+        message = f"expected {expected}, got {actual_text} in {source}"
         raise FormatError(message, path=source, expected=expected)
     return _BinvoxHeader(version, dim, translate, scale, data_offset)

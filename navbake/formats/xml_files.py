@@ -1,4 +1,4 @@
-"""Parses XML as the programs do that read SDF and URDF.
+"""Parses XML in the same way as the programs that read SDF and URDF.
 
 Gazebo, ROS and MuJoCo parse XML by TinyXML-2, which accepts more than the standard: ``--`` in
 comments, prefixes that are not declared, an ``&`` that begins no entity, blank lines before the
@@ -32,7 +32,7 @@ BLANKS_PATTERN = re.compile(r"\s*")
 ENTITY_PATTERN = re.compile(r"&(?:#(\d{1,7})|#x([0-9A-Fa-f]{1,6})|(lt|gt|amp|quot|apos));")
 ENTITIES = {"lt": "<", "gt": ">", "amp": "&", "quot": '"', "apos": "'"}
 # How markup that is ignored begins -> how it ends
-PASSED_BY = {"<!--": "-->", "<?": "?>", "<!": ">"}
+IGNORED_MARKUP = {"<!--": "-->", "<?": "?>", "<!": ">"}
 CDATA_START = "<![CDATA["
 CDATA_END = "]]>"
 BYTE_ORDER_MARKS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
@@ -68,7 +68,7 @@ def find_root_tag(content: bytes) -> str:
 
 
 class StartTag(NamedTuple):
-    """How an element begins.
+    """The start tag of an XML element.
 
     Attributes:
         name: the element's name as written, with its prefix.
@@ -82,7 +82,8 @@ class StartTag(NamedTuple):
 def list_start_tags(content: bytes, attribute_names: Set[str]) -> list[StartTag]:
     """List the elements of an XML file that have at least one of some attributes.
 
-    The file's first element is always listed. Of a broken file, only elements before its fault are.
+    The file's first element is always listed. Of a broken file, only the elements before its fault
+    are listed.
 
     Args:
         content: the file's content. Bytes that are not UTF-8 are decoded as `os.fsdecode` does it,
@@ -205,15 +206,15 @@ class _Parser:
         """Parse the text; raise a ValueError if it is broken."""
         is_done = False
         while not is_done:
-            start = self._text.find("<", self._position)
-            if start < 0:
+            tag_start = self._text.find("<", self._position)
+            if tag_start < 0:
                 self._position = len(self._text)
                 open_tags = self._open_tags
-                missing = f"</{open_tags[-1][:40]}>" if open_tags else "an element"
-                raise self._error(f"the file ends without {missing}")
-            if self._open_tags and start > self._position:
-                self._target.data(_replace_entities(self._text[self._position : start]))
-            self._position = start
+                missing_text = f"</{open_tags[-1][:40]}>" if open_tags else "an element"
+                raise self._error(f"the file ends without {missing_text}")
+            if self._open_tags and tag_start > self._position:
+                self._target.data(_replace_entities(self._text[self._position : tag_start]))
+            self._position = tag_start
             is_done = self._parse_markup()
 
     def _parse_markup(self) -> bool:
@@ -225,7 +226,7 @@ class _Parser:
             if self._open_tags:
                 self._target.data(text[text_start : self._position - len(CDATA_END)])
             return False
-        for beginning, ending in PASSED_BY.items():
+        for beginning, ending in IGNORED_MARKUP.items():
             if text.startswith(beginning, self._position):
                 self._skip_past(ending)
                 return False
@@ -241,43 +242,43 @@ class _Parser:
         self._position = end + len(ending)
 
     def _parse_start_tag(self) -> bool:
-        name = NAME_PATTERN.match(self._text, self._position + 1)
-        if name is None:
-            got = self._text[self._position : self._position + 20].split("\n")[0]
-            raise self._error(f"expected the name of an element, got {got!r}")
-        tag = name[0]
-        position = name.end()
+        name_match = NAME_PATTERN.match(self._text, self._position + 1)
+        if name_match is None:
+            actual_text = self._text[self._position : self._position + 20].split("\n")[0]
+            raise self._error(f"expected the name of an element, got {actual_text!r}")
+        tag = name_match[0]
+        position = name_match.end()
         attributes = dict[str, str]()
         while True:
-            attribute = ATTRIBUTE_PATTERN.match(self._text, position)
-            if attribute is None:
+            attribute_match = ATTRIBUTE_PATTERN.match(self._text, position)
+            if attribute_match is None:
                 break
-            key, double_quoted, single_quoted = attribute.groups()
+            key, double_quoted, single_quoted = attribute_match.groups()
             value = double_quoted if double_quoted is not None else single_quoted
             attributes.setdefault(key, _replace_entities(value))
-            position = attribute.end()
-        blanks = BLANKS_PATTERN.match(self._text, position)
-        position = position if blanks is None else blanks.end()
-        is_empty = self._text.startswith("/>", position)
-        if not is_empty and not self._text.startswith(">", position):
-            got = self._text[position : position + 20].split("\n")[0]
-            raise self._error(f"expected an attribute or > in <{tag[:40]}>, got {got!r}")
+            position = attribute_match.end()
+        blanks_match = BLANKS_PATTERN.match(self._text, position)
+        position = position if blanks_match is None else blanks_match.end()
+        is_empty_element = self._text.startswith("/>", position)
+        if not is_empty_element and not self._text.startswith(">", position):
+            actual_text = self._text[position : position + 20].split("\n")[0]
+            raise self._error(f"expected an attribute or > in <{tag[:40]}>, got {actual_text!r}")
         if len(self._open_tags) == MAX_DEPTH:
             raise self._error(f"more than {MAX_DEPTH} elements in elements")
         self._target.start(tag, attributes)
-        self._position = position + (2 if is_empty else 1)
-        if is_empty:
+        self._position = position + (2 if is_empty_element else 1)
+        if is_empty_element:
             self._target.end(tag)
             return not self._open_tags
         self._open_tags.append(tag)
         return False
 
     def _parse_end_tag(self) -> bool:
-        name = NAME_PATTERN.match(self._text, self._position + 2)
-        tag = "" if name is None else name[0]
-        expected = self._open_tags[-1] if self._open_tags else ""
-        if not expected or tag != expected:
-            wanted_text = f"expected </{expected[:40]}>" if expected else "expected an element"
+        name_match = NAME_PATTERN.match(self._text, self._position + 2)
+        tag = "" if name_match is None else name_match[0]
+        open_tag = self._open_tags[-1] if self._open_tags else ""
+        if not open_tag or tag != open_tag:
+            wanted_text = f"expected </{open_tag[:40]}>" if open_tag else "expected an element"
             raise self._error(f"{wanted_text}, got </{tag[:40]}>")
         self._skip_past(">")
         self._target.end(tag)
@@ -294,10 +295,10 @@ def _replace_entities(text: str) -> str:
     return ENTITY_PATTERN.sub(_character_of, text) if "&" in text else text
 
 
-def _character_of(entity: re.Match[str]) -> str:
-    decimal, hexadecimal, name = entity.groups()
+def _character_of(entity_match: re.Match[str]) -> str:
+    decimal, hexadecimal, name = entity_match.groups()
     if name:
         return ENTITIES[name]
     code = int(decimal) if decimal else int(hexadecimal, 16)
     is_character = 0 < code < 0xD800 or 0xDFFF < code < 0x110000
-    return chr(code) if is_character else entity[0]
+    return chr(code) if is_character else entity_match[0]

@@ -74,11 +74,14 @@ def test_a_plot_takes_what_pictures_take():
 
 
 def test_a_map_of_nav2_takes_what_its_writer_takes_and_which_cells_it_closes():
-    *writer_parameters, closed_masks = parameters_of(
+    *writer_parameters, closed_cell_masks = parameters_of(
         resolve("navbake.formats.nav2:encode_nav2"), first=2
     )
-    assert closed_masks[0] == "closed_masks"
-    expected = [*writer_parameters, *((name, *closed_masks[1:]) for name in ("stairs", "agent"))]
+    assert closed_cell_masks[0] == "closed_cell_masks"
+    expected = [
+        *writer_parameters,
+        *((name, *closed_cell_masks[1:]) for name in ("stairs", "agent")),
+    ]
     assert parameters_of(GridMethods.to_nav2, first=2) == expected
 
 

@@ -49,7 +49,7 @@ from navbake.baker.readers.sdf_shapes import (
 )
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
-from navbake.formats.package_paths import equal_model_names, parse_fuel_address
+from navbake.formats.package_paths import is_same_model_name, parse_fuel_address
 from navbake.formats.scene_files import find_model_file, list_sdf_paths, parse_sdf_version
 from navbake.formats.xml_files import parse_xml
 from navbake.types import Float
@@ -711,7 +711,7 @@ def _model_name(uri: str) -> str:
 
 def _is_model(uri: str, name: str) -> bool:
     """Return whether an address names one of the models that come with Gazebo."""
-    return equal_model_names(_model_name(uri), name)
+    return is_same_model_name(_model_name(uri), name)
 
 
 MeshReader = Callable[[Path, Element, str], Mesh]
