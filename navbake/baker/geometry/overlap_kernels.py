@@ -24,8 +24,6 @@ MAX_CORNERS = 12
 X = np.int64(0)
 Y = np.int64(1)
 Z = np.int64(2)
-# For how many hits of a column the first array of counts has room
-INITIAL_HIT_CAPACITY = 64
 
 
 class Polygons(NamedTuple):
@@ -224,7 +222,24 @@ def plane_meets_prism(planes, plane, prism):
     return depth - prism.half * reach < 0.0
 
 
-@subkernel
+@subkernel(**NO_REFCOUNT)
+def find_most_hits(hits, cells, first, end):
+    """Return how many hits the column of some cells has that has the most.
+
+    Args:
+        hits: the columns, as `ColumnHits`.
+        cells: cell ids, (n,) int64.
+        first: index of the first of the cells to look at.
+        end: index past the last of them.
+    """
+    most_hits = np.int64(0)
+    for i in range(first, end):
+        num_hits = hits.start[cells[i] + 1] - hits.start[cells[i]]
+        most_hits = max(most_hits, num_hits)
+    return most_hits
+
+
+@subkernel(**NO_REFCOUNT)
 def count_enclosing(hits, cell, num_enclosing):
     """Count how many closed shapes a column's line is inside of, just below each of its hits.
 
@@ -233,22 +248,17 @@ def count_enclosing(hits, cell, num_enclosing):
     Args:
         hits: the columns, as `ColumnHits`.
         cell: index of the column.
-        num_enclosing: an array to write into, int64.
-
-    Returns:
-        The counts, with a 0 after them; `num_enclosing`, or a larger array if it is too small.
+        num_enclosing: receives the counts, and a 0 after them; int64, with room for a number more
+            than the column has hits.
     """
     first_hit = hits.start[cell]
     num_hits = hits.start[cell + 1] - first_hit
-    if num_hits + 1 > num_enclosing.shape[0]:
-        num_enclosing = np.empty(2 * num_hits + 2, np.int64)
     num_enclosing[num_hits] = 0
     for hit_in_column in range(num_hits - 1, -1, -1):
         winding = 0
         if hits.closed[first_hit + hit_in_column]:
             winding = 1 if hits.normal[first_hit + hit_in_column, 2] > 0.0 else -1
         num_enclosing[hit_in_column] = num_enclosing[hit_in_column + 1] + winding
-    return num_enclosing
 
 
 @subkernel(**NO_REFCOUNT)
@@ -285,9 +295,10 @@ def find_blocked_lines(cells, low_z, high_z, hits, is_blocked, first_test, end_t
         first_test: index of the first test.
         end_test: index past the last test.
     """
-    num_enclosing = np.empty(INITIAL_HIT_CAPACITY, np.int64)
+    most_hits = find_most_hits(hits, cells, first_test, end_test)
+    num_enclosing = np.empty(most_hits + 1, np.int64)
     for test in range(first_test, end_test):
         if test == first_test or cells[test] != cells[test - 1]:
-            num_enclosing = count_enclosing(hits, cells[test], num_enclosing)
+            count_enclosing(hits, cells[test], num_enclosing)
         heights = HeightRange(low_z[test], high_z[test])
         is_blocked[test] = is_line_blocked(hits, cells[test], heights, num_enclosing)

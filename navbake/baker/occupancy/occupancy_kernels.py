@@ -45,6 +45,7 @@ from navbake.baker.geometry.gjk_kernels import allocate_simplex
 from navbake.baker.geometry.overlap_kernels import (
     allocate_polygons,
     count_enclosing,
+    find_most_hits,
     is_beside_prism,
     is_line_blocked,
     plane_meets_prism,
@@ -208,7 +209,16 @@ def check_tiles(
         current_plane=np.empty(1, np.int32),
         scratch=VolumeScratch(allocate_simplex(), allocate_polygons()),
     )
-    num_enclosing = np.empty(FIRST_CAPACITY, np.int64)
+    num_cells = queries.cell.shape[0]
+    row_size = TILE * lattice.width
+    first_query = find_first_at_or_above(
+        queries.cell, np.int64(0), num_cells, first_tile_row * row_size
+    )
+    end_query = find_first_at_or_above(
+        queries.cell, first_query, num_cells, end_tile_row * row_size
+    )
+    most_hits = find_most_hits(hits, queries.cell, first_query, end_query)
+    num_enclosing = np.empty(most_hits + 1, np.int64)
     list_geom = np.empty(FIRST_CAPACITY, np.int32)
     list_flags = np.empty(FIRST_CAPACITY, np.uint8)
     list_geom[0] = -1
@@ -234,7 +244,7 @@ def check_tiles(
         )
         num_entries = np.int64(-1)
         while num_entries < 0:
-            num_enclosing = _check_lines(task, num_enclosing)
+            _check_lines(task, num_enclosing)
             num_entries = _check_tile(task, tiles, tile, entries)
             if num_entries < 0:
                 entries = _make_entries(4 * entries.geom.shape[0])
@@ -303,7 +313,7 @@ def _find_queries(lattice, window, cells, row_queries):
     return num_queries
 
 
-@subkernel
+@subkernel(**NO_REFCOUNT)
 def _check_lines(task, num_enclosing):
     """Decide the queries of a tile that the vertical line through the cell's centre decides.
 
@@ -315,10 +325,7 @@ def _check_lines(task, num_enclosing):
 
     Args:
         task: a `TileTask`, whose queries, lists and tile state receive the results.
-        num_enclosing: an array for `count_enclosing`.
-
-    Returns:
-        `num_enclosing`, or a larger array.
+        num_enclosing: an array for `count_enclosing`, with room for all of a cell's hits.
     """
     queries = task.queries
     occupant_lists = task.occupant_lists
@@ -343,7 +350,7 @@ def _check_lines(task, num_enclosing):
             is_first_in_cell = tile_state.end_query[tile_row, tile_col] == 0
             if is_first_in_cell:
                 tile_state.first_query[tile_row, tile_col] = query
-                num_enclosing = count_enclosing(hits, cell, num_enclosing)
+                count_enclosing(hits, cell, num_enclosing)
             tile_state.end_query[tile_row, tile_col] = query + 1
             agent_heights = HeightRange(floor + footprint.low, floor + footprint.high)
             is_blocked = is_line_blocked(hits, cell, agent_heights, num_enclosing)
@@ -367,7 +374,6 @@ def _check_lines(task, num_enclosing):
                 tile_state.prism_heights[0] = min(tile_state.prism_heights[0], envelope.low)
                 tile_state.prism_heights[1] = max(tile_state.prism_heights[1], envelope.high)
                 tile_state.open_cell_bits[0] |= cell_bit(tile_row, tile_col)
-    return num_enclosing
 
 
 # ---------------------------------------------------------------- the geoms over a tile
