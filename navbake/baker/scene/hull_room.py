@@ -74,6 +74,12 @@ class HullRoomTest:
     # Id of a mesh and the direction that is up in its frame, as bytes -> what its hull hides;
     # turning a mesh about the vertical changes nothing
     _hidden: dict[tuple[int, bytes], str] = field(default_factory=dict, init=False)
+    # Size of each geom's bounding box along x, y and z [m]
+    _box_sizes: list[list[float]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Measure the geoms' boxes."""
+        self._box_sizes = _measure_boxes(self.model, self.data)
 
     def find_hidden(self, geom: int) -> str:
         """Return what the hull of a mesh geom hides: ROOM, GROUND, or an empty text for nothing.
@@ -99,21 +105,12 @@ class HullRoomTest:
             self._hidden[key] = self._search_hull(geom)
         return self._hidden[key]
 
-    def _measure_box(self, geom: int) -> tuple[float, float, float]:
-        """The size of a mesh geom's bounding box, x, y and z [m]; 0 if its pose isn't finite."""
-        rotation = self.data.geom_xmat[geom].reshape(3, 3)
-        if not np.isfinite(rotation).all():
-            return (0.0, 0.0, 0.0)
-        # Floats of Python, as NumPy's would warn of an area beyond all floats.
-        width, depth, height = (2 * np.abs(rotation) @ self.model.geom_aabb[geom, 3:]).tolist()
-        return (width, depth, height)
-
     def _may_hide_ground(self, geom: int) -> bool:
         """Whether a mesh geom can't move, and its bounding box is large enough for ground."""
         body = int(self.model.geom_bodyid[geom])
         if self.model.body_weldid[body] != 0 or self.model.body_mocapid[body] >= 0:
             return False
-        width, depth, height = self._measure_box(geom)
+        width, depth, height = self._box_sizes[geom]
         is_wide = width * depth >= MIN_GROUND_AREA - LIMIT_SLACK
         return is_wide and height > self.agent.traversable_floor_height
 
@@ -122,7 +119,7 @@ class HullRoomTest:
 
         It has to be as high as the agent, and as large as a floor, see `find_hidden`.
         """
-        width, depth, height = self._measure_box(geom)
+        width, depth, height = self._box_sizes[geom]
         floor_width = width - 2 * self.floors.shrink
         floor_depth = depth - 2 * self.floors.shrink
         if min(floor_width, floor_depth) < 0 or height < self.agent.height - LIMIT_SLACK:
@@ -164,6 +161,17 @@ class HullRoomTest:
             self.model, self.data, selection, {}, geom_ids=selection, meshes=self.meshes
         )
         return shapes
+
+
+def _measure_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[float]]:
+    """Measure the bounding box of each geom along x, y and z [m]; 0 if its pose isn't finite."""
+    rotations = data.geom_xmat.reshape(-1, 3, 3)
+    half_sizes = model.geom_aabb[:, 3:, np.newaxis]
+    box_sizes: Float = (2.0 * np.abs(rotations) @ half_sizes)[:, :, 0]
+    box_sizes[~np.isfinite(rotations).all(axis=(1, 2))] = 0.0
+    # Floats of Python, as NumPy's would warn of an area beyond all floats.
+    box_size_lists: list[list[float]] = box_sizes.tolist()
+    return box_size_lists
 
 
 def _mark_room(mesh_columns: Columns, hull_columns: Columns, min_height: float) -> Bool:
