@@ -133,7 +133,7 @@ def refuse_if(is_wrong: Callable[[Any], object]) -> Callable[[Any], Any]:
 def read_if_file(
     key: str, read: Callable[[Path], object]
 ) -> Callable[[object, ValidationInfo], object]:
-    """Make a validator that replaces the path of a file by what the file holds.
+    """Make a validator that replaces the path of a file by the content of the file.
 
     So the digest of the settings depends on the file's content. Null becomes an empty list. Values
     of other types stay as they are.
@@ -206,7 +206,7 @@ Section = Annotated[
 
 
 class Settings(BaseModel):
-    """Base class of all sections. Types are strict; unknown keys, NaN and infinity are refused."""
+    """Base class of all sections: types are strict; unknown keys, NaN and infinity are refused."""
 
     model_config = ConfigDict(
         strict=True, extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
@@ -231,7 +231,7 @@ KEYS_OF_OTHER_TOOLS |= {"file": "scene.path", "robot": "agent", "scale": "scene.
 
 
 class ShortForm(NamedTuple):
-    """A value that people often write where a section, a mapping, is expected.
+    """A value that people often write in place of a section, which is a mapping.
 
     For example, they write ``scene: house.xml`` for ``scene: {path: house.xml}``. The error's
     message then shows the section.
@@ -261,7 +261,7 @@ Sections = Mapping[str, type[BaseModel]]
 
 
 class Fault(NamedTuple):
-    """What is wrong with one setting, as parts and as a sentence."""
+    """A wrong setting: the message about it, and the parts of this message."""
 
     text: str  # the message, without the file
     key: str  # dotted
@@ -306,14 +306,14 @@ def make_config_error(
     )
     if len(error_details) > MAX_ERRORS:
         text += f" (and {len(error_details) - MAX_ERRORS} more)"
-    first = faults[0]
+    first_fault = faults[0]
     return ConfigError(
         text,
         path=sources_of_faults[0],
-        key=first.key,
-        value=first.value,
-        expected=first.expected,
-        hint=first.hint,
+        key=first_fault.key,
+        value=first_fault.value,
+        expected=first_fault.expected,
+        hint=first_fault.hint,
     )
 
 
@@ -329,7 +329,7 @@ def _find_source_of_value(location: Location, source: str, overrides: Sequence[s
 def find_unknown_key(
     settings: Mapping[str, Any], sections: Sections, section: str = ""
 ) -> str | None:
-    """Find the first key that is no setting, and write the message about it.
+    """Find the first key that is no setting, and return the message about it.
 
     Args:
         settings: Nested mappings, as read from YAML.

@@ -1,4 +1,4 @@
-"""Merges settings: keywords replace those of a file, a scene's replace those of its batch."""
+"""Merges settings: keywords replace a file's settings, and a scene's settings its batch's."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def overlay_settings(
     place: str,
     section: str = "",
 ) -> dict[str, Any]:
-    """Merge settings key by key: those of one mapping replace those of another.
+    """Merge two mappings of settings key by key: those of the upper replace those of the lower.
 
     A section that has no keys in `upper_settings` keeps those of `lower_settings`.
 
@@ -94,6 +94,9 @@ def add_keywords_to_config(config: object, keywords: Mapping[str, Any]) -> BakeC
         config: Settings in any form of `as_config`.
         keywords: Settings as nested mappings; tuples and arrays count as lists, and NumPy's numbers
             as Python's.
+
+    Returns:
+        The validated settings.
 
     Raises:
         ConfigError: A setting is wrong, or `config` has another type.
@@ -141,6 +144,9 @@ def make_memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
         name: The name of the scene.
         keywords: Settings as nested mappings. A `scene.path` among them is stored in the grid as
             the scene's path, but the file is not read.
+
+    Returns:
+        The validated settings.
 
     Raises:
         ConfigError: A setting is wrong.

@@ -41,7 +41,7 @@ from navbake.navgrid.links import MAX_AREAS
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Self
 
-AGENT_LIMIT = "that of `agent`, which is the most"
+DEFAULT_OF_AGENT_SIZES = "that of `agent`, which is the most"
 RULE_FIELDS = ("height", "gap", "patterns")  # only rules that find links (`auto`) have these
 LINK_FIELDS = ("name", "kind", "one_way", "width")  # only single links have these
 
@@ -63,8 +63,8 @@ class NamedAgent(Settings):
     """An entry of ``agents``: an agent that plans on the grid, with sizes of its own."""
 
     radius: OptionalLength = setting(None, "radius of its footprint [m], >= 0", "that of `agent`")
-    height: OptionalPositive = setting(None, "its height [m], > 0", AGENT_LIMIT)
-    step: OptionalLength = setting(None, "its highest step [m], >= 0", AGENT_LIMIT)
+    height: OptionalPositive = setting(None, "its height [m], > 0", DEFAULT_OF_AGENT_SIZES)
+    step: OptionalLength = setting(None, "its highest step [m], >= 0", DEFAULT_OF_AGENT_SIZES)
     speed: Positive = setting(1.0, "how fast it goes [m/s], > 0")
 
 

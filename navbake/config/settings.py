@@ -106,7 +106,9 @@ class ExcludeSettings(Settings):
     )
 
 
-SCAN_HOLES = 2.0  # largest hole that is closed in the floor of a scan: its `floors.fill` [m²]
+MAX_SCAN_HOLE_AREA = (
+    2.0  # largest hole that is closed in the floor of a scan: its `floors.fill` [m²]
+)
 RefuseZero = AfterValidator(
     refuse_if(lambda vector: sum(value * value for value in vector) < 1e-12)
 )
@@ -374,13 +376,13 @@ def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
             raise expected_error("no name twice", got=f'"{level.name}"', at=f"[{index}].name")
         if level.name:
             names.add(level.name)
-    for index, (below, level) in enumerate(itertools.pairwise(levels)):
-        if level.ground <= below.ground:
-            text = f"a ground above that of the level before ({below.ground:g})"
+    for index, (level_below, level) in enumerate(itertools.pairwise(levels)):
+        if level.ground <= level_below.ground:
+            text = f"a ground above that of the level before ({level_below.ground:g})"
             raise expected_error(text, got=f"{level.ground:g}", at=f"[{index + 1}].ground")
-        if below.top is not None and below.top > level.ground:
+        if level_below.top is not None and level_below.top > level.ground:
             text = f"a top up to the next level's ground ({level.ground:g})"
-            raise expected_error(text, got=f"{below.top:g}", at=f"[{index}].top")
+            raise expected_error(text, got=f"{level_below.top:g}", at=f"[{index}].top")
     return levels
 
 
@@ -461,7 +463,7 @@ class BakeConfig(Settings):
             floors = settings.get("floors") or {}
             is_scan = isinstance(scene, Mapping) and scene.get("scan") is True
             if is_scan and isinstance(floors, Mapping) and "fill" not in floors:
-                return {**settings, "floors": {**floors, "fill": SCAN_HOLES}}
+                return {**settings, "floors": {**floors, "fill": MAX_SCAN_HOLE_AREA}}
         return settings
 
     @property
@@ -475,7 +477,11 @@ class BakeConfig(Settings):
 
 
 def find_source(path: str | PathLike[str]) -> Path:
-    """Return a path of a scene or of settings; the bare name of a sample becomes its path.
+    """Return the path of a scene or of settings.
+
+    Args:
+        path: The path, which is returned as it is; or the bare name of a sample, whose path is
+            returned.
 
     Raises:
         ConfigError: The path belongs to a grid.
@@ -565,7 +571,7 @@ def parse_config(
 
 
 def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> BakeConfig:
-    """Convert settings of any form: `BakeConfig`, a YAML or scene file, or a mapping."""
+    """Return settings of any form (`BakeConfig`, YAML or scene file, mapping) as a `BakeConfig`."""
     if isinstance(config, str | PathLike):
         return load_config(config)
     return config if isinstance(config, BakeConfig) else parse_config(config)
@@ -573,15 +579,21 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 
 def settings_digest(config: BakeConfig) -> str:
     """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
-    left_out: Any = {"output": True, "verify": True, "grid": {"max_cells"}}
-    left_out["scene"] = {"path", "model_path", "strict"}  # a strict bake has the same cells
+    excluded_settings: Any = {"output": True, "verify": True, "grid": {"max_cells"}}
+    excluded_settings["scene"] = {
+        "path",
+        "model_path",
+        "strict",
+    }  # a strict bake has the same cells
     # without these settings, the digest is the same as in versions that did not have them
     if not config.floors.movable:
-        left_out["floors"] = {"movable"}
-    left_out |= {name: True for name in ("agents", "areas", "links") if not getattr(config, name)}
-    settings = config.model_dump(mode="json", exclude=left_out)
-    canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(canonical.encode()).hexdigest()
+        excluded_settings["floors"] = {"movable"}
+    excluded_settings |= {
+        name: True for name in ("agents", "areas", "links") if not getattr(config, name)
+    }
+    settings = config.model_dump(mode="json", exclude=excluded_settings)
+    canonical_json = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical_json.encode()).hexdigest()
 
 
 def settings_to_store(config: BakeConfig) -> Json:

@@ -59,7 +59,7 @@ from navbake.navgrid.links import DEFAULT_SPEED
 from navbake.navgrid.metadata import read_table
 from navbake.routes.graph import (
     FLOOR,
-    TABLES,
+    RECORD_FIELDS,
     Doorway,
     Lane,
     Node,
@@ -852,7 +852,7 @@ def _to_networkx(graph: RouteGraph) -> networkx.MultiDiGraph[str]:
     """Convert a graph to networkx, with an edge for each direction of a lane."""
     nx_graph: networkx.MultiDiGraph[str] = source.import_extra("networkx").MultiDiGraph()
     graph_entry = encode_element(graph)
-    for name in ("level_names", *TABLES):  # attributes of GraphML are no lists
+    for name in ("level_names", *RECORD_FIELDS):  # attributes of GraphML are no lists
         if name in graph_entry:
             graph_entry[name] = orjson.dumps(graph_entry[name]).decode()
     nx_graph.graph.update(graph_entry)
@@ -946,7 +946,7 @@ def _from_networkx(nx_graph: networkx.Graph[Any], name: str) -> RouteGraph:
         if not nx_graph.is_directed():
             reader.add_lane(end, start, entry, place)
     graph_entry: Json = dict(nx_graph.graph)
-    for key in ("level_names", *TABLES):
+    for key in ("level_names", *RECORD_FIELDS):
         if key not in graph_entry:
             continue
         try:

@@ -36,7 +36,7 @@ sparse = lazy("scipy.sparse")
 spatial = lazy("scipy.spatial")
 
 MIN_ISLAND_AREA = 4.0  # smaller islands have no nodes but the stops of links [m²]
-MAX_NODE_DISTANCE = 1.8  # from any cell to its nearest node [m]
+MAX_NODE_DISTANCE = 1.8  # largest distance from any cell to its nearest node [m]
 MIN_JUNCTION_SPACING = 1.0  # a junction nearer to a node in its sight is left out [m]
 CORNER_SNAP_DISTANCE = 0.4  # a node this near to a path's corner may take its place [m]
 # a node's region are the cells from which no other node is nearer; two nodes need a short route
@@ -63,7 +63,7 @@ def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
         The graph, with positions in world coordinates [m].
 
     Raises:
-        QueryError: the grid has no agent of that name, or isn't for one of its size.
+        QueryError: the grid has no agent of that name, or was not made for one of its size.
     """
     return _Builder(grid, find_agent(grid, agent)).build()
 
@@ -96,7 +96,7 @@ class _Builder:
         is_large = islands.areas >= MIN_ISLAND_AREA
         self.is_routable: Bool = self.flat.free & is_large[islands.number]
         self.clearance = _measure_clearance(self.grid, self.flat)
-        self.areas = np.concatenate([level.area_index.ravel() for level in self.grid.levels])
+        self.area_of_cell = np.concatenate([level.area_index.ravel() for level in self.grid.levels])
         self.leaf_doors = {
             cell: door.id
             for door in grid.doors
@@ -118,9 +118,9 @@ class _Builder:
         ]
         self.stairs = self._find_stairs()
 
-        self.cells: list[int] = []  # of the nodes
+        self.node_cells: list[int] = []  # flat id of each node's cell
         self.nodes: list[Node] = []
-        self.points = np.empty((0, 3))  # the nodes' positions [m]
+        self.node_positions = np.empty((0, 3))  # the nodes' positions [m]
         self.lanes: list[Lane] = []
         self.route_costs = np.empty((0, 0))  # of the cheapest routes between nodes [m]
 
@@ -142,8 +142,8 @@ class _Builder:
             if not len(free_steps):
                 continue
             clearance = np.round(self.clearance[free_steps].min(axis=1), DECIMALS)
-            middles = self.flat.positions(free_steps).mean(axis=1)
-            center_distances = np.linalg.norm(middles - middles.mean(axis=0), axis=1)
+            step_centers = self.flat.positions(free_steps).mean(axis=1)
+            center_distances = np.linalg.norm(step_centers - step_centers.mean(axis=0), axis=1)
             best_index = np.lexsort((center_distances, -clearance))[0]
             stairs.append(_Stairs(f"{kind} {stairs_number}", kind, free_steps[best_index].tolist()))
         return stairs
@@ -180,13 +180,13 @@ class _Builder:
         )
         for index, earlier_node in enumerate(self.nodes):
             is_of_other_link = link and earlier_node.link and link != earlier_node.link
-            if self.cells[index] == cell and not is_of_other_link:
+            if self.node_cells[index] == cell and not is_of_other_link:
                 if earlier_node.kind in ("junction", "waypoint") and kind != "waypoint":
                     self.nodes[index] = node
                 return index
-        self.cells.append(cell)
+        self.node_cells.append(cell)
         self.nodes.append(node)
-        self.points = np.concatenate([self.points, node_position[None]])
+        self.node_positions = np.concatenate([self.node_positions, node_position[None]])
         self.route_costs = np.pad(self.route_costs, (0, 1), constant_values=math.inf)
         self.route_costs[-1, -1] = 0.0
         return len(self.nodes) - 1
@@ -207,8 +207,8 @@ class _Builder:
                 widest_cell = int(cells[np.argmax(np.round(self.clearance[cells], DECIMALS))])
                 self._add_node(widest_cell, "door", door.id, door=door.id)
         rooms = self.search.rooms
-        for stop_number, room in enumerate(rooms.rooms, 1):
-            cells = np.flatnonzero((rooms.number == stop_number) & self.is_routable)
+        for room_number, room in enumerate(rooms.rooms, 1):
+            cells = np.flatnonzero((rooms.number == room_number) & self.is_routable)
             if len(cells):
                 # of several with the same clearance, the nearest to the room's centre
                 center_distances = np.linalg.norm(
@@ -229,21 +229,21 @@ class _Builder:
         A junction is left out if a node near it sees it.
         """
         cells_of_levels = []
-        for number, level in enumerate(self.grid.levels):
-            level_cells = self.flat.cells_of(number)
-            is_axis = thin_mask(self.is_routable[level_cells].reshape(level.shape))
-            _, num_branches = _count_neighbors(np.pad(is_axis, 1))
-            junction_cells = np.flatnonzero(is_axis & (num_branches >= 3))
+        for level_number, level in enumerate(self.grid.levels):
+            level_cells = self.flat.cells_of(level_number)
+            is_on_axis = thin_mask(self.is_routable[level_cells].reshape(level.shape))
+            _, num_branches = _count_neighbors(np.pad(is_on_axis, 1))
+            junction_cells = np.flatnonzero(is_on_axis & (num_branches >= 3))
             cells_of_levels.append(level_cells.start + junction_cells)
         cells = np.concatenate(cells_of_levels)
         sort_indices = np.argsort(-np.round(self.clearance[cells], DECIMALS), kind="stable")
         for cell in cells[sort_indices].tolist():
             level_number = int(self.flat.level_of(cell))
-            distances = np.hypot(*(self.points - self.flat.positions(cell))[:, :2].T)
-            near_nodes = np.flatnonzero(distances < MIN_JUNCTION_SPACING).tolist()
+            distances = np.hypot(*(self.node_positions - self.flat.positions(cell))[:, :2].T)
+            near_node_indices = np.flatnonzero(distances < MIN_JUNCTION_SPACING).tolist()
             if not any(
-                self.nodes[node].level == level_number and self._sees(self.cells[node], cell)
-                for node in near_nodes
+                self.nodes[node].level == level_number and self._sees(self.node_cells[node], cell)
+                for node in near_node_indices
             ):
                 self._add_node(cell, "junction")
 
@@ -256,9 +256,9 @@ class _Builder:
         islands = self.search.islands.number[cells]
         while True:
             distances = np.full(len(cells), math.inf)
-            if self.cells:
-                nodes = np.array(self.cells, dtype=np.int64)
-                distances = self.search.compute_cost_field(nodes, by="length")[cells]
+            if self.node_cells:
+                node_cells = np.array(self.node_cells, dtype=np.int64)
+                distances = self.search.compute_cost_field(node_cells, by="length")[cells]
             far_indices = np.flatnonzero(distances > MAX_NODE_DISTANCE)
             if not len(far_indices):
                 return
@@ -288,9 +288,9 @@ class _Builder:
         from navbake.runtime.grid_arrays import COL_STEP, ROW_STEP  # numba loads slowly
 
         level = int(self.flat.level_of(cell))
-        start, end = self.flat.positions(np.array([cell, target_cell]))
-        start_xy = np.round(start[:2], DECIMALS)
-        end_xy = np.round(end[:2], DECIMALS)
+        start_position, end_position = self.flat.positions(np.array([cell, target_cell]))
+        start_xy = np.round(start_position[:2], DECIMALS)
+        end_xy = np.round(end_position[:2], DECIMALS)
         if self.search.can_pass(start_xy, end_xy, level):
             return True
         _, (row, target_row), (col, target_col) = self.flat.to_cells(np.array([cell, target_cell]))
@@ -312,7 +312,7 @@ class _Builder:
 
     def _distance(self, node: int, target_node: int) -> float:
         """Compute the distance between two nodes, seen from above [m]."""
-        position_offset = self.points[node] - self.points[target_node]
+        position_offset = self.node_positions[node] - self.node_positions[target_node]
         return float(np.hypot(position_offset[0], position_offset[1]))
 
     def _lane_cost(self, node: int, target_node: int) -> float:
@@ -324,7 +324,7 @@ class _Builder:
         level = self.nodes[node].level
         if level != self.nodes[target_node].level:
             return self._distance(node, target_node)
-        return self._line_cost(self.points[[node, target_node], :2], level)
+        return self._line_cost(self.node_positions[[node, target_node], :2], level)
 
     def _line_cost(self, points: Float, level: int) -> float:
         """Compute the cost of a polyline on a level [m]; `points` are x, y, shape (n, 2) [m]."""
@@ -350,7 +350,7 @@ class _Builder:
         A lane leads through a door if it crosses the leaf, or if a node at its end stands in the
         door.
         """
-        start, end = self.points[[node, target_node], :2]
+        start, end = self.node_positions[[node, target_node], :2]
         cells = self._cells_on_line(start, end, self.nodes[node].level)
         crossed_doors = {self.leaf_doors.get(cell) for cell in cells.tolist()}
         return crossed_doors | self._doors_of_ends(node, target_node)
@@ -364,7 +364,7 @@ class _Builder:
 
         `allowed_doors` holds the ids of these doors, and None, which stands for no door.
         """
-        is_seen = self._sees(self.cells[node], self.cells[target_node])
+        is_seen = self._sees(self.node_cells[node], self.node_cells[target_node])
         return is_seen and self._doors_on_lane(node, target_node) <= allowed_doors
 
     def _add_lane(self, lane: Lane) -> None:
@@ -397,7 +397,7 @@ class _Builder:
         for link in self.links:
             node_of_cell = {
                 cell: index
-                for index, (cell, node) in enumerate(zip(self.cells, self.nodes, strict=True))
+                for index, (cell, node) in enumerate(zip(self.node_cells, self.nodes, strict=True))
                 if node.link in (None, link.name)
             }
             cells = self._stop_cells(link)
@@ -423,7 +423,7 @@ class _Builder:
                         seconds=cost / self.speed if link.seconds is None else link.seconds,
                     )
                 )
-        node_of_cell = {cell: index for index, cell in enumerate(self.cells)}
+        node_of_cell = {cell: index for index, cell in enumerate(self.node_cells)}
         for stairs in self.stairs:
             lower_cell, upper_cell = stairs.cells
             self._add_straight_lane(node_of_cell[lower_cell], node_of_cell[upper_cell], stairs.kind)
@@ -433,18 +433,18 @@ class _Builder:
 
         Such a route counts if it costs at most `MAX_DETOUR_FACTOR` as much as the lane.
         """
-        levels = self.flat.level_of(np.array(self.cells, dtype=np.int64))
+        levels = self.flat.level_of(np.array(self.node_cells, dtype=np.int64))
         pairs_of_levels = []
         for level in range(self.flat.num_levels):
             nodes = np.flatnonzero(levels == level)
             if len(nodes) > 1:
-                node_tree = spatial.cKDTree(self.points[nodes, :2])
+                node_tree = spatial.cKDTree(self.node_positions[nodes, :2])
                 near_pairs = node_tree.query_pairs(MAX_LANE_LENGTH, output_type="ndarray")
                 pairs_of_levels.append(nodes[near_pairs])
         if not pairs_of_levels:
             return
-        pairs = np.sort(np.concatenate(pairs_of_levels), axis=1)
-        for node, target_node, length in self._shortest_first(pairs):
+        node_pairs = np.sort(np.concatenate(pairs_of_levels), axis=1)
+        for node, target_node, length in self._shortest_first(node_pairs):
             if (
                 self.route_costs[node, target_node] > MAX_DETOUR_FACTOR * length * self.least_weight
                 and self.route_costs[node, target_node]
@@ -453,15 +453,15 @@ class _Builder:
             ):
                 self._add_straight_lane(node, target_node)
 
-    def _shortest_first(self, pairs: Int) -> list[tuple[int, int, float]]:
+    def _shortest_first(self, node_pairs: Int) -> list[tuple[int, int, float]]:
         """Sort pairs of nodes, shape (n, 2), by their distance.
 
         Returns:
             The nodes of each pair, and their distance [m]; the shortest first.
         """
-        first_nodes, second_nodes = pairs.T
-        offsets = self.points[first_nodes] - self.points[second_nodes]
-        lengths = np.round(np.hypot(offsets[:, 0], offsets[:, 1]), DECIMALS)
+        first_nodes, second_nodes = node_pairs.T
+        position_offsets = self.node_positions[first_nodes] - self.node_positions[second_nodes]
+        lengths = np.round(np.hypot(position_offsets[:, 0], position_offsets[:, 1]), DECIMALS)
         sort_indices = np.lexsort((second_nodes, first_nodes, lengths))
         return [
             (int(first_nodes[index]), int(second_nodes[index]), float(lengths[index]))
@@ -498,7 +498,7 @@ class _Builder:
         """Find the pairs of nodes whose cells touch on a level: indices, shape (n, 2)."""
         from navbake.runtime.grid_arrays import EAST, SOUTH  # numba loads slowly
 
-        node_cells = np.array(self.cells)
+        node_cells = np.array(self.node_cells)
         _, next_cell = self.search.find_next_cells(node_cells)
         nearest_cell = np.where(next_cell < 0, np.arange(len(next_cell)), next_cell)
         while (nearest_cell != nearest_cell[nearest_cell]).any():
@@ -515,33 +515,33 @@ class _Builder:
                 node_indices = node_of_cell[nearest_cell[cells]]
                 neighbor_indices = node_of_cell[nearest_cell[cells + cell_offset]]
                 pairs_of_levels.append(np.stack([node_indices, neighbor_indices], axis=1))
-        pairs = np.unique(np.concatenate(pairs_of_levels), axis=0)
-        have_nodes = (pairs >= 0).all(axis=1)
-        touching_pairs: Int = pairs[have_nodes & (pairs[:, 0] != pairs[:, 1])]
+        node_pairs = np.unique(np.concatenate(pairs_of_levels), axis=0)
+        both_have_nodes = (node_pairs >= 0).all(axis=1)
+        touching_pairs: Int = node_pairs[both_have_nodes & (node_pairs[:, 0] != node_pairs[:, 1])]
         return touching_pairs
 
-    def _add_path(self, node: int, target_node: int, allowed_doors: set[str | None]) -> None:
+    def _add_path(self, start_node: int, end_node: int, allowed_doors: set[str | None]) -> None:
         """Add the path between two nodes of a level: nodes at its corners, and lanes between them.
 
         Nothing is added if a route over lanes is about as short, or the path leaves the level.
 
         Args:
-            node: index of the first node.
-            target_node: index of the last node.
+            start_node: index of the first node.
+            end_node: index of the last node.
             allowed_doors: ids of the doors that the lanes may lead through, and None.
         """
-        level = self.nodes[node].level
-        if level != self.nodes[target_node].level:
+        level = self.nodes[start_node].level
+        if level != self.nodes[end_node].level:
             return
-        start = self.points[node, :2]
-        end = self.points[target_node, :2]
+        start = self.node_positions[start_node, :2]
+        end = self.node_positions[end_node, :2]
         path = find_path(self.search, start, end, level, by="cost", smooth=True)
         if path is None or path.links or (path.levels != level).any():
             return
         path_cost = self._line_cost(path.positions[:, :2], level)
-        if self.route_costs[node, target_node] <= MAX_DETOUR_FACTOR * path_cost:
+        if self.route_costs[start_node, end_node] <= MAX_DETOUR_FACTOR * path_cost:
             return
-        corner_nodes = self._corner_nodes(node, target_node, path.positions[:, :2], level)
+        corner_nodes = self._corner_nodes(start_node, end_node, path.positions[:, :2], level)
         for corner_node, next_corner_node in itertools.pairwise(corner_nodes):
             if (
                 corner_node != next_corner_node
@@ -551,54 +551,56 @@ class _Builder:
             ):
                 self._add_straight_lane(corner_node, next_corner_node)
 
-    def _corner_nodes(self, node: int, target_node: int, path: Float, level: int) -> list[int]:
+    def _corner_nodes(self, start_node: int, end_node: int, path: Float, level: int) -> list[int]:
         """Find nodes at the corners of a path, so that each sees the next; add missing ones.
 
         A corner is skipped if the straight line past it costs at most `MAX_DETOUR_FACTOR` as much.
 
         Args:
-            node: index of the node at the path's start.
-            target_node: index of the node at its end.
+            start_node: index of the node at the path's start.
+            end_node: index of the node at its end.
             path: x, y of the path's points, shape (n, 2) [m].
             level: number of the level.
 
         Returns:
-            The indices of the nodes, from `node` to `target_node`.
+            The indices of the nodes, from `start_node` to `end_node`.
         """
         inner_points = path[1:-1]
         cells = self.flat.cells_at(inner_points, level)
         centers = self.flat.positions(cells)[:, :2]
         # corners are at cells' centres; at other points, only the height of the floor bends
         is_corner = np.abs(centers - inner_points).max(axis=1, initial=0.0) < 1e-6
-        remaining = [*cells[is_corner].tolist(), self.cells[target_node]]
-        corners = [node]
-        while remaining:
-            corner = corners[-1]
-            remaining_xy = self.flat.positions(np.array(remaining))[:, :2]
-            line_points = np.concatenate([self.points[[corner], :2], remaining_xy])
-            farthest_place = 0
-            for place, cell in enumerate(remaining):
-                if self._sees(self.cells[corner], cell):
-                    straight_cost = self._line_cost(line_points[[0, place + 1]], level)
-                    path_cost = self._line_cost(line_points[: place + 2], level)
+        remaining_cells = [*cells[is_corner].tolist(), self.node_cells[end_node]]
+        corner_nodes = [start_node]
+        while remaining_cells:
+            previous_node = corner_nodes[-1]
+            remaining_xy = self.flat.positions(np.array(remaining_cells))[:, :2]
+            line_points = np.concatenate([self.node_positions[[previous_node], :2], remaining_xy])
+            farthest_index = 0
+            for remaining_index, cell in enumerate(remaining_cells):
+                if self._sees(self.node_cells[previous_node], cell):
+                    straight_cost = self._line_cost(line_points[[0, remaining_index + 1]], level)
+                    path_cost = self._line_cost(line_points[: remaining_index + 2], level)
                     if straight_cost <= MAX_DETOUR_FACTOR * path_cost:
-                        farthest_place = place
-            cell = remaining[farthest_place]
-            next_cells = remaining[farthest_place + 1 : farthest_place + 2]
+                        farthest_index = remaining_index
+            cell = remaining_cells[farthest_index]
+            next_cells = remaining_cells[farthest_index + 1 : farthest_index + 2]
             corner_node = None
             if next_cells:
                 mean_weight = self._mean_weight(
-                    line_points[0], line_points[farthest_place + 1], level
+                    line_points[0], line_points[farthest_index + 1], level
                 )
-                corner_node = self._node_in_place_of(cell, corner, next_cells[0], mean_weight)
+                corner_node = self._node_in_place_of(
+                    cell, previous_node, next_cells[0], mean_weight
+                )
             if corner_node is None:
                 corner_node = self._add_node(cell, "waypoint")
-            corners.append(corner_node)
-            remaining = remaining[farthest_place + 1 :]
-        return corners
+            corner_nodes.append(corner_node)
+            remaining_cells = remaining_cells[farthest_index + 1 :]
+        return corner_nodes
 
     def _node_in_place_of(
-        self, cell: int, corner: int, next_cell: int, mean_weight: float
+        self, cell: int, previous_node: int, next_cell: int, mean_weight: float
     ) -> int | None:
         """Find the nearest node that can take the place of a path's corner.
 
@@ -607,7 +609,7 @@ class _Builder:
 
         Args:
             cell: flat id of the corner's cell.
-            corner: index of the node before.
+            previous_node: index of the node before.
             next_cell: flat id of the cell of the next corner.
             mean_weight: mean weight of the cells on the path from the node before.
 
@@ -615,17 +617,17 @@ class _Builder:
             The node's index; None if there is none.
         """
         level = int(self.flat.level_of(cell))
-        distance = np.hypot(*(self.points - self.flat.positions(cell))[:, :2].T)
-        candidates = [
+        distance = np.hypot(*(self.node_positions - self.flat.positions(cell))[:, :2].T)
+        candidate_nodes = [
             index
             for index in np.flatnonzero(distance < CORNER_SNAP_DISTANCE).tolist()
             if self.nodes[index].level == level
-            and self._sees(self.cells[index], self.cells[corner])
-            and self._sees(self.cells[index], next_cell)
-            and self._lane_cost(corner, index)
-            <= MAX_DETOUR_FACTOR * mean_weight * self._distance(corner, index)
+            and self._sees(self.node_cells[index], self.node_cells[previous_node])
+            and self._sees(self.node_cells[index], next_cell)
+            and self._lane_cost(previous_node, index)
+            <= MAX_DETOUR_FACTOR * mean_weight * self._distance(previous_node, index)
         ]
-        return min(candidates, key=distance.__getitem__, default=None)
+        return min(candidate_nodes, key=distance.__getitem__, default=None)
 
     # ---------------------------------------------------------------- the graph
 
@@ -633,12 +635,12 @@ class _Builder:
         """Make the graph: give nodes unique names, and lanes their names, doors and speeds."""
         used_names = set[str]()
         nodes = list[Node]()
-        for number, node in enumerate(self.nodes):
-            base_name = node.name or f"{node.kind} {number}"
+        for node_number, node in enumerate(self.nodes):
+            base_name = node.name or f"{node.kind} {node_number}"
             name = base_name
             while name in used_names:
-                name = f"{base_name} ({number})"
-                number += 1
+                name = f"{base_name} ({node_number})"
+                node_number += 1
             used_names.add(name)
             nodes.append(replace(node, name=name))
         lanes = [self._finish_lane(lane, nodes) for lane in self.lanes]
@@ -672,12 +674,12 @@ class _Builder:
         if lane.kind != FLOOR:
             return lane
         doors = [door for door in self._doors_on_lane(lane.start, lane.end) if door]
-        start_xy, end_xy = self.points[[lane.start, lane.end], :2]
+        start_xy, end_xy = self.node_positions[[lane.start, lane.end], :2]
         cells = self._cells_on_line(start_xy, end_xy, start.level)
-        area_numbers = [number for number in np.unique(self.areas[cells]).tolist() if number]
+        area_numbers = [number for number in np.unique(self.area_of_cell[cells]).tolist() if number]
         speeds = [self.grid.areas[number - 1].speed for number in area_numbers]
-        limits = [speed for speed in speeds if speed is not None]
-        return replace(lane, door=min(doors, default=None), speed=min(limits, default=None))
+        speed_limits = [speed for speed in speeds if speed is not None]
+        return replace(lane, door=min(doors, default=None), speed=min(speed_limits, default=None))
 
 
 def _round_xy(point: Sequence[float]) -> tuple[float, float]:
@@ -692,28 +694,30 @@ def _measure_clearance(grid: NavGrid, flat: FlatGrid) -> Float:
     Returns distances by flat id, 0 where a cell isn't free [m].
     """
     clearance = []
-    for number, level in enumerate(grid.levels):
-        free = flat.free[flat.cells_of(number)].reshape(level.shape)
+    for level_number, level in enumerate(grid.levels):
+        is_free = flat.free[flat.cells_of(level_number)].reshape(level.shape)
         # beyond the level's edge is no free cell
-        num_cells = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]
-        clearance.append(num_cells.ravel() * level.lattice.cell_size)
+        distance_in_cells = ndimage.distance_transform_edt(np.pad(is_free, 1))[1:-1, 1:-1]
+        clearance.append(distance_in_cells.ravel() * level.lattice.cell_size)
     return np.concatenate(clearance)
 
 
-def _count_neighbors(padded: Bool) -> tuple[Int, Int]:
+def _count_neighbors(padded_mask: Bool) -> tuple[Int, Int]:
     """Count the neighbours in a mask that each cell has, and the runs that they form around it.
 
     Args:
-        padded: the mask with one more cell on each side.
+        padded_mask: the mask with one more cell on each side.
 
     Returns:
         How many of the eight neighbours are in the mask, shape (height, width) without the padding;
         and how many runs they form on the ring of neighbours, of the same shape.
     """
-    height, width = padded[1:-1, 1:-1].shape
+    height, width = padded_mask[1:-1, 1:-1].shape
     # clockwise from the upper neighbour
     offsets = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
-    ring = [padded[row : row + height, col : col + width].view(np.int8) for row, col in offsets]
+    ring = [
+        padded_mask[row : row + height, col : col + width].view(np.int8) for row, col in offsets
+    ]
     next_in_ring = ring[1:] + ring[:1]
     begins_run = [
         (neighbor == 0) & (next_neighbor == 1)
@@ -731,21 +735,21 @@ def thin_mask(mask: Bool) -> Bool:
     Returns:
         The thinned mask, of the same shape.
     """
-    padded = np.pad(mask, 1)
-    inner = padded[1:-1, 1:-1]  # a view
+    padded_mask = np.pad(mask, 1)
+    inner_mask = padded_mask[1:-1, 1:-1]  # a view
     while True:
-        num_before = np.count_nonzero(padded)
+        num_cells_before = np.count_nonzero(padded_mask)
         for is_first_pass in (True, False):
-            num_neighbors, num_runs = _count_neighbors(padded)
-            north = padded[:-2, 1:-1]
-            east = padded[1:-1, 2:]
-            south = padded[2:, 1:-1]
-            west = padded[1:-1, :-2]
+            num_neighbors, num_runs = _count_neighbors(padded_mask)
+            north = padded_mask[:-2, 1:-1]
+            east = padded_mask[1:-1, 2:]
+            south = padded_mask[2:, 1:-1]
+            west = padded_mask[1:-1, :-2]
             if is_first_pass:
                 must_stay = (north & east & south) | (east & south & west)
             else:
                 must_stay = (north & east & west) | (north & south & west)
             is_border = (num_neighbors >= 2) & (num_neighbors <= 6) & (num_runs == 1)
-            inner[inner & is_border & ~must_stay] = False
-        if np.count_nonzero(padded) == num_before:
-            return inner
+            inner_mask[inner_mask & is_border & ~must_stay] = False
+        if np.count_nonzero(padded_mask) == num_cells_before:
+            return inner_mask

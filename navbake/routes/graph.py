@@ -19,7 +19,7 @@ csgraph = lazy("scipy.sparse.csgraph")
 sparse = lazy("scipy.sparse")
 
 FLOOR = "floor"  # kind of a lane along a straight line on one level
-TABLES = ("cars", "doorways")  # fields of a graph that are tuples of records
+RECORD_FIELDS = ("cars", "doorways")  # fields of a graph that are tuples of records
 
 
 @dataclass(frozen=True)
@@ -184,11 +184,11 @@ class RouteGraph(RouteGraphMethods):
             count = len(self.level_names)
             raise QueryError(f"no level {number}: the graph has {count}, counted from 0")
         node_indices = [index for index, node in enumerate(self.nodes) if node.level == number]
-        new_index = {index: place for place, index in enumerate(node_indices)}
+        new_index_of_node = {index: place for place, index in enumerate(node_indices)}
         lanes = [
-            replace(lane, start=new_index[lane.start], end=new_index[lane.end])
+            replace(lane, start=new_index_of_node[lane.start], end=new_index_of_node[lane.end])
             for lane in self.lanes
-            if lane.start in new_index and lane.end in new_index
+            if lane.start in new_index_of_node and lane.end in new_index_of_node
         ]
         nodes = [replace(self.nodes[index], level=0) for index in node_indices]
         links = {lane.link for lane in lanes}
@@ -224,36 +224,36 @@ def join_opposite_lanes(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
     This is the inverse of `split_two_way_lanes`.
     """
     joined_lanes: list[Lane] = []
-    # lane without one back so far -> indices in `joined_lanes`
-    without_return: dict[Lane, list[int]] = {}
+    # lane without a lane back so far -> indices in `joined_lanes`
+    indices_without_return: dict[Lane, list[int]] = {}
     for lane in lanes:
         lane_back = replace(lane, start=lane.end, end=lane.start)
-        if without_return.get(lane_back):
-            lane_index = without_return[lane_back].pop()
+        if indices_without_return.get(lane_back):
+            lane_index = indices_without_return[lane_back].pop()
             joined_lanes[lane_index] = replace(joined_lanes[lane_index], two_way=True)
         else:
-            without_return.setdefault(lane, []).append(len(joined_lanes))
+            indices_without_return.setdefault(lane, []).append(len(joined_lanes))
             joined_lanes.append(lane)
     return tuple(joined_lanes)
 
 
-def encode_element(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
+def encode_element(element: Node | Lane | RouteGraph, *omitted_names: str) -> Json:
     """Return the fields of a node, a lane or a graph as JSON.
 
     Fields that are None, empty tables, and the nodes and lanes of a graph, are left out.
 
     Args:
         element: the node, lane or graph.
-        left_out: names of more fields to leave out.
+        omitted_names: names of further fields to leave out.
     """
-    left_out_names = {"nodes", "lanes", *left_out}
+    all_omitted_names = {"nodes", "lanes", *omitted_names}
     field_values = {name: getattr(element, name) for name in element.__dataclass_fields__}
     entry = {
         name: value
         for name, value in field_values.items()
-        if value is not None and name not in left_out_names
+        if value is not None and name not in all_omitted_names
     }
-    for name in TABLES:
+    for name in RECORD_FIELDS:
         if name in entry:
             entry[name] = [asdict(row) for row in entry[name]]
             for doorway in entry[name] if name == "doorways" else ():

@@ -1,4 +1,4 @@
-"""Where routes lead through the cars of lifts: a place in the car on each level that it serves.
+"""The places of routes in the cars of lifts: one in each car on each level that it serves.
 
 In a graph of routes, the nodes at a lift are landings, beside the car. Open-RMF instead wants one
 vertex inside of the car on each level, all at the same x, y, with lanes from the landings. It takes
@@ -23,7 +23,7 @@ Coordinates = TypeVar("Coordinates", float, Float)
 
 LIFT = "lift"  # kind of the lanes over lifts
 # stops in a car that are nearer to their middle than this are the same place [m]
-SAME_PLACE = 0.05
+MAX_PLACE_DISTANCE = 0.05
 DEFAULT_CAR_SIZE = 1.0  # width and depth of a car that neither the grid nor the link states [m]
 
 
@@ -34,7 +34,7 @@ class CarPlan(NamedTuple):
         car: the car.
         x: world x of the place [m].
         y: world y of the place [m].
-        is_guess: whether the car is not known, but taken to be between the landings.
+        is_guess: whether the car is unknown; then a square between the landings stands for it.
     """
 
     car: LiftCar
@@ -118,9 +118,9 @@ def list_landings(graph: RouteGraph) -> dict[str, list[int]]:
 def plan_cars(graph: RouteGraph) -> dict[str, CarPlan]:
     """Find the car of each lift that a graph has lanes over, and the place where agents ride.
 
-    The place is the middle of the car. But if landings lie inside of the car, all at the same x, y,
-    it is there. If the graph lists no car for a lift, a square in the middle of the landings is
-    taken for the car.
+    The place is the middle of the car. If landings lie inside of the car, all at the same x, y, it
+    is the place of these landings instead. If the graph lists no car for a lift, a square in the
+    middle of the landings stands for the car.
 
     Args:
         graph: the graph.
@@ -135,16 +135,19 @@ def plan_cars(graph: RouteGraph) -> dict[str, CarPlan]:
         car = car_of_lift.get(lift)
         if car is None:
             x, y = _mean(positions)
-            size = DEFAULT_CAR_SIZE
-            plans[lift] = CarPlan(LiftCar(lift, x, y, 0.0, size, size), x, y, is_guess=True)
+            car_size = DEFAULT_CAR_SIZE
+            plans[lift] = CarPlan(LiftCar(lift, x, y, 0.0, car_size, car_size), x, y, is_guess=True)
             continue
-        inside = [position for position in positions if is_in_car(car, *position)]
-        place = (car.x, car.y)
-        if inside:
-            mean_place = _mean(inside)
-            if all(math.dist(position, mean_place) <= SAME_PLACE for position in inside):
-                place = mean_place
-        plans[lift] = CarPlan(car, place[0], place[1], is_guess=False)
+        positions_in_car = [position for position in positions if is_in_car(car, *position)]
+        ride_place = (car.x, car.y)
+        if positions_in_car:
+            mean_position = _mean(positions_in_car)
+            if all(
+                math.dist(position, mean_position) <= MAX_PLACE_DISTANCE
+                for position in positions_in_car
+            ):
+                ride_place = mean_position
+        plans[lift] = CarPlan(car, ride_place[0], ride_place[1], is_guess=False)
     return plans
 
 
@@ -163,22 +166,22 @@ def make_car_stops(graph: RouteGraph, plans: Iterable[CarPlan]) -> list[CarStop]
         plans: the cars, as `plan_cars` returns them.
     """
     landings = list_landings(graph)
-    names = {node.name for node in graph.nodes}
+    used_names = {node.name for node in graph.nodes}
     stops = []
     for plan in plans:
         lift = plan.car.name
         stop_of_level: dict[int, CarStop] = {}
-        for number in landings[lift]:
-            node = graph.nodes[number]
+        for node_index in landings[lift]:
+            node = graph.nodes[node_index]
             if node.level not in stop_of_level:
                 name = f"{lift} car {node.level}"
-                while name in names:
+                while name in used_names:
                     name += "'"
-                names.add(name)
+                used_names.add(name)
                 stop_of_level[node.level] = CarStop(name, lift, node.level, plan.x, plan.y)
-            is_there = math.dist(node.position[:2], (plan.x, plan.y)) <= SAME_PLACE
-            if is_there and not plan.is_guess and stop_of_level[node.level].node is None:
-                stop_of_level[node.level].node = number
+            is_node_at_place = math.dist(node.position[:2], (plan.x, plan.y)) <= MAX_PLACE_DISTANCE
+            if is_node_at_place and not plan.is_guess and stop_of_level[node.level].node is None:
+                stop_of_level[node.level].node = node_index
         for lane in graph.lanes:
             if lane.kind != LIFT or lane.link != lift:
                 continue
@@ -212,17 +215,17 @@ def find_nodes_in_cars(
         The nodes' indices.
     """
     landings = list_landings(graph)
-    all_landings = {number for numbers in landings.values() for number in numbers}
-    inside = set()
+    all_landings = {node_index for numbers in landings.values() for node_index in numbers}
+    node_indices = set()
     for plan in plans:
         lift = plan.car.name
-        levels = [graph.nodes[number].level for number in landings[lift]]
-        for number, node in enumerate(graph.nodes):
+        levels = [graph.nodes[node_index].level for node_index in landings[lift]]
+        for node_index, node in enumerate(graph.nodes):
             if (
                 not plan.is_guess
                 and min(levels) <= node.level <= max(levels)
-                and number not in all_landings
+                and node_index not in all_landings
                 and is_in_car(plan.car, node.position[0], node.position[1], margin)
             ):
-                inside.add(number)
-    return frozenset(inside)
+                node_indices.add(node_index)
+    return frozenset(node_indices)

@@ -91,6 +91,9 @@ def plan_of(
         step: Highest step of the agent [m].
         height: Height of the agent [m], > step.
 
+    Returns:
+        The level, with a floor in every cell.
+
     Raises:
         QueryError: The height is not above the step.
     """
@@ -128,6 +131,9 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
         level: A level with ``occupancy`` and ``floorHeight``.
         step: Highest step of the agent, as in the level's settings [m].
         height: Height of the agent, as in the level's settings [m], > step.
+
+    Returns:
+        The voxels, of dtype bool.
 
     Raises:
         QueryError: The height is not above the step.

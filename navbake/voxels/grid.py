@@ -74,8 +74,10 @@ class VoxelGrid:
             )
         corner = finite_array(self.origin, (3,))
         if corner is None:
-            one_line = reprlib.repr(self.origin)[:80]
-            raise _make_field_error("origin", self.origin, "a lower corner x, y, z [m]", one_line)
+            origin_text = reprlib.repr(self.origin)[:80]
+            raise _make_field_error(
+                "origin", self.origin, "a lower corner x, y, z [m]", origin_text
+            )
         self.origin = tuple(corner.tolist())
         self.res = float(self.res)
         if not (np.isfinite(self.res) and self.res > 0):
@@ -125,8 +127,8 @@ class VoxelGrid:
         Returns:
             Indices (i, j, k), shape (..., 3), int64; negative or too large outside of the grid.
         """
-        in_voxels = (np.asarray(xyz, dtype=np.float64) - self.origin) / self.res
-        return np.floor(in_voxels).astype(np.int64)
+        coordinates_in_voxels = (np.asarray(xyz, dtype=np.float64) - self.origin) / self.res
+        return np.floor(coordinates_in_voxels).astype(np.int64)
 
     def at(self, xyz: ArrayLike) -> NDArray[Any]:
         """Return the values of the voxels at positions.
@@ -186,12 +188,16 @@ class VoxelGrid:
         if not self.is_segmented:
             raise QueryError("these voxels hold no IDs")
         # a table of the IDs that occur; one of all 2**32 is too large
-        present = np.array([0, *self.ids()], dtype=np.int64)
-        table = np.array([0, *(ids.get(int(old), 0) for old in present[1:])])
+        present_ids = np.array([0, *self.ids()], dtype=np.int64)
+        new_ids = np.array([0, *(ids.get(int(old_id), 0) for old_id in present_ids[1:])])
         values = np.empty(self.shape, dtype=dtype_of(max(ids.values(), default=0)))
         for old_plane, new_plane in zip(self.values, values, strict=True):
-            new_plane[...] = table[np.searchsorted(present, old_plane)]
-        names = {new: self.names[old] for old, new in ids.items() if new and old in self.names}
+            new_plane[...] = new_ids[np.searchsorted(present_ids, old_plane)]
+        names = {
+            new_id: self.names[old_id]
+            for old_id, new_id in ids.items()
+            if new_id and old_id in self.names
+        }
         return replace(self, values=values, names=names)
 
     def __repr__(self) -> str:
@@ -301,6 +307,9 @@ def place_grid(
             along an axis, the middle of voxel ``n // 2`` is at the centre, counted along north (x),
             east (-y) and up. So grids of even counts lie half a voxel off.
 
+    Returns:
+        Where the grid lies.
+
     Raises:
         ConfigError: A number is wrong; both `cells` and `size` are given, or only a centre is; or
             the grid needs more memory than there is.
@@ -331,9 +340,9 @@ def place_grid(
     else:
         center = bounds.mean(axis=0)
     if bounds is not None and covers_bounds:
-        lower = np.floor(bounds[0] / edge + CELL_SLACK)  # in voxels
-        upper = np.maximum(np.ceil(bounds[1] / edge - CELL_SLACK), lower + 1)
-        return Placement(lower * edge, edge, _as_shape((upper - lower).tolist()))
+        lower_index = np.floor(bounds[0] / edge + CELL_SLACK)  # in voxels
+        upper_index = np.maximum(np.ceil(bounds[1] / edge - CELL_SLACK), lower_index + 1)
+        return Placement(lower_index * edge, edge, _as_shape((upper_index - lower_index).tolist()))
     if cells is not None:
         counts = list(cells) if np.iterable(cells) else [cells]
         if len(counts) != 3 or not all(map(_is_count, counts)):
@@ -343,24 +352,24 @@ def place_grid(
             )
         shape = _as_shape(counts)
     else:
-        extent = check_three(size, "a size x, y, z in metres")
-        if not (extent > 0).all():
+        lengths = check_three(size, "a size x, y, z in metres")
+        if not (lengths > 0).all():
             expected = "a size > 0 m along each axis"
             raise ConfigError(
-                f"expected {expected}, got {extent.tolist()}",
+                f"expected {expected}, got {lengths.tolist()}",
                 key="size",
                 value=size,
                 expected=expected,
             )
         max_length = HUGE_COUNT * edge
-        shape = _as_shape([count_cells(min(float(length), max_length), edge) for length in extent])
+        shape = _as_shape([count_cells(min(float(length), max_length), edge) for length in lengths])
     check_memory(shape, 1)  # before arrays overflow
     origin = center - np.array(shape) * edge / 2
     if layout == "airsim":
         is_even = np.array(shape) % 2 == 0
         origin = origin + is_even * AIRSIM_SHIFT * edge
-    aligned = np.round(origin / edge) * edge if align else origin
-    return Placement(aligned, edge, shape, float(np.abs(aligned - origin).max()))
+    aligned_origin = np.round(origin / edge) * edge if align else origin
+    return Placement(aligned_origin, edge, shape, float(np.abs(aligned_origin - origin).max()))
 
 
 def _is_count(value: object) -> bool:
@@ -379,16 +388,16 @@ def check_memory(shape: Sequence[int], itemsize: int) -> None:
         shape: Numbers of voxels along each axis.
         itemsize: Memory for a voxel [bytes].
     """
-    needed = min(math.prod(shape) * itemsize, HUGE_COUNT)
-    free = measure_free_memory()
-    if needed > free:
-        counts = (
+    needed_bytes = min(math.prod(shape) * itemsize, HUGE_COUNT)
+    free_bytes = measure_free_memory()
+    if needed_bytes > free_bytes:
+        count_texts = (
             str(count) if count < 10**15 else f"{min(count, HUGE_COUNT):.3g}" for count in shape
         )
         expected = "fewer or larger voxels"
         raise ConfigError(
-            f"a grid of {' × '.join(counts)} voxels takes {needed / 2**30:.3g} GiB, and "
-            f"{free / 2**30:.3g} GiB of memory are free: expected {expected}",
+            f"a grid of {' × '.join(count_texts)} voxels takes {needed_bytes / 2**30:.3g} GiB, and "
+            f"{free_bytes / 2**30:.3g} GiB of memory are free: expected {expected}",
             value=tuple(shape),
             expected=expected,
         )
@@ -412,11 +421,14 @@ def finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
 
 
 def check_three(value: ArrayLike | None, expected: str) -> Float:
-    """Check three finite numbers, and return them as an array, float64.
+    """Check that a value is three finite numbers, and return them as an array, float64.
 
     Args:
         value: The numbers.
-        expected: What the ConfigError's message says was expected.
+        expected: The text after ``expected`` in the ConfigError's message.
+
+    Returns:
+        The numbers, shape (3,).
 
     Raises:
         ConfigError: The value is not three finite numbers.

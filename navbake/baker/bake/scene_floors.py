@@ -15,7 +15,7 @@ from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import check_occupancy
 from navbake.baker.readers.mesh import MESH_SUFFIXES
 from navbake.baker.scene.scene import Scene
-from navbake.config.settings import SCAN_HOLES, BakeConfig, is_memory_path
+from navbake.config.settings import MAX_SCAN_HOLE_AREA, BakeConfig, is_memory_path
 from navbake.errors import SceneError
 from navbake.formats.scene_files import scene_suffix
 from navbake.navgrid.lattice import Lattice
@@ -131,7 +131,7 @@ def measure_holes(
     cell_area = columns.lattice.cell_size**2
     if level.unseen is None:
         is_occupied = make_occupancy_test(columns, tile_index, config)
-        level = fill_holes(level, SCAN_HOLES / cell_area, is_occupied)
+        level = fill_holes(level, MAX_SCAN_HOLE_AREA / cell_area, is_occupied)
     hole_of_cell, _ = label_components_2d(np.asarray(level.unseen))
     num_cells_of_hole = np.bincount(hole_of_cell.ravel())[1:]
     hole_areas: Float = num_cells_of_hole.astype(np.float64) * cell_area
