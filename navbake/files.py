@@ -67,21 +67,21 @@ def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
     Raises:
         OSError: A path cannot be written; no file has changed.
     """
-    devices = {path: data for path, data in contents.items() if not _is_replaceable(path)}
+    device_contents = {path: data for path, data in contents.items() if not _is_replaceable(path)}
     with ExitStack() as stack:
         new_files = [
             stack.enter_context(_write_temporary(data, path))
             for path, data in contents.items()
-            if path not in devices
+            if path not in device_contents
         ]
-        for path, data in devices.items():
+        for path, data in device_contents.items():
             with open(path, "wb") as device:
                 device.writelines([data] if isinstance(data, bytes) else data)
         try:
             if len(new_files) > 1:
-                changing = [file for file in new_files if file.changes_target()]
-                if len(changing) > 1:
-                    for file in reversed(changing):
+                changing_files = [file for file in new_files if file.changes_target()]
+                if len(changing_files) > 1:
+                    for file in reversed(changing_files):
                         file.put_aside()
             for file in new_files:
                 os.replace(file.temporary_path, file.target_path)
@@ -290,12 +290,12 @@ def _remove_leftovers_once(folder: Path) -> None:
 def remove_leftovers(folder: Path, min_age: float = LEFTOVER_AGE) -> None:
     """Remove the temporary files and folders that this user's killed processes left in a folder.
 
-    What a living process holds stays, see `hold_lock`. Errors are ignored.
+    Files and folders that a living process has locked by `hold_lock` stay. Errors are ignored.
 
     Args:
         folder: The folder.
-        min_age: Where there are no locks, remove only what has not changed for this long [s]. 0 is
-            safe only if no other process writes there.
+        min_age: Where there are no locks, remove only files and folders that have not changed for
+            this long [s]. 0 is safe only if no other process writes there.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:

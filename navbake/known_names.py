@@ -91,9 +91,9 @@ def suggest(
         near_names = [
             candidate for candidate in names if _is_two_edits(folded_name, candidate.casefold())
         ]
-    question = f"did you mean {near_names[0]!r}? " if near_names else ""
+    question_text = f"did you mean {near_names[0]!r}? " if near_names else ""
     more_text = f", and {len(names) - max_listed} more" if len(names) > max_listed else ""
-    return f"{question}{owner} has {', '.join(names[:max_listed]) or 'none'}{more_text}"
+    return f"{question_text}{owner} has {', '.join(names[:max_listed]) or 'none'}{more_text}"
 
 
 def list_first(names: Sequence[str], max_names: int = 1) -> str:

@@ -70,22 +70,22 @@ def copy(name: str, folder: Path | str = ".") -> list[Path]:
     target_folder = Path(folder)
     scenes_folder = _find_samples_folder() / "scenes"
     scene_files = sorted(scenes_folder.glob(f"{name}.*"))
-    mjcf_files = [error_path for error_path in scene_files if error_path.suffix == ".xml"]
-    mjcf_text = "".join(error_path.read_text(encoding="utf-8") for error_path in mjcf_files)
+    mjcf_files = [scene_file for scene_file in scene_files if scene_file.suffix == ".xml"]
+    mjcf_text = "".join(mjcf_file.read_text(encoding="utf-8") for mjcf_file in mjcf_files)
     asset_files = [
-        error_path
-        for error_path in sorted((scenes_folder / "assets").iterdir())
-        if error_path.name in mjcf_text
+        asset_file
+        for asset_file in sorted((scenes_folder / "assets").iterdir())
+        if asset_file.name in mjcf_text
     ]
     source_files = [settings_path, *scene_files, *asset_files]
     copy_of_source = {
         source_file: target_folder / source_file.relative_to(settings_path.parent)
         for source_file in source_files
     }
-    contents = {source_file: source_file.read_bytes() for source_file in source_files}
+    content_by_file = {source_file: source_file.read_bytes() for source_file in source_files}
     try:
         for source_file, copied_file in copy_of_source.items():
-            if copied_file.exists() and copied_file.read_bytes() != contents[source_file]:
+            if copied_file.exists() and copied_file.read_bytes() != content_by_file[source_file]:
                 hint = "move it, or copy elsewhere"
                 raise ConfigError(
                     f"another {copied_file} is there: {hint}", path=str(copied_file), hint=hint
@@ -93,7 +93,7 @@ def copy(name: str, folder: Path | str = ".") -> list[Path]:
         for source_file, copied_file in copy_of_source.items():
             if not copied_file.exists():
                 copied_file.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(contents[source_file], copied_file)
+                write_whole(content_by_file[source_file], copied_file)
     except OSError as error:
         error_path = str(error.filename or target_folder)
         raise ConfigError(

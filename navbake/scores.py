@@ -1,4 +1,4 @@
-"""How well agents did: measures of trajectories against the episodes of a set.
+"""Measures how well agents did: compares their trajectories with the episodes of a set.
 
 `Measures` follows one episode step by step, and `score_set` scores the trajectories of a set. The
 functions on arrays also take arrays of ``jax.numpy`` or ``torch``, if that module is given as `xp`;
@@ -100,9 +100,9 @@ def soft_spl(distance: Array, shortest: Array, length: Array, *, xp: ModuleType 
     Source: Datta et al., "Integrating Egocentric Localization" (2020).
     """
     divisor = xp.where(shortest > 0, shortest, xp.ones_like(shortest))
-    at_goal_already = xp.where(distance > 0, 1.0, distance)
-    remaining = xp.where(shortest > 0, distance / divisor, at_goal_already)
-    progress = xp.where(remaining > 1, xp.zeros_like(remaining), 1.0 - remaining)
+    share_without_path = xp.where(distance > 0, 1.0, distance)
+    remaining_share = xp.where(shortest > 0, distance / divisor, share_without_path)
+    progress = xp.where(remaining_share > 1, xp.zeros_like(remaining_share), 1.0 - remaining_share)
     return progress * _efficiency(shortest, length, xp)
 
 
@@ -112,10 +112,10 @@ def _efficiency(shortest: Array, length: Array, xp: ModuleType) -> Array:
     The result is 1 where l is 0, and NaN where l is not finite.
     """
     is_finite = xp.isfinite(shortest)
-    positive = xp.where(is_finite & (shortest > 0), shortest, xp.ones_like(shortest))
-    is_detour = (length > positive) & (shortest > 0)
-    ratio = positive / xp.where(is_detour, length, positive)
-    return xp.where(is_finite, ratio, xp.full_like(ratio, math.nan))
+    positive_shortest = xp.where(is_finite & (shortest > 0), shortest, xp.ones_like(shortest))
+    is_detour = (length > positive_shortest) & (shortest > 0)
+    length_ratio = positive_shortest / xp.where(is_detour, length, positive_shortest)
+    return xp.where(is_finite, length_ratio, xp.full_like(length_ratio, math.nan))
 
 
 def path_length(positions: ArrayLike) -> float:
@@ -175,9 +175,11 @@ def ndtw(
         else:
             least_sums = xp.zeros_like(last_sums)
         is_inside = (col >= 0) & (col < num_cols)
-        distance = xp.where(is_inside, distances[row, xp.clip(col, 0, num_cols - 1)], math.inf)
+        diagonal_distances = xp.where(
+            is_inside, distances[row, xp.clip(col, 0, num_cols - 1)], math.inf
+        )
         second_last_sums = last_sums
-        last_sums = distance + least_sums
+        last_sums = diagonal_distances + least_sums
     return xp.exp(-last_sums[-1] / (len(reference) * threshold))
 
 
@@ -242,10 +244,10 @@ class Measures:
         self.share = episode.goals[0].share
         self.radius = episode.goals[0].radius
         goals = episode.goals
-        in_order = episode.task == "sequence"
+        is_ordered = episode.task == "sequence"
         # successive episodes often have the same goals: the search keeps the stops of the last ones
-        find_stops_of_goals = functools.partial(find_stops, finder, goals, in_order=in_order)
-        stops = finder.search.cached_result("stops", (goals, in_order), find_stops_of_goals)
+        find_stops_of_goals = functools.partial(find_stops, finder, goals, in_order=is_ordered)
+        stops = finder.search.cached_result("stops", (goals, is_ordered), find_stops_of_goals)
         if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
         self._stops = stops
@@ -296,12 +298,12 @@ class Measures:
         if times is not None:
             self._times += [float(time) for time in times]
 
-    def _add_distances(self, points: Float, label: str) -> list[float]:
+    def _add_distances(self, new_positions: Float, position_label: str) -> list[float]:
         """Compute the distances to the goal from the next positions, and count the reached stops.
 
         Args:
-            points: world x, y, z of the positions [m], shape (n, 3).
-            label: what errors call a position.
+            new_positions: world x, y, z of the positions [m], shape (n, 3).
+            position_label: what errors call a position.
 
         Returns:
             For each position, the length of the path through all stops not reached yet [m].
@@ -311,38 +313,38 @@ class Measures:
         """
         flat = self.finder.search.flat
         episode_id = self.episode.id
-        nonfinite_rows = np.flatnonzero(~np.isfinite(points).all(axis=1))
+        nonfinite_rows = np.flatnonzero(~np.isfinite(new_positions).all(axis=1))
         if len(nonfinite_rows):
-            place = f"{label} {nonfinite_rows[0]} of episode {episode_id!r}"
-            raise QueryError(f"expected finite numbers at {place}")
-        cells = flat.cells_at(points)
+            place_text = f"{position_label} {nonfinite_rows[0]} of episode {episode_id!r}"
+            raise QueryError(f"expected finite numbers at {place_text}")
+        cells = flat.cells_at(new_positions)
         if (cells < 0).any():
             row = int(np.argmax(cells < 0))
-            coordinates = ", ".join(f"{value:g}" for value in points[row])
-            place = f"{label} {row} of episode {episode_id!r}, {coordinates}"
-            raise QueryError(f"{place}, lies beside the grid")
+            coordinates = ", ".join(f"{value:g}" for value in new_positions[row])
+            place_text = f"{position_label} {row} of episode {episode_id!r}, {coordinates}"
+            raise QueryError(f"{place_text}, lies beside the grid")
         distance_fields = self._stops.distance_fields
         distances_after_stop = self._stops.remaining_lengths
         if not distance_fields:
-            return [math.nan] * len(points)
-        free_cell_distances = np.zeros(len(points))  # to the nearest free cell [m]
-        blocked_points = np.flatnonzero(~flat.free[cells])
-        if len(blocked_points):
-            positions, nearest_cells = snap_to_cells(
-                flat, flat.free, points[blocked_points], max_distance=MAX_SNAP_DISTANCE
+            return [math.nan] * len(new_positions)
+        free_cell_distances = np.zeros(len(new_positions))  # to the nearest free cell [m]
+        blocked_indices = np.flatnonzero(~flat.free[cells])
+        if len(blocked_indices):
+            snapped_positions, nearest_cells = snap_to_cells(
+                flat, flat.free, new_positions[blocked_indices], max_distance=MAX_SNAP_DISTANCE
             )
             is_near = nearest_cells >= 0
-            cells[blocked_points] = np.where(is_near, nearest_cells, cells[blocked_points])
-            offsets = np.linalg.norm(positions - points[blocked_points], axis=1)
-            free_cell_distances[blocked_points] = np.where(is_near, offsets, math.inf)
+            cells[blocked_indices] = np.where(is_near, nearest_cells, cells[blocked_indices])
+            snap_distances = np.linalg.norm(
+                snapped_positions - new_positions[blocked_indices], axis=1
+            )
+            free_cell_distances[blocked_indices] = np.where(is_near, snap_distances, math.inf)
         distances = []
-        for cell, offset_from_cell in zip(
-            cells.tolist(), free_cell_distances.tolist(), strict=True
-        ):
-            stop_distance = float(distance_fields[self._num_reached][cell]) + offset_from_cell
+        for cell, snap_distance in zip(cells.tolist(), free_cell_distances.tolist(), strict=True):
+            stop_distance = float(distance_fields[self._num_reached][cell]) + snap_distance
             while stop_distance <= self.radius and self._num_reached < len(distance_fields) - 1:
                 self._num_reached += 1
-                stop_distance = float(distance_fields[self._num_reached][cell]) + offset_from_cell
+                stop_distance = float(distance_fields[self._num_reached][cell]) + snap_distance
             distances.append(stop_distance + distances_after_stop[self._num_reached])
         return distances
 
@@ -395,9 +397,11 @@ class Measures:
         if self.share is not None:
             return np.array([0.0 if coverage >= self.share else math.inf])
         if self.episode.extra.get("success") == "planar":
-            goals = [goal.position for goal in self.episode.goals if goal.position is not None]
-            offsets = positions[:, None] - np.array(goals)
-            planar_distances: Float = np.linalg.norm(offsets[..., :2], axis=-1).min(axis=1)
+            goal_positions = [
+                goal.position for goal in self.episode.goals if goal.position is not None
+            ]
+            goal_vectors = positions[:, None] - np.array(goal_positions)
+            planar_distances: Float = np.linalg.norm(goal_vectors[..., :2], axis=-1).min(axis=1)
             return planar_distances
         return np.array(self._distances)
 
@@ -492,14 +496,14 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
         if (np.diff(start_rows) < 0).any():
             raise ValueError("arrays of other shapes")
         trajectories = []
-        for index, (begin, end) in enumerate(pairwise(start_rows.tolist())):
+        for index, (first_row, stop_row) in enumerate(pairwise(start_rows.tolist())):
             trajectory_times = None
             if times is not None:
-                trajectory_times = times[begin:end].astype(np.float64).tolist()
+                trajectory_times = times[first_row:stop_row].astype(np.float64).tolist()
             trajectories.append(
                 Trajectory(
                     episode=str(episode_ids[index]),
-                    positions=positions[begin:end].astype(np.float64).tolist(),
+                    positions=positions[first_row:stop_row].astype(np.float64).tolist(),
                     stop=stop_flags is None or bool(stop_flags[index]),
                     times=trajectory_times,
                 )
@@ -536,18 +540,18 @@ def score_set(
         QueryError: a grid isn't the set's, an episode has no trajectory, or a trajectory has no
             episode or leaves the map.
     """
-    by_id: dict[str, Trajectory] = {}
+    trajectory_by_id: dict[str, Trajectory] = {}
     for trajectory in trajectories:
-        if trajectory.episode in by_id:
+        if trajectory.episode in trajectory_by_id:
             raise QueryError(f"expected one trajectory of episode {trajectory.episode!r}, got two")
-        by_id[trajectory.episode] = trajectory
-    episodes = [episode for episode in content.episodes if episode.id in by_id]
-    if unknown_ids := by_id.keys() - {episode.id for episode in episodes}:
+        trajectory_by_id[trajectory.episode] = trajectory
+    episodes = [episode for episode in content.episodes if episode.id in trajectory_by_id]
+    if unknown_ids := trajectory_by_id.keys() - {episode.id for episode in episodes}:
         raise QueryError(f"the set has no episode {min(unknown_ids)!r} as a trajectory has")
     num_missing = len(content) - len(episodes)
     if num_missing and not partial:
         first_missing_id = next(
-            episode.id for episode in content.episodes if episode.id not in by_id
+            episode.id for episode in content.episodes if episode.id not in trajectory_by_id
         )
         missing_text = f"{num_missing} of {len(content)} episodes have no trajectory"
         hint = (
@@ -557,16 +561,16 @@ def score_set(
         raise QueryError(f"{missing_text}, as {first_missing_id!r}: {hint}")
     if not isinstance(grids, Sequence):
         grids = [grids]
-    finders = dict(_make_finder(grid, content, force=force) for grid in grids)
+    finder_by_scene = dict(_make_finder(grid, content, force=force) for grid in grids)
     rows = []
     for episode in episodes:
-        if episode.scene not in finders:
+        if episode.scene not in finder_by_scene:
             raise QueryError(f"no grid of {episode.scene!r}, the scene of episode {episode.id!r}")
-        trajectory = by_id[episode.id]
+        trajectory = trajectory_by_id[episode.id]
         times = trajectory.times
         if times is not None and len(times) != len(trajectory.positions):
             raise QueryError(f"expected a time for each position of episode {episode.id!r}")
-        measures = Measures(finders[episode.scene], episode, threshold=threshold)
+        measures = Measures(finder_by_scene[episode.scene], episode, threshold=threshold)
         measures.steps(np.array(trajectory.positions, dtype=np.float64), times)
         rows.append(
             {
@@ -581,15 +585,15 @@ def score_set(
     return rows
 
 
-def _make_finder(grid: NavGrid, content: EpisodeSet, *, force: bool) -> tuple[str, PathFinder]:
+def _make_finder(grid: NavGrid, episode_set: EpisodeSet, *, force: bool) -> tuple[str, PathFinder]:
     """Return a grid's scene, and a PathFinder on the grid for the set's agent."""
-    header_agent = content.header.agent
+    header_agent = episode_set.header.agent
     agent_name = None if header_agent is None else header_agent.name or None
     radius = None if header_agent is None else header_agent.radius
     agent = choose_agent(grid, agent_name, radius)
     if not force:
         grid = fit_grid(grid, agent)
-        content.check_grid(grid)
+        episode_set.check_grid(grid)
     return scene_of(grid), PathFinder(grid, agent=agent.without_sizes() if agent_name else None)
 
 
@@ -621,13 +625,13 @@ def summarize(
             groups.setdefault("all" if by == "all" else str(row[by]), []).append(row)
     summaries = []
     for name, group_rows in groups.items():
-        means = {}
+        interval_by_measure = {}
         for measure in MEAN_FIELDS:
             measured_values = np.array([row[measure] for row in group_rows], dtype=float)
-            means[measure] = bootstrap(
+            interval_by_measure[measure] = bootstrap(
                 np.where(np.isinf(measured_values), np.nan, measured_values), seed=seed
             )
-        summaries.append({"group": name, "episodes": len(group_rows), **means})
+        summaries.append({"group": name, "episodes": len(group_rows), **interval_by_measure})
     return summaries
 
 

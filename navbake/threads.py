@@ -33,7 +33,11 @@ _was_forked_midway = False  # whether another thread was baking as this process 
 
 
 def run_in_chunks(
-    kernel: Callable[..., object], count: int, *args: object, least: int = 1, begin: int = 0
+    kernel: Callable[..., object],
+    count: int,
+    *args: object,
+    min_chunk_size: int = 1,
+    begin: int = 0,
 ) -> None:
     """Call a kernel for the indices ``range(begin, begin + count)``, in chunks, on several threads.
 
@@ -45,15 +49,15 @@ def run_in_chunks(
             It is compiled with ``nogil=True``.
         count: Number of indices, >= 0.
         *args: Arguments of all calls.
-        least: Fewest indices that are worth a call, >= 1; if there are no more, only this thread
-            works.
+        min_chunk_size: Fewest indices that are worth a call on another thread, >= 1; if `count` is
+            no larger, only this thread works.
         begin: First index.
 
     Raises:
         NavbakeError: This process was forked while another thread was baking, see `baking`.
     """
     max_threads = num_threads()
-    chunk_size = max(least, -(-count // (max_threads * CHUNKS_PER_THREAD)))
+    chunk_size = max(min_chunk_size, -(-count // (max_threads * CHUNKS_PER_THREAD)))
     end = begin + count
     if max_threads == 1 or count <= chunk_size:
         if count:

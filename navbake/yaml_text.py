@@ -202,16 +202,16 @@ def apply_overrides(settings: Mapping[str, Any], overrides: Sequence[str]) -> di
     for override in overrides:
         *sections, last_key = split_override_key(override)
         value = parse_yaml(override.partition("=")[2], f"--set {override}")
-        section_target = changed_settings
+        section_settings = changed_settings
         for depth, section in enumerate(sections):
-            section_values = section_target.get(section)
+            section_values = section_settings.get(section)
             if section_values is not None and not isinstance(section_values, Mapping):
                 key = ".".join(sections[: depth + 1])
                 message = f"`{key}` is no mapping, so there is no key for --set {override}"
                 raise ConfigError(message, key=key, value=section_values, expected="a mapping")
-            section_target[section] = dict(section_values or {})
-            section_target = section_target[section]
-        section_target[last_key] = value
+            section_settings[section] = dict(section_values or {})
+            section_settings = section_settings[section]
+        section_settings[last_key] = value
     return changed_settings
 
 
@@ -220,14 +220,14 @@ def split_override_key(override: str) -> tuple[str, ...]:
 
     The name of a joint or a mesh, which may contain dots, is one part.
     """
-    dotted_key, equals, _ = override.partition("=")
-    parts = tuple(part.strip() for part in dotted_key.split("."))
-    if not equals or not all(parts):
+    dotted_key, equals_sign, _ = override.partition("=")
+    key_parts = tuple(part.strip() for part in dotted_key.split("."))
+    if not equals_sign or not all(key_parts):
         expected = "KEY=VALUE with a dotted key"
         raise ConfigError(
             f"expected {expected}, got --set {override}", value=override, expected=expected
         )
     for section_names in MAPPINGS_OF_NAMES:
-        if parts[: len(section_names)] == section_names and len(parts) > len(section_names):
-            return *section_names, ".".join(parts[len(section_names) :])
-    return parts
+        if key_parts[: len(section_names)] == section_names and len(key_parts) > len(section_names):
+            return *section_names, ".".join(key_parts[len(section_names) :])
+    return key_parts

@@ -50,7 +50,7 @@ def _count(values, first, end):
 def test_each_part_of_the_work_is_done_once(monkeypatch, threads, count, least):
     monkeypatch.setattr("navbake.threads.num_threads", lambda: threads)
     values = np.zeros(1000, np.int64)
-    run_in_chunks(_count, count, values, least=least)
+    run_in_chunks(_count, count, values, min_chunk_size=least)
     assert (values == (np.arange(1000) < count)).all()
 
 

@@ -38,14 +38,14 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     """
     from navbake.views.describe import describe
 
-    content = navbake.load(grid)
-    facts = describe(content)
+    nav_grid = navbake.load(grid)
+    facts = describe(nav_grid)
     if as_json:
         print_json(facts)
         return
     tables_of_file = [
-        tables.make_door_table(content.doors, content.level_names),
-        tables.make_link_table(content.links, content.level_names),
+        tables.make_door_table(nav_grid.doors, nav_grid.level_names),
+        tables.make_link_table(nav_grid.links, nav_grid.level_names),
         tables.make_area_table(facts["areas"]),
         tables.make_agent_table(facts["agents"]),
     ]
@@ -55,7 +55,7 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     print_tables(
         tables.make_table(("", ""), summary), tables.make_level_table(facts), *nonempty_tables
     )
-    print_warnings(content.warnings)
+    print_warnings(nav_grid.warnings)
 
 
 def rooms(grid: GridFile, as_json: AsJson = False) -> None:
@@ -63,18 +63,21 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
 
     Example: navbake rooms house.grid.json
     """
-    content = navbake.load(grid)
-    room_list = content.rooms
-    doors = content.doors
+    nav_grid = navbake.load(grid)
+    room_list = nav_grid.rooms
+    doors = nav_grid.doors
     if as_json:
-        lists = {"rooms": [r.to_json() for r in room_list], "doors": [d.to_json() for d in doors]}
-        print_json({"scene_id": content.scene_id, **lists})
+        tables_as_json = {
+            "rooms": [r.to_json() for r in room_list],
+            "doors": [d.to_json() for d in doors],
+        }
+        print_json({"scene_id": nav_grid.scene_id, **tables_as_json})
         return
-    print_tables(tables.make_room_table(room_list, content.level_names))
+    print_tables(tables.make_room_table(room_list, nav_grid.level_names))
     print(count_of(len(room_list), "room"))
     if doors:
         print()
-        print_tables(tables.make_door_table(doors, content.level_names))
+        print_tables(tables.make_door_table(doors, nav_grid.level_names))
 
 
 def why(
@@ -94,24 +97,24 @@ def why(
 
     places = [text for text in (at, place) if text is not None]
     if len(places) != 1:
-        got = " and ".join(map(repr, places)) or "none"
-        raise BadParameter(f"expected one place, {PLACE}, got {got}", param_hint="--at")
+        got_text = " and ".join(map(repr, places)) or "none"
+        raise BadParameter(f"expected one place, {PLACE}, got {got_text}", param_hint="--at")
     place = places[0]
     x, y, z, level = options.parse_place(place, "--at")
-    content = navbake.load(grid)
+    nav_grid = navbake.load(grid)
     if z is not None:
-        cell = content.cell_at((x, y, z))
+        cell = nav_grid.cell_at((x, y, z))
         if cell is None:
             raise QueryError(f"{place} is in no cell: it lies beside the grid, or below its floors")
         level = cell.level
     if level is None:
-        cells = describe_column(content, x, y)
+        cell_facts = describe_column(nav_grid, x, y)
     else:
-        cells = [content.describe_cell(x, y, level)]
+        cell_facts = [nav_grid.describe_cell(x, y, level)]
     if as_json:
-        print_json(cells)
+        print_json(cell_facts)
     else:
-        print_tables(*map(printing.make_cell_table, cells))
+        print_tables(*map(printing.make_cell_table, cell_facts))
 
 
 def path(
@@ -149,56 +152,64 @@ def path(
     is_named = any(goal.startswith(NAME_PREFIXES) for goal in goals)
     if len(goals) > 1 and is_named:
         raise BadParameter("several goals have to be positions", param_hint="--to")
-    begin = None if start.startswith("room:") else options.parse_place(start, "--from")
-    ends = [] if is_named else [options.parse_place(text, "--to") for text in goals]
-    content = navbake.load(grid)
+    start_place = None if start.startswith("room:") else options.parse_place(start, "--from")
+    goal_places = [] if is_named else [options.parse_place(text, "--to") for text in goals]
+    nav_grid = navbake.load(grid)
     if opened or closed:
-        states = dict.fromkeys(opened or (), "open") | dict.fromkeys(closed or (), "closed")
-        content = content.with_links(states)
-    as_in_file = content
+        state_by_link = dict.fromkeys(opened or (), "open") | dict.fromkeys(closed or (), "closed")
+        nav_grid = nav_grid.with_links(state_by_link)
+    grid_as_in_file = nav_grid
     if doors is not None:
-        content = content.with_doors(doors)
+        nav_grid = nav_grid.with_doors(doors)
     if radius is not None:
-        content = content.inflate(radius)
-    finder = navbake.PathFinder(content, agent=agent)
-    origin: Any = options.position_of_place(content, begin, "--from") if begin else None
-    if origin is None:
+        nav_grid = nav_grid.inflate(radius)
+    finder = navbake.PathFinder(nav_grid, agent=agent)
+    start_position: Any = (
+        options.position_of_place(nav_grid, start_place, "--from") if start_place else None
+    )
+    if start_position is None:
         name = start.removeprefix("room:")
-        middles = [room.centroid for room in content.rooms if name in (room.id, room.name)]
-        origin = finder.snap(middles[0] if middles else (0.0, 0.0, 0.0), room=name)
-        if origin is None:
+        room_middles = [room.centroid for room in nav_grid.rooms if name in (room.id, room.name)]
+        start_position = finder.snap(
+            room_middles[0] if room_middles else (0.0, 0.0, 0.0), room=name
+        )
+        if start_position is None:
             raise QueryError(f"no agent can stand in room {name!r}")
-    places = [options.position_of_place(content, end, "--to") for end in ends]
-    goal: Any = goals[0] if is_named else places
-    path_found = finder.find_path(origin, goal, by=by, smooth=smooth)
-    reason = None if path_found else finder.why_not(origin, goal)
-    if reason and doors is None and as_in_file.doors and not as_in_file.inflated_radius:
-        with_open_doors = as_in_file.with_doors("open")
+    goal_positions = [options.position_of_place(nav_grid, place, "--to") for place in goal_places]
+    goal: Any = goals[0] if is_named else goal_positions
+    planned_path = finder.find_path(start_position, goal, by=by, smooth=smooth)
+    reason = None if planned_path else finder.why_not(start_position, goal)
+    if reason and doors is None and grid_as_in_file.doors and not grid_as_in_file.inflated_radius:
+        grid_with_open_doors = grid_as_in_file.with_doors("open")
         if radius is not None:
-            with_open_doors = with_open_doors.inflate(radius)
-        if navbake.PathFinder(with_open_doors, agent=agent).find_path(origin, goal, by=by):
+            grid_with_open_doors = grid_with_open_doors.inflate(radius)
+        if navbake.PathFinder(grid_with_open_doors, agent=agent).find_path(
+            start_position, goal, by=by
+        ):
             reason += "; `--doors open` opens all doors"
     with options.keep_stdout_for(output):
         if as_json:
-            facts = {key: getattr(path_found, key) for key in PATH_FIELDS} if path_found else None
+            facts = (
+                {key: getattr(planned_path, key) for key in PATH_FIELDS} if planned_path else None
+            )
             print_json({"path": facts, "reason": reason})
-        elif path_found:
-            print(f"length  {path_found.length:.3f} m")
-            print(f"cost    {path_found.cost:.3f}")
-            print(f"time    {path_found.seconds:.1f} s")
-            say(f"rooms   {', '.join(path_found.rooms) or '-'}")
-            say(f"doors   {', '.join(path_found.doors) or '-'}")
-            if content.links:
-                say(f"links   {', '.join(path_found.links) or '-'}")
+        elif planned_path:
+            print(f"length  {planned_path.length:.3f} m")
+            print(f"cost    {planned_path.cost:.3f}")
+            print(f"time    {planned_path.seconds:.1f} s")
+            say(f"rooms   {', '.join(planned_path.rooms) or '-'}")
+            say(f"doors   {', '.join(planned_path.doors) or '-'}")
+            if nav_grid.links:
+                say(f"links   {', '.join(planned_path.links) or '-'}")
             print("      x       y       z  level")
-            positions = path_found.positions.round(3) + 0.0  # no -0.000
-            for (x, y, z), level in zip(positions, path_found.levels, strict=True):
+            positions = planned_path.positions.round(3) + 0.0  # no -0.000
+            for (x, y, z), level in zip(positions, planned_path.levels, strict=True):
                 print(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")
         else:
             say(f"no path: {reason}")
     if output is not None:
-        options.write_picture(content, output, layers=("occupancy",), route=path_found)
-    if not path_found:
+        options.write_picture(nav_grid, output, layers=("occupancy",), route=planned_path)
+    if not planned_path:
         raise Exit(1)
 
 
@@ -223,20 +234,20 @@ def sample(
     """
     import numpy as np  # --help does without it
 
-    content = navbake.load(grid)
+    nav_grid = navbake.load(grid)
     if radius is not None:
-        content = content.inflate(radius)
-    finder = navbake.PathFinder(content)
+        nav_grid = nav_grid.inflate(radius)
+    finder = navbake.PathFinder(nav_grid)
     rng = np.random.default_rng(seed)
     if spread is None:
         positions = finder.random_point(rng, count, room=room, level=level, outdoors=outdoors)
         headings = rng.uniform(-math.pi, math.pi, count)
     else:
-        rooms = None if room is None else [room]
+        room_names = None if room is None else [room]
         if room is None and not outdoors:
-            rooms = [indoor.id for indoor in content.rooms if not indoor.outdoors]
+            room_names = [indoor.id for indoor in nav_grid.rooms if not indoor.outdoors]
         positions, headings = finder.spawn(
-            rng, count, rooms=rooms, level=level, min_distance=spread
+            rng, count, rooms=room_names, level=level, min_distance=spread
         )
     cells = [finder.cell_at(position) for position in positions]
     levels = [cell.level for cell in cells if cell is not None]
@@ -248,14 +259,14 @@ def sample(
                 positions.tolist(), headings.tolist(), levels, room_ids, strict=True
             )
         ]
-        print_json({"scene_id": content.scene_id, "seed": seed, "places": places})
+        print_json({"scene_id": nav_grid.scene_id, "seed": seed, "places": places})
         return
     rows = []
     for position, heading, level, room_id in zip(
         positions, headings, levels, room_ids, strict=True
     ):
         x, y, z, rounded_heading = np.round([*position, heading], 3) + 0.0  # no -0.000
-        numbers = [f"{number:.3f}" for number in (x, y, z, rounded_heading)]
-        rows.append([*numbers, level, room_id])
+        number_texts = [f"{number:.3f}" for number in (x, y, z, rounded_heading)]
+        rows.append([*number_texts, level, room_id])
     column_names = ("x m", "y m", "z m", "heading rad", "level", "room")
     print_tables(tables.make_table(column_names, rows, column_names[:5]))

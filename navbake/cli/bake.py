@@ -103,8 +103,10 @@ def samples(
             say(f"{name:<10} {first_line.removeprefix('# ')}")
         return
     for name in names:
-        settings = sample_files.copy(name, folder)[0]
-        say_unless_quiet(f"{settings}: a sample's settings; `navbake bake {settings}` bakes it")
+        settings_path = sample_files.copy(name, folder)[0]
+        say_unless_quiet(
+            f"{settings_path}: a sample's settings; `navbake bake {settings_path}` bakes it"
+        )
 
 
 def geoms(
@@ -170,15 +172,15 @@ def voxelize(
         options.check_output(output, *VOXEL_SUFFIXES, inputs=[config])
     endings = [output.suffix.lower() for output in outputs]
     has_binvox = ".binvox" in endings
-    is_octree = [ending in OCTREE_SUFFIXES for ending in endings]
+    is_octree_file = [ending in OCTREE_SUFFIXES for ending in endings]
     binvox_has_ids = bool(segments) and has_binvox
     options.refuse_unused(
         ("--compact", compact, binvox_has_ids, ".binvox with --segment"),
         ("--twin", twin, binvox_has_ids, ".binvox with --segment"),
         ("--airsim", airsim, has_binvox, ".binvox"),
-        ("--free", free, any(is_octree), ".bt and .ot"),
+        ("--free", free, any(is_octree_file), ".bt and .ot"),
     )
-    if segments and all(is_octree):
+    if segments and all(is_octree_file):
         raise BadParameter("octrees hold no IDs: write a .npz, too", param_hint="--segment")
     from navbake.config.settings import load_config  # loads numpy
     from navbake.formats.voxels import id_table_path, write_voxels
@@ -196,7 +198,7 @@ def voxelize(
         position=position,
         cells=cells,
         size=size,
-        align=align or any(is_octree),
+        align=align or any(is_octree_file),
         segments=_parse_segments(segments),
         layout=layout,
     )
@@ -215,19 +217,19 @@ def voxelize(
             write_voxels(grid.without_ids(), twin_path, layout=layout)
             say_unless_quiet(twin_path)
     print_warnings(grid.notes[num_notes:])
-    low_corner = _format_corner(grid.bounds[0])
-    high_corner = _format_corner(grid.bounds[1])
+    lower_corner_text = _format_corner(grid.bounds[0])
+    upper_corner_text = _format_corner(grid.bounds[1])
     ids_text = f", {len(grid.names)} IDs" if grid.is_segmented else ""
     voxels_text = f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m"
-    line = f"{voxels_text}, {low_corner} to {high_corner} m:"
-    say_unless_quiet(f"{line} {grid.occupied.sum()} occupied{ids_text}")
+    summary_text = f"{voxels_text}, {lower_corner_text} to {upper_corner_text} m:"
+    say_unless_quiet(f"{summary_text} {grid.occupied.sum()} occupied{ids_text}")
 
 
 def _format_corner(corner: Iterable[float]) -> str:
     return f"({', '.join(f'{coordinate:.6g}' for coordinate in corner)})"
 
 
-def _parse_segments(words: list[str] | None) -> str | dict[str, int] | None:
+def _parse_segments(segment_values: list[str] | None) -> str | dict[str, int] | None:
     """Read the values of --segment.
 
     Returns:
@@ -237,20 +239,20 @@ def _parse_segments(words: list[str] | None) -> str | dict[str, int] | None:
     Raises:
         BadParameter: an ID is no whole number, or a pattern is empty.
     """
-    if not words:
+    if not segment_values:
         return None
-    if words in (["geom"], ["body"], ["top"]):
-        return words[0]
+    if segment_values in (["geom"], ["body"], ["top"]):
+        return segment_values[0]
     patterns: dict[str, int] = {}
-    for number, word in enumerate(words, 1):
-        pattern, is_given, value = word.rpartition("=")
+    for number, segment_value in enumerate(segment_values, 1):
+        pattern, is_given, id_text = segment_value.rpartition("=")
         if not is_given:
-            pattern = word
-            value = str(number)
-        if not value.isdecimal() or not pattern:
-            text = f"expected geom, body, top or PATTERN=ID, got {word}"
-            raise BadParameter(text, param_hint="--segment")
-        patterns[pattern] = int(value)
+            pattern = segment_value
+            id_text = str(number)
+        if not id_text.isdecimal() or not pattern:
+            message = f"expected geom, body, top or PATTERN=ID, got {segment_value}"
+            raise BadParameter(message, param_hint="--segment")
+        patterns[pattern] = int(id_text)
     return patterns
 
 
@@ -309,13 +311,13 @@ def bake(
     )
     from navbake.config.settings import load_config
 
-    limits: dict[str, float] | None = None
+    compile_limits: dict[str, float] | None = None
     if isolate:
-        limits = {}
+        compile_limits = {}
         if seconds is not None:
-            limits["seconds"] = seconds
+            compile_limits["seconds"] = seconds
         if memory is not None:
-            limits["memory"] = memory
+            compile_limits["memory"] = memory
     overrides = list(overrides or [])
     overrides += options.override_sizes(radius, cell_size)
     overrides += options.override_model_path(model_path)
@@ -351,7 +353,7 @@ def bake(
                     f"expected a name that ends in {', '.join(options.GRID_SUFFIXES)} as `output`"
                 )
                 raise ConfigError(f"{problem} in {path}, got {output_path}")
-            grid = _bake_and_report(config, output_path, threads, limits, not no_timings)
+            grid = _bake_and_report(config, output_path, threads, compile_limits, not no_timings)
             if radius:
                 _warn_of_what_radius_closes(grid, radius)
             written_paths.add(output_path.resolve())
@@ -361,14 +363,14 @@ def bake(
 
 
 @contextmanager
-def _collect_failures(path: Path, failed: list[Path], num_configs: int) -> Iterator[None]:
+def _collect_failures(path: Path, failed_paths: list[Path], num_configs: int) -> Iterator[None]:
     """Let a command go on after a NavbakeError in the with statement, if it has several CONFIGs.
 
     The error is printed.
 
     Args:
         path: the CONFIG that is worked on.
-        failed: after an error, `path` is appended to it.
+        failed_paths: after an error, `path` is appended to it.
         num_configs: number of CONFIGs; if it is 1, the error is raised.
     """
     try:
@@ -376,16 +378,16 @@ def _collect_failures(path: Path, failed: list[Path], num_configs: int) -> Itera
     except NavbakeError as error:
         if num_configs == 1:
             raise
-        failed.append(path)
-        culprit = "" if str(path) in str(error) else f"{path}: "
-        print_error(f"{culprit}{error}")
+        failed_paths.append(path)
+        path_prefix = "" if str(path) in str(error) else f"{path}: "
+        print_error(f"{path_prefix}{error}")
 
 
 def _bake_and_report(
     config: BakeConfig,
     output_path: Path,
     threads: int | None,
-    limits: dict[str, float] | None,
+    compile_limits: dict[str, float] | None,
     with_timings: bool,
 ) -> NavGrid:
     """Bake a grid, write it, print its levels and warnings, and return it.
@@ -394,8 +396,8 @@ def _bake_and_report(
         config: the settings.
         output_path: the file to write, or stdout.
         threads: number of threads; None for the default.
-        limits: arguments of `CompileLimits`, to compile the scene in a process of its own; None to
-            compile it in this process.
+        compile_limits: arguments of `CompileLimits`, to compile the scene in a process of its own;
+            None to compile it in this process.
         with_timings: whether the grid has its timings.
     """
     from navbake.baker.bake.pipeline import run_bake
@@ -410,7 +412,7 @@ def _bake_and_report(
             config,
             threads=threads,
             progress=progress,
-            limits=None if limits is None else CompileLimits(**limits),
+            limits=None if compile_limits is None else CompileLimits(**compile_limits),
             warn_early=print_hint,
         )
     if not with_timings:
@@ -429,8 +431,10 @@ def _bake_and_report(
         printing.print_tables(make_level_table(describe(result.grid)))
         for warning in result.warnings:
             say(f"warning: {warning}")
-        stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items())
-        print(f"{sum(result.timings.values()):.2f} s: {stages}")
+        stages_text = ", ".join(
+            f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items()
+        )
+        print(f"{sum(result.timings.values()):.2f} s: {stages_text}")
     return result.grid
 
 
@@ -493,6 +497,6 @@ def expand_file_name(name: str, scene_id: str, path: Path) -> str:
         message = f"expected fields out of {{id}}, {{stem}}, {{parent}}, got {name}"
         raise BadParameter(message, param_hint="--name") from error
     if not name or Path(name).is_absolute() or ".." in Path(name).parts or name.endswith("/"):
-        text = f"expected the name of a file in the folder, got {name!r}"
-        raise BadParameter(text, param_hint="--name")
+        message = f"expected the name of a file in the folder, got {name!r}"
+        raise BadParameter(message, param_hint="--name")
     return file_name

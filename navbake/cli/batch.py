@@ -155,11 +155,11 @@ def batch(
     if run_options.log is not None:
         _check_log(run_options.log, jobs, scene_options, product_options.output)
     config = scene_options.config
-    sizes = options.override_sizes(scene_options.radius, scene_options.cell_size)
+    size_overrides = options.override_sizes(scene_options.radius, scene_options.cell_size)
     plan = job.Plan(
         folder=store.as_folder(product_options.output),
         settings={} if config is None else scenes.read_shared_settings(config),
-        overrides=(*(scene_options.overrides or ()), *sizes),
+        overrides=(*(scene_options.overrides or ()), *size_overrides),
         products=products.parse_products(product_options.make or []),
         thumbnail=product_options.has_page,
         has_table=product_options.parquet,
@@ -251,23 +251,27 @@ def _list_written_names(
     batch_slice: index.Slice | None, product_options: ProductOptions
 ) -> list[str]:
     """Return the names of the files that a batch writes beside its scenes' folders."""
-    names = [index.INDEX_NAME if batch_slice is None else batch_slice.index_name]
+    file_names = [index.INDEX_NAME if batch_slice is None else batch_slice.index_name]
     if product_options.parquet:
-        names.append(index.TABLE_NAME)
+        file_names.append(index.TABLE_NAME)
     if product_options.shards:
-        names.append("shard-*.tar")
-    return names
+        file_names.append("shard-*.tar")
+    return file_names
 
 
 def _read_slice(text: str | None) -> index.Slice | None:
     """Read the value of --slice, ``K/N``; None for None."""
     if text is None:
         return None
-    number, _, total = text.partition("/")
-    if not (number.isdecimal() and total.isdecimal() and 1 <= int(number) <= int(total)):
+    number_text, _, total_text = text.partition("/")
+    if not (
+        number_text.isdecimal()
+        and total_text.isdecimal()
+        and 1 <= int(number_text) <= int(total_text)
+    ):
         message = f"expected K/N with K from 1 to N, as 3/64, got {text!r}"
         raise BadParameter(message, param_hint="--slice")
-    return index.Slice(int(number), int(total))
+    return index.Slice(int(number_text), int(total_text))
 
 
 def _print_preview(plan: job.Plan, previews: list[Json], as_json: bool) -> None:
@@ -279,19 +283,21 @@ def _print_preview(plan: job.Plan, previews: list[Json], as_json: bool) -> None:
         as_json: whether to print JSON.
     """
     if as_json:
-        for scene in previews:
-            printing.print_json_line(scene)
+        for scene_preview in previews:
+            printing.print_json_line(scene_preview)
         return
     scenes_by_reason: dict[str, list[Json]] = {}
-    for scene in previews:
-        reason = scene["why"].partition(":")[0]
+    for scene_preview in previews:
+        reason = scene_preview["why"].partition(":")[0]
         if reason.startswith("equal to "):
             reason = "equal"
-        scenes_by_reason.setdefault(reason, []).append(scene)
+        scenes_by_reason.setdefault(reason, []).append(scene_preview)
     for reason, scenes_of_reason in scenes_by_reason.items():
-        size_text = filesize.decimal(sum(scene["bytes"] for scene in scenes_of_reason))
-        names = _name_scenes(reason, scenes_of_reason)
-        say(f"{reason}: {count_of(len(scenes_of_reason), 'scene')}, {size_text}{names}")
+        size_text = filesize.decimal(
+            sum(scene_preview["bytes"] for scene_preview in scenes_of_reason)
+        )
+        names_text = _name_scenes(reason, scenes_of_reason)
+        say(f"{reason}: {count_of(len(scenes_of_reason), 'scene')}, {size_text}{names_text}")
     unbaked_reasons = (run.ALREADY_DONE, run.BROKEN)
     num_baked = sum(
         len(scenes_of_reason)
@@ -321,14 +327,14 @@ def _name_scenes(reason: str, scenes_of_reason: list[Json]) -> str:
     """
     if reason == run.ALREADY_DONE:
         return ""
-    names = []
+    name_texts = []
     for scene in scenes_of_reason[:MAX_LISTED_SCENES]:
         detail = scene["why"].removeprefix(f"{reason}: ")
-        names.append(scene["id"] if detail == reason else f"{scene['id']} ({detail})")
-    num_more = len(scenes_of_reason) - len(names)
+        name_texts.append(scene["id"] if detail == reason else f"{scene['id']} ({detail})")
+    num_more = len(scenes_of_reason) - len(name_texts)
     if num_more:
-        names.append(f"{num_more} more")
-    return f": {', '.join(names)}"
+        name_texts.append(f"{num_more} more")
+    return f": {', '.join(name_texts)}"
 
 
 class _BatchWatch:
@@ -431,7 +437,7 @@ class _BatchWatch:
             if self._page is not None:
                 page.write_page(self._folder)
 
-    def end(self, result: run.BatchResult, names: list[str]) -> None:
+    def end(self, result: run.BatchResult, file_names: list[str]) -> None:
         """Print the result, and the names of the files that were written."""
         self._counts = {
             "baked": result.count("ok") - result.skipped,
@@ -450,7 +456,7 @@ class _BatchWatch:
             draw_missing_thumbnails(self._folder)
             try:
                 page.write_page(self._folder)
-                names = [*names, page.PAGE_NAME]
+                file_names = [*file_names, page.PAGE_NAME]
             except NavbakeError as error:
                 print_warnings([str(error)])
         if self._as_json:
@@ -460,18 +466,18 @@ class _BatchWatch:
         num_warned = sum(bool(row.get("warnings")) for row in result.rows)
         warnings_text = f", {num_warned} with warnings" if num_warned else ""
         files_text = ", ".join(
-            store.without_secrets(os.path.join(self._folder, name)) for name in names
+            store.without_secrets(os.path.join(self._folder, name)) for name in file_names
         )
         counts_text = _describe_counts(self._counts)
         say_unless_quiet(f"{counts_text}{warnings_text} in {seconds:.1f} s: {files_text}")
         cost = run.measure_cost(result.rows)
         if cost:
             times = cost["seconds"]
-            sizes = {key: filesize.decimal(count) for key, count in cost["bytes"].items()}
+            size_texts = {key: filesize.decimal(count) for key, count in cost["bytes"].items()}
             say_unless_quiet(
                 f"a scene: {times['median']:.2g} s (90%: {times['p90']:.2g}, longest "
-                f"{times['max']:.2g}), {sizes['median']} (90%: {sizes['p90']}, largest "
-                f"{sizes['max']}); all: {times['sum']:.3g} s, {sizes['sum']}"
+                f"{times['max']:.2g}), {size_texts['median']} (90%: {size_texts['p90']}, largest "
+                f"{size_texts['max']}); all: {times['sum']:.3g} s, {size_texts['sum']}"
             )
 
 
@@ -483,8 +489,10 @@ def _describe_counts(counts: Json) -> str:
 def draw_missing_thumbnails(folder: store.Folder) -> None:
     """Draw the missing thumbnails of a batch's page; print a warning if some can't be drawn."""
     try:
-        with printing.show_progress_bars("page", VERBOSITY.quiet) as show:
-            num_missing = page.draw_thumbnails(folder, lambda share: show("thumbnails", share))
+        with printing.show_progress_bars("page", VERBOSITY.quiet) as show_progress:
+            num_missing = page.draw_thumbnails(
+                folder, lambda share: show_progress("thumbnails", share)
+            )
     except store.DiskFullError as error:
         print_warnings([str(error)])
     else:

@@ -131,9 +131,11 @@ def _print_report(report: VerifyReport) -> None:
         say(f"note: {note}")
     for finding in report.findings[:MAX_LISTED_FINDINGS]:
         x, y, z = finding.position
-        cell = "" if finding.cell is None else f", row {finding.cell[0]}, col {finding.cell[1]}"
-        place = f"level {finding.level}{cell} ({x:.3f}, {y:.3f}, {z:.3f})"
-        say(f"{finding.kind}: {place}: {finding.text}")
+        cell_text = (
+            "" if finding.cell is None else f", row {finding.cell[0]}, col {finding.cell[1]}"
+        )
+        place_text = f"level {finding.level}{cell_text} ({x:.3f}, {y:.3f}, {z:.3f})"
+        say(f"{finding.kind}: {place_text}: {finding.text}")
     if len(report.findings) > MAX_LISTED_FINDINGS:
         say(f"and {len(report.findings) - MAX_LISTED_FINDINGS} more: --json lists them")
     verdict = "agree" if report.ok else f"disagree at {len(report.findings)} places"
@@ -200,29 +202,29 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
 
     Example: navbake doctor
     """
-    for name, bake_text in _describe_installation():
-        print(f"{name:<12} {bake_text}")
+    for line_name, line_text in _describe_installation():
+        print(f"{line_name:<12} {line_text}")
     if no_bake:
         return
     settings = config.load_config(samples.path(CHECKED_SAMPLE))
-    seconds_taken = []
+    bake_seconds = []
     try:
         for _ in range(2):  # the first bake may compile
             start_time = time.perf_counter()
             grid = pipeline.bake(settings)
-            seconds_taken.append(time.perf_counter() - start_time)
+            bake_seconds.append(time.perf_counter() - start_time)
     except NavbakeError as error:
         raise NavbakeError(f"the sample {CHECKED_SAMPLE!r} can't be baked: {error}") from error
     num_free = sum(int(level.free.sum()) for level in grid.levels)
     speed_text = (
         "as usual"
-        if seconds_taken[1] <= USUAL_BAKE_SECONDS
+        if bake_seconds[1] <= USUAL_BAKE_SECONDS
         else f"SLOW: usually below {USUAL_BAKE_SECONDS} s"
     )
-    first_seconds, second_seconds = seconds_taken
+    first_seconds, second_seconds = bake_seconds
     times_text = f"{first_seconds:.2f} s, again {second_seconds:.2f} s ({speed_text})"
-    bake_text = f"{CHECKED_SAMPLE}: {times_text}, {num_free} free cells"
-    print(f"{'bake':<12} {bake_text}")
+    line_text = f"{CHECKED_SAMPLE}: {times_text}, {num_free} free cells"
+    print(f"{'bake':<12} {line_text}")
 
 
 def _installed_version(package: str) -> str | None:
@@ -239,18 +241,18 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
     Each is a pair of a name and a text.
     """
     # extra -> packages that it needs; "" -> packages that navbake always needs
-    packages_of_extra: dict[str, list[str]] = {"": []}
+    packages_by_extra: dict[str, list[str]] = {"": []}
     for requirement in requires("navbake") or ():
         match = REQUIREMENT.match(requirement)
         assert match is not None
-        packages_of_extra.setdefault(match["extra"] or "", []).append(match[1])
+        packages_by_extra.setdefault(match["extra"] or "", []).append(match[1])
     yield "navbake", f"{__version__} in {Path(samples.__file__).parent}"
     yield "python", f"{platform.python_version()} in {sys.executable}"
     yield "system", f"{platform.platform()}, {platform.machine()}"
     yield (
         "packages",
         ", ".join(
-            f"{name} {_installed_version(name) or 'MISSING'}" for name in packages_of_extra[""]
+            f"{name} {_installed_version(name) or 'MISSING'}" for name in packages_by_extra[""]
         ),
     )
     num_usable_cores = (
@@ -260,9 +262,12 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
         "cores",
         f"{os.cpu_count()}, usable {num_usable_cores}, threads of a bake {threads.num_threads()}",
     )
-    libraries = ", ".join(filter(find_library, ("EGL", "OSMesa", "GL"))) or "none"
-    screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or "none"
-    yield "OpenGL", f"libraries {libraries}, display {screen}; the browser of `view` draws by it"
+    libraries_text = ", ".join(filter(find_library, ("EGL", "OSMesa", "GL"))) or "none"
+    display_name = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or "none"
+    yield (
+        "OpenGL",
+        f"libraries {libraries_text}, display {display_name}; the browser of `view` draws by it",
+    )
     if (folder := compiled.cache_folder()) is None:
         yield (
             "compiled",
@@ -275,26 +280,26 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
         state_text = f"{num_compiled} of {len(kernel_entries)} functions are compiled"
         yield "compiled", f"{folder}, {_format_megabytes(compiled_files)} MB: {state_text}"
         used_folders = {Path(kernel.stats.cache_path).parent for kernel in compiled.KERNELS}
-        unused = [path for path in compiled_files if path.parent.parent not in used_folders]
-        if unused:
-            folders = len({path.parent.parent for path in unused})
+        unused_files = [path for path in compiled_files if path.parent.parent not in used_folders]
+        if unused_files:
+            num_folders = len({path.parent.parent for path in unused_files})
             yield (
                 "",
-                f"{_format_megabytes(unused)} MB in {folders} folders are of other sources: "
-                "not used",
+                f"{_format_megabytes(unused_files)} MB in {num_folders} folders are of other "
+                "sources: not used",
             )
-    packages_of_extra.pop("")
+    packages_by_extra.pop("")
     for extra in ("test", "bench", "docs", "tensors-test"):  # of developers
-        packages_of_extra.pop(extra, None)
-    for extra, packages in sorted(packages_of_extra.items()):
-        version_of_package = {name: _installed_version(name) for name in packages}
+        packages_by_extra.pop(extra, None)
+    for extra, packages in sorted(packages_by_extra.items()):
+        version_by_package = {name: _installed_version(name) for name in packages}
         installed_text = ", ".join(
             f"{name} {version_text}"
-            for name, version_text in version_of_package.items()
+            for name, version_text in version_by_package.items()
             if version_text
         )
         missing_text = ", ".join(
-            name for name, version_text in version_of_package.items() if not version_text
+            name for name, version_text in version_by_package.items() if not version_text
         )
         install_hint = (
             f'missing {missing_text}: pip install "navbake[{extra}]"' if missing_text else ""

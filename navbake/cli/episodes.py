@@ -128,7 +128,7 @@ def _relative_path(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
 
-def find_grids(content: EpisodeSet, folder: Path) -> list[Path]:
+def find_grids(episode_set: EpisodeSet, folder: Path) -> list[Path]:
     """Find the grids of a set of episodes in a folder, such as that of a batch.
 
     The set's header names the grids' files. If a name is ``a/b/grid.json``, the grid may be
@@ -136,7 +136,7 @@ def find_grids(content: EpisodeSet, folder: Path) -> list[Path]:
     scene's name there.
 
     Args:
-        content: the set.
+        episode_set: the set.
         folder: the folder to search.
 
     Returns:
@@ -146,7 +146,7 @@ def find_grids(content: EpisodeSet, folder: Path) -> list[Path]:
         QueryError: a grid is not there.
     """
     paths = []
-    for grid_entry in content.header.grids:
+    for grid_entry in episode_set.header.grids:
         path_parts = PurePosixPath(grid_entry.file or "grid.json.gz").parts
         candidate_names = [Path(*path_parts[index:]) for index in range(len(path_parts))]
         candidate_names.append(Path(grid_entry.scene, path_parts[-1]))
@@ -161,14 +161,14 @@ def find_grids(content: EpisodeSet, folder: Path) -> list[Path]:
 
 
 def convert_episode_set(
-    source: Path, output: Path, form: str | None, scenes: dict[str, str]
+    source: Path, output: Path, format_name: str | None, scenes: dict[str, str]
 ) -> None:
     """Convert a set of episodes to another format, and print which data the new file lacks.
 
     Args:
         source: the file to read.
         output: the file to write.
-        form: the format to write; None for the one of the file's ending.
+        format_name: the format to write; None for the one of the file's ending.
         scenes: name of a scene -> what the other program calls it.
     """
     from navbake.episodes import read_episodes, write_episodes  # loads numpy
@@ -180,7 +180,7 @@ def convert_episode_set(
         name = min(scenes)
         problem = f"--scene {name}={scenes[name]} fits no scene of {source}"
         raise ConfigError(f"{problem}: {suggest(name, sorted(scene_names))}")
-    missing_data = write_episodes(episode_set, output, form, scenes)
+    missing_data = write_episodes(episode_set, output, format_name, scenes)
     say_unless_quiet(output)
     if missing_data:
         say(f"{output} doesn't hold: {', '.join(missing_data)}")
@@ -216,8 +216,8 @@ def score(
     episode_set = read_episodes(content)
     if not grids:
         file_names = [entry.file for entry in episode_set.header.grids if entry.file]
-        path_of_name = {name: content.parent / name for name in file_names}
-        grids = [path if path.exists() else Path(name) for name, path in path_of_name.items()]
+        path_by_name = {name: content.parent / name for name in file_names}
+        grids = [path if path.exists() else Path(name) for name, path in path_by_name.items()]
     elif len(grids) == 1 and grids[0].is_dir():
         grids = find_grids(episode_set, grids[0])
     if not grids:
@@ -237,14 +237,12 @@ def score(
         else:
             for group in groups:
                 say(f"{group['group']}: {group['episodes']} episodes")
-                interval_of_measure = [
-                    (key, group[key]) for key in scores.MEAN_FIELDS if group[key].known
-                ]
-                cells = [
+                intervals = [(key, group[key]) for key in scores.MEAN_FIELDS if group[key].known]
+                table_rows = [
                     (measure, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
-                    for measure, interval in interval_of_measure
+                    for measure, interval in intervals
                 ]
-                print_tables(make_table(("measure", "mean", "95 %"), cells))
+                print_tables(make_table(("measure", "mean", "95 %"), table_rows))
     if output is not None:
         headings = list(rows[0]) if rows else ["episode"]
         options.write_output(encode_csv([headings, *(row.values() for row in rows)]), output)

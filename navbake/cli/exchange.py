@@ -100,7 +100,9 @@ def convert(
         None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
     ),
     to: str | None = option("FORMAT", "Format of OUT.  [default: by its ending]", "--to"),
-    origin: str | None = option("FORMAT", "Format of IN.  [default: by its ending]", "--from"),
+    source_format: str | None = option(
+        "FORMAT", "Format of IN.  [default: by its ending]", "--from"
+    ),
     scene: list[str] | None = option(
         "NAME=ID", "What the other program calls a scene, in a set of episodes. May be repeated."
     ),
@@ -134,21 +136,21 @@ def convert(
         for key, value in format_options.items()
         if value not in (None, []) and value is not False
     }
-    lower_case_names = source.name.lower(), output.name.lower()
+    lower_names = source.name.lower(), output.name.lower()
     if (
         to in SET_FORMATS
-        or lower_case_names[0].endswith(".csv")
-        or any(name.endswith(EPISODE_ONLY_SUFFIXES) for name in lower_case_names)
+        or lower_names[0].endswith(".csv")
+        or any(name.endswith(EPISODE_ONLY_SUFFIXES) for name in lower_names)
     ):
         options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given_options))
         convert_episode_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
     options.refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
-    if origin in ROUTE_FORMAT_NAMES or lower_case_names[0].endswith(ROUTE_ONLY_SUFFIXES):
+    if source_format in ROUTE_FORMAT_NAMES or lower_names[0].endswith(ROUTE_ONLY_SUFFIXES):
         options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given_options))
-        _convert_routes(source, output, origin, to)
+        _convert_routes(source, output, source_format, to)
         return
-    reader = _find_format(source, origin, ("--from", "IN"), writing=False)
+    reader = _find_format(source, source_format, ("--from", "IN"), writing=False)
     writer = _find_format(output, to, ("--to", "OUT"), writing=True)
     read_options = {
         key: given_options.pop(key) for key in reader.read_options if key in given_options
@@ -160,8 +162,10 @@ def convert(
     for key in given_options.keys() - {*writer.write_options}:
         purposes = [f"{form.name} as OUT" for form in GRID_FORMATS if key in form.write_options]
         purposes += [f"{form.name} as IN" for form in GRID_FORMATS if key in form.read_options]
-        hint = f"--{key.replace('_', '-')}"
-        raise BadParameter(f"does nothing here: it is for {', '.join(purposes)}", param_hint=hint)
+        option_name = f"--{key.replace('_', '-')}"
+        raise BadParameter(
+            f"does nothing here: it is for {', '.join(purposes)}", param_hint=option_name
+        )
     inputs = [source, *(value for value in given_options.values() if isinstance(value, Path))]
     options.check_output(output, inputs=inputs)
     level_file = source.with_name(f"{source.stem}_0{source.suffix}") if source.name else source
@@ -174,37 +178,39 @@ def convert(
         inflated_grid = grid if radius is None else grid.inflate(radius)
         given_options["route"] = [_plan_route(inflated_grid, text) for text in route]
     target_path = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
-    content_of_path = encode_with(writer, grid, target_path, **given_options)
+    content_by_path = encode_with(writer, grid, target_path, **given_options)
     if output == STDOUT:
-        if len(content_of_path) > 1:
-            raise BadParameter(f"{writer.name} is {len(content_of_path)} files", param_hint="OUT")
-        (content,) = content_of_path.values()
+        if len(content_by_path) > 1:
+            raise BadParameter(f"{writer.name} is {len(content_by_path)} files", param_hint="OUT")
+        (content,) = content_by_path.values()
         options.write_output(content, output)
         return
-    for path in content_of_path:
+    for path in content_by_path:
         options.check_output(path, inputs=inputs)
-    for path in write_files(content_of_path):
+    for path in write_files(content_by_path):
         say_unless_quiet(path)
 
 
-def _convert_routes(source: Path, output: Path, origin: str | None, to: str | None) -> None:
+def _convert_routes(
+    source: Path, output: Path, source_format: str | None, target_format: str | None
+) -> None:
     """Convert a graph of routes from one format to another.
 
     Args:
         source: the file.
         output: the file to write, or `STDOUT`.
-        origin: the name of the source's format; None to go by its ending.
-        to: the name of the format to write; None to go by the output's ending.
+        source_format: the name of the source's format; None to go by its ending.
+        target_format: the name of the format to write; None to go by the output's ending.
     """
     from navbake.formats.route_files import encode_routes, read_routes
 
-    _find_format(source, origin, ("--from", "IN"), writing=False, formats=ROUTE_FORMATS)
-    if output == STDOUT and to is None:
+    _find_format(source, source_format, ("--from", "IN"), writing=False, formats=ROUTE_FORMATS)
+    if output == STDOUT and target_format is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
-    _find_format(output, to, ("--to", "OUT"), writing=True, formats=ROUTE_FORMATS)
+    _find_format(output, target_format, ("--to", "OUT"), writing=True, formats=ROUTE_FORMATS)
     options.check_output(output, inputs=[source])
-    graph = read_routes(source, origin)
-    options.write_output(encode_routes(graph, output, to), output)
+    graph = read_routes(source, source_format)
+    options.write_output(encode_routes(graph, output, target_format), output)
     if output != STDOUT:
         say_unless_quiet(output)
 
@@ -212,11 +218,11 @@ def _convert_routes(source: Path, output: Path, origin: str | None, to: str | No
 def _parse_heights(text: str) -> tuple[float, float]:
     """Parse the heights between which voxels count, ``LOW:HIGH`` [m]."""
     try:
-        low, high = map(float, text.split(":"))
+        min_height, max_height = map(float, text.split(":"))
     except ValueError:
         message = f"expected LOW:HIGH of voxels, such as 0.1:1.2 [m], got {text!r}"
         raise BadParameter(message, param_hint="--height") from None
-    return low, high
+    return min_height, max_height
 
 
 def _parse_wall_height(text: str) -> float:
@@ -346,8 +352,8 @@ def inflate(
     (content,) = encode_files(grid_after, output).values()
     options.write_output(content, output)
     free_areas = [
-        sum(int(level.free.sum()) * level.lattice.cell_size**2 for level in content.levels)
-        for content in (grid_before, grid_after)
+        sum(int(level.free.sum()) * level.lattice.cell_size**2 for level in nav_grid.levels)
+        for nav_grid in (grid_before, grid_after)
     ]
     share_text = f" ({free_areas[1] / free_areas[0]:.1%})" if free_areas[0] else ""
     if mode == "exact":
@@ -431,23 +437,27 @@ def map_descriptor(
     shape = None if rows is None or cols is None else (rows, cols)
     if decode is not None:
         part1, part2 = decode
-        explored_cells, filled = descriptor.decode(part1, part2, shape or descriptor.ARENA_SHAPE)
+        is_explored, is_obstacle = descriptor.decode(part1, part2, shape or descriptor.ARENA_SHAPE)
     else:
         assert grid is not None
         levels = navbake.load(grid).levels
-        number = level or 0
-        if number >= len(levels):
-            raise ConfigError(f"no level {number} in {grid}: it has {len(levels)}, counted from 0")
-        edge = descriptor.SQUARE_EDGE if square is None else square
-        squares = descriptor.place_squares(levels[number], square=edge, corner=corner, shape=shape)
-        filled = descriptor.find_obstacles(levels[number], squares)
-        explored_cells = np.ones_like(filled) if explored is None else read_npy(explored)
-        part1, part2 = descriptor.encode(explored_cells, filled)
-    drawing = descriptor.draw(explored_cells, filled)
+        level_number = level or 0
+        if level_number >= len(levels):
+            raise ConfigError(
+                f"no level {level_number} in {grid}: it has {len(levels)}, counted from 0"
+            )
+        square_edge = descriptor.SQUARE_EDGE if square is None else square
+        squares = descriptor.place_squares(
+            levels[level_number], square=square_edge, corner=corner, shape=shape
+        )
+        is_obstacle = descriptor.find_obstacles(levels[level_number], squares)
+        is_explored = np.ones_like(is_obstacle) if explored is None else read_npy(explored)
+        part1, part2 = descriptor.encode(is_explored, is_obstacle)
+    drawing = descriptor.draw(is_explored, is_obstacle)
     if as_json:
         facts = {
-            "rows": explored_cells.shape[0],
-            "cols": explored_cells.shape[1],
+            "rows": is_explored.shape[0],
+            "cols": is_explored.shape[1],
             "part1": part1,
             "part2": part2,
         }

@@ -96,9 +96,9 @@ def report(
         from navbake.batch.page import PAGE_NAME, write_page
 
         if len(grids) > 1 or not os.path.isfile(grids[0] / INDEX_NAME):
-            listed_paths = ", ".join(map(str, grids))
+            paths_text = ", ".join(map(str, grids))
             raise ConfigError(
-                f"expected grids, or one folder of a batch with {INDEX_NAME}, got {listed_paths}"
+                f"expected grids, or one folder of a batch with {INDEX_NAME}, got {paths_text}"
             )
         page_path = grids[0] / PAGE_NAME if output is None else output
         if page_path == STDOUT:
@@ -119,7 +119,7 @@ def report(
     page_content = render_report(
         nav_grids,
         names=[GRID_ENDING.sub("", path.name) or path.name for path in grids],
-        audits=[audit(content) for content in nav_grids] if with_audit else None,
+        audits=[audit(nav_grid) for nav_grid in nav_grids] if with_audit else None,
         verifications=reports or None,
     )
     options.write_output(page_content, output)

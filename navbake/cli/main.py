@@ -56,10 +56,10 @@ class _CommandGroups(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         name_width = max(map(len, self.commands))
         for title, group in COMMANDS.items():
-            names = [function.__name__.replace("_", "-") for function in group]
+            command_names = [function.__name__.replace("_", "-") for function in group]
             with formatter.section(title):
-                help_texts = [self.commands[name].get_short_help_str(100) for name in names]
-                padded_names = [name.ljust(name_width) for name in names]
+                help_texts = [self.commands[name].get_short_help_str(100) for name in command_names]
+                padded_names = [name.ljust(name_width) for name in command_names]
                 formatter.write_dl([*zip(padded_names, help_texts, strict=True)])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -79,8 +79,8 @@ app = Typer(
 )
 for command in (command for group in COMMANDS.values() for command in group):
     # a place may start with a minus
-    settings = {"ignore_unknown_options": command is why}
-    app.command(cls=NavbakeCommand, context_settings=settings)(prepare_command(command))
+    context_settings = {"ignore_unknown_options": command is why}
+    app.command(cls=NavbakeCommand, context_settings=context_settings)(prepare_command(command))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -67,8 +67,8 @@ def check_overrides(overrides: list[str] | None) -> list[str]:
 
 def override_model_path(folders: list[Path] | None) -> list[str]:
     """Return the overrides of settings that `--model-path` stands for, with absolute paths."""
-    listed = [str(folder.absolute()) for folder in folders or []]
-    return [f"scene.model_path={json.dumps(listed)}"] if listed else []
+    folder_texts = [str(folder.absolute()) for folder in folders or []]
+    return [f"scene.model_path={json.dumps(folder_texts)}"] if folder_texts else []
 
 
 def override_sizes(radius: float | None, cell_size: float | None) -> list[str]:
@@ -91,13 +91,13 @@ def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str,
     Raises:
         BadParameter: a text has no ``=``.
     """
-    values = {}
+    value_by_key = {}
     for text in texts or ():
         key, equals_sign, value = text.partition("=")
         if not equals_sign:
             raise BadParameter(f"expected {form}, got {key!r}", param_hint=option)
-        values[key] = value
-    return values
+        value_by_key[key] = value
+    return value_by_key
 
 
 GridFile = Annotated[Path, Argument(metavar="GRID", help="A NavGrid file.")]
@@ -188,8 +188,10 @@ def check_output(
     if is_input:
         raise ConfigError(f"expected an output apart from the inputs, got {path}")
     if suffixes and not path.name.lower().endswith(suffixes):
-        endings = ", ".join(suffixes)
-        raise BadParameter(f"expected a name that ends in {endings}, got {path}", param_hint=option)
+        endings_text = ", ".join(suffixes)
+        raise BadParameter(
+            f"expected a name that ends in {endings_text}, got {path}", param_hint=option
+        )
     probe_path = path
     while may_make_folder and not os.path.exists(probe_path.parent):
         probe_path = probe_path.parent
@@ -339,9 +341,9 @@ def prepare_command(command: Callable[..., None]) -> Callable[..., None]:
 
 def _parameters_of(group: Any) -> list[inspect.Parameter]:
     """Return a parameter for each field of a group of options, which is a dataclass."""
-    hints = inspect.get_annotations(group, eval_str=True)
+    type_hints = inspect.get_annotations(group, eval_str=True)
     return [
-        _keyword(field.name, field.default, hints[field.name])
+        _keyword(field.name, field.default, type_hints[field.name])
         for field in dataclasses.fields(group)
     ]
 
@@ -413,22 +415,22 @@ def position_of_place(grid: NavGrid, place: TypedPlace, option: str) -> list[flo
         return [x, y, z]
     if level is None and len(grid.levels) == 1:
         return [x, y]
-    floors = {}
+    floor_by_level = {}
     for level_number in range(len(grid.levels)) if level is None else [level]:
         cell = grid.at((x, y), level_number)
         if cell and cell.floor is not None:
-            floors[level_number] = cell.floor
-    if level is None and not floors:
+            floor_by_level[level_number] = cell.floor
+    if level is None and not floor_by_level:
         raise BadParameter(f"no level has a floor at {x:g}, {y:g}", param_hint=option)
-    if level is None and len(floors) > 1:
-        got = f"{x:g},{y:g}, where {len(floors)} levels have a floor"
-        hint = " or ".join(f"{x:g},{y:g},L{level_number}" for level_number in floors)
-        message = f"expected a place with a level or z, got {got}: write {hint}"
+    if level is None and len(floor_by_level) > 1:
+        got_text = f"{x:g},{y:g}, where {len(floor_by_level)} levels have a floor"
+        hint = " or ".join(f"{x:g},{y:g},L{level_number}" for level_number in floor_by_level)
+        message = f"expected a place with a level or z, got {got_text}: write {hint}"
         raise BadParameter(message, param_hint=option)
     if level is None:
-        level = next(iter(floors))
-    z = float(floors.get(level, grid.levels[level].ground))
-    cell_there = grid.cell_at((x, y, z))
-    if cell_there is not None and cell_there.level != level:
+        level = next(iter(floor_by_level))
+    z = float(floor_by_level.get(level, grid.levels[level].ground))
+    cell_at_floor = grid.cell_at((x, y, z))
+    if cell_at_floor is not None and cell_at_floor.level != level:
         raise BadParameter(f"level {level} has no floor at {x:g}, {y:g}", param_hint=option)
     return [x, y, z]

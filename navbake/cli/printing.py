@@ -131,11 +131,11 @@ def warn_of_closed_connections(search_before: Search, search_after: Search, radi
 
     lost_connections = find_lost_connections(search_before, search_after)
     if lost_connections:
-        names = ", ".join(name for name, _ in lost_connections)
+        names_text = ", ".join(name for name, _ in lost_connections)
         num_before = search_before.islands.count
         verb = "was" if num_before == 1 else "were"
         islands_text = f"{search_after.islands.count} islands where there {verb} {num_before}"
-        print_warnings([f"a radius of {radius:g} m closes {names}: {islands_text}"])
+        print_warnings([f"a radius of {radius:g} m closes {names_text}: {islands_text}"])
 
 
 def is_terminal(stream: TextIO | None) -> bool:
@@ -158,9 +158,9 @@ def make_cell_table(facts: Json) -> Table:
     """
     blocked_text = "no floor here" if facts["floor"] is None else "blocked"
     verdict = "an agent can stand here" if facts["free"] else blocked_text
-    text_of_fact = {"verdict": verdict, "blocked by": facts["blockers"], **list_cell_facts(facts)}
+    value_by_fact = {"verdict": verdict, "blocked by": facts["blockers"], **list_cell_facts(facts)}
     rows = []
-    for name, value in text_of_fact.items():
+    for name, value in value_by_fact.items():
         rows.append((name, ", ".join(value) or "-" if isinstance(value, list) else value))
     return make_table(("", ""), rows)
 
@@ -239,7 +239,7 @@ def show_progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..
         f"{printable(title)} {{task.description}}", markup=False
     )
     note_column = rich_progress.TextColumn("{task.fields[note]}", markup=False)
-    task_of_name: dict[str, Any] = {}
+    task_by_name: dict[str, Any] = {}
     with rich_progress.Progress(
         title_column,
         rich_progress.BarColumn(),
@@ -252,8 +252,8 @@ def show_progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..
     ) as progress:
 
         def show_fraction(name: str, fraction: float, note: str = "") -> None:
-            if name not in task_of_name:
-                task_of_name[name] = progress.add_task(name, total=1.0, note="")
-            progress.update(task_of_name[name], completed=fraction, note=note)
+            if name not in task_by_name:
+                task_by_name[name] = progress.add_task(name, total=1.0, note="")
+            progress.update(task_by_name[name], completed=fraction, note=note)
 
         yield show_fraction

@@ -447,6 +447,6 @@ def apply_in_chunks(
                 )
             )
 
-    run_in_chunks(fill_results, num_positions, least=POSITIONS_PER_CHUNK)
+    run_in_chunks(fill_results, num_positions, min_chunk_size=POSITIONS_PER_CHUNK)
     values = np.concatenate([results[chunk_start] for chunk_start in sorted(results)])
     return values.reshape(*shape, *values.shape[1:])

@@ -432,7 +432,7 @@ def _cast_groups(
             is_crossed,
             hits,
             num_dropped,
-            least=min_groups_per_call,
+            min_chunk_size=min_groups_per_call,
             begin=group_range.start,
         )
 

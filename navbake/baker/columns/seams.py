@@ -134,7 +134,7 @@ def _upright_triangles(tiled_shapes: TiledShapes, tiles: Int) -> Float:
         size_y = bounds[first_triangle:end_triangle, 3 + 1] - bounds[first_triangle:end_triangle, 1]
         is_candidate[first_triangle:end_triangle] &= (size_x <= RIM_WIDTH) | (size_y <= RIM_WIDTH)
 
-    run_in_chunks(drop_thick_triangles, len(bounds), least=4096)
+    run_in_chunks(drop_thick_triangles, len(bounds), min_chunk_size=4096)
     return tiled_shapes.facets.corners[is_candidate]
 
 

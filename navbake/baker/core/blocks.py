@@ -169,7 +169,7 @@ def list_rows(
             first_block = next_block
             capacity = 2 * capacity
 
-    run_in_chunks(list_range, len(blocks), least=least)
+    run_in_chunks(list_range, len(blocks), min_chunk_size=least)
     if len(arrays_of_range) == 2:
         return row_counts, arrays_of_range[0]
     ranges_in_order = [arrays_of_range[first_block] for first_block in sorted(arrays_of_range)]

@@ -96,7 +96,7 @@ def grow_levels(
         final_level,
         highest_level_below,
         lowest_level_above,
-        least=LEAST_CELLS,
+        min_chunk_size=LEAST_CELLS,
     )
     can_grow = np.empty(len(surfaces.z), dtype=np.uint8)
     floors = []

@@ -388,7 +388,7 @@ def find_highest_below(
         height_limits,
         surface_below,
         regions_below,
-        least=MIN_CELLS_PER_THREAD,
+        min_chunk_size=MIN_CELLS_PER_THREAD,
     )
     return surface_below, regions_below
 

@@ -211,7 +211,7 @@ def count_surfaces_below_headroom(region_context: RegionContext) -> Int:
         surfaces.z[surface_ids] + ADULT_HEADROOM,
         region_context.columns.columns_at(cell).hits,
         is_below_headroom,
-        least=MIN_LINES_PER_THREAD,
+        min_chunk_size=MIN_LINES_PER_THREAD,
     )
     return np.bincount(
         region_of_surface[has_region][is_below_headroom], minlength=regions.num_regions

@@ -356,7 +356,7 @@ def _count_cells_over_room(region_context: RegionContext, region: int, floor_hei
         np.full(len(cells), floor_height + region_context.agent.height - TOUCH_DEPTH),
         region_context.columns.columns_at(cells).hits,
         is_blocked,
-        least=MIN_LINES_PER_THREAD,
+        min_chunk_size=MIN_LINES_PER_THREAD,
     )
     return int(np.count_nonzero(has_floor | ~is_blocked))
 

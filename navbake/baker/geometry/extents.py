@@ -207,7 +207,7 @@ class FacingAreas:
                 direction_index,
                 double_side_area,
                 area_times_angle,
-                least=4096,
+                min_chunk_size=4096,
             )
             first_index_of_group = group_of_triangle[
                 first_triangle : first_triangle + TRIANGLES_PER_CALL

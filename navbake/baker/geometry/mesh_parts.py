@@ -85,7 +85,7 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
             lowest_triangle < 0, 0, part_number_of_lowest[lowest_triangle]
         )
 
-    run_in_chunks(number_parts, len(part_of_triangle), least=MIN_ITEMS_PER_CHUNK)
+    run_in_chunks(number_parts, len(part_of_triangle), min_chunk_size=MIN_ITEMS_PER_CHUNK)
     if not is_unique.all():
         triangles = triangles[is_unique]
         part_of_triangle = part_of_triangle[is_unique]
@@ -109,7 +109,7 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
             mode="clip",
         )
 
-    run_in_chunks(renumber_parts, len(triangles), least=MIN_ITEMS_PER_CHUNK)
+    run_in_chunks(renumber_parts, len(triangles), min_chunk_size=MIN_ITEMS_PER_CHUNK)
     is_flipped &= part_of_triangle > 0
     if is_flipped.any():
         triangles = np.where(is_flipped[:, None], triangles[:, ::-1], triangles)
@@ -163,7 +163,7 @@ def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
         corner_points.reshape(-1),
         last_half_edges,
         mate_of_half_edge,
-        least=MIN_ITEMS_PER_CHUNK,
+        min_chunk_size=MIN_ITEMS_PER_CHUNK,
     )
     shell_of_triangle = np.empty(len(faces), dtype=np.int32)
     label_shells(mate_of_half_edge, shell_of_triangle)
@@ -202,7 +202,7 @@ def _find_enclosing(
         part_of_triangle,
         volume,
         area,
-        least=min_parts_per_call,
+        min_chunk_size=min_parts_per_call,
         begin=1,
     )
     is_enclosing[1:] = volume[1:] > MIN_THICKNESS * area[1:]

@@ -136,7 +136,7 @@ class Meshes:
                 first_triangle = range_end
                 mesh_number = mesh_number + 1
 
-        run_in_chunks(expand_triangle_range, num_triangles, least=MIN_ITEMS_PER_CHUNK)
+        run_in_chunks(expand_triangle_range, num_triangles, min_chunk_size=MIN_ITEMS_PER_CHUNK)
         arrays_of_meshes: list[list[NDArray[Any]]] = [
             [mesh.part, mesh.closed] for mesh in self.triangles
         ]
@@ -522,7 +522,9 @@ def triangle_areas(vertices: Float, faces: Int32) -> Float:
         Areas, shape (m,) [m²].
     """
     area = np.empty(len(faces))
-    run_in_chunks(measure_areas, len(faces), vertices, faces, area, least=MIN_ITEMS_PER_CHUNK)
+    run_in_chunks(
+        measure_areas, len(faces), vertices, faces, area, min_chunk_size=MIN_ITEMS_PER_CHUNK
+    )
     return area
 
 
@@ -542,7 +544,7 @@ def bounding_box(points: Float) -> Float:
             box[axis] = points[:, axis].min()
             box[3 + axis] = points[:, axis].max()
 
-    run_in_chunks(measure_axes, 3, least=1 if len(points) > MIN_ITEMS_PER_CHUNK else 3)
+    run_in_chunks(measure_axes, 3, min_chunk_size=1 if len(points) > MIN_ITEMS_PER_CHUNK else 3)
     return box
 
 

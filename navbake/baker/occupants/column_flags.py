@@ -44,5 +44,5 @@ def flag_columns(
         make_agent_limits(agent),
         WALL_HEIGHTS.low,
         flags[cells],
-        least=LEAST_CELLS,
+        min_chunk_size=LEAST_CELLS,
     )

@@ -108,7 +108,7 @@ class StandingOccupants:
             cells,
             is_wall,
             is_low_wall,
-            least=LEAST_CELLS,
+            min_chunk_size=LEAST_CELLS,
         )
         shape = occupants.lattice.shape
         return is_wall.reshape(shape), is_low_wall.reshape(shape)

@@ -599,7 +599,7 @@ def _read_plain_stl(path: Path) -> Triangles | None:
         corners = records["corners"].reshape(-1, 3)
         _write_float64(list(corners.T), vertices[3 * first : 3 * end])
 
-    run_in_chunks(read, num_triangles, least=MIN_CHUNK)
+    run_in_chunks(read, num_triangles, min_chunk_size=MIN_CHUNK)
     return Triangles(vertices, np.arange(3 * num_triangles, dtype=np.int32).reshape(-1, 3))
 
 
@@ -649,8 +649,8 @@ def _read_plain_ply(path: Path) -> Triangles | None:
         highest_index = faces[first:end].max()
         is_wrong[first] |= lowest_index < 0 or highest_index >= num_vertices
 
-    run_in_chunks(read_vertices, num_vertices, least=MIN_CHUNK)
-    run_in_chunks(read_faces, num_faces, least=MIN_CHUNK)
+    run_in_chunks(read_vertices, num_vertices, min_chunk_size=MIN_CHUNK)
+    run_in_chunks(read_faces, num_faces, min_chunk_size=MIN_CHUNK)
     return None if is_wrong.any() else Triangles(vertices, faces)
 
 

@@ -359,7 +359,13 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
     axes = list_axes()
     nearest_axis = np.zeros(len(normal), dtype=np.int64)
     run_in_chunks(
-        find_nearest_axes, len(normal), normal, axes, AXIS_DISTANCE, nearest_axis, least=1024
+        find_nearest_axes,
+        len(normal),
+        normal,
+        axes,
+        AXIS_DISTANCE,
+        nearest_axis,
+        min_chunk_size=1024,
     )
     area_of_axis = np.bincount(nearest_axis, area, NUM_AXES)
     facing_area = (np.abs(axes @ axes.T) >= MIN_FACING_COSINE) @ area_of_axis

@@ -344,7 +344,7 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
         inner_rows = slice(first - window.start, stop - window.start)
         is_steep[first:stop] = (squared_rise[inner_rows] >= min_rise**2) & (label[first:stop] > 0)
 
-    run_in_chunks(mark_rows, len(label), least=2 * reach)
+    run_in_chunks(mark_rows, len(label), min_chunk_size=2 * reach)
     return is_steep
 
 

@@ -125,7 +125,7 @@ def squared_distances(is_target: Bool, reach: int) -> Int32:
         reach,
         column_distance,
         NO_ROWS,
-        least=MIN_CHUNK_COLUMNS,
+        min_chunk_size=MIN_CHUNK_COLUMNS,
     )
     squared_distance = np.empty(is_target.shape, dtype=np.int32)
     run_in_chunks(
@@ -162,7 +162,7 @@ def squared_distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> In
         cell_reach,
         column_distance,
         NO_ROWS,
-        least=MIN_CHUNK_COLUMNS,
+        min_chunk_size=MIN_CHUNK_COLUMNS,
     )
     least_squared = np.full(len(row), (reach + 1) ** 2)
     # the cells above and below each node; the same cell where the node is at its middle
