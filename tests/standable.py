@@ -10,6 +10,6 @@ from navbake.baker.floors.surfaces import find_surfaces
 
 def regions_of(stages: Stages, columns: ColumnSource | None = None) -> Regions:
     """The regions that steps make of the surfaces in the columns, those of the bake if None."""
-    source = stages.column_blocks if columns is None else columns
+    source = stages.column_chunks if columns is None else columns
     agent = stages.config.agent
     return find_regions(find_surfaces(source, stages.tile_index.shapes.planes, agent), agent)

@@ -77,7 +77,7 @@ def test_every_path_and_name_of_the_tables_exists() -> None:
         ("`grow_levels` in `navbake/baker/floors/growth.py`", []),
         ("`grow_levels` in `growth.py`", ["growth.py", "grow_levels"]),
         ("`grow_cellar` in `navbake/baker/floors/growth.py`", ["grow_cellar"]),
-        ("`TrackedScene.move` in `navbake/baker/live/tracked_scene.py`", []),
+        ("`TrackedScene.find_change` in `navbake/baker/live/tracked_scene.py`", []),
         ("`TrackedScene.rest` in `navbake/baker/live/tracked_scene.py`", ["TrackedScene.rest"]),
         ("`kernels/` in `navbake/baker/`", ["kernels/"]),
     ],

@@ -84,8 +84,10 @@ def parse_arguments(
     # The model says which bodies there are. The bake needs it as well, and does not load it again.
     if scene_model is None:
         scene_model = load_scene_file(config.scene, limits)
-    excluded = _merge_exclude_settings(scene_model.model, config.scene.exclude, exclude, robot)
-    scene_settings = config.scene.model_copy(update={"exclude": excluded})
+    exclude_settings = _merge_exclude_settings(
+        scene_model.model, config.scene.exclude, exclude, robot
+    )
+    scene_settings = config.scene.model_copy(update={"exclude": exclude_settings})
     return config.model_copy(update={"scene": scene_settings}), scene_model
 
 
@@ -109,8 +111,8 @@ def _merge_exclude_settings(
     if exclude is None:
         exclude = {}
     if not isinstance(exclude, Mapping):
-        expected_form = "`exclude` as {'bodies': […], 'geoms': […]}"
-        raise ConfigError(f"expected {expected_form}, got {type(exclude).__name__}")
+        expected_form_text = "`exclude` as {'bodies': […], 'geoms': […]}"
+        raise ConfigError(f"expected {expected_form_text}, got {type(exclude).__name__}")
     names = all_names(model)
     geom_names = [geom.geom for geom in names.geoms]
     body_patterns = [
@@ -164,9 +166,9 @@ def _find_patterns(
         else:
             reference_id = name_or_id.__index__() if isinstance(name_or_id, SupportsIndex) else -1
             if isinstance(name_or_id, bool) or not first_id <= reference_id < len(all_names_by_id):
-                expected_reference = f"the name or id of a {body_or_geom} in `{keyword}`"
-                expected = f"{expected_reference}, {first_id} to {len(all_names_by_id) - 1}"
-                raise ConfigError(f"expected {expected}, got {reference!r}")
+                reference_text = f"the name or id of a {body_or_geom} in `{keyword}`"
+                expected_text = f"{reference_text}, {first_id} to {len(all_names_by_id) - 1}"
+                raise ConfigError(f"expected {expected_text}, got {reference!r}")
             name = all_names_by_id[reference_id]
         patterns.append(WILDCARDS.sub(r"[\1]", name))
     return patterns

@@ -52,7 +52,7 @@ class StructureLayers(NamedTuple):
 
 @dataclass(frozen=True)
 class BakedStructure:
-    """What a bake computes from structure and closed leaves; no movement changes it.
+    """The values that a bake computes from structure and closed leaves; no movement changes them.
 
     Attributes:
         lattice: the cells that are baked.
@@ -96,7 +96,7 @@ class GridDoor(NamedTuple):
 
 @dataclass(frozen=True)
 class BakedPose:
-    """What a bake computes from the pose of a scene: movables, doors, areas and links.
+    """The values that a bake computes from a scene's pose: movables, doors, areas and links.
 
     Attributes:
         scene: the scene in its pose.
@@ -106,8 +106,8 @@ class BakedPose:
             door, (ngeom,). Such geoms only block cells; see `mark_obstacle_geoms`.
         occupants: the geoms of `is_obstacle_geom` in each cell; and the cells that these geoms or
             structure block.
-        lost_floors: id of a movable body -> the area [m²] of its top that would be floor if the
-            body could not move.
+        lost_floor_areas: id of a movable body -> the area [m²] of its top that would be floor if
+            the body could not move.
         grid_doors: the doors of the grid, with their entries in its file.
         room_table: the table of rooms as written to a file, with the doors between them.
         areas: the areas of the settings, painted on the levels.
@@ -118,7 +118,7 @@ class BakedPose:
     leaves: list[ClassifiedLeaf]
     is_obstacle_geom: Bool
     occupants: MovableOccupants
-    lost_floors: dict[int, float]
+    lost_floor_areas: dict[int, float]
     grid_doors: list[GridDoor]
     room_table: list[Json]
     areas: PaintedAreas

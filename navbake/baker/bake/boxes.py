@@ -41,20 +41,20 @@ class LevelBoxes(NamedTuple):
     Attributes:
         windows: the rectangle of each level: rows and columns of the lattice.
         boxes: the box of each level, in the frame of the grid's file.
-        num_misplaced: the number of free cells for which the original client finds a wrong level,
-            or none, with all doors open. This may happen where levels interleave.
+        num_misplaced_cells: the number of free cells for which the original client finds a wrong
+            level, or none, with all doors open. This may happen where levels interleave.
         misplaced_levels: the numbers of the levels that these cells belong to, ascending.
     """
 
     windows: list[Window]
     boxes: list[Box]
-    num_misplaced: int
+    num_misplaced_cells: int
     misplaced_levels: list[int]
 
 
 def find_level_boxes(
     levels: Sequence[LevelFloor],
-    occupied_by_level: Sequence[Bool],
+    is_occupied_by_level: Sequence[Bool],
     lattice: Lattice,
     scene_box: Float | None,
     agent_height: float,
@@ -70,7 +70,7 @@ def find_level_boxes(
 
     Args:
         levels: the levels on the whole lattice, lowest first.
-        occupied_by_level: the cells of each level that structure occupies, (height, width).
+        is_occupied_by_level: the cells of each level that structure occupies, (height, width).
         lattice: the cells of all levels.
         scene_box: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
         agent_height: height of the agent [m].
@@ -101,9 +101,9 @@ def find_level_boxes(
         z > min(bottoms[k:], default=np.inf) - 2 * BOX_GAP for k, z in enumerate(highest_floors, 1)
     ):
         free_floors = [floor.astype(np.float64) for floor in floors]
-        for floor, is_occupied in zip(free_floors, occupied_by_level, strict=True):
+        for floor, is_occupied in zip(free_floors, is_occupied_by_level, strict=True):
             floor[is_occupied] = np.nan
-    tops, num_misplaced = _find_tops(
+    tops, num_misplaced_cells = _find_tops(
         free_floors,
         windows=windows,
         bottoms=bottoms,
@@ -114,8 +114,8 @@ def find_level_boxes(
     return LevelBoxes(
         windows=windows,
         boxes=boxes,
-        num_misplaced=int(num_misplaced.sum()),
-        misplaced_levels=np.flatnonzero(num_misplaced).tolist(),
+        num_misplaced_cells=int(num_misplaced_cells.sum()),
+        misplaced_levels=np.flatnonzero(num_misplaced_cells).tolist(),
     )
 
 
@@ -145,7 +145,7 @@ def _find_tops(
         The tops [m], and how many free cells of each level the client misplaces.
     """
     tops = []
-    num_misplaced = np.zeros(len(free_floors), dtype=np.int64)
+    num_misplaced_cells = np.zeros(len(free_floors), dtype=np.int64)
     # the levels in the order of their lowest floors, and the index in it before which there are no
     # levels with a number of at least k, for each k
     ascending_levels = np.argsort(lowest_floors, kind="stable")
@@ -168,29 +168,39 @@ def _find_tops(
                 height_limit = max(float(lowest_floors[j]), highest_floor, bottom) + 2 * BOX_MARGIN
         floors_above = [free_floors[j][window] for j in levels_above]
         heights_above = np.concatenate([np.empty(0), *(z[z >= bottom] for z in floors_above)])
-        last = _last_floor(floor[~np.isnan(floor)], heights_above)
+        highest_contained_floor = _last_floor(floor[~np.isnan(floor)], heights_above)
         # The box ends below the boxes, and the floors of levels that interleave, that it must not
         # contain. Cells beside each other count as well: see the source at the top of this file.
-        limits = [
+        top_limits = [
             bottoms[j]
             for j in levels_above
-            if bottoms[j] > last and _are_adjacent(window, windows[j])
+            if bottoms[j] > highest_contained_floor and _are_adjacent(window, windows[j])
         ]
-        next_floor = float(heights_above[heights_above > last].min(initial=np.inf))
-        limit = min([*limits, next_floor - BOX_MARGIN])
+        next_floor = float(
+            heights_above[heights_above > highest_contained_floor].min(initial=np.inf)
+        )
+        top_limit = min([*top_limits, next_floor - BOX_MARGIN])
         # The next float below, so that the top stays below the limit however large both are.
-        below = min(round(limit - BOX_GAP, BOX_DECIMALS), np.nextafter(limit, -np.inf))
-        tops.append(max(highest_top if limit > highest_top else float(below), last, bottom))
+        top_below_limit = min(
+            round(top_limit - BOX_GAP, BOX_DECIMALS), np.nextafter(top_limit, -np.inf)
+        )
+        tops.append(
+            max(
+                highest_top if top_limit > highest_top else float(top_below_limit),
+                highest_contained_floor,
+                bottom,
+            )
+        )
         for j, z in zip([k, *levels_above], [floor, *floors_above], strict=True):
             is_misplaced = z > tops[k] if j == k else (z >= bottom) & (z <= tops[k])
-            num_misplaced[j] += np.count_nonzero(is_misplaced)
+            num_misplaced_cells[j] += np.count_nonzero(is_misplaced)
             z[is_misplaced] = np.nan
-    return tops, num_misplaced
+    return tops, num_misplaced_cells
 
 
-def _are_adjacent(first: Window, second: Window) -> bool:
+def _are_adjacent(first_window: Window, second_window: Window) -> bool:
     """Return whether two windows have cells in common, or touch along an edge or at a corner."""
-    ranges = zip(first, second, strict=True)
+    ranges = zip(first_window, second_window, strict=True)
     return all(a.start <= b.stop and b.start <= a.stop for a, b in ranges)
 
 
@@ -207,14 +217,14 @@ def _last_floor(floors: Float, heights_above: Float) -> float:
     """
     # Of the floors below all of the higher levels', only the highest can be the best.
     is_below_all = floors < heights_above.min(initial=np.inf)
-    highest = floors.max(initial=-np.inf)
+    highest_floor = floors.max(initial=-np.inf)
     heights, num_at_height = np.unique(floors[~is_below_all], return_counts=True)
     heights = np.append(floors[is_below_all].max(initial=-np.inf), heights)
     num_contained = np.append(np.count_nonzero(is_below_all), num_at_height).cumsum()
-    heights_above = np.sort(heights_above[heights_above <= highest])
-    num_misplaced = np.searchsorted(heights_above, heights, side="right")
-    score = np.append(0, num_contained - num_misplaced)
-    best_index = len(score) - 1 - int(np.argmax(score[::-1]))  # the highest of equally good ones
+    heights_above = np.sort(heights_above[heights_above <= highest_floor])
+    num_misplaced_cells = np.searchsorted(heights_above, heights, side="right")
+    scores = np.append(0, num_contained - num_misplaced_cells)
+    best_index = len(scores) - 1 - int(np.argmax(scores[::-1]))  # the highest of equally good ones
     return float(np.append(-np.inf, heights)[best_index])
 
 
@@ -242,29 +252,33 @@ def _level_sides(lattice: Lattice, scene_box: Float | None) -> Float:
 
 
 def _single_level_box(
-    sides: Float, lowest: float, highest: float, scene_box: Float | None, agent_height: float
+    sides: Float,
+    lowest_floor: float,
+    highest_floor: float,
+    scene_box: Float | None,
+    agent_height: float,
 ) -> Box:
     """Return the box of the only level: the scene's box, enlarged where the grid extends beyond it.
 
     Args:
         sides: x_min, y_min, x_max, y_max of the grid, shape (4,) [m].
-        lowest: height of the lowest floor [m].
-        highest: height of the highest floor [m].
+        lowest_floor: height of the lowest floor [m].
+        highest_floor: height of the highest floor [m].
         scene_box: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
         agent_height: height of the agent [m].
     """
     if scene_box is None:
-        bottom = round(lowest - BOX_MARGIN, LENGTH_DECIMALS)
-        top = round(highest + agent_height, LENGTH_DECIMALS)
+        bottom = round(lowest_floor - BOX_MARGIN, LENGTH_DECIMALS)
+        top = round(highest_floor + agent_height, LENGTH_DECIMALS)
         return _to_file_frame(sides, bottom, top)
     scene_corners = np.round(scene_box, LENGTH_DECIMALS) + 0.0
     sides[:2] = np.minimum(sides[:2], scene_corners[0, :2])
     sides[2:] = np.maximum(sides[2:], scene_corners[1, :2])
     bottom = float(scene_corners[0, 2])
     top = float(scene_corners[1, 2])
-    if bottom > lowest:
-        bottom = round(lowest - BOX_MARGIN, BOX_DECIMALS)
-    return _to_file_frame(sides, bottom, max(top, highest))
+    if bottom > lowest_floor:
+        bottom = round(lowest_floor - BOX_MARGIN, BOX_DECIMALS)
+    return _to_file_frame(sides, bottom, max(top, highest_floor))
 
 
 def _to_file_frame(sides: Float, bottom: float, top: float) -> Box:

@@ -55,8 +55,8 @@ def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     elif scene_box is not None:
         bounds = (*scene_box[0, :2].tolist(), *scene_box[1, :2].tolist())
     else:
-        no_end = f"only infinite planes count in {config.scene.path}, so the grid has no end"
-        raise ConfigError(f"{no_end}: set `grid.bounds` to [x_min, y_min, x_max, y_max]")
+        no_end_text = f"only infinite planes count in {config.scene.path}, so the grid has no end"
+        raise ConfigError(f"{no_end_text}: set `grid.bounds` to [x_min, y_min, x_max, y_max]")
     if not np.isfinite(bounds).all():
         raise SceneError(f"the scene {config.scene.path} has geoms whose pose is not finite")
     width = bounds[2] - bounds[0]
@@ -101,11 +101,11 @@ def _name_farthest_geom(scene: Scene, config: BakeConfig) -> str:
     seen from above. The text is empty if the settings state the box, or no geom has a finite one.
     """
     shapes = scene.shapes if scene.bounds is None else scene.structure
-    is_finite = np.isfinite(shapes.boxes).all(axis=1)
-    geom_ids, geom_of_box = np.unique(shapes.geom_of_box[is_finite], return_inverse=True)
+    is_finite_box = np.isfinite(shapes.boxes).all(axis=1)
+    geom_ids, geom_of_box = np.unique(shapes.geom_of_box[is_finite_box], return_inverse=True)
     if config.grid.bounds is not None or not len(geom_ids):
         return ""
-    boxes = shapes.boxes[is_finite]
+    boxes = shapes.boxes[is_finite_box]
     lower_corners = np.full((len(geom_ids), 2), np.inf)
     upper_corners = np.full((len(geom_ids), 2), -np.inf)
     np.minimum.at(lower_corners, geom_of_box, boxes[:, :2])
@@ -119,22 +119,27 @@ def _name_farthest_geom(scene: Scene, config: BakeConfig) -> str:
     if len(geom_ids) == 1:
         return text
     # the box without a geom ends at the second lowest or highest side where that geom has the first
-    two_lowest = np.sort(lower_corners, axis=0)[:2]
-    two_highest = np.sort(upper_corners, axis=0)[-2:]
-    remaining_sides = np.where(upper_corners == two_highest[1], two_highest[0], two_highest[1])
-    remaining_sides -= np.where(lower_corners == two_lowest[0], two_lowest[1], two_lowest[0])
-    remaining_area = remaining_sides.prod(axis=1)
-    is_enlarging = (
-        remaining_area <= MAX_REMAINING_FRACTION * (two_highest[1] - two_lowest[0]).prod()
+    two_lowest_sides = np.sort(lower_corners, axis=0)[:2]
+    two_highest_sides = np.sort(upper_corners, axis=0)[-2:]
+    remaining_sides = np.where(
+        upper_corners == two_highest_sides[1], two_highest_sides[0], two_highest_sides[1]
     )
-    if not is_enlarging.any():
+    remaining_sides -= np.where(
+        lower_corners == two_lowest_sides[0], two_lowest_sides[1], two_lowest_sides[0]
+    )
+    remaining_area = remaining_sides.prod(axis=1)
+    is_enlarging_geom = (
+        remaining_area
+        <= MAX_REMAINING_FRACTION * (two_highest_sides[1] - two_lowest_sides[0]).prod()
+    )
+    if not is_enlarging_geom.any():
         return text
     # of a floor and a small thing far away, the box is small without either: the thing is the one
     total_area = remaining_area + area
-    is_best = is_enlarging & (
-        total_area <= (1 + SAME_AREA_FRACTION) * total_area[is_enlarging].min()
+    is_best_geom = is_enlarging_geom & (
+        total_area <= (1 + SAME_AREA_FRACTION) * total_area[is_enlarging_geom].min()
     )
-    farthest_geom = int(np.where(is_best, area, np.inf).argmin())
+    farthest_geom = int(np.where(is_best_geom, area, np.inf).argmin())
     name = scene.geoms[int(geom_ids[farthest_geom])].name
     width, depth = remaining_sides[farthest_geom].tolist()
     return f"without {name!r} it is {width:.6g} x {depth:.6g} m; "
@@ -168,19 +173,19 @@ def extend_lattice(
     def count_cells(length: float) -> int:
         return max(0, math.ceil((length - rounding) / lattice.cell_size - CELL_SLACK))
 
-    num_west = count_cells(x_min - scene_x_min)
-    num_east = count_cells(scene_x_max - x_max)
-    num_south = count_cells(y_min - scene_y_min)
-    num_north = count_cells(scene_y_max - y_max)
+    num_cols_west = count_cells(x_min - scene_x_min)
+    num_cols_east = count_cells(scene_x_max - x_max)
+    num_rows_south = count_cells(y_min - scene_y_min)
+    num_rows_north = count_cells(scene_y_max - y_max)
 
     def extend(max_extension: int) -> Lattice:
-        west = min(num_west, max_extension)
-        north = min(num_north, max_extension)
+        num_cols_added_west = min(num_cols_west, max_extension)
+        num_rows_added_north = min(num_rows_north, max_extension)
         return lattice._replace(
-            x_min=lattice.x_min - west * lattice.cell_size,
-            y_max=lattice.y_max + north * lattice.cell_size,
-            width=lattice.width + west + min(num_east, max_extension),
-            height=lattice.height + north + min(num_south, max_extension),
+            x_min=lattice.x_min - num_cols_added_west * lattice.cell_size,
+            y_max=lattice.y_max + num_rows_added_north * lattice.cell_size,
+            width=lattice.width + num_cols_added_west + min(num_cols_east, max_extension),
+            height=lattice.height + num_rows_added_north + min(num_rows_south, max_extension),
         )
 
     def is_too_large(max_extension: int) -> bool:
@@ -188,11 +193,16 @@ def extend_lattice(
         return extended_lattice.width * extended_lattice.height > max_cells
 
     # The number of cells grows with the extension: bisect for the largest that is allowed.
-    most_cells = max(math.ceil(MAX_EXTENSION / lattice.cell_size), lattice.width, lattice.height)
-    extensions = range(1, min(most_cells, max(num_west, num_east, num_south, num_north)) + 1)
+    extension_limit = max(
+        math.ceil(MAX_EXTENSION / lattice.cell_size), lattice.width, lattice.height
+    )
+    extensions = range(
+        1,
+        min(extension_limit, max(num_cols_west, num_cols_east, num_rows_south, num_rows_north)) + 1,
+    )
     max_extension = bisect_left(extensions, True, key=is_too_large)
-    first_row = min(num_north, max_extension)
-    first_col = min(num_west, max_extension)
+    first_row = min(num_rows_north, max_extension)
+    first_col = min(num_cols_west, max_extension)
     window = (
         slice(first_row, first_row + lattice.height),
         slice(first_col, first_col + lattice.width),

@@ -46,13 +46,13 @@ def crop_layers(
     return layers
 
 
-def crop_steps(steps: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
+def crop_steps(steps: Int, boxes: LevelBoxes, num_cols: int) -> list[list[int]]:
     """Convert the cell ids of steps between levels to ids on each level's own rectangle.
 
     Args:
         steps: level a, cell a, level b, cell b, shape (n, 4), int64; cells of the lattice.
         boxes: the rectangle of each level.
-        width: the number of columns of the whole lattice.
+        num_cols: the number of columns of the whole lattice.
 
     Returns:
         The same rows as `steps`; each cell's id is that on its level's own rectangle.
@@ -64,7 +64,7 @@ def crop_steps(steps: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
     )
     for level_column, cell_column in ((0, 1), (2, 3)):
         first_row, first_col, rectangle_width = rectangles[steps[:, level_column]].T
-        row, col = np.divmod(steps[:, cell_column], width)
+        row, col = np.divmod(steps[:, cell_column], num_cols)
         # Each cell has a floor, so that none lies outside of its rectangle.
         cropped_steps[:, cell_column] = (row - first_row) * rectangle_width + col - first_col
     step_rows: list[list[int]] = cropped_steps.tolist()
@@ -88,15 +88,15 @@ def make_grid_door(
     Returns:
         The door, and its entry in the file.
     """
-    cells = find_door_cells(leaf, occupants.blocked, occupants.blocked_squares)
+    door_cells = find_door_cells(leaf, occupants.blocked, occupants.blocked_squares)
     door = make_door(
         leaf,
-        cells,
+        door_cells,
         windows=baked_structure.boxes.windows,
         num_cols=baked_structure.lattice.width,
         wanted_state=config.doors.state,
     )
-    return GridDoor(door, door_to_json(door), is_stuck(cells))
+    return GridDoor(door, door_to_json(door), is_stuck(door_cells))
 
 
 def door_to_json(door: Door) -> Json:

@@ -1,4 +1,4 @@
-"""Says, before a bake begins, that it needs more memory than the machine has free."""
+"""Warns, before a bake begins, that it needs more memory than the machine has free."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GB = 1e9  # [bytes]
 
 
 def estimate_memory(structure: Shapes, lattice: Lattice, margin: float) -> int:
-    """Estimate how much memory a bake needs, beside what is in memory already [bytes].
+    """Estimate how much more memory a bake needs than is in use when it begins [bytes].
 
     Args:
         structure: the geometry that floors are found on.

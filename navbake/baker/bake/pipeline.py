@@ -284,12 +284,12 @@ def _build_level_grid(
     layers = baked_structure.layers[level]
     lattice = baked_structure.lattice.cut(*window)
 
-    def add_doors(is_occupied: Bool, cells_name: str) -> NDArray[np.uint8]:
+    def add_doors(is_occupied: Bool, cells_attribute: str) -> NDArray[np.uint8]:
         """Crop a layer to the level's rectangle, and add the runs of cells that doors block."""
         layer = is_occupied[window].copy()
         flat_layer = layer.ravel()
         for door in doors:
-            runs = getattr(door, cells_name).get(door.state, {}).get(level, [])
+            runs = getattr(door, cells_attribute).get(door.state, {}).get(level, [])
             for first_cell, num_cells in zip(runs[::2], runs[1::2], strict=True):
                 flat_layer[first_cell : first_cell + num_cells] = True
         return layer.view(np.uint8)

@@ -94,9 +94,9 @@ def make_occupancy_test(
     footprint = Footprint.for_agent(point_agent, columns.lattice.cell_size)
 
     def is_occupied(
-        cells: Int, floor_heights: Float, heights: HeightRange | None = None, /
+        cells: Int, floor_heights: Float, height_range: HeightRange | None = None, /
     ) -> Bool:
-        volume = footprint if heights is None else footprint.between(heights)
+        volume = footprint if height_range is None else footprint.between(height_range)
         is_cell_occupied = np.zeros(len(cells), dtype=np.bool_)
         for chunk_indices in split_cells(tile_index, cells):
             chunk_cells = cells[chunk_indices]
@@ -149,10 +149,10 @@ def _advise_ground(scene: Scene, config: BakeConfig) -> str:
     endless_geoms = scene.shapes.planes.geom
     if len(endless_geoms):
         name = scene.geoms[endless_geoms[0]].name
-        setting = f"grid.margin={GROUND_MARGIN:g}"
+        setting_text = f"grid.margin={GROUND_MARGIN:g}"
         if is_in_memory:
-            setting = f'grid={{"margin": {GROUND_MARGIN:g}}}'
-        return f"if agents walk on {name!r}, which is endless, `{setting}` takes in more of it"
+            setting_text = f'grid={{"margin": {GROUND_MARGIN:g}}}'
+        return f"if agents walk on {name!r}, which is endless, `{setting_text}` takes in more of it"
     is_mesh = scene_suffix(config.scene.path) in MESH_SUFFIXES
     is_mesh |= is_in_memory and bool(scene.exact_meshes)
     if is_mesh or scene.bounds is None or config.grid.bounds is not None:
@@ -161,8 +161,8 @@ def _advise_ground(scene: Scene, config: BakeConfig) -> str:
     if (highest_corner - lowest_corner)[:2].min() < MIN_GROUND_SIDE:
         return ""
     if is_in_memory:
-        setting = f'`scene={{"ground": {lowest_corner[2]:.6g}}}` adds it to an MjSpec'
-        return f"if the scene comes without its ground, {setting}"
+        setting_text = f'`scene={{"ground": {lowest_corner[2]:.6g}}}` adds it to an MjSpec'
+        return f"if the scene comes without its ground, {setting_text}"
     return f"if the scene comes without its ground, `scene.ground={lowest_corner[2]:.6g}` adds it"
 
 

@@ -188,12 +188,10 @@ class Stages:
 
     @cached_property
     def floor_columns(self) -> ColumnSource:
-        """The hits on the vertical line through each cell's centre, on the extended lattice.
-
-        Floors are found in them.
+        """The columns of the extended lattice, in which floors are found.
 
         They are read in chunks of rows. In a large lattice, the chunks are not kept: each reading
-        intersects the lines with the geometry again. `column_blocks` and `columns` have the hits on
+        intersects the lines with the geometry again. `column_chunks` and `columns` have the hits on
         the baked lattice.
         """
         return ColumnCaster(
@@ -210,7 +208,7 @@ class Stages:
         return join_columns(self.floor_columns, self.extended_lattice.window, self.lattice)
 
     @property
-    def column_blocks(self) -> ColumnSource:
+    def column_chunks(self) -> ColumnSource:
         """The hits of `columns`, in chunks of rows, so that they need not all be in memory.
 
         All stages after the floors read these. They come from `floor_columns`, cropped to the
@@ -276,7 +274,7 @@ class Stages:
     def standing_cells(self) -> StandingCells:
         """The structure in each cell, and the flags of each cell's column that rooms depend on."""
         floors = self.floors
-        columns = self.column_blocks
+        columns = self.column_chunks
         with self.clock.stage("occupancy"):
             wall_candidates = None
             if self.extents is not None:
@@ -293,7 +291,7 @@ class Stages:
 
     @property
     def occupancy(self) -> StructureOccupancy:
-        """The cells of each level that structure occupies."""
+        """The cells of each level that structure alone occupies; `occupants` has all of them."""
         return self.standing_cells.occupancy
 
     @cached_property
@@ -302,13 +300,13 @@ class Stages:
 
         In the timings, this stage is called ``contents``.
         """
-        cells = self.standing_cells
+        standing_cells = self.standing_cells
         with self.clock.stage("contents"):
             if self.extents is None:
                 return None
             return classify_occupants(
                 self.scene,
-                cells.occupants,
+                standing_cells.occupants,
                 floors=self.floors,
                 extents=self.extents,
                 agent=self.config.agent,
@@ -319,20 +317,21 @@ class Stages:
 
     @cached_property
     def room_flags(self) -> RoomFlags:
-        """What is true of each cell: whether it is open, a hole, under the sky, and so on.
+        """The flags of each cell: whether it is open, a hole, under the sky, and so on.
 
-        Rooms are found from this, from settings, and from closed leaves.
+        Rooms are found by these flags, by settings, and by closed leaves.
         """
-        cells = self.standing_cells
+        standing_cells = self.standing_cells
         standing_occupants = self.standing_occupants
         with self.clock.stage("rooms"):
             return gather_flags(
                 self.scene,
-                self.column_blocks,
+                self.column_chunks,
                 floors=self.floors,
-                column_flags=cells.column_flags,
+                column_flags=standing_cells.column_flags,
                 standing_occupants=standing_occupants,
-                occupied=cells.occupancy.blocked_squares or cells.occupancy.levels,
+                occupied=standing_cells.occupancy.blocked_squares
+                or standing_cells.occupancy.levels,
                 settings=self.config.rooms,
                 agent=self.config.agent,
             )
@@ -364,7 +363,7 @@ class Stages:
     def door_inputs(self) -> DoorInputs:
         """The columns, floors and rooms on which the classification of leaves depends."""
         return DoorInputs(
-            columns=self.column_blocks,
+            columns=self.column_chunks,
             floors=self.floors.levels,
             rooms=self.rooms,
             agent=self.config.agent,
@@ -403,7 +402,7 @@ class Stages:
 
     @property
     def movable_inputs(self) -> MovableSearchInputs:
-        """What the search for movables reads: the floors, and the cells that structure occupies."""
+        """The inputs of the search for movables: floors, and the cells that structure occupies."""
         return MovableSearchInputs(
             lattice=self.lattice,
             floors=self.floors,
@@ -453,7 +452,7 @@ class Stages:
         link_geometry = None
         if self.config.links:
             link_geometry = CollisionGeometry(
-                [CollisionShapes(self.column_blocks, self.tile_index)], self.footprint
+                [CollisionShapes(self.column_chunks, self.tile_index)], self.footprint
             )
         boxes = find_level_boxes(
             self.floors.levels,
@@ -507,7 +506,7 @@ class Stages:
             leaves=self.doors,
             is_obstacle_geom=self.is_obstacle_geom,
             occupants=occupants,
-            lost_floors=find_lost_floors(
+            lost_floor_areas=find_lost_floors(
                 self.scene.shapes,
                 self.is_obstacle_geom,
                 mover_of_geom=self.scene.mover_of_geom,

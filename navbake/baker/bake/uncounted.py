@@ -68,8 +68,8 @@ def warn_uncounted(
     if not len(candidate_geoms):
         return []
     selections = {
-        geom: GeomSelection(True, "", scene.selections[geom].mesh_mode)
-        for geom in candidate_geoms.tolist()
+        geom_ids: GeomSelection(True, "", scene.selections[geom_ids].mesh_mode)
+        for geom_ids in candidate_geoms.tolist()
     }
     shapes, *_ = collect_shapes(
         scene.model,
@@ -81,25 +81,30 @@ def warn_uncounted(
     )
     inputs = MovableSearchInputs(lattice, floors, occupancy, footprint, agent, scene.mover_of_geom)
     occupants = find_movable_occupants(inputs, shapes, is_candidate)
-    num_blocked = np.zeros(len(is_candidate), dtype=np.int64)
-    num_free = np.zeros(len(is_candidate), dtype=np.int64)
+    num_blocked_cells = np.zeros(len(is_candidate), dtype=np.int64)
+    num_free_cells = np.zeros(len(is_candidate), dtype=np.int64)
     for is_level_free, chunks in zip(free_by_level, occupants.entries, strict=True):
         for entries in chunks:
             is_blocking = (entries.flags & BLOCKING) > 0
-            geom = entries.geom[is_blocking]
+            geom_ids = entries.geom[is_blocking]
             is_free = is_level_free.ravel()[entries.cell[is_blocking]]
-            num_blocked += np.bincount(geom, minlength=len(num_blocked))
-            num_free += np.bincount(geom[is_free], minlength=len(num_free))
-    area = num_free * lattice.cell_size**2
-    is_uncounted = (area >= MIN_UNCOUNTED_AREA) & (num_free >= MIN_FREE_FRACTION * num_blocked)
+            num_blocked_cells += np.bincount(geom_ids, minlength=len(num_blocked_cells))
+            num_free_cells += np.bincount(geom_ids[is_free], minlength=len(num_free_cells))
+    free_area = num_free_cells * lattice.cell_size**2
+    is_uncounted = (free_area >= MIN_UNCOUNTED_AREA) & (
+        num_free_cells >= MIN_FREE_FRACTION * num_blocked_cells
+    )
     uncounted_geoms = np.flatnonzero(is_uncounted)
     if not len(uncounted_geoms):
         return []
-    largest_geoms = uncounted_geoms[np.argsort(-area[uncounted_geoms], kind="stable")][
+    largest_geoms = uncounted_geoms[np.argsort(-free_area[uncounted_geoms], kind="stable")][
         :MAX_NAMED_GEOMS
     ].tolist()
-    names = ", ".join(f"{scene.geoms[geom].name!r} ({area[geom]:.2f} m²)" for geom in largest_geoms)
-    reasons = {scene.selections[geom].reason for geom in uncounted_geoms.tolist()}
+    names = ", ".join(
+        f"{scene.geoms[geom_ids].name!r} ({free_area[geom_ids]:.2f} m²)"
+        for geom_ids in largest_geoms
+    )
+    reasons = {scene.selections[geom_ids].reason for geom_ids in uncounted_geoms.tolist()}
     reason_text = "they can't collide"
     if COLLIDES_IN_PAIRS in reasons:
         reason_text = (
@@ -144,7 +149,7 @@ def _mark_over_free_floor(
         agent: the agent, whose step and height are used.
     """
     lower_corners, upper_corners = geom_boxes(scene.model, scene.data)
-    is_over = np.zeros(len(lower_corners), dtype=np.bool_)
+    is_over_free_floor = np.zeros(len(lower_corners), dtype=np.bool_)
     is_around_all = np.zeros(len(lower_corners), dtype=np.bool_)  # as a sky is
     if scene.bounds is not None:
         is_around_all = (
@@ -155,7 +160,7 @@ def _mark_over_free_floor(
         end_col = np.ceil((upper_corners[:, 0] - lattice.x_min) / lattice.cell_size)
         first_row = np.floor((lattice.y_max - upper_corners[:, 1]) / lattice.cell_size)
         end_row = np.ceil((lattice.y_max - lower_corners[:, 1]) / lattice.cell_size)
-    windows = [
+    window_limits = [
         np.clip(np.nan_to_num(limit), 0, length).astype(np.int64)
         for limit, length in (
             (first_row, lattice.height),
@@ -164,32 +169,40 @@ def _mark_over_free_floor(
             (end_col, lattice.width),
         )
     ]
-    num_cells = np.maximum((windows[1] - windows[0]) * (windows[3] - windows[2]), 1)
+    num_cells = np.maximum(
+        (window_limits[1] - window_limits[0]) * (window_limits[3] - window_limits[2]), 1
+    )
     for level, is_level_free in zip(floors.levels, free_by_level, strict=True):
         heights = level.floor[is_level_free]
         if not len(heights):
             continue
-        is_beside = upper_corners[:, 2] > heights.min() + agent.traversable_floor_height
-        is_beside &= lower_corners[:, 2] < heights.max() + agent.height
-        num_free = _sum_windows(is_level_free, windows)
-        is_over |= is_beside & (num_free >= MIN_FREE_FRACTION / 2 * num_cells)
-    return is_over & ~is_around_all
+        is_at_agent_height = upper_corners[:, 2] > heights.min() + agent.traversable_floor_height
+        is_at_agent_height &= lower_corners[:, 2] < heights.max() + agent.height
+        num_free_cells = _sum_windows(is_level_free, window_limits)
+        is_over_free_floor |= is_at_agent_height & (
+            num_free_cells >= MIN_FREE_FRACTION / 2 * num_cells
+        )
+    return is_over_free_floor & ~is_around_all
 
 
-def _sum_windows(is_marked: Bool, windows: list[Int]) -> Int:
+def _sum_windows(is_marked: Bool, window_limits: list[Int]) -> Int:
     """Count the marked cells in each of some windows.
 
     Args:
         is_marked: the marked cells, shape (height, width).
-        windows: the first rows of the windows, the ends of their rows, their first columns, and the
-            ends of their columns, shape (n,) each; ends are exclusive.
+        window_limits: the first rows of the windows, the ends of their rows, their first columns,
+            and the ends of their columns, shape (n,) each; ends are exclusive.
 
     Returns:
         How many cells are marked in each window, shape (n,).
     """
-    first_row, end_row, first_col, end_col = windows
+    first_row, end_row, first_col, end_col = window_limits
     cumulative_count = np.zeros((is_marked.shape[0] + 1, is_marked.shape[1] + 1), dtype=np.int64)
     np.cumsum(np.cumsum(is_marked, axis=0, dtype=np.int64), axis=1, out=cumulative_count[1:, 1:])
-    num_marked: Int = cumulative_count[end_row, end_col] - cumulative_count[first_row, end_col]
-    num_marked -= cumulative_count[end_row, first_col] - cumulative_count[first_row, first_col]
-    return num_marked
+    num_marked_cells: Int = (
+        cumulative_count[end_row, end_col] - cumulative_count[first_row, end_col]
+    )
+    num_marked_cells -= (
+        cumulative_count[end_row, first_col] - cumulative_count[first_row, first_col]
+    )
+    return num_marked_cells

@@ -26,11 +26,11 @@ from navbake.errors import printable
 from navbake.navgrid.rooms import has_building
 from navbake.types import Bool, Float, Int
 
-SAMPLED_ROWS = 64  # every 64th row is read first, to see how low a level's floor is
-ROW_CHUNK = 64  # rows of a level that are searched together for a free cell
+ROW_SAMPLING_STEP = 64  # every 64th row is read first, to see how low a level's floor is
+ROWS_PER_CHUNK = 64  # rows of a level that are searched together for a free cell
 # Unreached floors are warned of level by level on at most this many levels, those with the largest
 # unreached floors; one more warning sums up the others
-MAX_UNREACHED_LISTED = 5
+MAX_LISTED_UNREACHED_LEVELS = 5
 # A room outdoors with more than this fraction of the area of all rooms is warned of
 YARD_SHARE = 0.75
 # A configured ground may have been set too high by a slab's thickness: a floor up to this far below
@@ -41,10 +41,10 @@ MAX_NAMED_BODIES = 3  # movable bodies that a warning names
 
 
 class PatchWarning(NamedTuple):
-    """How a bake warns of surfaces that became no floor, or that are a floor though they are small.
+    """The warning of one kind of patches: connected surfaces that are no floor, or a small one.
 
     Attributes:
-        min_area: the least area of connected surfaces (a patch) that is warned of [m²].
+        min_area: the least area of a patch that is warned of [m²].
         text: a format string. Its fields: ``what`` describes the largest patch, ``keep`` says how a
             user keeps that patch as a floor; ``area`` [m²], ``z`` [m] and ``name`` are the largest
             patch's; ``cells`` is the number of cells of all patches together.
@@ -55,7 +55,7 @@ class PatchWarning(NamedTuple):
 
 
 # Warnings of patches, by the attribute of `Floors` that lists them
-PATCHES_BEFORE_GROUNDS = {
+PATCH_WARNINGS_BEFORE_GROUNDS = {
     "tops": PatchWarning(
         min_area=LARGE_TOP_AREA,
         text=(
@@ -79,7 +79,7 @@ PATCHES_BEFORE_GROUNDS = {
         ),
     ),
 }
-PATCHES_AFTER_GROUNDS = {
+PATCH_WARNINGS_AFTER_GROUNDS = {
     "removed_floors": PatchWarning(
         min_area=REPORTED_AREA,
         text="left out by `floors.reach: steps`, because no step leads there: {what}; {keep}",
@@ -148,9 +148,9 @@ def warn_of_structure(
     """
     warnings = [
         *_warn_cropped(config, floor_lattice, scene),
-        *_warn_patches(floors, scene, PATCHES_BEFORE_GROUNDS),
+        *_warn_patches(floors, scene, PATCH_WARNINGS_BEFORE_GROUNDS),
         *_warn_high_grounds(config, floors),
-        *_warn_patches(floors, scene, PATCHES_AFTER_GROUNDS),
+        *_warn_patches(floors, scene, PATCH_WARNINGS_AFTER_GROUNDS),
         *_warn_holes(config, hole_areas),
         *_warn_hidden_ground(config, floors, scene),
         *(standing_occupants.warnings if standing_occupants else ()),
@@ -208,30 +208,30 @@ def _warn_cropped(config: BakeConfig, floor_lattice: FloorLattice, scene: Scene)
 
 def _warn_nothing_free(config: BakeConfig, floors: Floors, baked_pose: BakedPose) -> Iterator[str]:
     """Warn of levels without a cell that an agent can stand in."""
-    full_levels = [
+    full_level_names = [
         repr(level.name)
         for level, is_blocked in zip(floors.levels, baked_pose.occupants.blocked, strict=True)
         if not _has_free_cell(level.standable, is_blocked)
     ]
-    if full_levels:
+    if full_level_names:
         agent = config.agent
         is_mesh = bool(baked_pose.scene.exact_meshes)
         hint = "; does the scene lie on its side (`scene.up`)?" if is_mesh else ""
         yield (
-            f"nothing is free on {', '.join(full_levels)}: an agent {agent.height:g} m high of "
-            f"{agent.radius:g} m radius can stand nowhere there; `navbake why` names what blocks a "
-            f"place{hint}"
+            f"nothing is free on {', '.join(full_level_names)}: an agent {agent.height:g} m high "
+            f"of {agent.radius:g} m radius can stand nowhere there; `navbake why` names what "
+            f"blocks a place{hint}"
         )
 
 
-def _has_free_cell(standable: Bool, is_blocked: Bool) -> bool:
+def _has_free_cell(is_standable: Bool, is_blocked: Bool) -> bool:
     """Return whether any cell of a level is standable and not blocked.
 
     Rows are searched chunk by chunk, as most levels have such a cell in their first rows.
     """
-    for row in range(0, len(is_blocked), ROW_CHUNK):
-        rows = slice(row, row + ROW_CHUNK)
-        if (standable[rows] > is_blocked[rows]).any():
+    for row in range(0, len(is_blocked), ROWS_PER_CHUNK):
+        rows = slice(row, row + ROWS_PER_CHUNK)
+        if (is_standable[rows] > is_blocked[rows]).any():
             return True
     return False
 
@@ -239,9 +239,9 @@ def _has_free_cell(standable: Bool, is_blocked: Bool) -> bool:
 def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Iterator[str]:
     """Warn of movables that occupy floor: robots, and things that may be elsewhere later."""
     scene = baked_pose.scene
-    num_blocked = baked_pose.occupants.num_free_cells_blocked
+    num_blocked_cells = baked_pose.occupants.num_free_cells_blocked
     cell_area = baked_structure.lattice.cell_size**2
-    movable_bodies = np.flatnonzero(num_blocked)
+    movable_bodies = np.flatnonzero(num_blocked_cells)
     # Structure among them is a leaf that hangs on no joint.
     movable_bodies = movable_bodies[~scene.is_structure_body[movable_bodies]]
     is_robot = np.isin(movable_bodies, list(scene.actuated_bodies))
@@ -249,15 +249,15 @@ def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Ite
     other_bodies = movable_bodies[~is_robot]
 
     def list_largest(movable_bodies: Int) -> str:
-        largest_bodies = movable_bodies[np.argsort(-num_blocked[movable_bodies], kind="stable")][
-            :MAX_NAMED_BODIES
-        ]
-        entries = [
-            f"{body_name(scene.model, body)!r} ({num_blocked[body] * cell_area:.2f} m²)"
+        largest_bodies = movable_bodies[
+            np.argsort(-num_blocked_cells[movable_bodies], kind="stable")
+        ][:MAX_NAMED_BODIES]
+        body_texts = [
+            f"{body_name(scene.model, body)!r} ({num_blocked_cells[body] * cell_area:.2f} m²)"
             for body in largest_bodies.tolist()
         ]
-        num_more = len(movable_bodies) - len(entries)
-        return ", ".join(entries) + (f", and {num_more} more" if num_more else "")
+        num_more = len(movable_bodies) - len(body_texts)
+        return ", ".join(body_texts) + (f", and {num_more} more" if num_more else "")
 
     if len(robot_bodies):
         pattern = body_name(scene.model, int(robot_bodies[0]))
@@ -277,7 +277,7 @@ def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Ite
 def _warn_lost_floors(baked_pose: BakedPose) -> Iterator[str]:
     """Warn of movables whose tops would be floor, if they were structure, where there is none."""
     scene = baked_pose.scene
-    for body, area in baked_pose.lost_floors.items():
+    for body, area in baked_pose.lost_floor_areas.items():
         if scene.is_structure_body[body]:  # a leaf without a joint
             continue
         name = body_name(scene.model, body)
@@ -326,19 +326,19 @@ def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
     """
     if config.levels == "auto":
         return
-    grounds = [level.ground for level in config.levels]
+    ground_heights = [level.ground for level in config.levels]
     max_step = config.agent.traversable_floor_height
     for level in floors.levels:
-        if level.ground not in grounds:
+        if level.ground not in ground_heights:
             continue
         if np.nanmin(level.floor) <= level.ground + max_step + LIMIT_SLACK:
             continue
-        heights = [
+        heights_by_level = [
             neighbor.floor[neighbor.standable]
             for neighbor in floors.levels
             if neighbor is not level
         ]
-        standable_heights = np.concatenate([np.empty(0), *heights])
+        standable_heights = np.concatenate([np.empty(0), *heights_by_level])
         depths_below = np.round((level.ground - standable_heights) * 100)  # [cm]
         depths_below = depths_below[
             (depths_below > 0) & (depths_below <= MAX_GROUND_ERROR * 100)
@@ -366,7 +366,7 @@ def _warn_unreached(floors: Floors, baked_pose: BakedPose) -> Iterator[str]:
         if not (level_floors.is_whole_level and level_floors.level in linked_levels)
     ]
     sorted_floors = sorted(reported_floors, key=lambda level_floors: -level_floors.patch.area)
-    smaller_floors = sorted_floors[MAX_UNREACHED_LISTED:]
+    smaller_floors = sorted_floors[MAX_LISTED_UNREACHED_LEVELS:]
     summed_levels = {level_floors.level for level_floors in smaller_floors}
     for level_floors in reported_floors:
         if level_floors.level in summed_levels:
@@ -377,11 +377,11 @@ def _warn_unreached(floors: Floors, baked_pose: BakedPose) -> Iterator[str]:
         geom = baked_pose.scene.geoms[patch.geom].name
         area = f"{patch.area:.1f} m²"
         x, y, z = patch.position
-        what = f"{area} of {name!r} (most of it on {geom!r}, as at {x:.2f}, {y:.2f}, {z:.2f})"
+        floor_text = f"{area} of {name!r} (most of it on {geom!r}, as at {x:.2f}, {y:.2f}, {z:.2f})"
         if is_whole_level:
-            what = f"{name!r} ({area} at {z:.2f} m, most of it on {geom!r})"
+            floor_text = f"{name!r} ({area} at {z:.2f} m, most of it on {geom!r})"
         yield (
-            f"no step leads to {what}: `floors.reach: steps` leaves such "
+            f"no step leads to {floor_text}: `floors.reach: steps` leaves such "
             f"{'levels' if is_whole_level else 'floors'} out, `floors.from` names places that "
             "count as reached"
         )
@@ -395,16 +395,17 @@ def _warn_unreached(floors: Floors, baked_pose: BakedPose) -> Iterator[str]:
 
 def _warn_holes(config: BakeConfig, hole_areas: Float) -> Iterator[str]:
     """Warn of holes in the floor of a mesh."""
-    counted_areas = hole_areas[hole_areas >= MIN_HOLE_AREA]
-    if len(counted_areas):
-        number_text = "a hole" if len(counted_areas) == 1 else f"{len(counted_areas)} holes"
-        outcome = "closed and marked in the layer `unseen`"
+    large_hole_areas = hole_areas[hole_areas >= MIN_HOLE_AREA]
+    if len(large_hole_areas):
+        number_text = "a hole" if len(large_hole_areas) == 1 else f"{len(large_hole_areas)} holes"
+        outcome_text = "closed and marked in the layer `unseen`"
         if not config.floors.fill:
-            outcome = (
+            outcome_text = (
                 "no floor: `floors.fill` closes holes up to an area, `scene.scan: true` does so"
             )
-        area = counted_areas.sum()
-        yield f"the mesh is open in its floor, {number_text} of {area:.2f} m² in all: {outcome}"
+        area = large_hole_areas.sum()
+        size_text = f"{number_text} of {area:.2f} m² in all"
+        yield f"the mesh is open in its floor, {size_text}: {outcome_text}"
 
 
 def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Iterator[str]:
@@ -418,7 +419,7 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
     planes = scene.structure.planes
     max_step = config.agent.traversable_floor_height
     # Most planes are not even lower than the floors of some rows.
-    sampled_rows = [level.floor[::SAMPLED_ROWS] for level in levels]
+    sampled_rows = [level.floor[::ROW_SAMPLING_STEP] for level in levels]
     lowest_sampled = min(
         float(np.fmin.reduce(rows, axis=None, initial=np.inf)) for rows in sampled_rows
     )
@@ -426,8 +427,8 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
         return
     lowest_floor = min(float(np.nanmin(level.floor)) for level in levels)
     is_horizontal = planes.normal[:, 2] >= 1.0 - 1e-9
-    is_hidden = is_horizontal & (planes.pos[:, 2] < lowest_floor - max_step)
-    for plane in np.flatnonzero(is_hidden)[:1].tolist():
+    is_hidden_plane = is_horizontal & (planes.pos[:, 2] < lowest_floor - max_step)
+    for plane in np.flatnonzero(is_hidden_plane)[:1].tolist():
         name = scene.geoms[planes.geom[plane]].name
         z = planes.pos[plane, 2]
         yield (
@@ -464,15 +465,15 @@ def _warn_interleaved(
         occupancy: the cells of each level that structure occupies.
         boxes: the levels' boxes, and how many free cells the client misplaces.
     """
-    if not boxes.num_misplaced:
+    if not boxes.num_misplaced_cells:
         return
-    num_free = sum(
+    num_free_cells = sum(
         np.count_nonzero(~np.isnan(level.floor[~is_occupied]))
         for level, is_occupied in zip(floors.levels, occupancy.levels, strict=True)
     )
     names = ", ".join(repr(floors.levels[level].name) for level in boxes.misplaced_levels)
     yield (
         f"levels interleave in height: MINOS's client finds a position's level by `bbox` "
-        f"and misses {boxes.num_misplaced} of {num_free} free cells, on {names}; navbake goes by "
-        f"floors and misses none; other grounds in `levels` may part them"
+        f"and misses {boxes.num_misplaced_cells} of {num_free_cells} free cells, on {names}; "
+        f"navbake goes by floors and misses none; other grounds in `levels` may part them"
     )

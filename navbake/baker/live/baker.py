@@ -1,6 +1,6 @@
 """Bakes a scene, and keeps its grid up to date while things in it move: the class `Baker`.
 
-What an update computes again is in `navbake.baker.live.update`.
+The steps of an update are in `navbake.baker.live.update`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LOG = logging.getLogger("navbake")
 
 
 class Changes(NamedTuple):
-    """What an update changed.
+    """The result of an update: the new grid, and the cells that differ from the last one.
 
     Attributes:
         grid: the new grid, `Baker.grid`.
@@ -105,11 +105,11 @@ class Baker:
         self._threads = threads
         self._lock = threading.Lock()
         with baking(), limit_threads(threads):
-            baked = self._bake(scene_model)
+            baked_scene = self._bake(scene_model)
             # None during an update, and after one that failed
-            self._baked: BakedScene | None = baked
-            self._tracked_scene = TrackedScene(config, scene_model, baked.pose.scene)
-            self._grid = build_grid(config, baked.structure, baked.pose)
+            self._baked: BakedScene | None = baked_scene
+            self._tracked_scene = TrackedScene(config, scene_model, baked_scene.pose.scene)
+            self._grid = build_grid(config, baked_scene.structure, baked_scene.pose)
         for warning in self._grid.warnings:
             warnings.warn(warning, BakeWarning, stacklevel=2)
 
@@ -126,8 +126,8 @@ class Baker:
     @property
     def pose(self) -> tuple[Float, Float, Float]:
         """Copies of qpos, mocap_pos and mocap_quat in the current pose."""
-        arrays = self._tracked_scene.pose_arrays
-        return arrays.qpos.copy(), arrays.mocap_pos.copy(), arrays.mocap_quat.copy()
+        pose_arrays = self._tracked_scene.pose_arrays
+        return pose_arrays.qpos.copy(), pose_arrays.mocap_pos.copy(), pose_arrays.mocap_quat.copy()
 
     def update(
         self,
@@ -165,27 +165,27 @@ class Baker:
         """
         start_time = time.perf_counter()
         with baking(), self._lock, limit_threads(self._threads):
-            change = self._tracked_scene.move(data, bodies, joints)
+            change = self._tracked_scene.find_change(data, bodies, joints)
             # After an error or an interruption below, the next update bakes the whole scene.
-            old_baked = self._baked
+            old_baked_scene = self._baked
             self._baked = None
             reason = ""
             try:
-                if old_baked is None:
+                if old_baked_scene is None:
                     raise FullBakeRequired("the last update failed")
-                baked = update_baked_scene(old_baked, change, self._config)
+                baked_scene = update_baked_scene(old_baked_scene, change, self._config)
             except FullBakeRequired as full_bake_required:
                 reason = str(full_bake_required)
                 LOG.debug("the whole scene is baked again: %s", reason)
-                baked = self._bake(self._scene_model._replace(data=change.scene.data))
+                baked_scene = self._bake(self._scene_model._replace(data=change.scene.data))
             # It was computed on another thread meanwhile.
-            baked = _with_digest(baked, change.wait_for_digest())
+            baked_scene = _with_digest(baked_scene, change.wait_for_digest())
             old_grid = self._grid
-            grid = build_grid(self._config, baked.structure, baked.pose)
+            grid = build_grid(self._config, baked_scene.structure, baked_scene.pose)
             cells, is_new = _find_changed_cells(old_grid, grid)
-            self._tracked_scene.commit(baked.pose.scene, change.snapshot)
+            self._tracked_scene.commit(baked_scene.pose.scene, change.snapshot)
             self._grid = grid
-            self._baked = baked
+            self._baked = baked_scene
             return Changes(grid, cells, is_new, reason, time.perf_counter() - start_time)
 
     def _bake(self, scene_model: SceneModel) -> BakedScene:
@@ -198,9 +198,9 @@ class Baker:
         )
 
 
-def _with_digest(baked: BakedScene, digest: str) -> BakedScene:
-    scene = replace(baked.pose.scene, digest=digest)
-    return baked._replace(pose=replace(baked.pose, scene=scene))
+def _with_digest(baked_scene: BakedScene, digest: str) -> BakedScene:
+    scene = replace(baked_scene.pose.scene, digest=digest)
+    return baked_scene._replace(pose=replace(baked_scene.pose, scene=scene))
 
 
 def _find_changed_cells(old_grid: NavGrid, new_grid: NavGrid) -> tuple[list[Int], bool]:
@@ -217,7 +217,7 @@ def _find_changed_cells(old_grid: NavGrid, new_grid: NavGrid) -> tuple[list[Int]
     changed_cells = []
     for old_level, new_level in zip(old_grid.levels, new_grid.levels, strict=True):
         # Weights follow from the occupancy.
-        is_changed = old_level.attributes["occupancy"] != new_level.attributes["occupancy"]
+        is_changed_cell = old_level.attributes["occupancy"] != new_level.attributes["occupancy"]
         for layer_name, new_layer in new_level.attributes.items():
             old_layer = old_level.attributes[layer_name]
             if layer_name == "occupancy" or np.may_share_memory(old_layer, new_layer):
@@ -225,6 +225,6 @@ def _find_changed_cells(old_grid: NavGrid, new_grid: NavGrid) -> tuple[list[Int]
             is_layer_changed = old_layer != new_layer
             if new_layer.dtype.kind == "f":
                 is_layer_changed &= ~(np.isnan(old_layer) & np.isnan(new_layer))
-            is_changed |= is_layer_changed
-        changed_cells.append(np.flatnonzero(is_changed))
+            is_changed_cell |= is_layer_changed
+        changed_cells.append(np.flatnonzero(is_changed_cell))
     return changed_cells, False

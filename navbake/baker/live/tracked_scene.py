@@ -162,7 +162,7 @@ class TrackedScene:
         )
 
     def commit(self, scene: Scene, snapshot: PoseSnapshot) -> None:
-        """Make a scene the current one; `move` compares the next pose with it.
+        """Make a scene the current one; `find_change` compares the next pose with it.
 
         Args:
             scene: the scene of the last `SceneChange`; after a full bake, the scene that was baked.
@@ -175,13 +175,15 @@ class TrackedScene:
         # One assignment, so that another thread reads the last pose or this one.
         self.pose_arrays = _copy_pose(scene.data)
 
-    def move(
+    def find_change(
         self,
         data: mujoco.MjData | None,
         bodies: Mapping[str, ArrayLike] | None,
         joints: Mapping[str, float] | None,
     ) -> SceneChange:
-        """Find what the next pose changes. The current scene is replaced only by `commit`.
+        """Find the difference between the current pose and the next one.
+
+        The current scene is replaced only by `commit`.
 
         Args:
             data: the data whose joint positions and mocap bodies are the next pose; the current
@@ -213,29 +215,29 @@ class TrackedScene:
         self._check_finite(next_data)
         place_geoms(model, next_data)
         snapshot = self._take_snapshot(next_data)
-        is_moved = (snapshot.geom_poses != self._snapshot.geom_poses).any(axis=1)
-        if self._needs_new_roles(next_data, is_moved, snapshot):
+        is_moved_geom = (snapshot.geom_poses != self._snapshot.geom_poses).any(axis=1)
+        if self._needs_new_roles(next_data, is_moved_geom, snapshot):
             scene = load_scene(self._config, scene_model=self._scene_model._replace(data=next_data))
             is_changed_geom = find_changed_geoms(old_scene.shapes, scene.shapes)
             selections = zip(old_scene.selections, scene.selections, strict=True)
             is_changed_geom |= [
                 old_selection != new_selection for old_selection, new_selection in selections
             ]
-            leaves = self._reuse_leaves(scene.leaves, is_moved | is_changed_geom, snapshot)
+            leaves = self._reuse_leaves(scene.leaves, is_moved_geom | is_changed_geom, snapshot)
             scene = replace(scene, leaves=leaves)
             digest = scene.digest
             wait_for_digest: Callable[[], str] = lambda: digest  # noqa: E731
         else:
             wait_for_digest = start_hashing(model, next_data, old_scene.exact_meshes, self._names)
-            is_changed_geom = is_moved & (old_scene.roles != LEFT_OUT)
+            is_changed_geom = is_moved_geom & (old_scene.roles != LEFT_OUT)
             shapes = self._move_shapes(next_data, is_changed_geom)
             scene = replace(old_scene, shapes=shapes, digest="", data=next_data)
-            scene = self._update_leaves(scene, is_moved, snapshot)
+            scene = self._update_leaves(scene, is_moved_geom, snapshot)
         return SceneChange(
             scene=scene,
             is_changed_geom=is_changed_geom,
             full_bake_reason=self._find_full_bake_reason(
-                scene, is_changed_geom, is_moved, snapshot
+                scene, is_changed_geom, is_moved_geom, snapshot
             ),
             wait_for_digest=wait_for_digest,
             snapshot=snapshot,
@@ -262,7 +264,7 @@ class TrackedScene:
         return scene.shapes.with_replaced(moved_shapes, is_changed_geom)
 
     def _find_full_bake_reason(
-        self, scene: Scene, is_changed_geom: Bool, is_moved: Bool, snapshot: PoseSnapshot
+        self, scene: Scene, is_changed_geom: Bool, is_moved_geom: Bool, snapshot: PoseSnapshot
     ) -> str:
         """Return why the whole scene has to be baked again; empty if an update is enough.
 
@@ -271,14 +273,14 @@ class TrackedScene:
         Args:
             scene: the scene in the next pose.
             is_changed_geom: see `SceneChange`, (ngeom,).
-            is_moved: the geoms whose poses differ between the two poses, (ngeom,).
+            is_moved_geom: the geoms whose poses differ between the two poses, (ngeom,).
             snapshot: the values of the next pose.
         """
         old_scene = self.scene
-        is_changed = is_changed_geom & (old_scene.is_structure | scene.is_structure)
-        is_changed |= old_scene.is_structure != scene.is_structure
-        if is_changed.any():
-            geom = int(np.argmax(is_changed))
+        is_changed_structure = is_changed_geom & (old_scene.is_structure | scene.is_structure)
+        is_changed_structure |= old_scene.is_structure != scene.is_structure
+        if is_changed_structure.any():
+            geom = int(np.argmax(is_changed_structure))
             name = scene.geoms[geom].name
             roles = (old_scene.roles[geom], scene.roles[geom])
             role_text = "carries floor" if MOVING_STRUCTURE in roles else "stands"
@@ -288,7 +290,7 @@ class TrackedScene:
         marker_geom_ids = self._marker_geoms
         is_structure = scene.is_structure_body[scene.model.geom_bodyid[marker_geom_ids]]
         is_marker_changed = (
-            is_moved[marker_geom_ids][is_structure].any()
+            is_moved_geom[marker_geom_ids][is_structure].any()
             or snapshot.marker_geoms != self._snapshot.marker_geoms
             or not np.array_equal(snapshot.marker_sites, self._snapshot.marker_sites)
         )
@@ -298,21 +300,23 @@ class TrackedScene:
         """Return whether a user has changed the model so that joints move bodies differently."""
         return snapshot.joint_attributes != self._snapshot.joint_attributes
 
-    def _update_leaves(self, scene: Scene, is_moved: Bool, snapshot: PoseSnapshot) -> Scene:
+    def _update_leaves(self, scene: Scene, is_moved_geom: Bool, snapshot: PoseSnapshot) -> Scene:
         """Return the scene with the door candidates and the roles of the next pose.
 
         Candidates are only searched for if one may have changed.
 
         Args:
             scene: the scene in the next pose, with the candidates of the current one.
-            is_moved: the geoms whose poses differ between the two poses, (ngeom,).
+            is_moved_geom: the geoms whose poses differ between the two poses, (ngeom,).
             snapshot: the values of the next pose.
         """
-        may_be_leaf = self._is_jointed_geom | mark_candidate_geoms(len(is_moved), scene.leaves)
+        may_be_leaf_geom = self._is_jointed_geom | mark_candidate_geoms(
+            len(is_moved_geom), scene.leaves
+        )
         may_change = (
             not np.array_equal(snapshot.joint_positions, self._snapshot.joint_positions)
             or self._are_joints_changed(snapshot)
-            or (is_moved & may_be_leaf).any()
+            or (is_moved_geom & may_be_leaf_geom).any()
         )
         if not may_change:
             return scene
@@ -327,7 +331,7 @@ class TrackedScene:
             named_leaves=scene.named_leaves,
             settings=self._config.doors,
         )
-        leaves = self._reuse_leaves(leaves, is_moved, snapshot)
+        leaves = self._reuse_leaves(leaves, is_moved_geom, snapshot)
         roles = assign_roles(
             scene.model, is_counted, scene.is_movable_body, scene.is_structure_body, leaves
         )
@@ -356,7 +360,9 @@ class TrackedScene:
 
         return [old_leaves[leaf.id] if is_unchanged(leaf) else leaf for leaf in leaves]
 
-    def _needs_new_roles(self, data: mujoco.MjData, is_moved: Bool, snapshot: PoseSnapshot) -> bool:
+    def _needs_new_roles(
+        self, data: mujoco.MjData, is_moved_geom: Bool, snapshot: PoseSnapshot
+    ) -> bool:
         """Return whether different geoms may count, so that the scene has to be loaded again.
 
         This is so if a user has changed the model; or if something moved that may be a lift's car,
@@ -364,22 +370,22 @@ class TrackedScene:
         """
         if snapshot.geom_attributes != self._snapshot.geom_attributes:
             return True
-        may_change_car = (is_moved & self._is_sliding_geom).any() or self._are_joints_changed(
+        may_change_car = (is_moved_geom & self._is_sliding_geom).any() or self._are_joints_changed(
             snapshot
         )
         if self._finds_lifts and may_change_car:
             return True
-        if self._config.scene.exclude.movable and (is_moved & self._is_jointed_geom).any():
+        if self._config.scene.exclude.movable and (is_moved_geom & self._is_jointed_geom).any():
             return True
-        is_moved_mesh = is_moved & (self._model.geom_type == MESH)
+        is_moved_mesh = is_moved_geom & (self._model.geom_type == MESH)
         if not is_moved_mesh.any():
             return False
         agent = self._config.agent
         floors = self._config.floors
-        old_test = HullRoomTest(self._model, self.scene.data, self._meshes, agent, floors)
-        new_test = HullRoomTest(self._model, data, self._meshes, agent, floors)
+        old_hull_test = HullRoomTest(self._model, self.scene.data, self._meshes, agent, floors)
+        new_hull_test = HullRoomTest(self._model, data, self._meshes, agent, floors)
         return any(
-            old_test.is_large(geom) or new_test.is_large(geom)
+            old_hull_test.is_large(geom) or new_hull_test.is_large(geom)
             for geom in np.flatnonzero(is_moved_mesh).tolist()
         )
 
@@ -427,12 +433,12 @@ class TrackedScene:
     def _check_finite(self, data: mujoco.MjData) -> None:
         """Raise a QueryError if the pose of a body is not finite; the error names the body."""
         model = self._model
-        wrong_qpos = np.flatnonzero(~np.isfinite(data.qpos))
+        wrong_qpos_indices = np.flatnonzero(~np.isfinite(data.qpos))
         is_mocap_finite = np.isfinite(data.mocap_pos).all(axis=1)
         is_mocap_finite &= np.isfinite(data.mocap_quat).all(axis=1)
-        if not len(wrong_qpos) and is_mocap_finite.all():
+        if not len(wrong_qpos_indices) and is_mocap_finite.all():
             return
-        wrong_joints = np.searchsorted(model.jnt_qposadr, wrong_qpos, side="right") - 1
+        wrong_joints = np.searchsorted(model.jnt_qposadr, wrong_qpos_indices, side="right") - 1
         wrong_mocaps = np.flatnonzero(~is_mocap_finite)
         mocap_bodies = np.flatnonzero(np.isin(model.body_mocapid, wrong_mocaps))
         for body in (*model.jnt_bodyid[wrong_joints], *mocap_bodies):
@@ -463,23 +469,23 @@ def find_changed_geoms(old_shapes: Shapes, new_shapes: Shapes) -> Bool:
     Returns:
         A mask by geom id, shape (ngeom,), bool.
     """
-    is_changed = np.array(old_shapes.is_endless != new_shapes.is_endless)
-    _mark_changed_primitives(old_shapes.solids, new_shapes.solids, is_changed)
-    _mark_changed_primitives(old_shapes.planes, new_shapes.planes, is_changed)
-    old_meshes = _group_triangles_by_geom(old_shapes)
-    new_meshes = _group_triangles_by_geom(new_shapes)
-    for geom in old_meshes.keys() | new_meshes.keys():
-        old_pieces = old_meshes.get(geom, [])
-        new_pieces = new_meshes.get(geom, [])
-        is_changed[geom] |= len(old_pieces) != len(new_pieces)
+    is_changed_geom = np.array(old_shapes.is_endless != new_shapes.is_endless)
+    _mark_changed_primitives(old_shapes.solids, new_shapes.solids, is_changed_geom)
+    _mark_changed_primitives(old_shapes.planes, new_shapes.planes, is_changed_geom)
+    old_pieces_of_geom = _group_triangles_by_geom(old_shapes)
+    new_pieces_of_geom = _group_triangles_by_geom(new_shapes)
+    for geom in old_pieces_of_geom.keys() | new_pieces_of_geom.keys():
+        old_pieces = old_pieces_of_geom.get(geom, [])
+        new_pieces = new_pieces_of_geom.get(geom, [])
+        is_changed_geom[geom] |= len(old_pieces) != len(new_pieces)
         for old_piece, new_piece in zip(old_pieces, new_pieces, strict=False):
-            is_changed[geom] |= not (
+            is_changed_geom[geom] |= not (
                 np.array_equal(old_piece.vertices, new_piece.vertices)
                 and np.array_equal(old_piece.faces, new_piece.faces)
                 and np.array_equal(old_piece.part, new_piece.part)
                 and np.array_equal(old_piece.closed, new_piece.closed)
             )
-    return is_changed
+    return is_changed_geom
 
 
 def _group_triangles_by_geom(shapes: Shapes) -> dict[int, list[GeomTriangles]]:
@@ -491,30 +497,30 @@ def _group_triangles_by_geom(shapes: Shapes) -> dict[int, list[GeomTriangles]]:
 
 
 def _mark_changed_primitives(
-    old_primitives: Primitives, new_primitives: Primitives, is_changed: Bool
+    old_primitives: Primitives, new_primitives: Primitives, is_changed_geom: Bool
 ) -> None:
     """Mark the geoms whose solids or planes appeared, vanished or changed.
 
     Args:
         old_primitives: the solids or the planes of one scene.
         new_primitives: the solids or the planes of the other scene.
-        is_changed: becomes True for these geoms, (ngeom,).
+        is_changed_geom: becomes True for these geoms, (ngeom,).
     """
-    num_geoms = len(is_changed)
+    num_geoms = len(is_changed_geom)
     old_counts = np.bincount(old_primitives.geom, minlength=num_geoms)
     new_counts = np.bincount(new_primitives.geom, minlength=num_geoms)
     is_same_count: Bool = old_counts == new_counts
-    is_changed[~is_same_count] = True
-    is_compared_old = is_same_count[old_primitives.geom]
-    is_compared_new = is_same_count[new_primitives.geom]
-    geoms = new_primitives.geom[is_compared_new]
-    arrays: Iterable[tuple[NDArray[np.generic], NDArray[np.generic]]] = zip(
+    is_changed_geom[~is_same_count] = True
+    is_compared_in_old = is_same_count[old_primitives.geom]
+    is_compared_in_new = is_same_count[new_primitives.geom]
+    compared_geoms = new_primitives.geom[is_compared_in_new]
+    array_pairs: Iterable[tuple[NDArray[np.generic], NDArray[np.generic]]] = zip(
         old_primitives, new_primitives, strict=True
     )
-    for old_array, new_array in arrays:
-        is_unequal = old_array[is_compared_old] != new_array[is_compared_new]
+    for old_array, new_array in array_pairs:
+        is_unequal = old_array[is_compared_in_old] != new_array[is_compared_in_new]
         is_unequal_row = is_unequal.any(axis=tuple(range(1, is_unequal.ndim)))
-        is_changed[geoms[is_unequal_row]] = True
+        is_changed_geom[compared_geoms[is_unequal_row]] = True
 
 
 def _to_numbers(numbers: ArrayLike, subject: str) -> Float:

@@ -61,11 +61,13 @@ class BakedScene(NamedTuple):
     movable_inputs: MovableSearchInputs
 
 
-def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfig) -> BakedScene:
+def update_baked_scene(
+    baked_scene: BakedScene, change: SceneChange, config: BakeConfig
+) -> BakedScene:
     """Return the values of a bake for the next pose, recomputed only near things that moved.
 
     Args:
-        baked: the values of the last bake or update.
+        baked_scene: the values of the last bake or update.
         change: what the next pose changes.
         config: all settings.
 
@@ -75,37 +77,37 @@ def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfi
     Raises:
         FullBakeRequired: structure has changed, or the lattice, or the cells that a leaf closes.
     """
-    structure = baked.structure
-    old_pose = baked.pose
+    structure = baked_scene.structure
+    old_pose = baked_scene.pose
     scene = change.scene
     if change.full_bake_reason:
         raise FullBakeRequired(change.full_bake_reason)
     if fit_lattice(scene, config) != structure.lattice:
         raise FullBakeRequired("the grid is another one: the box round the scene has changed")
-    leaves = _update_leaves(baked, scene)
+    leaves = _update_leaves(baked_scene, scene)
     is_obstacle_geom = mark_obstacle_geoms(scene, leaves, config)
-    is_changed = change.is_changed_geom & (old_pose.is_obstacle_geom | is_obstacle_geom)
-    is_changed |= old_pose.is_obstacle_geom ^ is_obstacle_geom
-    boxes = np.concatenate(
+    is_changed_geom = change.is_changed_geom & (old_pose.is_obstacle_geom | is_obstacle_geom)
+    is_changed_geom |= old_pose.is_obstacle_geom ^ is_obstacle_geom
+    changed_boxes = np.concatenate(
         [
-            _select_boxes(old_pose.scene, is_changed & old_pose.is_obstacle_geom),
-            _select_boxes(scene, is_changed & is_obstacle_geom),
+            _select_boxes(old_pose.scene, is_changed_geom & old_pose.is_obstacle_geom),
+            _select_boxes(scene, is_changed_geom & is_obstacle_geom),
         ]
     )
     pose = replace(old_pose, scene=scene, leaves=leaves, is_obstacle_geom=is_obstacle_geom)
-    with limit_threads(1 if len(boxes) < MIN_BOXES_FOR_THREADS else None):
-        if is_changed.any():
+    with limit_threads(1 if len(changed_boxes) < MIN_BOXES_FOR_THREADS else None):
+        if is_changed_geom.any():
             occupants = update_movable_occupants(
                 old_pose.occupants,
-                baked.movable_inputs,
+                baked_scene.movable_inputs,
                 shapes=scene.shapes,
                 is_obstacle_geom=is_obstacle_geom,
-                boxes=boxes,
+                boxes=changed_boxes,
             )
-            lost_floors = _update_lost_floors(pose, structure, is_changed, config)
-            pose = replace(pose, occupants=occupants, lost_floors=lost_floors)
+            lost_floor_areas = _update_lost_floors(pose, structure, is_changed_geom, config)
+            pose = replace(pose, occupants=occupants, lost_floor_areas=lost_floor_areas)
         if leaves is not old_pose.leaves or pose.occupants is not old_pose.occupants:
-            pose = _update_grid_doors(pose, baked, config)
+            pose = _update_grid_doors(pose, baked_scene, config)
     if config.areas:
         areas = paint_areas(
             scene, structure.lattice, structure.floors.levels, structure.rooms, config
@@ -123,7 +125,7 @@ def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfi
             config=config,
         )
         pose = replace(pose, links=links)
-    return baked._replace(pose=pose)
+    return baked_scene._replace(pose=pose)
 
 
 def _select_boxes(scene: Scene, is_selected_geom: Bool) -> Float:
@@ -132,11 +134,11 @@ def _select_boxes(scene: Scene, is_selected_geom: Bool) -> Float:
     return boxes
 
 
-def _update_leaves(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
+def _update_leaves(baked_scene: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
     """Bring the leaves up to date: pose again those that changed.
 
     Args:
-        baked: the values of the last bake or update.
+        baked_scene: the values of the last bake or update.
         scene: the scene in the next pose.
 
     Returns:
@@ -145,7 +147,7 @@ def _update_leaves(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
     Raises:
         FullBakeRequired: a closed leaf blocks different cells than before, so rooms may change.
     """
-    old_leaves = baked.pose.leaves
+    old_leaves = baked_scene.pose.leaves
     leaf_of_candidate = {leaf.candidate: leaf for leaf in old_leaves}
     # Unchanged candidates are the same objects as before.
     changed_candidates = [
@@ -153,22 +155,22 @@ def _update_leaves(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
     ]
     if not changed_candidates:
         return old_leaves
-    lattice = baked.structure.lattice
-    footprint = baked.movable_inputs.footprint
+    lattice = baked_scene.structure.lattice
+    footprint = baked_scene.movable_inputs.footprint
     posed_leaves = pose_leaves(scene, changed_candidates, lattice, footprint.half_width)
-    levels = baked.structure.floors.levels
+    levels = baked_scene.structure.floors.levels
     old_leaf_of_id = {leaf.candidate.id: leaf for leaf in old_leaves}
     for leaf_cells in find_blocked_cells(posed_leaves, levels, footprint, lattice):
         candidate = leaf_cells.leaf.candidate
         old_leaf = old_leaf_of_id.get(candidate.id)
         if old_leaf is None or not closes_same_cells(leaf_cells, old_leaf):
             raise FullBakeRequired(f"the leaf {candidate.id!r} closes other cells")
-        leaf_of_candidate[candidate] = move_leaf(leaf_cells, old_leaf, baked.door_inputs)
+        leaf_of_candidate[candidate] = move_leaf(leaf_cells, old_leaf, baked_scene.door_inputs)
     return [leaf_of_candidate[candidate] for candidate in scene.leaves]
 
 
 def _update_lost_floors(
-    pose: BakedPose, structure: BakedStructure, is_changed: Bool, config: BakeConfig
+    pose: BakedPose, structure: BakedStructure, is_changed_geom: Bool, config: BakeConfig
 ) -> dict[int, float]:
     """Measure again how much floor each movable body would carry if it could not move.
 
@@ -177,17 +179,17 @@ def _update_lost_floors(
     Args:
         pose: the values of the next pose, with the areas of the last one.
         structure: all that follows from structure.
-        is_changed: the geoms that have changed, (ngeom,).
+        is_changed_geom: the geoms that have changed, (ngeom,).
         config: all settings.
 
     Returns:
-        Id of the body -> the area [m²], see `BakedPose.lost_floors`.
+        Id of the body -> the area [m²], see `BakedPose.lost_floor_areas`.
     """
     scene = pose.scene
     mover_of_geom = scene.mover_of_geom
     is_changed_body = np.zeros(len(scene.is_structure_body), dtype=np.bool_)
-    is_changed_body[mover_of_geom[is_changed]] = True
-    changed_areas = find_lost_floors(
+    is_changed_body[mover_of_geom[is_changed_geom]] = True
+    changed_lost_areas = find_lost_floors(
         scene.shapes,
         pose.is_obstacle_geom & is_changed_body[mover_of_geom],
         mover_of_geom=mover_of_geom,
@@ -195,19 +197,21 @@ def _update_lost_floors(
         lattice=structure.lattice,
         agent=config.agent,
     )
-    areas = {body: area for body, area in pose.lost_floors.items() if not is_changed_body[body]}
-    areas |= changed_areas
-    return dict(sorted(areas.items()))
+    lost_areas = {
+        body: area for body, area in pose.lost_floor_areas.items() if not is_changed_body[body]
+    }
+    lost_areas |= changed_lost_areas
+    return dict(sorted(lost_areas.items()))
 
 
-def _update_grid_doors(pose: BakedPose, baked: BakedScene, config: BakeConfig) -> BakedPose:
+def _update_grid_doors(pose: BakedPose, baked_scene: BakedScene, config: BakeConfig) -> BakedPose:
     """Bring the doors of the grid up to date.
 
     A door is made again if it moved, or if the occupancy of a cell that it blocks changed.
 
     Args:
         pose: the values of the next pose, with the doors of the last one.
-        baked: the values of the last bake or update.
+        baked_scene: the values of the last bake or update.
         config: all settings.
 
     Returns:
@@ -216,7 +220,7 @@ def _update_grid_doors(pose: BakedPose, baked: BakedScene, config: BakeConfig) -
     door_leaves = pose.door_leaves
     if not door_leaves:
         return replace(pose, grid_doors=[])
-    old_pose = baked.pose
+    old_pose = baked_scene.pose
     changed_cells = _mark_changed_cells(pose.occupants.blocked, old_pose.occupants.blocked)
     changed_squares = _mark_changed_cells(
         pose.occupants.blocked_squares or [], old_pose.occupants.blocked_squares or []
@@ -230,7 +234,7 @@ def _update_grid_doors(pose: BakedPose, baked: BakedScene, config: BakeConfig) -
             or _blocks_any_cell(leaf.blocked, changed_cells)
             or _blocks_any_cell(leaf.blocked_squares, changed_squares)
         ):
-            grid_door = make_grid_door(leaf, baked.structure, pose.occupants, config)
+            grid_door = make_grid_door(leaf, baked_scene.structure, pose.occupants, config)
         grid_doors.append(grid_door)
     return replace(pose, grid_doors=grid_doors)
 
@@ -243,15 +247,17 @@ def _mark_changed_cells(new_layers: Sequence[Bool], old_layers: Sequence[Bool]) 
     ]
 
 
-def _blocks_any_cell(blocked: Mapping[str, Sequence[Int]], level_masks: Sequence[Bool]) -> bool:
+def _blocks_any_cell(
+    blocked_cells: Mapping[str, Sequence[Int]], level_masks: Sequence[Bool]
+) -> bool:
     """Return whether a leaf blocks any marked cell, in any of its states.
 
     Args:
-        blocked: state -> for each level, the cells that the leaf blocks.
+        blocked_cells: state -> for each level, the cells that the leaf blocks.
         level_masks: for each level, a flat mask of cells; or an empty list, which marks none.
     """
-    for cells_of_levels in blocked.values():
-        for mask, cells in zip(level_masks, cells_of_levels, strict=False):
-            if mask[cells].any():
+    for cells_of_levels in blocked_cells.values():
+        for is_marked, cells in zip(level_masks, cells_of_levels, strict=False):
+            if is_marked[cells].any():
                 return True
     return False

@@ -162,7 +162,7 @@ def count_lost(levels, occupied, windows, heights):
 def test_lost_cells_are_counted_right(scene):
     found = find_level_boxes(*scene, LATTICE, None, 1.14)
     heights = [(low[1], high[1]) for low, high in found.boxes]
-    assert count_lost(*scene, found.windows, heights) == found.num_misplaced
+    assert count_lost(*scene, found.windows, heights) == found.num_misplaced_cells
     for (_, cols), (low, high) in zip(found.windows, found.boxes, strict=True):
         assert (low[0], high[0]) == (cols.start, cols.stop) and low[1] <= high[1]
 
@@ -175,7 +175,7 @@ def test_of_two_levels_no_other_boxes_lose_fewer(scene):
     every = np.unique(np.concatenate([level.floor.ravel() for level in scene[0]]))
     tops = [low0, *every[~np.isnan(every)].astype(np.float32).astype(float)]
     fewest = min(count_lost(*scene, found.windows, [(low0, top), (low1, high1)]) for top in tops)
-    assert found.num_misplaced == fewest
+    assert found.num_misplaced_cells == fewest
 
 
 @given(floors(most_levels=4))
@@ -214,7 +214,7 @@ def test_cells_that_a_lower_box_loses_count_no_more():
     """The second level keeps its cell at 0.95: the third one's two at 0.9 are the first one's."""
     lower, middle = [0, 1, 1, 1, 1, NONE], [0.7, NONE, NONE, NONE, NONE, 0.95]
     _, found = levels_of(lower, middle, [2, 0.9, 0.9, 2, 2, 2])
-    assert (found.num_misplaced, found.misplaced_levels) == (3, [1, 2])
+    assert (found.num_misplaced_cells, found.misplaced_levels) == (3, [1, 2])
 
 
 def test_the_lowest_box_begins_below_its_ground():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from navbake.baker.bake.pipeline import run_bake
-from navbake.baker.bake.warnings import SAMPLED_ROWS
+from navbake.baker.bake.warnings import ROW_SAMPLING_STEP
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
@@ -458,5 +458,5 @@ def test_a_pit_as_deep_as_the_endless_ground_shows_it(tmp_path):
     result = run_bake(parse_config({"scene": {"path": str(path)}}))
     floors = [level.floor for level in result.grid.levels]
     assert min(np.nanmin(floor) for floor in floors) == 0.0
-    assert min(np.nanmin(floor[::SAMPLED_ROWS]) for floor in floors) > 0.25
+    assert min(np.nanmin(floor[::ROW_SAMPLING_STEP]) for floor in floors) > 0.25
     assert not any("endless" in warning for warning in result.warnings)
