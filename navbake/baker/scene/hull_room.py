@@ -166,11 +166,11 @@ class HullRoomTest:
 def _measure_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[float]]:
     """Measure the bounding box of each geom along x, y and z [m]; 0 if its pose isn't finite."""
     rotations = data.geom_xmat.reshape(-1, 3, 3)
+    is_finite = np.isfinite(rotations).all(axis=(1, 2), keepdims=True)
     half_sizes = model.geom_aabb[:, 3:, np.newaxis]
-    box_sizes: Float = (2.0 * np.abs(rotations) @ half_sizes)[:, :, 0]
-    box_sizes[~np.isfinite(rotations).all(axis=(1, 2))] = 0.0
+    box_sizes = 2.0 * np.abs(np.where(is_finite, rotations, 0.0)) @ half_sizes
     # Floats of Python, as NumPy's would warn of an area beyond all floats.
-    box_size_lists: list[list[float]] = box_sizes.tolist()
+    box_size_lists: list[list[float]] = box_sizes[:, :, 0].tolist()
     return box_size_lists
 
 
