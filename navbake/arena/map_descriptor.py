@@ -92,15 +92,15 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA_SHAPE) -> tuple[
     Raises:
         FormatError: A string is not hexadecimal, too short or too long, or its padding is wrong.
     """
-    rows, cols = check_shape(shape)
+    num_rows, num_cols = check_shape(shape)
     bits, num_digits = _from_hex(part1, "part 1")
-    num_bits = rows * cols + 4
+    num_bits = num_rows * num_cols + 4
     expected_digits = 2 * -(-num_bits // 8)
     if num_digits != expected_digits:
         raise _make_part_error(
             "part 1",
             part1,
-            expected=f"{expected_digits} digits in part 1 for {rows} × {cols} squares",
+            expected=f"{expected_digits} digits in part 1 for {num_rows} × {num_cols} squares",
             actual=f"{num_digits}",
         )
     for name, bit_pair in (("first", bits[:2]), ("last", bits[num_bits - 2 : num_bits])):
@@ -115,8 +115,8 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA_SHAPE) -> tuple[
         raise _make_part_error(
             "part 1", part1, expected="0s after the closing 11 of part 1", actual="others"
         )
-    explored = bits[2 : num_bits - 2].astype(np.bool_)
-    num_explored = int(explored.sum())
+    is_explored = bits[2 : num_bits - 2].astype(np.bool_)
+    num_explored = int(is_explored.sum())
     obstacle_bits, num_digits = _from_hex(part2, "part 2")
     min_digits = -(-num_explored // 4)
     full_digits = 2 * -(-num_explored // 8)  # up to a full byte
@@ -139,9 +139,13 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA_SHAPE) -> tuple[
             expected=f"0s after the {num_explored} bits of part 2",
             actual="more: it is longer than the squares that part 1 has explored",
         )
-    obstacles = np.zeros(rows * cols, dtype=np.bool_)
-    obstacles[explored] = obstacle_bits[:num_explored]
-    return explored.reshape(rows, cols)[::-1].copy(), obstacles.reshape(rows, cols)[::-1].copy()
+    is_obstacle = np.zeros(num_rows * num_cols, dtype=np.bool_)
+    is_obstacle[is_explored] = obstacle_bits[:num_explored]
+    # the format goes from the bottom row up, arrays from the top row down
+    return (
+        is_explored.reshape(num_rows, num_cols)[::-1].copy(),
+        is_obstacle.reshape(num_rows, num_cols)[::-1].copy(),
+    )
 
 
 def _make_part_error(key: str, value: object, *, expected: str, actual: str) -> FormatError:
@@ -162,8 +166,8 @@ def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
     """
     is_explored = _as_flags(explored, "explored")
     is_obstacle = _as_flags(obstacles, "obstacles")
-    marks = np.where(is_explored, np.where(is_obstacle, OBSTACLE, FREE), UNEXPLORED)
-    return "\n".join("".join(row) for row in marks)
+    square_marks = np.where(is_explored, np.where(is_obstacle, OBSTACLE, FREE), UNEXPLORED)
+    return "\n".join("".join(row) for row in square_marks)
 
 
 def _as_flags(array: ArrayLike, name: str) -> Bool:
@@ -189,20 +193,23 @@ def check_shape(shape: Sequence[int]) -> tuple[int, int]:
     Raises:
         FormatError: The shape is not two whole numbers >= 1, or has more than 100,000,000 squares.
     """
-    sizes = list(shape) if np.iterable(shape) else [shape]
-    if len(sizes) != 2 or not all(
-        isinstance(size, int | np.integer) and size >= 1 for size in sizes
+    shape_sizes = list(shape) if np.iterable(shape) else [shape]
+    if len(shape_sizes) != 2 or not all(
+        isinstance(size, int | np.integer) and size >= 1 for size in shape_sizes
     ):
         raise _make_part_error(
-            "shape", shape, expected="a shape (rows, cols), each >= 1", actual=f"{sizes}"
+            "shape", shape, expected="a shape (rows, cols), each >= 1", actual=f"{shape_sizes}"
         )
-    rows = int(sizes[0])
-    cols = int(sizes[1])
-    if rows * cols > MAX_SQUARES:
+    num_rows = int(shape_sizes[0])
+    num_cols = int(shape_sizes[1])
+    if num_rows * num_cols > MAX_SQUARES:
         raise _make_part_error(
-            "shape", shape, expected=f"at most {MAX_SQUARES} squares", actual=f"{rows} × {cols}"
+            "shape",
+            shape,
+            expected=f"at most {MAX_SQUARES} squares",
+            actual=f"{num_rows} × {num_cols}",
         )
-    return rows, cols
+    return num_rows, num_cols
 
 
 def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
@@ -220,8 +227,8 @@ def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
         raise _make_part_error(
             name, text, expected=f"hexadecimal digits in {name}", actual=f"{unexpected_text[0]!r}"
         )
-    content = bytes.fromhex(digits + "0" * (len(digits) % 2))
-    return np.unpackbits(np.frombuffer(content, dtype=np.uint8)), len(digits)
+    hex_bytes = bytes.fromhex(digits + "0" * (len(digits) % 2))
+    return np.unpackbits(np.frombuffer(hex_bytes, dtype=np.uint8)), len(digits)
 
 
 def _make_argument_error(key: str, value: object, *, expected: str, actual: str) -> QueryError:
@@ -282,44 +289,44 @@ def place_squares(
     """
     level_bounds = level.lattice.bounds
     x_low, y_low, x_high, y_high = level_bounds
-    left_side, bottom = check_squares(square, (x_low, y_low) if corner is None else corner).tolist()
+    left_x, bottom_y = check_squares(square, (x_low, y_low) if corner is None else corner).tolist()
     if shape is None:
-        if not (left_side < x_high and bottom < y_high):
+        if not (left_x < x_high and bottom_y < y_high):
             raise QueryError(
-                f"the corner ({left_side:g}, {bottom:g}) leaves nothing of the level, which ends "
+                f"the corner ({left_x:g}, {bottom_y:g}) leaves nothing of the level, which ends "
                 f"at ({x_high:g}, {y_high:g})",
                 key="corner",
-                value=(left_side, bottom),
+                value=(left_x, bottom_y),
             )
-        if max(x_high - left_side, y_high - bottom) > MAX_SQUARES * square:
+        if max(x_high - left_x, y_high - bottom_y) > MAX_SQUARES * square:
             raise QueryError(
                 f"expected larger squares: the level has over {MAX_SQUARES} of {square:g} m",
                 key="square",
                 value=square,
                 expected="larger squares",
             )
-        shape = (count_cells(y_high - bottom, square), count_cells(x_high - left_side, square))
-    rows, cols = shape
-    if rows < 1 or cols < 1:
+        shape = (count_cells(y_high - bottom_y, square), count_cells(x_high - left_x, square))
+    num_rows, num_cols = shape
+    if num_rows < 1 or num_cols < 1:
         raise _make_argument_error(
-            "shape", shape, expected="rows and columns >= 1", actual=f"{rows} and {cols}"
+            "shape", shape, expected="rows and columns >= 1", actual=f"{num_rows} and {num_cols}"
         )
-    if rows * cols > MAX_SQUARES:
+    if num_rows * num_cols > MAX_SQUARES:
         hint = "take larger squares, or a part of the level"
         raise _make_argument_error(
             "shape",
             shape,
             expected=f"at most {MAX_SQUARES} squares",
-            actual=f"{rows} × {cols} of {square:g} m: {hint}",
+            actual=f"{num_rows} × {num_cols} of {square:g} m: {hint}",
         )
-    squares = Lattice(left_side, bottom + rows * square, square, cols, rows)
-    left_side, bottom, right_side, top = squares.bounds
-    if left_side >= x_high or bottom >= y_high or right_side <= x_low or top <= y_low:
+    squares = Lattice(left_x, bottom_y + num_rows * square, square, num_cols, num_rows)
+    left_x, bottom_y, right_x, top_y = squares.bounds
+    if left_x >= x_high or bottom_y >= y_high or right_x <= x_low or top_y <= y_low:
         raise QueryError(
             f"the arena, {_format_bounds(squares.bounds)} m, lies beside the level: it spans "
             f"{_format_bounds(level_bounds)} m",
             key="corner",
-            value=(left_side, bottom),
+            value=(left_x, bottom_y),
         )
     return squares
 
@@ -350,30 +357,43 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
         is_occupied.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0))
     )
 
-    def cell_ranges(offset: float, num_squares: int, num_cells: int) -> tuple[Int, Int]:
+    def find_cell_ranges(
+        first_edge_distance: float, num_squares: int, num_level_cells: int
+    ) -> tuple[Int, Int]:
         """Return the range of rows, or of columns, that each row or column of squares overlaps.
 
         Args:
-            offset: the distance from the level's first row or column to that of the squares [m].
+            first_edge_distance: the distance from the level's upper or left edge to that of the
+                squares [m].
             num_squares: the number of rows or columns of squares.
-            num_cells: the number of rows or columns of the level.
+            num_level_cells: the number of rows or columns of the level.
 
         Returns:
             The first index of each range and its end, exclusive: indices into `is_occupied`, which
             has one more cell around the level. Shape (num_squares,) each.
         """
-        edges = (offset + np.arange(num_squares + 1) * squares.cell_size) / lattice.cell_size
-        start = np.floor(edges[:-1] + CELL_SLACK).astype(np.int64) + 1
-        end = np.ceil(edges[1:] - CELL_SLACK).astype(np.int64) + 1
-        start = np.clip(start, 0, num_cells + 1)
-        return start, np.clip(np.maximum(end, start + 1), 1, num_cells + 2)
+        edge_positions = (
+            first_edge_distance + np.arange(num_squares + 1) * squares.cell_size
+        ) / lattice.cell_size
+        start_index = np.floor(edge_positions[:-1] + CELL_SLACK).astype(np.int64) + 1
+        end_index = np.ceil(edge_positions[1:] - CELL_SLACK).astype(np.int64) + 1
+        start_index = np.clip(start_index, 0, num_level_cells + 1)
+        return start_index, np.clip(np.maximum(end_index, start_index + 1), 1, num_level_cells + 2)
 
-    rows, end_rows = cell_ranges(lattice.y_max - squares.y_max, squares.height, lattice.height)
-    cols, end_cols = cell_ranges(squares.x_min - lattice.x_min, squares.width, lattice.width)
-    rows = rows[:, None]
+    start_rows, end_rows = find_cell_ranges(
+        lattice.y_max - squares.y_max, squares.height, lattice.height
+    )
+    start_cols, end_cols = find_cell_ranges(
+        squares.x_min - lattice.x_min, squares.width, lattice.width
+    )
+    start_rows = start_rows[:, None]
     end_rows = end_rows[:, None]
-    num_occupied: Int = summed_occupied[end_rows, end_cols] - summed_occupied[rows, end_cols]
-    num_occupied = num_occupied - summed_occupied[end_rows, cols] + summed_occupied[rows, cols]
+    num_occupied: Int = summed_occupied[end_rows, end_cols] - summed_occupied[start_rows, end_cols]
+    num_occupied = (
+        num_occupied
+        - summed_occupied[end_rows, start_cols]
+        + summed_occupied[start_rows, start_cols]
+    )
     return num_occupied > 0
 
 
@@ -413,11 +433,11 @@ class ExploredMap:
             FormatError: The shape is not valid.
             QueryError: A number is wrong.
         """
-        rows, cols = check_shape(shape)
+        num_rows, num_cols = check_shape(shape)
         x_min, y_min = check_squares(square, corner).tolist()
-        self.lattice = Lattice(x_min, y_min + rows * square, square, cols, rows)
-        self.explored = np.zeros((rows, cols), dtype=np.bool_)
-        self.obstacles = np.zeros((rows, cols), dtype=np.bool_)
+        self.lattice = Lattice(x_min, y_min + num_rows * square, square, num_cols, num_rows)
+        self.explored = np.zeros((num_rows, num_cols), dtype=np.bool_)
+        self.obstacles = np.zeros((num_rows, num_cols), dtype=np.bool_)
 
     @classmethod
     def from_descriptor(
@@ -481,30 +501,32 @@ class ExploredMap:
             QueryError: The position is outside the arena, or a number is wrong.
         """
         self._square_at(x, y)
-        directions = _check_rays(angles, max_range)
-        lengths = _as_numbers(ranges, "ranges [m]")
-        if directions.shape != lengths.shape:
+        ray_angles = _check_rays(angles, max_range)
+        ray_lengths = _as_numbers(ranges, "ranges [m]")
+        if ray_angles.shape != ray_lengths.shape:
             raise _make_argument_error(
                 "ranges",
                 ranges,
                 expected="as many angles as ranges",
-                actual=f"{len(directions)} and {len(lengths)}",
+                actual=f"{len(ray_angles)} and {len(ray_lengths)}",
             )
-        if (lengths < 0).any():
+        if (ray_lengths < 0).any():
             raise _make_argument_error(
-                "ranges", ranges, expected="ranges >= 0 m", actual=f"{np.nanmin(lengths):g}"
+                "ranges", ranges, expected="ranges >= 0 m", actual=f"{np.nanmin(ray_lengths):g}"
             )
         is_passed = np.zeros_like(self.explored)
         is_hit = np.zeros_like(self.explored)
-        is_measured = ~np.isnan(lengths)
-        for angle, ray_length in zip(directions[is_measured], lengths[is_measured], strict=True):
+        is_measured = ~np.isnan(ray_lengths)
+        for angle, ray_length in zip(
+            ray_angles[is_measured], ray_lengths[is_measured], strict=True
+        ):
             ends_at_obstacle = ray_length < max_range
             rows, cols, distances = self._trace(
                 x, y, angle, min(ray_length, max_range), ends_at_obstacle
             )
-            is_end = ends_at_obstacle & (distances >= ray_length - END_SLACK)
-            is_passed[rows[~is_end], cols[~is_end]] = True
-            is_hit[rows[is_end], cols[is_end]] = True
+            is_ray_end = ends_at_obstacle & (distances >= ray_length - END_SLACK)
+            is_passed[rows[~is_ray_end], cols[~is_ray_end]] = True
+            is_hit[rows[is_ray_end], cols[is_ray_end]] = True
         self.explored |= is_passed | is_hit
         self.obstacles[is_passed] = False
         self.obstacles[is_hit] = True
@@ -537,12 +559,12 @@ class ExploredMap:
                 actual=f"{is_obstacle.shape}",
             )
         self._square_at(x, y)
-        directions = _check_rays(angles, max_range)
-        ranges = np.full(len(directions), np.inf)
-        for i, angle in enumerate(directions):
+        ray_angles = _check_rays(angles, max_range)
+        ranges = np.full(len(ray_angles), np.inf)
+        for i, angle in enumerate(ray_angles):
             rows, cols, distances = self._trace(x, y, angle, max_range, False)
             ranges[i] = min(distances[is_obstacle[rows, cols]], default=np.inf)
-        self.observe(x, y, directions, ranges, max_range)
+        self.observe(x, y, ray_angles, ranges, max_range)
         return ranges
 
     def descriptor(self) -> tuple[str, str]:
@@ -567,7 +589,7 @@ class ExploredMap:
         )
 
     def _trace(
-        self, x: float, y: float, angle: float, length: float, includes_end: bool
+        self, x: float, y: float, angle: float, ray_length: float, includes_end: bool
     ) -> tuple[Int, Int, Float]:
         """Trace a ray through the squares.
 
@@ -575,7 +597,7 @@ class ExploredMap:
             x: World x of the ray's start [m].
             y: World y of the ray's start [m].
             angle: Direction of the ray [rad].
-            length: Length of the ray [m].
+            ray_length: Length of the ray [m].
             includes_end: Whether the last square must be the one that contains the ray's end, or
                 begins there; its distance is then the ray's length or more.
 
@@ -588,40 +610,41 @@ class ExploredMap:
         # in squares from here on, along columns and rows; rows run against y
         start_position = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / square_size
         direction = np.array([np.cos(angle), -np.sin(angle)])
-        ray_end = (length + (2 * END_SLACK if includes_end else 0.0)) / square_size
-        crossings = [np.array([0.0, ray_end])]  # of the ray and the sides of squares, along the ray
-        for coordinate, component, num_sides in zip(
+        length_in_squares = (ray_length + (2 * END_SLACK if includes_end else 0.0)) / square_size
+        # distances along the ray at which it crosses the sides of squares
+        crossing_lists = [np.array([0.0, length_in_squares])]
+        for coordinate, component, num_squares_along in zip(
             start_position, direction, num_squares, strict=True
         ):
             if abs(component) > PARALLEL_TOLERANCE:
                 # sides in the arena only: a ray that leaves it never returns
-                low_side, high_side = np.sort([coordinate, coordinate + component * ray_end]).clip(
-                    -1.0, num_sides + 1.0
-                )
-                sides = np.arange(np.ceil(low_side), np.floor(high_side) + 1)
-                crossings.append((sides - coordinate) / component)
-        crossing_distances = np.unique(np.concatenate(crossings).clip(0.0, ray_end))
+                low_side, high_side = np.sort(
+                    [coordinate, coordinate + component * length_in_squares]
+                ).clip(-1.0, num_squares_along + 1.0)
+                side_coordinates = np.arange(np.ceil(low_side), np.floor(high_side) + 1)
+                crossing_lists.append((side_coordinates - coordinate) / component)
+        crossing_distances = np.unique(np.concatenate(crossing_lists).clip(0.0, length_in_squares))
         crossing_distances = crossing_distances[
             np.append(True, np.diff(crossing_distances) > END_SLACK / square_size / 2)
         ]
         distances = crossing_distances[:-1] * square_size
         # a piece between two crossings lies in the square of its middle
         middle_distances = (crossing_distances[:-1] + crossing_distances[1:]) / 2
-        positions = (start_position[:, None] + direction[:, None] * middle_distances).clip(
+        middle_positions = (start_position[:, None] + direction[:, None] * middle_distances).clip(
             -1.0, 2.0**31
         )
-        cols, rows = np.floor(positions).astype(np.int64)
+        cols, rows = np.floor(middle_positions).astype(np.int64)
         if includes_end and len(distances):
             is_last = (rows == rows[-1]) & (cols == cols[-1])
-            distances = np.where(is_last, np.maximum(distances, length), distances)
+            distances = np.where(is_last, np.maximum(distances, ray_length), distances)
         is_inside = self.lattice.holds(rows, cols)
         return rows[is_inside], cols[is_inside], distances[is_inside]
 
 
 def _check_rays(angles: ArrayLike, max_range: float) -> Float:
-    """Check directions [rad] and range [m] of sensors; return the directions, shape (n,)."""
-    directions = _as_numbers(angles, "angles [rad]")
-    if not np.isfinite(directions).all():
+    """Check the angles [rad] and the range [m] of sensors; return the angles, shape (n,)."""
+    ray_angles = _as_numbers(angles, "angles [rad]")
+    if not np.isfinite(ray_angles).all():
         raise _make_argument_error(
             "angles", angles, expected="finite angles [rad]", actual="others"
         )
@@ -629,7 +652,7 @@ def _check_rays(angles: ArrayLike, max_range: float) -> Float:
         raise _make_argument_error(
             "max_range", max_range, expected="a finite `max_range` > 0 m", actual=f"{max_range:g}"
         )
-    return directions
+    return ray_angles
 
 
 def _as_numbers(array: ArrayLike, name: str) -> Float:

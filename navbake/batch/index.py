@@ -64,22 +64,22 @@ def lock_batch(folder: Path, batch_slice: Slice | None = None) -> Iterator[None]
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
     index_name = INDEX_NAME if batch_slice is None else batch_slice.index_name
-    for name_in_folder in (LOCK_NAME, index_name, TABLE_NAME):
-        store.check_inside(folder, folder / name_in_folder)
-    slice_locks: list[str] = []  # names of the files
-    with ExitStack() as stack:
+    for file_name in (LOCK_NAME, index_name, TABLE_NAME):
+        store.check_inside(folder, folder / file_name)
+    slice_lock_names: list[str] = []  # names of the files
+    with ExitStack() as exit_stack:
 
         def acquire_lock(lock_name: str) -> filelock.BaseFileLock:
             lock = filelock.FileLock(folder / lock_name, timeout=LOCK_TIMEOUT if batch_slice else 0)
-            return stack.enter_context(lock.acquire())
+            return exit_stack.enter_context(lock.acquire())
 
         try:
             folder.mkdir(parents=True, exist_ok=True)
             batch_lock = acquire_lock(LOCK_NAME)
             if batch_slice is None:
-                slice_locks = [*filter(SLICE_LOCK_PATTERN.fullmatch, os.listdir(folder))]
-                for name_in_folder in slice_locks:
-                    acquire_lock(name_in_folder)
+                slice_lock_names = [*filter(SLICE_LOCK_PATTERN.fullmatch, os.listdir(folder))]
+                for file_name in slice_lock_names:
+                    acquire_lock(file_name)
             else:
                 acquire_lock(f".navbake-batch-{batch_slice.number}-of-{batch_slice.total}.lock")
                 batch_lock.release()
@@ -92,7 +92,7 @@ def lock_batch(folder: Path, batch_slice: Slice | None = None) -> Iterator[None]
         except OSError as error:
             raise store.make_write_error(f"into {folder}", error) from error
         yield
-        store.remove_files(folder, slice_locks)
+        store.remove_files(folder, slice_lock_names)
 
 
 class LineFile:
@@ -124,12 +124,14 @@ class LineFile:
             raise store.make_write_error(destination, error) from error
 
     def add(self, line: Mapping[str, Any]) -> None:
+        """Append a JSON object as a line; raise a NavbakeError if the file can't be written."""
         try:
             write_all(self._file, encode_json_line(line))
         except OSError as error:
             raise store.make_write_error(self._destination, error) from error
 
     def close(self) -> None:
+        """Close the file."""
         with suppress(OSError):
             os.close(self._file)
 
@@ -137,7 +139,7 @@ class LineFile:
 def write_index(
     folder: store.Folder,
     rows: Iterable[SceneRow],
-    has_table: bool,
+    writes_parquet: bool,
     batch_slice: Slice | None = None,
 ) -> None:
     """Write the index: the rows of a batch, then rows of other scenes that were in it before.
@@ -147,7 +149,7 @@ def write_index(
     Args:
         folder: the output folder.
         rows: a row for each scene of the batch, in order.
-        has_table: whether the index is written as Parquet as well.
+        writes_parquet: whether the index is written as Parquet as well.
         batch_slice: write only the index of this slice, with `rows` alone; None for the whole.
     """
     row_of_scene = {row["id"]: row for row in rows}
@@ -160,7 +162,7 @@ def write_index(
     existing_rows = merge_rows(folder, (*slice_names, INDEX_NAME))
     row_of_scene |= {id: row for id, row in existing_rows.items() if id not in row_of_scene}
     store.write_file(folder, INDEX_NAME, b"".join(map(encode_json_line, row_of_scene.values())))
-    if has_table:
+    if writes_parquet:
         store.write_file(folder, TABLE_NAME, encode_rows(row_of_scene.values()))
     else:
         store.remove_files(folder, [TABLE_NAME])  # it would not match the index
@@ -178,7 +180,7 @@ def find_slice_indexes(folder: store.Folder) -> list[str]:
 
 
 def read_index(folder: store.Folder, name: str = INDEX_NAME) -> dict[str, SceneRow]:
-    """Read an index: scene's id -> its last row; {} without an index.
+    """Read an index as a mapping: scene's id -> its last row; {} if there is no index.
 
     A truncated line, which a killed batch may leave, is skipped. Of a row, only the id is checked.
     """
@@ -197,28 +199,28 @@ def read_index(folder: store.Folder, name: str = INDEX_NAME) -> dict[str, SceneR
     return rows
 
 
-def merge_rows(folder: store.Folder, names: Iterable[str]) -> dict[str, SceneRow]:
+def merge_rows(folder: store.Folder, index_names: Iterable[str]) -> dict[str, SceneRow]:
     """Merge the rows of several index files.
 
     Args:
         folder: the output folder.
-        names: the names of the files in it; missing files are skipped.
+        index_names: the names of the files in it; missing files are skipped.
 
     Returns:
         Id of a scene -> its row; of several rows of a scene, the one that ended last.
     """
     rows: dict[str, SceneRow] = {}
-    for name in names:
-        for id, row in read_index(folder, name).items():
+    for index_name in index_names:
+        for id, row in read_index(folder, index_name).items():
             # times in ISO 8601 compare as text; a scene that is ``left`` has none
             if id not in rows or str(row.get("ended", "")) > str(rows[id].get("ended", "")):
                 rows[id] = row
     return rows
 
 
-def encode_json_line(row: Mapping[str, Any]) -> bytes:
-    """Return a JSON object as a line with its line end."""
-    return json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+def encode_json_line(json_object: Mapping[str, Any]) -> bytes:
+    """Encode a JSON object as one line of JSON, with its line end."""
+    return json.dumps(json_object, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
 def _refuse_constant(name: str) -> float:
@@ -300,6 +302,6 @@ def _to_table_row(row: SceneRow) -> Json:
     for key in ("inputs", "files"):
         if isinstance(table_row.get(key), Mapping):
             table_row[key] = [
-                {"path": path, **(state or {})} for path, state in table_row[key].items()
+                {"path": path, **(file_state or {})} for path, file_state in table_row[key].items()
             ]
     return table_row

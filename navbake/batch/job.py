@@ -73,7 +73,7 @@ class Plan(NamedTuple):
     overrides: tuple[str, ...] = ()
     products: tuple[str, ...] = ()  #: What to make besides the grid, see `products.parse_products`.
     thumbnail: bool = False  #: Whether to make a small picture for the batch's page.
-    has_table: bool = False  #: Whether the index is written as Parquet as well.
+    writes_parquet: bool = False  #: Whether the index is written as Parquet as well.
     #: Further hosts that lists, settings and redirects on the web may lead to.
     hosts: tuple[str, ...] = ()
 
@@ -93,8 +93,8 @@ class Plan(NamedTuple):
         the batch's settings. They don't include what a list names, as others may have written it.
         """
         settings = [self.settings, apply_overrides({}, self.overrides)]
-        settings += [] if job.list else [job.settings]
-        paths = [job.list or job.source, *map(find_room_outlines_path, settings)]
+        settings += [] if job.list_url else [job.settings]
+        paths = [job.list_url or job.source, *map(find_room_outlines_path, settings)]
         return [path for path in paths if path]
 
 
@@ -252,7 +252,7 @@ def make_broken_inspection(reason: str) -> Inspection:
 
 
 def find_record(
-    plan: Plan, job: Job, sizes: Mapping[str, int] | None = None
+    plan: Plan, job: Job, size_of_file: Mapping[str, int] | None = None
 ) -> tuple[Json | None, str]:
     """Read a scene's record, and check that the files that the batch made are still there.
 
@@ -261,14 +261,14 @@ def find_record(
     Args:
         plan: the batch's options.
         job: the scene.
-        sizes: path -> size of each file in the output folder [bytes], if it is on a store; None if
-            the folder is on this machine.
+        size_of_file: path -> size of each file in the output folder [bytes], if it is on a store;
+            None if the folder is on this machine.
 
     Returns:
         The record, and ``""``; or None, and the reason to bake the scene: ``new`` without a valid
         record, ``made files`` if files are missing or have another size.
     """
-    if sizes is not None and f"{job.id}/{RECORD_NAME}" not in sizes:
+    if size_of_file is not None and f"{job.id}/{RECORD_NAME}" not in size_of_file:
         return None, NOT_RECORDED
     try:
         folder = plan.scene_folder(job)
@@ -277,8 +277,8 @@ def find_record(
             return None, NOT_RECORDED
         for name, state in record["files"].items():
             path = Path(store.join(folder, name))
-            if sizes is not None:
-                size = sizes.get(f"{job.id}/{name}")
+            if size_of_file is not None:
+                size = size_of_file.get(f"{job.id}/{name}")
             else:
                 size = os.path.getsize(path) if path.exists() else None
             if size != state["size"]:
@@ -291,12 +291,12 @@ def find_record(
 def check_record(
     plan: Plan, job: Job, record: Json, inspection: Inspection
 ) -> tuple[SceneRow | None, str]:
-    """Check whether a scene is done: whether its key is still the one in its record.
+    """Check whether a scene is done: whether its key is the one in its record.
 
     Args:
         plan: the batch's options.
         job: the scene.
-        record: what `find_record` found.
+        record: the scene's record, from `find_record`.
         inspection: the scene as it is now.
 
     Returns:
@@ -316,18 +316,20 @@ def check_record(
     return cast(SceneRow, {**row, "source": _index_path(plan, job.source)}), ""
 
 
-def _describe_changes(plan: Plan, record: Json, scene: Inspection) -> str:
+def _describe_changes(plan: Plan, record: Json, inspection: Inspection) -> str:
     """Return the parts of a scene's key that changed since its record, as text for a reason."""
     current_values = {
         "version": __version__,
         "products": [*plan.products],
-        "settings": scene.settings_digest,
+        "settings": inspection.settings_digest,
     }
     change_texts = [
         name for name, value in current_values.items() if record.get(name, value) != value
     ]
-    paths = sorted({*record["inputs"], *scene.inputs})
-    changed_paths = [path for path in paths if record["inputs"].get(path) != scene.inputs.get(path)]
+    paths = sorted({*record["inputs"], *inspection.inputs})
+    changed_paths = [
+        path for path in paths if record["inputs"].get(path) != inspection.inputs.get(path)
+    ]
     if changed_paths:
         change_texts.append(f"files: {' '.join(Path(path).name for path in changed_paths)}")
     return ", ".join(change_texts) or "files"
@@ -353,9 +355,9 @@ def write_record(folder: store.Folder, record: Mapping[str, Any]) -> None:
 
 
 def remove_made_files(folder: store.Folder) -> None:
-    """Remove from a scene's folder what batches made there, and nothing else.
+    """Remove the files that batches made from a scene's folder, and no other files.
 
-    That is the grid, the recorded files, the record, and temporary files of killed processes. The
+    These are the grid, the recorded files, the record, and temporary files of killed processes. The
     folder may hold the user's own files, too. To tell them apart, the names of all products are
     recorded before the products are written.
     """
@@ -475,11 +477,11 @@ def _bake_and_write(plan: Plan, job: Job, begin_time: float) -> SceneRow:
         if grid is None:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # the grid's warnings are in the row
-                result = run_bake(scene.config, threads=1)
-            grid = result.grid
-            timings = result.timings
+                bake_result = run_bake(scene.config, threads=1)
+            grid = bake_result.grid
+            timings = bake_result.timings
         grid.timings = {}  # they differ each time, but equal scenes give equal bytes
-        num_free = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
+        num_free_cells = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
         row: SceneRow = {
             **begin_row(plan, job, OK),
             "version": __version__,
@@ -488,7 +490,7 @@ def _bake_and_write(plan: Plan, job: Job, begin_time: float) -> SceneRow:
             "settings_digest": grid.navbake.get("settingsDigest"),
             "levels": len(grid.levels),
             "cells": sum(level.width * level.height for level in grid.levels),
-            "free_area": round(num_free * (grid.cell_size * grid.unit) ** 2, 6),
+            "free_area": round(num_free_cells * (grid.cell_size * grid.unit) ** 2, 6),
             "rooms": len(grid.rooms),
             "doors": len(grid.doors),
             "warnings": list(grid.warnings),
@@ -532,7 +534,9 @@ def _copy_twin(plan: Plan, job: Job, scene: BatchScene) -> NavGrid | None:
     except NavbakeError:
         return None
     stated_path = grid.navbake.get("settings", {}).get("scene", {}).get("path", "")
-    if any("/" in line or os.sep in line or stated_path in line for line in grid.warnings):
+    if any(
+        "/" in warning or os.sep in warning or stated_path in warning for warning in grid.warnings
+    ):
         return None
     navbake_metadata = {**grid.navbake, "settings": settings_to_store(scene.config)}
     navbake_metadata["settingsDigest"] = settings_digest(scene.config)
@@ -556,19 +560,23 @@ def _write_products(
             there are any; and `files`, without the thumbnail.
     """
     row_fields: SceneRow = {"warnings": []}
-    with scratch_folder() as scratch:
+    with scratch_folder() as scratch_path:
         for product in plan.products:
-            product_fields = make_product(product, grid, config, scratch)
+            product_fields = make_product(product, grid, config, scratch_path)
             row_fields["warnings"] += product_fields.get("warnings", [])
             for measure, counts in product_fields.get("episodes", {}).items():
-                sums = row_fields.setdefault("episodes", {}).get(measure, [0] * len(counts))
-                row_fields["episodes"][measure] = [a + b for a, b in zip(sums, counts, strict=True)]
-        write_navgrid(grid, scratch / GRID_NAME)
-        made_names = sorted(os.listdir(scratch))
-        row_fields["files"] = {name: store.describe_file(scratch / name) for name in made_names}
+                count_sums = row_fields.setdefault("episodes", {}).get(measure, [0] * len(counts))
+                row_fields["episodes"][measure] = [
+                    count_sum + count for count_sum, count in zip(count_sums, counts, strict=True)
+                ]
+        write_navgrid(grid, scratch_path / GRID_NAME)
+        made_names = sorted(os.listdir(scratch_path))
+        row_fields["files"] = {
+            name: store.describe_file(scratch_path / name) for name in made_names
+        }
         if plan.thumbnail:
-            write_bytes(notebook.draw_thumbnail(grid), scratch / THUMBNAIL_NAME)
-        other_names = [name for name in os.listdir(scratch) if name != GRID_NAME]
+            write_bytes(notebook.draw_thumbnail(grid), scratch_path / THUMBNAIL_NAME)
+        other_names = [name for name in os.listdir(scratch_path) if name != GRID_NAME]
         # an existing file of such a name is the user's until it is replaced
         is_local = isinstance(scene_folder, Path)
         new_names = [
@@ -579,7 +587,7 @@ def _write_products(
         if new_names:
             write_record(scene_folder, {"files": {}, "more": new_names})
         for name in (*other_names, GRID_NAME):
-            store.write_file(scene_folder, name, (scratch / name).read_bytes())
+            store.write_file(scene_folder, name, (scratch_path / name).read_bytes())
     return row_fields
 
 

@@ -47,15 +47,16 @@ SKEWED_RATIO = 20
 GROUPED_TEXTS = ("failures", "warnings", "audit")  # kinds of texts that `fold_text` groups
 
 # one of: a setting in backticks, a quoted text, a word
-FOLDED_PART = re.compile(
+FOLDED_PART_PATTERN = re.compile(
     r"""(?P<setting>`[^`]*`)|(?<!\w)'[^']*'(?!\w)|(?<!\w)"[^"]*"(?!\w)"""
     r"""|(?P<word>[^\s`'"(),;:=<>\[\]{}]+)"""
 )
-THOUSANDS = re.compile(r"(?<=\d),(?=\d{3}(?!\d))")  # a comma between digits, as in 1,000
+# a comma between digits, as in 1,000
+THOUSANDS_COMMA_PATTERN = re.compile(r"(?<=\d),(?=\d{3}(?!\d))")
 # a number, maybe with a unit: 5cm, 30%
-NUMBER = re.compile(r"[-+±]?(\d+(\.\d+)*|\.\d+)([eE][-+]?\d+)?[a-zA-Z%²³°]{0,3}")
+NUMBER_PATTERN = re.compile(r"[-+±]?(\d+(\.\d+)*|\.\d+)([eE][-+]?\d+)?[a-zA-Z%²³°]{0,3}")
 # matches within a path, a file's name or a name with a digit
-PATH_OR_NAME = re.compile(r"[/\\\d]|\.[a-zA-Z]\w{1,4}$")
+PATH_OR_NAME_PATTERN = re.compile(r"[/\\\d]|\.[a-zA-Z]\w{1,4}$")
 
 
 def write_page(
@@ -69,7 +70,8 @@ def write_page(
     Args:
         folder: the batch's output folder.
         path: the file to write; None for `PAGE_NAME` in the folder.
-        progress: of a running batch, the number of scenes that ended, and of all scenes.
+        progress: the number of scenes that ended, and of all scenes, while the batch runs; None for
+            a batch that has ended.
     """
     relative_folder = "."
     if path is not None:
@@ -80,16 +82,16 @@ def write_page(
     folder_name = (
         folder.resolve() if isinstance(folder, Path) else Path(store.without_secrets(folder))
     ).name
-    content = describe_batch(read_index(folder).values(), _find_thumbnails(folder))
+    page_data = describe_batch(read_index(folder).values(), _find_thumbnails(folder))
     # of a name that isn't UTF-8, browsers expect the bytes
-    content |= {
+    page_data |= {
         "made": current_time(),
         "progress": progress,
         "base": quote(os.fsencode(relative_folder)),
     }
-    title = f"Batch {printable(folder_name)}: {count_of(len(content['scenes']), 'scene')}"
+    title = f"Batch {printable(folder_name)}: {count_of(len(page_data['scenes']), 'scene')}"
     # in ASCII: names may not be UTF-8
-    packed_content = compress_to_text(json.dumps(content).encode())
+    packed_content = compress_to_text(json.dumps(page_data).encode())
     page = make_page(title, {"packed": packed_content}, "navbake.batch", "page", PICTURE_POLICY)
     if path is None:
         store.write_file(folder, PAGE_NAME, page)
@@ -104,8 +106,8 @@ def _find_thumbnails(folder: store.Folder) -> Callable[[str], bool]:
     """
     if isinstance(folder, Path):
         return lambda id: os.path.isfile(folder / id / THUMBNAIL_NAME)
-    sizes = store.list_file_sizes(folder)
-    return lambda id: f"{id}/{THUMBNAIL_NAME}" in sizes
+    size_of_file = store.list_file_sizes(folder)
+    return lambda id: f"{id}/{THUMBNAIL_NAME}" in size_of_file
 
 
 def draw_thumbnails(folder: store.Folder, show_progress: Callable[[float], None]) -> int:
@@ -122,7 +124,7 @@ def draw_thumbnails(folder: store.Folder, show_progress: Callable[[float], None]
         DiskFullError: the folder has no room.
     """
     has_thumbnail = _find_thumbnails(folder)
-    num_failed = 0
+    num_failed_thumbnails = 0
     baked_ids = [id for id, row in read_index(folder).items() if row.get("status") == OK]
     missing_ids = [id for id in baked_ids if not has_thumbnail(id)]
     for index, id in enumerate(missing_ids):
@@ -141,8 +143,8 @@ def draw_thumbnails(folder: store.Folder, show_progress: Callable[[float], None]
             if disk_full_error is not None:
                 destination = f"thumbnails into {store.without_secrets(os.fspath(folder))}"
                 raise store.make_write_error(destination, disk_full_error) from error
-            num_failed += 1
-    return num_failed
+            num_failed_thumbnails += 1
+    return num_failed_thumbnails
 
 
 class LivePage:
@@ -159,7 +161,11 @@ class LivePage:
         )
 
     def refresh(self, num_ended: int) -> None:
-        """Write the page if enough time has passed; `num_ended` scenes have ended."""
+        """Write the page if enough time has passed since it was last written.
+
+        Args:
+            num_ended: the number of scenes that have ended.
+        """
         begin_time = time.monotonic()
         if begin_time < self._next_write:
             return
@@ -240,16 +246,23 @@ def _histogram_edges(values: Sequence[float]) -> list[float]:
     """
     if not values:
         return []
-    lowest = float(min(values))
-    highest = float(max(values))
-    if lowest > 0 and highest > SKEWED_RATIO * float(np.median(values)):
-        return [*np.geomspace(lowest, highest, NUM_BINS + 1).tolist()[:-1], highest]
-    bar_width = round_up_step((highest - lowest or abs(highest) or 1) / (NUM_BINS - 4))
+    lowest_value = float(min(values))
+    highest_value = float(max(values))
+    if lowest_value > 0 and highest_value > SKEWED_RATIO * float(np.median(values)):
+        return [
+            *np.geomspace(lowest_value, highest_value, NUM_BINS + 1).tolist()[:-1],
+            highest_value,
+        ]
+    bar_width = round_up_step(
+        (highest_value - lowest_value or abs(highest_value) or 1) / (NUM_BINS - 4)
+    )
     if all(float(value).is_integer() for value in values):
         bar_width = max(bar_width, 1.0)
-    first_multiple = math.floor(lowest / bar_width + 1e-9)
-    last_multiple = max(math.floor(highest / bar_width + 1e-9), first_multiple) + 1
-    return [round(number * bar_width, 12) for number in range(first_multiple, last_multiple + 1)]
+    first_multiple = math.floor(lowest_value / bar_width + 1e-9)
+    last_multiple = max(math.floor(highest_value / bar_width + 1e-9), first_multiple) + 1
+    return [
+        round(multiple * bar_width, 12) for multiple in range(first_multiple, last_multiple + 1)
+    ]
 
 
 def _group_texts(texts: Iterable[str]) -> dict[str, str]:
@@ -268,11 +281,17 @@ def fold_text(text: str) -> str:
     Settings in backticks stay.
     """
 
-    def replace(match: re.Match[str]) -> str:
+    def replace_part(match: re.Match[str]) -> str:
         if match["word"] is None:
             return match["setting"] or "…"
         word = match["word"].rstrip(".!?")
-        placeholder = "#" if NUMBER.fullmatch(word) else "…" if PATH_OR_NAME.search(word) else word
+        placeholder = (
+            "#"
+            if NUMBER_PATTERN.fullmatch(word)
+            else "…"
+            if PATH_OR_NAME_PATTERN.search(word)
+            else word
+        )
         return placeholder + match["word"][len(word) :]
 
-    return FOLDED_PART.sub(replace, THOUSANDS.sub("", text))
+    return FOLDED_PART_PATTERN.sub(replace_part, THOUSANDS_COMMA_PATTERN.sub("", text))

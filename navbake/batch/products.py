@@ -72,7 +72,7 @@ def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
         ConfigError: a kind is unknown, or its values are wrong.
         MissingDependencyError: an extra that a product needs isn't installed.
     """
-    unknown_kind = (
+    unknown_kind_rule = (
         0,
         -1,
         f"one of {', '.join(product_form for *_, product_form in PRODUCT_KINDS.values())}",
@@ -80,14 +80,16 @@ def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
     products = set()
     for text in texts:
         kind, *values = text.split(":")
-        min_values, max_values, product_form = PRODUCT_KINDS.get(kind, unknown_kind)
+        min_values, max_values, product_form = PRODUCT_KINDS.get(kind, unknown_kind_rule)
         if not min_values <= len(values) <= max_values:
             raise ConfigError(f"expected {product_form} to make, got {text!r}")
         products.add(":".join((kind, *_check_values(kind, values, text))))
     picture_products = sorted(product for product in products if product.startswith("picture"))
     if len(picture_products) > 1:
-        got = ", ".join(picture_products)
-        raise ConfigError(f"expected one picture, with all its layers, to make, got {got}")
+        picture_texts = ", ".join(picture_products)
+        raise ConfigError(
+            f"expected one picture, with all its layers, to make, got {picture_texts}"
+        )
     return tuple(sorted(products))
 
 
@@ -116,14 +118,14 @@ def _check_values(kind: str, values: list[str], text: str) -> list[str]:
         lengths = [float(value) for value in (values[:1] if voxel_ending else values)]
     except ValueError:
         lengths = [math.nan]
-    if not all(math.isfinite(number) and number >= 0 for number in lengths):
+    if not all(math.isfinite(length) and length >= 0 for length in lengths):
         raise ConfigError(f"expected numbers >= 0 [m] after the colons, got {text!r} to make")
     if voxel_ending and lengths[0] == 0:
         raise ConfigError(f"expected an edge of voxels > 0 [m], got {text!r} to make")
     if voxel_ending and f".{voxel_ending[0]}" not in VOXEL_SUFFIXES:
         suffixes = ", ".join(suffix[1:] for suffix in VOXEL_SUFFIXES)
         raise ConfigError(f"expected an ending of {suffixes}, got {text!r} to make")
-    return [*(f"{number:.12g}" for number in lengths), *voxel_ending]
+    return [*(f"{length:.12g}" for length in lengths), *voxel_ending]
 
 
 def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) -> Json:
@@ -147,11 +149,11 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
         radius = float(values[0]) if values else None
         grid.to_nav2(folder / f"{'-'.join(('nav2', *values))}.yaml", radius=radius)
     elif kind == "voxels":
-        edge, ending = values
+        voxel_edge, ending = values
         voxel_grid = voxelizer.Voxelizer(config).create(
-            res=float(edge), align=f".{ending}" in OCTREE_SUFFIXES
+            res=float(voxel_edge), align=f".{ending}" in OCTREE_SUFFIXES
         )
-        write_voxels(voxel_grid, folder / f"voxels-{edge}.{ending}")
+        write_voxels(voxel_grid, folder / f"voxels-{voxel_edge}.{ending}")
     elif kind == "picture":
         plot.plot_grid(grid, folder / PICTURE_NAME, layers=tuple(values) or PICTURE_LAYERS)
     elif kind == "report":
@@ -169,10 +171,10 @@ def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
         values: the task, the sampler, the number of episodes and the seed.
         folder: the folder to write into.
     """
-    task, sampler, count, seed = values
+    task, sampler, episode_count, seed = values
     try:
         episode_set = make_episodes(
-            grid, task, sampler, count=int(count), seed=int(seed), files=[GRID_NAME]
+            grid, task, sampler, count=int(episode_count), seed=int(seed), files=[GRID_NAME]
         )
     except QueryError as error:  # no such object, or no valid episode
         return {"warnings": [f"no episodes of {task}: {error}"]}
@@ -184,18 +186,18 @@ def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
     path = folder / f"episodes-{'-'.join(values)}.jsonl"
     write_episodes(EpisodeSet(episode_set.header, episodes), path)
     class_counts = {}
-    for measure, edges in MEASURE_CLASSES.items():
+    for measure, class_edges in MEASURE_CLASSES.items():
         episode_values = [episode.measures[measure] for episode in episodes]
-        known_values = [value for value in episode_values if value is not None]
-        class_counts[measure] = np.histogram(known_values, [*edges, np.inf])[0].tolist()
+        measured_values = [value for value in episode_values if value is not None]
+        class_counts[measure] = np.histogram(measured_values, [*class_edges, np.inf])[0].tolist()
     return {"episodes": class_counts}
 
 
-def merge_episode_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
-    """Merge the sets of episodes of several scenes, in order.
+def merge_episode_sets(encoded_sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
+    """Merge the sets of episodes of several scenes into one set, in order.
 
     Args:
-        sets: for each set, the id of its scene and the content of its file.
+        encoded_sets: for each set, the id of its scene and the content of its file.
 
     Returns:
         The content of the merged file, in pieces.
@@ -205,7 +207,7 @@ def merge_episode_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
     """
     headers = list[Header]()
     encoded_episodes = list[bytes]()
-    for id, content in sets:
+    for id, content in encoded_sets:
         encoded_header, _, episodes = content.partition(b"\n")
         header = decode(encoded_header, Header, f"the episodes of {id}")
         grids = [msgspec.structs.replace(grid, file=f"{id}/{GRID_NAME}") for grid in header.grids]
@@ -214,7 +216,7 @@ def merge_episode_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
     grids = [grid for header in headers for grid in header.grids]
     count_of_scene = Counter(grid.scene for grid in grids)
     repeated_scenes = [scene for scene, count in count_of_scene.items() if count > 1]
-    id_of_agent = {header.agent: id for header, (id, _) in zip(headers, sets, strict=True)}
+    id_of_agent = {header.agent: id for header, (id, _) in zip(headers, encoded_sets, strict=True)}
     reason = f"two scenes are called {repeated_scenes[0]!r}:" if repeated_scenes else ""
     if len(id_of_agent) > 1:
         size_texts = [
@@ -226,11 +228,11 @@ def merge_episode_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
         reason = reason or f"agents differ in size ({' and '.join(size_texts[:2])}): {remedy}"
     if reason:
         raise NavbakeError(f"the scenes' episodes are no set, as {reason} use those of each scene")
-    rejected = sum((Counter(header.rejected) for header in headers), Counter[str]())
+    rejected_counts = sum((Counter(header.rejected) for header in headers), Counter[str]())
     merged_header = msgspec.structs.replace(
         headers[0],
         grids=tuple(grids),
-        sampler=headers[0].sampler | {"count": sum(h.sampler["count"] for h in headers)},
-        rejected=dict(sorted(rejected.items())),
+        sampler=headers[0].sampler | {"count": sum(header.sampler["count"] for header in headers)},
+        rejected=dict(sorted(rejected_counts.items())),
     )
     return [msgspec.json.encode(merged_header), b"\n", *encoded_episodes]

@@ -55,10 +55,10 @@ from navbake.formats.source import import_extra
 from navbake.types import Json
 
 MAX_RECORD_READS = 16  # scenes whose records are read at once, or that one worker inspects at once
-# that the inspection of a scene may take: if a bake has no limit, and at least, as a scene that
-# takes longer counts as new and is baked again [s]
-INSPECTION_SECONDS = 600.0
-LEAST_INSPECTION_SECONDS = 60.0
+# The inspection of a scene may take as long as its bake, but at least MIN_INSPECTION_SECONDS; and
+# DEFAULT_INSPECTION_SECONDS if bakes have no limit. A scene that takes longer is baked again.
+DEFAULT_INSPECTION_SECONDS = 600.0
+MIN_INSPECTION_SECONDS = 60.0
 UNLOGGED_KEYS = ("key", "inputs", "files", "ended")  # keys of a row that the log leaves out
 SHARD_PATTERN = re.compile(r"shard-\d{6,}\.tar")
 TIME_KEYS = ("seconds", "stages", "ended")  # keys of a row that differ in each run
@@ -77,7 +77,7 @@ it decides), and by keyword with `limits`, `prepare` and `on_event`; it yields t
 
 
 OnBatchEvent: TypeAlias = Callable[[str, Json], None]
-"""Is called with the name of an event and its values:
+"""A function that is called with the name of an event of the batch and its values:
 
 - ``begin``: `scenes`, the number of scenes, and `skipped`, how many of them are done already. It
   is left out if there is no scene to bake.
@@ -93,8 +93,8 @@ class BatchResult:
 
     #: The rows of the index, one for each scene, in the batch's order.
     rows: list[SceneRow] = field(default_factory=list)
-    skipped: int = 0  #: Number of scenes that were done already.
-    stopped: str | None = None  #: Why the batch ended early; None if it didn't.
+    num_skipped: int = 0  #: Number of scenes that were done already.
+    stop_reason: str | None = None  #: Why the batch ended early; None if it didn't.
 
     def count(self, status: str) -> int:
         """Return the number of scenes with a status: ``ok``, ``failed`` or ``left``."""
@@ -145,19 +145,19 @@ def run_batch(
             process starts.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
-    if plan.has_table:
+    if plan.writes_parquet:
         import_extra("pyarrow", "batch", "Parquet")
     if batch_slice is not None:
         jobs = jobs[batch_slice.number - 1 :: batch_slice.total]
-    with ExitStack() as stack:
+    with ExitStack() as exit_stack:
         index_file: index.LineFile | None = None
         if isinstance(plan.folder, Path):
-            stack.enter_context(index.lock_batch(plan.folder, batch_slice))
+            exit_stack.enter_context(index.lock_batch(plan.folder, batch_slice))
             index_file = index.LineFile(
                 plan.folder / (batch_slice.index_name if batch_slice else index.INDEX_NAME),
                 f"into {plan.folder}",
             )
-            stack.callback(index_file.close)
+            exit_stack.callback(index_file.close)
         rows: dict[str, SceneRow] = {}  # scene's id -> row
         if only_merge:  # scenes that slices baked, or that failed there
             batch_ids = {job.id for job in jobs}
@@ -171,91 +171,93 @@ def run_batch(
         record_checks = check_records(plan, [job for job in jobs if job.id not in rows], inspector)
         rows |= {row["id"]: row for row, _ in record_checks if row is not None}
         remaining_jobs = [] if only_merge else [job for job in jobs if job.id not in rows]
-        result = BatchResult(skipped=len(rows))
-        num_failed = 0
+        batch_result = BatchResult(num_skipped=len(rows))
+        num_failed_scenes = 0
         if only_merge:
-            result.skipped = sum(row["status"] == OK for row in rows.values())
+            batch_result.num_skipped = sum(row["status"] == OK for row in rows.values())
 
         def report_job_event(jobs: Sequence[Job], event: str, job_end: JobEnd) -> None:
-            values: Json = {"id": jobs[job_end.number].id}
+            event_values: Json = {"id": jobs[job_end.number].id}
             if event == RETRIED:
-                values["worker"] = job_end.worker
-                values["seconds"] = round(job_end.seconds, 3)
-                values["how"] = job_end.how
-                values["error"] = job_end.value
-            on_event(event, values)
+                event_values["worker"] = job_end.worker
+                event_values["seconds"] = round(job_end.seconds, 3)
+                event_values["how"] = job_end.how
+                event_values["error"] = job_end.value
+            on_event(event, event_values)
 
         try:
             if remaining_jobs:
                 on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
             twin_of_scene = find_twins(inspector, jobs, rows) if remaining_jobs else {}
-            baked_jobs = [job for job in remaining_jobs if job.id not in twin_of_scene]
-            copied_jobs = [
+            jobs_to_bake = [job for job in remaining_jobs if job.id not in twin_of_scene]
+            jobs_to_copy = [
                 job._replace(twin=twin_of_scene[job.id])
                 for job in remaining_jobs
                 if job.id in twin_of_scene
             ]
             bake_job = partial(bake_scene, plan)
             prepare = partial(prepare_worker, plan.products, plan.thumbnail)
-            for stage_jobs in filter(None, (baked_jobs, copied_jobs)):
-                on_job_event = partial(report_job_event, stage_jobs)
-                with ExitStack() as stage_stack:
+            for pass_jobs in filter(None, (jobs_to_bake, jobs_to_copy)):
+                on_job_event = partial(report_job_event, pass_jobs)
+                with ExitStack() as pass_stack:
                     if executor is None:
-                        count = min(workers or 1, len(stage_jobs))
-                        worker_crew = Workers(bake_job, count, limits=limits, prepare=prepare)
-                        job_ends = stage_stack.enter_context(worker_crew).run(
-                            stage_jobs, on_job_event
+                        num_workers = min(workers or 1, len(pass_jobs))
+                        worker_crew = Workers(bake_job, num_workers, limits=limits, prepare=prepare)
+                        job_ends = pass_stack.enter_context(worker_crew).run(
+                            pass_jobs, on_job_event
                         )
                     else:
                         job_ends = executor(
-                            stage_jobs,
+                            pass_jobs,
                             bake_job,
                             workers,
                             limits=limits,
                             prepare=prepare,
                             on_event=on_job_event,
                         )
-                    stage_stack.enter_context(closing(job_ends))
+                    pass_stack.enter_context(closing(job_ends))
                     for job_end in job_ends:
-                        job = stage_jobs[job_end.number]
+                        job = pass_jobs[job_end.number]
                         row = job_end.value
                         if job_end.how != DONE:
                             row = record_failure(
                                 plan, job, job_end.how, job_end.value, job_end.seconds
                             )
                         if row["status"] == LEFT:  # there is no room for other scenes, either
-                            result.stopped = row["error"]
+                            batch_result.stop_reason = row["error"]
                             break
                         rows[job.id] = row
                         if index_file is not None:
                             index_file.add(row)
                         on_event("scene", {**row, "worker": job_end.worker})
-                        num_failed += row["status"] == FAILED
-                        if max_failures is not None and num_failed > max_failures:
-                            result.stopped = f"{num_failed} scenes failed, more than {max_failures}"
+                        num_failed_scenes += row["status"] == FAILED
+                        if max_failures is not None and num_failed_scenes > max_failures:
+                            batch_result.stop_reason = (
+                                f"{num_failed_scenes} scenes failed, more than {max_failures}"
+                            )
                             break
-                if result.stopped is not None:
+                if batch_result.stop_reason is not None:
                     break
         except store.DiskFullError as error:
-            result.stopped = str(error)
+            batch_result.stop_reason = str(error)
         finally:
             for job in remaining_jobs:
                 # a killed worker may leave files; on a store, the next run removes them
                 if job.id not in rows and isinstance(plan.folder, Path):
                     with suppress(NavbakeError):
                         remove_leftovers(Path(plan.scene_folder(job)), min_age=0)
-            result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
+            batch_result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
             try:
-                index.write_index(plan.folder, result.rows, plan.has_table, batch_slice)
+                index.write_index(plan.folder, batch_result.rows, plan.writes_parquet, batch_slice)
             except store.DiskFullError as error:
-                result.stopped = result.stopped or str(error)
-        if result.stopped is None and batch_slice is None:
+                batch_result.stop_reason = batch_result.stop_reason or str(error)
+        if batch_result.stop_reason is None and batch_slice is None:
             try:
-                write_episode_sets(plan, result.rows)
-                write_shards(plan.folder, result.rows, shards)
+                write_episode_sets(plan, batch_result.rows)
+                write_shards(plan.folder, batch_result.rows, shards)
             except NavbakeError as error:
-                result.stopped = str(error)
-        return result
+                batch_result.stop_reason = str(error)
+        return batch_result
 
 
 def write_episode_sets(plan: Plan, rows: Sequence[SceneRow]) -> None:
@@ -294,18 +296,22 @@ def write_shards(folder: store.Folder, rows: Sequence[SceneRow], count: int | No
     packed_rows = [row for row in rows if row["status"] == OK] if count else []
     num_scenes = len(packed_rows)
     num_shards = min(count or 0, num_scenes)
-    names = [f"shard-{number:06}.tar" for number in range(num_shards)]
-    previous_names = {*filter(SHARD_PATTERN.fullmatch, read_record(folder).get("files", ()))}
-    if names:
-        write_record(folder, {"files": dict.fromkeys(sorted({*previous_names, *names}))})
-    for number, name in enumerate(names):
-        first_scene = num_scenes * number // num_shards
-        end_scene = num_scenes * (number + 1) // num_shards
-        store.write_file(folder, name, _encode_shard(folder, packed_rows[first_scene:end_scene]))
-    store.remove_files(folder, sorted(previous_names - {*names}))
-    if names:
-        write_record(folder, {"files": dict.fromkeys(names)})
-    elif previous_names:
+    shard_names = [f"shard-{shard_number:06}.tar" for shard_number in range(num_shards)]
+    previous_shard_names = {*filter(SHARD_PATTERN.fullmatch, read_record(folder).get("files", ()))}
+    if shard_names:
+        write_record(
+            folder, {"files": dict.fromkeys(sorted({*previous_shard_names, *shard_names}))}
+        )
+    for shard_number, shard_name in enumerate(shard_names):
+        first_index = num_scenes * shard_number // num_shards
+        end_index = num_scenes * (shard_number + 1) // num_shards
+        store.write_file(
+            folder, shard_name, _encode_shard(folder, packed_rows[first_index:end_index])
+        )
+    store.remove_files(folder, sorted(previous_shard_names - {*shard_names}))
+    if shard_names:
+        write_record(folder, {"files": dict.fromkeys(shard_names)})
+    elif previous_shard_names:
         store.remove_files(folder, [RECORD_NAME])
 
 
@@ -322,9 +328,9 @@ def _encode_shard(folder: store.Folder, rows: Sequence[SceneRow]) -> Iterator[by
     yield bytes(2 * tarfile.BLOCKSIZE)
 
 
-def _encode_member(name: str, content: bytes) -> Iterator[bytes]:
+def _encode_member(member_name: str, content: bytes) -> Iterator[bytes]:
     """Yield a member of a tar file in pieces: its header, its content, and the padding."""
-    tar_header = tarfile.TarInfo(name)
+    tar_header = tarfile.TarInfo(member_name)
     tar_header.size = len(content)
     yield tar_header.tobuf(tarfile.PAX_FORMAT)
     yield content
@@ -341,13 +347,13 @@ class Inspector:
         plan: the batch's options.
         workers: number of worker processes, >= 1; None for as many as this machine has CPUs.
         limits: the limits of time and memory of a scene's bake; its inspection gets
-            `LEAST_INSPECTION_SECONDS` at least.
+            `MIN_INSPECTION_SECONDS` at least.
     """
 
     def __init__(self, plan: Plan, workers: int | None, limits: JobLimits) -> None:
         self._plan = plan
         self._workers = workers or os.cpu_count() or 1
-        seconds = max(limits.seconds or INSPECTION_SECONDS, LEAST_INSPECTION_SECONDS)
+        seconds = max(limits.seconds or DEFAULT_INSPECTION_SECONDS, MIN_INSPECTION_SECONDS)
         self._limits = JobLimits(seconds, limits.memory)
         self._inspections: dict[str, Inspection] = {}  # by the scene's id
 
@@ -355,41 +361,43 @@ class Inspector:
         """Return the input files and digests of each scene, in order."""
         jobs = list(jobs)
         new_jobs = [job for job in jobs if job.id not in self._inspections]
-        groups: list[tuple[Job, ...]] = []
-        groups += [(job,) for job in new_jobs if not store.is_url(job.source)]
+        job_groups: list[tuple[Job, ...]] = []
+        job_groups += [(job,) for job in new_jobs if not store.is_url(job.source)]
         jobs_on_stores = [job for job in new_jobs if store.is_url(job.source)]
-        for begin in range(0, len(jobs_on_stores), MAX_RECORD_READS):
-            groups.append(tuple(jobs_on_stores[begin : begin + MAX_RECORD_READS]))
-        failed_groups = self._inspect_groups(groups)
+        for begin_index in range(0, len(jobs_on_stores), MAX_RECORD_READS):
+            job_groups.append(tuple(jobs_on_stores[begin_index : begin_index + MAX_RECORD_READS]))
+        failed_groups = self._inspect_groups(job_groups)
         # one scene of such a group is the reason; the others have no fault
         failed_jobs = [job for group in failed_groups for job in group]
         self._inspect_groups([(job,) for job in failed_jobs])
         return [self._inspections[job.id] for job in jobs]
 
-    def _inspect_groups(self, groups: Sequence[tuple[Job, ...]]) -> list[tuple[Job, ...]]:
+    def _inspect_groups(self, job_groups: Sequence[tuple[Job, ...]]) -> list[tuple[Job, ...]]:
         """Inspect each group in one go, and return the groups of several scenes that failed."""
-        failed_groups = []
-        if not groups:
+        failed_job_groups = []
+        if not job_groups:
             return []
         inspect_group = partial(inspect_scenes, self._plan)
-        worker_crew = Workers(inspect_group, min(self._workers, len(groups)), limits=self._limits)
-        with worker_crew, closing(worker_crew.run(groups)) as group_ends:
+        worker_crew = Workers(
+            inspect_group, min(self._workers, len(job_groups)), limits=self._limits
+        )
+        with worker_crew, closing(worker_crew.run(job_groups)) as group_ends:
             for group_end in group_ends:
-                group = groups[group_end.number]
+                job_group = job_groups[group_end.number]
                 if group_end.how == DONE:
-                    for job, inspection in zip(group, group_end.value, strict=True):
+                    for job, inspection in zip(job_group, group_end.value, strict=True):
                         self._inspections[job.id] = inspection
-                elif len(group) == 1:
-                    self._inspections[group[0].id] = make_broken_inspection(group_end.value)
+                elif len(job_group) == 1:
+                    self._inspections[job_group[0].id] = make_broken_inspection(group_end.value)
                 else:
-                    failed_groups.append(group)
-        return failed_groups
+                    failed_job_groups.append(job_group)
+        return failed_job_groups
 
 
 def check_records(
     plan: Plan, jobs: Sequence[Job], inspector: Inspector
 ) -> list[tuple[SceneRow | None, str]]:
-    """Find out which scenes are done.
+    """Find out which scenes are done, and why the others aren't.
 
     Args:
         plan: the batch's options.
@@ -400,15 +408,19 @@ def check_records(
         For each scene, in order: the row of a scene that is done, and ``""``; for another, None,
         and the reason to bake it, see `job.find_record` and `job.check_record`.
     """
-    sizes = store.list_file_sizes(plan.folder) if isinstance(plan.folder, str) else None
+    size_of_file = store.list_file_sizes(plan.folder) if isinstance(plan.folder, str) else None
     with ThreadPoolExecutor(MAX_RECORD_READS) as pool:  # stores respond slowly
-        records = [*pool.map(partial(find_record, plan, sizes=sizes), jobs)]
+        records_and_reasons = [
+            *pool.map(partial(find_record, plan, size_of_file=size_of_file), jobs)
+        ]
     recorded_jobs = [
-        job for job, (record, _) in zip(jobs, records, strict=True) if record is not None
+        job
+        for job, (record, _) in zip(jobs, records_and_reasons, strict=True)
+        if record is not None
     ]
     inspections = iter(inspector.inspect(recorded_jobs))
     record_checks: list[tuple[SceneRow | None, str]] = []
-    for job, (record, reason) in zip(jobs, records, strict=True):
+    for job, (record, reason) in zip(jobs, records_and_reasons, strict=True):
         if record is None:
             record_checks.append((None, reason))
         else:
@@ -440,10 +452,10 @@ def find_twins(
             is_local = not store.is_url(job.source)
             size_or_url = os.path.getsize(job.source) if is_local else job.source
             jobs_by_size[size_or_url].append(job)
-    groups = [
+    candidate_groups = [
         group for group in jobs_by_size.values() if len(group) > 1 and group[-1].id not in done_ids
     ]
-    candidate_jobs = [job for group in groups for job in group]
+    candidate_jobs = [job for group in candidate_groups for job in group]
     # a scene without a digest can't be read: its own bake will fail, and say why
     digests = [inspection.content_digest for inspection in inspector.inspect(candidate_jobs)]
     id_of_digest: dict[str, str] = {}
@@ -467,13 +479,13 @@ def describe_event(event: str, values: Json) -> Json:
         ``event``, and most of the values.
     """
     is_error = values.get("status") == FAILED or values.get("stopped") or values.get("failed")
-    level = "error" if is_error else "info"
+    log_level = "error" if is_error else "info"
     if event == RETRIED or (values.get("warnings") and not is_error):
-        level = "warning"
+        log_level = "warning"
     values = {key: value for key, value in values.items() if key not in UNLOGGED_KEYS}
     if event == "begin":
         values["version"] = __version__
-    return {"time": current_time(), "level": level, "event": event, **values}
+    return {"time": current_time(), "level": log_level, "event": event, **values}
 
 
 # ---------------------------------------------------------------- before and after a run

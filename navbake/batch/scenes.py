@@ -31,16 +31,16 @@ LIST_SUFFIXES = (".txt", ".csv", ".jsonl", ".parquet")
 SCENE_KEYS = ("scene", "config")  # keys of which a row of a list has exactly one
 TEXT_COLUMNS = ("id", *SCENE_KEYS)  # columns of a CSV whose values stay text, such as `001`
 UNIQUE_SCENE_KEYS = ("path", "id")  # settings of the section `scene` that scenes can't share
-LINE_END = re.compile(r"\r\n?|\n")
+LINE_END_PATTERN = re.compile(r"\r\n?|\n")
 # characters that some file system forbids or drops, and names that begin with a dot
 UNPORTABLE_PATTERN = re.compile(r'[\\:*?"<>|]|^[.\s]|[.\s]$')
 RESERVED_NAME_PATTERN = re.compile(
     r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?"
     r"|index-\d+-of-\d+\.jsonl|shard-\d+\.tar"
 )
-NO_ROW_COLUMNS: Mapping[str, str] = MappingProxyType({})
-MAX_ID_PART = 200  # longest part of an id between slashes [bytes]; file systems take 255
-EXPECTED_SCENE = "expected a scene, settings, a list or a pattern, got"
+NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
+MAX_ID_PART_LENGTH = 200  # longest part of an id between slashes [bytes]; file systems take 255
+EXPECTED_SCENE_TEXT = "expected a scene, settings, a list or a pattern, got"
 
 
 class Job(NamedTuple):
@@ -52,11 +52,11 @@ class Job(NamedTuple):
     source: str  #: The path or URL of the scene, or of its settings (YAML).
     settings: Json  #: The scene's own settings by section; they override those of the batch.
     place: str  #: Where the user named the scene, for messages: ``list.csv, line 3``.
-    list: str = ""  #: The URL of the list that names the scene; empty if there is none.
+    list_url: str = ""  #: The URL of the list that names the scene; empty if there is none.
     twin: str = ""  #: The id of an equal scene whose grid is copied; empty if the scene is baked.
 
 
-def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_ROW_COLUMNS) -> list[Job]:
+def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_COLUMNS) -> list[Job]:
     """List the scenes that the sources of a batch name, in order.
 
     A source is one of these, as a path or as a URL that fsspec knows:
@@ -88,14 +88,14 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_ROW_COLUMN
             and URLs aren't looked for: a missing one fails later, by itself.
         NavbakeError: a list can't be read, or a dependency for it is not installed.
     """
-    named_jobs = [
-        entry
+    listed_jobs = [
+        job
         for source in sources
-        for entry in _list_scenes_of(store.strip_file_scheme(source), columns)
+        for job in _list_scenes_of(store.strip_file_scheme(source), columns)
     ]
-    if not named_jobs:
+    if not listed_jobs:
         raise ConfigError("expected at least one scene, got none")
-    for job in named_jobs:
+    for job in listed_jobs:
         if not can_be_path(job.source):
             raise ConfigError(
                 f"expected a path, got {shorten(repr(job.source))} at {job.place}: no file can "
@@ -105,7 +105,7 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_ROW_COLUMN
                 place=job.place,
             )
     jobs = []
-    for scene_id, job in zip(_choose_ids(named_jobs), named_jobs, strict=True):
+    for scene_id, job in zip(_choose_ids(listed_jobs), listed_jobs, strict=True):
         check_id(scene_id, job.place)
         job_settings = (
             overlay_settings(job.settings, make_id_settings(scene_id), job.place)
@@ -140,11 +140,11 @@ def check_id(scene_id: str, place: str) -> None:
 
     Raises:
         ConfigError: a part is empty (also in an absolute path); begins with a dot or a space; ends
-            with one; is longer than `MAX_ID_PART`; has one of ``\:*?"<>|`` or an unprintable
+            with one; is longer than `MAX_ID_PART_LENGTH`; has one of ``\:*?"<>|`` or an unprintable
             character; or is a name that Windows reserves or navbake writes.
     """
     for part in scene_id.split("/"):
-        is_valid = part.isprintable() and 0 < len(part.encode()) <= MAX_ID_PART
+        is_valid = part.isprintable() and 0 < len(part.encode()) <= MAX_ID_PART_LENGTH
         if not is_valid or UNPORTABLE_PATTERN.search(part) or RESERVED_NAME_PATTERN.fullmatch(part):
             expected_text = (
                 "that can be the name of a folder on any system, or several between slashes"
@@ -158,7 +158,7 @@ def check_id(scene_id: str, place: str) -> None:
 
 
 def fold_for_comparison(name: str) -> str:
-    """Return a form that is equal for all names that some file system takes for the same name.
+    """Fold a name so that names become equal if some file system takes them for the same.
 
     This is the canonical caseless matching of Unicode.
     """
@@ -171,21 +171,21 @@ def _choose_ids(jobs: list[Job]) -> list[str]:
     The end of a path has as many folders as it takes to differ from the other ids.
     """
     parts_of_paths = [_split_path(job.source) for job in jobs]
-    num_parts = [1] * len(jobs)  # how many parts of its path each id has
+    num_parts_of_ids = [1] * len(jobs)  # how many parts of its path each id has
     while True:
         scene_ids = []
-        for job, parts, num_used in zip(jobs, parts_of_paths, num_parts, strict=True):
-            scene_ids.append(job.id or "/".join(parts[-num_used:]))
+        for job, parts, num_parts in zip(jobs, parts_of_paths, num_parts_of_ids, strict=True):
+            scene_ids.append(job.id or "/".join(parts[-num_parts:]))
         count_of_name = Counter(map(fold_for_comparison, scene_ids))
-        are_ids_final = True
-        for i, (job, parts, scene_id) in enumerate(
+        is_final = True
+        for job_index, (job, parts, scene_id) in enumerate(
             zip(jobs, parts_of_paths, scene_ids, strict=True)
         ):
             is_repeated = count_of_name[fold_for_comparison(scene_id)] > 1
-            if not job.id and is_repeated and num_parts[i] < len(parts):
-                num_parts[i] += 1
-                are_ids_final = False
-        if are_ids_final:
+            if not job.id and is_repeated and num_parts_of_ids[job_index] < len(parts):
+                num_parts_of_ids[job_index] += 1
+                is_final = False
+        if is_final:
             return scene_ids
 
 
@@ -206,13 +206,13 @@ def _list_scenes_of(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
     if not store.is_url(source) and not is_pattern and not os.path.exists(source):
         sample_path = str(samples.find(source))
         hint = "" if sample_path == source else f"; the settings of that name are {sample_path}"
-        raise ConfigError(f"{EXPECTED_SCENE} {source}: there is no such file{hint}")
+        raise ConfigError(f"{EXPECTED_SCENE_TEXT} {source}: there is no such file{hint}")
     if _list_ending(shown_source) in LIST_SUFFIXES:
         yield from _read_list(source, columns)
     elif source.endswith("/") or os.path.isdir(source):
         folder = shown_source.rstrip("/")
         raise ConfigError(
-            f"{EXPECTED_SCENE} the folder {folder}: name its files, as '{folder}/*.xml'"
+            f"{EXPECTED_SCENE_TEXT} the folder {folder}: name its files, as '{folder}/*.xml'"
         )
     elif is_pattern:
         if store.is_url(source):
@@ -253,7 +253,7 @@ def _read_list(source: str, columns: Mapping[str, str]) -> list[Job]:
     jobs = []
     for place, row in read_rows(content, list_name, {*SCENE_KEYS, *columns.values()}):
         job = _make_job(_select_columns(row, columns, place), store.parent(source), place)
-        jobs.append(job._replace(list=list_url))
+        jobs.append(job._replace(list_url=list_url))
     if not jobs:
         raise ConfigError(f"expected at least one scene in {list_name}, got none")
     return jobs
@@ -270,20 +270,20 @@ def _select_columns(row: Json, columns: Mapping[str, str], place: str) -> Json:
     Raises:
         ConfigError: the row lacks the column with the scene.
     """
-    selected: Json = {}
+    value_of_key: Json = {}
     for key, column in columns.items():
         value: object = row.get(column)
         if column not in row:
             value = row
-            for field in column.split("."):
-                value = value.get(field) if isinstance(value, Mapping) else None
+            for field_name in column.split("."):
+                value = value.get(field_name) if isinstance(value, Mapping) else None
         if value is None and key in SCENE_KEYS:
-            present_columns = ", ".join(map(repr, row))
+            column_names = ", ".join(map(repr, row))
             raise ConfigError(
-                f"expected a column {column!r} at {place}, got {shorten(present_columns)}"
+                f"expected a column {column!r} at {place}, got {shorten(column_names)}"
             )
-        selected[key] = value
-    return selected if columns else row
+        value_of_key[key] = value
+    return value_of_key if columns else row
 
 
 def _make_job(row: Json, folder: store.Folder, place: str) -> Job:
@@ -315,13 +315,13 @@ def _make_job(row: Json, folder: store.Folder, place: str) -> Job:
             f"expected an object as `settings` at {place}, got {show_value(nested_settings)}"
         )
     if isinstance(scene_id, bool) or not isinstance(scene_id, str | int | None):
-        actual = show_value(scene_id)
-        raise ConfigError(f"expected text or a whole number as `id` at {place}, got {actual}")
+        actual_text = show_value(scene_id)
+        raise ConfigError(f"expected text or a whole number as `id` at {place}, got {actual_text}")
     settings = nest_settings([*nested_settings.items(), *row.items()], folder, place)
     check_selects_no_scene(settings, place)
     for key in settings.keys() - BakeConfig.model_fields:
-        expected = "`id`, `scene`, `config` or a setting such as `agent.radius`"
-        raise ConfigError(f"expected {expected}, got `{shorten(key)}` at {place}")
+        expected_text = "`id`, `scene`, `config` or a setting such as `agent.radius`"
+        raise ConfigError(f"expected {expected_text}, got `{shorten(key)}` at {place}")
     unknown_key = find_unknown_key(settings, SECTIONS)
     if unknown_key is not None:
         raise ConfigError(f"{unknown_key} at {place}")
@@ -335,13 +335,13 @@ def _make_job(row: Json, folder: store.Folder, place: str) -> Job:
 
 def _without_empty_values(row: Mapping[str, Any]) -> Json:
     """Return a row, and the objects in it, without None, NaN, empty texts and empty objects."""
-    kept_values = {}
+    nonempty_values = {}
     for key, value in row.items():
-        new_value = _without_empty_values(value) if isinstance(value, Mapping) else value
-        is_nan = new_value != new_value
-        if new_value not in (None, "", {}) and not is_nan:
-            kept_values[key] = new_value
-    return kept_values
+        nonempty_value = _without_empty_values(value) if isinstance(value, Mapping) else value
+        is_nan = nonempty_value != nonempty_value
+        if nonempty_value not in (None, "", {}) and not is_nan:
+            nonempty_values[key] = nonempty_value
+    return nonempty_values
 
 
 Rows: TypeAlias = Iterator[tuple[str, Json]]
@@ -351,9 +351,9 @@ Rows: TypeAlias = Iterator[tuple[str, Json]]
 def _split_lines(content: bytes, list_name: str) -> list[str]:
     """Decode a list and split it into lines; `list_name` is the list's name, for errors."""
     try:
-        return LINE_END.split(content.decode("utf-8-sig"))
+        return LINE_END_PATTERN.split(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
-        line_number = 1 + len(LINE_END.findall(error.object[: error.start].decode()))
+        line_number = 1 + len(LINE_END_PATTERN.findall(error.object[: error.start].decode()))
         raise ConfigError(
             f"expected UTF-8 in {list_name}, line {line_number}: {error.reason}"
         ) from error
@@ -399,13 +399,13 @@ def _read_csv_rows(content: bytes, list_name: str, scene_columns: set[str]) -> R
             if values and not columns:
                 columns = values
                 if not {*columns} & scene_columns:
-                    expected = "expected names of columns, `scene` or `config` among them"
-                    got = show_value(",".join(columns))
-                    raise ConfigError(f"{expected}, got {got} at {place}")
+                    expected_text = "expected names of columns, `scene` or `config` among them"
+                    got_text = show_value(",".join(columns))
+                    raise ConfigError(f"{expected_text}, got {got_text} at {place}")
             elif len(values) > len(columns):
-                expected = f"expected as many values as columns at {place}: {len(columns)}"
-                got = show_value(",".join(values))
-                raise ConfigError(f"{expected}, got {len(values)}: {got}")
+                expected_text = f"expected as many values as columns at {place}: {len(columns)}"
+                got_text = show_value(",".join(values))
+                raise ConfigError(f"{expected_text}, got {len(values)}: {got_text}")
             elif values:
                 row: Json = {}
                 for key, text_value in zip(columns, values, strict=False):
@@ -449,13 +449,13 @@ def read_shared_settings(path: str | os.PathLike[str]) -> Json:
     Raises a NavbakeError if the file can't be read. Raises a ConfigError if it is broken, is no
     mapping, or selects a scene.
     """
-    plain_name = store.strip_file_scheme(os.fspath(path))
+    plain_path = store.strip_file_scheme(os.fspath(path))
     settings = nest_settings(
-        _read_mapping(plain_name).items(),
-        store.parent(plain_name),
-        store.without_secrets(plain_name),
+        _read_mapping(plain_path).items(),
+        store.parent(plain_path),
+        store.without_secrets(plain_path),
     )
-    check_selects_no_scene(settings, store.without_secrets(plain_name))
+    check_selects_no_scene(settings, store.without_secrets(plain_path))
     return settings
 
 
@@ -464,8 +464,8 @@ def check_selects_no_scene(settings: Mapping[str, Any], place: str) -> None:
     scene_settings = {} if settings.get("scene") is None else settings["scene"]
     hint = "the batch's sources name the scenes"
     if not isinstance(scene_settings, Mapping):
-        got = f"got {show_value(scene_settings)}: {hint}"
-        raise ConfigError(f"expected settings as `scene` in {place}, {got}")
+        got_text = f"got {show_value(scene_settings)}: {hint}"
+        raise ConfigError(f"expected settings as `scene` in {place}, {got_text}")
     for key in UNIQUE_SCENE_KEYS:
         if key in scene_settings:
             raise ConfigError(f"expected no `scene.{key}` in {place}: {hint}")
@@ -541,9 +541,9 @@ def merge_settings(
     return parse_config(settings, place, overrides)
 
 
-def make_id_settings(name: str) -> Json:
+def make_id_settings(scene_id: str) -> Json:
     """Return settings whose `scene.id` is a scene's id, with ``_`` in place of slashes."""
-    return {"scene": {"id": name.replace("/", "_")}}
+    return {"scene": {"id": scene_id.replace("/", "_")}}
 
 
 def nest_settings(

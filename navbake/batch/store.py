@@ -81,13 +81,13 @@ def strip_file_scheme(path: str) -> str:
 
 
 def as_folder(path: str | os.PathLike[str]) -> Folder:
-    """Return a folder: a URL without a slash at its end, or a Path if it is on this machine."""
-    plain_name = strip_file_scheme(os.fspath(path))
-    return plain_name.rstrip("/") if is_url(plain_name) else Path(plain_name)
+    """Convert a path or URL to a `Folder`; a slash at the end of a URL is dropped."""
+    plain_path = strip_file_scheme(os.fspath(path))
+    return plain_path.rstrip("/") if is_url(plain_path) else Path(plain_path)
 
 
 def parent(path: str) -> Folder:
-    """Return the folder of a file."""
+    """Return the folder that a file is in; `path` is a path or a URL."""
     if not is_url(path):
         return Path(path).parent
     return _without_query(path).rpartition("/")[0]
@@ -103,12 +103,12 @@ def join(folder: Folder, name: str) -> str:
         return name
     if isinstance(folder, Path):
         return str(folder / name)
-    scheme, _, path = folder.partition("://")
-    host = path.partition("/")[0]
-    path = posixpath.normpath(posixpath.join(path, name))
-    if path.partition("/")[0] != host:
+    scheme, _, store_path = folder.partition("://")
+    store_host = store_path.partition("/")[0]
+    store_path = posixpath.normpath(posixpath.join(store_path, name))
+    if store_path.partition("/")[0] != store_host:
         raise ConfigError(f"expected a path within {without_secrets(folder)}, got {name}")
-    return f"{scheme}://{path}"
+    return f"{scheme}://{store_path}"
 
 
 def without_secrets(url: str) -> str:
@@ -171,12 +171,12 @@ def _web_client_options() -> Json:
         context: object,
         request: aiohttp.TraceRequestRedirectParams,
     ) -> None:
-        target = urljoin(str(request.url), request.response.headers.get("Location", ""))
-        check_host(target, [str(request.url)])
+        target_url = urljoin(str(request.url), request.response.headers.get("Location", ""))
+        check_host(target_url, [str(request.url)])
 
-    trace = aiohttp.TraceConfig()
-    trace.on_request_redirect.append(check_redirect)
-    return {"trace_configs": [trace]}
+    trace_config = aiohttp.TraceConfig()
+    trace_config.on_request_redirect.append(check_redirect)
+    return {"trace_configs": [trace_config]}
 
 
 # ---------------------------------------------------------------- files, here and on stores
@@ -251,16 +251,16 @@ def list_file_sizes(folder: str) -> dict[str, int]:
     The paths are relative to the folder.
     """
     with _name_file_in_errors("list", folder):
-        filesystem, path = _open_store(folder)
+        filesystem, folder_path = _open_store(folder)
         filesystem.invalidate_cache()  # another process may have written since the last listing
         try:
-            store_entries = filesystem.find(path, detail=True)
+            store_entries = filesystem.find(folder_path, detail=True)
         except FileNotFoundError:
             return {}
-        folder_length = len(path.rstrip("/"))
+        folder_path_length = len(folder_path.rstrip("/"))
         return {
-            name[folder_length:].lstrip("/"): store_entry["size"]
-            for name, store_entry in store_entries.items()
+            store_path[folder_path_length:].lstrip("/"): store_entry["size"]
+            for store_path, store_entry in store_entries.items()
         }
 
 
@@ -336,10 +336,10 @@ class Mirror(ExitStack):
             self._folder = Path(os.path.realpath(self.enter_context(scratch_folder())))
         scheme, _, authority_path = without_secrets(url).partition("://")
         authority, _, path = authority_path.partition("/")
-        root = self._folder / scheme / authority
-        self._urls[root] = "/".join(_without_query(url).split("/")[:3])
-        self._urls[root / path] = url
-        return root / path
+        store_root = self._folder / scheme / authority
+        self._urls[store_root] = "/".join(_without_query(url).split("/")[:3])
+        self._urls[store_root / path] = url
+        return store_root / path
 
     def url_of(self, path: Path) -> str | None:
         """Return the URL of a path in the folder; None for a path outside of it."""
@@ -374,9 +374,9 @@ class Mirror(ExitStack):
 
     def describe(self, path: Path) -> FileState:
         """Return the size and a fingerprint of a file: the store's tag, or else its sha256."""
-        entry = self._find_entry(path) or {}
+        store_entry = self._find_entry(path) or {}
         entry_values = {
-            key.lower(): value for key, value in entry.items() if value not in (None, "")
+            key.lower(): value for key, value in store_entry.items() if value not in (None, "")
         }
         version_tag = next(
             (f"{key}:{entry_values[key]}" for key in VERSION_KEYS if key in entry_values), None
@@ -408,10 +408,10 @@ class Mirror(ExitStack):
         with _name_file_in_errors("read", url):
             filesystem, path = _open_store(url)
             folder, _, name = path.rpartition("/")
-            entry: Mapping[str, Any] | None = None
+            store_entry: Mapping[str, Any] | None = None
             with suppress(FileNotFoundError, NotADirectoryError):
                 if _is_web(url):  # the web has no listings
-                    entry = filesystem.info(path)
+                    store_entry = filesystem.info(path)
                 else:
                     if folder not in self._listings:
                         self._listings[folder] = {}  # it stays empty if the folder is missing
@@ -419,8 +419,12 @@ class Mirror(ExitStack):
                             posixpath.basename(file_entry["name"]): file_entry
                             for file_entry in filesystem.ls(folder, detail=True)
                         }
-                    entry = self._listings[folder].get(name)
-            return entry if entry is not None and entry.get("type", "file") == "file" else None
+                    store_entry = self._listings[folder].get(name)
+            return (
+                store_entry
+                if store_entry is not None and store_entry.get("type", "file") == "file"
+                else None
+            )
 
 
 # ---------------------------------------------------------------- errors
@@ -455,14 +459,14 @@ def make_write_error(destination: str, error: OSError) -> NavbakeError:
 
 def _open_store(url: str) -> tuple[Any, str]:
     """Return the fsspec file system of a URL, and the path in it."""
-    core = import_extra("fsspec.core", "batch", f"{url.partition('://')[0]}://")
+    fsspec_core = import_extra("fsspec.core", "batch", f"{url.partition('://')[0]}://")
     options: Json = {}
     if _is_web(url):
         try:
             options["client_kwargs"] = _web_client_options()
         except ImportError as error:
             raise MissingDependencyError("https:// needs aiohttp: pip install aiohttp") from error
-    filesystem, path = core.url_to_fs(url, **options)
+    filesystem, path = fsspec_core.url_to_fs(url, **options)
     return filesystem, str(path)
 
 

@@ -81,7 +81,7 @@ class JobEnd(NamedTuple):
 
 
 OnJobEvent = Callable[[str, JobEnd], None]
-"""Is called with `SCENE_BEGUN` when a job begins, and with `RETRIED` when it will be retried."""
+"""A function that is called with `SCENE_BEGUN` when a job begins, with `RETRIED` before a retry."""
 
 
 class Workers:
@@ -90,7 +90,7 @@ class Workers:
     def __init__(
         self,
         work: Callable[[Any], Any],
-        count: int,
+        num_workers: int,
         *,
         limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
         prepare: Callable[[], None] | None = None,
@@ -99,12 +99,12 @@ class Workers:
 
         Args:
             work: a function at module level that does one job; its result must be picklable.
-            count: number of worker processes, >= 1.
+            num_workers: number of worker processes, >= 1.
             limits: the limits of each job.
             prepare: a function at module level that each worker calls before its first job.
         """
         self._work = work
-        self._count = count
+        self._count = num_workers
         self._limits = limits
         self._prepare = prepare
         self._closing = ExitStack()
@@ -139,28 +139,31 @@ class Workers:
         Raises:
             NavbakeError: no worker process starts.
         """
-        num_failures = [0] * len(jobs)
+        num_failures_of_job = [0] * len(jobs)
         num_broken_pools = 0  # in a row
         is_isolated = False  # whether each job has a process of its own
-        waiting_numbers = deque(range(len(jobs)))
-        failed_numbers = deque[int]()
-        while waiting_numbers:
-            for job_end in self._run_in_pool(jobs, waiting_numbers, is_isolated, on_event):
+        waiting_job_numbers = deque(range(len(jobs)))
+        failed_job_numbers = deque[int]()
+        while waiting_job_numbers:
+            for job_end in self._run_in_pool(jobs, waiting_job_numbers, is_isolated, on_event):
                 num_broken_pools = 0
                 if job_end.how != DONE and (is_isolated or job_end.how == TOO_LONG):
-                    num_failures[job_end.number] += 1
-                if job_end.how == DONE or num_failures[job_end.number] > self._limits.retries:
+                    num_failures_of_job[job_end.number] += 1
+                if (
+                    job_end.how == DONE
+                    or num_failures_of_job[job_end.number] > self._limits.retries
+                ):
                     yield job_end
                 else:
                     on_event(RETRIED, job_end)
-                    failed_numbers.append(job_end.number)
-            if waiting_numbers or failed_numbers or is_isolated:
+                    failed_job_numbers.append(job_end.number)
+            if waiting_job_numbers or failed_job_numbers or is_isolated:
                 self._stop_pool()
-            if waiting_numbers:  # the pool broke
+            if waiting_job_numbers:  # the pool broke
                 num_broken_pools += 1
             else:
-                waiting_numbers = failed_numbers
-                failed_numbers = deque()
+                waiting_job_numbers = failed_job_numbers
+                failed_job_numbers = deque()
                 is_isolated = True
             if num_broken_pools == MAX_BROKEN_POOLS:
                 reason = self._last_stderr_line(None)
@@ -186,7 +189,7 @@ class Workers:
     def _run_in_pool(
         self,
         jobs: Sequence[Any],
-        waiting_numbers: deque[int],
+        waiting_job_numbers: deque[int],
         is_isolated: bool,
         on_event: OnJobEvent,
     ) -> Iterator[JobEnd]:
@@ -194,7 +197,7 @@ class Workers:
 
         Args:
             jobs: all jobs.
-            waiting_numbers: the indices of the jobs to run. They are taken out when they are
+            waiting_job_numbers: the indices of the jobs to run. They are taken out when they are
                 submitted; if the pool breaks, unfinished jobs are put back.
             is_isolated: whether each job gets a new process.
             on_event: is called when a job begins.
@@ -203,47 +206,52 @@ class Workers:
             The end of each job that ended.
         """
         if self._pool is None:
-            self._pool = self._start_pool(len(waiting_numbers), is_isolated)
-        job_numbers: dict[Future[Any], int] = {}  # of submitted jobs
-        begin_times: dict[Future[Any], float] = {}  # by the pool's clock [s]
+            self._pool = self._start_pool(len(waiting_job_numbers), is_isolated)
+        number_of_future: dict[Future[Any], int] = {}  # of submitted jobs
+        begin_time_of_future: dict[Future[Any], float] = {}  # by the pool's clock [s]
         time_limit = self._limits.seconds
         timeout = None if time_limit == float("inf") else time_limit
         # While this process was suspended, its workers were, too: these jobs took no longer.
-        suspended_jobs: set[Future[Any]] = set()
-        while waiting_numbers or job_numbers:
-            while waiting_numbers and len(job_numbers) < JOBS_PER_WORKER * self._count:
-                arguments = (self._work, jobs[waiting_numbers[0]], is_isolated, self._limits.memory)
+        suspended_futures: set[Future[Any]] = set()
+        while waiting_job_numbers or number_of_future:
+            while waiting_job_numbers and len(number_of_future) < JOBS_PER_WORKER * self._count:
+                arguments = (
+                    self._work,
+                    jobs[waiting_job_numbers[0]],
+                    is_isolated,
+                    self._limits.memory,
+                )
                 try:
                     with _block_ctrl_c():  # the first job starts the workers
                         future: Future[Any] = self._pool.schedule(
                             _run_job, arguments, timeout=timeout
                         )
                 except RuntimeError:  # the pool is broken
-                    waiting_numbers.extendleft(job_numbers.values())
+                    waiting_job_numbers.extendleft(number_of_future.values())
                     return
-                job_numbers[future] = waiting_numbers.popleft()
+                number_of_future[future] = waiting_job_numbers.popleft()
             wait_begin = time.time()  # the pool's clock
-            ended_jobs, _ = wait(job_numbers, POLL_INTERVAL, FIRST_COMPLETED)
+            ended_futures, _ = wait(number_of_future, POLL_INTERVAL, FIRST_COMPLETED)
             if time.time() - wait_begin > POLL_INTERVAL + MAX_OVERSLEEP:
-                suspended_jobs.update(job_numbers)
-            for future in job_numbers.keys() - begin_times.keys():
-                if future.running() or future in ended_jobs:
-                    begin_times[future] = wait_begin
-                    on_event(SCENE_BEGUN, JobEnd(job_numbers[future], "", ""))
-            for future in ended_jobs:
-                number = job_numbers.pop(future)
-                duration = time.time() - begin_times.pop(future)
+                suspended_futures.update(number_of_future)
+            for future in number_of_future.keys() - begin_time_of_future.keys():
+                if future.running() or future in ended_futures:
+                    begin_time_of_future[future] = wait_begin
+                    on_event(SCENE_BEGUN, JobEnd(number_of_future[future], "", ""))
+            for future in ended_futures:
+                job_number = number_of_future.pop(future)
+                duration = time.time() - begin_time_of_future.pop(future)
                 error = future.exception()
                 if isinstance(error, BrokenProcessPool):
-                    waiting_numbers.extendleft([number, *job_numbers.values()])
+                    waiting_job_numbers.extendleft([job_number, *number_of_future.values()])
                     return
-                if isinstance(error, TimeoutError) and future in suspended_jobs:
-                    waiting_numbers.append(number)
+                if isinstance(error, TimeoutError) and future in suspended_futures:
+                    waiting_job_numbers.append(job_number)
                 elif error is None:
                     worker, how, value = future.result()
-                    yield JobEnd(number, how, value, duration, worker)
+                    yield JobEnd(job_number, how, value, duration, worker)
                 else:
-                    yield self._describe_failure(number, error, duration)
+                    yield self._describe_failure(job_number, error, duration)
 
     def _describe_failure(self, number: int, error: BaseException, seconds: float) -> JobEnd:
         """Describe the end of a job for which the pool reports an error.
@@ -360,9 +368,9 @@ def _run_job(
         if not is_isolated:
             os._exit(1)  # after a failed allocation, its state is unknown
         _lift_memory_limit()  # the message needs memory
-        available = "there is" if memory is None else f"{memory:g} GiB"
-        details = f" ({printable(str(error))})" if str(error) else ""
-        return os.getpid(), TOO_LARGE, f"it took more memory than {available}{details}"
+        available_text = "there is" if memory is None else f"{memory:g} GiB"
+        details_text = f" ({printable(str(error))})" if str(error) else ""
+        return os.getpid(), TOO_LARGE, f"it took more memory than {available_text}{details_text}"
 
 
 # ---------------------------------------------------------------- on a Ray cluster
@@ -371,7 +379,7 @@ def _run_job(
 def run_on_ray(
     jobs: Sequence[Any],
     work: Callable[[Any], Any],
-    count: int | None,
+    max_num_tasks: int | None,
     *,
     address: str | None,
     probe_file: Path | None = None,
@@ -385,8 +393,8 @@ def run_on_ray(
         jobs: the jobs, which must be picklable.
         work: a function at module level that does one job; its result must be picklable. All nodes
             must be able to import it.
-        count: the largest number of tasks at once. None for twice the cluster's number of CPUs:
-            tasks that wait for a CPU make an autoscaling cluster grow.
+        max_num_tasks: the largest number of tasks at once. None for twice the cluster's number of
+            CPUs: tasks that wait for a CPU make an autoscaling cluster grow.
         address: the cluster's address; ``local`` starts a cluster on this machine's loopback device
             for the batch; None for ``RAY_ADDRESS``, else ``local``.
         probe_file: an existing file in the output folder. A node that doesn't see it doesn't share
@@ -406,7 +414,7 @@ def run_on_ray(
     probe_path = None if probe_file is None else os.path.abspath(probe_file)
     enter_node = partial(_check_and_enter_node, os.getcwd(), probe_path, __version__)
     make_workers = partial(Workers, work, 1, limits=limits, prepare=prepare)
-    with _ray_connection(address, min(count or os.cpu_count() or 1, len(jobs))) as ray:
+    with _ray_connection(address, min(max_num_tasks or os.cpu_count() or 1, len(jobs))) as ray:
         remote_options = {
             "num_cpus": 1,
             "max_retries": MAX_RAY_RETRIES,
@@ -414,33 +422,33 @@ def run_on_ray(
         }
         remote_task = ray.remote(**remote_options)(_run_task)
         node_functions = ray.put((enter_node, make_workers))
-        remaining_numbers = iter(range(len(jobs)))
-        job_numbers = dict[Any, int]()  # of submitted tasks
+        remaining_job_numbers = iter(range(len(jobs)))
+        number_of_task = dict[Any, int]()  # of submitted tasks
         while True:
             # twice the CPUs: no node waits for this process
-            max_tasks = count or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
-            while len(job_numbers) < max_tasks:
-                number = next(remaining_numbers, None)
-                if number is None:
+            task_limit = max_num_tasks or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
+            while len(number_of_task) < task_limit:
+                job_number = next(remaining_job_numbers, None)
+                if job_number is None:
                     break
-                task = remote_task.remote(node_functions, number, jobs[number])
-                job_numbers[task] = number
-                on_event(SCENE_BEGUN, JobEnd(number, "", ""))
-            if not job_numbers:
+                task = remote_task.remote(node_functions, job_number, jobs[job_number])
+                number_of_task[task] = job_number
+                on_event(SCENE_BEGUN, JobEnd(job_number, "", ""))
+            if not number_of_task:
                 return
-            ended_tasks, _ = ray.wait([*job_numbers], timeout=CLUSTER_CHECK_INTERVAL)
+            ended_tasks, _ = ray.wait([*number_of_task], timeout=CLUSTER_CHECK_INTERVAL)
             for task in ended_tasks:
-                number = job_numbers.pop(task)
+                job_number = number_of_task.pop(task)
                 try:
                     job_end, failed_attempts = ray.get(task)
                 except ray.exceptions.RayTaskError as error:
                     raise NavbakeError(_last_line(error.cause or error)) from error
                 except ray.exceptions.RayError as error:
                     reason = f"it was lost {MAX_RAY_RETRIES + 1} times, as {_last_line(error)}"
-                    job_end = JobEnd(number, CRASHED, reason)
+                    job_end = JobEnd(job_number, CRASHED, reason)
                     failed_attempts = []
-                for attempt in failed_attempts:
-                    on_event(RETRIED, attempt)
+                for failed_attempt in failed_attempts:
+                    on_event(RETRIED, failed_attempt)
                 yield job_end
 
 
@@ -464,20 +472,20 @@ def _check_and_enter_node(folder: str, probe_path: str | None, version: str) -> 
     elif probe_path is not None and not os.path.exists(probe_path):
         problem = f"it lacks {probe_path}: write into a folder that all nodes share"
     if problem is not None:
-        node = socket.gethostname()
-        raise NavbakeError(printable(f"no worker can work on node {node}: {problem}"))
+        node_name = socket.gethostname()
+        raise NavbakeError(printable(f"no worker can work on node {node_name}: {problem}"))
     os.chdir(folder)
 
 
 def _run_task(
-    node_functions: tuple[Callable[[], None], Callable[[], Workers]], number: int, job: object
+    node_functions: tuple[Callable[[], None], Callable[[], Workers]], job_number: int, job: object
 ) -> tuple[JobEnd, list[JobEnd]]:
     """Do a job on a node of the cluster, in a worker process.
 
     Args:
         node_functions: two functions: the first checks the node and enters the batch's folder, the
             second makes the workers.
-        number: the job's index in the batch.
+        job_number: the job's index in the batch.
         job: the job.
 
     Returns:
@@ -492,12 +500,12 @@ def _run_task(
         _workers = make_workers().__enter__()
     failed_attempts: list[JobEnd] = []
 
-    def on_event(event: str, end: JobEnd) -> None:
+    def on_event(event: str, job_end: JobEnd) -> None:
         if event == RETRIED:
-            failed_attempts.append(end._replace(number=number))
+            failed_attempts.append(job_end._replace(number=job_number))
 
-    (end,) = _workers.run([job], on_event)
-    return end._replace(number=number), failed_attempts
+    (job_end,) = _workers.run([job], on_event)
+    return job_end._replace(number=job_number), failed_attempts
 
 
 _workers: Workers | None = None  # kept for all tasks of a batch in this Ray process

@@ -162,7 +162,7 @@ def batch(
         overrides=(*(scene_options.overrides or ()), *size_overrides),
         products=products.parse_products(product_options.make or []),
         thumbnail=product_options.has_page,
-        has_table=product_options.parquet,
+        writes_parquet=product_options.parquet,
         hosts=hosts,
     )
     limits = workers.JobLimits(
@@ -199,7 +199,7 @@ def batch(
             watch.interrupt(error)
             raise
         watch.end(result, _list_written_names(batch_slice, product_options))
-    if result.count("failed") or result.stopped:
+    if result.count("failed") or result.stop_reason:
         raise Exit(1)
 
 
@@ -440,17 +440,17 @@ class _BatchWatch:
     def end(self, result: run.BatchResult, file_names: list[str]) -> None:
         """Print the result, and the names of the files that were written."""
         self._counts = {
-            "baked": result.count("ok") - result.skipped,
-            "skipped": result.skipped,
+            "baked": result.count("ok") - result.num_skipped,
+            "skipped": result.num_skipped,
             "failed": result.count("failed"),
             "left": result.count("left"),
         }
         try:
-            self._log("end", {**self._counts, "stopped": result.stopped})
+            self._log("end", {**self._counts, "stopped": result.stop_reason})
         except NavbakeError as error:  # of the log; the result is printed anyway
             if self._as_json:
                 print_error(str(error))
-            result.stopped = result.stopped or str(error)
+            result.stop_reason = result.stop_reason or str(error)
         seconds = time.perf_counter() - self._begin
         if self._has_page:
             draw_missing_thumbnails(self._folder)
@@ -461,8 +461,8 @@ class _BatchWatch:
                 print_warnings([str(error)])
         if self._as_json:
             return
-        if result.stopped:
-            print_error(f"stopped: {result.stopped}")
+        if result.stop_reason:
+            print_error(f"stopped: {result.stop_reason}")
         num_warned = sum(bool(row.get("warnings")) for row in result.rows)
         warnings_text = f", {num_warned} with warnings" if num_warned else ""
         files_text = ", ".join(

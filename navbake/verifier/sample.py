@@ -243,7 +243,7 @@ class CellShift(NamedTuple):
 
 
 def find_cell_shift(source: Lattice, target: Lattice) -> CellShift:
-    """Return how much larger a cell's row and column are on a target lattice than on its own.
+    """Return how much larger a cell's row and column are on a target than on a source lattice.
 
     Args:
         source: The lattice that rows and columns refer to.

@@ -145,7 +145,7 @@ def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
     thumbnail = f"{store}/first/thumbnail.png"
     drawn = read_file(thumbnail)
     remove_files(store, ["first/thumbnail.png"])
-    assert run_batch(plan, jobs, Told()).skipped == 2
+    assert run_batch(plan, jobs, Told()).num_skipped == 2
     assert draw_thumbnails(store, lambda share: None) == 0
     assert read_file(thumbnail) == drawn
     remove_files(store, ["second/thumbnail.png"])

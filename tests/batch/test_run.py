@@ -101,7 +101,7 @@ def test_scenes_that_fail_hang_or_crash_cost_themselves_alone(tmp_path, monkeypa
     sources = [str(hanging), *(str(tmp_path / "scenes" / f"{name}.xml") for name in good)]
     limits = JobLimits(seconds=1.0)
     names, result = run(*sources, out=tmp_path / "out", workers=2, limits=limits, products=make)
-    assert names == ["hangs"] and result.skipped == 6
+    assert names == ["hangs"] and result.num_skipped == 6
     assert wrong_rows([*read_index(tmp_path / "out").values()], expected) == []
     assert sorted(path.parent.name for path in (tmp_path / "out").glob("*/*.gz")) == good
     grid = navbake.bake(tmp_path / "scenes" / "good-0003.xml", grid=SETTINGS["grid"])
@@ -121,7 +121,7 @@ def test_what_is_done_is_skipped_and_what_failed_is_tried_again(scenes, here):
     assert names == ["first", "second", "meshed.mjcf", "bad"]
     before = digests("out")
     names, again = run(*ALL, "scenes/bad.xml")
-    assert names == ["bad"] and again.skipped == 3
+    assert names == ["bad"] and again.num_skipped == 3
     assert digests("out") == before
     assert again.rows[:3] == first.rows[:3]
     row = again.rows[0]
@@ -422,7 +422,7 @@ def test_a_batch_ends_after_too_many_failures(scenes, here):
     sources = ["scenes/bad-1.xml", ALL[0], "scenes/bad-2.xml", ALL[1]]
     names, result = run(*sources, max_failures=1)
     assert names == ["bad-1", "first", "bad-2"]
-    assert result.stopped == "2 scenes failed, more than 1"
+    assert result.stop_reason == "2 scenes failed, more than 1"
     assert [row["status"] for row in result.rows] == ["failed", "ok", "failed", "left"]
     assert list(read_index(Path("out")).values()) == result.rows
     assert run(*sources)[0] == ["bad-1", "bad-2", "second"]
@@ -480,7 +480,7 @@ def test_an_interrupted_run_forgets_nothing_that_still_holds(scenes, monkeypatch
     rows = [*read_index(Path("out")).values()]
     assert [row["status"] for row in rows] == ["left"] * 3
     names, result = run(*ALL, products=["nav2"])
-    assert names == [] and result.skipped == 3 and digests("out") == made
+    assert names == [] and result.num_skipped == 3 and digests("out") == made
     assert Path("out", INDEX_NAME).read_bytes() == index
 
 
@@ -560,7 +560,7 @@ def test_a_folder_that_takes_no_more_files_stops_the_batch(scenes, here, monkeyp
         names, result = run(*ALL, products=["report"])
     assert names == ["first"]
     place, why = Path("out", "second"), os.strerror(code)
-    assert result.stopped == (
+    assert result.stop_reason == (
         f"cannot write into {place}: {why}: {remedy} and run the same command again"
     )
     assert [row["status"] for row in result.rows] == ["ok", "left", "left"]
@@ -581,18 +581,18 @@ def test_the_index_has_what_was_made_where_it_can_not_be_put_in_order(scenes, he
             lambda data, path: refuse() if Path(path).name == INDEX_NAME else real(data, path),
         )
         result = run(*ALL[:2])[1]
-        assert result.stopped == (
+        assert result.stop_reason == (
             "cannot write into out: No space left on device: free space and run the same command "
             "again"
         )
         assert result.count("ok") == 2 and [*read_index(Path("out"))] == ["first", "second"]
         patch.setattr(index_module, "write_all", refuse)
         names, result = run(*ALL)
-    assert names == [] and result.stopped.startswith("cannot write into out: No space")
+    assert names == [] and result.stop_reason.startswith("cannot write into out: No space")
     assert [row["status"] for row in result.rows] == ["ok", "ok", "ok"]
     assert [*read_index(Path("out"))] == ["first", "second"]
     names, result = run(*ALL)
-    assert names == [] and result.stopped is None
+    assert names == [] and result.stop_reason is None
 
 
 def test_a_new_file_that_a_scene_may_mean_instead_is_noticed(scenes, here):
@@ -731,7 +731,7 @@ def test_scenes_are_read_by_workers_alone(scenes, monkeypatch):
 def test_a_scene_that_is_endless_to_read_is_told(scenes, monkeypatch):
     """Its own bake, which has limits too, is for it to fail."""
     monkeypatch.setattr(run_module, "inspect_scenes", inspect_for_ever)
-    monkeypatch.setattr(run_module, "LEAST_INSPECTION_SECONDS", 20.0)
+    monkeypatch.setattr(run_module, "MIN_INSPECTION_SECONDS", 20.0)
     (scenes / "endless.xml").write_text("<mujoco/>")
     jobs = list_jobs(["scenes/endless.xml", "scenes/first.xml"])
     plan = job_module.Plan(Path("out").absolute(), SETTINGS)

@@ -85,7 +85,7 @@ def test_slices_merge_into_the_bytes_of_one_run():
     assert {len(ids) for ids in found} == {2, 3}
     assert not Path("parts", INDEX_NAME).exists() and not [*Path("parts").glob("episodes*")]
     _, merged = run(out="parts", only_merge=True, products=make, shards=2)
-    assert (merged.skipped, merged.count("failed"), merged.count("left")) == (6, 1, 0)
+    assert (merged.num_skipped, merged.count("failed"), merged.count("left")) == (6, 1, 0)
     assert {path.name for path in Path("parts").glob("*index-*")} == set()
     assert [path.name for path in Path("parts").glob(".*lock")] == [".navbake-batch.lock"]
     _, one = run(out="one", products=make, shards=2)
@@ -110,7 +110,7 @@ def test_what_slices_leave_is_done_by_the_next_run():
     assert [row["status"] for row in merged.rows] == status
     names, result = run(out="out")
     assert names == [row["id"] for row in merged.rows if row["status"] != "ok"]
-    assert (result.count("ok"), result.skipped) == (6, merged.count("ok"))
+    assert (result.count("ok"), result.num_skipped) == (6, merged.count("ok"))
 
 
 def test_slices_keep_the_rows_of_scenes_whose_folder_is_not_named_in_utf_8():

@@ -496,5 +496,5 @@ def test_a_store_without_room_stops_the_batch(tmp_path, memory, monkeypatch):
         patch.setattr(type(memory), "pipe_file", pipe_file)
         names, result = run("a.xml", "b.xml", out="memory://out")
     assert names == [] and result.count("left") == 2
-    assert result.stopped == f"cannot write into memory://out/a: {why}"
+    assert result.stop_reason == f"cannot write into memory://out/a: {why}"
     assert run("a.xml", "b.xml", out="memory://out")[1].count("ok") == 2
