@@ -188,11 +188,13 @@ class EpisodeSet(msgspec.Struct, frozen=True):
         return len(self.episodes)
 
     def __repr__(self) -> str:
-        scenes = count_of(len({episode.scene for episode in self.episodes}), "scene")
-        tasks = ", ".join(sorted({episode.task for episode in self.episodes})) or "no task"
+        scenes_text = count_of(len({episode.scene for episode in self.episodes}), "scene")
+        tasks_text = ", ".join(sorted({episode.task for episode in self.episodes})) or "no task"
         agent = self.header.agent
         radius = "unknown radius" if agent is None else f"radius {agent.radius:g} m"
-        return f"EpisodeSet({count_of(len(self), 'episode')} of {scenes}, {tasks}, {radius})"
+        return (
+            f"EpisodeSet({count_of(len(self), 'episode')} of {scenes_text}, {tasks_text}, {radius})"
+        )
 
     def check_grid(self, grid: NavGrid) -> None:
         """Check that the set was drawn on this grid, inflated for the set's agent.

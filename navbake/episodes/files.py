@@ -233,10 +233,12 @@ def read_parquet(content: bytes, name: str) -> ParsedSet:
         )
         Allowance(len(content), "max_cells").take_text(num_text_bytes, JsonPath(name))
         header = file.schema_arrow.metadata[METADATA_KEY]
-        texts = file.read(["episode"]).column("episode").to_pylist()
+        episode_texts = file.read(["episode"]).column("episode").to_pylist()
     except (pyarrow.ArrowException, KeyError, TypeError, ValueError, OSError) as error:
         raise FormatError(f"expected a set of episodes as Parquet in {name}") from error
-    episodes = [decode(text or "", Episode, f"{name}, row {row}") for row, text in enumerate(texts)]
+    episodes = [
+        decode(text or "", Episode, f"{name}, row {row}") for row, text in enumerate(episode_texts)
+    ]
     return decode(header, Header, name), episodes
 
 

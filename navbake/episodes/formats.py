@@ -245,10 +245,13 @@ def _write_goal(goal: Goal, object_id: int | None = None) -> _Goal:
     if object_id is not None:
         habitat_views = [
             _View(
-                _State(_convert_to_y_up(view.position), _heading_to_quaternion(view.heading)),
-                view.iou,
+                _State(
+                    _convert_to_y_up(view_point.position),
+                    _heading_to_quaternion(view_point.heading),
+                ),
+                view_point.iou,
             )
-            for view in goal.view_points
+            for view_point in goal.view_points
         ]
     return _Goal(
         position=_convert_to_y_up(_require_position(goal)),
@@ -263,13 +266,13 @@ def _write_goal(goal: Goal, object_id: int | None = None) -> _Goal:
 def _read_goal(goal: _Goal, default_radius: float) -> Goal:
     """Convert a goal of habitat-lab; it gets `default_radius` [m] if it has no radius."""
     view_points = []
-    for view in goal.view_points or ():
-        agent_state = view.agent_state
+    for habitat_view in goal.view_points or ():
+        agent_state = habitat_view.agent_state
         view_points.append(
             ViewPoint(
                 _convert_from_y_up(agent_state.position),
                 _quaternion_to_heading(agent_state.rotation),
-                view.iou,
+                habitat_view.iou,
             )
         )
     return Goal(
@@ -417,8 +420,8 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
     than ``room`` may name the room of their goal, too.
     """
 
-    def parse_number(column: str, default: str | None = None) -> float:
-        text = row.get(column) or default
+    def parse_number(column: str, default_text: str | None = None) -> float:
+        text = row.get(column) or default_text
         with suppress(ValueError):
             value = float(text or "nan")
             if math.isfinite(value):
@@ -429,8 +432,8 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
         return [word for word in (row.get(column) or "").split(":") if word]
 
     # the first wrong column in this order is reported
-    start = _convert_from_y_up([parse_number("start" + axis) for axis in "XYZ"])
-    goal = _convert_from_y_up([parse_number("goal" + axis) for axis in "XYZ"])
+    start_position = _convert_from_y_up([parse_number("start" + axis) for axis in "XYZ"])
+    goal_position = _convert_from_y_up([parse_number("goal" + axis) for axis in "XYZ"])
     straight_distance = parse_number("dist", "-1")
     distance = parse_number("pathDist", "-1")
     level = int(parse_number("level", "0"))
@@ -464,11 +467,11 @@ def _read_row(row: Mapping[str, str], index: int) -> Json:
     return {
         "scene": row.get("sceneId"),
         "task": task,
-        "start": start,
+        "start": start_position,
         "heading": math.remainder(parse_number("startAngle") + math.pi / 2, 2 * math.pi),
         "goals": [
             {
-                "position": goal,
+                "position": goal_position,
                 "radius": 0.0 if room else MINOS_RADIUS,
                 "name": name or None,
                 "room": room or None,
@@ -510,8 +513,8 @@ def encode_molmospaces(episode_set: EpisodeSet, _: str) -> bytes:
     """Encode a set as MolmoSpaces' list of EpisodeSpec; scenes are named ``DATASET/INDEX``."""
     specs = []
     for episode in episode_set.episodes:
-        scene = episode.scene if HOUSE_INDEX.search(episode.scene) else f"{episode.scene}/0"
-        dataset, _, index = scene.rpartition("/")
+        scene_name = episode.scene if HOUSE_INDEX.search(episode.scene) else f"{episode.scene}/0"
+        dataset, _, index = scene_name.rpartition("/")
         goal = episode.goals[0]
         half_heading = episode.heading / 2
         # success is judged by the distance seen from above

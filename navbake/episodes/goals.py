@@ -172,7 +172,7 @@ def plan_path_through(
         it; empty if there is no path.
     """
     position = np.array(start)
-    points = list[Vector3]()
+    path_points = list[Vector3]()
     rooms = list[str]()
     doors = list[str]()
     for places in stops:
@@ -180,12 +180,12 @@ def plan_path_through(
         if path is None:
             return {}
         distances = np.linspace(0.0, path.length, math.ceil(path.length / VIEW_POINT_SPACING) + 1)
-        points += map(tuple, path.at(distances).tolist())
+        path_points += map(tuple, path.at(distances).tolist())
         # a leg begins in the room in which the leg before ended
         rooms += path.rooms[1:] if rooms[-1:] == path.rooms[:1] else path.rooms
         doors += path.doors
         position = path.positions[-1]
-    return {"path": tuple(points), "rooms": tuple(rooms), "doors": tuple(doors)}
+    return {"path": tuple(path_points), "rooms": tuple(rooms), "doors": tuple(doors)}
 
 
 @dataclass(eq=False)

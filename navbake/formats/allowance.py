@@ -148,13 +148,13 @@ def check_whole_number(value: object, place: JsonPath, minimum: int) -> int:
     return int(value)  # type: ignore[call-overload,no-any-return]
 
 
-def check_number(value: object, place: JsonPath, *, positive: bool = False) -> float:
+def check_number(value: object, place: JsonPath, *, must_be_positive: bool = False) -> float:
     """Check that a value is a finite number, and return it; 59.0 becomes the int 59.
 
     Args:
         value: the number as parsed.
         place: its location, for errors.
-        positive: whether 0 and negative numbers are refused.
+        must_be_positive: whether 0 and negative numbers are refused.
 
     Returns:
         The number, an int if it is whole and below 2**53.
@@ -167,8 +167,8 @@ def check_number(value: object, place: JsonPath, *, positive: bool = False) -> f
         number = float(value) if is_number else math.nan  # type: ignore[arg-type]
     except OverflowError:  # YAML has whole numbers beyond all floats
         number = math.nan
-    if not math.isfinite(number) or (positive and number <= 0):
-        place.refuse("a number > 0" if positive else "a finite number", value)
+    if not math.isfinite(number) or (must_be_positive and number <= 0):
+        place.refuse("a number > 0" if must_be_positive else "a finite number", value)
     return int(number) if number.is_integer() and abs(number) < 2**53 else number
 
 
@@ -321,9 +321,9 @@ class Allowance:
             FormatError: too few cells are left.
         """
         if math.prod(shape) > self._cells:
-            unit = self._keyword.removeprefix("max_") or "pixels"
+            noun = self._keyword.removeprefix("max_") or "pixels"
             shape_text = " × ".join(format_value(int(count)) for count in shape)
-            fault = f"too many {unit} ({shape_text}, expected {self._cells:,} at most)"
+            fault = f"too many {noun} ({shape_text}, expected {self._cells:,} at most)"
             place.fail(fault, self._remedy, expected=f"{self._cells:,} at most", value=tuple(shape))
         self._cells -= math.prod(shape)
 

@@ -79,9 +79,9 @@ def decode_array(
     if encoding not in (None, "raw", "rle"):
         place["encoding"].refuse("'rle' or 'raw'", encoding)
     if encoding == "rle":
-        counts = _check_counts(data, data_place, num_cells)
+        run_lengths = _check_counts(data, data_place, num_cells)
         run_values = _cast_values(data, data_place, 2, dtype, null_value)
-        return np.repeat(run_values, counts).reshape(shape)
+        return np.repeat(run_values, run_lengths).reshape(shape)
     if len(data) != num_cells:
         data_place.fail(f"expected {num_cells} values, one a cell, got {len(data)}")
     return _cast_values(data, data_place, 1, dtype, null_value).reshape(shape)
@@ -95,14 +95,14 @@ def _check_counts(data: list[JsonValue], place: JsonPath, num_cells: int) -> Int
     if len(data) % 2:
         place.fail(f"expected pairs of value and count, got an odd number ({len(data)}) of entries")
     expected = "a count, a whole number >= 0"
-    counts = _to_float64(data, place, slice(1, None, 2), expected, (int, float))
-    is_invalid = (counts < 0) | (counts != np.floor(counts))
+    run_lengths = _to_float64(data, place, slice(1, None, 2), expected, (int, float))
+    is_invalid = (run_lengths < 0) | (run_lengths != np.floor(run_lengths))
     if is_invalid.any():
         index = 2 * int(np.argmax(is_invalid)) + 1
         place[index].refuse(expected, data[index])
-    if counts.sum() != num_cells:
-        place.fail(f"expected runs over {num_cells} cells, got runs over {counts.sum():.15g}")
-    return counts.astype(np.int64)
+    if run_lengths.sum() != num_cells:
+        place.fail(f"expected runs over {num_cells} cells, got runs over {run_lengths.sum():.15g}")
+    return run_lengths.astype(np.int64)
 
 
 def _cast_values(
@@ -136,7 +136,7 @@ def _cast_values(
 def _to_float64(
     data: list[JsonValue],
     place: JsonPath,
-    selection: slice,
+    entry_slice: slice,
     expected: str,
     allowed_types: tuple[type, ...],
 ) -> Float:
@@ -144,9 +144,9 @@ def _to_float64(
 
     A FormatError is raised for the first entry whose type is none of `allowed_types`.
     """
-    entries = data[selection]
+    entries = data[entry_slice]
     if not set(map(type, entries)) <= set(allowed_types):  # as a type of its own, bool is no int
-        indices = range(len(data))[selection]
+        indices = range(len(data))[entry_slice]
         index = next(index for index in indices if type(data[index]) not in allowed_types)
         place[index].refuse(expected, data[index])
     return np.array(entries, dtype=np.float64)
@@ -181,19 +181,19 @@ def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
     run_starts = np.concatenate(run_start_chunks)
     run_lengths = np.diff(run_starts, append=len(cells))
 
-    texts = []
+    chunk_texts = []
     for chunk_start in range(0, len(run_starts), CHUNK_LENGTH):
         values = _normalize_values(cells[run_starts[chunk_start : chunk_start + CHUNK_LENGTH]])
         counts = run_lengths[chunk_start : chunk_start + CHUNK_LENGTH]
         if values.dtype.kind == "f":
-            words = [b""] * (2 * len(counts))
-            words[0::2] = _dump_numbers(values).split(b",")
-            words[1::2] = _dump_numbers(counts).split(b",")
-            texts.append(b",".join(words).replace(b".0,", b","))
+            number_texts = [b""] * (2 * len(counts))
+            number_texts[0::2] = _dump_numbers(values).split(b",")
+            number_texts[1::2] = _dump_numbers(counts).split(b",")
+            chunk_texts.append(b",".join(number_texts).replace(b".0,", b","))
         else:
             pairs = np.stack([values.astype(np.int64), counts], axis=1)
-            texts.append(_dump_numbers(pairs.ravel()))
-    return b"[%b]" % b",".join(texts)
+            chunk_texts.append(_dump_numbers(pairs.ravel()))
+    return b"[%b]" % b",".join(chunk_texts)
 
 
 def _normalize_values(cells: NDArray[Any]) -> NDArray[Any]:

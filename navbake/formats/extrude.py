@@ -99,32 +99,34 @@ def encode_mjcf(
         raise FormatError(
             f"expected {expected}, got {height:g} m", key="height", value=height, expected=expected
         )
-    floors = [_find_floor(grid_level, bool(flat)) for grid_level in levels]
+    floor_z_of_levels = [_find_floor(grid_level, bool(flat)) for grid_level in levels]
     has_free_cell = any(
-        (grid_level.free & ~np.isnan(floor)).any()
-        for grid_level, floor in zip(levels, floors, strict=True)
+        (grid_level.free & ~np.isnan(floor_z)).any()
+        for grid_level, floor_z in zip(levels, floor_z_of_levels, strict=True)
     )
     if not has_free_cell:
         raise FormatError("the grid has no free cell to make a scene of")
 
     lattice, windows = _join_lattices(levels)
     # floors of all levels on the common lattice, shape (level, row, col)
-    stacked_floors = np.full((len(levels), *lattice.shape), np.nan)
+    stacked_floor_z = np.full((len(levels), *lattice.shape), np.nan)
     for index, window in enumerate(windows):
-        stacked_floors[(index, *window)] = floors[index]
-    wall_top = float(np.nanmax(stacked_floors)) + height
+        stacked_floor_z[(index, *window)] = floor_z_of_levels[index]
+    wall_top_z = float(np.nanmax(stacked_floor_z)) + height
     box_groups: list[_Boxes] = []
-    for index, (grid_level, window, floor) in enumerate(zip(levels, windows, floors, strict=True)):
+    for index, (grid_level, window, floor_z) in enumerate(
+        zip(levels, windows, floor_z_of_levels, strict=True)
+    ):
         # walls end under the next floor above, else at the top
         with np.errstate(invalid="ignore"):
-            window_floors = stacked_floors[(slice(None), *window)]
-            next_floor = np.where(window_floors > floor, window_floors, np.inf).min(axis=0)
-        ceiling = np.where(np.isinf(next_floor), wall_top, next_floor - SLAB_THICKNESS)
-        has_floor = ~np.isnan(floor)
-        slabs = _make_boxes(grid_level.lattice, has_floor, floor - SLAB_THICKNESS, floor)
+            window_floor_z = stacked_floor_z[(slice(None), *window)]
+            next_floor_z = np.where(window_floor_z > floor_z, window_floor_z, np.inf).min(axis=0)
+        ceiling_z = np.where(np.isinf(next_floor_z), wall_top_z, next_floor_z - SLAB_THICKNESS)
+        has_floor = ~np.isnan(floor_z)
+        slabs = _make_boxes(grid_level.lattice, has_floor, floor_z - SLAB_THICKNESS, floor_z)
         box_groups.append(_Boxes("floor", index, slabs))
-        has_wall = has_floor & ~grid_level.free & (ceiling > np.nan_to_num(floor, nan=np.inf))
-        walls = _make_boxes(grid_level.lattice, has_wall, floor, ceiling)
+        has_wall = has_floor & ~grid_level.free & (ceiling_z > np.nan_to_num(floor_z, nan=np.inf))
+        walls = _make_boxes(grid_level.lattice, has_wall, floor_z, ceiling_z)
         box_groups.append(_Boxes("wall", index, walls))
     num_boxes = sum(len(boxes.corners) for boxes in box_groups)
     if num_boxes > MAX_BOXES:
@@ -133,7 +135,7 @@ def encode_mjcf(
         message = f"the scene takes {num_boxes:,} boxes, expected {expected}: {remedy}"
         raise FormatError(message, value=num_boxes, expected=expected, hint=remedy)
 
-    settings = _make_settings(grid, path, lattice, levels, stacked_floors)
+    settings = _make_settings(grid, path, lattice, levels, stacked_floor_z)
     settings_path = path.with_suffix(".yaml")
     check_name_encoding(path)
     header_comment = f"# Bakes {_format_comment(path.name)} to the cells that it was made of.\n"
@@ -213,17 +215,17 @@ def _make_boxes(lattice: Lattice, is_covered: Bool, low_z: Float, high_z: Float)
 
 
 def _make_settings(
-    grid: NavGrid, path: Path, lattice: Lattice, levels: list[SceneGrid2D], stacked_floors: Float
+    grid: NavGrid, path: Path, lattice: Lattice, levels: list[SceneGrid2D], stacked_floor_z: Float
 ) -> Json:
     """Return the settings that bake the scene to the cells of the grid."""
-    lowest_floor = float(np.nanmin(stacked_floors))
-    highest_floor = float(np.nanmax(stacked_floors))
+    lowest_floor_z = float(np.nanmin(stacked_floor_z))
+    highest_floor_z = float(np.nanmax(stacked_floor_z))
     grounds = [round(level.ground, DECIMALS) + 0.0 for level in levels]
-    grounds[0] = min(grounds[0], round(lowest_floor, DECIMALS) + 0.0)
+    grounds[0] = min(grounds[0], round(lowest_floor_z, DECIMALS) + 0.0)
     if not all(low < high for low, high in itertools.pairwise(grounds)):
         raise FormatError("expected levels with ascending grounds: extrude one (level) at a time")
     level_entries: list[Json] = [{"ground": ground} for ground in grounds]
-    level_entries[-1]["top"] = round(max(highest_floor, grounds[-1]) + TOP_MARGIN, DECIMALS)
+    level_entries[-1]["top"] = round(max(highest_floor_z, grounds[-1]) + TOP_MARGIN, DECIMALS)
     max_step = min(grid.max_step, 0.99 * grid.agent_height)
     return {
         "scene": {"path": path.name},
@@ -252,11 +254,14 @@ def _write_scene(
         upper_corners = boxes.corners[:, 1]
         centers = ((lower_corners + upper_corners) / 2).tolist()
         half_extents = ((upper_corners - lower_corners) / 2).tolist()
-        for number, (center, half_extent) in enumerate(zip(centers, half_extents, strict=True)):
-            geom_name = f"{boxes.kind}_{boxes.level}_{number}"
-            pos = " ".join(map(repr, center))
-            size = " ".join(map(repr, half_extent))
-            yield f'    <geom name="{geom_name}" class="{boxes.kind}" pos="{pos}" size="{size}"/>\n'
+        for box_number, (center, half_extent) in enumerate(zip(centers, half_extents, strict=True)):
+            geom_name = f"{boxes.kind}_{boxes.level}_{box_number}"
+            pos_text = " ".join(map(repr, center))
+            size_text = " ".join(map(repr, half_extent))
+            yield (
+                f'    <geom name="{geom_name}" class="{boxes.kind}" pos="{pos_text}" '
+                f'size="{size_text}"/>\n'
+            )
     yield "  </worldbody>\n</mujoco>\n"
 
 

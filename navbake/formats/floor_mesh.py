@@ -228,8 +228,8 @@ def cover_with_quads(
     from navbake.formats.plane_kernels import cover_planes  # as above
 
     ensure_compiled("formats.plane_kernels.")
-    bounds, planes = cover_planes(labels, heights, tolerance, max_rise)
-    first_row, first_col, stop_row, stop_col = bounds.T
+    cell_bounds, planes = cover_planes(labels, heights, tolerance, max_rise)
+    first_row, first_col, stop_row, stop_col = cell_bounds.T
     rows = (
         np.stack([stop_row, stop_row, first_row, first_row], axis=1)
         + np.array([1, 1, -1, -1]) * margin
@@ -242,7 +242,7 @@ def cover_with_quads(
     rows_down = rows - first_row[:, None] - 0.5
     cols_right = cols - first_col[:, None] - 0.5
     corner_heights = planes[:, :1] + cols_right * planes[:, 1:2] + rows_down * planes[:, 2:]
-    return Quads(bounds[:, :2], rows, cols, corner_heights)
+    return Quads(cell_bounds[:, :2], rows, cols, corner_heights)
 
 
 def find_room_colors(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:

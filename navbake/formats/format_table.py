@@ -324,20 +324,20 @@ def find_format(
         for file_format in usable_formats:
             if file_format.name == name:
                 return file_format
-        names = ", ".join(file_format.name for file_format in usable_formats)
-        expected = f"a format that is {verb_text} ({names})"
+        names_text = ", ".join(file_format.name for file_format in usable_formats)
+        expected = f"a format that is {verb_text} ({names_text})"
         raise FormatError(f"expected {expected}, got {name}", value=name, expected=expected)
 
     file_name = os.path.basename(os.fsdecode(path)).lower()
-    matches = [
+    ending_format_pairs = [
         (ending, file_format)
         for file_format in usable_formats
         for ending in file_format.endings
         if file_name.endswith(ending)
     ]
-    if matches:
+    if ending_format_pairs:
         # max returns the first of equally long endings
-        _, best_format = max(matches, key=lambda match: len(match[0]))
+        _, best_format = max(ending_format_pairs, key=lambda pair: len(pair[0]))
         return best_format
 
     formats_text = ", ".join(

@@ -137,13 +137,15 @@ class CellGraph:
         of the step. Raises a MissingDependencyError without networkx.
         """
         graph: networkx.DiGraph[Any] = import_extra("networkx").DiGraph()
-        names = list(zip(self.level.tolist(), self.row.tolist(), self.col.tolist(), strict=True))
-        for name, position in zip(names, self.position.tolist(), strict=True):
-            graph.add_node(name, position=tuple(position))
+        node_names = list(
+            zip(self.level.tolist(), self.row.tolist(), self.col.tolist(), strict=True)
+        )
+        for node_name, position in zip(node_names, self.position.tolist(), strict=True):
+            graph.add_node(node_name, position=tuple(position))
         matrix = self.matrix.tocoo()
         steps = zip(matrix.row.tolist(), matrix.col.tolist(), matrix.data.tolist(), strict=True)
         graph.add_weighted_edges_from(
-            (names[source], names[target], cost) for source, target, cost in steps
+            (node_names[source], node_names[target], cost) for source, target, cost in steps
         )
         return graph
 
@@ -532,8 +534,8 @@ def _find_openings(search: Search, room_of_cell: Int32) -> Iterator[_Opening]:
     for steps in all_steps:
         room_pairs = np.sort(room_of_cell[steps.ends], axis=0).astype(np.int64)
         for step_indices in _group_connected(room_pairs, steps.corners):
-            extents = np.ptp(steps.corners[:, :, step_indices], axis=(0, 2))
-            num_rows, num_cols = extents.tolist()
+            corner_extents = np.ptp(steps.corners[:, :, step_indices], axis=(0, 2))
+            num_rows, num_cols = corner_extents.tolist()
             group_level = flat_grid.level_of(steps.ends[0, step_indices[0]])
             cell_size = float(flat_grid.layout.cell_size[group_level])
             if steps.kind == "open":
@@ -567,18 +569,18 @@ def _group_connected(room_pairs: Int, corners: Int) -> Iterator[Int]:
     if not num_steps:
         return
     # a corner together with two rooms, so that steps of different rooms share no corner
-    keys = np.concatenate([np.broadcast_to(room_pairs, corners.shape), corners], axis=1)
-    keys = keys.swapaxes(0, 1).reshape(4, -1)
-    _, corner_number = np.unique(keys, axis=1, return_inverse=True)
+    corner_keys = np.concatenate([np.broadcast_to(room_pairs, corners.shape), corners], axis=1)
+    corner_keys = corner_keys.swapaxes(0, 1).reshape(4, -1)
+    _, corner_number = np.unique(corner_keys, axis=1, return_inverse=True)
     corner_node = num_steps + corner_number.ravel()
     step_node = np.tile(np.arange(num_steps), len(corners))
     num_nodes = num_steps + int(corner_number.max()) + 1
     is_edge = np.ones(len(step_node), dtype=np.int8)
     graph = sparse.coo_array((is_edge, (step_node, corner_node)), shape=(num_nodes, num_nodes))
     _, labels = csgraph.connected_components(graph, directed=False)
-    component = labels[:num_steps]
-    sort_indices = np.argsort(component, kind="stable")
-    yield from np.split(sort_indices, np.flatnonzero(np.diff(component[sort_indices])) + 1)
+    component_of_step = labels[:num_steps]
+    sort_indices = np.argsort(component_of_step, kind="stable")
+    yield from np.split(sort_indices, np.flatnonzero(np.diff(component_of_step[sort_indices])) + 1)
 
 
 def _find_distance(segment: Float, positions: Float) -> float:
@@ -653,8 +655,8 @@ def encode_networkx(graph: networkx.Graph[Any], *, as_gml: bool = False) -> byte
             return re.sub("[\0-\x08\x0b-\x1f\ufffe\uffff]", "\ufffd", value)
         return value
 
-    labels = {node: replace_characters(node) for node in graph}
-    clean_graph = networkx_module.relabel_nodes(graph, labels)
+    clean_node_names = {node: replace_characters(node) for node in graph}
+    clean_graph = networkx_module.relabel_nodes(graph, clean_node_names)
     node_attributes = [attributes for _, attributes in clean_graph.nodes(data=True)]
     edge_attributes = [attributes for _, _, attributes in clean_graph.edges(data=True)]
     for attributes in (clean_graph.graph, *node_attributes, *edge_attributes):

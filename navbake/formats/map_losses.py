@@ -303,7 +303,7 @@ def close_cells(grid: NavGrid, closed_cell_masks: Sequence[Bool]) -> NavGrid:
 
 def describe_losses(
     grid: NavGrid,
-    kinds: Collection[str],
+    lost_kinds: Collection[str],
     closed_cells: ClosedCells,
     *,
     level: int | None = None,
@@ -313,7 +313,7 @@ def describe_losses(
 
     Args:
         grid: the grid.
-        kinds: the kinds of content that the format can't hold, see `FileFormat.loses`.
+        lost_kinds: the kinds of content that the format can't hold, see `FileFormat.loses`.
         closed_cells: the free cells that the file shows as occupied.
         level: the number of the only level that is written, None for all.
         agent: the agent that the file is for, None for any.
@@ -325,7 +325,7 @@ def describe_losses(
 
     level_numbers = list(range(len(grid.levels))) if level is None else [level]
     phrases = []
-    if "heights" in kinds:
+    if "heights" in lost_kinds:
         free_floors = [grid.levels[k].floor[grid.levels[k].free] for k in level_numbers]
         height_ranges = [
             f"{np.nanmin(floor):.2f} to {np.nanmax(floor):.2f} m"
@@ -340,7 +340,7 @@ def describe_losses(
             f"stairs and floors beyond them ({stairs_area:.2f} m² are occupied; "
             "--stairs free leaves them free)"
         )
-    if "areas" in kinds:
+    if "areas" in lost_kinds:
         map_agent = find_agent(grid, agent)
         barring_area_names = [area.name for area in grid.areas if area.bars(map_agent)]
         barred_area = _measure_area(grid, closed_cells.barred_masks, level_numbers)
@@ -355,17 +355,17 @@ def describe_losses(
         ]
         if other_area_names:
             phrases.append(f"costs, speeds and agents of areas ({_list_names(other_area_names)})")
-    if "steps" in kinds:
+    if "steps" in lost_kinds:
         is_between_levels = grid.step_array[:, 0] != grid.step_array[:, 2]
         is_on_written_level = np.isin(grid.step_array[:, ::2], level_numbers).any(axis=1)
         num_steps = int(np.count_nonzero(is_between_levels & is_on_written_level))
         if num_steps:
             phrases.append(f"steps between levels ({num_steps})")
-    if "links" in kinds and grid.links:
+    if "links" in lost_kinds and grid.links:
         phrases.append(f"links ({_list_names([link.name for link in grid.links])})")
-    if "agents" in kinds and grid.agents:
+    if "agents" in lost_kinds and grid.agents:
         phrases.append(f"agents ({_list_names(list(grid.agents))})")
-    if "doors" in kinds and grid.doors:
+    if "doors" in lost_kinds and grid.doors:
         phrases.append(f"doors ({len(grid.doors)}, as they stand)")
     return phrases
 

@@ -139,9 +139,9 @@ def _make_markers(grid: NavGrid) -> Iterator[Json]:
     The first is in the namespace ``links``, each other one in a namespace of the link's name.
     """
     # both ends of each step
-    level, cell = grid.step_array.reshape(-1, 2).T
+    level, cell_id = grid.step_array.reshape(-1, 2).T
     width = np.array([grid_level.width for grid_level in grid.levels])[level]
-    row, col = np.divmod(cell, width)
+    row, col = np.divmod(cell_id, width)
     step_ends = grid.position_of((level, row, col))
     lines_of_namespaces: list[
         tuple[str, list[Sequence[float]]]
@@ -151,7 +151,7 @@ def _make_markers(grid: NavGrid) -> Iterator[Json]:
     for link in grid.links:
         stop_positions = [stop.position for stop in link.stops]
         lines_of_namespaces.append((link.name, list(chain.from_iterable(pairwise(stop_positions)))))
-    for marker_id, (namespace, points) in enumerate(lines_of_namespaces):
+    for marker_id, (namespace, line_ends) in enumerate(lines_of_namespaces):
         yield {
             "header": MAP_FRAME,
             "ns": namespace,
@@ -160,7 +160,7 @@ def _make_markers(grid: NavGrid) -> Iterator[Json]:
             "pose": {"orientation": NO_ROTATION},
             "scale": {"x": LINE_WIDTH},
             "color": LINE_COLOR,
-            "points": [_make_point(point) for point in points],
+            "points": [_make_point(line_end) for line_end in line_ends],
         }
 
 

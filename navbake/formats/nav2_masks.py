@@ -464,9 +464,13 @@ def _make_area(
         if mask_value >= INSCRIBED:
             return Area("keepout" if mask_value == OCCUPIED else f"keepout {mask_value}", math.inf)
         return Area(f"cost {mask_value}", float(1 + math.ceil(251 * (mask_value - 1) / 97)))
-    limit = round(scale.base + scale.multiplier * mask_value, 9)
-    speed = limit if scale.type == SPEED_ABSOLUTE else round(limit / 100.0 * agent_speed, 9)
-    name = f"speed {limit:g} m/s" if scale.type == SPEED_ABSOLUTE else f"speed {limit:g} %"
+    speed_limit = round(scale.base + scale.multiplier * mask_value, 9)
+    speed = (
+        speed_limit if scale.type == SPEED_ABSOLUTE else round(speed_limit / 100.0 * agent_speed, 9)
+    )
+    name = (
+        f"speed {speed_limit:g} m/s" if scale.type == SPEED_ABSOLUTE else f"speed {speed_limit:g} %"
+    )
     # nav2 takes a limit of 0 and less as no limit
     return Area(name, 1.0, speed if speed > 0 else None)
 
@@ -478,8 +482,8 @@ def _read_parameters(path: Path) -> FilterScale:
         return FilterScale(SPEED_PERCENT)
     content, name = read_yaml_source(parameters_path, expected="the parameters of a filter")
     place = JsonPath(name)
-    for node, entry in check_object(content, place).items():
-        node_place = place[str(node)]
+    for node_name, entry in check_object(content, place).items():
+        node_place = place[str(node_name)]
         parameters = check_object(check_object(entry, place).get("ros__parameters"), node_place)
         if "multiplier" in parameters and "type" in parameters:
             filter_type = check_number(parameters.get("type"), node_place["type"])

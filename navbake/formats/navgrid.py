@@ -173,7 +173,7 @@ def read_multi_level_grid(
     defaults: Json = {}  # fields that count for levels without them
     for name in ("cellSize", "unit"):
         if content.get(name) is not None:
-            check_number(content[name], root_place[name], positive=True)
+            check_number(content[name], root_place[name], must_be_positive=True)
             defaults[name] = content[name]
     metadata = read_metadata(content, root_place)
     defaults["metadata"] = metadata
@@ -219,9 +219,9 @@ def read_level(
     stated_fields = {key: value for key, value in content.items() if value is not None}
     fields = {"unit": 1, **defaults, **stated_fields}
     cell_size = float(
-        check_number(fields.get("cellSize", ABSENT), place["cellSize"], positive=True)
+        check_number(fields.get("cellSize", ABSENT), place["cellSize"], must_be_positive=True)
     )
-    unit = float(check_number(fields.get("unit", ABSENT), place["unit"], positive=True))
+    unit = float(check_number(fields.get("unit", ABSENT), place["unit"], must_be_positive=True))
     width = check_whole_number(content.get("width", ABSENT), place["width"], 1)
     height = check_whole_number(content.get("height", ABSENT), place["height"], 1)
     allowance.take_cells((width, height), place)
@@ -494,8 +494,8 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         fields = {
             "type": "MultiLevelGrid",
             "metadata": _encode_metadata(grid, root_place),
-            "cellSize": check_number(grid.cell_size, root_place["cellSize"], positive=True),
-            "unit": check_number(grid.unit, root_place["unit"], positive=True),
+            "cellSize": check_number(grid.cell_size, root_place["cellSize"], must_be_positive=True),
+            "unit": check_number(grid.unit, root_place["unit"], must_be_positive=True),
             "grids": levels,
             "timings": check_json(grid.timings, root_place["timings"]),
             **_extra_fields(grid, root_place),
@@ -536,9 +536,9 @@ def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> 
         },
         "width": check_whole_number(int(grid.width), place["width"], 1),
         "height": check_whole_number(int(grid.height), place["height"], 1),
-        "cellSize": check_number(grid.cell_size, place["cellSize"], positive=True),
+        "cellSize": check_number(grid.cell_size, place["cellSize"], must_be_positive=True),
         "min": [check_number(value, place["min"][i]) for i, value in enumerate(grid.min_yup)],
-        "unit": check_number(grid.unit, place["unit"], positive=True),
+        "unit": check_number(grid.unit, place["unit"], must_be_positive=True),
     }
     if grid.bbox_yup is not None:
         lower_corner, upper_corner = grid.bbox_yup

@@ -205,7 +205,7 @@ def encode_npz(grid: VoxelGrid) -> bytes:
     Raises:
         FormatError: the name of an ID ends in a null character, which the format drops.
     """
-    ids = sorted(grid.names)
+    voxel_ids = sorted(grid.names)
     if any(name.endswith("\0") for name in grid.names.values()):  # numpy pads texts with these
         raise FormatError("expected names of IDs that do not end in the character 0, got one")
     arrays: dict[str, NDArray[Any]] = {
@@ -213,8 +213,8 @@ def encode_npz(grid: VoxelGrid) -> bytes:
         "values": grid.values,
         "origin": np.array(grid.origin),
         "res": np.array(grid.res, dtype=np.float64),
-        "ids": np.array(ids, dtype=np.uint32),
-        "names": np.array([grid.names[voxel_id] for voxel_id in ids], dtype=np.str_),
+        "ids": np.array(voxel_ids, dtype=np.uint32),
+        "names": np.array([grid.names[voxel_id] for voxel_id in voxel_ids], dtype=np.str_),
     }
     if grid.known is not None:
         arrays["known"] = grid.known
@@ -326,8 +326,8 @@ def _encode_fields(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Jso
     """Encode the fields that a grid and its levels have in common."""
     navgrid.check_extra(grid.extra, type(grid), place["extra"])
     return {
-        "cellSize": check_number(grid.cell_size, place["cellSize"], positive=True),
-        "unit": check_number(grid.unit, place["unit"], positive=True),
+        "cellSize": check_number(grid.cell_size, place["cellSize"], must_be_positive=True),
+        "unit": check_number(grid.unit, place["unit"], must_be_positive=True),
         "metadata": check_json(metadata, place["metadata"]),
         "timings": check_json(grid.timings, place["timings"]),
         "extra": check_json(grid.extra, place["extra"]),

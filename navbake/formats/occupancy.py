@@ -340,12 +340,14 @@ def _integrate_sides(centers: Float, cos: float, sin: float, is_about_origin: bo
     corners = corners @ [[cos, sin], [-sin, cos]]
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         side_start = centers + start
-        side = end - start
-        side_fractions = np.sort([(-0.5 - side_start) / side, (0.5 - side_start) / side], axis=0)
+        side_vector = end - start
+        side_fractions = np.sort(
+            [(-0.5 - side_start) / side_vector, (0.5 - side_start) / side_vector], axis=0
+        )
         enter_fraction = np.maximum(side_fractions[0].max(axis=1), 0.0)[:, None]
         leave_fraction = np.minimum(side_fractions[1].min(axis=1), 1.0)[:, None]
-        first_end = side_start + enter_fraction * side
-        second_end = side_start + np.maximum(leave_fraction, enter_fraction) * side
+        first_end = side_start + enter_fraction * side_vector
+        second_end = side_start + np.maximum(leave_fraction, enter_fraction) * side_vector
         if not is_about_origin:
             first_end = first_end - centers
             second_end = second_end - centers

@@ -35,7 +35,9 @@ LEAF_BYTES = 20  # of memory for a leaf
 COLOR_NODE_BYTES = 8
 COLOR_BYTES = slice(4, 7)
 # OctoMap's clamping thresholds: the log-odds of certainly free or occupied voxels, as bytes
-CERTAIN_ODDS = np.array([[math.log(p / (1 - p))] for p in (0.1192, 0.971)], "<f4").view(np.uint8)
+CERTAIN_ODDS = np.array(
+    [[math.log(probability / (1 - probability))] for probability in (0.1192, 0.971)], "<f4"
+).view(np.uint8)
 # states of nodes, as bits: the states of several nodes are joined by bitwise or. A mixed node has
 # children of different states; some voxel in it is occupied, or all are free or unknown
 UNKNOWN = 1
@@ -90,8 +92,8 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         level_keys = first_keys >> level
         # children come in pairs along each axis, so the grid is padded to even keys
         padding = [
-            (int(key) & 1, int(key) + count & 1)
-            for key, count in zip(level_keys, states.shape, strict=True)
+            (int(key) & 1, int(key) + num_voxels & 1)
+            for key, num_voxels in zip(level_keys, states.shape, strict=True)
         ]
         child_states = np.pad(states, padding, constant_values=UNKNOWN)
         states = child_states[0::2] | child_states[1::2]
@@ -114,13 +116,13 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         if depth == 1:
             num_nodes += len(parent_indices)  # the root
         if has_log_odds:  # leaves have entries as well, of no children
-            node, child = np.nonzero(
+            node_index, child_index = np.nonzero(
                 (sibling_states != UNKNOWN) & (sibling_states < MIXED_WITHOUT_OCCUPIED)
             )
-            leaf_keys = parent_keys[node] | (child << 3 * level + 5) | depth
+            leaf_keys = parent_keys[node_index] | (child_index << 3 * level + 5) | depth
             sort_keys.append(leaf_keys)
             entries.append(np.zeros_like(leaf_keys))
-            node_states.append(sibling_states[node, child].astype(np.int64))
+            node_states.append(sibling_states[node_index, child_index].astype(np.int64))
     sort_indices = np.argsort(np.concatenate(sort_keys))
     nodes = np.concatenate(entries)[sort_indices].astype("<u2")
     if has_log_odds:  # a node has the greatest log-odds of its children
@@ -160,7 +162,7 @@ def _find_first_key(grid: VoxelGrid) -> Int:
     if max_misalignment > LATTICE_TOLERANCE:
         raise FormatError(
             f"an octree's voxels lie on whole multiples of their edge {grid.res:g} m, and this "
-            f"grid's lower corner ({', '.join(f'{c:g}' for c in grid.origin)}) is "
+            f"grid's lower corner ({', '.join(f'{value:g}' for value in grid.origin)}) is "
             f"{max_misalignment * grid.res:.3g} m off: make the grid with align=True (--align)"
         )
     if np.abs([nearest_corner, nearest_corner + grid.shape]).max() > CENTER_KEY:

@@ -50,9 +50,9 @@ REVERSED_NUMBER = re.compile(r"\d*[\s_-]*")
 class RoomFiles(NamedTuple):
     """The files of rooms beside a map of level 0."""
 
-    rooms: Path  #: Image of each pixel's room.
-    categories: Path  #: Image of each pixel's category.
-    category_names: Path  #: Text, a category a line.
+    room_image: Path  #: Image with the number of each pixel's room.
+    category_image: Path  #: Image with the number of each pixel's category.
+    category_list: Path  #: Text with the name of a category in each line.
 
 
 def name_room_files(folder: Path, stem: str) -> RoomFiles:
@@ -183,7 +183,7 @@ def _encode_room_maps(
     files: Files = {}
     if categories is None:
         category_names = sorted({*category_of_room.values(), DEFAULT_CATEGORY})
-        files[room_files.category_names] = "".join(f"{name}\n" for name in category_names).encode()
+        files[room_files.category_list] = "".join(f"{name}\n" for name in category_names).encode()
     else:
         category_names = _read_lines(categories)
         for index, category in category_of_room.items():
@@ -207,9 +207,9 @@ def _encode_room_maps(
             f"{limit_text}, the last of level 0 has the number {category_numbers.max()}"
         )
     room_pixels = _sample_pixels(level.room_index, level.lattice, half_size)
-    files[room_files.rooms] = encode_image(room_pixels.astype(np.uint8), "PNG")
+    files[room_files.room_image] = encode_image(room_pixels.astype(np.uint8), "PNG")
     category_pixels = category_numbers[room_pixels].astype(np.uint8)
-    files[room_files.categories] = encode_image(category_pixels, "PNG")
+    files[room_files.category_image] = encode_image(category_pixels, "PNG")
     return files
 
 
@@ -294,10 +294,10 @@ def _find_room_files(path: Path) -> RoomFiles | None:
         return None
     for candidate_stem in (stem, f"{OMNIGIBSON_HEAD}trav"):
         room_files = name_room_files(path.parent, candidate_stem)
-        if room_files.rooms.exists():
-            if not room_files.category_names.exists():  # a list for the whole folder
-                names_path = path.with_name("room_categories.txt")
-                return room_files._replace(category_names=names_path)
+        if room_files.room_image.exists():
+            if not room_files.category_list.exists():  # a list for the whole folder
+                list_path = path.with_name("room_categories.txt")
+                return room_files._replace(category_list=list_path)
             return room_files
     return None
 
@@ -341,10 +341,10 @@ def _read_room_maps(
     Returns:
         The image of room numbers, and number of a room -> its name.
     """
-    room_numbers = _read_room_map(room_files.rooms, image_size)
-    category_numbers = _read_room_map(room_files.categories, image_size)
-    names_path = room_files.category_names
-    category_names = _read_lines(names_path) if names_path.exists() else []
+    room_numbers = _read_room_map(room_files.room_image, image_size)
+    category_numbers = _read_room_map(room_files.category_image, image_size)
+    list_path = room_files.category_list
+    category_names = _read_lines(list_path) if list_path.exists() else []
     room_names = dict[int, str]()
     num_rooms_of_category = Counter[str]()
     unique_numbers, first_pixel = np.unique(room_numbers, return_index=True)

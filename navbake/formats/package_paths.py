@@ -65,8 +65,8 @@ class RosPackages:
         Args:
             name: the package's name.
         """
-        for prefix in _folders_of(AMENT_PREFIX_PATH):
-            yield prefix / "share" / name
+        for prefix_folder in _folders_of(AMENT_PREFIX_PATH):
+            yield prefix_folder / "share" / name
         for folder in _folders_of(ROS_PACKAGE_PATH):
             yield from _list_package_folders(folder, name)
         if name in self._nested_packages:
@@ -177,9 +177,9 @@ def parse_fuel_address(uri: str) -> FuelFile | None:
             or the path of a file in a cache of Fuel.
     """
     for pattern in (FUEL_ADDRESS, FUEL_CACHE_FILE):
-        match = pattern.fullmatch(uri)
-        if match is not None:
-            fields = {key: unquote(value or "") for key, value in match.groupdict().items()}
+        address_match = pattern.fullmatch(uri)
+        if address_match is not None:
+            fields = {key: unquote(value or "") for key, value in address_match.groupdict().items()}
             if "\0" in uri or "%00" in uri:
                 return None
             return FuelFile(**{**fields, "path": fields["path"].strip("/")})

@@ -35,7 +35,7 @@ def cover_planes(labels, heights, tolerance, max_rise):
     """
     height, width = labels.shape
     is_uncovered = labels != 0
-    bounds = np.empty((FIRST_CAPACITY, 4), np.int64)
+    cell_bounds = np.empty((FIRST_CAPACITY, 4), np.int64)
     planes = np.empty((FIRST_CAPACITY, 3))
     num_planes = 0
     for row in range(height):
@@ -69,13 +69,13 @@ def cover_planes(labels, heights, tolerance, max_rise):
                     best_x_rise = x_rise
                     best_y_rise = y_rise
             is_uncovered[row : row + best_num_rows, col : col + best_num_cols] = False
-            if num_planes == bounds.shape[0]:
-                bounds = np.concatenate((bounds, np.empty_like(bounds)))
+            if num_planes == cell_bounds.shape[0]:
+                cell_bounds = np.concatenate((cell_bounds, np.empty_like(cell_bounds)))
                 planes = np.concatenate((planes, np.empty_like(planes)))
-            bounds[num_planes] = row, col, row + best_num_rows, col + best_num_cols
+            cell_bounds[num_planes] = row, col, row + best_num_rows, col + best_num_cols
             planes[num_planes] = heights[row, col], best_x_rise, best_y_rise
             num_planes += 1
-    return bounds[:num_planes].copy(), planes[:num_planes].copy()
+    return cell_bounds[:num_planes].copy(), planes[:num_planes].copy()
 
 
 @subkernel

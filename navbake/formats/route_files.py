@@ -187,27 +187,27 @@ class _GraphReader:
         node = read_table(fields, Node, f"{place.path} in {place.file}")
         self.nodes[key] = _NodeEntry(entry.get("number"), key, node)
 
-    def add_lane(self, start: object, end: object, entry: Json, place: JsonPath) -> None:
+    def add_lane(self, start_key: object, end_key: object, entry: Json, place: JsonPath) -> None:
         """Add a one-way lane.
 
         Args:
-            start: the key of its first node.
-            end: the key of its last node.
+            start_key: the key of its first node.
+            end_key: the key of its last node.
             entry: further fields of the lane; without a length, it is the distance of the nodes.
             place: its location in the file, for errors.
         """
-        for key in (start, end):
+        for key in (start_key, end_key):
             key_parts = key if isinstance(key, tuple) else (key,)
             is_hashable = all(isinstance(key_part, int | str) for key_part in key_parts)
             if not is_hashable or key not in self.nodes:
                 place.refuse("the id of a node", key)
-        start_position = self.nodes[start].node.position
-        end_position = self.nodes[end].node.position
+        start_position = self.nodes[start_key].node.position
+        end_position = self.nodes[end_key].node.position
         length = math.dist(start_position[:2], end_position[:2])
         fields = {"name": "", "length": length, "cost": entry.get("length", length), **entry}
         fields |= {"start": 0, "end": 0, "two_way": False}
         lane = read_table(fields, Lane, f"{place.path} in {place.file}")
-        self.lanes.append(_LaneEntry(entry.get("number"), start, end, lane))
+        self.lanes.append(_LaneEntry(entry.get("number"), start_key, end_key, lane))
 
     def make_graph(
         self, graph_entry: object, level_names: Sequence[str] = ("level 0",)
@@ -310,8 +310,8 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
         metadata = encode_element(lane, "start", "end", "two_way", "cost", "speed")
         if lane.speed is not None:
             # nav2 reads these as floats and fails on integers
-            percent = min(100.0, 100.0 * lane.speed / graph.speed)
-            metadata |= {"abs_speed_limit": float(lane.speed), "speed_limit": percent}
+            speed_percent = min(100.0, 100.0 * lane.speed / graph.speed)
+            metadata |= {"abs_speed_limit": float(lane.speed), "speed_limit": speed_percent}
         if lane.cost < MIN_NAV2_COST:
             metadata["cost"] = lane.cost
         properties = {
@@ -322,9 +322,11 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
             "overridable": _nav2_may_score(lane),
             "metadata": metadata,
         }
-        start = list(graph.nodes[lane.start].position)
-        end = list(graph.nodes[lane.end].position)
-        features.append(_make_feature("MultiLineString", [[start, end]], properties))
+        start_position = list(graph.nodes[lane.start].position)
+        end_position = list(graph.nodes[lane.end].position)
+        features.append(
+            _make_feature("MultiLineString", [[start_position, end_position]], properties)
+        )
     content = {"type": "FeatureCollection", "navbake": encode_element(graph), "features": features}
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
@@ -374,11 +376,11 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
                 entry["speed"] = metadata["abs_speed_limit"]
             elif metadata.get("speed_limit"):  # 0 is no limit
                 metadata_place = place["properties"]["metadata"]
-                percent = float(check_number(metadata["speed_limit"], metadata_place))
-                entry["speed"] = percent / 100.0 * float(agent_speed)
-            start = properties.get("startid", ABSENT)
-            end = properties.get("endid", ABSENT)
-            reader.add_lane(start, end, entry, place)
+                speed_percent = float(check_number(metadata["speed_limit"], metadata_place))
+                entry["speed"] = speed_percent / 100.0 * float(agent_speed)
+            start_key = properties.get("startid", ABSENT)
+            end_key = properties.get("endid", ABSENT)
+            reader.add_lane(start_key, end_key, entry, place)
     return reader.make_graph(graph_entry)
 
 
@@ -413,19 +415,19 @@ def encode_lif(graph: RouteGraph) -> bytes:
             }
         )
     for number, lane in enumerate(split_two_way_lanes(graph.lanes)):
-        start = graph.nodes[lane.start]
-        end = graph.nodes[lane.end]
+        start_node = graph.nodes[lane.start]
+        end_node = graph.nodes[lane.end]
         vehicle_properties = {
             "vehicleTypeId": vehicle_type,
             "orientationType": "TANGENTIAL",
             "rotationAllowed": True,
             "maxSpeed": graph.speed if lane.speed is None else lane.speed,
         }
-        layouts[start.level]["edges"].append(
+        layouts[start_node.level]["edges"].append(
             {
                 "edgeId": f"edge {number}",
-                "startNodeId": start.name,
-                "endNodeId": end.name,
+                "startNodeId": start_node.name,
+                "endNodeId": end_node.name,
                 "vehicleTypeEdgeProperties": [vehicle_properties],
                 "navbake": {**encode_element(lane, "start", "end", "two_way"), "number": number},
             }
@@ -487,9 +489,9 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
                 ]
                 if vehicle_properties and vehicle_properties[0].get("maxSpeed"):
                     entry["speed"] = vehicle_properties[0]["maxSpeed"]
-            start = edge.get("startNodeId", ABSENT)
-            end = edge.get("endNodeId", ABSENT)
-            reader.add_lane(start, end, entry | navbake_entry, place)
+            start_key = edge.get("startNodeId", ABSENT)
+            end_key = edge.get("endNodeId", ABSENT)
+            reader.add_lane(start_key, end_key, entry | navbake_entry, place)
     level_names = [
         str(layout.get("layoutName") or f"level {level}")
         for level, (layout, _) in enumerate(layouts)
@@ -506,8 +508,8 @@ def _list_layouts(root: Json, place: JsonPath) -> list[tuple[Json, JsonPath]]:
         FormatError: the file has neither, or something else at their place.
     """
     if "layouts" not in root and "origins" not in root:
-        information = check_optional_object(root, "metaInformation", place)
-        version = information.get("lifVersion")
+        meta_information = check_optional_object(root, "metaInformation", place)
+        version = meta_information.get("lifVersion")
         stated_version = "no lifVersion" if version is None else f"lifVersion {version!r}"
         expected = "`layouts` (LIF 1) or `origins` (LIF 2)"
         place.fail(f"expected {expected}, got neither, with {stated_version}")
@@ -527,8 +529,8 @@ def _list_layouts(root: Json, place: JsonPath) -> list[tuple[Json, JsonPath]]:
 def _unique_name_key(layouts: list[tuple[Json, JsonPath]]) -> str:
     """Return the field with the nodes' names: ``nodeName``, or ``nodeId`` if names occur twice."""
     nodes = [node for layout, place in layouts for node in _check_objects(layout, "nodes", place)]
-    names = [str(node.get("nodeName") or node.get("nodeId")) for node in nodes]
-    return "nodeName" if len({*names}) == len(names) else "nodeId"
+    node_names = [str(node.get("nodeName") or node.get("nodeId")) for node in nodes]
+    return "nodeName" if len({*node_names}) == len(node_names) else "nodeId"
 
 
 def _check_list(content: Json, key: str, place: JsonPath) -> list[object]:
@@ -599,9 +601,9 @@ def encode_rmf(graph: RouteGraph) -> bytes:
         if lane.speed is not None:
             fields["speed_limit"] = lane.speed
         fields["navbake"] = navbake_entry
-        start = vertex_of_node[lane.start]
-        end = vertex_of_node[lane.end]
-        levels[level]["lanes"].append([start, end, fields])
+        start_vertex = vertex_of_node[lane.start]
+        end_vertex = vertex_of_node[lane.end]
+        levels[level]["lanes"].append([start_vertex, end_vertex, fields])
     for stop in car_stops:
         _add_car_stop(levels[stop.level], stop, vertex_of_node)
     graph_entry = {
@@ -818,11 +820,11 @@ def _join_lifts(reader: _GraphReader) -> None:
                 f"expected {MAX_LIFT_NODES} nodes at most of lift {link[:40]!r}, "
                 f"got {len(node_entries):,}"
             )
-        for start, end in itertools.permutations(node_entries, 2):
-            if start.node.level != end.node.level:
-                length = math.dist(start.node.position, end.node.position)
+        for start_entry, end_entry in itertools.permutations(node_entries, 2):
+            if start_entry.node.level != end_entry.node.level:
+                length = math.dist(start_entry.node.position, end_entry.node.position)
                 lane_entry = {"name": link, "kind": "lift", "link": link, "length": length}
-                reader.add_lane(start.key, end.key, lane_entry, reader.root_place)
+                reader.add_lane(start_entry.key, end_entry.key, lane_entry, reader.root_place)
 
 
 def _check_rows(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any, Json]]:
@@ -861,10 +863,10 @@ def _to_networkx(graph: RouteGraph) -> networkx.MultiDiGraph[str]:
         fields = encode_element(node, "position", "name")
         nx_graph.add_node(node.name, x=x, y=y, z=z, number=number, **fields)
     for number, lane in enumerate(split_two_way_lanes(graph.lanes)):
-        start = graph.nodes[lane.start].name
-        end = graph.nodes[lane.end].name
+        start_name = graph.nodes[lane.start].name
+        end_name = graph.nodes[lane.end].name
         fields = encode_element(lane, "start", "end", "two_way")
-        nx_graph.add_edge(start, end, number=number, **fields)
+        nx_graph.add_edge(start_name, end_name, number=number, **fields)
     return nx_graph
 
 

@@ -350,9 +350,12 @@ def _list_config_entries(content: bytes) -> list[_ConfigEntry]:
 
 def parse_sdf_version(text: str | None) -> tuple[int, ...] | None:
     """Return the numbers of a version of SDF, such as ``1.9``; None for another text."""
-    words = (text or "").split(".")
-    is_version = all(word.isdecimal() and len(word) <= MAX_VERSION_DIGITS for word in words)
-    return tuple(map(int, words)) if is_version else None
+    version_parts = (text or "").split(".")
+    is_version = all(
+        version_part.isdecimal() and len(version_part) <= MAX_VERSION_DIGITS
+        for version_part in version_parts
+    )
+    return tuple(map(int, version_parts)) if is_version else None
 
 
 def _list_model_files(paths: Iterable[Path]) -> list[Path]:

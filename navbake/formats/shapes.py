@@ -263,8 +263,8 @@ def _trace_rings(part_numbers: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     turns_right = part_of_cell[cell_ahead_right] == part_of_cell[cells]
     goes_straight = part_of_cell[cell_ahead] == part_of_cell[cells]
     next_cell = np.where(turns_right, cell_ahead_right, np.where(goes_straight, cell_ahead, cells))
-    turn = np.where(turns_right, 3, np.where(goes_straight, 0, 1))
-    next_direction = (directions + turn) % 4
+    num_left_turns = np.where(turns_right, 3, np.where(goes_straight, 0, 1))
+    next_direction = (directions + num_left_turns) % 4
     next_step = np.searchsorted(steps, 4 * next_cell + next_direction).tolist()
     is_corner = (next_direction != directions).tolist()
 

@@ -376,8 +376,8 @@ def read_binvox(
         return VoxelGrid(values=values, origin=(x, y, z), res=edge, notes=notes)
 
     # AirSim cuts counts, it does not round them, so the true edge is the least of these or less
-    edges = -2 * np.array(header.translate) / (nx, ny, nz)
-    edge = float(edges.min()) if voxel_edge is None else float(voxel_edge)
+    edges_along_axes = -2 * np.array(header.translate) / (nx, ny, nz)
+    edge = float(edges_along_axes.min()) if voxel_edge is None else float(voxel_edge)
     if voxel_edge is not None and not (math.isfinite(edge) and edge > 0):
         message = f"expected `voxel_edge` of AirSim's voxels to be > 0 m, got {voxel_edge}"
         raise FormatError(message, key="voxel_edge", value=voxel_edge, expected="a number > 0")
@@ -387,7 +387,9 @@ def read_binvox(
     # the middle of the first voxel, from the grid's position
     first_middle = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge
     center = check_three(position, "the position to be x, y, z [m]")
-    is_edge_uncertain = voxel_edge is None and edges.max() > edge * (1 + AIRSIM_TOLERANCE)
+    is_edge_uncertain = voxel_edge is None and edges_along_axes.max() > edge * (
+        1 + AIRSIM_TOLERANCE
+    )
     hint = " at most (give `voxel_edge`: the sizes are no whole multiples)"
     notes.append(
         f"{name}: laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "

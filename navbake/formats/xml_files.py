@@ -149,7 +149,7 @@ def _parse_standard(content: bytes) -> Element:
 class _Target(Protocol):
     """Receives what a parser finds, as `ElementTree.TreeBuilder` does."""
 
-    def start(self, tag: str, attrs: dict[str, str], /) -> object:
+    def start(self, tag: str, attributes: dict[str, str], /) -> object:
         """Receive the beginning of an element: its name and attributes."""
 
     def end(self, tag: str, /) -> object:
@@ -175,9 +175,9 @@ class _TagCollector:
         self._attribute_names = attribute_names
         self._only_first = only_first
 
-    def start(self, tag: str, attrs: dict[str, str], /) -> None:
-        if not self.tags or not self._attribute_names.isdisjoint(attrs):
-            self.tags.append(StartTag(tag, attrs))
+    def start(self, tag: str, attributes: dict[str, str], /) -> None:
+        if not self.tags or not self._attribute_names.isdisjoint(attributes):
+            self.tags.append(StartTag(tag, attributes))
         if self._only_first:
             raise ValueError("the first element is all that counts")
 
@@ -299,6 +299,6 @@ def _character_of(entity_match: re.Match[str]) -> str:
     decimal, hexadecimal, name = entity_match.groups()
     if name:
         return ENTITIES[name]
-    code = int(decimal) if decimal else int(hexadecimal, 16)
-    is_character = 0 < code < 0xD800 or 0xDFFF < code < 0x110000
-    return chr(code) if is_character else entity_match[0]
+    code_point = int(decimal) if decimal else int(hexadecimal, 16)
+    is_character = 0 < code_point < 0xD800 or 0xDFFF < code_point < 0x110000
+    return chr(code_point) if is_character else entity_match[0]

@@ -96,8 +96,8 @@ def make_tensors(
     arrays = _make_lattices(grid_list, shape, float_dtype)
     arrays |= _make_layers(searches, shape, float_dtype, max_drop)
     arrays |= _make_goal_fields(searches, goals_of_grids, shape, float_dtype)
-    rooms = tuple(tuple(room.id for room in search.rooms.rooms) for search in searches)
-    num_rooms = max(len(rooms_of_scene) for rooms_of_scene in rooms)
+    room_ids = tuple(tuple(room.id for room in search.rooms.rooms) for search in searches)
+    num_rooms = max(len(rooms_of_scene) for rooms_of_scene in room_ids)
     arrays |= _sort_free_cells(arrays["room"], arrays["island"], num_rooms, shape)
     register_pytree(xp)
     return GridTensors(
@@ -106,7 +106,7 @@ def make_tensors(
         index_dtype=make_array(np.zeros(1, dtype=np.int64)).dtype,
         shape=shape,
         num_rooms=num_rooms,
-        rooms=rooms,
+        rooms=room_ids,
         areas=tuple(tuple(area.name for area in grid.areas) for grid in grid_list),
         goals=_name_goals(goals_of_grids[0]),
         searches=SceneSearches(searches),
@@ -141,8 +141,12 @@ def with_goals(
     _check_size(tensors.shape, len(goals_of_grids[0]))
     xp = tensors.xp
     float_dtype: Floating = np.dtype("float64" if tensors.dtype == xp.float64 else "float32")
-    fields = _make_goal_fields(list(tensors.searches), goals_of_grids, tensors.shape, float_dtype)
-    arrays = {name: xp.asarray(array, device=device_of(tensors)) for name, array in fields.items()}
+    goal_fields = _make_goal_fields(
+        list(tensors.searches), goals_of_grids, tensors.shape, float_dtype
+    )
+    arrays = {
+        name: xp.asarray(array, device=device_of(tensors)) for name, array in goal_fields.items()
+    }
     return replace(tensors, goals=_name_goals(goals_of_grids[0]), **arrays)
 
 
@@ -267,7 +271,7 @@ def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) ->
     arrays["y_edge"] = np.zeros((*level_shape, shape.rows + 1), dtype=dtype)
     arrays["num_rows"] = np.zeros(level_shape, dtype=np.int32)
     arrays["num_cols"] = np.zeros(level_shape, dtype=np.int32)
-    for scene, grid in enumerate(grids):
+    for scene_number, grid in enumerate(grids):
         for level_number, level in enumerate(grid.levels):
             x_min, y_max, cell_size, width, height = level.lattice
             outer_edges = [x_min, x_min + width * cell_size, y_max, y_max - height * cell_size]
@@ -281,7 +285,7 @@ def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) ->
             y_edge = -find_first_in_cells(
                 -y_max, cell_size, height, dtype
             )  # the same formula, bit for bit
-            level_index = (scene, level_number)
+            level_index = (scene_number, level_number)
             arrays["x_edge"][level_index][: width + 1] = x_edge
             arrays["y_edge"][level_index][: height + 1] = y_edge
             arrays["num_rows"][level_index] = height
@@ -303,11 +307,11 @@ def _make_layers(
     layers_of_scenes: dict[str, list[NDArray[Any]]] = {}
     ground = np.zeros((shape.scenes, shape.levels))
     num_islands = 0
-    for scene, search in enumerate(searches):
+    for scene_number, search in enumerate(searches):
         flat_grid = search.flat
         levels = search.grid.levels
         floor_z = flat_grid.floors.z
-        ground[scene, : len(levels)] = flat_grid.floors.ground
+        ground[scene_number, : len(levels)] = flat_grid.floors.ground
         ground_of_cell = flat_grid.floors.ground[flat_grid.level_of(np.arange(flat_grid.num_cells))]
         # a position over a cell without a floor counts from the level's ground
         standing_z = np.where(np.isnan(floor_z), ground_of_cell, floor_z)
@@ -362,14 +366,14 @@ def _make_goal_fields(
     cost = np.full((len(goals[0]), shape.scenes, *shape[1:]), np.inf, dtype=dtype)
     next_cell = np.full(cost.shape, -1, dtype=np.int32)
     padded_ids = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
-    for scene, search in enumerate(searches):
+    for scene_number, search in enumerate(searches):
         ids_of_levels = [
-            padded_ids[scene, level_number, : level.height, : level.width].ravel()
+            padded_ids[scene_number, level_number, : level.height, : level.width].ravel()
             for level_number, level in enumerate(search.grid.levels)
         ]
         # flat id -> padded id; its last entry, -1, is looked up for no next cell, which is also -1
         padded_id_of_cell = np.concatenate([*ids_of_levels, np.array([-1], dtype=np.int32)])
-        for goal_number, goal in enumerate(goals[scene]):
+        for goal_number, goal in enumerate(goals[scene_number]):
             target = find_target(search, goal)
             goal_cells = target.free_cells(search.flat)
             if not len(goal_cells):
@@ -380,8 +384,8 @@ def _make_goal_fields(
                     value=goal,
                 )
             cost_of_cell, next_cell_of_cell = search.find_next_cells(goal_cells)
-            cost[goal_number, scene] = _pad(search, cost_of_cell, shape, np.inf)
-            next_cell[goal_number, scene] = _pad(
+            cost[goal_number, scene_number] = _pad(search, cost_of_cell, shape, np.inf)
+            next_cell[goal_number, scene_number] = _pad(
                 search, padded_id_of_cell[next_cell_of_cell], shape, -1
             )
     return {"cost": cost.ravel(), "next_cell": next_cell.ravel()}

@@ -151,10 +151,10 @@ def register_pytree(xp: Namespace) -> None:
         return
     from jax import tree_util  # the caller's library
 
-    arrays = [field.name for field in fields(GridTensors) if field.name not in STATIC_FIELDS]
+    array_names = [field.name for field in fields(GridTensors) if field.name not in STATIC_FIELDS]
     with suppress(ValueError):  # registered before
         tree_util.register_dataclass(
-            GridTensors, data_fields=arrays, meta_fields=list(STATIC_FIELDS)
+            GridTensors, data_fields=array_names, meta_fields=list(STATIC_FIELDS)
         )
 
 
@@ -439,10 +439,10 @@ def apply_in_chunks(
 
     def fill_results(first_position: int, stop_position: int) -> None:
         for chunk_start in range(first_position, stop_position, POSITIONS_PER_CHUNK):
-            chunk = slice(chunk_start, min(chunk_start + POSITIONS_PER_CHUNK, stop_position))
+            chunk_slice = slice(chunk_start, min(chunk_start + POSITIONS_PER_CHUNK, stop_position))
             results[chunk_start] = function(
                 *(
-                    argument[chunk] if isinstance(argument, np.ndarray) else argument
+                    argument[chunk_slice] if isinstance(argument, np.ndarray) else argument
                     for argument in arguments
                 )
             )
