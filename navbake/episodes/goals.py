@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -18,7 +17,7 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.cells import check_positions
-from navbake.navgrid.user_data import UserData, names_in
+from navbake.navgrid.user_data import UserData, find_category, names_in
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap_to_cells
 from navbake.types import Float, Int, Vector3
@@ -27,9 +26,6 @@ spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
 MAX_SNAP_DISTANCE = 0.5  # largest distance from a position to the free cell that counts for it [m]
 VIEW_POINT_SPACING = 0.25  # between view points, and between points of a path [m]
-# matches the reversed end of names like chair_1, where it has a number; from the front, its cost
-# would grow as the square
-REVERSED_COUNTER = re.compile(r"[\W_]*\d[\d\W_]*")
 
 
 class Task(Record, frozen=True, kw_only=True):
@@ -390,10 +386,3 @@ class GoalFinder:
                     x, y, z = near_positions[i].tolist()
                     positions.append((x, y, z))
         return positions
-
-
-def find_category(name: str) -> str:
-    """Return an object's category: its name in lower case, without the number at its end."""
-    counter_match = REVERSED_COUNTER.match(name[::-1])
-    name_without_counter = name[: len(name) - (counter_match.end() if counter_match else 0)]
-    return name_without_counter.lower() or name.lower()

@@ -8,6 +8,7 @@ entry of its own, which may be modified, once a caller accesses single cells.
 from __future__ import annotations
 
 import gc
+import re
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
@@ -18,6 +19,9 @@ import numpy as np
 from navbake.types import Int, Json, JsonValue
 
 NAME_KEYS = ("doors", "objects", "walls")  # keys of a cell's user data that list names
+# matches the reversed end of names like chair_1, where it has a number; from the front, its cost
+# would grow as the square
+REVERSED_COUNTER = re.compile(r"[\W_]*\d[\d\W_]*")
 
 
 @contextmanager
@@ -181,6 +185,13 @@ def names_in(entry: Json, key: str) -> list[str]:
     """
     names = entry.get(key)
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+
+def find_category(name: str) -> str:
+    """Return an object's category: its name in lower case, without the number at its end."""
+    counter_match = REVERSED_COUNTER.match(name[::-1])
+    name_without_counter = name[: len(name) - (counter_match.end() if counter_match else 0)]
+    return name_without_counter.lower() or name.lower()
 
 
 def _copy_json(value: JsonValue) -> JsonValue:

@@ -20,7 +20,7 @@ from navbake.lazy import resolve
 from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
-from navbake.runtime import draws, no_path, passage, paths, places
+from navbake.runtime import draws, no_path, passage, paths, places, stand
 from navbake.runtime.draws import Pose, SpawnRules, Spawns
 from navbake.runtime.flat_grid import IslandMap, RoomMap
 from navbake.runtime.passage import Passage
@@ -28,6 +28,8 @@ from navbake.runtime.path_following import DriveLimits, Follower
 from navbake.runtime.paths import Goal, Path
 from navbake.runtime.places import MAX_DROP, NearestObstacle
 from navbake.runtime.search import Search
+from navbake.runtime.stand import StandPoses, StandTargets
+from navbake.runtime.stand_cells import StandRules
 from navbake.types import Bool, Float, Int
 
 OnePosition: TypeAlias = Sequence[float]
@@ -818,6 +820,108 @@ class PathFinder:
             >>> pyplot.imshow(finder.top_down(0, metres_per_pixel=0.05))
         """
         return places.draw_top_down(self.search, level, metres_per_pixel)
+
+    # ---------------------------------------------------------------- where to stand
+
+    def stand_poses(
+        self,
+        target: StandTargets,
+        *,
+        reach: tuple[float, float] = (0.3, 0.8),
+        count: int = 16,
+        footprint: ArrayLike | None = None,
+        facing: str | None = "target",
+        height: float | None = None,
+        sight: bool = True,
+        spread: float = 0.25,
+        seed: int = 0,
+        start: ArrayLike | None = None,
+    ) -> StandPoses:
+        """Find poses of a robot's base from which it reaches things, and touches nothing.
+
+        The base's axis stands on the middle of a cell that is free for the finder's agent. What a
+        grid knows of an object are the cells over whose squares it stands. So the distance to it is
+        known to within a cell: the base is in reach if no such square is nearer than the least
+        distance, and all of one is within the greatest. The object's nearest point is then within
+        reach, whatever it looks like. The distance to a point is exact.
+
+        Sight runs from the middle of the base's cell to the middle of a cell of the target. What is
+        in the agent's way hides the target, whatever its height, but for the target itself and what
+        stands in its cells: the table under a cup, the counter round a drawer. So a cup in a closed
+        cupboard counts as in sight from in front of the cupboard; walls and doors always hide.
+
+        Args:
+            target: a position, ``object:NAME``, ``category:NAME`` for all objects whose names
+                without their numbers are this, or a list of these. An object, door or wall is
+                reached on the levels of its cells, a position on the level of the floor below it.
+            reach: least and greatest distance from the base's axis to the target [m], on the map.
+            count: most poses for each target, >= 1.
+            footprint: outline of the base from above, shape (k, 2), as in `grid.inflate_footprint`
+                [m]: it overlaps no occupied square at the pose's heading, which is then a multiple
+                of 1/64 turn. None for a disc of the grid's radius, and exact headings.
+            facing: ``target`` to face the nearest part of the target that is in reach and in
+                sight; None for random headings.
+            height: height of the shoulder over the floor [m]. Distances are then those in space
+                from it, and targets must be positions x, y, z. None for distances on the map.
+            sight: whether the target must be in sight.
+            spread: least distance between two poses of a target [m]; 0 for any.
+            seed: seed of first poses and of random headings; equal seeds give equal poses.
+            start: where the robot is, world x, y, z [m], free: poses are where a path leads from
+                it, those with the shortest path first. None for poses anywhere, each as far as can
+                be from those before.
+
+        Returns:
+            The poses, sorted by target: ``positions``, ``headings``, ``distances``,
+            ``path_lengths``, ``target_index`` and ``targets``; and ``why_not``, which says for each
+            target without a pose in one sentence why it has none.
+
+        Raises:
+            QueryError: an argument is not valid, or there is no such object or category.
+
+        Example:
+            >>> poses = finder.stand_poses("object:sofa", reach=(0.3, 0.6), start=robot)
+            >>> if len(poses):
+            ...     path = finder.find_path(robot, poses.positions[0])
+        """
+        rules = StandRules(reach, footprint, facing, height, sight, start)
+        return stand.stand_poses(self.search, target, rules, count=count, spread=spread, seed=seed)
+
+    def stand_region(
+        self,
+        target: StandTargets,
+        *,
+        reach: tuple[float, float] = (0.3, 0.8),
+        footprint: ArrayLike | None = None,
+        facing: str | None = "target",
+        height: float | None = None,
+        sight: bool = True,
+        start: ArrayLike | None = None,
+    ) -> list[Bool]:
+        """Mark the cells where a robot's base can stand to reach a target, or any of several.
+
+        These are the cells from which `stand_poses` picks; it has the rules and the arguments.
+
+        Args:
+            target: a position, ``object:NAME``, ``category:NAME``, or a list of these.
+            reach: least and greatest distance to the target [m].
+            footprint: outline of the base, shape (k, 2) [m]; None for a disc of the grid's radius.
+            facing: ``target``, or None for a footprint that may have any heading.
+            height: height of the shoulder over the floor [m], for targets that are positions.
+            sight: whether the target must be in sight.
+            start: a free position from which a path must lead to the cells, world x, y, z [m].
+
+        Returns:
+            One array for each level, bool, shape (height, width).
+
+        Raises:
+            QueryError: an argument is not valid, or there is no such object or category.
+
+        Example:
+            >>> (region,) = finder.stand_region("object:sofa")  # of a grid of one level
+            >>> region.sum() * grid.cell_size**2  # m²
+        """
+        rules = StandRules(reach, footprint, facing, height, sight, start)
+        return stand.stand_region(self.search, target, rules)
 
     # ---------------------------------------------------------------- random places and poses
 

@@ -18,6 +18,7 @@ from navbake.navgrid.links import Agent
 from navbake.navgrid.obstacle_state import NO_DIAGONAL, NO_OFF_CENTER, CellRange, ObstacleState
 from navbake.runtime import flat_grid
 from navbake.runtime.blocking import find_agent, fit_grid
+from navbake.runtime.cell_names import CellNames, map_names
 from navbake.runtime.flat_grid import octile_length
 from navbake.runtime.inflation import OffCenterMasks, find_off_center_masks
 from navbake.types import Bool, Float, Int, Int32
@@ -320,6 +321,11 @@ class Search:
     def doors(self) -> flat_grid.DoorMap:
         """The ids of the doors of each cell, by flat id."""
         return flat_grid.map_doors(self.grid, self.flat)
+
+    @cached_property
+    def names(self) -> CellNames:
+        """The names of what stands in the cells."""
+        return map_names(self.grid)
 
     @property
     def islands(self) -> flat_grid.IslandMap:

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from navbake.episodes.goals import find_category
+from navbake.navgrid.user_data import find_category
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,285 @@
+"""Finds poses from which a robot's base reaches things: in reach, in sight, touching nothing.
+
+`navbake.runtime.stand_cells` has the rules for a cell. Here, targets are looked up by name, and of
+the cells where a base can stand, some that are apart from each other are picked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias, cast
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import ArrayLike
+
+from navbake.errors import QueryError
+from navbake.known_names import suggest
+from navbake.navgrid.cells import check_positions
+from navbake.navgrid.user_data import find_category
+from navbake.runtime.flat_grid import check_distance, format_position
+from navbake.runtime.search import NO_CELLS, Search
+from navbake.runtime.stand_cells import REACH_SLACK, StandRules, StandSite, StandTarget
+from navbake.types import Bool, Float, Int
+
+StandTargets: TypeAlias = str | ArrayLike | Sequence[str | ArrayLike]
+"""A position, ``object:NAME``, ``category:NAME``, or a list of these."""
+
+
+@dataclass(frozen=True, eq=False)
+class StandPoses:
+    """Poses of a robot's base from which it reaches targets, sorted by target.
+
+    Attributes:
+        positions: world x, y and floor z of the base's axis [m], shape (n, 3), float64.
+        headings: where the base faces, 0 along x, counted towards y, -pi to pi [rad], shape (n,).
+        target_index: the index in `targets` of each pose's target, shape (n,), int64.
+        distances: from the base's axis to the target [m], shape (n,): to the point, or to the
+            nearest square of the object's cells, less than a cell's diagonal before the object.
+        path_lengths: the lengths of the shortest paths from the start [m], shape (n,); NaN without
+            a start.
+        targets: the names of the targets: an object's name, or a point's numbers.
+        why_not: target without a pose -> a sentence that says why it has none.
+    """
+
+    positions: Float
+    headings: Float
+    target_index: Int
+    distances: Float
+    path_lengths: Float
+    targets: tuple[str, ...]
+    why_not: dict[str, str]
+
+    def __len__(self) -> int:
+        return len(self.headings)
+
+
+def stand_poses(
+    search: Search,
+    target: StandTargets,
+    rules: StandRules,
+    *,
+    count: int,
+    spread: float,
+    seed: int,
+) -> StandPoses:
+    """Find poses from which a robot's base reaches targets: `PathFinder.stand_poses`.
+
+    Args:
+        search: the search on the grid.
+        target: what is to be reached.
+        rules: where the base may stand.
+        count: most poses for each target, >= 1.
+        spread: least distance between two poses of a target [m].
+        seed: seed of the draw of first poses and of headings.
+
+    Returns:
+        The poses, sorted by target.
+
+    Raises:
+        QueryError: an argument is not valid, or there is no such object or category.
+    """
+    if not isinstance(count, int | np.integer) or count < 1:
+        expected = "a count >= 1"
+        raise QueryError(
+            f"expected {expected}, got {count!r}", key="count", value=count, expected=expected
+        )
+    check_distance(spread, "spread")
+    rng = np.random.default_rng(seed)
+    targets = find_stand_targets(search, target, needs_height=rules.height is not None)
+    site = StandSite(search, rules)
+    stands = [site.find_stands(stand_target) for stand_target in targets]
+    why_not = {
+        stand_target.name: site.explain(stand_target, target_stands.tally)
+        for stand_target, target_stands in zip(targets, stands, strict=True)
+        if not len(target_stands.cells)
+    }
+    cells = np.concatenate([target_stands.cells for target_stands in stands])
+    distances = np.concatenate([target_stands.distances for target_stands in stands])
+    headings = np.concatenate([target_stands.headings for target_stands in stands])
+    num_cells = [len(target_stands.cells) for target_stands in stands]
+    target_index = np.repeat(np.arange(len(targets)), num_cells)
+    positions = search.flat.positions(cells)
+    path_lengths = np.full(len(cells), np.nan)
+    if site.path_lengths is not None:
+        path_lengths = site.path_lengths[cells]
+    picked = pick_spread(positions, target_index, path_lengths, count, spread, rng)
+    if rules.facing is None:
+        headings = site.draw_headings(cells, rng)
+    return StandPoses(
+        positions=positions[picked],
+        headings=headings[picked],
+        target_index=target_index[picked],
+        distances=distances[picked],
+        path_lengths=path_lengths[picked],
+        targets=tuple(stand_target.name for stand_target in targets),
+        why_not=why_not,
+    )
+
+
+def stand_region(search: Search, target: StandTargets, rules: StandRules) -> list[Bool]:
+    """Mark the cells where a robot's base can stand to reach a target: `PathFinder.stand_region`.
+
+    Args:
+        search: the search on the grid.
+        target: what is to be reached; any of several.
+        rules: where the base may stand.
+
+    Returns:
+        For each level, bool, shape (height, width).
+
+    Raises:
+        QueryError: a rule is not valid, or there is no such object or category.
+    """
+    site = StandSite(search, rules)
+    is_stand = np.zeros(search.flat.num_cells, dtype=np.bool_)
+    for stand_target in find_stand_targets(search, target, needs_height=rules.height is not None):
+        is_stand[site.find_stands(stand_target).cells] = True
+    return [
+        is_stand[search.flat.cells_of(number)].reshape(level.shape)
+        for number, level in enumerate(search.grid.levels)
+    ]
+
+
+# ---------------------------------------------------------------- targets
+
+
+def find_stand_targets(
+    search: Search, target: StandTargets, *, needs_height: bool
+) -> list[StandTarget]:
+    """Find the cells of targets.
+
+    Args:
+        search: the search on the grid.
+        target: a position, ``object:NAME``, ``category:NAME``, or several of them.
+        needs_height: whether distances are measured in space, so that targets are points with a z.
+
+    Returns:
+        The targets, in their order; a category is replaced by its objects.
+
+    Raises:
+        QueryError: there is no such object or category, or a position is not valid.
+    """
+    items: list[str | ArrayLike]
+    if isinstance(target, str):
+        items = [target]
+    elif isinstance(target, list | tuple) and any(
+        np.ndim(item) or isinstance(item, str) for item in target
+    ):
+        items = list(target)
+    else:
+        positions = check_positions(cast("ArrayLike", target), search.flat.num_levels)
+        items = list(np.atleast_2d(positions))
+    if not items:
+        expected = "a position, object:NAME, category:NAME, or several of them"
+        raise QueryError(f"expected {expected}, got none", key="target", expected=expected)
+    targets = []
+    for item in items:
+        if isinstance(item, str):
+            targets += _find_named_targets(search, item)
+        else:
+            point, cell = search.flat.locate(item, position_name="target")
+            cells = NO_CELLS if cell < 0 else np.array([cell])
+            targets.append(StandTarget(format_position(point), cells, point))
+    for stand_target in targets:
+        if needs_height and (stand_target.point is None or len(stand_target.point) < 3):
+            expected = "a target with x, y, z where a height is given"
+            hint = "a grid doesn't hold the heights of objects"
+            raise QueryError(
+                f"expected {expected}, got {stand_target.name}: {hint}",
+                key="target",
+                value=stand_target.name,
+                expected=expected,
+                hint=hint,
+            )
+    return targets
+
+
+def _find_named_targets(search: Search, text: str) -> list[StandTarget]:
+    """Find the objects of ``object:NAME`` or of ``category:NAME``."""
+    kind, _, name = text.partition(":")
+    names = search.names
+    scene = search.grid.scene_id
+    if kind == "object":
+        if name not in names.entries_of_name:
+            hint = suggest(name, sorted(names.entries_of_name))
+            raise QueryError(
+                f"no object {name!r} in {scene!r}: {hint}", key="target", value=text, hint=hint
+            )
+        return [StandTarget(name, names.cells_of(name), None)]
+    if kind == "category":
+        objects = names.list_objects()
+        members = [object_name for object_name in objects if find_category(object_name) == name]
+        if not members:
+            hint = suggest(name, sorted({find_category(object_name) for object_name in objects}))
+            raise QueryError(
+                f"no object of category {name!r} in {scene!r}: {hint}",
+                key="target",
+                value=text,
+                hint=hint,
+            )
+        return [StandTarget(member, names.cells_of(member), None) for member in members]
+    expected = "a position, object:NAME or category:NAME"
+    raise QueryError(
+        f"expected {expected}, got {text!r}", key="target", value=text, expected=expected
+    )
+
+
+# ---------------------------------------------------------------- the choice of poses
+
+
+def pick_spread(
+    positions: Float,
+    target_index: Int,
+    path_lengths: Float,
+    count: int,
+    spread: float,
+    rng: Generator,
+) -> Int:
+    """Pick poses of each target that are apart from each other.
+
+    With path lengths, the next pose is that with the shortest path. Without, the first one of a
+    target is drawn, and the next is the farthest from all before.
+
+    Args:
+        positions: world x, y, z of all poses [m], shape (n, 3).
+        target_index: number of each pose's target, ascending, shape (n,).
+        path_lengths: length of the path to each pose [m], shape (n,); NaN for none.
+        count: most poses for a target.
+        spread: least distance between poses of a target [m].
+        rng: the generator for first poses.
+
+    Returns:
+        Indices of the poses, by target, in the order in which they were picked.
+    """
+    if not len(positions):
+        return NO_CELLS
+    by_path = not np.isnan(path_lengths).any()
+    _, first_of_target, group = np.unique(target_index, return_index=True, return_inverse=True)
+    is_open = np.ones(len(positions), dtype=np.bool_)
+    merits = -path_lengths if by_path else rng.random(len(positions)) + 1.0
+    to_nearest = np.full(len(positions), np.inf)
+    rounds = []
+    for _ in range(count):
+        merits_of_open = np.where(is_open, merits, -np.inf)
+        best_of_group = np.maximum.reduceat(merits_of_open, first_of_target)
+        is_best = is_open & (merits_of_open == best_of_group[group])
+        best = np.flatnonzero(is_best)
+        groups, first_indices = np.unique(group[best], return_index=True)
+        if not len(groups):
+            break
+        picked = best[first_indices]
+        rounds.append(picked)
+        picked_of_group = np.full(len(first_of_target), -1)
+        picked_of_group[groups] = picked
+        has_pick = picked_of_group[group] >= 0
+        offsets = positions - positions[picked_of_group[group]]
+        distances = np.where(has_pick, np.linalg.norm(offsets, axis=1), np.inf)
+        to_nearest = np.minimum(to_nearest, distances)
+        is_open &= to_nearest >= spread * (1.0 - REACH_SLACK)
+        is_open[picked] = False
+        if not by_path:
+            merits = to_nearest
+    indices = np.concatenate(rounds)
+    return indices[np.argsort(group[indices], kind="stable")]

@@ -1,0 +1,436 @@
+"""Poses of a robot's base that reaches things, against brute force over all cells and headings."""
+
+from __future__ import annotations
+
+import math
+import re
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from navbake.errors import QueryError
+from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+from navbake.runtime.path_finder import PathFinder
+
+CELL = 0.1
+NAMES = {
+    "#": {"walls": ["wall"]},
+    "D": {"doors": ["door"]},
+    "T": {"objects": ["table"]},
+    "c": {"objects": ["cup_1", "table"]},
+    "d": {"objects": ["cup_2", "table"]},
+    "p": {"objects": ["picture"], "walls": ["wall"]},
+    "b": {"objects": ["box"]},
+    "r": {"objects": ["rug"]},
+}
+BASE = [(0.17, 0.08), (-0.12, 0.08), (-0.12, -0.08), (0.17, -0.08)]  # its axis isn't its middle
+
+KITCHEN = """
+................
+................
+................
+.....TTTTTT.....
+.....TcTTTT.....
+.....TTTTTT.....
+................
+....bb..........
+....bb..........
+################
+................
+................
+"""
+
+
+def make_level(text, ground=0.0):
+    """A level from a map: a dot is free, a space has no floor, letters are in `NAMES`."""
+    letters = np.array([list(row) for row in text.strip("\n").split("\n")])
+    free = np.isin(letters, [".", "r"])
+    height, width = letters.shape
+    return SceneGrid2D(
+        width=width,
+        height=height,
+        cell_size=CELL,
+        min_yup=(0.0, ground, -height * CELL),
+        weights=np.where(free, 1.0, np.inf),
+        attributes={
+            "occupancy": (~free).astype(np.uint8),
+            "floorHeight": np.where(letters == " ", np.nan, ground).astype(np.float32),
+        },
+        user_data={
+            cell: NAMES[letter]
+            for cell, letter in enumerate(letters.ravel().tolist())
+            if letter in NAMES
+        },
+        metadata={"traversableFloorHeight": 0.25, "agentHeight": 1.2, "sceneId": "map"},
+    )
+
+
+def random_map(seed):
+    """A map with walls, a table with a cup, boxes and a rug."""
+    rng = np.random.default_rng(seed)
+    letters = np.full(rng.integers(10, 18, 2), ".")
+    for letter, count in (("r", 2), ("T", 2), ("b", 2), ("#", 3)):
+        for _ in range(count):
+            row, col = rng.integers(0, np.array(letters.shape) - 2)
+            tall, wide = rng.integers(1, 6, 2)
+            if letter == "#":
+                tall = 1
+            letters[row : row + tall, col : col + wide] = letter
+    row, col = rng.permutation(np.argwhere(letters == "T"))[0]
+    letters[row, col] = "c"
+    return "\n".join("".join(line) for line in letters.tolist())
+
+
+# ---------------------------------------------------------------- brute force
+
+
+def crosses(line, row, col) -> bool:
+    """Whether a line runs through the inside of a cell; its ends are middles of cells."""
+    (row_0, col_0), (row_1, col_1) = line
+    low, high = Fraction(0), Fraction(1)
+    for begin, end, cell in ((row_0, row_1, row), (col_0, col_1, col)):
+        sides = [Fraction(2 * cell - 1, 2), Fraction(2 * cell + 1, 2)]
+        if begin == end:
+            if not sides[0] < begin < sides[1]:
+                return False
+            continue
+        inside = sorted((side - begin) / (end - begin) for side in sides)
+        low, high = max(low, inside[0]), min(high, inside[1])
+    return low < high
+
+
+def passes_corners(line, is_clear) -> bool:
+    """Whether one of the two cells beside each corner that a line runs through is clear."""
+    (row_0, col_0), (row_1, col_1) = line
+    rows, cols = row_1 - row_0, col_1 - col_0
+    for step in range(2 * abs(rows)):
+        row = Fraction(2 * step + 1, 2)
+        if not rows or not cols or row > abs(rows):
+            continue
+        col = row * abs(cols) / abs(rows)
+        if col.denominator != 2:
+            continue
+        down, right = int(math.copysign(1, rows)), int(math.copysign(1, cols))
+        before = (
+            row_0 + down * int(row - Fraction(1, 2)),
+            col_0 + right * int(col - Fraction(1, 2)),
+        )
+        below, beside = (before[0] + down, before[1]), (before[0], before[1] + right)
+        if not (is_clear[below] or is_clear[beside]):
+            return False
+    return True
+
+
+def is_in_sight(line, is_clear) -> bool:
+    (row_0, col_0), (row_1, col_1) = line
+    cells = [
+        (row, col)
+        for row in range(min(row_0, row_1), max(row_0, row_1) + 1)
+        for col in range(min(col_0, col_1), max(col_0, col_1) + 1)
+        if (row, col) != (row_0, col_0) and crosses(line, row, col)
+    ]
+    return all(is_clear[cell] for cell in cells) and passes_corners(line, is_clear)
+
+
+def list_names(entry) -> list[str]:
+    return [name for names in entry.values() for name in names]
+
+
+def find_by_brute_force(level, name, reach, footprint, facing, sight):
+    """Each cell where a base can stand, and the headings at which it can."""
+    names = {divmod(cell, level.width): entry for cell, entry in level.user_data.items()}
+    own = [cell for cell, entry in names.items() if name in list_names(entry)]
+    companions = {other for cell in own for other in names[cell].get("objects", [])} | {name}
+    aims = [cell for cell in own if not names[cell].keys() & {"walls", "doors"}] or own
+    if not sight:
+        aims = own
+    is_clear = {}
+    for cell in np.ndindex(level.shape):
+        things = set(list_names(names.get(cell, {})))
+        is_clear[cell] = (
+            not level.occupancy[cell] or cell in aims or (things and things <= companions)
+        )
+    masks = None if footprint is None else level.inflate_footprint(footprint, 64)[0]
+    stands = {}
+    for row, col in np.argwhere(level.free).tolist():
+        gaps = [
+            math.hypot(max(abs(r - row) - 0.5, 0), max(abs(c - col) - 0.5, 0)) * CELL
+            for r, c in own
+        ]
+        if (row, col) in own:
+            gaps = [0.0]
+        if min(gaps) < reach[0] - 1e-9:
+            continue
+        corners = {
+            (r, c): math.hypot(abs(r - row) + 0.5, abs(c - col) + 0.5) * CELL for r, c in aims
+        }
+        seen = [
+            aim
+            for aim, corner in corners.items()
+            if corner <= reach[1] + 1e-9 and (not sight or is_in_sight(((row, col), aim), is_clear))
+        ]
+        if not seen:
+            continue
+        least = min(corners[aim] for aim in seen)
+        nearest = [aim for aim in seen if corners[aim] < least + 1e-9]
+        headings = {math.atan2(row - r, c - col) for r, c in nearest}
+        if (row, col) in aims:
+            middle = np.mean(own, axis=0)
+            headings = {math.atan2(row - middle[0], middle[1] - col)}
+        if masks is not None:
+            tested = range(64)
+            if facing:
+                tested = [round(heading / (2 * math.pi / 64)) % 64 for heading in headings]
+            headings = {k * 2 * math.pi / 64 for k in tested if masks[k, row, col]}
+        if headings:
+            stands[row, col] = headings
+    return stands
+
+
+def angle_between(first, second):
+    return abs((first - second + math.pi) % (2 * math.pi) - math.pi)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    ("footprint", "facing", "sight"),
+    [
+        (None, "target", True),
+        (None, "target", False),
+        (BASE, "target", True),
+        (BASE, None, True),
+    ],
+)
+def test_bases_stand_where_brute_force_over_all_cells_and_headings_finds_that_they_can(
+    seed, footprint, facing, sight
+):
+    level = make_level(random_map(seed))
+    finder = PathFinder(level)
+    rules = {"footprint": footprint, "facing": facing, "sight": sight}
+    for name in ("cup_1", "box", "rug", "wall"):
+        reach = ((0.0, 0.45), (0.12, 0.3), (0.2, 0.5))[(seed + len(name)) % 3]
+        expected = find_by_brute_force(level, name, reach, footprint, facing, sight)
+        (region,) = finder.stand_region(f"object:{name}", reach=reach, **rules)
+        assert set(map(tuple, np.argwhere(region).tolist())) == expected.keys()
+        poses = finder.stand_poses(f"object:{name}", reach=reach, count=999, spread=0, **rules)
+        assert len(poses) == len(expected) and (name in poses.why_not) == (not expected)
+        for position, heading in zip(poses.positions, poses.headings, strict=True):
+            cell = finder.cell_at(position)
+            headings = expected[cell.row, cell.col]
+            if footprint is not None or facing:
+                assert min(angle_between(heading, other) for other in headings) < 1e-9
+
+
+# ---------------------------------------------------------------- reach and sight
+
+
+def test_a_cup_is_reached_over_its_table_and_not_from_behind_a_wall():
+    finder = PathFinder(make_level(KITCHEN))
+    poses = finder.stand_poses("object:cup_1", count=99, spread=0.0, reach=(0.1, 0.7))
+    cells = [finder.cell_at(position) for position in poses.positions]
+    assert {cell.row for cell in cells} >= {0, 1, 2, 6}
+    assert all(cell.row < 9 for cell in cells)
+    for position, heading in zip(poses.positions, poses.headings, strict=True):
+        bearing = math.atan2(0.75 - position[1], 0.65 - position[0])
+        assert angle_between(heading, bearing) < 1e-9
+    (region,) = finder.stand_region("object:cup_1", reach=(0.1, 0.7), sight=False)
+    assert region[10].any()  # through the wall
+
+
+def test_what_stands_beside_a_thing_hides_it():
+    # the box is 0.1 m from the table, and higher or lower: the grid doesn't say
+    level = make_level("...........\n....TTT....\n...........\n....bbb....\n...........")
+    (region,) = PathFinder(level).stand_region("object:table", reach=(0.05, 0.5))
+    assert not region[4, 4:7].any() and region[0, 4:7].all()
+
+
+def test_a_picture_in_a_wall_is_in_sight_of_the_side_where_it_hangs():
+    level = make_level(".......\n.......\n###p###\n...b...\n.......\n.......")
+    level.user_data[level.width + 3] = {"objects": ["picture"]}  # 0.1 m before the wall
+    finder = PathFinder(level)
+    (region,) = finder.stand_region("object:picture", reach=(0.0, 0.5))
+    assert region[:2].any() and not region[3:].any()
+
+
+def test_a_closed_door_hides_what_is_behind_it_and_is_a_target_itself():
+    finder = PathFinder(make_level("...bb\n.....\n##D##\n.....\n....."))
+    (region,) = finder.stand_region("object:box", reach=(0.0, 0.6))
+    assert region[1].any() and not region[3:].any()
+    (region,) = finder.stand_region("object:door", reach=(0.0, 0.3))
+    assert region[1].any() and region[3].any()
+
+
+def test_the_distance_to_a_point_is_exact_and_in_space_with_a_height():
+    finder = PathFinder(make_level(KITCHEN))
+    cup = (0.63, 0.77, 0.8)
+    poses = finder.stand_poses(cup, count=999, spread=0.0)
+    distances = np.hypot(*(poses.positions[:, :2] - cup[:2]).T)
+    np.testing.assert_allclose(poses.distances, distances, rtol=0, atol=1e-12)
+    assert len(poses) and (distances >= 0.3).all() and (distances <= 0.8).all()
+    assert poses.targets == ("0.63, 0.77, 0.8",)
+    bearings = np.arctan2(cup[1] - poses.positions[:, 1], cup[0] - poses.positions[:, 0])
+    np.testing.assert_allclose(poses.headings, bearings, rtol=0, atol=1e-12)
+    in_space = finder.stand_poses(cup, count=999, spread=0.0, height=1.3)
+    shoulder_offsets = in_space.positions - cup + np.array([0.0, 0.0, 1.3])
+    distances = np.linalg.norm(shoulder_offsets, axis=1)
+    np.testing.assert_allclose(in_space.distances, distances, rtol=0, atol=1e-12)
+    assert 0 < len(in_space) < len(poses) and (distances <= 0.8).all()
+
+
+def test_an_obstacle_that_is_added_is_in_the_way():
+    level = make_level(KITCHEN)
+    finder = PathFinder(level)
+    before = finder.stand_region("object:box", reach=(0.1, 0.4))[0]
+    level.block(disc=((0.2, 0.4), 0.1))
+    after = finder.stand_region("object:box", reach=(0.1, 0.4))[0]
+    assert after.sum() < before.sum() and not (after & ~before).any()
+
+
+def test_each_level_has_poses_for_what_stands_on_it():
+    below = make_level("........\n...bb...\n........")
+    above = make_level("........\n........\n...cc...\n........", ground=3.0)
+    metadata = below.metadata
+    grid = MultiLevelGrid(grids=[below, above], cell_size=CELL, metadata=metadata)
+    finder = PathFinder(grid)
+    poses = finder.stand_poses(["object:box", "object:cup_1"], reach=(0.0, 0.3), count=4)
+    assert (poses.positions[poses.target_index == 0, 2] == 0.0).all()
+    assert (poses.positions[poses.target_index == 1, 2] == 3.0).all()
+    assert [mask.any() for mask in finder.stand_region("object:box", reach=(0.0, 0.3))] == [
+        True,
+        False,
+    ]
+
+
+# ---------------------------------------------------------------- which poses, in which order
+
+
+def test_poses_are_apart_and_no_more_would_fit():
+    finder = PathFinder(make_level(KITCHEN))
+    poses = finder.stand_poses("object:table", count=999, spread=0.25)
+    gaps = np.linalg.norm(poses.positions[:, None] - poses.positions, axis=2)
+    assert (gaps[~np.eye(len(poses), dtype=bool)] >= 0.25 - 1e-9).all()
+    candidates = finder.stand_poses("object:table", count=999, spread=0.0).positions
+    to_nearest = np.linalg.norm(candidates[:, None] - poses.positions, axis=2).min(axis=1)
+    assert (to_nearest < 0.25).all()
+    few = finder.stand_poses("object:table", count=3, spread=0.25)
+    np.testing.assert_array_equal(few.positions, poses.positions[:3])
+
+
+def test_equal_seeds_give_equal_poses_and_others_begin_elsewhere():
+    finder = PathFinder(make_level(KITCHEN))
+    firsts = set()
+    for seed in range(8):
+        poses = finder.stand_poses("object:table", seed=seed, facing=None)
+        again = finder.stand_poses("object:table", seed=seed, facing=None)
+        np.testing.assert_array_equal(poses.positions, again.positions)
+        np.testing.assert_array_equal(poses.headings, again.headings)
+        firsts.add(tuple(poses.positions[0]))
+    assert len(firsts) > 2
+
+
+def test_from_a_start_the_shortest_paths_come_first_and_all_lead_there():
+    finder = PathFinder(make_level(KITCHEN))
+    start = (0.05, 1.15, 0.0)
+    poses = finder.stand_poses("object:table", start=start, count=9)
+    assert len(poses) and (np.diff(poses.path_lengths) >= 0).all()
+    lengths = finder.distances(poses.positions, start, weighted=False)
+    np.testing.assert_allclose(poses.path_lengths, lengths, rtol=0, atol=1e-9)
+    (region,) = finder.stand_region("object:wall", start=start, reach=(0.0, 0.3))
+    assert region[8].any() and not region[10].any()  # the other side of the wall
+    assert np.isnan(finder.stand_poses("object:table").path_lengths).all()
+
+
+def test_several_targets_get_the_poses_that_each_gets_alone():
+    finder = PathFinder(make_level(KITCHEN))
+    start = (0.05, 1.15, 0.0)
+    targets = ["object:table", (0.45, 0.42, 0.0), "object:box"]
+    together = finder.stand_poses(targets, start=start, count=5, footprint=BASE)
+    assert together.targets == ("table", "0.45, 0.42, 0", "box")
+    for index, target in enumerate(targets):
+        alone = finder.stand_poses(target, start=start, count=5, footprint=BASE)
+        is_own = together.target_index == index
+        np.testing.assert_array_equal(together.positions[is_own], alone.positions)
+        np.testing.assert_array_equal(together.headings[is_own], alone.headings)
+        np.testing.assert_array_equal(together.distances[is_own], alone.distances)
+    assert (np.diff(together.target_index) >= 0).all()
+
+
+def test_a_category_is_each_of_its_objects():
+    finder = PathFinder(make_level(KITCHEN.replace("TcTTTT", "TcTTdT")))
+    poses = finder.stand_poses("category:cup", count=3)
+    assert poses.targets == ("cup_1", "cup_2")
+    assert np.bincount(poses.target_index).tolist() == [3, 3]
+    one, two, both = (
+        finder.stand_region(name)[0] for name in ("object:cup_1", "object:cup_2", "category:cup")
+    )
+    np.testing.assert_array_equal(both, one | two)
+
+
+# ---------------------------------------------------------------- reasons and errors
+
+
+@pytest.mark.parametrize(
+    ("target", "rules", "reason"),
+    [
+        ("object:cup_1", {"reach": (0.0, 0.1)}, "no cell at 0 to 0.1 m from cup_1 is free"),
+        (
+            "object:box",
+            {"reach": (0.0, 0.2), "start": (0.05, 0.05, 0.0)},
+            "no path leads from the start to the .* free cells in reach of box",
+        ),
+        (
+            (0.45, 0.05, 0.0),
+            {"reach": (0.0, 0.2), "start": (0.05, 1.15, 0.0)},
+            "no path leads from the start",
+        ),
+        (
+            "object:cup_1",
+            {
+                "reach": (0.0, 0.4),
+                "footprint": [(0.5, 0.3), (-0.5, 0.3), (-0.5, -0.3), (0.5, -0.3)],
+            },
+            "the footprint fits in none of the .* cells in reach and in sight of cup_1",
+        ),
+        ((9.0, 9.0, 0.0), {}, "9, 9, 0 is in no cell"),
+    ],
+)
+def test_a_target_without_a_pose_has_a_reason(target, rules, reason):
+    finder = PathFinder(make_level(KITCHEN))
+    poses = finder.stand_poses(target, **rules)
+    assert not len(poses)
+    (text,) = poses.why_not.values()
+    assert re.match(reason, text)
+
+
+def test_a_hidden_target_names_what_is_in_between():
+    level = make_level("...........\n..bbbbbbb..\n..b.TTT.b..\n..bbbbbbb..\n...........")
+    level.weights[2, [3, 7]] = np.inf
+    poses = PathFinder(level).stand_poses("object:table", reach=(0.0, 0.6))
+    reason = r"table is in sight of none of the \d+ free cells in reach: box in between"
+    assert re.fullmatch(reason, poses.why_not["table"])
+
+
+@pytest.mark.parametrize(
+    ("target", "rules", "message"),
+    [
+        ("object:tabel", {}, "no object 'tabel' in 'map': did you mean 'table'"),
+        ("category:cop", {}, "no object of category 'cop' in 'map': did you mean 'cup'"),
+        ("sofa", {}, "expected a position, object:NAME or category:NAME, got 'sofa'"),
+        ([], {}, "expected"),
+        ("object:table", {"reach": (0.8, 0.3)}, "expected a reach"),
+        ("object:table", {"reach": 0.8}, "expected a reach"),
+        ("object:table", {"reach": (0.3, math.inf)}, "expected a reach"),
+        ("object:table", {"count": 0}, "expected a count >= 1, got 0"),
+        ("object:table", {"spread": -1}, "expected a spread >= 0 m, got -1"),
+        ("object:table", {"facing": "away"}, "expected target as facing, got 'away'"),
+        ("object:table", {"height": 1.2}, "expected a target with x, y, z where a height"),
+        ((0.5, 0.5), {"height": 1.2}, "expected a target with x, y, z where a height"),
+        ("object:table", {"footprint": [(0, 0), (1, 0)]}, "expected a polygon"),
+        ("object:table", {"start": (0.65, 0.75, 0.0)}, "no agent can stand at 0.65, 0.75, 0"),
+    ],
+)
+def test_what_is_wrong_is_one_clear_line(target, rules, message):
+    finder = PathFinder(make_level(KITCHEN))
+    with pytest.raises(QueryError, match=message):
+        finder.stand_poses(target, **rules)
