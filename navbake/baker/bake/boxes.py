@@ -150,14 +150,14 @@ def _find_tops(
     # levels with a number of at least k, for each k
     ascending_levels = np.argsort(lowest_floors, kind="stable")
     index_of_level = np.argsort(ascending_levels)
-    first_index = np.minimum.accumulate(index_of_level[::-1])[::-1].tolist()
-    first_index.append(len(ascending_levels))
+    first_index_of_level = np.minimum.accumulate(index_of_level[::-1])[::-1].tolist()
+    first_index_of_level.append(len(ascending_levels))
     for k, (floor, window, bottom) in enumerate(zip(free_floors, windows, bottoms, strict=True)):
         highest_floor = float(floor[~np.isnan(floor)].max(initial=-np.inf))
         levels_above = []
         # the box ends below this height: levels whose floors are all higher do not matter
         height_limit = np.inf
-        for j in ascending_levels[first_index[k + 1] :].tolist():
+        for j in ascending_levels[first_index_of_level[k + 1] :].tolist():
             if lowest_floors[j] > height_limit:
                 break
             if j <= k:
@@ -200,8 +200,11 @@ def _find_tops(
 
 def _are_adjacent(first_window: Window, second_window: Window) -> bool:
     """Return whether two windows have cells in common, or touch along an edge or at a corner."""
-    ranges = zip(first_window, second_window, strict=True)
-    return all(a.start <= b.stop and b.start <= a.stop for a, b in ranges)
+    range_pairs = zip(first_window, second_window, strict=True)
+    return all(
+        first_range.start <= second_range.stop and second_range.start <= first_range.stop
+        for first_range, second_range in range_pairs
+    )
 
 
 def _last_floor(floors: Float, heights_above: Float) -> float:

@@ -148,10 +148,10 @@ def _name_farthest_geom(scene: Scene, config: BakeConfig) -> str:
 def extend_lattice(
     lattice: Lattice, bounds: Float | None, max_cells: int, rounding: float = 0.0
 ) -> tuple[Lattice, Window]:
-    """Extend a lattice to the whole scene, or far around it, by whole cells.
+    """Extend a lattice by whole cells until it covers the scene, or as far as limits allow.
 
     On each side it is extended by at most MAX_EXTENSION, or by the lattice's own longer side if
-    that is more. What is farther away has no influence on the floors. If that would be too many
+    that is more. Geoms farther away have no influence on the floors. If that would be too many
     cells, it is extended equally to all sides, as far as `max_cells` allows.
 
     Args:

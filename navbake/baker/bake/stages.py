@@ -291,7 +291,7 @@ class Stages:
 
     @property
     def occupancy(self) -> StructureOccupancy:
-        """The cells of each level that structure alone occupies; `occupants` has all of them."""
+        """The cells of each level that structure occupies; `occupants` adds what can move."""
         return self.standing_cells.occupancy
 
     @cached_property
@@ -524,7 +524,7 @@ class Stages:
 
     @property
     def shape_margin(self) -> float:
-        """How far from a tile of cells a shape may be to be listed for the tile [m]."""
+        """The distance within which a shape is listed for a tile of cells [m]."""
         return max(self.footprint.half_width, self.config.floors.crack)
 
     def _index_structure(self, lattice: Lattice) -> ShapeSource:
@@ -533,7 +533,7 @@ class Stages:
 
 
 def find_floor_lattice(lattice: Lattice, scene: Scene, config: BakeConfig) -> FloorLattice:
-    """Extend a lattice to the whole scene, so that floors do not depend on what is cropped.
+    """Extend a lattice to the whole scene, so that floors do not depend on which part is baked.
 
     Args:
         lattice: the cells that are baked.

@@ -244,9 +244,9 @@ def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Ite
     movable_bodies = np.flatnonzero(num_blocked_cells)
     # Structure among them is a leaf that hangs on no joint.
     movable_bodies = movable_bodies[~scene.is_structure_body[movable_bodies]]
-    is_robot = np.isin(movable_bodies, list(scene.actuated_bodies))
-    robot_bodies = movable_bodies[is_robot]
-    other_bodies = movable_bodies[~is_robot]
+    is_robot_body = np.isin(movable_bodies, list(scene.actuated_bodies))
+    robot_bodies = movable_bodies[is_robot_body]
+    other_bodies = movable_bodies[~is_robot_body]
 
     def list_largest(movable_bodies: Int) -> str:
         largest_bodies = movable_bodies[
@@ -305,15 +305,15 @@ def _warn_patches(
         largest_patch = patches[0]
         x, y, z = largest_patch.position
         name = repr(scene.geoms[largest_patch.geom].name)
-        area = f"{largest_patch.area:.1f}"
-        height = f"{z:.2f}"
+        area_text = f"{largest_patch.area:.1f}"
+        height_text = f"{z:.2f}"
         more_text = f", and {len(patches) - 1} more" if len(patches) > 1 else ""
         yield text.format(
-            what=f"{name} ({area} m² at {height} m{more_text})",
-            keep=f"`floors.from: [[{x:.2f}, {y:.2f}, {height}]]` keeps it",
+            what=f"{name} ({area_text} m² at {height_text} m{more_text})",
+            keep=f"`floors.from: [[{x:.2f}, {y:.2f}, {height_text}]]` keeps it",
             cells=sum(len(patch.cells) for patch in patches),
-            area=area,
-            z=height,
+            area=area_text,
+            z=height_text,
             name=name,
         )
 
@@ -420,10 +420,10 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
     max_step = config.agent.traversable_floor_height
     # Most planes are not even lower than the floors of some rows.
     sampled_rows = [level.floor[::ROW_SAMPLING_STEP] for level in levels]
-    lowest_sampled = min(
+    lowest_sampled_floor = min(
         float(np.fmin.reduce(rows, axis=None, initial=np.inf)) for rows in sampled_rows
     )
-    if not (planes.pos[:, 2] < lowest_sampled - max_step).any():
+    if not (planes.pos[:, 2] < lowest_sampled_floor - max_step).any():
         return
     lowest_floor = min(float(np.nanmin(level.floor)) for level in levels)
     is_horizontal = planes.normal[:, 2] >= 1.0 - 1e-9

@@ -191,17 +191,19 @@ def _horizontal_distance(corners, num_corners, radius, x, y, nearest_point):
     is_right_of_any = False
     for i in range(num_corners):
         j = i + 1 if i + 1 < num_corners else 0
-        ax = corners[i, 0] - x
-        ay = corners[i, 1] - y
-        ex = corners[j, 0] - corners[i, 0]
-        ey = corners[j, 1] - corners[i, 1]
-        squared_length = ex * ex + ey * ey
+        corner_dx = corners[i, 0] - x
+        corner_dy = corners[i, 1] - y
+        edge_x = corners[j, 0] - corners[i, 0]
+        edge_y = corners[j, 1] - corners[i, 1]
+        squared_length = edge_x * edge_x + edge_y * edge_y
         edge_fraction = 0.0
         if squared_length > 0.0:
-            edge_fraction = min(max(-(ax * ex + ay * ey) / squared_length, 0.0), 1.0)
-        dx = ax + edge_fraction * ex
-        dy = ay + edge_fraction * ey
-        side_sign = ex * ay - ey * ax
+            edge_fraction = min(
+                max(-(corner_dx * edge_x + corner_dy * edge_y) / squared_length, 0.0), 1.0
+            )
+        dx = corner_dx + edge_fraction * edge_x
+        dy = corner_dy + edge_fraction * edge_y
+        side_sign = edge_x * corner_dy - edge_y * corner_dx
         is_left_of_any = is_left_of_any or side_sign > 0.0
         is_right_of_any = is_right_of_any or side_sign < 0.0
         if dx * dx + dy * dy < least_squared_distance:

@@ -76,10 +76,10 @@ def _cross_triangle(corners, triangle, x, y, edge_limits):
     if abs(area) < 1e-14:
         return 0, 0.0
     # edge functions: twice the areas that (x, y) spans with the edges, all of one sign inside
-    sign = 1.0 if area > 0.0 else -1.0
-    edge_function_a = sign * (bx * cy - cx * by)
-    edge_function_b = sign * (cx * ay - ax * cy)
-    edge_function_c = sign * (ax * by - bx * ay)
+    winding_sign = 1.0 if area > 0.0 else -1.0
+    edge_function_a = winding_sign * (bx * cy - cx * by)
+    edge_function_b = winding_sign * (cx * ay - ax * cy)
+    edge_function_c = winding_sign * (ax * by - bx * ay)
     if (
         edge_function_a < -edge_limits[0]
         or edge_function_b < -edge_limits[1]
@@ -162,7 +162,7 @@ def _span_of_row(corners, triangle, x_low, x_high, y, edge_limits):
     y0 = corners[triangle, 0, 1]
     area = (corners[triangle, 1, 0] - x0) * (corners[triangle, 2, 1] - y0)
     area -= (corners[triangle, 2, 0] - x0) * (corners[triangle, 1, 1] - y0)
-    sign = 1.0 if area > 0.0 else -1.0
+    winding_sign = 1.0 if area > 0.0 else -1.0
     span_low = x_low
     span_high = x_high
     for k in range(3):
@@ -172,8 +172,8 @@ def _span_of_row(corners, triangle, x_low, x_high, y, edge_limits):
         by = corners[triangle, i, 1] - y
         cx = corners[triangle, j, 0] - x_low
         cy = corners[triangle, j, 1] - y
-        edge_function_at_low = sign * (bx * cy - cx * by)
-        edge_function_slope = sign * (corners[triangle, i, 1] - corners[triangle, j, 1])
+        edge_function_at_low = winding_sign * (bx * cy - cx * by)
+        edge_function_slope = winding_sign * (corners[triangle, i, 1] - corners[triangle, j, 1])
         if edge_function_slope > 0.0:
             span_low = max(
                 span_low, x_low - (edge_function_at_low + edge_limits[k]) / edge_function_slope

@@ -129,11 +129,11 @@ def _find_steep_facets(
     hit_indices = hit_indices[is_steep_hit]
     low_z = columns.z[hit_indices] + SAME_HEIGHT
     high_z = columns.z[hit_indices] + limits.headroom - LIMIT_SLACK
-    is_covered = np.empty(len(hit_indices), dtype=np.bool_)
+    lacks_headroom = np.empty(len(hit_indices), dtype=np.bool_)
     run_in_chunks(
-        find_blocked_lines, len(hit_indices), cell_ids, low_z, high_z, columns.hits, is_covered
+        find_blocked_lines, len(hit_indices), cell_ids, low_z, high_z, columns.hits, lacks_headroom
     )
-    return cell_ids[~is_covered], hit_indices[~is_covered]
+    return cell_ids[~lacks_headroom], hit_indices[~lacks_headroom]
 
 
 def _mark_clearly_steep(
@@ -238,12 +238,14 @@ def _mark_flat_ground(
     planes_of_all_samples = _fit_planes(
         sample_offsets, sample_heights[unpaired_indices], min_variance
     )
-    is_different = (
+    is_clearly_different = (
         planes_of_all_samples.normal * columns.normal[hit_indices[unpaired_indices]]
     ).sum(axis=1) <= MAX_DIFFERENT_COSINE
     planes.normal[unpaired_indices] = planes_of_all_samples.normal
     planes.max_bump[unpaired_indices] = planes_of_all_samples.max_bump
-    planes.is_determined[unpaired_indices] = planes_of_all_samples.is_determined & is_different
+    planes.is_determined[unpaired_indices] = (
+        planes_of_all_samples.is_determined & is_clearly_different
+    )
     is_flat = planes.is_determined & (planes.normal[:, 2] >= limits.min_normal_z)
     is_flat &= planes.max_bump <= MAX_BUMP_FRACTION * limits.max_step + LIMIT_SLACK
     return planes.normal, is_flat

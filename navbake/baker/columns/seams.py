@@ -183,10 +183,12 @@ def _find_seams(centers: tuple[Float, Float], axis: int, box_bounds: Float, corn
         first_edge[:, other_axis] * second_edge[:, 2]
         - first_edge[:, 2] * second_edge[:, other_axis]
     ) * (1 - 2 * axis)
-    is_across = highest_corner[:, axis] - lowest_corner[:, axis] <= RIM_WIDTH
+    is_perpendicular_to_axis = highest_corner[:, axis] - lowest_corner[:, axis] <= RIM_WIDTH
     face_masks = []
     for is_upper_face in (False, True):
-        is_face = is_across & (normal_along_axis > 0 if is_upper_face else normal_along_axis < 0)
+        is_face = is_perpendicular_to_axis & (
+            normal_along_axis > 0 if is_upper_face else normal_along_axis < 0
+        )
         box_face_coordinate = box_bounds[:, axis + 3 * is_upper_face]
         face_coordinate = np.concatenate([box_face_coordinate, lowest_corner[is_face, axis]])
         face_begin = np.concatenate([box_bounds[:, other_axis], lowest_corner[is_face, other_axis]])
@@ -269,11 +271,11 @@ def replace_column_hits(
     start = np.zeros(len(old_hits.start), dtype=np.int64)  # whose pages cost nothing until written
     start_slice = slice(first_cell, end_cell + 1)
     np.add(old_hits.start[start_slice], num_added_before, out=start[start_slice])
-    arrays = [
+    hit_arrays = [
         replace_slices(old_array, first_old_hit, end_old_hit, new_array, new_hits.start)
         for old_array, new_array in zip(old_hits.entries, new_hits.entries, strict=True)
     ]
-    return replace(columns, hits=ColumnHits(start, *arrays))
+    return replace(columns, hits=ColumnHits(start, *hit_arrays))
 
 
 # ---------------------------------------------------------------- cracks
@@ -324,8 +326,8 @@ def close_cracks(
     is_on_piece &= height_difference <= MAX_PIECE_HEIGHT_ERROR + sides[side_index, RADIUS]
     hit_indices = np.flatnonzero(is_on_piece)
     hit_indices = hit_indices[np.lexsort((height_difference[hit_indices], side_index[hit_indices]))]
-    side_index, first_index = np.unique(side_index[hit_indices], return_index=True)
-    hit_indices = hit_indices[first_index]
+    side_index, first_hit_of_side = np.unique(side_index[hit_indices], return_index=True)
+    hit_indices = hit_indices[first_hit_of_side]
     cell_ids = cell_ids[side_index]
     direction = direction[side_index]
     # a floor that is buried there, but not at the cell's line, ends at the foot of something

@@ -77,39 +77,39 @@ def _write_solid_support(kind, pos, mat, size, dx, dy, dz, point):
     The solid is given by MuJoCo's type, position, rotation matrix and size, see `Solids`.
     """
     # direction in the solid's own frame: transpose of the row-major matrix
-    lx = mat[0] * dx + mat[3] * dy + mat[6] * dz
-    ly = mat[1] * dx + mat[4] * dy + mat[7] * dz
-    lz = mat[2] * dx + mat[5] * dy + mat[8] * dz
+    local_dx = mat[0] * dx + mat[3] * dy + mat[6] * dz
+    local_dy = mat[1] * dx + mat[4] * dy + mat[7] * dz
+    local_dz = mat[2] * dx + mat[5] * dy + mat[8] * dz
     px = 0.0
     py = 0.0
     pz = 0.0
     if kind == BOX:
-        px = size[0] if lx > 0.0 else -size[0]
-        py = size[1] if ly > 0.0 else -size[1]
-        pz = size[2] if lz > 0.0 else -size[2]
+        px = size[0] if local_dx > 0.0 else -size[0]
+        py = size[1] if local_dy > 0.0 else -size[1]
+        pz = size[2] if local_dz > 0.0 else -size[2]
     elif kind == CYLINDER:
-        radial_length = math.sqrt(lx * lx + ly * ly)
+        radial_length = math.sqrt(local_dx * local_dx + local_dy * local_dy)
         if radial_length > 0.0:
-            px = size[0] * lx / radial_length
-            py = size[0] * ly / radial_length
-        pz = size[1] if lz > 0.0 else -size[1]
+            px = size[0] * local_dx / radial_length
+            py = size[0] * local_dy / radial_length
+        pz = size[1] if local_dz > 0.0 else -size[1]
     elif kind == ELLIPSOID:
-        ax = size[0] * lx
-        ay = size[1] * ly
-        az = size[2] * lz
-        norm = math.sqrt(ax * ax + ay * ay + az * az)
+        scaled_dx = size[0] * local_dx
+        scaled_dy = size[1] * local_dy
+        scaled_dz = size[2] * local_dz
+        norm = math.sqrt(scaled_dx * scaled_dx + scaled_dy * scaled_dy + scaled_dz * scaled_dz)
         if norm > 0.0:
-            px = size[0] * ax / norm
-            py = size[1] * ay / norm
-            pz = size[2] * az / norm
+            px = size[0] * scaled_dx / norm
+            py = size[1] * scaled_dy / norm
+            pz = size[2] * scaled_dz / norm
     else:
-        norm = math.sqrt(lx * lx + ly * ly + lz * lz)
+        norm = math.sqrt(local_dx * local_dx + local_dy * local_dy + local_dz * local_dz)
         if norm > 0.0:
-            px = size[0] * lx / norm
-            py = size[0] * ly / norm
-            pz = size[0] * lz / norm
+            px = size[0] * local_dx / norm
+            py = size[0] * local_dy / norm
+            pz = size[0] * local_dz / norm
         if kind == CAPSULE:
-            pz += size[1] if lz > 0.0 else -size[1]
+            pz += size[1] if local_dz > 0.0 else -size[1]
     point[0] = pos[0] + mat[0] * px + mat[1] * py + mat[2] * pz
     point[1] = pos[1] + mat[3] * px + mat[4] * py + mat[5] * pz
     point[2] = pos[2] + mat[6] * px + mat[7] * py + mat[8] * pz
@@ -190,52 +190,54 @@ def _write_nearest_on_triangle(a, b, c, is_corner_needed, nearest_point):
     acy = c[1] - a[1]
     acz = c[2] - a[2]
     # beyond a corner: both edges from it lead away from the origin
-    d1 = -(abx * a[0] + aby * a[1] + abz * a[2])
-    d2 = -(acx * a[0] + acy * a[1] + acz * a[2])
-    if d1 <= 0.0 and d2 <= 0.0:
+    along_ab_from_a = -(abx * a[0] + aby * a[1] + abz * a[2])
+    along_ac_from_a = -(acx * a[0] + acy * a[1] + acz * a[2])
+    if along_ab_from_a <= 0.0 and along_ac_from_a <= 0.0:
         nearest_point[0] = a[0]
         nearest_point[1] = a[1]
         nearest_point[2] = a[2]
         is_corner_needed[0] = True
         return
-    d3 = -(abx * b[0] + aby * b[1] + abz * b[2])
-    d4 = -(acx * b[0] + acy * b[1] + acz * b[2])
-    if d3 >= 0.0 and d4 <= d3:
+    along_ab_from_b = -(abx * b[0] + aby * b[1] + abz * b[2])
+    along_ac_from_b = -(acx * b[0] + acy * b[1] + acz * b[2])
+    if along_ab_from_b >= 0.0 and along_ac_from_b <= along_ab_from_b:
         nearest_point[0] = b[0]
         nearest_point[1] = b[1]
         nearest_point[2] = b[2]
         is_corner_needed[1] = True
         return
-    d5 = -(abx * c[0] + aby * c[1] + abz * c[2])
-    d6 = -(acx * c[0] + acy * c[1] + acz * c[2])
-    if d6 >= 0.0 and d5 <= d6:
+    along_ab_from_c = -(abx * c[0] + aby * c[1] + abz * c[2])
+    along_ac_from_c = -(acx * c[0] + acy * c[1] + acz * c[2])
+    if along_ac_from_c >= 0.0 and along_ab_from_c <= along_ac_from_c:
         nearest_point[0] = c[0]
         nearest_point[1] = c[1]
         nearest_point[2] = c[2]
         is_corner_needed[2] = True
         return
-    # beyond an edge: vc, vb, va are the areas that the foot of the origin spans with each edge
-    vc = d1 * d4 - d3 * d2
-    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        fraction = d1 / (d1 - d3)
+    # beyond an edge: by the areas that the foot of the origin spans with each edge
+    area_ab = along_ab_from_a * along_ac_from_b - along_ab_from_b * along_ac_from_a
+    if area_ab <= 0.0 and along_ab_from_a >= 0.0 and along_ab_from_b <= 0.0:
+        fraction = along_ab_from_a / (along_ab_from_a - along_ab_from_b)
         nearest_point[0] = a[0] + fraction * abx
         nearest_point[1] = a[1] + fraction * aby
         nearest_point[2] = a[2] + fraction * abz
         is_corner_needed[0] = True
         is_corner_needed[1] = True
         return
-    vb = d5 * d2 - d1 * d6
-    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        fraction = d2 / (d2 - d6)
+    area_ac = along_ab_from_c * along_ac_from_a - along_ab_from_a * along_ac_from_c
+    if area_ac <= 0.0 and along_ac_from_a >= 0.0 and along_ac_from_c <= 0.0:
+        fraction = along_ac_from_a / (along_ac_from_a - along_ac_from_c)
         nearest_point[0] = a[0] + fraction * acx
         nearest_point[1] = a[1] + fraction * acy
         nearest_point[2] = a[2] + fraction * acz
         is_corner_needed[0] = True
         is_corner_needed[2] = True
         return
-    va = d3 * d6 - d5 * d4
-    if va <= 0.0 and d4 >= d3 and d5 >= d6:
-        fraction = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+    area_bc = along_ab_from_b * along_ac_from_c - along_ab_from_c * along_ac_from_b
+    if area_bc <= 0.0 and along_ac_from_b >= along_ab_from_b and along_ab_from_c >= along_ac_from_c:
+        fraction = (along_ac_from_b - along_ab_from_b) / (
+            (along_ac_from_b - along_ab_from_b) + (along_ab_from_c - along_ac_from_c)
+        )
         nearest_point[0] = b[0] + fraction * (c[0] - b[0])
         nearest_point[1] = b[1] + fraction * (c[1] - b[1])
         nearest_point[2] = b[2] + fraction * (c[2] - b[2])

@@ -46,7 +46,7 @@ def allocate_polygons():
 
 @subkernel(inline="always")
 def is_beside_prism(boxes, box, prism):
-    """Return whether a box does not meet a prism: it is beside, above or below it, or touches it.
+    """Return whether a box lies beside, above or below a prism; it may touch the prism.
 
     Args:
         boxes: (n, 6) float64, lower corner, upper corner [m].
@@ -154,19 +154,21 @@ def _disc_meets_polygon(points, num_corners, prism):
     is_right_of_any = False
     for i in range(num_corners):
         j = i + 1 if i + 1 < num_corners else 0
-        ax = points[i, 0] - prism.x
-        ay = points[i, 1] - prism.y
-        ex = points[j, 0] - points[i, 0]
-        ey = points[j, 1] - points[i, 1]
-        squared_length = ex * ex + ey * ey
+        corner_dx = points[i, 0] - prism.x
+        corner_dy = points[i, 1] - prism.y
+        edge_x = points[j, 0] - points[i, 0]
+        edge_y = points[j, 1] - points[i, 1]
+        squared_length = edge_x * edge_x + edge_y * edge_y
         edge_fraction = 0.0
         if squared_length > 0.0:
-            edge_fraction = min(max(-(ax * ex + ay * ey) / squared_length, 0.0), 1.0)
-        dx = ax + edge_fraction * ex
-        dy = ay + edge_fraction * ey
+            edge_fraction = min(
+                max(-(corner_dx * edge_x + corner_dy * edge_y) / squared_length, 0.0), 1.0
+            )
+        dx = corner_dx + edge_fraction * edge_x
+        dy = corner_dy + edge_fraction * edge_y
         if dx * dx + dy * dy < prism.half * prism.half:
             return True
-        side_sign = ex * ay - ey * ax
+        side_sign = edge_x * corner_dy - edge_y * corner_dx
         is_left_of_any = is_left_of_any or side_sign > 0.0
         is_right_of_any = is_right_of_any or side_sign < 0.0
     # the middle is on one side of all edges: it is inside of the polygon, which is convex
@@ -184,8 +186,10 @@ def triangle_meets_prism(corners, prism, polygons):
     """
     polygon = polygons.polygon
     scratch = polygons.scratch
-    heights = (prism.low, prism.high)
-    num_corners = clip_polygon_between(corners, corners.shape[0], scratch, Z, heights, polygon)
+    height_limits = (prism.low, prism.high)
+    num_corners = clip_polygon_between(
+        corners, corners.shape[0], scratch, Z, height_limits, polygon
+    )
     if num_corners == 0:
         return False
     if prism.is_round:
@@ -223,17 +227,17 @@ def plane_meets_prism(planes, plane, prism):
 
 
 @subkernel(**NO_REFCOUNT)
-def find_most_hits(hits, cells, first, end):
-    """Return how many hits the column of some cells has that has the most.
+def count_most_hits(hits, cells, first_index, end_index):
+    """Return the largest number of hits in a column of some cells.
 
     Args:
         hits: the columns, as `ColumnHits`.
         cells: cell ids, (n,) int64.
-        first: index of the first of the cells to look at.
-        end: index past the last of them.
+        first_index: index of the first of the cells to look at.
+        end_index: index past the last of them.
     """
     most_hits = np.int64(0)
-    for i in range(first, end):
+    for i in range(first_index, end_index):
         num_hits = hits.start[cells[i] + 1] - hits.start[cells[i]]
         most_hits = max(most_hits, num_hits)
     return most_hits
@@ -295,7 +299,7 @@ def find_blocked_lines(cells, low_z, high_z, hits, is_blocked, first_test, end_t
         first_test: index of the first test.
         end_test: index past the last test.
     """
-    most_hits = find_most_hits(hits, cells, first_test, end_test)
+    most_hits = count_most_hits(hits, cells, first_test, end_test)
     num_enclosing = np.empty(most_hits + 1, np.int64)
     for test in range(first_test, end_test):
         if test == first_test or cells[test] != cells[test - 1]:

@@ -33,10 +33,10 @@ MIN_ITEMS_PER_CHUNK = 4096
 # A mesh is divided into at most this many chunks, as each needs arrays of its own
 MAX_CHUNKS = 8
 NUM_SIDES = 32  # of round solids that are made of triangles
-# Triangles of about this many are expanded_facets at a time
+# Triangles of about this many are expanded at a time
 TRIANGLES_PER_BATCH = 1 << 20
 # Height fields are cut into pieces of about this many triangles, so that only those near some rows
-# of cells need to be expanded_facets
+# of cells need to be expanded
 TRIANGLES_PER_PIECE = 1 << 16
 
 
@@ -96,7 +96,7 @@ class Meshes:
 
     @cached_property
     def expanded_facets(self) -> Facets:
-        """Return all triangles; they are expanded_facets once and kept."""
+        """Return all triangles; they are expanded once and kept."""
         return self.expand()
 
     def only(self, is_selected: Bool) -> Meshes:
@@ -210,7 +210,7 @@ class Shapes:
         return self.meshes.expanded_facets
 
     def forget_triangles(self) -> None:
-        """Free the memory of the expanded_facets triangles; `triangles` expands them again."""
+        """Free the memory of the expanded triangles; `triangles` expands them again."""
         self.meshes.__dict__.pop("expanded_facets", None)
 
     def facets_in_batches(self) -> Iterator[Facets]:

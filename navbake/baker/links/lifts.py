@@ -257,7 +257,7 @@ def _find_cars(search: LinkSearch, patterns: Sequence[str], max_gap: float) -> I
         shapes = search.shapes.only(is_car_geom)
         bounds = shapes.bounds
         window = None if bounds is None else lattice.window(bounds, max_gap + lattice.cell_size)
-        if body not in scene.cars or bounds is None or window is None:
+        if body not in scene.car_bodies or bounds is None or window is None:
             continue
         window_lattice = lattice.cut(*window)
         car_floor = measure_car(shapes, window_lattice, search.agent)

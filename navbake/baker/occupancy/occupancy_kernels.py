@@ -45,7 +45,7 @@ from navbake.baker.geometry.gjk_kernels import allocate_simplex
 from navbake.baker.geometry.overlap_kernels import (
     allocate_polygons,
     count_enclosing,
-    find_most_hits,
+    count_most_hits,
     is_beside_prism,
     is_line_blocked,
     plane_meets_prism,
@@ -217,7 +217,7 @@ def check_tiles(
     end_query = find_first_at_or_above(
         queries.cell, first_query, num_cells, end_tile_row * row_size
     )
-    most_hits = find_most_hits(hits, queries.cell, first_query, end_query)
+    most_hits = count_most_hits(hits, queries.cell, first_query, end_query)
     num_enclosing = np.empty(most_hits + 1, np.int64)
     list_geom = np.empty(FIRST_CAPACITY, np.int32)
     list_flags = np.empty(FIRST_CAPACITY, np.uint8)

@@ -432,8 +432,8 @@ def read_urdf(
 ) -> tuple[str, dict[str, Path]]:
     """Read a URDF: its XML for MuJoCo, and the files of its meshes.
 
-    Unless the file's own ``<mujoco><compiler/>`` says otherwise, visuals are kept, and links on
-    fixed joints keep their own bodies and names. MuJoCo would do neither.
+    Unless the file's own ``<mujoco><compiler_element/>`` says otherwise, visuals are kept, and
+    links on fixed joints keep their own bodies and names. MuJoCo would do neither.
 
     A visual with a missing mesh is left out, with a warning, if visuals don't count: because the
     file discards them, or because the file has collision geometry and `geoms_setting` is neither
@@ -466,11 +466,11 @@ def read_urdf(
 
     try:
         root = parse_xml(path.read_bytes())
-        compiler = _find_urdf_compiler(root)
+        compiler_element = _find_urdf_compiler(root)
         are_visuals_counted = (
             geoms_setting in ("visual", "all") or root.find("link/collision/geometry") is None
         )
-        if compiler.get("discardvisual") == "true" or not are_visuals_counted:
+        if compiler_element.get("discardvisual") == "true" or not are_visuals_counted:
             dropped_meshes = list[str]()
             for link in list(root.iter("link")):
                 for visual in link.findall("visual"):

@@ -46,7 +46,7 @@ class SceneRoles(NamedTuple):
         mover_of_body: for each body, the id of the body that it moves with: of a movable body, its
             topmost movable ancestor or itself; of any other body, itself; shape (nbody,).
         leaves: the door candidates, ascending by body id.
-        cars: ids of the bodies that are cars of lifts, ascending.
+        car_bodies: ids of the bodies that are cars of lifts, ascending.
         pattern_warnings: warnings of patterns of doors that match nothing, one line each.
         warnings: all other warnings, one line each.
     """
@@ -56,7 +56,7 @@ class SceneRoles(NamedTuple):
     is_structure_body: Bool
     mover_of_body: Int
     leaves: list[DoorCandidate]
-    cars: list[int]
+    car_bodies: list[int]
     pattern_warnings: list[str]
     warnings: list[str]
 
@@ -149,7 +149,7 @@ def find_roles(
         is_structure_body=is_structure_body,
         mover_of_body=_find_movers(model, is_movable_body),
         leaves=leaves,
-        cars=car_bodies,
+        car_bodies=car_bodies,
         pattern_warnings=pattern_warnings,
         warnings=warnings,
     )

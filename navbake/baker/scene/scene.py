@@ -64,7 +64,7 @@ MIN_SCENE_WIDTH = 0.5
 
 @dataclass(frozen=True)
 class GeomReport:
-    """Whether and how one geom is baked, as `navbake geoms` prints it.
+    """The report on one geom, as `navbake geoms` prints it: whether and how it is baked.
 
     Attributes:
         id: the geom's id in MuJoCo.
@@ -122,7 +122,7 @@ class Scene:
             ancestor, the id of the topmost one stands for it.
         named_leaves: names of the bodies that are leaves of doors, as the scene's file says.
         leaves: the door candidates, ascending by body id.
-        cars: ids of the bodies that are cars of lifts, ascending.
+        car_bodies: ids of the bodies that are cars of lifts, ascending.
         pattern_warnings: warnings of patterns of doors that match nothing, one line each.
     """
 
@@ -145,7 +145,7 @@ class Scene:
     actuated_bodies: frozenset[int]
     named_leaves: frozenset[str]
     leaves: list[DoorCandidate]
-    cars: list[int]
+    car_bodies: list[int]
     pattern_warnings: list[str]
 
     @property
@@ -268,7 +268,7 @@ def load_scene(
         actuated_bodies=frozenset(roles.mover_of_body[[*find_actuated_bodies(model)]].tolist()),
         named_leaves=scene_model.named_leaves,
         leaves=roles.leaves,
-        cars=roles.cars,
+        car_bodies=roles.car_bodies,
         pattern_warnings=roles.pattern_warnings,
     )
 

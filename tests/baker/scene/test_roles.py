@@ -220,7 +220,7 @@ def test_cars_of_lifts_carry_floors_where_lifts_are_looked_for(
         text = text.replace(before, joint)
     scene = load(tmp_path, world(FLOOR + text), links=links)
     assert roles(scene)["plate"] == ("structure that moves" if is_car else "movable")
-    assert [scene.model.body(car).name for car in scene.cars] == ["car"] * is_car
+    assert [scene.model.body(car).name for car in scene.car_bodies] == ["car"] * is_car
 
 
 # ---------------------------------------------------------------- where nothing stands
