@@ -47,8 +47,8 @@ def find(scene: str | PathLike[str]) -> Path:
     is_name = not scene_path.suffix and scene_path.name == str(scene)
     if not is_name or scene_path.exists() or scene_path.name not in names():
         return scene_path
-    local_settings = Path(f"{scene_path.name}.yaml")
-    return local_settings if local_settings.exists() else path(scene_path.name)
+    local_settings_path = Path(f"{scene_path.name}.yaml")
+    return local_settings_path if local_settings_path.exists() else path(scene_path.name)
 
 
 def copy(name: str, folder: Path | str = ".") -> list[Path]:
@@ -78,19 +78,19 @@ def copy(name: str, folder: Path | str = ".") -> list[Path]:
         if asset_file.name in mjcf_text
     ]
     source_files = [settings_path, *scene_files, *asset_files]
-    copy_of_source = {
+    copy_by_source = {
         source_file: target_folder / source_file.relative_to(settings_path.parent)
         for source_file in source_files
     }
     content_by_file = {source_file: source_file.read_bytes() for source_file in source_files}
     try:
-        for source_file, copied_file in copy_of_source.items():
+        for source_file, copied_file in copy_by_source.items():
             if copied_file.exists() and copied_file.read_bytes() != content_by_file[source_file]:
                 hint = "move it, or copy elsewhere"
                 raise ConfigError(
                     f"another {copied_file} is there: {hint}", path=str(copied_file), hint=hint
                 )
-        for source_file, copied_file in copy_of_source.items():
+        for source_file, copied_file in copy_by_source.items():
             if not copied_file.exists():
                 copied_file.parent.mkdir(parents=True, exist_ok=True)
                 write_whole(content_by_file[source_file], copied_file)
@@ -99,7 +99,7 @@ def copy(name: str, folder: Path | str = ".") -> list[Path]:
         raise ConfigError(
             f"cannot write {error_path}: {error.strerror}", path=error_path
         ) from error
-    return list(copy_of_source.values())
+    return list(copy_by_source.values())
 
 
 def _find_samples_folder() -> Path:

@@ -99,9 +99,9 @@ def soft_spl(distance: Array, shortest: Array, length: Array, *, xp: ModuleType 
 
     Source: Datta et al., "Integrating Egocentric Localization" (2020).
     """
-    divisor = xp.where(shortest > 0, shortest, xp.ones_like(shortest))
+    positive_shortest = xp.where(shortest > 0, shortest, xp.ones_like(shortest))
     share_without_path = xp.where(distance > 0, 1.0, distance)
-    remaining_share = xp.where(shortest > 0, distance / divisor, share_without_path)
+    remaining_share = xp.where(shortest > 0, distance / positive_shortest, share_without_path)
     progress = xp.where(remaining_share > 1, xp.zeros_like(remaining_share), 1.0 - remaining_share)
     return progress * _efficiency(shortest, length, xp)
 
@@ -160,7 +160,7 @@ def ndtw(
         return math.nan
     shorter, longer = (path, reference) if len(path) < len(reference) else (reference, path)
     distances = xp.sqrt(((shorter[:, None] - longer) ** 2).sum(-1))
-    row = xp.arange(len(shorter))
+    rows = xp.arange(len(shorter))
     num_cols = len(longer)
     # The table of least sums has a row for each point of `shorter`, and a column for each point of
     # `longer`. It is filled anti-diagonal by anti-diagonal, because each depends only on the two
@@ -168,15 +168,17 @@ def ndtw(
     second_last_sums = xp.full_like(distances[:, 0], math.inf)
     last_sums = second_last_sums
     for diagonal in range(len(shorter) + num_cols - 1):
-        col = diagonal - row
+        cols = diagonal - rows
         if diagonal:
-            least_of_row_before = xp.minimum(last_sums[row - 1], second_last_sums[row - 1])
-            least_sums = xp.where(row > 0, xp.minimum(last_sums, least_of_row_before), last_sums)
+            least_sum_of_previous_row = xp.minimum(last_sums[rows - 1], second_last_sums[rows - 1])
+            least_sums = xp.where(
+                rows > 0, xp.minimum(last_sums, least_sum_of_previous_row), last_sums
+            )
         else:
             least_sums = xp.zeros_like(last_sums)
-        is_inside = (col >= 0) & (col < num_cols)
+        is_inside = (cols >= 0) & (cols < num_cols)
         diagonal_distances = xp.where(
-            is_inside, distances[row, xp.clip(col, 0, num_cols - 1)], math.inf
+            is_inside, distances[rows, xp.clip(cols, 0, num_cols - 1)], math.inf
         )
         second_last_sums = last_sums
         last_sums = diagonal_distances + least_sums
@@ -210,15 +212,17 @@ def bootstrap(
     Returns:
         The mean and the interval.
     """
-    known_values = np.asarray(values, dtype=np.float64).ravel()
-    known_values = known_values[~np.isnan(known_values)]
-    count = len(known_values)
-    if not count:
+    valid_values = np.asarray(values, dtype=np.float64).ravel()
+    valid_values = valid_values[~np.isnan(valid_values)]
+    num_values = len(valid_values)
+    if not num_values:
         return Interval(math.nan, math.nan, math.nan, 0)
     rng = np.random.default_rng(seed)
-    means = [known_values[rng.integers(count, size=count)].mean() for _ in range(samples)]
-    low, high = np.quantile(means, [(1 - certainty) / 2, (1 + certainty) / 2])
-    return Interval(float(known_values.mean()), float(low), float(high), count)
+    resample_means = [
+        valid_values[rng.integers(num_values, size=num_values)].mean() for _ in range(samples)
+    ]
+    low, high = np.quantile(resample_means, [(1 - certainty) / 2, (1 + certainty) / 2])
+    return Interval(float(valid_values.mean()), float(low), float(high), num_values)
 
 
 class Measures:

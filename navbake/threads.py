@@ -64,7 +64,10 @@ def run_in_chunks(
             kernel(*args, begin, end)
         return
     chunks = iter(
-        [(first, min(first + chunk_size, end)) for first in range(begin, end, chunk_size)]
+        [
+            (first_index, min(first_index + chunk_size, end))
+            for first_index in range(begin, end, chunk_size)
+        ]
     )
     num_helpers = min(max_threads, -(-count // chunk_size)) - 1  # threads besides this one
     with baking():

@@ -68,8 +68,8 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
     doors = nav_grid.doors
     if as_json:
         tables_as_json = {
-            "rooms": [r.to_json() for r in room_list],
-            "doors": [d.to_json() for d in doors],
+            "rooms": [room.to_json() for room in room_list],
+            "doors": [door.to_json() for door in doors],
         }
         print_json({"scene_id": nav_grid.scene_id, **tables_as_json})
         return

@@ -115,7 +115,7 @@ def geoms(
     overrides: Overrides = None,
     model_path: ModelPath = None,
 ) -> None:
-    """List the geoms of a scene: which count, as what, what of them stands or can move, and why.
+    """List the geoms of a scene: whether each is counted, its shape, its role, and why.
 
     Example: navbake geoms house.xml
     """
@@ -134,8 +134,17 @@ def geoms(
         return
     num_counted = sum(geom.counted for geom in scene.geoms)
     rows = [
-        (g.id, g.name, g.body, g.type, "yes" if g.counted else "no", g.shape, g.role, g.reason)
-        for g in scene.geoms
+        (
+            geom.id,
+            geom.name,
+            geom.body,
+            geom.type,
+            "yes" if geom.counted else "no",
+            geom.shape,
+            geom.role,
+            geom.reason,
+        )
+        for geom in scene.geoms
     ]
     headings = ("id", "geom", "body", "type", "counted", "as", "role", "why")
     printing.print_tables(make_table(headings, rows, numbers=("id",)))
@@ -244,11 +253,11 @@ def _parse_segments(segment_values: list[str] | None) -> str | dict[str, int] | 
     if segment_values in (["geom"], ["body"], ["top"]):
         return segment_values[0]
     patterns: dict[str, int] = {}
-    for number, segment_value in enumerate(segment_values, 1):
+    for pattern_number, segment_value in enumerate(segment_values, 1):
         pattern, is_given, id_text = segment_value.rpartition("=")
         if not is_given:
             pattern = segment_value
-            id_text = str(number)
+            id_text = str(pattern_number)
         if not id_text.isdecimal() or not pattern:
             message = f"expected geom, body, top or PATTERN=ID, got {segment_value}"
             raise BadParameter(message, param_hint="--segment")

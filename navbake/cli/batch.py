@@ -233,7 +233,7 @@ def _check_log(log: Path, jobs: list[scenes.Job], scene_options: SceneOptions, o
         os.path.join(output, name) for name in (index.INDEX_NAME, page.PAGE_NAME, index.TABLE_NAME)
     ]
     config_paths = [] if scene_options.config is None else [scene_options.config]
-    sources = [listed.source for listed in jobs]
+    sources = [listed_job.source for listed_job in jobs]
     inputs = map(Path, [*scene_options.sources, *config_paths, *sources, *written_paths])
     options.check_output(log, inputs=inputs, may_make_folder=True, option="--log")
 
@@ -413,8 +413,10 @@ class _BatchWatch:
     def _refresh(self) -> None:
         """Show on the progress bar and the page how many scenes are done."""
         num_done = self._total - self._counts["left"]
-        rate = num_done / max(time.perf_counter() - self._begin, 1e-3)
-        note = f"{num_done}/{self._total}, {rate:.3g}/s, {self._counts['failed']} failed"
+        scenes_per_second = num_done / max(time.perf_counter() - self._begin, 1e-3)
+        note = (
+            f"{num_done}/{self._total}, {scenes_per_second:.3g}/s, {self._counts['failed']} failed"
+        )
         self._show_progress("", num_done / self._total, note)
         if self._page is not None and num_done:
             self._page.refresh(num_done)

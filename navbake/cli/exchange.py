@@ -282,25 +282,28 @@ convert.__doc__ = "\n\n".join(
 )
 
 
-def _find_format(path: Path, name: str | None, hints: tuple[str, str], **table: Any) -> FileFormat:
+def _find_format(
+    path: Path, name: str | None, param_hints: tuple[str, str], **search_options: Any
+) -> FileFormat:
     """Find the format of a file.
 
     Args:
         path: the file.
         name: the format that the user named; None to find it by the file's ending.
-        hints: for errors, the option that names the format, and the argument that names the file.
-        table: keyword arguments of `find_format`.
+        param_hints: for errors, the option that names the format, and the argument that names the
+            file.
+        search_options: keyword arguments of `find_format`.
 
     Raises:
         BadParameter: there is no such format.
     """
-    if not table["writing"] and name is None and scene_suffix(path) in SCENE_SUFFIXES:
+    if not search_options["writing"] and name is None and scene_suffix(path) in SCENE_SUFFIXES:
         problem = f"{path} is a scene: bake it first, navbake bake {path}"
-        raise BadParameter(problem, param_hint=hints[1])
+        raise BadParameter(problem, param_hint=param_hints[1])
     try:
-        return find_format(path, name, **table)
+        return find_format(path, name, **search_options)
     except FormatError as error:
-        raise BadParameter(str(error), param_hint=hints[name is None]) from error
+        raise BadParameter(str(error), param_hint=param_hints[name is None]) from error
 
 
 def inflate(

@@ -84,7 +84,10 @@ for command in (command for group in COMMANDS.values() for command in group):
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit: 0 done, 1 a NavbakeError, 2 wrong usage."""
+    """Run the command line, and exit.
+
+    The exit status is 0 for success, 1 for a NavbakeError, and 2 for wrong usage.
+    """
     if isinstance(sys.stdout, io.TextIOWrapper):
         # names may contain characters that the terminal's encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")

@@ -66,24 +66,24 @@ def check_overrides(overrides: list[str] | None) -> list[str]:
 
 
 def override_model_path(folders: list[Path] | None) -> list[str]:
-    """Return the overrides of settings that `--model-path` stands for, with absolute paths."""
+    """Convert the values of `--model-path` to overrides of settings, with absolute paths."""
     folder_texts = [str(folder.absolute()) for folder in folders or []]
     return [f"scene.model_path={json.dumps(folder_texts)}"] if folder_texts else []
 
 
 def override_sizes(radius: float | None, cell_size: float | None) -> list[str]:
-    """Return the overrides of settings that `--radius` and `--cell-size` stand for."""
-    sizes = {"agent.radius": radius, "grid.cell_size": cell_size}
-    return [f"{key}={size}" for key, size in sizes.items() if size is not None]
+    """Convert the values of `--radius` and `--cell-size` to overrides of settings."""
+    size_by_key = {"agent.radius": radius, "grid.cell_size": cell_size}
+    return [f"{key}={size}" for key, size in size_by_key.items() if size is not None]
 
 
-def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str, str]:
+def read_pairs(texts: Iterable[str] | None, option: str, pair_form: str) -> dict[str, str]:
     """Read a mapping from texts of the form ``KEY=VALUE``.
 
     Args:
         texts: the values of an option that may be repeated.
         option: the option's name, for errors.
-        form: the form for errors, such as ``NAME=COLUMN``.
+        pair_form: the form for errors, such as ``NAME=COLUMN``.
 
     Returns:
         Key -> value.
@@ -95,7 +95,7 @@ def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str,
     for text in texts or ():
         key, equals_sign, value = text.partition("=")
         if not equals_sign:
-            raise BadParameter(f"expected {form}, got {key!r}", param_hint=option)
+            raise BadParameter(f"expected {pair_form}, got {key!r}", param_hint=option)
         value_by_key[key] = value
     return value_by_key
 
@@ -232,7 +232,7 @@ def keep_stdout_for(path: Path | None) -> AbstractContextManager[object]:
 
 
 def say_if_sample(path: Path) -> None:
-    """Print on stderr that a path is the name of an installed sample, if it is.
+    """Print a line on stderr if a path is the name of an installed sample.
 
     With --quiet, print nothing.
     """

@@ -265,7 +265,7 @@ class DoorLine(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Width of the doorway, to about a cell [m]."""
+        """Width of the doorway [m], accurate to about a cell."""
         return math.dist(self.start, self.end)
 
     @property
@@ -275,7 +275,7 @@ class DoorLine(NamedTuple):
 
 
 def find_door_lines(grid: NavGrid, level_number: int) -> tuple[DoorLine, ...]:
-    """Find the lines of the doors of a level; see `find_leaf_ends`.
+    """Find the doors of a level, each as a line from jamb to jamb; see `find_leaf_ends`.
 
     Args:
         grid: The grid.

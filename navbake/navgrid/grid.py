@@ -545,16 +545,16 @@ class SceneGrid2D(GridBase):
 
     @property
     def room_index(self) -> NDArray[np.uint16]:
-        """The room of each cell from 1, 0 for none, shape (height, width), uint16.
+        """The index of each cell's room on its level, from 1; shape (height, width), uint16.
 
-        All 0 if the file has no ``roomIndex``; stored values that uint16 can't hold become 0.
-        Read-only unless it is the attribute itself.
+        0 in cells of no room. All 0 if the file has no ``roomIndex``; stored values that uint16
+        can't hold become 0. Read-only unless it is the attribute itself.
         """
         return self._index_layer("roomIndex", np.uint16)
 
     @property
     def area_index(self) -> NDArray[np.uint8]:
-        """The area of each cell, 0 for none, shape (height, width), uint8.
+        """The number of each cell's area, shape (height, width), uint8; 0 in cells of no area.
 
         Area 1 is the first of `areas`. Numbers beyond that table count as no area. All 0 if the
         file has no layer ``area``; stored values that uint8 can't hold become 0. Read-only unless

@@ -305,7 +305,7 @@ class GridMethods:
     def inflate_footprint(
         self, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
     ) -> list[Bool]:
-        """Return where an agent with a polygonal footprint can stand, for each of its headings.
+        """Mark the cells where an agent with a polygonal footprint can stand, for each heading.
 
         A cell is free for a heading if it is free, and the polygon with its origin on the cell's
         centre overlaps no occupied cell's square.

@@ -58,22 +58,22 @@ def find_islands(grid: GridBase) -> list[Int32]:
     ]
 
 
-def values_by_area(grid: GridBase, values: Sequence[object], outside: object) -> NDArray[Any]:
+def values_by_area(grid: GridBase, values: Sequence[object], value_outside: object) -> NDArray[Any]:
     """Return an array by flat id: for each cell, the value that belongs to the cell's area.
 
     Args:
         grid: The grid.
         values: A value for each of its areas, in their order.
-        outside: The value of cells in no area.
+        value_outside: The value of cells in no area.
 
     Returns:
-        The value of each cell, by flat id over all levels; an array of the single entry `outside`
-        if the grid has no areas.
+        The value of each cell, by flat id over all levels; an array of the single entry
+        `value_outside` if the grid has no areas.
     """
     if not len(values):
-        return np.array([outside])
-    table = np.array([outside, *values, *[outside] * (MAX_AREAS - len(values))])
-    return np.concatenate([table[level.area_index].ravel() for level in grid.levels])
+        return np.array([value_outside])
+    value_by_area = np.array([value_outside, *values, *[value_outside] * (MAX_AREAS - len(values))])
+    return np.concatenate([value_by_area[level.area_index].ravel() for level in grid.levels])
 
 
 def label_islands(
@@ -145,11 +145,11 @@ def label_islands(
         island_of_run = _join_linked(island_of_run, island_of_run[run_of_cell[free_arcs]])
     island_of_run = island_of_run[run_of_cell[free]]
     island_sizes = np.bincount(island_of_run, minlength=1)
-    ranks = np.empty(len(island_sizes), dtype=np.int32)
+    number_by_island = np.empty(len(island_sizes), dtype=np.int32)
     # stable, so that islands of one size stay in the order of their first cells
-    ranks[np.argsort(-island_sizes, kind="stable")] = np.arange(1, len(island_sizes) + 1)
+    number_by_island[np.argsort(-island_sizes, kind="stable")] = np.arange(1, len(island_sizes) + 1)
     island_numbers = np.zeros(len(free), dtype=np.int32)
-    island_numbers[free] = ranks[island_of_run]
+    island_numbers[free] = number_by_island[island_of_run]
     return island_numbers
 
 
@@ -308,8 +308,10 @@ def add_layers(grid: GridBase, names: Iterable[str]) -> None:
             ``clearance`` (float32 [m]) are computed, other names are ignored.
     """
     if "island" in names:
-        for level, island in zip(grid.levels, find_islands(grid), strict=True):
-            level.attributes["island"] = np.minimum(island, MAX_STORED_ISLAND).astype(np.uint16)
+        for level, island_numbers in zip(grid.levels, find_islands(grid), strict=True):
+            level.attributes["island"] = np.minimum(island_numbers, MAX_STORED_ISLAND).astype(
+                np.uint16
+            )
     if "clearance" in names:
         for level in grid.levels:
             level.attributes["clearance"] = measure_clearance(level)

@@ -318,11 +318,11 @@ def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
             stop_row = math.ceil(lower_row - CELL_SLACK)
             rows = np.arange(max(first_row, 0), min(stop_row, lattice.height))
             # the part of the side in each row, by the columns of its ends
-            row_ends = np.clip([rows + CELL_SLACK, rows + 1 - CELL_SLACK], upper_row, lower_row)
+            row_borders = np.clip([rows + CELL_SLACK, rows + 1 - CELL_SLACK], upper_row, lower_row)
             slope = (
                 (lower_col - upper_col) / (lower_row - upper_row) if lower_row > upper_row else 0.0
             )
-            cols = upper_col + (row_ends - upper_row) * slope
+            cols = upper_col + (row_borders - upper_row) * slope
             if lower_row - upper_row < CELL_SLACK:
                 cols = np.array([[upper_col], [lower_col]])
             first_col = np.floor(cols.min(axis=0) + CELL_SLACK).clip(0, lattice.width)

@@ -169,7 +169,7 @@ def _make_duplicate_error(name: str, place: str) -> FormatError:
 
 @dataclass(frozen=True)
 class Step:
-    """A step between two cells that the grid lists, as the floors' heights don't tell it.
+    """A step between two cells that a grid lists because it can't be told from floor heights.
 
     It joins cells of two levels, or two neighbouring cells of a steep ramp, whose floors differ by
     more than the agent's highest step. It can be taken in both directions.
@@ -259,7 +259,10 @@ class Link:
         """
         lower_index, upper_index = sorted((begin, end))
         stop_positions = [stop.position for stop in self.stops[lower_index : upper_index + 1]]
-        return sum(math.dist(place, next_place) for place, next_place in pairwise(stop_positions))
+        return sum(
+            math.dist(position, next_position)
+            for position, next_position in pairwise(stop_positions)
+        )
 
     def to_json(self) -> Json:
         """Return the link's entry in the file's table."""

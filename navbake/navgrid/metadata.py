@@ -202,7 +202,7 @@ def cut_doors(doors: list[Json], level: int) -> list[Json]:
                     state: [[0, *entry[1:]] for entry in entries if entry[0] == level]
                     for state, entries in door[key].items()
                 }
-        if any(any(by_state.values()) for by_state in cells_on_level.values()):
+        if any(any(entries_by_state.values()) for entries_by_state in cells_on_level.values()):
             level_doors.append({**door, **cells_on_level})
     return level_doors
 

@@ -67,7 +67,7 @@ class ObstacleState:
         return bool(self.count.any())
 
     def mask_of(self, layer: int) -> Bool:
-        """Mark the cells that any obstacle affects in one way.
+        """Mark the cells that any obstacle affects in one of the four ways.
 
         Args:
             layer: `OCCUPIED`, `BLOCKED`, `NO_DIAGONAL` or `NO_OFF_CENTER`.

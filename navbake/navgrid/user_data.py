@@ -71,7 +71,7 @@ class UserData(MutableMapping[int, Json]):
 
     @property
     def source(self) -> Entries:
-        """The dictionary or the shared entries; the first access calls the function, if any."""
+        """The user data, as a dictionary or as `SharedEntries`; read or made on first access."""
         if callable(self._source):
             with without_garbage_collection():
                 self._source = self._source()

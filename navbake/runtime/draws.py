@@ -350,8 +350,8 @@ def _find_cells_near(
     Returns:
         Flat ids, ascending.
     """
-    is_number = isinstance(min_distance, RealNumber) and isinstance(max_distance, RealNumber)
-    if not (is_number and 0 <= min_distance <= max_distance):
+    are_numbers = isinstance(min_distance, RealNumber) and isinstance(max_distance, RealNumber)
+    if not (are_numbers and 0 <= min_distance <= max_distance):
         expected = "0 <= min_distance <= max_distance [m]"
         raise QueryError(f"expected {expected}, got {min_distance} and {max_distance}")
     flat = search.flat
@@ -723,13 +723,13 @@ def draw_cell_indices(flat: FlatGrid, cells: Int, rng: Generator, count: int) ->
     Returns:
         Indices into `cells`, shape (count,), int64.
     """
-    sizes = flat.layout.cell_size
-    if len(set(sizes)) == 1:
+    cell_sizes = flat.layout.cell_size
+    if len(set(cell_sizes)) == 1:
         return rng.integers(len(cells), size=count)
     # cells of different areas: find the cells in which random values of the cumulative area lie
-    cumulative_areas = np.cumsum(sizes[flat.level_of(cells)] ** 2)
-    drawn_areas = rng.uniform(0.0, cumulative_areas[-1], size=count)
-    indices = np.searchsorted(cumulative_areas, drawn_areas, side="right")
+    cumulative_areas = np.cumsum(cell_sizes[flat.level_of(cells)] ** 2)
+    random_areas = rng.uniform(0.0, cumulative_areas[-1], size=count)
+    indices = np.searchsorted(cumulative_areas, random_areas, side="right")
     return np.minimum(indices, len(cells) - 1)
 
 

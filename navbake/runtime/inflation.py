@@ -360,7 +360,7 @@ def compute_margins(grid: NavGrid, radius: float | None = None) -> Margins:
 
 
 def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
-    """Find the cells of an inflated grid where an agent fits off their centres.
+    """Mark the cells of an inflated grid where an agent fits when it isn't at their centres.
 
     Returns:
         The masks; None if the grid isn't inflated, or was inflated to a radius of 0.
@@ -421,7 +421,9 @@ def _anywhere_radius(radius: float, cell_size: float) -> float:
 def inflate_footprint(
     grid: NavGrid, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
 ) -> list[Bool]:
-    """Compute where an agent with a polygonal footprint can stand: `SceneGrid2D.inflate_footprint`.
+    """Mark the cells where an agent with a polygonal footprint can stand, for each heading.
+
+    This is the code of `SceneGrid2D.inflate_footprint`.
 
     Args:
         grid: a grid of one or several levels.

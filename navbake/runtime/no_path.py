@@ -179,10 +179,10 @@ def _describe_islands(search: Search, start_cell: int, goal_cells: Int) -> tuple
     return f"{description}; {gap_text}", nearest_cells
 
 
-def _cells_between(search: Search, ends: Int) -> Int:
+def _cells_between(search: Search, end_cells: Int) -> Int:
     """List the cells on the straight line between two cells of a level, by flat id."""
     flat = search.flat
-    level, row, col = flat.to_cells(ends)
+    level, row, col = flat.to_cells(end_cells)
     num_cells = int(np.abs(np.diff([row, col])).max()) + 1
     line_coordinates = np.linspace((row[0], col[0]), (row[1], col[1]), num_cells)
     rows_and_cols = np.rint(line_coordinates).astype(np.int64)
@@ -498,9 +498,9 @@ def _describe_blocked_steps(search: Search) -> list[str]:
     is_upwards = source_levels < target_levels
     level_pairs = np.stack([source_levels, target_levels], axis=1)[is_upwards]
     for lower_level, upper_level in np.unique(level_pairs, axis=0).tolist():
-        is_between = (source_levels == lower_level) & (target_levels == upper_level)
-        if not is_open[is_between].any():
-            num_steps = is_between.sum()
+        joins_both_levels = (source_levels == lower_level) & (target_levels == upper_level)
+        if not is_open[joins_both_levels].any():
+            num_steps = joins_both_levels.sum()
             steps_text = "the step" if num_steps == 1 else f"all {num_steps} steps"
             lower_name = _name_level(search.grid, lower_level)
             upper_name = _name_level(search.grid, upper_level)

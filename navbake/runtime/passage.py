@@ -98,12 +98,12 @@ def find_passage(
     flat = search.flat
     is_standable = find_free(grid, 0.0, ledges)
 
-    def refusal(is_in_grid: bool) -> str:
+    def describe_refusal(is_in_grid: bool) -> str:
         return "no agent can stand there" if is_in_grid else "it lies beside the grid"
 
     start_position, start_cell = flat.locate(start, level, "start")
     if start_cell < 0 or not is_standable[start_cell]:
-        reason = refusal(start_cell >= 0)
+        reason = describe_refusal(start_cell >= 0)
         raise QueryError(f"no way from {format_position(start_position)}: {reason}")
     if isinstance(goal, str) and goal.startswith("object:"):
         explanation = "how near an agent gets to an object depends on its radius"
@@ -112,7 +112,7 @@ def find_passage(
     goal_cells = np.unique(target.cells[target.cells >= 0])
     goal_cells = goal_cells[is_standable[goal_cells]]
     if not len(goal_cells):
-        reason = refusal(bool((target.cells >= 0).any()))
+        reason = describe_refusal(bool((target.cells >= 0).any()))
         raise QueryError(f"no way to {target.name}: {reason}")
     widest = find_widest(
         grid, search, start_cell, goal_cells, ledges, cut_corners=search.cut_corners

@@ -168,12 +168,12 @@ class PathFinder:
 
     @property
     def rooms(self) -> RoomMap:
-        """The rooms of the grid: ``rooms``, in the order of their numbers."""
+        """The rooms of the grid; its ``rooms`` lists them in the order of their numbers."""
         return self._search.rooms
 
     @property
     def islands(self) -> IslandMap:
-        """The connected parts of the currently free cells: ``count``, ``areas`` [m²]."""
+        """The connected parts of the free cells now; it has their ``count`` and ``areas`` [m²]."""
         return self.search.islands
 
     @property
@@ -281,11 +281,11 @@ class PathFinder:
         Example:
             >>> (field,) = finder.distance_field("room:kitchen")  # of a grid of one level
         """
-        field = paths.find_field(self.search, goal, level, weighted=weighted, by=by)
+        cost_field = paths.find_field(self.search, goal, level, weighted=weighted, by=by)
         flat = self._search.flat
         return [
-            field[flat.cells_of(number)].reshape(level_grid.shape)
-            for number, level_grid in enumerate(self.grid.levels)
+            cost_field[flat.cells_of(level_number)].reshape(level_grid.shape)
+            for level_number, level_grid in enumerate(self.grid.levels)
         ]
 
     def distances(
@@ -298,9 +298,10 @@ class PathFinder:
         weighted: bool = True,
         by: str = "cost",
     ) -> Float:
-        """Look up `distance_field` at starts, for one goal or for each of several goals.
+        """Compute the costs of the cheapest paths from many starts to one goal or to several goals.
 
-        The fields of the last few goals are cached. Pass either `goal` or `goals`.
+        The costs are looked up in the `distance_field` of each goal. The fields
+        of the last few goals are cached. Pass either `goal` or `goals`.
 
         Args:
             starts: world x, y, z [m], shape (..., 3).
@@ -333,9 +334,11 @@ class PathFinder:
             raise QueryError("expected a goal, or goals=[…], one of them")
         cells = self.search.flat.cells_at(starts, level)
         distances = np.full((*cells.shape, len(goal_list)), np.inf)
-        for k, single_goal in enumerate(goal_list):
-            field = paths.find_field(self._search, single_goal, level, weighted=weighted, by=by)
-            distances[..., k] = np.where(cells >= 0, field[cells], np.inf)
+        for goal_index, single_goal in enumerate(goal_list):
+            cost_field = paths.find_field(
+                self._search, single_goal, level, weighted=weighted, by=by
+            )
+            distances[..., goal_index] = np.where(cells >= 0, cost_field[cells], np.inf)
         return distances[..., 0] if goals is None else distances
 
     def max_radius(

@@ -374,7 +374,7 @@ def cells_in_annulus(
 def try_step(
     search: Search, start: ArrayLike, end: ArrayLike, *, slide: bool, level: int | None
 ) -> Float:
-    """Move straight from positions towards others: `PathFinder.try_step`.
+    """Move agents from starts straight towards ends: `PathFinder.try_step`.
 
     Args:
         search: the search on the grid.

@@ -67,7 +67,7 @@ class TakenLink(NamedTuple):
 
 
 class RouteCosts(NamedTuple):
-    """What a route costs, and the named links that it takes.
+    """The cost and the duration of a route, and the named links on it.
 
     Attributes:
         cost: the route's cost [m].
@@ -516,7 +516,7 @@ class Search:
         return float((cost_estimates - costs_over_links).max())
 
     def measure_route(self, route: Route, route_cells: Cells, by: str) -> RouteCosts:
-        """Compute the cost of a route, how long it takes, and which named links it takes.
+        """Compute the cost and the duration of a route, and list the named links on it.
 
         Args:
             route: a route that this search found.
@@ -541,7 +541,7 @@ class Search:
         if by == "cost" and not has_links:
             return RouteCosts(route.cost, float((step_lengths * pace).sum()), [])
 
-        passage_cost = np.zeros_like(step_lengths)
+        passage_costs = np.zeros_like(step_lengths)
         passage_seconds = np.zeros_like(step_lengths)
         taken_links: list[TakenLink] = []
         step_sources, step_targets = flat.step_ends()
@@ -569,9 +569,9 @@ class Search:
                     TakenLink(route_index, self.grid.links[flat.arcs.link[arc_index]].name)
                 )
                 step_lengths[route_index] = 0.0
-                passage_cost[route_index] = flat.arcs.cost[arc_index]
+                passage_costs[route_index] = flat.arcs.cost[arc_index]
                 passage_seconds[route_index] = flat.arcs.seconds[arc_index]
-        move_costs = passage_cost + step_lengths * flat.weight[route.cells]
+        move_costs = passage_costs + step_lengths * flat.weight[route.cells]
         move_seconds = passage_seconds + step_lengths * pace
         return RouteCosts(
             cost=route.cost if by == "cost" else float(move_costs.sum()),

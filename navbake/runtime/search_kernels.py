@@ -224,7 +224,7 @@ def _lower_bound(row, col, box, cost_per_cell):
 
 
 @kernel
-def find_route(graph, sources, goals, search_number, visits):
+def find_route(graph, source_cells, goal_cells, search_number, visits):
     """Find the cheapest route from one of several sources to one of several goals.
 
     The module's docstring describes the algorithm. Without goals, the search reaches all cells and
@@ -233,8 +233,8 @@ def find_route(graph, sources, goals, search_number, visits):
 
     Args:
         graph: `navbake.runtime.grid_arrays.Graph`.
-        sources: flat ids of free cells, int64.
-        goals: flat ids of free cells, int64, none of them a source; empty for no goal.
+        source_cells: flat ids of free cells, int64.
+        goal_cells: flat ids of free cells, int64, none of them a source; empty for no goal.
         search_number: larger than the number of any search that wrote into ``visits.mark``.
         visits: `navbake.runtime.grid_arrays.Visits`, written.
 
@@ -260,17 +260,17 @@ def find_route(graph, sources, goals, search_number, visits):
     buckets_per_cost = 1.0 / bucket_width
     least_gain = 1e-9 * bucket_width  # a smaller gain is none
     search_mark = search_number * SEARCH_UNIT
-    has_goals = goals.shape[0] > 0
+    has_goals = goal_cells.shape[0] > 0
     best_cost = np.inf  # of a goal
-    best_goal = np.int64(-1)
+    best_goal_cell = np.int64(-1)
     x_min = np.inf
     x_max = -np.inf
     y_min = np.inf
     y_max = -np.inf
-    for goal in goals:
-        mark[goal] = search_mark | GOAL_BIT | NOT_REACHED
-        cost[goal] = np.inf
-        x, y = cell_center(layout, goal)
+    for goal_cell in goal_cells:
+        mark[goal_cell] = search_mark | GOAL_BIT | NOT_REACHED
+        cost[goal_cell] = np.inf
+        x, y = cell_center(layout, goal_cell)
         x_min = min(x_min, x)
         x_max = max(x_max, x)
         y_min = min(y_min, y)
@@ -286,20 +286,20 @@ def find_route(graph, sources, goals, search_number, visits):
         goal_boxes[level, 3] = last_col - 0.5
 
     bucket_number = np.int64(0)
-    for source in sources:
+    for source_cell in source_cells:
         if counters[NUM_USED] == entry_cell.shape[0]:
             return QUEUE_FULL, route[:0]
-        if mark[source] < search_mark:  # a source may be listed twice
-            mark[source] = search_mark | FROM_SOURCE
-            cost[source] = 0.0
+        if mark[source_cell] < search_mark:  # a source may be listed twice
+            mark[source_cell] = search_mark | FROM_SOURCE
+            cost[source_cell] = 0.0
             if has_goals:
-                level = level_of(level_start, source)
-                row, col = divmod(source - level_start[level], width[level])
+                level = level_of(level_start, source_cell)
+                row, col = divmod(source_cell - level_start[level], width[level])
                 cost_bound = _lower_bound(
                     row, col, goal_boxes[level], cell_size[level] * least_weight
                 )
                 bucket_number = np.int64(cost_bound * buckets_per_cost)
-            _push_cell(bucket_head, counters, entry_cell, entry_next, bucket_number, source)
+            _push_cell(bucket_head, counters, entry_cell, entry_next, bucket_number, source_cell)
 
     # the level of the cell that is expanded, and its layout
     level = 0
@@ -387,7 +387,7 @@ def find_route(graph, sources, goals, search_number, visits):
             cost[target] = target_cost
             if goal_bit and target_cost < best_cost:
                 best_cost = target_cost
-                best_goal = target
+                best_goal_cell = target
             estimated_cost = target_cost
             if has_goals:
                 cost_per_cell = cell_size[target_level] * least_weight
@@ -399,7 +399,7 @@ def find_route(graph, sources, goals, search_number, visits):
 
     # from the goal back along the moves that the cells were reached by
     route_length = 0
-    cell = best_goal
+    cell = best_goal_cell
     while cell >= 0:
         if route_length == route.shape[0]:
             route = np.append(route, np.empty_like(route))

@@ -146,11 +146,11 @@ def find_free(grid: NavGrid, radius: float, ledges: str) -> Bool:
     Returns:
         bool, by flat id.
     """
-    free_by_level = [
-        level.free_for_point & ~find_blocked(grid, number, radius, ledges)
-        for number, level in enumerate(grid.levels)
+    free_masks = [
+        level.free_for_point & ~find_blocked(grid, level_number, radius, ledges)
+        for level_number, level in enumerate(grid.levels)
     ]
-    return np.concatenate([is_free.ravel() for is_free in free_by_level])
+    return np.concatenate([is_free.ravel() for is_free in free_masks])
 
 
 def block_by_floors(
@@ -199,7 +199,9 @@ def block_by_floors(
 
 
 def measure_to_occupied(grid: NavGrid, level_number: int, max_distance: float) -> Int32:
-    """Measure from each cell's centre to the centre of the nearest cell that counts as occupied.
+    """Measure the distance from each cell to the nearest cell that counts as occupied.
+
+    Distances are measured between the centres of cells.
 
     As in `find_blocked`, the cells that `SceneGrid2D.solid` marks count as occupied; it also marks
     cells without a floor. Where the level has no floor at about the height of the measured cell's
