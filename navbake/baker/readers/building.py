@@ -26,7 +26,7 @@ from navbake.baker.readers.parsed_scene import (
     ParsedGeom,
     ParsedJoint,
     ParsedScene,
-    reading,
+    convert_read_errors,
 )
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
@@ -37,8 +37,8 @@ from navbake.yaml_text import decode_yaml
 
 shapely = lazy("shapely")  # of the extra [convert]
 
-# The file has lines only; these are the sizes that simulators give them [m]
 MAX_FIDUCIALS = 500  # that a level shares with the reference level; each two make a line
+# The file has lines only; these are the sizes that simulators give them [m]
 WALL_THICKNESS = 0.1
 WALL_HEIGHT = 2.5
 FLOOR_THICKNESS = 0.1
@@ -81,10 +81,10 @@ class Projection(NamedTuple):
     def project(self, points: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """Project points from longitude + i latitude [degrees] to x + iy in the world [m]."""
         easting, northing = self.transformer.transform(points.real, points.imag)
-        projected = np.asarray(easting) + 1j * np.asarray(northing) - self.offset
-        if not np.isfinite(projected).all():
+        world_points = np.asarray(easting) + 1j * np.asarray(northing) - self.offset
+        if not np.isfinite(world_points).all():
             raise SceneError("expected longitude and latitude [degrees] in the area of the CRS")
-        return projected
+        return world_points
 
 
 class DoorLeaf(NamedTuple):
@@ -172,7 +172,7 @@ class _BuildingReader:
             MissingDependencyError: pyproj is not installed.
         """
         parameters = self._content.get("parameters") or {}
-        with reading(f"`parameters` of {self._path}"):
+        with convert_read_errors(f"`parameters` of {self._path}"):
             parameter_values = {name: parameter[1] for name, parameter in parameters.items()}
         crs_name = parameter_values.get("generate_crs")
         if not crs_name:
@@ -183,8 +183,8 @@ class _BuildingReader:
         pyproj = import_extra("pyproj", feature="a building in wgs84")
         try:
             crs = pyproj.CRS.from_user_input(str(crs_name))
-            units = {axis.unit_name for axis in crs.axis_info}
-            if not crs.is_projected or units - {"metre", "meter"}:
+            axis_units = {axis.unit_name for axis in crs.axis_info}
+            if not crs.is_projected or axis_units - {"metre", "meter"}:
                 raise ValueError("no projection in metres")
             # easting first, whatever the order of axes of the CRS
             transformer = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
@@ -195,20 +195,23 @@ class _BuildingReader:
                 f"EPSG:32632, got {crs_name!r}: {reason}"
             ) from error
         if "suggested_offset_x" in parameter_values or "suggested_offset_y" in parameter_values:
-            with reading(f"`parameters` of {self._path}"):
+            with convert_read_errors(f"`parameters` of {self._path}"):
                 x = float(parameter_values.get("suggested_offset_x", 0.0))
                 y = float(parameter_values.get("suggested_offset_y", 0.0))
             return Projection(transformer, complex(x, y))
         projection = Projection(transformer, 0j)
-        with reading(f"vertices of {self._path}"):
+        with convert_read_errors(f"vertices of {self._path}"):
             points = np.concatenate(
-                [np.zeros(0, np.complex128), *(self._read_points(level) for level in self._levels)]
+                [
+                    np.zeros(0, np.complex128),
+                    *(self._read_points(level_name) for level_name in self._levels),
+                ]
             )
-            projected = projection.project(points)
-        if not len(projected):
+            world_points = projection.project(points)
+        if not len(world_points):
             return projection
-        x = math.floor(float(projected.real.min()) / KILOMETRE) * KILOMETRE
-        y = math.floor(float(projected.imag.min()) / KILOMETRE) * KILOMETRE
+        x = math.floor(float(world_points.real.min()) / KILOMETRE) * KILOMETRE
+        y = math.floor(float(world_points.imag.min()) / KILOMETRE) * KILOMETRE
         self._warn(
             f"{self._path} has no suggested_offset_x and suggested_offset_y: the world's origin is "
             f"at {x:.0f}, {y:.0f} m in {crs_name}"
@@ -221,64 +224,64 @@ class _BuildingReader:
             return dict.fromkeys(self._levels, PlanTransform(1.0 + 0j, 0j))
         scale = self._measure_pixel(self._reference_level)
         transforms = {self._reference_level: PlanTransform(scale + 0.0j, 0.0j)}
-        for level in self._levels:
-            if level not in transforms:
-                transforms[level] = self._align_with_reference(level, scale)
+        for level_name in self._levels:
+            if level_name not in transforms:
+                transforms[level_name] = self._align_with_reference(level_name, scale)
         return transforms
 
-    def _read_points(self, level: str) -> NDArray[np.complex128]:
+    def _read_points(self, level_name: str) -> NDArray[np.complex128]:
         """The vertices of a level in the file's units, y up, as complex numbers."""
-        vertex_rows = self._levels[level].get("vertices") or []
+        vertex_rows = self._levels[level_name].get("vertices") or []
         points = np.array(
             [complex(vertex_row[0], vertex_row[1]) for vertex_row in vertex_rows],
             dtype=np.complex128,
         )
         return points.conj() if self._is_image else points
 
-    def _measure_pixel(self, level: str) -> float:
+    def _measure_pixel(self, level_name: str) -> float:
         """Return the edge of a pixel of a level's plan [m]: the mean of all its measurements."""
-        points = self._read_points(level)
+        points = self._read_points(level_name)
         scales = []
-        for start, end, measurement in self._levels[level].get("measurements") or []:
+        for start, end, measurement in self._levels[level_name].get("measurements") or []:
             scales.append(float(measurement["distance"][1]) / abs(points[start] - points[end]))
         if not scales:
             raise SceneError(
-                f"level {level!r} of {self._path} has no measurement: pixels have no size without "
-                "one; draw one in traffic-editor"
+                f"level {level_name!r} of {self._path} has no measurement: pixels have no size "
+                "without one; draw one in traffic-editor"
             )
         return float(np.mean(scales))
 
-    def _align_with_reference(self, level: str, reference_scale: float) -> PlanTransform:
+    def _align_with_reference(self, level_name: str, reference_scale: float) -> PlanTransform:
         """Find the transform that lays a level's fiducials over those of the reference level.
 
         With fewer than two fiducials in common, the image is scaled only, with a warning.
 
         Args:
-            level: the level's name.
+            level_name: the level's name.
             reference_scale: edge of a pixel of the reference level [m].
         """
         reference_fiducials = self._read_fiducials(self._reference_level)
-        level_fiducials = self._read_fiducials(level)
+        level_fiducials = self._read_fiducials(level_name)
         shared_names = [name for name in reference_fiducials if name in level_fiducials]
         if len(shared_names) < 2:
             self._warn(
-                f"level {level!r} of {self._path} shares {len(shared_names)} fiducials with "
+                f"level {level_name!r} of {self._path} shares {len(shared_names)} fiducials with "
                 f"{self._reference_level!r}, expected 2 or more: its image lies over the other's "
                 "as it is"
             )
-            has_measurements = bool(self._levels[level].get("measurements"))
-            scale = self._measure_pixel(level) if has_measurements else reference_scale
+            has_measurements = bool(self._levels[level_name].get("measurements"))
+            scale = self._measure_pixel(level_name) if has_measurements else reference_scale
             return PlanTransform(scale + 0.0j, 0.0j)
         if len(shared_names) > MAX_FIDUCIALS:
             raise SceneError(
-                f"level {level!r} of {self._path} shares {len(shared_names):,} fiducials with "
+                f"level {level_name!r} of {self._path} shares {len(shared_names):,} fiducials with "
                 f"{self._reference_level!r}, expected {MAX_FIDUCIALS} at most"
             )
         reference_points = np.array([reference_fiducials[name] for name in shared_names])
         level_points = np.array([level_fiducials[name] for name in shared_names])
-        first_point, second_point = np.triu_indices(len(shared_names), k=1)  # all pairs
-        reference_lines = reference_points[second_point] - reference_points[first_point]
-        level_lines = level_points[second_point] - level_points[first_point]
+        first_indices, second_indices = np.triu_indices(len(shared_names), k=1)  # all pairs
+        reference_lines = reference_points[second_indices] - reference_points[first_indices]
+        level_lines = level_points[second_indices] - level_points[first_indices]
         relative_rotations = level_lines * reference_lines.conj()
         # the mean rotation between the lines
         mean_rotation = (relative_rotations / abs(relative_rotations)).sum().conj()
@@ -288,22 +291,22 @@ class _BuildingReader:
         shift = np.mean(reference_points - level_points * factor)
         return PlanTransform(complex(factor * reference_scale), complex(shift * reference_scale))
 
-    def _read_fiducials(self, level: str) -> dict[str, complex]:
-        fiducial_rows = self._levels[level].get("fiducials") or []
+    def _read_fiducials(self, level_name: str) -> dict[str, complex]:
+        fiducial_rows = self._levels[level_name].get("fiducials") or []
         return {name: complex(x, -y) for x, y, name in fiducial_rows}
 
-    def _find_world_points(self, level: str) -> Float:
+    def _find_world_points(self, level_name: str) -> Float:
         """World x and y of a level's vertices [m], shape (n, 2)."""
-        transform = self._transforms[level]
-        points = self._read_points(level)
+        transform = self._transforms[level_name]
+        points = self._read_points(level_name)
         if self._projection is not None:
-            with reading(f"vertices of level {level!r} in {self._path}"):
+            with convert_read_errors(f"vertices of level {level_name!r} in {self._path}"):
                 points = self._projection.project(points)
         points = points * transform.factor + transform.shift
         return np.stack([points.real, points.imag], axis=1)
 
-    def _read_elevation(self, level: str) -> float:
-        return float(self._levels[level].get("elevation", 0.0))
+    def _read_elevation(self, level_name: str) -> float:
+        return float(self._levels[level_name].get("elevation", 0.0))
 
     # ------------------------------------------------------------ floors and walls
 
@@ -311,40 +314,44 @@ class _BuildingReader:
         """Read all levels and lifts."""
         lifts: Json = self._content.get("lifts") or {}
         shafts = {name: self._find_shaft_corners(lift) for name, lift in lifts.items()}
-        for level in self._levels:
-            z = self._read_elevation(level)
+        for level_name in self._levels:
+            z = self._read_elevation(level_name)
             level_shafts = [
                 shafts[name] for name, lift in lifts.items() if self._passes_through(lift, z)
             ]
-            self._read_level(level, z, level_shafts)
+            self._read_level(level_name, z, level_shafts)
         for name, lift in lifts.items():
-            with reading(f"lift {name!r} of {self._path}"):
+            with convert_read_errors(f"lift {name!r} of {self._path}"):
                 self._add_lift(str(name), lift)
         return self._parsed_scene
 
-    def _read_level(self, level: str, z: float, shafts: list[Float]) -> None:
+    def _read_level(self, level_name: str, z: float, shafts: list[Float]) -> None:
         """Add the floors, walls and doors of a level.
 
         Args:
-            level: its name.
+            level_name: its name.
             z: its elevation [m].
             shafts: for each shaft through the level's floors, its corners, (4, 2) [m].
         """
-        level_content = self._levels[level]
-        points = self._find_world_points(level)
+        level_content = self._levels[level_name]
+        points = self._find_world_points(level_name)
         for element_number, floor in enumerate(level_content.get("floors") or [], 1):
             holes = [points[hole["vertices"]] for hole in level_content.get("holes") or []]
             outline = points[[int(vertex) for vertex in floor.get("vertices") or []]]
             if len(outline) >= 3:
-                self._add_floor(f"{level}/floor_{element_number}", outline, [*holes, *shafts], z)
+                self._add_floor(
+                    f"{level_name}/floor_{element_number}", outline, [*holes, *shafts], z
+                )
         for element_number, (start, end, *_) in enumerate(level_content.get("walls") or [], 1):
-            name = f"{level}/wall_{element_number}"
-            with reading(f"{name} of {self._path}"):
+            name = f"{level_name}/wall_{element_number}"
+            with convert_read_errors(f"{name} of {self._path}"):
                 self._add_wall(name, points[start], points[end], z)
         for element_number, (start, end, door_values) in enumerate(
             level_content.get("doors") or [], 1
         ):
-            with reading(f"door {element_number} of level {level!r} in {self._path}"):
+            with convert_read_errors(
+                f"door {element_number} of level {level_name!r} in {self._path}"
+            ):
                 properties = {key: door_value[1] for key, door_value in door_values.items()}
                 self._add_door(points[[start, end]], z, properties)
 
@@ -352,7 +359,7 @@ class _BuildingReader:
         self._parsed_scene.warnings.append(text)
 
     def _add_floor(self, name: str, outline: Float, holes: list[Float], z: float) -> None:
-        with reading(f"{name} of {self._path}"):
+        with convert_read_errors(f"{name} of {self._path}"):
             mesh = make_slab(outline, holes, z)
         if not len(mesh.faces):
             self._warn(f"{name} of {self._path} left out: it has no area")
@@ -360,10 +367,14 @@ class _BuildingReader:
         self._parsed_scene.geoms.append(ParsedGeom(name, name, "mesh", (), np.eye(4), mesh))
 
     def _add_wall(self, name: str, start: Float, end: Float, z: float) -> None:
-        x, y = end - start
+        length_x, length_y = end - start
         middle_x, middle_y = (start + end) / 2
-        half_size = ((math.hypot(x, y) + WALL_THICKNESS) / 2, WALL_THICKNESS / 2, WALL_HEIGHT / 2)
-        pose = make_pose((middle_x, middle_y, z + WALL_HEIGHT / 2), math.atan2(y, x))
+        half_size = (
+            (math.hypot(length_x, length_y) + WALL_THICKNESS) / 2,
+            WALL_THICKNESS / 2,
+            WALL_HEIGHT / 2,
+        )
+        pose = make_pose((middle_x, middle_y, z + WALL_HEIGHT / 2), math.atan2(length_y, length_x))
         self._add_box(name, half_size, pose, body=name)
 
     def _add_box(
@@ -373,11 +384,11 @@ class _BuildingReader:
 
     # ------------------------------------------------------------ doors
 
-    def _add_door(self, ends: Float, z: float, properties: Json) -> None:
+    def _add_door(self, door_ends: Float, z: float, properties: Json) -> None:
         """Add the leaves of a closed door, with a joint each.
 
         Args:
-            ends: start and end of the door, (2, 2) [m].
+            door_ends: start and end of the door, (2, 2) [m].
             z: elevation of its level [m].
             properties: the door's properties, as the file states them.
         """
@@ -390,16 +401,16 @@ class _BuildingReader:
             )
             return
         if properties.get("motion_axis") == "end":
-            ends = ends[::-1]
-        end_to_start = ends[0] - ends[1]  # the x axis of the door's frame
-        length = math.hypot(*end_to_start)
+            door_ends = door_ends[::-1]
+        end_to_start = door_ends[0] - door_ends[1]  # the x axis of the door's frame
+        door_length = math.hypot(*end_to_start)
         yaw = math.atan2(end_to_start[1], end_to_start[0])
-        if length == 0:
+        if door_length == 0:
             raise SceneError(f"door {name!r} of {self._path} has no width: its vertices coincide")
         turning_direction = 1 if float(properties.get("motion_direction", 1)) >= 0 else -1
-        for leaf in _find_leaves(name, door_type, length, properties):
-            offset = end_to_start / length * leaf.side * (length - leaf.width) / 2
-            middle_x, middle_y = ends.mean(axis=0) + offset
+        for leaf in _find_leaves(name, door_type, door_length, properties):
+            leaf_offset = end_to_start / door_length * leaf.side * (door_length - leaf.width) / 2
+            middle_x, middle_y = door_ends.mean(axis=0) + leaf_offset
             pose = make_pose((middle_x, middle_y, z + DOOR_GAP + DOOR_HEIGHT / 2), yaw)
             outer_edge = pose[:3, 3] + pose[:3, 0] * leaf.side * leaf.width / 2
             if door_type in SLIDING_DOORS:
@@ -443,15 +454,17 @@ class _BuildingReader:
 
     def _add_lift(self, name: str, lift: Json) -> None:
         """Add a lift's car, where the lift starts: a floor, and walls with openings for doors."""
-        stops = [self._read_elevation(level) for level in lift.get("level_doors") or {}]
-        if len(stops) < 2:
-            reason = f"opens on {len(stops)} levels, expected 2 or more"
+        stop_heights = [
+            self._read_elevation(level_name) for level_name in lift.get("level_doors") or {}
+        ]
+        if len(stop_heights) < 2:
+            reason = f"opens on {len(stop_heights)} levels, expected 2 or more"
             self._warn(f"lift {name!r} of {self._path} {reason}: it is left out")
             return
-        first_level = lift.get("initial_floor_name") or next(iter(lift["level_doors"]))
-        z = self._read_elevation(first_level)
+        first_level_name = lift.get("initial_floor_name") or next(iter(lift["level_doors"]))
+        z = self._read_elevation(first_level_name)
         pose = self._find_lift_pose(lift, z)
-        limits = (min(stops) - z, max(stops) - z)
+        limits = (min(stop_heights) - z, max(stop_heights) - z)
         joint = ParsedJoint(name, "slide", pose[:3, 3], np.array([0.0, 0.0, 1.0]), limits)
         self._parsed_scene.bodies[name] = ParsedBody(name, "", pose, joint)
         half_width = float(lift["width"]) / 2
@@ -472,17 +485,17 @@ class _BuildingReader:
             )
 
 
-def _find_leaves(name: str, door_type: str, length: float, properties: Json) -> list[DoorLeaf]:
+def _find_leaves(name: str, door_type: str, door_length: float, properties: Json) -> list[DoorLeaf]:
     """Return the leaves of a door: a single leaf, or a right and a left leaf."""
     if not door_type.startswith("double"):
-        return [DoorLeaf(name, 1, length)]
-    ratio = float(properties.get("right_left_ratio", 1.0))
-    right_width = length * ratio / (1 + ratio)
-    if right_width >= length:
+        return [DoorLeaf(name, 1, door_length)]
+    right_left_ratio = float(properties.get("right_left_ratio", 1.0))
+    right_width = door_length * right_left_ratio / (1 + right_left_ratio)
+    if right_width >= door_length:
         return [DoorLeaf(name, 1, right_width)]
     return [
         DoorLeaf(f"{name}_right", 1, right_width),
-        DoorLeaf(f"{name}_left", -1, length - right_width),
+        DoorLeaf(f"{name}_left", -1, door_length - right_width),
     ]
 
 
@@ -549,10 +562,10 @@ def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
     Returns:
         The slab, a closed mesh; an empty mesh if the polygon has no area.
     """
-    floor_area = shapely.make_valid(shapely.polygons(outline))
+    floor_polygon = shapely.make_valid(shapely.polygons(outline))
     for hole in holes:
-        floor_area = floor_area.difference(shapely.make_valid(shapely.polygons(hole)))
-    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(floor_area))
+        floor_polygon = floor_polygon.difference(shapely.make_valid(shapely.polygons(hole)))
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(floor_polygon))
     if not len(triangles):
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int32))
     triangle_corners = np.array(
@@ -569,14 +582,14 @@ def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
     faces[is_clockwise] = faces[is_clockwise][:, ::-1]
     # An edge of only one triangle is part of the outline: the slab gets a side there.
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    _, first_edge, num_triangles = np.unique(
+    _, first_edge_index, num_triangles = np.unique(
         np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True
     )
-    outline_edges = edges[first_edge[num_triangles == 1]]
+    outline_edges = edges[first_edge_index[num_triangles == 1]]
     start_points = outline_edges[:, 0]
     end_points = outline_edges[:, 1]
     num_points = np.int32(len(points))  # point i of the top is above point i + num_points
-    sides = [
+    side_faces = [
         np.stack([start_points, start_points + num_points, end_points], 1),
         np.stack([end_points, start_points + num_points, end_points + num_points], 1),
     ]
@@ -587,4 +600,4 @@ def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
             for height in (z, z - FLOOR_THICKNESS)
         ]
     )
-    return Mesh(vertices, np.concatenate([faces, bottom_faces, *sides]).astype(np.int32))
+    return Mesh(vertices, np.concatenate([faces, bottom_faces, *side_faces]).astype(np.int32))

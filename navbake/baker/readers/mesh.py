@@ -104,7 +104,7 @@ def read_named_meshes(
     """Read the objects, groups, solids or nodes of a mesh file as meshes in the world frame.
 
     Coordinates are multiplied by a DAE's own ``<unit meter>`` and by `unit`, then rotated so that
-    `up` is +z. The up axis that the file states is ignored (`file_up_axis` returns it). Triangles
+    `up` is +z. The up axis that the file states is ignored (`read_up_axis` returns it). Triangles
     without area, unused vertices and meshes without triangles are dropped.
 
     Exporters leave stray nodes behind: with `warnings`, a mesh beyond `MAX_COORDINATE` is left out
@@ -146,9 +146,12 @@ def is_mesh_scene(scene: object) -> TypeGuard[trimesh.Scene | trimesh.Trimesh]:
 
 
 def join_meshes(meshes: Sequence[NamedMesh]) -> Triangles:
-    """Join the triangles of several meshes."""
-    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)]).astype(np.int32)
-    faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]
+    """Join the triangles of several meshes; their names and modes are dropped."""
+    first_vertices = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)]).astype(np.int32)
+    faces = [
+        mesh.faces + first_vertex
+        for mesh, first_vertex in zip(meshes, first_vertices, strict=False)
+    ]
     return Triangles(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
@@ -184,8 +187,8 @@ def convert_trimesh(
     return _to_world(copied_meshes, path, up, unit)
 
 
-def bounds_of_meshes(meshes: Collection[NamedMesh]) -> Float:
-    """Return the lowest and highest x, y, z of all vertices of meshes, shape (2, 3) [m]."""
+def measure_mesh_bounds(meshes: Collection[NamedMesh]) -> Float:
+    """Return the lowest and the highest corner of the box of all meshes, shape (2, 3) [m]."""
     boxes = np.array([bounding_box(mesh.vertices) for mesh in meshes])
     return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
@@ -198,7 +201,7 @@ def _read_file(path: Path) -> list[NamedMesh]:
     header: Json | None = None
     if suffix in (".glb", ".gltf"):
         header = check_gltf(path)
-    triangles = read_plain(path)
+    triangles = read_plain_file(path)
     if triangles is not None:
         return [NamedMesh("", triangles.vertices, triangles.faces)]
     file_content = b""
@@ -243,7 +246,7 @@ def _has_only_points(content: bytes, suffix: str) -> bool:
         suffix: the file's suffix; other files than ``.ply`` and ``.obj`` are not looked at.
     """
     if suffix == ".ply":
-        header, end_marker, _ = content[:MAX_PLY_HEADER].partition(b"end_header")
+        header, end_marker, _ = content[:MAX_PLY_HEADER_SIZE].partition(b"end_header")
         element_counts = {
             element: int(count)
             for element, count in re.findall(rb"(?m)^element (\w+)[ \t]+(\d{1,18})", header)
@@ -267,7 +270,7 @@ def _make_points_error(path: Path) -> SceneError:
 
 def _check_ply_counts(content: bytes, meshes: list[NamedMesh], path: Path) -> None:
     """Raise a SceneError if a PLY is cut off: trimesh found fewer elements than its header says."""
-    header = content[:MAX_PLY_HEADER].partition(b"end_header")[0]
+    header = content[:MAX_PLY_HEADER_SIZE].partition(b"end_header")[0]
     element_counts = {
         "vertex": sum(len(mesh.vertices) for mesh in meshes),
         "face": sum(len(mesh.faces) for mesh in meshes),
@@ -330,7 +333,7 @@ def _silence_trimesh() -> Iterator[None]:
         logger.setLevel(old_level)
 
 
-def file_up_axis(path: Path) -> str | None:
+def read_up_axis(path: Path) -> str | None:
     """Return the name of the axis that is up in a mesh file: y for glTF, the stated one for a DAE.
 
     Returns:
@@ -343,7 +346,7 @@ def file_up_axis(path: Path) -> str | None:
     return "y" if suffix in (".glb", ".gltf") else None
 
 
-def rotation_to_z_up(up: Direction) -> Float:
+def make_rotation_to_z_up(up: Direction) -> Float:
     """Return the smallest rotation that turns a direction to +z, shape (3, 3).
 
     For the directions of `AXIS_VECTORS`, its entries are exactly -1, 0 or 1.
@@ -354,10 +357,10 @@ def rotation_to_z_up(up: Direction) -> Float:
     x, y, z = np.divide(vector, np.linalg.norm(vector)).tolist()
     if z < -0.5:
         # Near -z the formula loses digits: first turn by 180° about x.
-        rotation = rotation_to_z_up((x, -y, -z)) @ np.diag([1.0, -1.0, -1.0])
+        rotation = make_rotation_to_z_up((x, -y, -z)) @ np.diag([1.0, -1.0, -1.0])
         return np.asarray(rotation + 0.0)
-    cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + z) + 0.0)
+    cross_matrix = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    return np.asarray(np.eye(3) + cross_matrix + cross_matrix @ cross_matrix / (1.0 + z) + 0.0)
 
 
 class DaeAsset(NamedTuple):
@@ -378,12 +381,14 @@ def _read_dae_asset(path: Path) -> DaeAsset:
     for event, element in ElementTree.iterparse(path, events=("start", "end")):
         tag = element.tag.rpartition("}")[2]
         if event == "start" and tag == "unit":
-            meter = element.get("meter", "1")
+            meter_text = element.get("meter", "1")
             meters_per_unit = 0.0
             with suppress(ValueError):
-                meters_per_unit = float(meter)
+                meters_per_unit = float(meter_text)
             if not 0 < meters_per_unit < float("inf"):
-                raise SceneError(f"expected a number > 0 as <unit meter> in {path}, got {meter!r}")
+                raise SceneError(
+                    f"expected a number > 0 as <unit meter> in {path}, got {meter_text!r}"
+                )
         if event == "end" and tag == "up_axis":
             axis = (element.text or "").strip()[:1].lower()
             up_axis = axis if axis in AXIS_VECTORS else None
@@ -401,7 +406,7 @@ def _to_world(
 ) -> list[NamedMesh]:
     """Transform meshes to the world frame, with unique names; see `read_named_meshes`."""
     stray_meshes = list[NamedMesh]()
-    matrix = meters_per_unit * rotation_to_z_up(up)
+    matrix = meters_per_unit * make_rotation_to_z_up(up)
     used_names = {"world"}  # MuJoCo's own body
     world_meshes = []
     for mesh in meshes:
@@ -472,14 +477,14 @@ def check_mesh(mesh: NamedMesh, path: Path) -> NamedMesh:
 
 # ---------------------------------------------------------------- files
 
-STL_HEADER = 84  # size of a binary STL's header, with the number of triangles [bytes]
-STL_TRIANGLE = 50  # size of a triangle in a binary STL [bytes]
-MAX_PLY_HEADER = 1 << 20  # largest size of a PLY's header [bytes]
-MIN_CHUNK = 1 << 16  # the fewest vertices or triangles that a thread reads at once
+STL_HEADER_SIZE = 84  # size of a binary STL's header, with the number of triangles [bytes]
+STL_TRIANGLE_SIZE = 50  # size of a triangle in a binary STL [bytes]
+MAX_PLY_HEADER_SIZE = 1 << 20  # largest size of a PLY's header [bytes]
+MIN_ITEMS_PER_THREAD = 1 << 16  # the fewest vertices or triangles that a thread reads at once
 
 
 def repair_obj(path: Path) -> bytes:
-    """Read an OBJ file, and rewrite what trimesh would misread.
+    """Read an OBJ file, and rewrite the lines that trimesh would misread.
 
     Returns:
         The text in UTF-8, without indents; vertices of faces are counted from the start of the
@@ -522,16 +527,16 @@ def repair_stl(path: Path) -> bytes:
     """
     file_content = path.read_bytes()
     may_be_text = file_content.lstrip()[:5].lower() == b"solid"
-    lower_case = file_content.lower() if may_be_text else b""
-    if b"facet" in lower_case:
-        num_starts = len(re.findall(rb"(?m)^[^\S\n]*solid", lower_case))
-        num_ends = len(re.findall(rb"(?m)^[^\S\n]*endsolid", lower_case))
-        if num_ends < num_starts:
+    lower_case_content = file_content.lower() if may_be_text else b""
+    if b"facet" in lower_case_content:
+        num_solid_starts = len(re.findall(rb"(?m)^[^\S\n]*solid", lower_case_content))
+        num_solid_ends = len(re.findall(rb"(?m)^[^\S\n]*endsolid", lower_case_content))
+        if num_solid_ends < num_solid_starts:
             raise SceneError(f"{path} is cut off: its last solid has no end")
         return _to_utf8(file_content)
-    num_triangles = int.from_bytes(file_content[STL_HEADER - 4 : STL_HEADER], "little")
-    num_bytes = STL_HEADER + STL_TRIANGLE * num_triangles
-    if len(file_content) < max(num_bytes, STL_HEADER):
+    num_triangles = int.from_bytes(file_content[STL_HEADER_SIZE - 4 : STL_HEADER_SIZE], "little")
+    num_bytes = STL_HEADER_SIZE + STL_TRIANGLE_SIZE * num_triangles
+    if len(file_content) < max(num_bytes, STL_HEADER_SIZE):
         expected_text = (
             f"expected {num_bytes} bytes for the {num_triangles} triangles of its header"
         )
@@ -567,7 +572,7 @@ PLY_HEADER = re.compile(
 )
 
 
-def read_plain(path: Path) -> Triangles | None:
+def read_plain_file(path: Path) -> Triangles | None:
     """Read a binary PLY or STL that holds only vertices and triangles, with several threads.
 
     Returns:
@@ -582,10 +587,10 @@ def read_plain(path: Path) -> Triangles | None:
 
 def _read_plain_stl(path: Path) -> Triangles | None:
     with path.open("rb") as file:
-        header = file.read(STL_HEADER)
-    num_triangles = int.from_bytes(header[STL_HEADER - 4 :], "little")
+        header = file.read(STL_HEADER_SIZE)
+    num_triangles = int.from_bytes(header[STL_HEADER_SIZE - 4 :], "little")
     is_text = header.lstrip()[:5].lower() in (b"solid", b"")
-    num_bytes = STL_HEADER + STL_TRIANGLE * num_triangles
+    num_bytes = STL_HEADER_SIZE + STL_TRIANGLE_SIZE * num_triangles
     if is_text or not num_triangles or path.stat().st_size < num_bytes:
         return None
     triangle_type = np.dtype(
@@ -593,25 +598,31 @@ def _read_plain_stl(path: Path) -> Triangles | None:
     )
     vertices = np.empty((3 * num_triangles, 3))
 
-    def read(first: int, end: int) -> None:
-        offset = STL_HEADER + first * STL_TRIANGLE
-        records = np.fromfile(path, triangle_type, end - first, offset=offset)
+    def read_triangles(first_triangle: int, end_triangle: int) -> None:
+        byte_offset = STL_HEADER_SIZE + first_triangle * STL_TRIANGLE_SIZE
+        records = np.fromfile(
+            path, triangle_type, end_triangle - first_triangle, offset=byte_offset
+        )
         corners = records["corners"].reshape(-1, 3)
-        _write_float64(list(corners.T), vertices[3 * first : 3 * end])
+        _write_float64(list(corners.T), vertices[3 * first_triangle : 3 * end_triangle])
 
-    run_in_chunks(read, num_triangles, min_chunk_size=MIN_CHUNK)
+    run_in_chunks(read_triangles, num_triangles, min_chunk_size=MIN_ITEMS_PER_THREAD)
     return Triangles(vertices, np.arange(3 * num_triangles, dtype=np.int32).reshape(-1, 3))
 
 
 def _read_plain_ply(path: Path) -> Triangles | None:
     with path.open("rb") as file:
-        header = PLY_HEADER.match(file.read(MAX_PLY_HEADER))
-    if header is None or header["format"] not in PLY_FORMATS:
+        header_match = PLY_HEADER.match(file.read(MAX_PLY_HEADER_SIZE))
+    if header_match is None or header_match["format"] not in PLY_FORMATS:
         return None
-    byte_order = PLY_FORMATS[header["format"]]
-    properties = [line.split()[1:] for line in header["properties"].splitlines()]
+    byte_order = PLY_FORMATS[header_match["format"]]
+    properties = [line.split()[1:] for line in header_match["properties"].splitlines()]
     property_names = {name for _, name in properties}
-    type_names = {*(type_name for type_name, _ in properties), header["count"], header["index"]}
+    type_names = {
+        *(type_name for type_name, _ in properties),
+        header_match["count"],
+        header_match["index"],
+    }
     is_plain = PLY_COORDINATES <= property_names <= PLY_VERTEX_PROPERTIES
     is_plain = (
         is_plain and len(property_names) == len(properties) and type_names <= PLY_TYPES.keys()
@@ -621,37 +632,38 @@ def _read_plain_ply(path: Path) -> Triangles | None:
     vertex_type = np.dtype(
         [(name.decode(), byte_order + PLY_TYPES[type_name]) for type_name, name in properties]
     )
-    count_type = byte_order + PLY_TYPES[header["count"]]
-    index_type = byte_order + PLY_TYPES[header["index"]]
+    count_type = byte_order + PLY_TYPES[header_match["count"]]
+    index_type = byte_order + PLY_TYPES[header_match["index"]]
     face_type = np.dtype([("count", count_type), ("index", index_type, 3)])
-    num_vertices = int(header["vertices"])
-    num_faces = int(header["faces"])
-    faces_offset = header.end() + num_vertices * vertex_type.itemsize
+    num_vertices = int(header_match["vertices"])
+    num_faces = int(header_match["faces"])
+    faces_offset = header_match.end() + num_vertices * vertex_type.itemsize
     num_bytes = faces_offset + num_faces * face_type.itemsize
     if not num_vertices or not num_faces or path.stat().st_size != num_bytes:
         return None
     vertices = np.empty((num_vertices, 3))
     faces = np.empty((num_faces, 3), dtype=np.int32)
-    is_wrong = np.zeros(num_faces, dtype=np.bool_)
+    is_wrong_face = np.zeros(num_faces, dtype=np.bool_)
 
-    def read_vertices(first: int, end: int) -> None:
-        offset = header.end() + first * vertex_type.itemsize
-        records = np.fromfile(path, vertex_type, end - first, offset=offset)
-        _write_float64([records[axis] for axis in "xyz"], vertices[first:end])
+    def read_vertices(first_vertex: int, end_vertex: int) -> None:
+        byte_offset = header_match.end() + first_vertex * vertex_type.itemsize
+        records = np.fromfile(path, vertex_type, end_vertex - first_vertex, offset=byte_offset)
+        _write_float64([records[axis] for axis in "xyz"], vertices[first_vertex:end_vertex])
 
-    def read_faces(first: int, end: int) -> None:
-        offset = faces_offset + first * face_type.itemsize
-        records = np.fromfile(path, face_type, end - first, offset=offset)
-        faces[first:end] = records["index"]  # an index too large for int32 becomes negative
+    def read_faces(first_face: int, end_face: int) -> None:
+        byte_offset = faces_offset + first_face * face_type.itemsize
+        records = np.fromfile(path, face_type, end_face - first_face, offset=byte_offset)
+        # an index too large for int32 becomes negative
+        faces[first_face:end_face] = records["index"]
         # Each polygon begins with its number of corners, which has to be 3.
-        np.not_equal(records["count"], 3, out=is_wrong[first:end])
-        lowest_index = faces[first:end].min()
-        highest_index = faces[first:end].max()
-        is_wrong[first] |= lowest_index < 0 or highest_index >= num_vertices
+        np.not_equal(records["count"], 3, out=is_wrong_face[first_face:end_face])
+        lowest_index = faces[first_face:end_face].min()
+        highest_index = faces[first_face:end_face].max()
+        is_wrong_face[first_face] |= lowest_index < 0 or highest_index >= num_vertices
 
-    run_in_chunks(read_vertices, num_vertices, min_chunk_size=MIN_CHUNK)
-    run_in_chunks(read_faces, num_faces, min_chunk_size=MIN_CHUNK)
-    return None if is_wrong.any() else Triangles(vertices, faces)
+    run_in_chunks(read_vertices, num_vertices, min_chunk_size=MIN_ITEMS_PER_THREAD)
+    run_in_chunks(read_faces, num_faces, min_chunk_size=MIN_ITEMS_PER_THREAD)
+    return None if is_wrong_face.any() else Triangles(vertices, faces)
 
 
 def _write_float64(coordinates: Sequence[NDArray[np.floating]], out: Float) -> None:
@@ -672,11 +684,11 @@ UNREAD_EXTENSIONS = {
     "EXT_meshopt_compression": MESHOPT_HINT,
     "KHR_meshopt_compression": MESHOPT_HINT,
 }
-DRACO = "KHR_draco_mesh_compression"  # trimesh reads it if DracoPy is installed
+DRACO_EXTENSION = "KHR_draco_mesh_compression"  # trimesh reads it if DracoPy is installed
 
 
 def check_gltf(path: Path) -> Json:
-    """Check a glTF or GLB file for what trimesh would misread, and return its JSON.
+    """Check that trimesh reads all features of a glTF or GLB file, and return the file's JSON.
 
     Raises:
         SceneError: the file is broken, cut off, or uses a feature that trimesh doesn't read.
@@ -698,7 +710,7 @@ def check_gltf(path: Path) -> Json:
 
 
 def scale_normalized_positions(header: Json) -> bool:
-    """Make trimesh read positions that a glTF stores as normalized integers: let nodes scale them.
+    """Add nodes to a glTF that scale positions which it stores as normalized integers.
 
     trimesh reads the integers as they are. A normalized integer stands for itself divided by the
     greatest one of its type, so a node with that scale, between the mesh and its node, has the same
@@ -710,20 +722,20 @@ def scale_normalized_positions(header: Json) -> bool:
     Returns:
         Whether the file has such meshes.
     """
-    scales = {
+    scale_of_mesh = {
         mesh_number: _find_normalized_scale(header, mesh)
         for mesh_number, mesh in enumerate(header.get("meshes", []))
     }
     nodes = header.get("nodes", [])
-    for mesh_number in range(len(nodes)):
-        node = nodes[mesh_number]
-        scale = scales.get(node.get("mesh"), 1.0)
+    for node_number in range(len(nodes)):
+        node = nodes[node_number]
+        scale = scale_of_mesh.get(node.get("mesh"), 1.0)
         if scale == 1.0:
             continue
-        mesh_node = {"name": node.pop("name", str(mesh_number)), "mesh": node.pop("mesh")}
+        mesh_node = {"name": node.pop("name", str(node_number)), "mesh": node.pop("mesh")}
         node["children"] = [*node.get("children", []), len(nodes)]
         nodes.append({**mesh_node, "scale": [scale] * 3})
-    return any(scale != 1.0 for scale in scales.values())
+    return any(scale != 1.0 for scale in scale_of_mesh.values())
 
 
 def _find_normalized_scale(header: Json, mesh: Json) -> float:
@@ -788,8 +800,8 @@ def _find_problems(header: Json, num_bytes: int, folder: Path) -> Iterator[str]:
     for extension in extensions:
         if extension in UNREAD_EXTENSIONS:
             yield f"it uses {extension}: {UNREAD_EXTENSIONS[extension]}"
-    if DRACO in extensions and find_spec("DracoPy") is None:
-        yield f'it uses {DRACO}: `pip install "navbake[draco]"` reads it'
+    if DRACO_EXTENSION in extensions and find_spec("DracoPy") is None:
+        yield f'it uses {DRACO_EXTENSION}: `pip install "navbake[draco]"` reads it'
     accessors = header.get("accessors", [])
     for accessor in accessors:
         if "bufferView" not in accessor and accessor["count"] > max(num_bytes, 10_000_000):
@@ -797,12 +809,12 @@ def _find_problems(header: Json, num_bytes: int, folder: Path) -> Iterator[str]:
     for mesh in header.get("meshes", []):
         for primitive in mesh["primitives"]:
             yield from _find_problems_of_primitive(primitive, accessors)
-        is_normalized = {
+        normalized_flags = {
             bool(accessors[primitive["attributes"]["POSITION"]].get("normalized"))
             for primitive in mesh["primitives"]
             if "POSITION" in primitive["attributes"]
         }
-        if len(is_normalized) > 1:
+        if len(normalized_flags) > 1:
             yield "a mesh has normalized and other positions: export it unquantized"
     for buffer in header.get("buffers", []):
         uri = buffer.get("uri")

@@ -21,9 +21,9 @@ from navbake.baker.readers.mesh import (
     AXIS_VECTORS,
     Direction,
     NamedMesh,
-    bounds_of_meshes,
-    file_up_axis,
-    rotation_to_z_up,
+    make_rotation_to_z_up,
+    measure_mesh_bounds,
+    read_up_axis,
 )
 from navbake.config.settings import SceneSettings
 from navbake.threads import run_in_chunks
@@ -37,7 +37,7 @@ ON_SIDE_RATIO = 1.5
 CEILING_WARNING = "this floor may be a ceiling: what stands in the mesh doesn't say which way is up"
 NUM_AXES = 400  # how many directions of a hemisphere triangles are sorted into, about 7° apart
 # The largest distance of a unit vector, or its opposite, from the nearest of these directions
-AXIS_DISTANCE = 0.12
+MAX_AXIS_DISTANCE = 0.12
 # A triangle belongs to a direction or a plane if the cosine between the normals is at least this
 # (scans are noisy)
 MIN_FACING_COSINE = np.cos(np.radians(30.0))
@@ -45,7 +45,7 @@ MIN_FACING_COSINE = np.cos(np.radians(30.0))
 MAX_DISTINCT_COSINE = np.cos(np.radians(40.0))
 MAX_SEARCHED_AXES = 4
 MAX_PLANES = 4  # the most flat surfaces that are searched along an axis
-NUM_FITS = 4  # the number of iterations that fit an axis or a plane
+NUM_FIT_ITERATIONS = 4  # the number of iterations that fit an axis or a plane
 PLANE_THICKNESS = 0.08  # a flat surface lies within this distance of its plane, on both sides [m]
 # A plane's normal is only fitted if the plane's triangles have more variance than this along its
 # narrower direction: a strip says little about its normal [m²]
@@ -55,8 +55,8 @@ MIN_FURNITURE_HEIGHT = 0.12
 MAX_FURNITURE_HEIGHT = 1.1
 # A floor has at least this fraction of the area of the largest flat surface; a flat surface with
 # more than the second fraction is no furniture
-FLOOR_SHARE = 0.5
-WALL_SHARE = 0.25
+MIN_FLOOR_SHARE = 0.5
+MAX_FURNITURE_PLANE_SHARE = 0.25
 # In a floor, the area of triangles that face down may exceed the area of those that face up by this
 # fraction of the floor's area
 MAX_DOWN_SHARE = 0.2
@@ -64,8 +64,8 @@ FLOOR_WEIGHT = 0.1  # weight of a floor's area, where the area of the furniture 
 MIN_FLOOR_AREA = 4.0  # a mesh whose largest flat surface is smaller may be furniture [m²]
 # It is clear which direction is up if the furniture's area is more than this fraction of the
 # floor's area, and more than this many times the furniture's area in any other direction
-CLEAR_SHARE = 0.1
-CLEAR_RATIO = 1.3
+MIN_CLEAR_SHARE = 0.1
+MIN_CLEAR_RATIO = 1.3
 
 
 class Orientation(NamedTuple):
@@ -74,8 +74,8 @@ class Orientation(NamedTuple):
     Attributes:
         direction: unit vector in the frame of the mesh, (3,).
         floor_area: area of the largest floor that faces this direction [m²].
-        furniture_area: area of what seems to be furniture on such floors [m²]: it is
-            `MIN_FURNITURE_HEIGHT` to `MAX_FURNITURE_HEIGHT` above them, and belongs to no large
+        furniture_area: area of the triangles that seem to be furniture on such floors [m²]: they
+            are `MIN_FURNITURE_HEIGHT` to `MAX_FURNITURE_HEIGHT` above them, and belong to no large
             flat surface.
     """
 
@@ -102,7 +102,7 @@ class TriangleSample(NamedTuple):
 def orient_meshes(
     read_meshes: Callable[..., list[NamedMesh]], settings: SceneSettings, warnings: list[str]
 ) -> list[NamedMesh]:
-    """Read the meshes of a file, turned so that the direction that `scene.up` says is up.
+    """Read the meshes of a file, and turn them so that the direction of `scene.up` is up.
 
     - ``auto``: the axis that the file states. If it states none: z. But if the mesh looks as if it
       lay on its side (`lies_on_side`), and things clearly stand on surfaces that face along y, it
@@ -119,7 +119,7 @@ def orient_meshes(
     Returns:
         The meshes in the world frame [m].
     """
-    file_axis = file_up_axis(Path(settings.path)) if settings.up == "auto" else None
+    file_axis = read_up_axis(Path(settings.path)) if settings.up == "auto" else None
     is_auto_without_axis = settings.up == "auto" and file_axis is None
     is_up_searched = settings.up == "level" or (is_auto_without_axis and settings.scan)
     up = (file_axis or "z") if settings.up in ("auto", "level") else settings.up
@@ -134,11 +134,11 @@ def orient_meshes(
             opposite_name = _name_direction(-best_orientation.direction)
             warnings.append(f"{CEILING_WARNING}: `scene.up: {opposite_name}` turns the mesh over")
         return _turn_up(meshes, best_orientation.direction)
-    to_file_frame = rotation_to_z_up(up).T  # from the world frame
-    best_in_file = to_file_frame @ best_orientation.direction
+    to_file_frame = make_rotation_to_z_up(up).T  # from the world frame
+    best_direction_in_file = to_file_frame @ best_orientation.direction
     is_turned = is_auto_without_axis and lies_on_side(meshes, sample)
     if is_turned and is_clear and abs(best_orientation.direction[1]) > MIN_FACING_COSINE:
-        direction_name = _name_direction(best_in_file)
+        direction_name = _name_direction(best_direction_in_file)
         warnings.append(
             f"the mesh lies on its side, and is taken with {direction_name} up, as things stand on "
             f"what faces that way: `scene.up: {direction_name}` silences this, `z` leaves it as it "
@@ -149,7 +149,7 @@ def orient_meshes(
         warnings.append(
             f"this floor may be a ceiling: next to nothing stands on it, and "
             f"{best_orientation.furniture_area:.1f} m² hang from a surface like it above: "
-            f"`scene.up: {_name_direction(best_in_file)}` turns the mesh over"
+            f"`scene.up: {_name_direction(best_direction_in_file)}` turns the mesh over"
         )
     elif settings.up == "auto" and lies_on_side(meshes, sample):
         axis_name = _name_direction(np.abs(to_file_frame[:, 1]))
@@ -181,15 +181,16 @@ def drop_small_pieces(meshes: list[NamedMesh], warnings: list[str]) -> list[Name
     for mesh in meshes:
         # Vertices with the same coordinates are one point: pieces are connected through it.
         _, point_of_vertex = np.unique(mesh.vertices, axis=0, return_inverse=True)
-        corners = point_of_vertex.reshape(-1)[mesh.faces]
-        num_points = int(corners.max()) + 1
-        starts = corners[:, [0, 1]].ravel()
-        ends = corners[:, [1, 2]].ravel()
+        corner_points = point_of_vertex.reshape(-1)[mesh.faces]
+        num_points = int(corner_points.max()) + 1
+        edge_starts = corner_points[:, [0, 1]].ravel()
+        edge_ends = corner_points[:, [1, 2]].ravel()
         edges = coo_array(
-            (np.ones(len(starts), dtype=np.bool_), (starts, ends)), shape=(num_points, num_points)
+            (np.ones(len(edge_starts), dtype=np.bool_), (edge_starts, edge_ends)),
+            shape=(num_points, num_points),
         )
         _, piece_of_point = csgraph.connected_components(edges, directed=False)
-        piece_of_face = piece_of_point[corners[:, 0]]
+        piece_of_face = piece_of_point[corner_points[:, 0]]
         areas = np.bincount(piece_of_face, triangle_areas(mesh.vertices, mesh.faces))
         is_small = (areas > 0.0) & (areas < MIN_PIECE_AREA)
         num_dropped += int(is_small.sum())
@@ -207,7 +208,7 @@ def drop_small_pieces(meshes: list[NamedMesh], warnings: list[str]) -> list[Name
 
 def _turn_up(meshes: list[NamedMesh], up: Direction) -> list[NamedMesh]:
     """Rotate meshes so that the direction `up` becomes +z."""
-    rotation = rotation_to_z_up(up)
+    rotation = make_rotation_to_z_up(up)
     return [mesh._replace(vertices=mesh.vertices @ rotation.T) for mesh in meshes]
 
 
@@ -217,7 +218,7 @@ def is_lowest_along_y(meshes: Collection[NamedMesh]) -> bool:
     Args:
         meshes: the meshes, world frame [m].
     """
-    lowest_corner, highest_corner = bounds_of_meshes(meshes)
+    lowest_corner, highest_corner = measure_mesh_bounds(meshes)
     width, depth, height = np.subtract(highest_corner, lowest_corner)
     return bool(depth < min(width, height))
 
@@ -232,10 +233,10 @@ def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
         meshes: the meshes, world frame [m].
         sample: a sample of their triangles.
     """
-    faces_along_y = np.abs(sample.normal[:, 1]) >= np.sqrt(0.5)
-    faces_along_z = np.abs(sample.normal[:, 2]) >= np.sqrt(0.5)
-    y_area = sample.area[faces_along_y].sum()
-    z_area = sample.area[faces_along_z].sum()
+    is_facing_y = np.abs(sample.normal[:, 1]) >= np.sqrt(0.5)
+    is_facing_z = np.abs(sample.normal[:, 2]) >= np.sqrt(0.5)
+    y_area = sample.area[is_facing_y].sum()
+    z_area = sample.area[is_facing_z].sum()
     return bool(y_area > ON_SIDE_RATIO * z_area) and is_lowest_along_y(meshes)
 
 
@@ -267,13 +268,13 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
     may_be_furniture = np.ones(len(sample.area), dtype=np.bool_)
     for planes in planes_of_axes:
         for plane in planes:
-            if plane.area > WALL_SHARE * largest_area:
+            if plane.area > MAX_FURNITURE_PLANE_SHARE * largest_area:
                 may_be_furniture &= ~plane.is_member
     furniture_center = sample.center[may_be_furniture]
     furniture_area = sample.area[may_be_furniture]
     orientations = list[Orientation]()
     for planes in planes_of_axes:
-        large_planes = [plane for plane in planes if plane.area >= FLOOR_SHARE * largest_area]
+        large_planes = [plane for plane in planes if plane.area >= MIN_FLOOR_SHARE * largest_area]
         for sign in (1.0, -1.0):
             floors = [
                 plane
@@ -302,8 +303,8 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
         )
     orientations.sort(key=_make_sort_key)
     best_orientation = orientations[0]
-    other_areas = [CLEAR_RATIO * orientation.furniture_area for orientation in orientations[1:]]
-    min_furniture_area = max([CLEAR_SHARE * best_orientation.floor_area, *other_areas])
+    other_areas = [MIN_CLEAR_RATIO * orientation.furniture_area for orientation in orientations[1:]]
+    min_furniture_area = max([MIN_CLEAR_SHARE * best_orientation.floor_area, *other_areas])
     is_clear = (
         best_orientation.floor_area >= MIN_FLOOR_AREA
         and best_orientation.furniture_area > min_furniture_area
@@ -318,7 +319,11 @@ def _make_sort_key(orientation: Orientation) -> float:
 
 
 def sample_triangles(meshes: Collection[NamedMesh]) -> TriangleSample:
-    """Sample every n-th triangle of meshes, about `MAX_TRIANGLES` at most."""
+    """Sample every n-th triangle of meshes, about `MAX_TRIANGLES` at most.
+
+    Args:
+        meshes: the meshes [m].
+    """
     num_triangles = sum(len(mesh.faces) for mesh in meshes)
     sampling_step = max(1, -(-num_triangles // MAX_TRIANGLES))
     described_triangles = [
@@ -363,7 +368,7 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
         len(normal),
         normal,
         axes,
-        AXIS_DISTANCE,
+        MAX_AXIS_DISTANCE,
         nearest_axis,
         min_chunk_size=1024,
     )
@@ -373,11 +378,11 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
     for _ in range(MAX_SEARCHED_AXES):
         start_axis = axes[facing_area.argmax()]
         direction = start_axis
-        for _ in range(NUM_FITS):
+        for _ in range(NUM_FIT_ITERATIONS):
             # The mean direction of the triangles near it: the eigenvector of the largest eigenvalue
-            faces_along = np.abs(normal @ direction) >= MIN_FACING_COSINE
-            weighted_normals = normal[faces_along] * area[faces_along, None]
-            direction = np.linalg.eigh(weighted_normals.T @ normal[faces_along])[1][:, 2]
+            is_facing = np.abs(normal @ direction) >= MIN_FACING_COSINE
+            weighted_normals = normal[is_facing] * area[is_facing, None]
+            direction = np.linalg.eigh(weighted_normals.T @ normal[is_facing])[1][:, 2]
         if all(
             abs(direction @ earlier_direction) < MIN_FACING_COSINE
             for earlier_direction in directions
@@ -426,7 +431,7 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
     """
     remaining_triangles = np.flatnonzero(np.abs(sample.normal @ axis) >= MIN_FACING_COSINE)
     planes = list[_Plane]()
-    slots, slot_of_triangle = np.unique(
+    slot_numbers, slot_of_triangle = np.unique(
         np.floor(sample.center[remaining_triangles] @ axis / PLANE_THICKNESS), return_inverse=True
     )
     for _ in range(MAX_PLANES):
@@ -435,16 +440,16 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
         centers = sample.center[remaining_triangles]
         areas = sample.area[remaining_triangles]
         largest_slot = np.bincount(slot_of_triangle, areas).argmax()
-        center = axis * slots[largest_slot] * PLANE_THICKNESS
+        center = axis * slot_numbers[largest_slot] * PLANE_THICKNESS
         normal = axis
         is_member = np.abs((centers - center) @ axis) <= 2 * PLANE_THICKNESS
-        for _ in range(NUM_FITS):
+        for _ in range(NUM_FIT_ITERATIONS):
             total_area = areas[is_member].sum()
             center = areas[is_member] @ centers[is_member] / total_area
-            offsets = centers[is_member] - center
+            center_offsets = centers[is_member] - center
             # The centres' principal axes, by ascending variance: the first is the plane's normal.
             variances, principal_axes = np.linalg.eigh(
-                (offsets * areas[is_member, None]).T @ offsets
+                (center_offsets * areas[is_member, None]).T @ center_offsets
             )
             if variances[1] > MIN_PLANE_VARIANCE * total_area:
                 normal = principal_axes[:, 0]

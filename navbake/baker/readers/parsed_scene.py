@@ -5,8 +5,8 @@ checks and batches work with them like with MJCF. Solids and height fields are M
 that never move are stored exactly, outside of the model, which has a tetrahedron for each.
 
 The time that MjSpec takes to add a body grows with the number of bodies: 10,000 bodies take 1.4 s,
-100,000 take minutes. So if a scene has more than `MERGE_ABOVE` geoms, static geoms with a common
-parent are merged into one mesh, until about `MERGE_DOWN_TO` are left.
+100,000 take minutes. So if a scene has more than `MAX_UNMERGED_GEOMS` geoms, static geoms with a
+common parent are merged into one mesh, until about `NUM_MERGED_GROUPS` are left.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ TETRAHEDRON = Mesh(
 PLACEHOLDER_NAME = "mesh"  # the name of the tetrahedron
 MUJOCO_PREFIX = "MuJoCo: "  # navbake puts this before MuJoCo's warnings
 _WARNING_LOCK = threading.Lock()  # all threads share MuJoCo's one hook for warnings
-MERGE_ABOVE = 10_000  # static geoms are merged if a scene has more geoms than this
-MERGE_DOWN_TO = 3000  # merging stops at this number of groups
+MAX_UNMERGED_GEOMS = 10_000  # static geoms are merged if a scene has more geoms than this
+NUM_MERGED_GROUPS = 3000  # merging stops at this number of groups
 MAX_GEOMS = 2_000_000  # the most geoms in a scene, where each instance counts
 # Names in MuJoCo's XML -> MuJoCo's constants
 GEOM_TYPES = {
@@ -82,7 +82,7 @@ class ParsedGeom(NamedTuple):
 
 
 class ParsedJoint(NamedTuple):
-    """How a body moves relative to its parent. Coordinates: world frame, in the initial pose.
+    """A joint between a body and its parent; coordinates are in the world, in the initial pose.
 
     Attributes:
         name: the joint's name.
@@ -119,7 +119,7 @@ class ParsedBody(NamedTuple):
 
 @dataclass
 class ParsedScene:
-    """All that a reader parses of a scene file.
+    """The content of a scene file, as a reader parses it.
 
     Attributes:
         geoms: all shapes.
@@ -142,7 +142,7 @@ class ParsedScene:
     empty_bodies: set[str] = field(default_factory=set)
 
 
-def check_count(num_geoms: int, path: Path) -> None:
+def check_geom_count(num_geoms: int, path: Path) -> None:
     """Raise an error if a scene has too many geoms: nested instances of models can make millions.
 
     Args:
@@ -160,7 +160,7 @@ def check_count(num_geoms: int, path: Path) -> None:
 
 
 @contextmanager
-def reading(source_text: str) -> Iterator[None]:
+def convert_read_errors(source_text: str) -> Iterator[None]:
     """Convert errors inside a with statement to SceneErrors that say what was being read.
 
     navbake's own errors, OSError and MemoryError are not converted. Numbers that are too large for
@@ -428,7 +428,7 @@ def _join_posed_meshes(meshes: Sequence[Mesh], poses: Float, decimals: int | Non
 
 
 def merge_geoms(parsed_scene: ParsedScene, path: Path, warnings: list[str]) -> list[ParsedGeom]:
-    """Merge static geoms of a scene with more than `MERGE_ABOVE` geoms into meshes.
+    """Merge static geoms of a scene with more than `MAX_UNMERGED_GEOMS` geoms into meshes.
 
     Geoms of the same body, or whose bodies' names begin with the same path, are merged, the largest
     groups first. A merged mesh has the name of the body or path. Moving geoms, planes and height
@@ -440,10 +440,10 @@ def merge_geoms(parsed_scene: ParsedScene, path: Path, warnings: list[str]) -> l
         warnings: the list to which a warning is added if geoms are merged.
 
     Returns:
-        The geoms after merging; the scene's own list if there are at most `MERGE_ABOVE`.
+        The geoms after merging; the scene's own list if there are at most `MAX_UNMERGED_GEOMS`.
     """
     geoms = parsed_scene.geoms
-    if len(geoms) <= MERGE_ABOVE:
+    if len(geoms) <= MAX_UNMERGED_GEOMS:
         return geoms
     groups: dict[tuple[object, ...], list[ParsedGeom]] = {}
     for geom_number, (geom, group_name) in enumerate(
@@ -464,8 +464,9 @@ def merge_geoms(parsed_scene: ParsedScene, path: Path, warnings: list[str]) -> l
             else _merge_group(str(group_key[0]), group_geoms, parsed_scene.decimals)
         )
     warnings.append(
-        f"{path} has {len(geoms)} pieces of geometry: of more than {MERGE_ABOVE}, those that stand "
-        f"together count as one mesh, by the name that they share; {len(merged_geoms)} are left"
+        f"{path} has {len(geoms)} pieces of geometry: of more than {MAX_UNMERGED_GEOMS}, those "
+        f"that stand together count as one mesh, by the name that they share; {len(merged_geoms)} "
+        "are left"
     )
     return merged_geoms
 
@@ -476,26 +477,26 @@ def _find_group_names(geoms: Sequence[ParsedGeom]) -> list[str]:
     At first, each geom is a group of its own, named ``body\0number``. Then groups are merged into
     their parents: a geom's is its body, that of ``a/b`` is ``a``.
     """
-    names = [f"{geom.body}\0{geom_number}" for geom_number, geom in enumerate(geoms)]
-    distinct_names = set(names)
-    while len(distinct_names) > MERGE_DOWN_TO:
-        num_children = Counter(_parent_name(name) for name in distinct_names)
+    group_names = [f"{geom.body}\0{geom_number}" for geom_number, geom in enumerate(geoms)]
+    distinct_names = set(group_names)
+    while len(distinct_names) > NUM_MERGED_GROUPS:
+        num_children_of_parent = Counter(_parent_name(name) for name in distinct_names)
         num_groups = len(distinct_names)
         merged_parents = set[str]()
-        for parent, num_members in num_children.most_common():
-            if num_groups <= MERGE_DOWN_TO or (num_members == 1 and merged_parents):
+        for parent, num_members in num_children_of_parent.most_common():
+            if num_groups <= NUM_MERGED_GROUPS or (num_members == 1 and merged_parents):
                 break
             merged_parents.add(parent)
             num_groups -= num_members - 1
         if num_groups == len(distinct_names):
-            merged_parents = set(num_children)
-        parents = [_parent_name(name) for name in names]
-        names = [
+            merged_parents = set(num_children_of_parent)
+        parent_names = [_parent_name(name) for name in group_names]
+        group_names = [
             parent if parent in merged_parents else name
-            for name, parent in zip(names, parents, strict=True)
+            for name, parent in zip(group_names, parent_names, strict=True)
         ]
-        distinct_names = set(names)
-    return names
+        distinct_names = set(group_names)
+    return group_names
 
 
 def _parent_name(name: str) -> str:
@@ -516,8 +517,10 @@ def _merge_group(name: str, group_geoms: Sequence[ParsedGeom], decimals: int | N
         shape_key = (geom.kind, geom.size, geom.mode, id(geom.mesh))
         if shape_key not in mesh_of_shape:
             mesh = geom.mesh or tessellate(geom.kind, geom.size)
-            hull = hull_faces(mesh.vertices) if geom.mode == "hull" else None
-            mesh_of_shape[shape_key] = mesh if hull is None else Mesh(mesh.vertices, hull)
+            hull_triangles = hull_faces(mesh.vertices) if geom.mode == "hull" else None
+            mesh_of_shape[shape_key] = (
+                mesh if hull_triangles is None else Mesh(mesh.vertices, hull_triangles)
+            )
         meshes.append(mesh_of_shape[shape_key])
     poses = np.stack([geom.pose for geom in group_geoms])
     return ParsedGeom(
@@ -535,7 +538,7 @@ def _merge_group(name: str, group_geoms: Sequence[ParsedGeom], decimals: int | N
 # ---------------------------------------------------------------- compiling
 
 
-def model_of_meshes(
+def build_model_of_meshes(
     meshes: list[NamedMesh], path: Path, ground: float | None, warnings: list[str]
 ) -> tuple[mujoco.MjModel, dict[int, NamedMesh]]:
     """Compile a model that has a body and a geom for each mesh, with the mesh's name.
@@ -595,7 +598,9 @@ def compile_model(
         messages = messages or [type(error).__name__]
         # without repetitions, in order
         distinct_messages = dict.fromkeys(" ".join(message.split()) for message in messages)
-        reason = "; ".join(line for line in distinct_messages if line)
+        reason = "; ".join(
+            distinct_message for distinct_message in distinct_messages if distinct_message
+        )
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
         hint = "" if is_lack_of_memory(error) else hint
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error

@@ -24,23 +24,23 @@ from navbake.baker.readers.mesh import (
     MESH_SUFFIXES,
     StrayMeshError,
     join_meshes,
+    make_rotation_to_z_up,
     read_named_meshes,
-    rotation_to_z_up,
 )
 from navbake.baker.readers.parsed_scene import (
     JointTree,
     ParsedGeom,
     ParsedJoint,
     ParsedScene,
-    check_count,
+    check_geom_count,
 )
 from navbake.baker.readers.sdf_frames import (
     WORLD_NAMES,
     Element,
     Scope,
+    find_text,
     is_true,
-    numbers_of,
-    text_of,
+    parse_numbers,
 )
 from navbake.baker.readers.sdf_shapes import (
     extrude_outlines,
@@ -240,7 +240,7 @@ class _WorldReader:
 
     def _add_to_count(self) -> None:
         self._count += 1
-        check_count(self._count, self._path)
+        check_geom_count(self._count, self._path)
 
     def _find_models(self, scope: Scope) -> list[Scope]:
         """List the models directly in a world or a model, in their order in the file."""
@@ -271,9 +271,9 @@ class _WorldReader:
             that frames that are relative to the model have a pose. For a model that comes with
             Gazebo and isn't found, both are None.
         """
-        uri = text_of(include, "uri")
-        name = text_of(include, "name") or _model_name(uri)
-        full_name = scope.full_name(name)
+        uri = find_text(include, "uri")
+        name = find_text(include, "name") or _model_name(uri)
+        full_name = scope.make_full_name(name)
         empty_model = ElementTree.Element("model", {"name": name})
         is_excluded = self._is_excluded_body(full_name)
         file = self._find_model(uri, scope.file)
@@ -317,31 +317,31 @@ class _WorldReader:
                 name = element.get("name")
                 self._warn(f"population {name!r} of {scope.file} is left out: name its models")
             elif element.tag == "include":
-                uri = text_of(element, "uri")
+                uri = find_text(element, "uri")
                 if _is_model(uri, GROUND_MODEL) and self._find_model(uri, scope.file) is None:
                     ground_text = "taken as Gazebo's own, endless ground"
                     self._warn(f"{uri} of {scope.file} not found: {ground_text}")
-                    name = text_of(element, "name") or GROUND_MODEL
-                    pose = scope.pose_of_element(element)
+                    name = find_text(element, "name") or GROUND_MODEL
+                    pose = scope.find_pose_of_element(element)
                     self._add_geom(ParsedGeom(name, name, "plane", (0.0, 0.0), pose, drawn=False))
         for model in scope.models:
             self._read_model(model)
 
     def _read_model(self, scope: Scope) -> None:
         self._read_models(scope)
-        canonical_link = scope.canonical_link()
+        canonical_link = scope.find_canonical_link()
         for link in scope.element.findall("link"):
             link_name = str(link.get("name"))
-            full_name = scope.full_name(link_name)
+            full_name = scope.make_full_name(link_name)
             has_model_name = scope.is_static or link_name == canonical_link
             body = scope.name if has_model_name else full_name
             self._body_of_link[full_name] = "" if scope.is_static else body
             if not scope.is_static:
-                self._body_poses[body] = scope.pose_of(link_name)
+                self._body_poses[body] = scope.find_pose(link_name)
             for element in link:
                 if element.tag in ("collision", "visual"):
                     name = f"{full_name}::{element.get('name')}"
-                    pose = scope.pose_of_element(element, link_name)
+                    pose = scope.find_pose_of_element(element, link_name)
                     self._add_shape(scope, element, ParsedGeom(name, body, "", (), pose))
         if not scope.is_static:
             self._joints += [JointOfScope(scope, joint) for joint in scope.element.findall("joint")]
@@ -372,7 +372,7 @@ class _WorldReader:
         )
         file = None
         if shape.tag in FILE_SHAPES:
-            uri = text_of(shape, "uri")
+            uri = find_text(shape, "uri")
             candidate_files = list(list_sdf_paths(uri, scope.file, self._model_folders))
             file = next(
                 (candidate_file for candidate_file in candidate_files if candidate_file.is_file()),
@@ -423,8 +423,8 @@ class _WorldReader:
             element_text: the ``<collision>`` or ``<visual>``, for errors.
             warnings: the list to which warnings of the file are added, each time it is used.
         """
-        submesh = text_of(shape, "submesh/name")
-        is_centered = is_true(text_of(shape, "submesh/center"))
+        submesh = find_text(shape, "submesh/name")
+        is_centered = is_true(find_text(shape, "submesh/center"))
         mesh_key = MeshKey(file, submesh, is_centered)
         if mesh_key not in self._meshes:
             suffix = file.suffix.lower()
@@ -471,12 +471,12 @@ class _WorldReader:
             if not frame_name:
                 if frame_scope.parent is None:
                     return ""
-                frame_name = frame_scope.canonical_link()
+                frame_name = frame_scope.find_canonical_link()
                 continue
-            element = frame_scope.frame(frame_name)
+            element = frame_scope.get_frame_element(frame_name)
             if element.tag == "link":
-                return self._body_of_link[frame_scope.full_name(frame_name)]
-            child = text_of(element, "child") if element.tag == "joint" else ""
+                return self._body_of_link[frame_scope.make_full_name(frame_name)]
+            child = find_text(element, "child") if element.tag == "joint" else ""
             frame_name = child or element.get("attached_to", "")
         raise SceneError(f"no link {name!r} of {scope.name or 'the world'} in {scope.file}")
 
@@ -488,16 +488,16 @@ class _WorldReader:
 
     def _attach(self, joint_tree: JointTree, scope: Scope, element: Element) -> None:
         """Attach the child of a ``<joint>`` to its parent."""
-        name = scope.full_name(str(element.get("name")))
+        name = scope.make_full_name(str(element.get("name")))
         joint_text = f"joint {name!r} of {scope.file}"
-        end_names = (text_of(element, "parent"), text_of(element, "child"))
-        if any(self._is_in_missing_model(scope.full_name(end_name)) for end_name in end_names):
+        end_names = (find_text(element, "parent"), find_text(element, "child"))
+        if any(self._is_in_missing_model(scope.make_full_name(end_name)) for end_name in end_names):
             self._warn(f"{joint_text} is left out: a model that it joins is missing")
             return
-        parent = self._find_body(scope, end_names[0])
-        child = self._find_body(scope, end_names[1])
+        parent_body = self._find_body(scope, end_names[0])
+        child_body = self._find_body(scope, end_names[1])
         joint = self._read_joint(scope, element, name, joint_text)
-        if not child or not joint_tree.attach(parent, child, joint):
+        if not child_body or not joint_tree.attach(parent_body, child_body, joint):
             self._warn(f"{joint_text} is left out: its bodies don't move, or hang on other joints")
 
     def _read_joint(
@@ -515,25 +515,25 @@ class _WorldReader:
             The joint; None if it is fixed, or of a type that navbake doesn't know.
         """
         joint_type = str(element.get("type"))
-        pose = scope.pose_of(str(element.get("name")))
+        pose = scope.find_pose(str(element.get("name")))
         axis = element.find("axis")
         if joint_type == "ball":
             return ParsedJoint(name, "ball", pose[:3, 3], np.zeros(3))
         if joint_type in (*HINGE_TYPES, "prismatic") and axis is not None:
             axis_direction = np.array(
-                numbers_of(text_of(axis, "xyz") or "0 0 1", 3, f"<xyz> of {joint_text}")
+                parse_numbers(find_text(axis, "xyz") or "0 0 1", 3, f"<xyz> of {joint_text}")
             )
             xyz = axis.find("xyz")
             axis_frame = "" if xyz is None else xyz.get("expressed_in", "")
-            axis_pose = scope.pose_of(axis_frame) if axis_frame else pose
-            version = _read_sdf_version(self._parse(scope.file))
-            is_old = version <= LAST_VERSION_WITH_MODEL_AXES
-            if is_old or is_true(text_of(axis, "use_parent_model_frame")):
-                axis_pose = scope.pose_of("")
-            lower_text = text_of(axis, "limit/lower") or "-1e16"
-            upper_text = text_of(axis, "limit/upper") or "1e16"
-            lower_limit = numbers_of(lower_text, 1, f"<lower> of {joint_text}")[0]
-            upper_limit = numbers_of(upper_text, 1, f"<upper> of {joint_text}")[0]
+            axis_pose = scope.find_pose(axis_frame) if axis_frame else pose
+            sdf_version = _read_sdf_version(self._parse(scope.file))
+            is_old = sdf_version <= LAST_VERSION_WITH_MODEL_AXES
+            if is_old or is_true(find_text(axis, "use_parent_model_frame")):
+                axis_pose = scope.find_pose("")
+            lower_text = find_text(axis, "limit/lower") or "-1e16"
+            upper_text = find_text(axis, "limit/upper") or "1e16"
+            lower_limit = parse_numbers(lower_text, 1, f"<lower> of {joint_text}")[0]
+            upper_limit = parse_numbers(upper_text, 1, f"<upper> of {joint_text}")[0]
             is_limited = (
                 lower_limit < upper_limit
                 and max(-lower_limit, upper_limit) < MAX_JOINT_LIMIT
@@ -557,14 +557,14 @@ class _ShapeReader(NamedTuple):
     Attributes:
         geometry: the ``<geometry>``.
         shape: its first element, the shape.
-        place: a geom without a shape: its name, body and pose.
-        where: the ``<collision>`` or ``<visual>`` and its file, for errors.
+        placed_geom: a geom without a shape: its name, body and pose.
+        element_text: the ``<collision>`` or ``<visual>`` and its file, for errors.
     """
 
     geometry: Element
     shape: Element
-    place: ParsedGeom
-    where: str
+    placed_geom: ParsedGeom
+    element_text: str
 
     def read(
         self, file: Path | None, read_mesh: MeshReader, *, is_visual: bool
@@ -604,9 +604,9 @@ class _ShapeReader(NamedTuple):
         if file is None:
             return []
         if shape_tag == "mesh":
-            mesh = read_mesh(file, self.shape, self.where)
+            mesh = read_mesh(file, self.shape, self.element_text)
             scale = np.diag([*self._numbers("scale", 3, [1.0, 1.0, 1.0]), 1.0])
-            return [self._geom("mesh")._replace(mesh=mesh, pose=self.place.pose @ scale)]
+            return [self._geom("mesh")._replace(mesh=mesh, pose=self.placed_geom.pose @ scale)]
         if shape_tag == "image":
             return self._read_image(file)
         height_field = read_height_field(file, self._numbers("size", 3, [1.0, 1.0, 1.0]))
@@ -619,7 +619,9 @@ class _ShapeReader(NamedTuple):
     ) -> list[float]:
         if default is not None and self.shape.find(key) is None:
             return default
-        return numbers_of(text_of(self.shape, key), num_values, f"<{key}> of {self.where}")
+        return parse_numbers(
+            find_text(self.shape, key), num_values, f"<{key}> of {self.element_text}"
+        )
 
     def _number(self, key: str, default: float | None = None) -> float:
         return self._numbers(key, 1, None if default is None else [default])[0]
@@ -638,18 +640,18 @@ class _ShapeReader(NamedTuple):
             position: where the geom's centre is, in the frame of the ``<collision>`` or
                 ``<visual>``, (3,) [m]; at its origin if None.
         """
-        pose = self.place.pose.copy()
+        pose = self.placed_geom.pose.copy()
         if position is not None:
             pose[:3, 3] += pose[:3, :3] @ np.asarray(position)
-        return self.place._replace(kind=geom_type, size=size, pose=pose)
+        return self.placed_geom._replace(kind=geom_type, size=size, pose=pose)
 
     def _read_plane(self, *, is_visual: bool) -> ParsedGeom:
         normal = np.array(self._numbers("normal", 3, [0.0, 0.0, 1.0]))
-        pose = self.place.pose.copy()
-        pose[:3, :3] = pose[:3, :3] @ rotation_to_z_up(normal).T
+        pose = self.placed_geom.pose.copy()
+        pose[:3, :3] = pose[:3, :3] @ make_rotation_to_z_up(normal).T
         # A plane that collides is endless; only one that is drawn has a size.
         side_lengths = self._numbers("size", 2, [0.0, 0.0]) if is_visual else [0.0, 0.0]
-        return self.place._replace(
+        return self.placed_geom._replace(
             kind="plane", size=(side_lengths[0] / 2, side_lengths[1] / 2), pose=pose
         )
 
@@ -658,7 +660,7 @@ class _ShapeReader(NamedTuple):
         outlines = list[Float]()
         for polyline in self.geometry.findall("polyline"):
             points = [
-                numbers_of((point.text or "").strip(), 2, f"<point> of {self.where}")
+                parse_numbers((point.text or "").strip(), 2, f"<point> of {self.element_text}")
                 for point in polyline.findall("point")
             ]
             if points:
@@ -666,7 +668,7 @@ class _ShapeReader(NamedTuple):
         try:
             prisms = extrude_outlines(outlines, height) if outlines else []
         except ValueError as error:
-            raise SceneError(f"cannot extrude {self.where}: {error}") from error
+            raise SceneError(f"cannot extrude {self.element_text}: {error}") from error
         return [self._geom("mesh")._replace(mesh=prism, mode="hull") for prism in prisms]
 
     def _read_image(self, file: Path) -> list[ParsedGeom]:

@@ -90,7 +90,7 @@ class Scope:
         # Where an <include> states a name, a pose or <static>, that counts instead of the model's.
         self.local_name = str(element.get("name", "model"))
         if placement is not element:
-            self.local_name = text_of(placement, "name") or self.local_name
+            self.local_name = find_text(placement, "name") or self.local_name
             self.is_merged = parent.parent is not None and is_true(placement.get("merge", ""))
         self.name = f"{parent.name}::{self.local_name}" if parent.name else self.local_name
         self.depth = parent.depth + 1
@@ -100,7 +100,7 @@ class Scope:
             return
         for stating_element in (placement, element):
             if stating_element.find("static") is not None:
-                self.is_static |= is_true(text_of(stating_element, "static"))
+                self.is_static |= is_true(find_text(stating_element, "static"))
                 break
 
     @cached_property
@@ -113,7 +113,7 @@ class Scope:
         """Local name -> scope, of the models directly in this scope that are not merged into it."""
         return {model.local_name: model for model in self.models if not model.is_merged}
 
-    def full_name(self, name: str) -> str:
+    def make_full_name(self, name: str) -> str:
         """Return the full name of something in this scope, such as ``house::door::leaf``.
 
         Args:
@@ -121,8 +121,8 @@ class Scope:
         """
         return f"{self.name}::{name}" if self.name else name
 
-    def frame(self, name: str) -> Element:
-        """Return the XML element of a frame of this scope: of a link, a joint or a frame."""
+    def get_frame_element(self, name: str) -> Element:
+        """Return the ``<link>``, ``<joint>`` or ``<frame>`` with a name in this scope."""
         return self._frames[name]
 
     def resolve(self, name: str) -> FrameInScope:
@@ -159,13 +159,13 @@ class Scope:
                     return frame
         return None
 
-    def canonical_link(self) -> str:
+    def find_canonical_link(self) -> str:
         """Return the name of the model's canonical link; empty if the model has no link.
 
         It is the link that the model states as canonical, or else the model's first link.
         """
         if self.is_merged and self.parent is not None:
-            return self.parent.canonical_link()
+            return self.parent.find_canonical_link()
         return self.element.get("canonical_link") or self._first_link()
 
     def _first_link(self) -> str:
@@ -178,7 +178,7 @@ class Scope:
                 return first_link if model.is_merged else f"{model.local_name}::{first_link}"
         return ""
 
-    def pose_of(self, name: str) -> Float:
+    def find_pose(self, name: str) -> Float:
         """Return the pose of a frame in the world, (4, 4) [m].
 
         Args:
@@ -191,7 +191,7 @@ class Scope:
             return np.eye(4)
         frame = self.resolve(name)
         if frame.scope is not self:
-            return frame.scope.pose_of(frame.name)
+            return frame.scope.find_pose(frame.name)
         name = frame.name
         if name not in self._poses:
             if name in self._pending:
@@ -206,12 +206,12 @@ class Scope:
         if name:
             frame = self._frames[name]
             is_joint = frame.tag == "joint"
-            base_frame = text_of(frame, "child") if is_joint else frame.get("attached_to", "")
-            return self.pose_of_element(frame, base_frame)
+            base_frame = find_text(frame, "child") if is_joint else frame.get("attached_to", "")
+            return self.find_pose_of_element(frame, base_frame)
         assert self.parent is not None
         is_placed = self._placement.find("pose") is not None
-        pose = self.parent.pose_of_element(self._placement if is_placed else self.element)
-        placement_frame = text_of(self._placement, "placement_frame")
+        pose = self.parent.find_pose_of_element(self._placement if is_placed else self.element)
+        placement_frame = find_text(self._placement, "placement_frame")
         placement_frame = placement_frame or self.element.get("placement_frame", "")
         if placement_frame:  # the stated pose is that of this frame, not of the model's
             # A copy of the model at the origin gives the anchor's pose in the model's frame.
@@ -219,14 +219,14 @@ class Scope:
                 self._find_models, self.element, self._placement, self.file, self.parent
             )
             model_at_origin._poses[""] = np.eye(4)
-            pose = pose @ np.linalg.inv(model_at_origin.pose_of(placement_frame))
+            pose = pose @ np.linalg.inv(model_at_origin.find_pose(placement_frame))
         return pose
 
     @property
     def _where(self) -> str:
         return f"of {self.name or 'the world'} in {self.file}"
 
-    def pose_of_element(self, element: Element, base_frame: str = "") -> Float:
+    def find_pose_of_element(self, element: Element, base_frame: str = "") -> Float:
         """Return the pose of an element in the world, by its ``<pose>``, (4, 4) [m].
 
         Args:
@@ -237,7 +237,7 @@ class Scope:
         pose = element.find("pose")
         if pose is not None:
             base_frame = pose.get("relative_to", "") or base_frame
-        return self.pose_of(base_frame) @ read_pose(pose, self.file)
+        return self.find_pose(base_frame) @ read_pose(pose, self.file)
 
 
 def is_true(text: str) -> bool:
@@ -245,7 +245,7 @@ def is_true(text: str) -> bool:
     return text.strip().lower() in ("1", "true")
 
 
-def text_of(element: Element, path: str) -> str:
+def find_text(element: Element, path: str) -> str:
     """Return the stripped text of a descendant of an element; empty if there is none.
 
     Args:
@@ -255,7 +255,7 @@ def text_of(element: Element, path: str) -> str:
     return (element.findtext(path) or "").strip()
 
 
-def numbers_of(text: str, num_numbers: int, place_text: str) -> list[float]:
+def parse_numbers(text: str, num_numbers: int, place_text: str) -> list[float]:
     """Parse numbers that are separated by spaces.
 
     Args:
@@ -294,7 +294,7 @@ def read_pose(element: Element | None, file: Path) -> Float:
     if element is None or not text:
         return pose
     is_quaternion = element.get("rotation_format", "euler_rpy") == "quat_xyzw"
-    numbers = numbers_of(text, 7 if is_quaternion else 6, f"<pose> of {file}")
+    numbers = parse_numbers(text, 7 if is_quaternion else 6, f"<pose> of {file}")
     pose[:3, 3] = numbers[:3]
     if is_quaternion:
         x, y, z, w = numbers[3:]

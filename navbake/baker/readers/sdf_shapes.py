@@ -2,9 +2,9 @@
 
 The area that outlines (``<polyline>``) enclose is cut into trapezoids at the y of all corners and
 crossings, and each trapezoid becomes a convex prism. So holes, and outlines that cross themselves,
-need no rules of their own. A trapezoid goes on past such a y as long as its two sides do, so there
-are about as many trapezoids as corners and crossings. What an odd number of outlines encloses is
-solid, as in Gazebo.
+need no rules of their own. A trapezoid continues past such a y as long as its two sides do, so
+there are about as many trapezoids as corners and crossings. What an odd number of outlines encloses
+is solid, as in Gazebo.
 
 Sources: SDFormat specification 1.12, geometry.sdf; gazebosim/gz-common, MeshManager.cc
 (ExtrudePolyline: several outlines, the first one's height) and DelaunayTriangulation.cc (what an
@@ -53,14 +53,14 @@ class HeightField(NamedTuple):
     lowest: float
 
 
-def read_height_field(file: Path, sides: Sequence[float]) -> HeightField:
+def read_height_field(file: Path, dimensions: Sequence[float]) -> HeightField:
     """Read a height field from an image: the brighter a pixel, the higher the ground.
 
     The first row of pixels is at the largest y.
 
     Args:
         file: the image.
-        sides: the height field's width, its depth, and the height of the brightest pixel [m].
+        dimensions: the height field's width, its depth, and the height of the brightest pixel [m].
 
     Raises:
         SceneError: the image is broken.
@@ -69,11 +69,11 @@ def read_height_field(file: Path, sides: Sequence[float]) -> HeightField:
     brightness /= max(float(brightness.max()), 1.0)
     min_brightness = float(brightness.min())
     max_brightness = float(brightness.max())
-    height_range = max((max_brightness - min_brightness) * sides[2], MIN_HEIGHT_RANGE)
+    height_range = max((max_brightness - min_brightness) * dimensions[2], MIN_HEIGHT_RANGE)
     return HeightField(
         heights=(brightness - min_brightness) / ((max_brightness - min_brightness) or 1.0),
-        size=(sides[0] / 2, sides[1] / 2, height_range, HEIGHT_FIELD_BASE),
-        lowest=min_brightness * sides[2],
+        size=(dimensions[0] / 2, dimensions[1] / 2, height_range, HEIGHT_FIELD_BASE),
+        lowest=min_brightness * dimensions[2],
     )
 
 
@@ -158,16 +158,16 @@ def extrude_outlines(outlines: Sequence[Float], height: float) -> list[Mesh]:
 
 def _extrude(outlines: Sequence[Float], height: float) -> list[Mesh]:
     """Make prisms of what outlines enclose, see `extrude_outlines`; numbers may overflow."""
-    starts = np.concatenate(outlines)
-    ends = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])
-    is_flat = starts[:, 1] == ends[:, 1]
-    is_down = starts[:, 1] > ends[:, 1]
-    lower_ends = np.where(is_down[:, None], ends, starts)[~is_flat]
-    upper_ends = np.where(is_down[:, None], starts, ends)[~is_flat]
+    edge_starts = np.concatenate(outlines)
+    edge_ends = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])
+    is_horizontal = edge_starts[:, 1] == edge_ends[:, 1]
+    points_down = edge_starts[:, 1] > edge_ends[:, 1]
+    lower_ends = np.where(points_down[:, None], edge_ends, edge_starts)[~is_horizontal]
+    upper_ends = np.where(points_down[:, None], edge_starts, edge_ends)[~is_horizontal]
     if len(lower_ends) > MAX_EDGES:
         raise ValueError(f"an outline of {len(lower_ends)} edges, {MAX_EDGES} at most")
     slopes = (upper_ends[:, 0] - lower_ends[:, 0]) / (upper_ends[:, 1] - lower_ends[:, 1])
-    corner_heights = np.unique(starts[:, 1])
+    corner_heights = np.unique(edge_starts[:, 1])
     cut_heights = np.unique(
         np.concatenate([corner_heights, _crossing_heights(lower_ends, upper_ends, slopes)])
     )
@@ -237,13 +237,13 @@ def _find_trapezoids(
     for bottom, top in zip(cut_heights[:-1].tolist(), cut_heights[1:].tolist(), strict=True):
         if top - bottom < MIN_SLICE_HEIGHT:
             continue
-        edges = np.flatnonzero((lower_ends[:, 1] <= bottom) & (upper_ends[:, 1] >= top))
-        middle_x = lower_ends[edges, 0] + slopes[edges] * (
-            (bottom + top) / 2 - lower_ends[edges, 1]
+        edge_indices = np.flatnonzero((lower_ends[:, 1] <= bottom) & (upper_ends[:, 1] >= top))
+        middle_x = lower_ends[edge_indices, 0] + slopes[edge_indices] * (
+            (bottom + top) / 2 - lower_ends[edge_indices, 1]
         )
-        edges_by_x = edges[np.argsort(middle_x, kind="stable")].tolist()
+        edge_indices_by_x = edge_indices[np.argsort(middle_x, kind="stable")].tolist()
         # an odd number of edges is to the left of what is enclosed
-        side_pairs = [*zip(edges_by_x[::2], edges_by_x[1::2], strict=False)]
+        side_pairs = [*zip(edge_indices_by_x[::2], edge_indices_by_x[1::2], strict=False)]
         for left, right in bottom_of_sides.keys() - {*side_pairs}:
             trapezoids.append(_Trapezoid(left, right, bottom_of_sides[left, right], slice_top))
         bottom_of_sides = {
@@ -272,11 +272,11 @@ def _crossing_heights(lower_ends: Float, upper_ends: Float, slopes: Float) -> Fl
     )[1].ravel()
     corners_of_edges = corner_of_end.reshape(2, -1)
     may_cross = slope_differences != 0.0
-    for one_end, other_end in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        may_cross &= corners_of_edges[one_end][:, None] != corners_of_edges[other_end][None, :]
-    differences = x_at_zero[None, :] - x_at_zero[:, None]
+    for first_end, second_end in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        may_cross &= corners_of_edges[first_end][:, None] != corners_of_edges[second_end][None, :]
+    x_differences = x_at_zero[None, :] - x_at_zero[:, None]
     crossing_y = np.divide(
-        differences, slope_differences, where=may_cross, out=np.full_like(differences, 0)
+        x_differences, slope_differences, where=may_cross, out=np.full_like(x_differences, 0)
     )
     min_y = np.maximum(lower_ends[:, None, 1], lower_ends[None, :, 1])
     max_y = np.minimum(upper_ends[:, None, 1], upper_ends[None, :, 1])

@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.geometry.shapes import Mesh, tessellate, triangulate
-from navbake.baker.readers.mesh import AXIS_VECTORS, rotation_to_z_up
+from navbake.baker.readers.mesh import AXIS_VECTORS, make_rotation_to_z_up
 from navbake.baker.readers.parsed_scene import (
     JointTree,
     ParsedGeom,
     ParsedJoint,
     ParsedScene,
-    check_count,
-    reading,
+    check_geom_count,
+    convert_read_errors,
 )
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
@@ -200,9 +200,9 @@ class _StageReader:
 
     def read(self) -> ParsedScene:
         """Read all prims, then make the bodies and the geoms of the parsed scene."""
-        for error in self._stage.GetCompositionErrors():
-            prim_paths = re.findall(r"<([^<>]*)>", str(error.rootSite)[-MAX_MESSAGE:])
-            error_text = " ".join(str(error)[:MAX_MESSAGE].split())
+        for composition_error in self._stage.GetCompositionErrors():
+            prim_paths = re.findall(r"<([^<>]*)>", str(composition_error.rootSite)[-MAX_MESSAGE:])
+            error_text = " ".join(str(composition_error)[:MAX_MESSAGE].split())
             error_text = re.sub(r",@anon:[^@]*@", "", error_text)[:300]
             prim_path = prim_paths[-1] if prim_paths else "/"
             self._parsed_scene.warnings.append(f"prim {prim_path} of {self._path}: {error_text}")
@@ -217,24 +217,26 @@ class _StageReader:
 
     # ------------------------------------------------------------ prims
 
-    def _read_prims_below(self, root: Usd.Prim, state: _PrimState, prefix: str = "") -> None:
+    def _read_prims_below(
+        self, root: Usd.Prim, inherited_state: _PrimState, prefix: str = ""
+    ) -> None:
         """Read a prim and its descendants, in their order.
 
         Args:
             root: the prim.
-            state: what the prim inherits.
+            inherited_state: what the prim inherits.
             prefix: what is removed from the start of the prims' paths to make their names.
         """
-        with_instances = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
-        unread_prims = [(root, state)]
+        traversal_predicate = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+        unread_prims = [(root, inherited_state)]
         while unread_prims:
             prim, parent_state = unread_prims.pop()
             name = str(prim.GetPath()).removeprefix(prefix)
-            with reading(f"prim {prim.GetPath()} of {self._path}"):
+            with convert_read_errors(f"prim {prim.GetPath()} of {self._path}"):
                 prim_state = self._find_state(prim, name, parent_state)
                 reads_children = self._read_prim(prim, name, prim_state)
             if reads_children:
-                children = reversed(prim.GetFilteredChildren(with_instances))
+                children = reversed(prim.GetFilteredChildren(traversal_predicate))
                 unread_prims += [(child, prim_state) for child in children]
 
     def _read_prim(self, prim: Usd.Prim, name: str, state: _PrimState) -> bool:
@@ -378,10 +380,10 @@ class _StageReader:
         """Read the shape of a mesh, or get it from the cache; None if it is empty."""
         shared_prim = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
         as_bounding_box = state.collides and state.approximation == "boundingCube"
-        key = _MeshKey(shared_prim.GetPath(), as_bounding_box)
-        if key not in self._meshes:
-            self._meshes[key] = self._read_triangles(prim, as_bounding_box=as_bounding_box)
-        mesh = self._meshes[key]
+        mesh_key = _MeshKey(shared_prim.GetPath(), as_bounding_box)
+        if mesh_key not in self._meshes:
+            self._meshes[mesh_key] = self._read_triangles(prim, as_bounding_box=as_bounding_box)
+        mesh = self._meshes[mesh_key]
         return None if mesh is None else _PrimShape("mesh", (), np.eye(3), mesh)
 
     def _read_triangles(self, prim: Usd.Prim, *, as_bounding_box: bool) -> Mesh | None:
@@ -417,9 +419,9 @@ class _StageReader:
                 lowest_corner + (unit_box.vertices + 0.5) * (highest_corner - lowest_corner),
                 unit_box.faces,
             )
-        holes = prim.GetAttribute("holeIndices").Get(self._time) or []
+        hole_indices = prim.GetAttribute("holeIndices").Get(self._time) or []
         faces = triangulate(
-            vertices, corner_counts, corner_indices, np.array(holes, dtype=np.int64)
+            vertices, corner_counts, corner_indices, np.array(hole_indices, dtype=np.int64)
         )
         if self._get(prim, "orientation") == "leftHanded":
             faces = faces[:, ::-1]
@@ -478,7 +480,7 @@ class _StageReader:
             instance_name = f"{name}/{point_number}"
             instance_matrix = point_matrices[point_number] * state.matrix
             prototype_geometry = geometry_of_prototype[prototype_index]
-            check_count(len(self._geometry) + len(prototype_geometry), self._path)
+            check_geom_count(len(self._geometry) + len(prototype_geometry), self._path)
             for geometry in prototype_geometry:
                 self._geometry.append(
                     geometry._replace(
@@ -498,8 +500,8 @@ class _StageReader:
         outer_bodies = dict(self._rigid_bodies)
         outer_joints = list(self._joints)
         self._geometry = []
-        at_origin = state._replace(matrix=Gf.Matrix4d(1.0))
-        self._read_prims_below(root, at_origin, prefix=str(root.GetPath()))
+        state_at_origin = state._replace(matrix=Gf.Matrix4d(1.0))
+        self._read_prims_below(root, state_at_origin, prefix=str(root.GetPath()))
         prototype_geometry = self._geometry
         self._geometry = outer_geometry
         self._rigid_bodies = outer_bodies
@@ -519,12 +521,14 @@ class _StageReader:
             for name, matrix in self._rigid_bodies.items()
         }
         joint_tree = JointTree(poses)
-        frames = UsdGeom.XformCache(self._time)
+        transform_cache = UsdGeom.XformCache(self._time)
         for prim in self._joints:
-            self._attach(joint_tree, prim, frames)
+            self._attach(joint_tree, prim, transform_cache)
         self._parsed_scene.bodies = joint_tree.make_bodies(fixed_names=self._kinematic_bodies)
 
-    def _attach(self, joint_tree: JointTree, prim: Usd.Prim, frames: UsdGeom.XformCache) -> None:
+    def _attach(
+        self, joint_tree: JointTree, prim: Usd.Prim, transform_cache: UsdGeom.XformCache
+    ) -> None:
         """Attach one of the two bodies that a joint's prim connects to the other one."""
         joint = UsdPhysics.Joint(prim)
         name = str(prim.GetPath())
@@ -544,8 +548,8 @@ class _StageReader:
         if not child:
             self._leave_out("it ties no rigid body", name)
             return
-        with reading(f"joint {name} of {self._path}"):
-            parsed_joint = self._read_joint(prim, joint_type, frames, is_swapped)
+        with convert_read_errors(f"joint {name} of {self._path}"):
+            parsed_joint = self._read_joint(prim, joint_type, transform_cache, is_swapped)
         if not joint_tree.attach(parent, child, parsed_joint):
             self._leave_out("its bodies hang on other joints already", name)
 
@@ -558,14 +562,14 @@ class _StageReader:
         return "" if name in self._kinematic_bodies else name
 
     def _read_joint(
-        self, prim: Usd.Prim, joint_type: str, frames: UsdGeom.XformCache, is_swapped: bool
+        self, prim: Usd.Prim, joint_type: str, transform_cache: UsdGeom.XformCache, is_swapped: bool
     ) -> ParsedJoint | None:
         """Read a joint.
 
         Args:
             prim: the joint's prim.
             joint_type: hinge, slide, ball or fixed.
-            frames: the cache of the transforms of the stage's prims.
+            transform_cache: the cache of the transforms of the stage's prims.
             is_swapped: whether the joint's first body is the child of its second one.
 
         Returns:
@@ -574,8 +578,8 @@ class _StageReader:
         if joint_type == "fixed":
             return None
         joint = UsdPhysics.Joint(prim)
-        first_end = self._find_joint_end(prim, 0, joint.GetBody0Rel(), frames)
-        second_end = self._find_joint_end(prim, 1, joint.GetBody1Rel(), frames)
+        first_end = self._find_joint_end(prim, 0, joint.GetBody0Rel(), transform_cache)
+        second_end = self._find_joint_end(prim, 1, joint.GetBody1Rel(), transform_cache)
         axis_number = (
             0 if joint_type == "ball" else "XYZ".index(self._get_axis(prim, "physics:axis"))
         )
@@ -622,7 +626,7 @@ class _StageReader:
         prim: Usd.Prim,
         body_number: int,
         body_relationship: Usd.Relationship,
-        frames: UsdGeom.XformCache,
+        transform_cache: UsdGeom.XformCache,
     ) -> _JointEnd:
         """Find the frame of a joint on one of its two bodies.
 
@@ -630,11 +634,13 @@ class _StageReader:
             prim: the joint's prim.
             body_number: 0 for the first body, 1 for the second.
             body_relationship: the joint's relationship to this body.
-            frames: the cache of the transforms of the stage's prims.
+            transform_cache: the cache of the transforms of the stage's prims.
         """
         targets = body_relationship.GetForwardedTargets()
         body_prim = self._stage.GetPrimAtPath(targets[0]) if targets else None
-        matrix = frames.GetLocalToWorldTransform(body_prim) if body_prim else Gf.Matrix4d(1.0)
+        matrix = (
+            transform_cache.GetLocalToWorldTransform(body_prim) if body_prim else Gf.Matrix4d(1.0)
+        )
         to_world = self._matrix_to_world(matrix)
         position = np.array(self._get(prim, f"physics:localPos{body_number}"), dtype=np.float64)
         rotation = np.array(Gf.Matrix3d(self._get(prim, f"physics:localRot{body_number}"))).T
@@ -666,8 +672,8 @@ class _StageReader:
             return
         matrices = np.array([geometry.matrix for geometry in self._geometry])
         to_world = self._to_world @ matrices.transpose(0, 2, 1)
-        frames = np.stack([geometry.shape.frame for geometry in self._geometry])
-        to_world[:, :3, :3] = to_world[:, :3, :3] @ frames
+        solid_frames = np.stack([geometry.shape.frame for geometry in self._geometry])
+        to_world[:, :3, :3] = to_world[:, :3, :3] @ solid_frames
         scales = np.linalg.norm(to_world[:, :3, :3], axis=1)
         rotations = to_world[:, :3, :3] / np.where(scales > 0, scales, 1.0)[:, None]
         axis_cosines = rotations.transpose(0, 2, 1) @ rotations
@@ -823,5 +829,5 @@ def _find_stage_frame(stage: Usd.Stage, path: Path, settings: SceneSettings) -> 
     if not 0 < unit < np.inf:
         raise SceneError(f"expected metersPerUnit > 0 in {path}, got {unit:g}")
     matrix = np.eye(4)
-    matrix[:3, :3] = rotation_to_z_up(up) * unit
+    matrix[:3, :3] = make_rotation_to_z_up(up) * unit
     return unit, matrix

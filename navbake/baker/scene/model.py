@@ -36,13 +36,13 @@ from navbake.baker.readers.mesh import (
 from navbake.baker.readers.orientation import orient_meshes
 from navbake.baker.readers.parsed_scene import (
     build_model,
+    build_model_of_meshes,
     catch_warnings,
     compile_geometry,
     compile_model,
     compile_spec,
+    convert_read_errors,
     fill_mesh,
-    model_of_meshes,
-    reading,
 )
 from navbake.baker.scene.names import name_at
 from navbake.baker.scene.pose import data_with_joints
@@ -161,14 +161,14 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
         if suffix in MESH_SUFFIXES:
             read_meshes = partial(read_named_meshes, path, unit=settings.unit, warnings=warnings)
             meshes = orient_meshes(read_meshes, settings, warnings)
-            model, exact_meshes = model_of_meshes(meshes, path, ground_height, warnings)
+            model, exact_meshes = build_model_of_meshes(meshes, path, ground_height, warnings)
         elif suffix == MJB_SUFFIX:
             model = _load_binary(path, ground_height, warnings)
         elif suffix in XML_SUFFIXES:
             check_inputs(path, settings.model_path)
             model = _load_xml(settings, warnings)
         elif suffix in READERS:
-            with reading(str(path)):
+            with convert_read_errors(str(path)):
                 parsed_scene = resolve(READERS[suffix])(path, settings)
                 model, exact_meshes = build_model(parsed_scene, path, ground_height, warnings)
             named_leaves = frozenset(parsed_scene.named_leaves)
@@ -588,7 +588,7 @@ def load_from_memory(
         else:
             read_meshes = partial(convert_trimesh, scene, path, unit=settings.unit)
             meshes = orient_meshes(read_meshes, settings, warnings)
-            model, exact_meshes = model_of_meshes(meshes, path, ground_height, warnings)
+            model, exact_meshes = build_model_of_meshes(meshes, path, ground_height, warnings)
     scene_model = SceneModel(model, exact_meshes, find_ground(model, settings), warnings)
     if data is None:
         return scene_model

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.geometry.shapes import Shapes
-from navbake.baker.readers.mesh import NamedMesh, bounds_of_meshes
+from navbake.baker.readers.mesh import NamedMesh, measure_mesh_bounds
 from navbake.baker.readers.parsed_scene import catch_warnings
 from navbake.baker.scene.collect import (
     TYPE_NAMES,
@@ -503,7 +503,7 @@ def _warn_size(
     suffix = Path(settings.path).suffix.lower()
     # SDF and USD have a known unit.
     is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES | STAGE_SUFFIXES
-    bounds_to_check = bounds_of_meshes(exact_meshes.values()) if is_mesh_file else bounds
+    bounds_to_check = measure_mesh_bounds(exact_meshes.values()) if is_mesh_file else bounds
     side_lengths = np.diff(bounds_to_check, axis=0)[0]
     width = float(side_lengths.max())
     height = float(side_lengths[2])

@@ -14,7 +14,7 @@ from navbake.baker.geometry.triangle_kernels import (
     measure_spans,
     unit_normal,
 )
-from navbake.baker.readers.orientation import AXIS_DISTANCE, list_axes
+from navbake.baker.readers.orientation import MAX_AXIS_DISTANCE, list_axes
 
 # parts of kernels as functions that Python can call
 unit_normal = numba.njit(unit_normal.py_func)
@@ -78,7 +78,7 @@ def test_nearest_directions():
     normal[:5000, 2] *= 0.01  # of walls
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     nearest = np.empty(len(normal), dtype=np.int64)
-    find_nearest_axes(normal, axes, AXIS_DISTANCE, nearest, 0, len(normal))
+    find_nearest_axes(normal, axes, MAX_AXIS_DISTANCE, nearest, 0, len(normal))
     np.testing.assert_array_equal(nearest, np.abs(normal @ axes.T).argmax(axis=1))
 
 

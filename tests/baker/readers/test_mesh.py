@@ -13,7 +13,7 @@ import trimesh
 from PIL import Image
 
 from navbake.baker.readers import mesh as mesh_scene
-from navbake.baker.readers.mesh import read_named_meshes, read_plain
+from navbake.baker.readers.mesh import read_named_meshes, read_plain_file
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from project_paths import SHARED_DATA
@@ -465,13 +465,13 @@ def test_plain_files_are_read_as_trimesh_reads_them(read, name, content, monkeyp
 def test_what_is_not_plain_is_left_to_trimesh(tmp_path, name, content):
     path = tmp_path / name
     path.write_bytes(content)
-    assert read_plain(path) is None
+    assert read_plain_file(path) is None
 
 
 def unplain(monkeypatch, function):
     """What a function gives where no file is read as a plain one."""
     with monkeypatch.context() as changed:
-        changed.setattr(mesh_scene, "read_plain", lambda *_: None)
+        changed.setattr(mesh_scene, "read_plain_file", lambda *_: None)
         return function()
 
 

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from navbake.baker.bake.pipeline import run_bake
-from navbake.baker.readers.mesh import AXIS_VECTORS, rotation_to_z_up
+from navbake.baker.readers.mesh import AXIS_VECTORS, make_rotation_to_z_up
 from navbake.config.settings import SceneSettings, parse_config
 from navbake.types import Float
 from scenes_alone import load_alone
@@ -57,7 +57,7 @@ def scan(path: Path, up: Float, *, bed: bool = True, pillar: bool = False) -> st
             along = (*np.subtract(other, one), 0)
             parts.append(sheet((*one, 0), along, (0, 0, 2.5)))
     mesh = trimesh.util.concatenate(parts)
-    mesh.vertices = mesh.vertices @ rotation_to_z_up(up)  # from +z to `up`
+    mesh.vertices = mesh.vertices @ make_rotation_to_z_up(up)  # from +z to `up`
     mesh.vertices += np.random.default_rng(1).normal(0, 0.004, mesh.vertices.shape)
     mesh.export(path)
     return str(path)
@@ -76,7 +76,7 @@ def ceilings(result) -> list[str]:
 
 @pytest.mark.parametrize("up", [*AXIS_VECTORS, (0.2, -0.9, 0.1), (0.3, 0.1, -2.0), (0, 1e-9, -1)])
 def test_what_is_up_turns_to_z_and_nothing_is_mirrored(up):
-    turn = rotation_to_z_up(up)
+    turn = make_rotation_to_z_up(up)
     vector = np.array(AXIS_VECTORS[up] if isinstance(up, str) else up)
     assert turn @ (vector / np.linalg.norm(vector)) == pytest.approx([0, 0, 1], abs=1e-12)
     assert turn @ turn.T == pytest.approx(np.eye(3), abs=1e-12)

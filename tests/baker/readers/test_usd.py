@@ -16,7 +16,7 @@ import pytest
 import navbake
 from navbake.baker.geometry.shapes import triangulate
 from navbake.baker.readers import parsed_scene
-from navbake.baker.readers.parsed_scene import MERGE_ABOVE
+from navbake.baker.readers.parsed_scene import MAX_UNMERGED_GEOMS
 from navbake.baker.scene.model import CompileLimits
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import SceneSettings
@@ -465,8 +465,8 @@ def test_many_prims_become_few_meshes(tmp_path):
     bolts = UsdGeom.PointInstancer.Define(stage, "/World/Bolts")
     UsdGeom.Cube.Define(stage, "/World/Bolts/Bolt").CreateSizeAttr(0.5)
     bolts.CreatePrototypesRel().AddTarget("/World/Bolts/Bolt")
-    bolts.CreateProtoIndicesAttr([0] * MERGE_ABOVE)
-    bolts.CreatePositionsAttr([Gf.Vec3f(k % 100, k // 100, 0) for k in range(MERGE_ABOVE)])
+    bolts.CreateProtoIndicesAttr([0] * MAX_UNMERGED_GEOMS)
+    bolts.CreatePositionsAttr([Gf.Vec3f(k % 100, k // 100, 0) for k in range(MAX_UNMERGED_GEOMS)])
     UsdGeom.Cube.Define(stage, "/World/Other/Cube")
     stage.Save()
     scene = load(tmp_path / "a.usda")
