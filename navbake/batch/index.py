@@ -159,8 +159,8 @@ def write_index(
         )
         return
     slice_names = find_slice_indexes(folder)
-    existing_rows = merge_rows(folder, (*slice_names, INDEX_NAME))
-    row_of_scene |= {id: row for id, row in existing_rows.items() if id not in row_of_scene}
+    row_of_earlier_scene = merge_rows(folder, (*slice_names, INDEX_NAME))
+    row_of_scene |= {id: row for id, row in row_of_earlier_scene.items() if id not in row_of_scene}
     store.write_file(folder, INDEX_NAME, b"".join(map(encode_json_line, row_of_scene.values())))
     if writes_parquet:
         store.write_file(folder, TABLE_NAME, encode_rows(row_of_scene.values()))
@@ -184,7 +184,7 @@ def read_index(folder: store.Folder, name: str = INDEX_NAME) -> dict[str, SceneR
 
     A truncated line, which a killed batch may leave, is skipped. Of a row, only the id is checked.
     """
-    rows: dict[str, SceneRow] = {}
+    row_of_scene: dict[str, SceneRow] = {}
     content = b""
     with suppress(store.MissingFileError):
         content = store.read_file(store.join(folder, name))
@@ -195,8 +195,8 @@ def read_index(folder: store.Folder, name: str = INDEX_NAME) -> dict[str, SceneR
         except (ValueError, RecursionError):
             continue
         if isinstance(row, dict) and isinstance(row.get("id"), str):
-            rows[row["id"]] = cast(SceneRow, row)
-    return rows
+            row_of_scene[row["id"]] = cast(SceneRow, row)
+    return row_of_scene
 
 
 def merge_rows(folder: store.Folder, index_names: Iterable[str]) -> dict[str, SceneRow]:
@@ -209,13 +209,15 @@ def merge_rows(folder: store.Folder, index_names: Iterable[str]) -> dict[str, Sc
     Returns:
         Id of a scene -> its row; of several rows of a scene, the one that ended last.
     """
-    rows: dict[str, SceneRow] = {}
+    row_of_scene: dict[str, SceneRow] = {}
     for index_name in index_names:
         for id, row in read_index(folder, index_name).items():
             # times in ISO 8601 compare as text; a scene that is ``left`` has none
-            if id not in rows or str(row.get("ended", "")) > str(rows[id].get("ended", "")):
-                rows[id] = row
-    return rows
+            if id not in row_of_scene or str(row.get("ended", "")) > str(
+                row_of_scene[id].get("ended", "")
+            ):
+                row_of_scene[id] = row
+    return row_of_scene
 
 
 def encode_json_line(json_object: Mapping[str, Any]) -> bytes:

@@ -185,7 +185,7 @@ def _describe_scene(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Bat
         "version": __version__,
         "files": sorted(file_rows),
     }
-    unnamed_facts = {
+    facts_without_names = {
         **scene_facts,
         "settings": {**settings, "scene": {**settings["scene"], "id": ""}},
         # parts of a mesh scene may be named after its file
@@ -198,7 +198,7 @@ def _describe_scene(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Bat
         config=config,
         inputs=inputs,
         key=_digest_json({**scene_facts, "products": list(plan.products)}),
-        content_digest=_digest_json(unnamed_facts),
+        content_digest=_digest_json(facts_without_names),
         settings_digest=_digest_json(settings),
     )
 
@@ -362,12 +362,12 @@ def remove_made_files(folder: store.Folder) -> None:
     recorded before the products are written.
     """
     record = read_record(folder)
-    made_names = filter(
+    made_file_names = filter(
         PRODUCT_FILE_PATTERN.fullmatch,
         {*record.get("files", ()), *record.get("more", ())} - {GRID_NAME},
     )
     # the grid first, since a scene with a grid counts as done; the record last, since it names them
-    store.remove_files(folder, [GRID_NAME, *sorted(made_names), RECORD_NAME])
+    store.remove_files(folder, [GRID_NAME, *sorted(made_file_names), RECORD_NAME])
     if isinstance(folder, Path):
         remove_leftovers(folder, min_age=0)
 
@@ -570,24 +570,27 @@ def _write_products(
                     count_sum + count for count_sum, count in zip(count_sums, counts, strict=True)
                 ]
         write_navgrid(grid, scratch_path / GRID_NAME)
-        made_names = sorted(os.listdir(scratch_path))
+        made_file_names = sorted(os.listdir(scratch_path))
         row_fields["files"] = {
-            name: store.describe_file(scratch_path / name) for name in made_names
+            file_name: store.describe_file(scratch_path / file_name)
+            for file_name in made_file_names
         }
         if plan.thumbnail:
             write_bytes(notebook.draw_thumbnail(grid), scratch_path / THUMBNAIL_NAME)
-        other_names = [name for name in os.listdir(scratch_path) if name != GRID_NAME]
+        other_file_names = [
+            file_name for file_name in os.listdir(scratch_path) if file_name != GRID_NAME
+        ]
         # an existing file of such a name is the user's until it is replaced
         is_local = isinstance(scene_folder, Path)
-        new_names = [
-            name
-            for name in other_names
-            if not (is_local and os.path.lexists(store.join(scene_folder, name)))
+        new_file_names = [
+            file_name
+            for file_name in other_file_names
+            if not (is_local and os.path.lexists(store.join(scene_folder, file_name)))
         ]
-        if new_names:
-            write_record(scene_folder, {"files": {}, "more": new_names})
-        for name in (*other_names, GRID_NAME):
-            store.write_file(scene_folder, name, (scratch_path / name).read_bytes())
+        if new_file_names:
+            write_record(scene_folder, {"files": {}, "more": new_file_names})
+        for file_name in (*other_file_names, GRID_NAME):
+            store.write_file(scene_folder, file_name, (scratch_path / file_name).read_bytes())
     return row_fields
 
 

@@ -158,23 +158,25 @@ def run_batch(
                 f"into {plan.folder}",
             )
             exit_stack.callback(index_file.close)
-        rows: dict[str, SceneRow] = {}  # scene's id -> row
+        row_of_scene: dict[str, SceneRow] = {}  # scene's id -> row
         if only_merge:  # scenes that slices baked, or that failed there
             batch_ids = {job.id for job in jobs}
             slice_rows = index.merge_rows(plan.folder, index.find_slice_indexes(plan.folder))
-            rows = {
+            row_of_scene = {
                 id: row
                 for id, row in slice_rows.items()
                 if id in batch_ids and row.get("status") in (OK, FAILED)
             }
         inspector = Inspector(plan, (workers or 1) if executor is None else None, limits)
-        record_checks = check_records(plan, [job for job in jobs if job.id not in rows], inspector)
-        rows |= {row["id"]: row for row, _ in record_checks if row is not None}
-        remaining_jobs = [] if only_merge else [job for job in jobs if job.id not in rows]
-        batch_result = BatchResult(num_skipped=len(rows))
+        record_checks = check_records(
+            plan, [job for job in jobs if job.id not in row_of_scene], inspector
+        )
+        row_of_scene |= {row["id"]: row for row, _ in record_checks if row is not None}
+        remaining_jobs = [] if only_merge else [job for job in jobs if job.id not in row_of_scene]
+        batch_result = BatchResult(num_skipped=len(row_of_scene))
         num_failed_scenes = 0
         if only_merge:
-            batch_result.num_skipped = sum(row["status"] == OK for row in rows.values())
+            batch_result.num_skipped = sum(row["status"] == OK for row in row_of_scene.values())
 
         def report_job_event(jobs: Sequence[Job], event: str, job_end: JobEnd) -> None:
             event_values: Json = {"id": jobs[job_end.number].id}
@@ -187,8 +189,8 @@ def run_batch(
 
         try:
             if remaining_jobs:
-                on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
-            twin_of_scene = find_twins(inspector, jobs, rows) if remaining_jobs else {}
+                on_event("begin", {"scenes": len(jobs), "skipped": len(row_of_scene)})
+            twin_of_scene = find_twins(inspector, jobs, row_of_scene) if remaining_jobs else {}
             jobs_to_bake = [job for job in remaining_jobs if job.id not in twin_of_scene]
             jobs_to_copy = [
                 job._replace(twin=twin_of_scene[job.id])
@@ -226,7 +228,7 @@ def run_batch(
                         if row["status"] == LEFT:  # there is no room for other scenes, either
                             batch_result.stop_reason = row["error"]
                             break
-                        rows[job.id] = row
+                        row_of_scene[job.id] = row
                         if index_file is not None:
                             index_file.add(row)
                         on_event("scene", {**row, "worker": job_end.worker})
@@ -243,10 +245,12 @@ def run_batch(
         finally:
             for job in remaining_jobs:
                 # a killed worker may leave files; on a store, the next run removes them
-                if job.id not in rows and isinstance(plan.folder, Path):
+                if job.id not in row_of_scene and isinstance(plan.folder, Path):
                     with suppress(NavbakeError):
                         remove_leftovers(Path(plan.scene_folder(job)), min_age=0)
-            batch_result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
+            batch_result.rows = [
+                row_of_scene.get(job.id) or begin_row(plan, job, LEFT) for job in jobs
+            ]
             try:
                 index.write_index(plan.folder, batch_result.rows, plan.writes_parquet, batch_slice)
             except store.DiskFullError as error:
@@ -261,7 +265,7 @@ def run_batch(
 
 
 def write_episode_sets(plan: Plan, rows: Sequence[SceneRow]) -> None:
-    """Merge the scenes' sets of episodes, and write one file for each product of that kind.
+    """Merge the scenes' sets of episodes, and write a file for each product ``episodes:…``.
 
     Args:
         plan: the batch's options; the files get into its folder.
@@ -468,7 +472,7 @@ def find_twins(
 
 
 def describe_event(event: str, values: Json) -> Json:
-    """Return an event of a batch as an object for one line of JSON, for log collectors.
+    """Describe an event of a batch as a JSON object, which is one line of the log.
 
     Args:
         event: the event's name, see `OnBatchEvent`; or ``end``.

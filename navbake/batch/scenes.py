@@ -460,7 +460,15 @@ def read_shared_settings(path: str | os.PathLike[str]) -> Json:
 
 
 def check_selects_no_scene(settings: Mapping[str, Any], place: str) -> None:
-    """Raise a ConfigError, which names `place`, if settings select a scene."""
+    """Check that settings select no scene.
+
+    Args:
+        settings: the settings by section.
+        place: where the settings are from, for the error.
+
+    Raises:
+        ConfigError: the settings have ``scene.path`` or ``scene.id``, or `scene` is no mapping.
+    """
     scene_settings = {} if settings.get("scene") is None else settings["scene"]
     hint = "the batch's sources name the scenes"
     if not isinstance(scene_settings, Mapping):

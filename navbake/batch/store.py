@@ -331,7 +331,7 @@ class Mirror(ExitStack):
         self.entries: dict[Path, Mapping[str, Any] | None] = {}
 
     def local_path(self, url: str) -> Path:
-        """Return the path that a store's file has in the folder; the file isn't copied by this."""
+        """Return the path of a store's file in the temporary folder; the file isn't copied yet."""
         if self._folder is None:
             self._folder = Path(os.path.realpath(self.enter_context(scratch_folder())))
         scheme, _, authority_path = without_secrets(url).partition("://")

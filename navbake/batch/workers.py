@@ -36,9 +36,8 @@ POLL_INTERVAL = 0.5  # how often the parent checks which jobs have begun [s]
 # A wait that lasts this much longer than `POLL_INTERVAL` shows that this process was suspended [s].
 MAX_OVERSLEEP = 1.0
 JOBS_PER_WORKER = 3  # jobs submitted ahead for each worker, so that no worker waits for the parent
-MAX_BROKEN_POOLS = (
-    3  # an error is raised after this many pools in a row broke before any job was done
-)
+# an error is raised after this many pools in a row broke before any job was done
+MAX_BROKEN_POOLS = 3
 MAX_STDERR_TEXT = 200  # characters of a worker's stderr that are quoted in a reason
 # how a job ended
 DONE = "done"
@@ -71,7 +70,7 @@ class JobLimits(NamedTuple):
 
 
 class JobEnd(NamedTuple):
-    """The end of a job, or of one attempt at it: whether it was done, and what came of it."""
+    """The end of a job or of one attempt at it, with its result or the reason of its failure."""
 
     number: int  #: The job's index in the sequence of jobs.
     how: str  #: ``done``, ``crashed``, ``too long`` or ``too large``; empty if it has just begun.

@@ -51,10 +51,12 @@ MAX_SEARCH_PLACES = 20_000  # largest number of places of one search
 # than half of its outline are walls, and if only a small share of the outline are drops (the top of
 # a table has drops all round). A ground may lie over a cellar or a pipe, up to some share.
 LARGE_AREA_FACTOR = 1.25  # least area of such a region, relative to the least area of a floor
-MIN_LEVEL_AREA = 1.0  # of smaller ones, a few rays don't tell grounds from tops [m²]
-MIN_WALL_SHARE = 0.5  # of the outline
-MAX_DROP_SHARE = 0.2  # of the outline
-# Of a ground's area, over other places to stand; a bake may take it for a roof from 0.1 on
+# least area of such a region: a few rays can't tell a smaller ground from the top of a thing [m²]
+MIN_LEVEL_AREA = 1.0
+MIN_WALL_SHARE = 0.5  # least share of the outline that walls have to be
+MAX_DROP_SHARE = 0.2  # largest share of the outline that drops may be
+# largest share of a ground's area that may lie over other places to stand; from 0.1 on, a bake may
+# take the ground for a roof
 MAX_COVERED_SHARE = 0.075
 MIN_WALL_HEIGHT = 1.5  # parapets are lower than walls [m]
 MIN_REACHED_AREA = 3.0  # area of the grid's floors that steps from a region have to lead to [m²]
@@ -87,7 +89,7 @@ class OutlineEdge(NamedTuple):
 
 
 class RegionSearch(NamedTuple):
-    """The result of a search: a region of places to stand that steps connect and no level has.
+    """A region that a search found: places to stand, connected by steps, that are on no level.
 
     Attributes:
         places: The places of the region.
@@ -398,28 +400,30 @@ class FloorCheck:
                 row = place.row + row_offset * self._stride
                 col = place.col + col_offset * self._stride
                 # the floors outside the grid are unknown: the search ends there
-                neighbor = self._place_near(row, col, z) if self._is_on_grid(row, col) else None
-                if neighbor is None:
+                neighbor_place = (
+                    self._place_near(row, col, z) if self._is_on_grid(row, col) else None
+                )
+                if neighbor_place is None:
                     if place in lost_places:
                         outline.append(
                             self._find_edge(place.row, place.col, row_offset, col_offset, z)
                         )
                     continue
-                if neighbor in lost_places or neighbor in places_on_levels:
+                if neighbor_place in lost_places or neighbor_place in places_on_levels:
                     continue
-                neighbor_z = self._standable_at(row, col)[neighbor.surface_index].z
+                neighbor_z = self._standable_at(row, col)[neighbor_place.surface_index].z
                 if not self._has_floor(row, col, neighbor_z):
-                    lost_places.add(neighbor)
+                    lost_places.add(neighbor_place)
                 elif place in lost_places and not self._is_walkable(
                     place.row, place.col, row_offset, col_offset, z
                 ):
                     outline.append(self._find_edge(place.row, place.col, row_offset, col_offset, z))
                     continue
                 else:
-                    places_on_levels.add(neighbor)
+                    places_on_levels.add(neighbor_place)
                     reached_area = len(places_on_levels) * self._stride_length**2
                     is_reached = reached_area >= MIN_REACHED_AREA
-                queued_places.append(neighbor)
+                queued_places.append(neighbor_place)
         return RegionSearch(lost_places, is_reached, outline)
 
     def _is_walkable(self, row: int, col: int, row_offset: int, col_offset: int, z: float) -> bool:

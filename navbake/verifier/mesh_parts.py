@@ -21,7 +21,8 @@ SOLID = "solid"  # closed, its faces point outwards
 CAVITY = "cavity"  # closed, its faces point inwards, inside of a solid
 
 MAX_SHEET_THICKNESS = 1e-6  # a closed part with at most this volume / area is a flat sheet [m]
-# Of a patch, this share of its area may be wound either way before most of it counts [1]
+# No triangle of a patch is inverted if the areas that are wound one way and the other way differ by
+# at most this share of the patch's area
 EVEN_SHARE = 1e-9
 # A point lies inside of a part that winds around it more than this often
 MIN_WINDING = 0.5

@@ -200,16 +200,18 @@ class Obstacles:
         ).reshape(-1, 2, 3)
         self._low, self._high = np.ascontiguousarray(box_corners.transpose(1, 2, 0))
 
-        world = self._spec.worldbody
-        world.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
-        world.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
+        world_body = self._spec.worldbody
+        world_body.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
+        world_body.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
         num_geoms = len(self.shapes) + 2
         self.half_meshes = dict[int, list[int]]()
-        for obstacle, half_mesh_list in self._half_mesh_attributes.items():
-            self.half_meshes[obstacle] = list(range(num_geoms, num_geoms + len(half_mesh_list)))
-            num_geoms += len(half_mesh_list)
-            for attributes in half_mesh_list:
-                world.add_geom(**attributes)
+        for obstacle, half_mesh_attributes in self._half_mesh_attributes.items():
+            self.half_meshes[obstacle] = list(
+                range(num_geoms, num_geoms + len(half_mesh_attributes))
+            )
+            num_geoms += len(half_mesh_attributes)
+            for attributes in half_mesh_attributes:
+                world_body.add_geom(**attributes)
 
         try:
             self.model = model = self._spec.compile()
@@ -265,10 +267,10 @@ class Obstacles:
         if shape.kind == HALF_SPACE:
             is_along_normal = direction @ rotation[:, 2] > SAME_DIRECTION_COSINE
             return float(position @ direction) if is_along_normal else np.inf
-        solid = SOLID_GEOMETRIES[int(self.model.geom_type[obstacle])]
+        solid_geometry = SOLID_GEOMETRIES[int(self.model.geom_type[obstacle])]
         return float(
             position @ direction
-            + solid.measure_extent(self.geom_sizes[obstacle], rotation.T @ direction)
+            + solid_geometry.measure_extent(self.geom_sizes[obstacle], rotation.T @ direction)
         )
 
     def _shapes_of_geom(self, geom: int, mesh_mode: str) -> list[GeomShape]:
@@ -343,9 +345,9 @@ class Obstacles:
             if rotation[2, 2] > SAME_DIRECTION_COSINE:  # below a horizontal plane
                 high_corner[2] = position[2]
         else:
-            solid = SOLID_GEOMETRIES[shape.geom_attributes["type"]]
+            solid_geometry = SOLID_GEOMETRIES[shape.geom_attributes["type"]]
             size = shape.geom_attributes["size"]
-            half_sizes = np.array([solid.measure_extent(size, axis) for axis in rotation])
+            half_sizes = np.array([solid_geometry.measure_extent(size, axis) for axis in rotation])
             low_corner = position - half_sizes
             high_corner = position + half_sizes
 
@@ -520,13 +522,15 @@ def _drop_unused_vertices(vertices: Float, faces: Int) -> tuple[Float, Int]:
 def _read_mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> MeshArrays:
     """Read a mesh, and the vertices of its convex hull, from a compiled model."""
     mesh = model.mesh(mesh_id)
-    first_vertex = int(mesh.vertadr[0])
-    first_face = int(mesh.faceadr[0])
+    first_vertex_index = int(mesh.vertadr[0])
+    first_face_index = int(mesh.faceadr[0])
     graph_address = int(mesh.graphadr[0])
     num_vertices = int(mesh.vertnum[0])
     num_faces = int(mesh.facenum[0])
-    vertices = model.mesh_vert[first_vertex : first_vertex + num_vertices].astype(np.float64)
-    faces = model.mesh_face[first_face : first_face + num_faces].astype(np.int64)
+    vertices = model.mesh_vert[first_vertex_index : first_vertex_index + num_vertices].astype(
+        np.float64
+    )
+    faces = model.mesh_face[first_face_index : first_face_index + num_faces].astype(np.int64)
     if graph_address < 0:
         return MeshArrays(vertices, faces, vertices)
     # `mesh_graph` holds the numbers of the hull's vertices and faces, the addresses of the

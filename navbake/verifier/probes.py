@@ -489,7 +489,9 @@ class ObstacleProbe:
         return False
 
     def measure_depth(self, prism: UprightPrism, center: Float, obstacle: int) -> float:
-        """Return how far a prism has to shrink on all sides to touch an obstacle no longer.
+        """Measure how deep a prism reaches into an obstacle.
+
+        The depth is by how much the prism has to shrink on all sides until it no longer touches.
 
         Args:
             prism: A prism that touches the obstacle.

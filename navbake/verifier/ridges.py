@@ -22,7 +22,7 @@ from navbake.verifier.sample import AgentSizes
 
 RIDGE_WIDTH = 0.4  # what is narrower between two drops is a ridge [m]
 MAX_WALK_LENGTH = 2 * RIDGE_WIDTH  # cells across a ridge are looked at over this length [m]
-FEET_THICKNESS = 0.01  # of the slice above a step in which something bars the way [m]
+FEET_THICKNESS = 0.01  # height of the slice above a step; an obstacle in it bars the way [m]
 AXIS_OFFSETS = ((0, 1), (1, 0))  # row and column to the next cell along x, and along y
 
 StandableAt = Callable[[int, int], list[SurfaceHit]]
@@ -44,7 +44,7 @@ class WalkEnd(NamedTuple):
 
 
 class RidgeProbe:
-    """Says which places to stand are on ridges: between two drops that are less than 0.4 m apart.
+    """Decides whether a place to stand is on a ridge: between two drops less than 0.4 m apart.
 
     `is_ridge` takes the row and the column of a cell, and the height of the place [m]. The cell may
     lie outside the lattice.

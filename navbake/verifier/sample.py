@@ -271,7 +271,7 @@ class LevelCells(NamedTuple):
 
 
 class CellNeighborhood:
-    """Looks up floors near cells, and reasons why an inflation blocks cells, on all levels.
+    """Looks up the floors near cells, and whether an inflation had a reason to block cells.
 
     Args:
         grid: The inflated grid.

@@ -152,7 +152,7 @@ def _find_file(grid: GridBase, stated_path: object, grid_path: Path | None) -> P
 
 
 class DoorPose(NamedTuple):
-    """The pose of a scene with its doors in the states that a grid states.
+    """The pose of a scene whose doors have the states that a grid gives them.
 
     Attributes:
         data: The pose, with kinematics computed.
@@ -169,7 +169,7 @@ class DoorPose(NamedTuple):
 
 
 def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
-    """Return the pose of a scene whose doors are in the states that a grid states.
+    """Return the pose of a scene whose doors have the states that a grid gives them.
 
     Args:
         scene: The scene, which stays as it is.

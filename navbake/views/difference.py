@@ -234,7 +234,7 @@ class RoomMatch(NamedTuple):
 
 
 class LevelDifference(NamedTuple):
-    """How a level of the first grid and a level of the second differ.
+    """The differences between a level of the first grid and a level of the second.
 
     Attributes:
         first_number: number of the first grid's level.
@@ -474,9 +474,10 @@ def list_changed_rooms(
 
 
 def read_settings(grid: NavGrid) -> dict[str, str]:
-    """Return a grid's settings as a mapping: path, as ``settings.agent.radius`` -> value as text.
+    """Return a grid's settings as a flat mapping: path of a setting -> its value as text.
 
-    The scene's digest, the agent's radius, the inflations and the cells' size are among them.
+    A path is, for example, ``settings.agent.radius``. The scene's digest, the agent's radius, the
+    inflations and the cells' size are among the settings.
     """
     return flatten_json(
         {
@@ -510,7 +511,7 @@ def list_differences(
 
 
 def flatten_json(json_value: object, path: str = "") -> dict[str, str]:
-    """Flatten nested JSON objects into one mapping.
+    """Flatten nested JSON objects into one mapping of paths to texts.
 
     Args:
         json_value: an object, a list or a scalar. A list without objects becomes one text.

@@ -514,7 +514,7 @@ def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
         name = full_name
         if len(full_name) > MAX_LETTERS:
             name = f"{full_name[:MAX_LETTERS]}…"
-        middle = data_to_pixels.transform((label.x, label.y))
+        middle_pixel = data_to_pixels.transform((label.x, label.y))
         available_pixels = np.array([np.inf, np.inf])
         if not is_point:
             available_pixels = np.array([label.width, label.height]) * pixels_per_metre
@@ -535,7 +535,7 @@ def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
             for direction in directions:
                 # moved so that it lies on the map
                 center = np.clip(
-                    middle + direction * center_offset,
+                    middle_pixel + direction * center_offset,
                     map_frame.p0 + half_extent,
                     map_frame.p1 - half_extent,
                 )

@@ -372,9 +372,9 @@ def _collect_name_lists(level: SceneGrid2D) -> tuple[Int, list[Json]]:
         return index_of_encoded_data[encoded_data]
 
     list_indices = np.full(level.height * level.width, NO_NAMES, dtype=np.int64)
-    cell_ids, entry_of_cell, entries = UserData.of(level.user_data).shared_entries()
+    cell_ids, entry_of_cell, user_data_entries = UserData.of(level.user_data).shared_entries()
     list_indices[cell_ids] = np.array(
-        [find_list_index(cell_user_data) for cell_user_data in entries], np.int64
+        [find_list_index(cell_user_data) for cell_user_data in user_data_entries], np.int64
     )[entry_of_cell]
     return list_indices.reshape(level.shape), name_lists
 

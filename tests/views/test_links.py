@@ -35,7 +35,7 @@ def test_links_and_stairs_are_connections(tower):
         ("stair 2", "stair", 2),
     ]
     assert sum(each.num_steps for each in connections) == len(tower.steps)
-    assert [each.one_way for each in connections] == [False, False, True, False, False]
+    assert [each.is_one_way for each in connections] == [False, False, True, False, False]
 
 
 def test_the_two_stairs_of_a_house_are_two_rows():
