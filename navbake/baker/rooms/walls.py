@@ -358,8 +358,8 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
     is_off_wall[:, [0, 1, -2, -1]] = False
     cells = np.flatnonzero(is_off_wall)
     width = is_closed.shape[1]
-    find_neighbor_cells = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
-    distances = np.sqrt(squared_distance.ravel()[find_neighbor_cells], dtype=np.float32)
+    neighbor_cells = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
+    distances = np.sqrt(squared_distance.ravel()[neighbor_cells], dtype=np.float32)
     distance_below, distance_above, distance_after, distance_before, wall_distance = distances
     slope_down = distance_below - distance_above
     slope_right = distance_after - distance_before
