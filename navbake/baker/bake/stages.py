@@ -330,7 +330,7 @@ class Stages:
                 floors=self.floors,
                 column_flags=standing_cells.column_flags,
                 standing_occupants=standing_occupants,
-                occupied=standing_cells.occupancy.blocked_squares
+                occupied_masks=standing_cells.occupancy.blocked_squares
                 or standing_cells.occupancy.levels,
                 settings=self.config.rooms,
                 agent=self.config.agent,

@@ -57,7 +57,8 @@ class ClassifiedLeaf:
             cell's centre, see `LeafCells`.
         blocked_squares: state -> for each level, ids of the cells whose own square overlaps the
             leaf; empty if the agent is no wider than a cell.
-        carried_floor: the warning that an agent could walk on the door's top; empty if none could.
+        carried_floor_warning: the warning that an agent could walk on the door's top; empty if none
+            could.
     """
 
     leaf: Leaf
@@ -65,7 +66,7 @@ class ClassifiedLeaf:
     rooms: RoomIds
     blocked: CellsByState
     blocked_squares: CellsByState
-    carried_floor: str
+    carried_floor_warning: str
 
     @property
     def candidate(self) -> DoorCandidate:
@@ -91,7 +92,7 @@ class ClassifiedLeaf:
 
 @dataclass(frozen=True)
 class DoorInputs:
-    """What decides whether a leaf is a door, apart from the leaf itself.
+    """The floors, rooms and hits by which a leaf is classified as a door or as an obstacle.
 
     Attributes:
         columns: hits of structure on the vertical line through each cell's centre.
@@ -150,28 +151,28 @@ def classify_leaves(leaves: Sequence[LeafCells], inputs: DoorInputs) -> list[Cla
         A classified leaf for each leaf, in the same order.
     """
     # For each level and cell, how many closed leaves block it
-    leaf_counts = [np.zeros(level.floor.size, dtype=np.int32) for level in inputs.floors]
+    num_leaves_by_level = [np.zeros(level.floor.size, dtype=np.int32) for level in inputs.floors]
     for leaf in leaves:
-        for level_leaf_counts, closed_cells in zip(
-            leaf_counts, leaf.blocked["closed"], strict=True
+        for num_leaves_of_cell, closed_cells in zip(
+            num_leaves_by_level, leaf.blocked["closed"], strict=True
         ):
-            level_leaf_counts[closed_cells] += 1
+            num_leaves_of_cell[closed_cells] += 1
     with limit_threads(1):  # a door is too small to be worth more
-        return [_classify_leaf(leaf, leaf_counts, inputs) for leaf in leaves]
+        return [_classify_leaf(leaf, num_leaves_by_level, inputs) for leaf in leaves]
 
 
 def _classify_leaf(
-    leaf_cells: LeafCells, leaf_counts: Sequence[Int32], inputs: DoorInputs
+    leaf_cells: LeafCells, num_leaves_by_level: Sequence[Int32], inputs: DoorInputs
 ) -> ClassifiedLeaf:
     """Decide whether a leaf is a door.
 
     Args:
         leaf_cells: the leaf, with the cells that it blocks.
-        leaf_counts: for each level and cell, how many closed leaves block it.
+        num_leaves_by_level: for each level and cell, how many closed leaves block it.
         inputs: floors and rooms.
     """
     leaf = leaf_cells.leaf
-    rooms = _find_rooms_beside(leaf, leaf_cells.blocked["closed"], leaf_counts, inputs)
+    rooms = _find_rooms_beside(leaf, leaf_cells.blocked["closed"], num_leaves_by_level, inputs)
     is_door = rooms is not None or leaf.candidate.is_named
     return ClassifiedLeaf(
         leaf=leaf,
@@ -179,12 +180,12 @@ def _classify_leaf(
         rooms=rooms or (None, None),
         blocked=leaf_cells.blocked,
         blocked_squares=leaf_cells.blocked_squares,
-        carried_floor=_warn_carried_floor(leaf, inputs) if is_door else "",
+        carried_floor_warning=_warn_carried_floor(leaf, inputs) if is_door else "",
     )
 
 
 def closes_same_cells(leaf_cells: LeafCells, former_leaf: ClassifiedLeaf) -> bool:
-    """Return whether a door leaf moved without any effect on rooms and on its classification.
+    """Return whether a leaf in its new pose closes the same cells, so that rooms stay as they are.
 
     That is so if all of these are the same as before: the cells that the closed leaf blocks, the
     cells on the lines away from it, and whether it is named as a door.
@@ -218,18 +219,23 @@ def move_leaf(
         former_leaf: the classified leaf in its previous pose.
         inputs: floors and rooms.
     """
-    carried_floor = _warn_carried_floor(leaf_cells.leaf, inputs) if former_leaf.is_door else ""
+    carried_floor_warning = (
+        _warn_carried_floor(leaf_cells.leaf, inputs) if former_leaf.is_door else ""
+    )
     return replace(
         former_leaf,
         leaf=leaf_cells.leaf,
         blocked=leaf_cells.blocked,
         blocked_squares=leaf_cells.blocked_squares,
-        carried_floor=carried_floor,
+        carried_floor_warning=carried_floor_warning,
     )
 
 
 def _find_rooms_beside(
-    leaf: Leaf, closed_cells: Sequence[Int], leaf_counts: Sequence[Int32], inputs: DoorInputs
+    leaf: Leaf,
+    closed_cells: Sequence[Int],
+    num_leaves_by_level: Sequence[Int32],
+    inputs: DoorInputs,
 ) -> RoomIds | None:
     """Find the rooms on both sides of a closed leaf, along lines away from it.
 
@@ -242,26 +248,26 @@ def _find_rooms_beside(
     Args:
         leaf: the leaf.
         closed_cells: for each level, ids of the cells that the closed leaf blocks.
-        leaf_counts: for each level and cell, how many closed leaves block it.
+        num_leaves_by_level: for each level and cell, how many closed leaves block it.
         inputs: floors and rooms.
 
     Returns:
         The ids of the two rooms, None for the outside. None instead of a pair if a side meets only
         a wall, if both sides have the same room, or if the leaf blocks no cell.
     """
-    num_closed = [len(cells) for cells in closed_cells]
-    if not any(num_closed) or leaf.lines is None:
+    num_closed_cells = [len(cells) for cells in closed_cells]
+    if not any(num_closed_cells) or leaf.lines is None:
         return None
-    level_number = int(np.argmax(num_closed))
+    level_number = int(np.argmax(num_closed_cells))
     sight_cells = leaf.lines.sight_cells  # (sides, lines, steps)
     is_on_lattice = sight_cells >= 0
     clipped_cells = np.maximum(sight_cells, 0)
     is_visible = mark_visible(
-        sight_cells, inputs.rooms.open_cells[level_number], inputs.floors[level_number].floor
+        sight_cells, inputs.rooms.is_open_by_level[level_number], inputs.floors[level_number].floor
     )
     if not is_visible.any(axis=(1, 2)).all():
         return None
-    num_other_leaves = leaf_counts[level_number][clipped_cells] - np.isin(
+    num_other_leaves = num_leaves_by_level[level_number][clipped_cells] - np.isin(
         clipped_cells, closed_cells[level_number]
     )
     is_other_leaf = is_on_lattice & (num_other_leaves > 0)
@@ -296,8 +302,11 @@ def _find_room_in_sight(
     last_step = is_counted.shape[-1] - 1 - is_counted[:, ::-1].argmax(axis=-1)
     last_room = room_at_step[np.arange(len(last_step)), last_step]
     line_rooms = np.where(is_counted.any(axis=-1), last_room, 0)
-    votes = Counter(rooms.id_of(level_number, index) for index in line_rooms.tolist())
-    return max(votes, key=lambda room_id: (votes[room_id], room_id is not None, room_id or ""))
+    num_lines_by_room = Counter(rooms.id_of(level_number, index) for index in line_rooms.tolist())
+    return max(
+        num_lines_by_room,
+        key=lambda room_id: (num_lines_by_room[room_id], room_id is not None, room_id or ""),
+    )
 
 
 # ---------------------------------------------------------------- doors of the grid
@@ -319,37 +328,38 @@ class DoorCells:
 
 
 def find_door_cells(
-    door: ClassifiedLeaf, blocked: Sequence[Bool], blocked_squares: Sequence[Bool] | None
+    door: ClassifiedLeaf, blocked_masks: Sequence[Bool], blocked_square_masks: Sequence[Bool] | None
 ) -> DoorCells:
     """Return the cells that only a door blocks, in each of its states.
 
     Args:
         door: the door.
-        blocked: for each level, shape (height, width), bool: the cells that something other than a
-            door blocks.
-        blocked_squares: the same for the cell's square alone, without the agent's disc: the cells
-            whose square overlaps something other than a door. None if it would equal `blocked`.
+        blocked_masks: for each level, shape (height, width), bool: the cells that something other
+            than a door blocks.
+        blocked_square_masks: the same for the cell's square alone, without the agent's disc: the
+            cells whose square overlaps something other than a door. None if it would equal
+            `blocked_masks`.
     """
     door_squares: CellsByState = {}
-    if blocked_squares is not None:
-        door_squares = _remove_blocked_cells(door.blocked_squares, blocked_squares)
-    return DoorCells(_remove_blocked_cells(door.blocked, blocked), door_squares)
+    if blocked_square_masks is not None:
+        door_squares = _remove_blocked_cells(door.blocked_squares, blocked_square_masks)
+    return DoorCells(_remove_blocked_cells(door.blocked, blocked_masks), door_squares)
 
 
 def _remove_blocked_cells(
-    cells_by_state: CellsByState, blocked: Sequence[Bool]
+    cells_by_state: CellsByState, blocked_masks: Sequence[Bool]
 ) -> dict[str, list[Int]]:
     """Remove the cells that are blocked on their level.
 
     Args:
         cells_by_state: state -> for each level, ids of cells.
-        blocked: for each level, a mask of the blocked cells, (height, width).
+        blocked_masks: for each level, a mask of the blocked cells, (height, width).
     """
     free_cells = dict[str, list[Int]]()
     for state, cells_by_level in cells_by_state.items():
         free_cells[state] = [
-            cells[~level_blocked.ravel()[cells]]
-            for cells, level_blocked in zip(cells_by_level, blocked, strict=True)
+            cells[~is_blocked.ravel()[cells]]
+            for cells, is_blocked in zip(cells_by_level, blocked_masks, strict=True)
         ]
     return free_cells
 
@@ -357,14 +367,14 @@ def _remove_blocked_cells(
 def is_stuck(door_cells: DoorCells) -> bool:
     """Return whether the open door still blocks most of the cells that the closed door blocks."""
     cells_when_closed = door_cells.blocked["closed"]
-    num_closed = sum(len(closed_cells) for closed_cells in cells_when_closed)
-    num_in_both = sum(
+    num_closed_cells = sum(len(closed_cells) for closed_cells in cells_when_closed)
+    num_cells_in_both = sum(
         len(np.intersect1d(closed_cells, open_cells))
         for closed_cells, open_cells in zip(
             cells_when_closed, door_cells.blocked["open"], strict=True
         )
     )
-    return num_in_both > 0 and num_in_both >= STUCK_SHARE * num_closed
+    return num_cells_in_both > 0 and num_cells_in_both >= STUCK_SHARE * num_closed_cells
 
 
 def make_door(
@@ -449,7 +459,9 @@ def warn_doors(
             for door in doors
             if not door.candidate.positions
         ]
-    carried_floor_warnings = [door.carried_floor for door in doors if door.carried_floor]
+    carried_floor_warnings = [
+        door.carried_floor_warning for door in doors if door.carried_floor_warning
+    ]
     return stuck_warnings + no_joint_warnings + carried_floor_warnings
 
 
@@ -510,10 +522,10 @@ def _measure_walkable_area(shapes: Shapes, inputs: DoorInputs) -> float:
     )
     top_height[rows_of_top[is_covered], cols_of_top[is_covered]] = np.nan
     for floor in floors:
-        for first_cells, second_cells in NEIGHBOR_SLICES:
+        for first_slices, second_slices in NEIGHBOR_SLICES:
             height_differences = [
-                top_height[first_cells] - floor[second_cells],
-                top_height[second_cells] - floor[first_cells],
+                top_height[first_slices] - floor[second_slices],
+                top_height[second_slices] - floor[first_slices],
             ]
             if (np.abs(np.stack(height_differences)) <= max_step).any():
                 return float(np.count_nonzero(~np.isnan(top_height))) * lattice.cell_size**2

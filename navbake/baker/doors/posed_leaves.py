@@ -256,26 +256,28 @@ def _find_line_cells(
     Returns:
         The cells along the lines; None if the leaf has no finite geometry.
     """
-    panel = find_geom_of_largest_side(extents, geoms)
-    center = extents.center[panel]
+    panel_geom = find_geom_of_largest_side(extents, geoms)
+    center = extents.center[panel_geom]
     if not np.isfinite(center).all():
         return None
-    across_direction = extents.short_axis[panel]
+    across_direction = extents.short_axis[panel_geom]
     along_direction = np.array([-across_direction[1], across_direction[0]])
-    step = lattice.cell_size / 2
+    step_length = lattice.cell_size / 2
     both_sides = np.array([-1.0, 1.0])
 
     # lines of sight away from both sides: points of shape (sides, lines, steps, 2) [m]
     sight_length = max(SIGHT_LENGTH, reach + SIGHT_CELLS * lattice.cell_size)
-    distances = extents.short_side[panel] / 2 + np.arange(0.0, sight_length, step)
+    distances = extents.short_side[panel_geom] / 2 + np.arange(0.0, sight_length, step_length)
     start_points = (
-        center + along_direction * np.array(SIGHT_OFFSETS)[:, None] * extents.long_side[panel]
+        center + along_direction * np.array(SIGHT_OFFSETS)[:, None] * extents.long_side[panel_geom]
     )
     directions = across_direction * both_sides[:, None, None, None]
     sight_points = start_points[:, None] + directions * distances[:, None]
 
     # lines on from both ends: points of shape (ends, steps, 2) [m]
-    distances = extents.long_side[panel] / 2 + np.arange(0.0, FRAME_LENGTH + step, step)
+    distances = extents.long_side[panel_geom] / 2 + np.arange(
+        0.0, FRAME_LENGTH + step_length, step_length
+    )
     directions = along_direction * both_sides[:, None, None]
     end_points = center + directions * distances[:, None]
     return LeafLines(_cells_at(sight_points, lattice), _cells_at(end_points, lattice))

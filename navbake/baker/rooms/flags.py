@@ -1,4 +1,4 @@
-"""Gathers the inputs from which rooms are found: flags of each cell, and the rooms that are marked.
+"""Gathers the inputs of the search for rooms: flags of each cell, and the rooms that are marked.
 
 `gather_flags` combines the results of earlier stages: the floors, flags of each cell's vertical
 line, and the structure in each cell. `mark_rooms` finds the rooms that geoms, sites and polygons
@@ -67,7 +67,7 @@ MAX_LISTED_SITES = 5
 
 
 class MarkedRooms(NamedTuple):
-    """The rooms that one source finds: geoms, sites, polygons, or the automatic search.
+    """The rooms that one source finds: geoms, sites, polygons, or the automatic search for gaps.
 
     The setting `rooms.sources` lists the sources.
 
@@ -75,16 +75,16 @@ class MarkedRooms(NamedTuple):
         names: the rooms' names, None for a room without a name. Room number k + 1 has ``names[k]``.
         labels: for each level, the number of each cell's room, 0 for none, shape (height, width).
         warnings: warnings for the user, one line each.
-        covered: like `labels`, but a room also has the cells over its floor whose own floor is up
-            to a step higher (on a podium, for example). Empty if it equals `labels`.
-        outdoors: the numbers of the rooms that are outdoors.
+        covered_labels: like `labels`, but a room also has the cells over its floor whose own floor
+            is up to a step higher (on a podium, for example). Empty if it equals `labels`.
+        outdoor_rooms: the numbers of the rooms that are outdoors.
     """
 
     names: Sequence[str | None]
     labels: Sequence[Int32]
     warnings: Sequence[str] = ()
-    covered: Sequence[Int32] = ()
-    outdoors: Set[int] = frozenset()
+    covered_labels: Sequence[Int32] = ()
+    outdoor_rooms: Set[int] = frozenset()
 
 
 class LevelFlags(NamedTuple):
@@ -95,24 +95,24 @@ class LevelFlags(NamedTuple):
         is_open: whether the cell has a floor, and is in no wall or window.
         is_hole: whether the cell has no floor, and nothing is at the heights of an agent's body
             above the level's ground.
-        at_edge: whether the cell is open, nothing taller than 1.5 m stands on its floor, and the
+        is_at_edge: whether the cell is open, nothing taller than 1.5 m stands on its floor, and the
             cell is at the outer boundary of the scene: at the grid's edge, or next to cells that
             are empty or too steep to stand on and are connected to the grid's edge.
-        under_sky: whether the cell has a floor and nothing is above an agent's head. All False on
-            levels with too few cells at the edge for anything to be outdoors.
+        is_under_sky: whether the cell has a floor and nothing is above an agent's head. All False
+            on levels with too few cells at the edge for anything to be outdoors.
         is_bank: whether the cell has no floor because its highest surface is ground that is too
             steep to stand on.
-        occupied: whether the cell has no floor, or structure is over the cell's square between the
-            agent's highest step and its height.
+        is_occupied: whether the cell has no floor, or structure is over the cell's square between
+            the agent's highest step and its height.
     """
 
     floor: Float
     is_open: Bool
     is_hole: Bool
-    at_edge: Bool
-    under_sky: Bool
+    is_at_edge: Bool
+    is_under_sky: Bool
     is_bank: Bool
-    occupied: Bool
+    is_occupied: Bool
 
 
 class RoomFlags(NamedTuple):
@@ -122,9 +122,9 @@ class RoomFlags(NamedTuple):
         lattice: the whole lattice.
         levels: the flags of each level, lowest first.
         is_empty: a mask of the cells whose vertical line meets no structure, shape (height, width).
-        scene_ends: a mask of the sides of the lattice at which the scene ends, [[upper, lower],
+        is_scene_end: a mask of the sides of the lattice at which the scene ends, [[upper, lower],
             [left, right]]; at the other sides, the lattice crops the scene.
-        walls: the geometry of walls, and of meshes that contain a whole building.
+        wall_shapes: the geometry of walls, and of meshes that contain a whole building.
         has_ground: whether an endless ground continues beyond the lattice.
         links: pairs of cells that a step to another level, or a slope, joins, see `Floors.links`,
             shape (n, 4).
@@ -135,8 +135,8 @@ class RoomFlags(NamedTuple):
     lattice: Lattice
     levels: list[LevelFlags]
     is_empty: Bool
-    scene_ends: Bool
-    walls: Shapes
+    is_scene_end: Bool
+    wall_shapes: Shapes
     has_ground: bool
     links: Int
     marked_rooms: Mapping[str, MarkedRooms]
@@ -148,7 +148,7 @@ def gather_flags(
     floors: Floors,
     column_flags: Sequence[NDArray[np.uint8]],
     standing_occupants: StandingOccupants | None,
-    occupied: Sequence[Bool],
+    occupied_masks: Sequence[Bool],
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
@@ -162,8 +162,8 @@ def gather_flags(
             decide, see `flag_columns`, shape (cells,), uint8.
         standing_occupants: the structure that stands in the cells, of which walls are read; None if
             rooms are found without walls.
-        occupied: for each level, a mask of the cells without a floor or with structure at an
-            agent's height, see `LevelFlags.occupied`.
+        occupied_masks: for each level, a mask of the cells without a floor or with structure at an
+            agent's height, see `LevelFlags.is_occupied`.
         settings: how rooms are marked.
         agent: the agent that stands in the volumes of sites.
 
@@ -174,43 +174,43 @@ def gather_flags(
     lattice = columns.lattice
     levels = list[LevelFlags]()
     is_empty = np.zeros(lattice.shape, dtype=np.bool_)
-    wall_cells = np.zeros(lattice.shape, dtype=np.bool_)
-    low_cells = np.zeros(lattice.shape, dtype=np.bool_)
+    is_wall = np.zeros(lattice.shape, dtype=np.bool_)
+    is_low = np.zeros(lattice.shape, dtype=np.bool_)
     for level_number, level in enumerate(floors.levels):
         if standing_occupants is not None:
-            wall_cells, low_cells = standing_occupants.mark_walls(level_number)
+            is_wall, is_low = standing_occupants.mark_walls(level_number)
         flag_bits = column_flags[level_number].reshape(lattice.shape)
         is_empty = (flag_bits & EMPTY) > 0  # the same on all levels
         is_bank = (flag_bits & STEEP_GROUND) > 0
-        under_sky = (flag_bits & SKY) > 0
-        is_window = find_windows(low_cells, wall_cells, lattice.cell_size)
-        is_open = ~np.isnan(level.floor) & ~wall_cells & ~is_window
-        at_edge = mark_edge(is_empty | is_bank, ALL_SIDES) & is_open
-        at_edge &= (flag_bits & TALL) == 0
+        is_under_sky = (flag_bits & SKY) > 0
+        is_window = find_windows(is_low, is_wall, lattice.cell_size)
+        is_open = ~np.isnan(level.floor) & ~is_wall & ~is_window
+        is_at_edge = mark_edge(is_empty | is_bank, ALL_SIDES) & is_open
+        is_at_edge &= (flag_bits & TALL) == 0
         # The extent if all cells at the edge are in one diagonal line: the largest that is possible
-        max_extent = np.sqrt(2) * np.count_nonzero(at_edge) * lattice.cell_size
+        max_extent = np.sqrt(2) * np.count_nonzero(is_at_edge) * lattice.cell_size
         if max_extent <= MIN_OUTDOOR_EDGE:
-            under_sky[:] = False
+            is_under_sky[:] = False
         levels.append(
             LevelFlags(
                 floor=level.floor,
                 is_open=is_open,
                 is_hole=(flag_bits & HOLE) > 0,
-                at_edge=at_edge,
-                under_sky=under_sky,
+                is_at_edge=is_at_edge,
+                is_under_sky=is_under_sky,
                 is_bank=is_bank,
-                occupied=occupied[level_number],
+                is_occupied=occupied_masks[level_number],
             )
         )
-    is_wall = np.zeros(len(scene.geoms), dtype=np.bool_)
+    is_wall_geom = np.zeros(len(scene.geoms), dtype=np.bool_)
     if standing_occupants is not None:
-        is_wall = np.isin(standing_occupants.room_kinds, (WALL, BUILDING))
+        is_wall_geom = np.isin(standing_occupants.room_kinds, (WALL, BUILDING))
     return RoomFlags(
         lattice=lattice,
         levels=levels,
         is_empty=is_empty,
-        scene_ends=_find_scene_ends(scene, lattice),
-        walls=scene.structure.only(is_wall),
+        is_scene_end=_find_scene_ends(scene, lattice),
+        wall_shapes=scene.structure.only(is_wall_geom),
         has_ground=len(scene.structure.planes.geom) > 0,
         links=floors.links,
         marked_rooms=mark_rooms(scene, columns, floors.levels, settings, agent),
@@ -248,10 +248,10 @@ def mark_edge(is_empty: Bool, is_outer_side: Bool) -> Bool:
         A mask of the cells that are not empty, and are at such a side or next to empty cells that
         are connected to such a side, shape (height, width).
     """
-    padded_empty = np.pad(is_empty, 1)
-    padded_empty[[0, -1]] |= is_outer_side[0][:, None]
-    padded_empty[:, [0, -1]] |= is_outer_side[1]
-    component, _ = label_components_2d(padded_empty)
+    is_empty_padded = np.pad(is_empty, 1)
+    is_empty_padded[[0, -1]] |= is_outer_side[0][:, None]
+    is_empty_padded[:, [0, -1]] |= is_outer_side[1]
+    component, _ = label_components_2d(is_empty_padded)
     outer_components = np.unique(
         np.concatenate([component[[0, -1]].ravel(), component[:, [0, -1]].ravel()])
     )
@@ -329,7 +329,7 @@ def _mark_by_geoms(
     The geom's surface lies between 5 cm below the cell's floor (it may be under a rug) and 5 mm
     above it; of several such geoms, the highest counts. Furniture may have a matching name, too. So
     a geom only marks a room if at least half of its upper side is floor, or lies up to a step below
-    a floor (of a carpet or a podium, see `MarkedRooms.covered`).
+    a floor (of a carpet or a podium, see `MarkedRooms.covered_labels`).
     """
     num_geoms = scene.model.ngeom
     names = all_names(scene.model).stated_geom_names
@@ -337,7 +337,7 @@ def _mark_by_geoms(
     is_on_structure = scene.is_structure_body[scene.model.geom_bodyid]  # movables mark no rooms
     marking_geoms = [geom for geom in matching_geoms if is_on_structure[geom]]
     labels = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
-    covered = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
+    covered_labels = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
     if not marking_geoms:
         return MarkedRooms([], labels, warnings)
     room_of_geom = np.zeros(num_geoms + 1, dtype=np.int32)  # the last entry is for no geom
@@ -346,11 +346,12 @@ def _mark_by_geoms(
     min_height_above_floor = -agent.traversable_floor_height - SAME_HEIGHT
     max_height_above_floor = MAX_MARKER_HEIGHT + SAME_HEIGHT
     # The heights of surfaces above each level's floor; NaN, which compares as False, without one
-    heights = [surfaces.z - level.floor.ravel()[surfaces.cell] for level in levels]
+    heights_above_floors = [surfaces.z - level.floor.ravel()[surfaces.cell] for level in levels]
     is_at_floor = np.any(
         [
-            (height >= min_height_above_floor) & (height <= max_height_above_floor)
-            for height in heights
+            (height_above_floor >= min_height_above_floor)
+            & (height_above_floor <= max_height_above_floor)
+            for height_above_floor in heights_above_floors
         ],
         axis=0,
     )
@@ -359,12 +360,12 @@ def _mark_by_geoms(
     is_floor_geom = num_at_floor >= MIN_FLOOR_SHARE * num_surfaces
     for level_labels, min_label_height in (
         (labels, -MAX_MARKER_DEPTH - SAME_HEIGHT),
-        (covered, min_height_above_floor),
+        (covered_labels, min_height_above_floor),
     ):
-        for label, height in zip(level_labels, heights, strict=True):
+        for label, height_above_floor in zip(level_labels, heights_above_floors, strict=True):
             is_marking_surface = (
-                (height >= min_label_height)
-                & (height <= max_height_above_floor)
+                (height_above_floor >= min_label_height)
+                & (height_above_floor <= max_height_above_floor)
                 & is_floor_geom[surfaces.geom]
             )
             highest_geom = _find_highest_geom(
@@ -372,7 +373,7 @@ def _mark_by_geoms(
             )
             label[:] = room_of_geom[highest_geom].reshape(label.shape)
     room_names = [_remove_prefix(names[geom]) for geom in marking_geoms]
-    return MarkedRooms(room_names, labels, warnings, covered)
+    return MarkedRooms(room_names, labels, warnings, covered_labels)
 
 
 def _remove_prefix(name: str) -> str:
@@ -446,12 +447,12 @@ def _mark_standing_in_site(
         return masks
     no_shapes = scene.shapes.only(np.zeros(model.ngeom, dtype=np.bool_))
     window_lattice = lattice.cut(*window)
-    crossings = cast_columns(tile_shapes(replace(no_shapes, solids=solid), window_lattice, 0.0))
+    site_hits = cast_columns(tile_shapes(replace(no_shapes, solids=solid), window_lattice, 0.0))
     site_bottom = np.full(window_lattice.shape, np.nan)
     site_top = np.full(window_lattice.shape, np.nan)
-    is_hit = np.diff(crossings.start).reshape(window_lattice.shape) > 1
-    site_bottom[is_hit] = crossings.z[crossings.start[:-1][is_hit.ravel()]]
-    site_top[is_hit] = crossings.z[crossings.start[1:][is_hit.ravel()] - 1]
+    is_hit = np.diff(site_hits.start).reshape(window_lattice.shape) > 1
+    site_bottom[is_hit] = site_hits.z[site_hits.start[:-1][is_hit.ravel()]]
+    site_top[is_hit] = site_hits.z[site_hits.start[1:][is_hit.ravel()] - 1]
     for mask, level in zip(masks, levels, strict=True):
         floor = level.floor[window]
         standing_length = np.minimum(site_top, floor + agent.height) - np.maximum(
@@ -484,9 +485,9 @@ def _mark_by_polygons(
             )
         level = levels[matching_levels[0]]
         label = labels[matching_levels[0]]
-        in_polygon = cover_cells([polygon.points, *polygon.rings], lattice)
+        is_in_polygon = cover_cells([polygon.points, *polygon.rings], lattice)
         has_floor = ~np.isnan(level.floor)
-        if not (in_polygon & has_floor).any():
+        if not (is_in_polygon & has_floor).any():
             rows, cols = np.nonzero(has_floor)
             x = lattice.center_x()[cols]
             y = lattice.center_y()[rows]
@@ -494,11 +495,13 @@ def _mark_by_polygons(
                 f"{description} of `rooms.polygons` has no floor on {level.name}, whose floor "
                 f"spans x {x.min():.2f} to {x.max():.2f}, y {y.min():.2f} to {y.max():.2f} m"
             )
-        label[in_polygon & (label == 0)] = polygon_number + 1
-    outdoors = {
+        label[is_in_polygon & (label == 0)] = polygon_number + 1
+    outdoor_rooms = {
         polygon_number for polygon_number, polygon in enumerate(polygons, 1) if polygon.outdoors
     }
-    return MarkedRooms([polygon.name for polygon in polygons], labels, warnings, outdoors=outdoors)
+    return MarkedRooms(
+        [polygon.name for polygon in polygons], labels, warnings, outdoor_rooms=outdoor_rooms
+    )
 
 
 class _Surfaces(NamedTuple):
@@ -557,13 +560,13 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
 
 
 def _find_highest_geom(
-    surfaces: _Surfaces, is_considered: Bool, num_cells: int, no_geom: int
+    surfaces: _Surfaces, is_compared: Bool, num_cells: int, no_geom: int
 ) -> Int32:
     """Find the geom whose surface is the highest in each cell; of equally high ones, the lowest id.
 
     Args:
         surfaces: n surfaces.
-        is_considered: which of the surfaces are compared, (n,).
+        is_compared: which of the surfaces are compared, (n,).
         num_cells: the number of cells.
         no_geom: the id to return for cells without a surface.
 
@@ -571,9 +574,9 @@ def _find_highest_geom(
         The geom of each cell, shape (num_cells,).
     """
     cells = surfaces.cell
-    highest = np.full(num_cells, -np.inf)
-    np.maximum.at(highest, cells[is_considered], surfaces.z[is_considered])
-    is_highest = is_considered & (surfaces.z >= highest[cells] - SAME_HEIGHT)
+    highest_z = np.full(num_cells, -np.inf)
+    np.maximum.at(highest_z, cells[is_compared], surfaces.z[is_compared])
+    is_highest = is_compared & (surfaces.z >= highest_z[cells] - SAME_HEIGHT)
     lowest_geom_id = np.full(num_cells, no_geom, dtype=np.int32)
     np.minimum.at(lowest_geom_id, cells[is_highest], surfaces.geom[is_highest])
     return lowest_geom_id

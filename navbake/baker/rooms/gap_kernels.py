@@ -57,14 +57,14 @@ class GapLimits(NamedTuple):
         min_widening: the least length by which the floor beside a gap is wider [columns].
         max_thickness: the greatest depth of a doorway from one side of the wall to the other
             [rows].
-        only_doorways: whether gaps are only marked if the floor is wider on both sides.
+        marks_only_doorways: whether gaps are only marked if the floor is wider on both sides.
     """
 
     max_width: int
     widening_factor: float
     min_widening: float
     max_thickness: int
-    only_doorways: bool
+    marks_only_doorways: bool
 
 
 class Gaps(NamedTuple):
@@ -116,7 +116,8 @@ class GapWalls(NamedTuple):
     """Distances along a scan direction from cells beside walls to these walls [columns].
 
     Attributes:
-        beside: from the centres of each gap's first and last cell to the walls, shape (gaps, 2).
+        end_distance: from the centres of each gap's first and last cell to the walls, shape (gaps,
+            2).
         max_distance: for each gap, the greatest distance at which a wall is taken for the end of an
             opening, from the centre of the opening's last cell, shape (gaps,).
         coded_distance: for each cell, backward and forward along the direction: the distance to the
@@ -124,7 +125,7 @@ class GapWalls(NamedTuple):
             `WallRays.measure`.
     """
 
-    beside: Float
+    end_distance: Float
     max_distance: Float
     coded_distance: Float
 
@@ -178,18 +179,18 @@ class LineEnd(NamedTuple):
 
     Attributes:
         length: how far the line runs in its space [columns].
-        num_openings: the number of columns in which the line runs behind a further opening to the
-            opposite space. They are counted as far as the line was followed, which may be farther
-            than `length`.
-        num_passed_openings: the number of such columns within `length`.
+        num_opening_columns: the number of columns in which the line runs behind a further opening
+            to the opposite space. They are counted as far as the line was followed, which may be
+            farther than `length`.
+        num_passed_opening_columns: the number of such columns within `length`.
         last_cell: the id of the line's last cell, -1 if it does not end at a wall.
         opening_cell: the id of the last cell of these openings, in the line of the gap; -1 for
             none.
     """
 
     length: int
-    num_openings: int
-    num_passed_openings: int
+    num_opening_columns: int
+    num_passed_opening_columns: int
     last_cell: np.int64
     opening_cell: np.int64
 
@@ -215,23 +216,23 @@ def mark_gaps(is_open, shift, is_near_wall, limits, marks):
         marks: receives the `Marks`, shape (rows, cols).
     """
     run_length = measure_runs(is_open, shift, is_near_wall)
-    rows, cols = run_length.shape
-    for col in range(cols):
-        for row in range(rows):
+    num_rows, num_cols = run_length.shape
+    for col in range(num_cols):
+        for row in range(num_rows):
             width = run_length[row, col]
             if width == 0 or width > limits.max_width or not is_near_wall[row, col]:
                 continue
             min_longer_length = _min_longer_run(width, limits)
             if row > 0 and run_length[row - 1, col] >= min_longer_length:
-                if not limits.only_doorways:
+                if not limits.marks_only_doorways:
                     marks[row, col] = max(marks[row, col], ONE_SIDED)
                 doorway_end = _find_doorway_end(run_length, row, col, limits)
                 for doorway_row in range(row, doorway_end):
                     if marks[doorway_row, col] < DOORWAY:
                         _mark_doorway(run_length, shift, doorway_row, col, marks)
             if (
-                not limits.only_doorways
-                and row + 1 < rows
+                not limits.marks_only_doorways
+                and row + 1 < num_rows
                 and run_length[row + 1, col] >= min_longer_length
             ):
                 marks[row, col] = max(marks[row, col], ONE_SIDED)
@@ -254,18 +255,19 @@ def measure_runs(is_open, shift, is_marked):
     Returns:
         The length of each cell's run, 0 for closed cells, shape (rows, cols), int32 [columns].
     """
-    rows, cols = is_open.shape
-    run_length = np.zeros((cols, rows), dtype=np.int32).T
-    length_so_far = np.zeros(rows + 2 * cols, dtype=np.int32)  # of the run on each line so far
-    for col in range(cols):
-        line_offset = cols - shift[col]
-        for row in range(rows):
-            line = row + line_offset
+    num_rows, num_cols = is_open.shape
+    run_length = np.zeros((num_cols, num_rows), dtype=np.int32).T
+    # of the run on each line, up to the column that is scanned
+    length_so_far = np.zeros(num_rows + 2 * num_cols, dtype=np.int32)
+    for col in range(num_cols):
+        line_of_first_row = num_cols - shift[col]
+        for row in range(num_rows):
+            line = row + line_of_first_row
             # a line that leaves the lattice at its upper or lower edge ends there
             if is_open[row, col]:
                 previous_row = row if col == 0 else row - shift[col] + shift[col - 1]
                 is_continued = (
-                    col > 0 and 0 <= previous_row < rows and is_open[previous_row, col - 1]
+                    col > 0 and 0 <= previous_row < num_rows and is_open[previous_row, col - 1]
                 )
                 # two lines of cells that touch at corners only don't cross
                 is_continued = is_continued and (
@@ -274,12 +276,12 @@ def measure_runs(is_open, shift, is_marked):
                 length_so_far[line] = length_so_far[line] + 1 if is_continued else 1
                 is_marked[row, col] |= is_continued and is_marked[previous_row, col - 1]
                 run_length[row, col] = length_so_far[line]
-    for col in range(cols - 2, -1, -1):
-        for row in range(rows):
+    for col in range(num_cols - 2, -1, -1):
+        for row in range(num_rows):
             next_row = row - shift[col] + shift[col + 1]
             if (
                 run_length[row, col] == 0
-                or not 0 <= next_row < rows
+                or not 0 <= next_row < num_rows
                 or run_length[next_row, col + 1] == 0
             ):
                 continue
@@ -309,9 +311,9 @@ def _find_doorway_end(run_length, first_row, col, limits):
         col: the column of that cell.
         limits: a `GapLimits`.
     """
-    rows = run_length.shape[0]
+    num_rows = run_length.shape[0]
     width = run_length[first_row, col]
-    for row in range(first_row, min(first_row + limits.max_thickness, rows)):
+    for row in range(first_row, min(first_row + limits.max_thickness, num_rows)):
         row_width = run_length[row, col]
         if row_width == 0 or row_width > limits.max_width:
             break
@@ -319,7 +321,7 @@ def _find_doorway_end(run_length, first_row, col, limits):
         min_wider_length = row_width + limits.min_widening + JAMB_JITTER
         if max(limits.widening_factor * row_width, min_wider_length) < width:
             break
-        if row + 1 < rows and run_length[row + 1, col] >= _min_longer_run(row_width, limits):
+        if row + 1 < num_rows and run_length[row + 1, col] >= _min_longer_run(row_width, limits):
             return row + 1
     return first_row
 
@@ -329,21 +331,21 @@ def _mark_doorway(run_length, shift, row, col, marks):
     """Mark all cells of the run of open cells that cell (row, col) belongs to as `DOORWAY`."""
     marks[row, col] = DOORWAY
     for col_step in (-1, 1):
-        last_row = row
+        current_row = row
         next_col = col + col_step
         while 0 <= next_col < len(shift):
-            next_row = last_row - shift[next_col - col_step] + shift[next_col]
+            next_row = current_row - shift[next_col - col_step] + shift[next_col]
             if not 0 <= next_row < len(run_length) or run_length[next_row, next_col] == 0:
                 break
             if marks[next_row, next_col] == DOORWAY:
                 break
             if (
                 run_length[next_row, next_col - col_step] == 0
-                and run_length[last_row, next_col] == 0
+                and run_length[current_row, next_col] == 0
             ):
                 break  # between two closed cells that touch at their corners
             marks[next_row, next_col] = DOORWAY
-            last_row = next_row
+            current_row = next_row
             next_col = next_col + col_step
 
 
@@ -351,8 +353,8 @@ def _mark_doorway(run_length, shift, row, col, marks):
 
 
 @kernel
-def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
-    """Measure the shares of gaps: a gap's width, divided by that of the space on either side.
+def measure_gaps(scan, gaps, gap_numbers, space_of_label, gap_walls):
+    """Measure the shares of gaps: a gap's width, divided by the width of the space on either side.
 
     A space is measured along lines of cells parallel to the gap, at each of the scan's depths (the
     distances behind the gap). A line ends where the space ends, or `MAX_LINE_EXTENSION` gap widths
@@ -367,9 +369,9 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
     Args:
         scan: a `Scan`.
         gaps: all `Gaps` of the scan.
-        chosen_gaps: the numbers of the gaps to measure, shape (n,), int64.
-        space_of: label -> the space that it belongs to after the joins so far, int32.
-        walls: a `GapWalls`.
+        gap_numbers: the numbers of the gaps to measure, shape (n,), int64.
+        space_of_label: label -> the space that it belongs to after the joins so far, int32.
+        gap_walls: a `GapWalls`.
 
     Returns:
         Four values. The lines that were measured, a `GapLines` of n gaps.
@@ -379,25 +381,25 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
         A list of pairs (gap, space): third spaces that a gap's lines met. The gap has to be
         measured again only if such a space is joined to one of the gap's own two spaces.
     """
-    num_chosen = len(chosen_gaps)
+    num_gaps = len(gap_numbers)
     num_depths = len(scan.depths)
     lines = GapLines(
-        length=np.full((num_chosen, 2, num_depths), np.int64(-1)),
-        opening_width=np.full((num_chosen, 2, num_depths, 2), np.int64(-1)),
-        wall_cell=np.full((num_chosen, 2, num_depths, 2), np.int64(-1)),
-        opening_cell=np.full((num_chosen, 2, num_depths, 2), np.int64(-1)),
+        length=np.full((num_gaps, 2, num_depths), np.int64(-1)),
+        opening_width=np.full((num_gaps, 2, num_depths, 2), np.int64(-1)),
+        wall_cell=np.full((num_gaps, 2, num_depths, 2), np.int64(-1)),
+        opening_cell=np.full((num_gaps, 2, num_depths, 2), np.int64(-1)),
     )
-    shares = np.ones((num_chosen, 2))
-    needs_rays = np.zeros(num_chosen, np.bool_)
+    shares = np.ones((num_gaps, 2))
+    needs_rays = np.zeros(num_gaps, np.bool_)
     widths = np.empty((2, num_depths))  # of one gap and its openings, up to walls [columns]
-    met_spaces = [(np.int64(-1), np.int64(-1))]  # the entry gives the list its type
-    for chosen_index in range(num_chosen):
-        gap = chosen_gaps[chosen_index]
-        above = np.int64(space_of[gaps.label_above[gap]])
-        below = np.int64(space_of[gaps.label_below[gap]])
-        if above == below:
+    third_spaces = [(np.int64(-1), np.int64(-1))]  # the entry gives the list its type
+    for gap_index in range(num_gaps):
+        gap = gap_numbers[gap_index]
+        space_above = np.int64(space_of_label[gaps.label_above[gap]])
+        space_below = np.int64(space_of_label[gaps.label_below[gap]])
+        if space_above == space_below:
             continue
-        needs_walls = False
+        needs_wall_distances = False
         for side in range(2):
             shortest_length = len(scan.shift)
             for depth_index in range(num_depths):
@@ -407,52 +409,56 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
                     side=side,
                     depth=depth,
                     lean=lean,
-                    space=above if side == ABOVE else below,
-                    opposite_space=below if side == ABOVE else above,
+                    space=space_above if side == ABOVE else space_below,
+                    opposite_space=space_below if side == ABOVE else space_above,
                 )
                 _measure_line(
-                    scan, gaps, line, space_of, met_spaces, lines, chosen_index, depth_index
+                    scan, gaps, line, space_of_label, third_spaces, lines, gap_index, depth_index
                 )
                 width = 0.0
                 for end in range(2):
                     # up to the wall at the gap's end, or at that of openings beyond it
-                    opening_width = lines.opening_width[chosen_index, side, depth_index, end]
-                    cell = lines.opening_cell[chosen_index, side, depth_index, end]
+                    opening_width = lines.opening_width[gap_index, side, depth_index, end]
+                    cell = lines.opening_cell[gap_index, side, depth_index, end]
                     if opening_width > 0:
-                        needs_rays[chosen_index] |= (
-                            cell >= 0 and walls.coded_distance[cell, end] == 0.0
+                        needs_rays[gap_index] |= (
+                            cell >= 0 and gap_walls.coded_distance[cell, end] == 0.0
                         )
                         width += opening_width + _distance_to_wall(
-                            walls.coded_distance, cell, end, walls.max_distance[gap]
+                            gap_walls.coded_distance, cell, end, gap_walls.max_distance[gap]
                         )
                     else:
-                        width += walls.beside[gap, end]
+                        width += gap_walls.end_distance[gap, end]
                 widths[side, depth_index] = gaps.last_col[gap] - gaps.first_col[gap] + width
-                length = lines.length[chosen_index, side, depth_index]
-                shares[chosen_index, side] = min(
-                    shares[chosen_index, side], widths[side, depth_index] / length
+                length = lines.length[gap_index, side, depth_index]
+                shares[gap_index, side] = min(
+                    shares[gap_index, side], widths[side, depth_index] / length
                 )
                 shortest_length = min(shortest_length, length)
             for share in DECIDING_SHARES:
-                needs_walls |= (
-                    abs(shares[chosen_index, side] - share) * shortest_length <= DECIDING_CELLS
+                needs_wall_distances |= (
+                    abs(shares[gap_index, side] - share) * shortest_length <= DECIDING_CELLS
                 )
-        if not needs_walls:
+        if not needs_wall_distances:
             # it makes no difference where in the last cells the walls begin
             continue
         for side in range(2):
-            shares[chosen_index, side] = 1.0
+            shares[gap_index, side] = 1.0
             for depth_index in range(num_depths):
                 length = 0.0
                 for end in range(2):
-                    cell = lines.wall_cell[chosen_index, side, depth_index, end]
-                    needs_rays[chosen_index] |= cell >= 0 and walls.coded_distance[cell, end] == 0.0
-                    length += _distance_to_wall(walls.coded_distance, cell, end, MAX_WALL_DISTANCE)
+                    cell = lines.wall_cell[gap_index, side, depth_index, end]
+                    needs_rays[gap_index] |= (
+                        cell >= 0 and gap_walls.coded_distance[cell, end] == 0.0
+                    )
+                    length += _distance_to_wall(
+                        gap_walls.coded_distance, cell, end, MAX_WALL_DISTANCE
+                    )
                 share = widths[side, depth_index] / (
-                    lines.length[chosen_index, side, depth_index] - 1 + length
+                    lines.length[gap_index, side, depth_index] - 1 + length
                 )
-                shares[chosen_index, side] = min(shares[chosen_index, side], share)
-    return lines, shares, needs_rays, met_spaces[1:]
+                shares[gap_index, side] = min(shares[gap_index, side], share)
+    return lines, shares, needs_rays, third_spaces[1:]
 
 
 @subkernel(**NO_REFCOUNT)
@@ -513,7 +519,7 @@ def _distance_to_wall(coded_distance, cell, end, max_distance):
 
 
 @subkernel
-def _measure_line(scan, gaps, line, space_of, met_spaces, lines, chosen_index, depth_index):
+def _measure_line(scan, gaps, line, space_of_label, third_spaces, lines, gap_index, depth_index):
     """Measure how far a line behind a gap runs in its space, in both directions.
 
     A line may be longer if the gap is part of a wider opening; so the openings next to the gap are
@@ -522,34 +528,36 @@ def _measure_line(scan, gaps, line, space_of, met_spaces, lines, chosen_index, d
     Args:
         scan, gaps: see `measure_gaps`.
         line: a `LineBehindGap`.
-        space_of: see `measure_gaps`.
-        met_spaces: receives (gap, space) for each third space that the line meets.
+        space_of_label: see `measure_gaps`.
+        third_spaces: receives (gap, space) for each third space that the line meets.
         lines: a `GapLines` that receives the results.
-        chosen_index: the gap's index in `lines`.
+        gap_index: the gap's index in `lines`.
         depth_index: the index of the line's depth.
     """
     gap_width = gaps.last_col[line.gap] - gaps.first_col[line.gap] + 1
     opening_width = gap_width
     for end in range(2):
-        line_end = _walk_line(scan, gaps, line, end, 0, True, space_of, met_spaces)
-        opening_width += line_end.num_openings
+        line_end = _walk_line(scan, gaps, line, end, 0, True, space_of_label, third_spaces)
+        opening_width += line_end.num_opening_columns
     length = gap_width
     for end in range(2):
-        line_end = _walk_line(scan, gaps, line, end, opening_width, False, space_of, met_spaces)
-        length += line_end.length
-        lines.opening_width[chosen_index, line.side, depth_index, end] = (
-            line_end.num_passed_openings
+        line_end = _walk_line(
+            scan, gaps, line, end, opening_width, False, space_of_label, third_spaces
         )
-        lines.wall_cell[chosen_index, line.side, depth_index, end] = line_end.last_cell
-        if line_end.num_passed_openings > 0 and line_end.last_cell >= 0:
-            lines.opening_cell[chosen_index, line.side, depth_index, end] = line_end.opening_cell
+        length += line_end.length
+        lines.opening_width[gap_index, line.side, depth_index, end] = (
+            line_end.num_passed_opening_columns
+        )
+        lines.wall_cell[gap_index, line.side, depth_index, end] = line_end.last_cell
+        if line_end.num_passed_opening_columns > 0 and line_end.last_cell >= 0:
+            lines.opening_cell[gap_index, line.side, depth_index, end] = line_end.opening_cell
         else:
-            lines.opening_cell[chosen_index, line.side, depth_index, end] = -1
-    lines.length[chosen_index, line.side, depth_index] = length
+            lines.opening_cell[gap_index, line.side, depth_index, end] = -1
+    lines.length[gap_index, line.side, depth_index] = length
 
 
 @subkernel
-def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, met_spaces):
+def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of_label, third_spaces):
     """Follow a line behind a gap from one end of the gap away from it, and return a `LineEnd`.
 
     Args:
@@ -559,87 +567,91 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
         opening_width: the width of the opening that the gap is part of, which limits the walk
             [columns].
         only_openings: whether the walk ends where the openings next to the gap end.
-        space_of: see `measure_gaps`.
-        met_spaces: receives (gap, space) for each third space that the line meets.
+        space_of_label: see `measure_gaps`.
+        third_spaces: receives (gap, space) for each third space that the line meets.
     """
-    rows, cols = scan.label.shape
+    num_rows, num_cols = scan.label.shape
     shift = scan.shift
     gap_width = gaps.last_col[line.gap] - gaps.first_col[line.gap] + 1
-    end_top = gaps.top_row[line.gap, end]
-    end_bottom = gaps.bottom_row[line.gap, end]
+    end_top_row = gaps.top_row[line.gap, end]
+    end_bottom_row = gaps.bottom_row[line.gap, end]
     start_col = gaps.first_col[line.gap] if end == FIRST_END else gaps.last_col[line.gap]
     col_step = -1 if end == FIRST_END else 1
     # the rows in which the line and its mirror image on the gap's other side begin, in the column
     # of the gap's end; the line is shifted by `lean` columns from there, the image by as many back
     if line.side == ABOVE:
-        line_start = end_top - line.depth
-        mirror_start = end_bottom + line.depth
+        line_start_row = end_top_row - line.depth
+        mirror_start_row = end_bottom_row + line.depth
         lean = line.lean
     else:
-        line_start = end_bottom + line.depth
-        mirror_start = end_top - line.depth
+        line_start_row = end_bottom_row + line.depth
+        mirror_start_row = end_top_row - line.depth
         lean = -line.lean
     length = 0
-    num_openings = 0
-    num_passed_openings = 0
+    num_opening_columns = 0
+    num_passed_opening_columns = 0
     last_cell = np.int64(-1)
     opening_cell = np.int64(-1)
-    for num_steps in range(cols):
+    for num_steps in range(num_cols):
         gap_col = start_col + col_step * num_steps
         line_col = gap_col + lean
         mirror_col = gap_col - lean
         is_too_far = not only_openings and (
-            num_steps > MAX_LINE_EXTENSION * max(opening_width, gap_width + num_openings)
+            num_steps > MAX_LINE_EXTENSION * max(opening_width, gap_width + num_opening_columns)
         )
-        if is_too_far or not 0 <= line_col < cols:
+        if is_too_far or not 0 <= line_col < num_cols:
             last_cell = np.int64(-1)
             break
-        line_row = line_start + shift[line_col] - shift[start_col]
-        if not 0 <= line_row < rows or not scan.is_open[line_row, line_col]:
+        line_row = line_start_row + shift[line_col] - shift[start_col]
+        if not 0 <= line_row < num_rows or not scan.is_open[line_row, line_col]:
             if num_steps == 0:
                 continue  # there is a wall beside the gap's end
             if last_cell >= 0:
                 length = num_steps - 1
-                num_passed_openings = num_openings
+                num_passed_opening_columns = num_opening_columns
             break
-        space = np.int64(space_of[scan.label[line_row, line_col]])
-        last_cell = line_row * cols + line_col
+        space = np.int64(space_of_label[scan.label[line_row, line_col]])
+        last_cell = line_row * num_cols + line_col
         if num_steps == 0:
             continue
         if space > 0 and space != line.space:
-            _record_met_space(met_spaces, line.gap, space)
+            _record_met_space(third_spaces, line.gap, space)
             last_cell = np.int64(-1)
             break
-        if 0 <= gap_col < cols and 0 <= mirror_col < cols:
+        if 0 <= gap_col < num_cols and 0 <= mirror_col < num_cols:
             row_shift = shift[gap_col] - shift[start_col]
-            gap_top = end_top + row_shift
-            gap_bottom = end_bottom + row_shift
-            mirror_row = mirror_start + shift[mirror_col] - shift[start_col]
+            gap_top_row = end_top_row + row_shift
+            gap_bottom_row = end_bottom_row + row_shift
+            mirror_row = mirror_start_row + shift[mirror_col] - shift[start_col]
             mirror_space = np.int64(-1)
-            if _is_passage(scan.is_open, gap_col, gap_top, gap_bottom, mirror_row, mirror_col):
-                mirror_space = np.int64(space_of[scan.label[mirror_row, mirror_col]])
+            if _is_passage(
+                scan.is_open, gap_col, gap_top_row, gap_bottom_row, mirror_row, mirror_col
+            ):
+                mirror_space = np.int64(space_of_label[scan.label[mirror_row, mirror_col]])
             # another gap that ends here has no label: the line goes on beyond it
             if mirror_space == line.opposite_space or mirror_space == 0:
-                num_openings += 1
-                opening_cell = ((end_top + end_bottom) // 2 + row_shift) * cols + gap_col
+                num_opening_columns += 1
+                opening_cell = (
+                    (end_top_row + end_bottom_row) // 2 + row_shift
+                ) * num_cols + gap_col
             elif mirror_space > 0:
-                _record_met_space(met_spaces, line.gap, mirror_space)
+                _record_met_space(third_spaces, line.gap, mirror_space)
         if space > 0:
             length = num_steps
-            num_passed_openings = num_openings
-        if only_openings and num_openings < num_steps:
+            num_passed_opening_columns = num_opening_columns
+        if only_openings and num_opening_columns < num_steps:
             break
     return LineEnd(
         length=length,
-        num_openings=num_openings,
-        num_passed_openings=num_passed_openings,
+        num_opening_columns=num_opening_columns,
+        num_passed_opening_columns=num_passed_opening_columns,
         last_cell=last_cell,
         opening_cell=opening_cell,
     )
 
 
 @subkernel(**NO_REFCOUNT)
-def _is_passage(is_open, gap_col, top, bottom, mirror_row, mirror_col):
+def _is_passage(is_open, gap_col, top_row, bottom_row, mirror_row, mirror_col):
     """Return whether a further opening, in line with a gap, is in a column.
 
     The column has to be open in all rows of the gap, because a thin oblique wall may be in any of
@@ -648,31 +660,31 @@ def _is_passage(is_open, gap_col, top, bottom, mirror_row, mirror_col):
     Args:
         is_open: the open cells, shape (rows, cols).
         gap_col: the column.
-        top: the first row of the gap, in this column.
-        bottom: the last row of the gap, in this column.
+        top_row: the first row of the gap, in this column.
+        bottom_row: the last row of the gap, in this column.
         mirror_row, mirror_col: the cell on the opposite side.
     """
-    rows = is_open.shape[0]
-    if top < 0 or bottom >= rows or not 0 <= mirror_row < rows:
+    num_rows = is_open.shape[0]
+    if top_row < 0 or bottom_row >= num_rows or not 0 <= mirror_row < num_rows:
         return False
-    for row in range(top, bottom + 1):
+    for row in range(top_row, bottom_row + 1):
         if not is_open[row, gap_col]:
             return False
     return is_open[mirror_row, mirror_col]
 
 
 @subkernel
-def _record_met_space(met_spaces, gap, space):
-    """Append the pair (gap, space) to `met_spaces` unless it is among the pairs of that gap.
+def _record_met_space(third_spaces, gap, space):
+    """Append the pair (gap, space) to `third_spaces` unless it is among the pairs of that gap.
 
     The pairs of a gap follow each other, so that those of the last gap are at the end.
     """
-    for pair_index in range(len(met_spaces) - 1, 0, -1):
-        if met_spaces[pair_index][0] != gap:
+    for pair_index in range(len(third_spaces) - 1, 0, -1):
+        if third_spaces[pair_index][0] != gap:
             break
-        if met_spaces[pair_index][1] == space:
+        if third_spaces[pair_index][1] == space:
             return
-    met_spaces.append((gap, space))
+    third_spaces.append((gap, space))
 
 
 # ---------------------------------------------------------------- sills
@@ -694,33 +706,34 @@ def mark_sills(is_low, is_wall, shift, is_sill):
         shift: for each column, how many rows lower a line is than in the first column.
         is_sill: receives a mask of the cells of sills, shape (rows, cols), bool.
     """
-    rows, cols = is_low.shape
+    num_rows, num_cols = is_low.shape
     is_low = is_low.T
     is_wall = is_wall.T
-    chains_from_first = np.zeros((cols, rows), dtype=np.uint8)  # chains that begin at a wall before
-    for col in range(1, cols):
+    # of chains that begin at a wall in an earlier column
+    chain_bits_from_first = np.zeros((num_cols, num_rows), dtype=np.uint8)
+    for col in range(1, num_cols):
         rows_to_previous = shift[col - 1] - shift[col]
         _extend_chains(
             is_low=is_low[col],
             is_wall=is_wall[col],
             rows_to_next=rows_to_previous,
             is_next_wall=is_wall[col - 1],
-            next_chains=chains_from_first[col - 1],
-            chains=chains_from_first[col],
+            next_chain_bits=chain_bits_from_first[col - 1],
+            column_chain_bits=chain_bits_from_first[col],
         )
-    chains_from_last = np.zeros((cols, rows), dtype=np.uint8)
-    for col in range(cols - 2, -1, -1):
+    chain_bits_from_last = np.zeros((num_cols, num_rows), dtype=np.uint8)
+    for col in range(num_cols - 2, -1, -1):
         rows_to_next = shift[col + 1] - shift[col]
         _extend_chains(
             is_low=is_low[col],
             is_wall=is_wall[col],
             rows_to_next=rows_to_next,
             is_next_wall=is_wall[col + 1],
-            next_chains=chains_from_last[col + 1],
-            chains=chains_from_last[col],
+            next_chain_bits=chain_bits_from_last[col + 1],
+            column_chain_bits=chain_bits_from_last[col],
         )
-        for row in range(rows):
-            chain_bits = chains_from_first[col, row] & chains_from_last[col, row]
+        for row in range(num_rows):
+            chain_bits = chain_bits_from_first[col, row] & chain_bits_from_last[col, row]
             if chain_bits == 0:
                 continue
             for side in range(3):
@@ -731,7 +744,7 @@ def mark_sills(is_low, is_wall, shift, is_sill):
 
 
 @subkernel(**NO_REFCOUNT)
-def _extend_chains(is_low, is_wall, rows_to_next, is_next_wall, next_chains, chains):
+def _extend_chains(is_low, is_wall, rows_to_next, is_next_wall, next_chain_bits, column_chain_bits):
     """Extend chains of low cells, which may be sills, from a neighbouring column into a column.
 
     Args:
@@ -739,15 +752,15 @@ def _extend_chains(is_low, is_wall, rows_to_next, is_next_wall, next_chains, cha
         is_wall: the column's cells of walls.
         rows_to_next: how many rows lower the lines are in the neighbouring column.
         is_next_wall: the neighbouring column's cells of walls.
-        next_chains: the bits of the neighbouring column's cells, see `EXACT_CHAIN`.
-        chains: receives the bits of the column's cells.
+        next_chain_bits: the bits of the neighbouring column's cells, see `EXACT_CHAIN`.
+        column_chain_bits: receives the bits of the column's cells.
     """
-    rows = is_low.shape[0]
-    for row in range(max(0, -rows_to_next), min(rows, rows - rows_to_next)):
+    num_rows = is_low.shape[0]
+    for row in range(max(0, -rows_to_next), min(num_rows, num_rows - rows_to_next)):
         is_at_wall = is_next_wall[row + rows_to_next]
-        bits_of_next_cell = next_chains[row + rows_to_next]
+        bits_of_next_cell = next_chain_bits[row + rows_to_next]
         row_above = max(row - 1, 0)
-        row_below = min(row + 1, rows - 1)
+        row_below = min(row + 1, num_rows - 1)
         if (
             bits_of_next_cell == 0 and not is_at_wall
         ):  # most cells: no chain can begin or go on here
@@ -760,14 +773,14 @@ def _extend_chains(is_low, is_wall, rows_to_next, is_next_wall, next_chains, cha
                 side = chain_row - row + 1
                 if is_low[chain_row] and (is_at_wall or bits_of_next_cell & TOUCHING_BITS[side]):
                     chain_bits |= 1 << side
-        chains[row] = chain_bits
+        column_chain_bits[row] = chain_bits
 
 
 # ---------------------------------------------------------------- distances
 
 
 @kernel(nogil=True)
-def sweep_distances(is_target, reach, column_distance, squared_distance, start, stop):
+def sweep_distances(is_target, reach, column_distance, squared_distance, begin, end):
     """Measure how far each cell is from the nearest target: first along columns, then along rows.
 
     It takes two calls, as a squared Euclidean distance is the sum of two squares, one per axis
@@ -781,15 +794,13 @@ def sweep_distances(is_target, reach, column_distance, squared_distance, start, 
             first call writes the columns ``range(start, stop)``; the second call reads all.
         squared_distance: receives the squared distances of the rows ``range(start, stop)``, int32;
             empty in the first call.
-        start: the first column; in the second call, the first row.
-        stop: the last column or row, plus 1.
+        begin: the first column; in the second call, the first row.
+        end: the last column or row, plus 1.
     """
     if squared_distance.shape[0] == 0:
-        _sweep_columns(
-            is_target[:, start:stop], np.int16(reach + 1), column_distance[:, start:stop]
-        )
+        _sweep_columns(is_target[:, begin:end], np.int16(reach + 1), column_distance[:, begin:end])
     else:
-        _sweep_rows(column_distance, reach, squared_distance, start, stop)
+        _sweep_rows(column_distance, reach, squared_distance, begin, end)
 
 
 @subkernel
@@ -798,15 +809,15 @@ def _sweep_columns(is_target, beyond_reach, column_distance):
 
     Distances from `beyond_reach` on are written as `beyond_reach` [cells].
     """
-    rows, cols = is_target.shape  # of some columns: loops from 0 vectorize
-    for col in range(cols):
+    num_rows, num_cols = is_target.shape  # of some columns: loops from 0 vectorize
+    for col in range(num_cols):
         column_distance[0, col] = 0 if is_target[0, col] else beyond_reach
-    for row in range(1, rows):
-        for col in range(cols):
+    for row in range(1, num_rows):
+        for col in range(num_cols):
             distance_from_above = min(column_distance[row - 1, col] + np.int16(1), beyond_reach)
             column_distance[row, col] = 0 if is_target[row, col] else distance_from_above
-    for row in range(rows - 2, -1, -1):
-        for col in range(cols):
+    for row in range(num_rows - 2, -1, -1):
+        for col in range(num_cols):
             column_distance[row, col] = min(
                 column_distance[row, col], column_distance[row + 1, col] + np.int16(1)
             )
@@ -819,21 +830,21 @@ def _sweep_rows(column_distance, reach, squared_distance, first_row, end_row):
     It is the least sum of two squares over all columns within `reach`: of the distance to a column,
     and of the distance to the nearest target within that column.
     """
-    cols = column_distance.shape[1]
-    squared_beyond = np.int32((reach + 1) ** 2)
-    padded_squares = np.empty(cols + 2 * reach, np.int32)
+    num_cols = column_distance.shape[1]
+    squared_beyond_reach = np.int32((reach + 1) ** 2)
+    padded_squares = np.empty(num_cols + 2 * reach, np.int32)
     for col in range(reach):
-        padded_squares[col] = padded_squares[cols + reach + col] = squared_beyond
+        padded_squares[col] = padded_squares[num_cols + reach + col] = squared_beyond_reach
     for row in range(first_row, end_row):
         row_distances = squared_distance[row]
-        for col in range(cols):
+        for col in range(num_cols):
             distance = np.int32(column_distance[row, col])
             padded_squares[col + reach] = distance * distance
-            row_distances[col] = squared_beyond
+            row_distances[col] = squared_beyond_reach
         for col_shift in range(2 * reach + 1):
-            squared_offset = np.int32((col_shift - reach) ** 2)
-            shifted_squares = padded_squares[col_shift : col_shift + cols]
-            for col in range(cols):
+            squared_col_distance = np.int32((col_shift - reach) ** 2)
+            shifted_squares = padded_squares[col_shift : col_shift + num_cols]
+            for col in range(num_cols):
                 row_distances[col] = min(
-                    row_distances[col], np.int32(shifted_squares[col] + squared_offset)
+                    row_distances[col], np.int32(shifted_squares[col] + squared_col_distance)
                 )

@@ -70,12 +70,12 @@ class CloseCall(NamedTuple):
     The gap's width, divided by that of the narrower space beside it, is close to the limit.
 
     Attributes:
-        cell: row and column of the gap's middle, with fractions.
+        row_col: row and column of the gap's middle, with fractions.
         width: the gap's width [m].
         separates: whether the gap separates the two spaces.
     """
 
-    cell: tuple[float, float]
+    row_col: tuple[float, float]
     width: float
     separates: bool
 
@@ -98,12 +98,12 @@ class SeparatedSpaces(NamedTuple):
     """The spaces (connected parts of the floor) between all gaps, before any of them are joined.
 
     Attributes:
-        directions: the gaps of each direction.
+        direction_gaps: the gaps of each direction.
         label: the number of each cell's space, from 1, or 0 for none; shape (height, width), int32.
         num_cells: the number of cells with each label, int64; 0 for label 0.
     """
 
-    directions: list[DirectionGaps]
+    direction_gaps: list[DirectionGaps]
     label: Int32
     num_cells: Int
 
@@ -112,36 +112,35 @@ class SeparatedSpaces(NamedTuple):
 
 
 def find_gaps(
-    open_cells: Bool,
-    holes: Bool,
+    is_open: Bool,
+    is_hole: Bool,
     cell_size: float,
     door_width: float | None,
     rays: WallRays | None = None,
-    closed_cells: Bool | None = None,
+    is_closed: Bool | None = None,
 ) -> SeparatedSpaces:
     """Find the gaps along each direction of walls, and the spaces between all of them.
 
     Args:
-        open_cells: cells with a floor and without a wall, shape (height, width).
-        holes: cells with neither floor nor wall. Gaps may go across them, but they are in no space.
+        is_open: cells with a floor and without a wall, shape (height, width).
+        is_hole: cells with neither floor nor wall. Gaps may go across them, but they are in no
+            space.
         cell_size: the side of a cell, > 0 [m].
         door_width: the widest gap that separates two spaces [m]; None for the limits of
             `gap_limits.py`.
         rays: rays to the geometry of walls; None to find the walls' directions from cells.
-        closed_cells: cells of closed door leaves. They are in no space and no gap, and gaps end at
+        is_closed: cells of closed door leaves. They are in no space and no gap, and gaps end at
             them as at walls. None for no leaves.
 
     Returns:
         The gaps and the spaces.
     """
-    passable_cells = open_cells | holes
-    if closed_cells is None:
-        closed_cells = np.zeros_like(passable_cells)
-    directions = find_directions(passable_cells, cell_size, rays)
-    marks, is_marked = _mark_gap_lines(
-        passable_cells, closed_cells, directions, cell_size, door_width
-    )
-    label, num_cells = _label_spaces(open_cells, is_marked, cell_size)
+    is_passable = is_open | is_hole
+    if is_closed is None:
+        is_closed = np.zeros_like(is_passable)
+    directions = find_directions(is_passable, cell_size, rays)
+    marks, is_marked = _mark_gap_lines(is_passable, is_closed, directions, cell_size, door_width)
+    label, num_cells = _label_spaces(is_open, is_marked, cell_size)
     direction_gaps = []
     for direction, direction_marks in zip(directions, marks, strict=True):
         depths_in_rows = np.array(
@@ -152,7 +151,7 @@ def find_gaps(
         )
         scan = Scan(
             label=to_scan_order(label, direction),
-            is_open=to_scan_order(passable_cells & ~closed_cells, direction),
+            is_open=to_scan_order(is_passable & ~is_closed, direction),
             shift=direction.shift,
             depths=depths_in_rows,
             leans=np.rint(depths_in_rows * direction.slope / direction.length_per_column**2).astype(
@@ -165,8 +164,8 @@ def find_gaps(
 
 
 def _mark_gap_lines(
-    passable_cells: Bool,
-    closed_cells: Bool,
+    is_passable: Bool,
+    is_closed: Bool,
     directions: list[WallDirection],
     cell_size: float,
     door_width: float | None,
@@ -178,9 +177,9 @@ def _mark_gap_lines(
     through a door, and a line that continues a wall ends at a wide opening beside it.
 
     Args:
-        passable_cells: cells that a gap may go across: open cells, and holes in the floor, shape
+        is_passable: cells that a gap may go across: open cells, and holes in the floor, shape
             (height, width).
-        closed_cells: cells of closed door leaves, at which lines end.
+        is_closed: cells of closed door leaves, at which lines end.
         directions: the directions of walls, in which lines run.
         cell_size: the side of a cell, > 0 [m].
         door_width: the widest gap that separates two spaces [m]; None for the limits of
@@ -191,16 +190,16 @@ def _mark_gap_lines(
         or marked in any direction, shape (height, width).
     """
     marks = [
-        np.zeros_like(to_scan_order(passable_cells, direction), dtype=np.uint8)
+        np.zeros_like(to_scan_order(is_passable, direction), dtype=np.uint8)
         for direction in directions
     ]
-    is_marked = closed_cells.copy()
-    least_max_width = door_width or 0.0
-    for max_width, only_doorways in (
-        (max(MAX_OPENING_WIDTH, least_max_width), True),
-        (max(MAX_PASSAGE_WIDTH, least_max_width), False),
+    is_marked = is_closed.copy()
+    configured_width = door_width or 0.0
+    for max_width, marks_only_doorways in (
+        (max(MAX_OPENING_WIDTH, configured_width), True),
+        (max(MAX_PASSAGE_WIDTH, configured_width), False),
     ):
-        unmarked = passable_cells & ~is_marked
+        is_unmarked = is_passable & ~is_marked
         wait_functions = []
         for direction, direction_marks in zip(directions, marks, strict=True):
             column_length = direction.length_per_column * cell_size  # along the lines [m]
@@ -209,9 +208,9 @@ def _mark_gap_lines(
                 widening_factor=WIDENING_FACTOR,
                 min_widening=MIN_WIDENING / column_length,
                 max_thickness=int(MAX_WALL_THICKNESS * direction.length_per_column / cell_size) + 2,
-                only_doorways=only_doorways,
+                marks_only_doorways=marks_only_doorways,
             )
-            is_open = to_scan_order(unmarked, direction)
+            is_open = to_scan_order(is_unmarked, direction)
             is_near_wall = to_scan_order(direction.is_near_wall, direction).copy("K")
             wait_functions.append(
                 run_beside(
@@ -230,7 +229,7 @@ def _mark_gap_lines(
     return marks, is_marked
 
 
-def _label_spaces(open_cells: Bool, is_marked: Bool, cell_size: float) -> tuple[Int32, Int]:
+def _label_spaces(is_open: Bool, is_marked: Bool, cell_size: float) -> tuple[Int32, Int]:
     """Label the spaces: connected open cells that are not marked as cells of gaps.
 
     Areas smaller than `MIN_SPACE_AREA` are no spaces; their cells are added to `is_marked`.
@@ -239,13 +238,13 @@ def _label_spaces(open_cells: Bool, is_marked: Bool, cell_size: float) -> tuple[
         The label of each cell's space, from 1, 0 for none, shape (height, width); and the number of
         cells of each label, 0 for label 0.
     """
-    label, num_spaces = label_components_2d(open_cells & ~is_marked)
+    label, num_spaces = label_components_2d(is_open & ~is_marked)
     num_cells = count_cells_by_label(label, num_spaces + 1)
     is_space = num_cells * cell_size**2 >= MIN_SPACE_AREA
     is_space[0] = True
     if is_space.all():
         return label, num_cells
-    is_marked |= open_cells & ~is_space[label]
+    is_marked |= is_open & ~is_space[label]
     # The remaining spaces keep their order.
     new_label = np.where(is_space, np.cumsum(is_space) - 1, 0).astype(np.int32)
     return new_label[label], np.bincount(new_label, num_cells).astype(np.int64)
@@ -294,10 +293,10 @@ def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
     )
     # Sort by gap, and within a gap by column.
     sort_indices = np.argsort(gap_of_crossing, kind="stable")
-    gap_starts = np.flatnonzero(np.diff(gap_of_crossing[sort_indices], prepend=-1))
-    first_crossing = sort_indices[gap_starts]
+    first_index_of_gap = np.flatnonzero(np.diff(gap_of_crossing[sort_indices], prepend=-1))
+    first_crossing = sort_indices[first_index_of_gap]
     last_crossing = sort_indices[
-        np.append(gap_starts[1:], len(sort_indices))[: len(gap_starts)] - 1
+        np.append(first_index_of_gap[1:], len(sort_indices))[: len(first_index_of_gap)] - 1
     ]
     return Gaps(
         first_col=crossings.col[first_crossing],
@@ -308,7 +307,7 @@ def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
         ),
         label_above=crossings.label_above[first_crossing],
         label_below=crossings.label_below[first_crossing],
-        is_doorway=np.maximum.reduceat(crossings.mark[sort_indices], gap_starts) == DOORWAY,
+        is_doorway=np.maximum.reduceat(crossings.mark[sort_indices], first_index_of_gap) == DOORWAY,
     )
 
 
@@ -324,11 +323,11 @@ def _list_crossings(scan: Scan, is_marked: Bool, marks: Marks) -> _Crossings:
         marks: the marks of this direction.
     """
     label = scan.label
-    col, top, stop_row, _ = find_row_runs(is_marked.T)
-    bottom = stop_row - 1
-    starts = np.cumsum(stop_row - top) - (stop_row - top)
-    greatest_mark = np.maximum.reduceat(marks.T[is_marked.T], starts)
-    is_open = np.logical_and.reduceat(scan.is_open.T[is_marked.T], starts)
+    col, top, end_row, _ = find_row_runs(is_marked.T)
+    bottom = end_row - 1
+    run_starts = np.cumsum(end_row - top) - (end_row - top)
+    greatest_mark = np.maximum.reduceat(marks.T[is_marked.T], run_starts)
+    is_open = np.logical_and.reduceat(scan.is_open.T[is_marked.T], run_starts)
     label_above = label[np.maximum(top - 1, 0), col]
     label_below = label[np.minimum(bottom + 1, len(label) - 1), col]
     # At the lattice's edge, the cell above or below is the marked cell itself, without a label.
@@ -359,18 +358,18 @@ def _find_previous_crossings(crossings: _Crossings, scan: Scan) -> Int:
     pair_key = crossings.label_above * num_labels + crossings.label_below
     sort_key = pair_key * (num_cols + 1) + crossings.col
     sort_indices = np.argsort(sort_key, kind="stable")
-    match_start = np.searchsorted(sort_key[sort_indices], sort_key - 1, "left")
-    match_stop = np.searchsorted(sort_key[sort_indices], sort_key - 1, "right")
+    match_begin = np.searchsorted(sort_key[sort_indices], sort_key - 1, "left")
+    match_end = np.searchsorted(sort_key[sort_indices], sort_key - 1, "right")
     middle_line = (crossings.top + crossings.bottom) / 2 - scan.shift[crossings.col]
     previous_crossing = np.full(len(sort_key), -1)
-    for match_number in range(int((match_stop - match_start).max(initial=0))):
+    for match_number in range(int((match_end - match_begin).max(initial=0))):
         candidate_crossing = sort_indices[
-            np.minimum(match_start + match_number, len(sort_indices) - 1)
+            np.minimum(match_begin + match_number, len(sort_indices) - 1)
         ]
-        is_near = np.abs(middle_line[candidate_crossing] - middle_line) <= MAX_LINE_DRIFT
-        is_near &= match_start + match_number < match_stop
+        is_near_line = np.abs(middle_line[candidate_crossing] - middle_line) <= MAX_LINE_DRIFT
+        is_near_line &= match_begin + match_number < match_end
         previous_crossing = np.where(
-            (previous_crossing < 0) & is_near, candidate_crossing, previous_crossing
+            (previous_crossing < 0) & is_near_line, candidate_crossing, previous_crossing
         )
     return previous_crossing
 
@@ -387,13 +386,13 @@ class SpaceMerger:
     wider, and the gap is measured again.
 
     Attributes:
-        space_of: for each label of `SeparatedSpaces.label`, the number of the space that it belongs
-            to after the joins so far, int32. A space's number is the least of its labels.
+        space_of_label: for each label of `SeparatedSpaces.label`, the number of the space that it
+            belongs to after the joins so far, int32. A space's number is the least of its labels.
     """
 
     def __init__(
         self,
-        separated: SeparatedSpaces,
+        separated_spaces: SeparatedSpaces,
         cell_size: float,
         door_width: float | None,
         rays: WallRays | None = None,
@@ -401,39 +400,45 @@ class SpaceMerger:
         """Measure all gaps.
 
         Args:
-            separated: the gaps, and the spaces that they separate.
+            separated_spaces: the gaps, and the spaces that they separate.
             cell_size: the side of a cell, > 0 [m].
             door_width: the widest gap that separates two spaces [m]; None for the limits of
                 `gap_limits.py`.
             rays: rays to the geometry of walls, up to which widths are measured. If None, a wall is
                 taken to begin half a column from the centre of the last open cell.
         """
-        self._directions = separated.directions
+        self._directions = separated_spaces.direction_gaps
         self._cell_size = cell_size
         self._door_width = door_width
         self._rays = rays
-        self._num_cells = separated.num_cells.astype(np.int64)  # of each space, after joins so far
-        self._initial_num_cells = separated.num_cells  # of each space, before any were joined
-        self.space_of = np.arange(len(separated.num_cells), dtype=np.int32)
+        # Of each space, after the joins so far; and before any were joined
+        self._num_cells = separated_spaces.num_cells.astype(np.int64)
+        self._initial_num_cells = separated_spaces.num_cells
+        self.space_of_label = np.arange(len(separated_spaces.num_cells), dtype=np.int32)
         # Gaps of all directions are numbered one after another.
-        gap_counts = [len(direction.gaps.first_col) for direction in separated.directions]
-        self._first_gap = np.cumsum([0, *gap_counts])  # the number of each direction's first gap
-        self._direction_of = np.repeat(np.arange(len(gap_counts)), gap_counts)
+        num_gaps_of_direction = [
+            len(direction.gaps.first_col) for direction in separated_spaces.direction_gaps
+        ]
+        # The number of each direction's first gap
+        self._first_gap = np.cumsum([0, *num_gaps_of_direction])
+        self._direction_of = np.repeat(np.arange(len(num_gaps_of_direction)), num_gaps_of_direction)
         self._walls = [
             _find_gap_walls(direction_gaps, cell_size, rays)
-            for direction_gaps in separated.directions
+            for direction_gaps in separated_spaces.direction_gaps
         ]
         num_gaps = len(self._direction_of)
         self._width = np.ones(num_gaps)  # [cells]
         self._is_doorway = np.zeros(num_gaps, dtype=np.bool_)
         self._labels = np.empty((num_gaps, 2), dtype=np.int64)  # of the spaces above and below
-        for direction_number, (direction, _, gaps) in enumerate(separated.directions):
+        for direction_number, (direction, _, gaps) in enumerate(separated_spaces.direction_gaps):
             gap_range = slice(
                 self._first_gap[direction_number], self._first_gap[direction_number + 1]
             )
-            between_ends = gaps.last_col - gaps.first_col
-            to_walls = self._walls[direction_number].beside.sum(axis=1)
-            self._width[gap_range] = (between_ends + to_walls) * direction.length_per_column
+            columns_between_ends = gaps.last_col - gaps.first_col
+            distance_to_walls = self._walls[direction_number].end_distance.sum(axis=1)
+            self._width[gap_range] = (
+                columns_between_ends + distance_to_walls
+            ) * direction.length_per_column
             self._is_doorway[gap_range] = gaps.is_doorway
             self._labels[gap_range, 0] = gaps.label_above
             self._labels[gap_range, 1] = gaps.label_below
@@ -442,8 +447,8 @@ class SpaceMerger:
         # The share by which each gap was decided, see `_find_deciding_share`; NaN if by none
         self._deciding_share = np.full(num_gaps, np.nan)
         # For each space, the gaps beside it, and other gaps whose lines met it
-        self._gaps_beside: list[set[int]] = [set() for _ in separated.num_cells]
-        self._gaps_meeting: list[set[int]] = [set() for _ in separated.num_cells]
+        self._gaps_beside: list[set[int]] = [set() for _ in separated_spaces.num_cells]
+        self._gaps_meeting: list[set[int]] = [set() for _ in separated_spaces.num_cells]
         for gap, labels in enumerate(self._labels.tolist()):
             for label in labels:
                 self._gaps_beside[label].add(gap)
@@ -510,7 +515,9 @@ class SpaceMerger:
             gap: the gap's number.
         """
         share_above, share_below = self._shares[gap].tolist()
-        narrower_space = self.space_of[self._labels[gap, 0 if share_above >= share_below else 1]]
+        narrower_space = self.space_of_label[
+            self._labels[gap, 0 if share_above >= share_below else 1]
+        ]
         is_long = self._num_cells[narrower_space] >= MIN_PASSAGE_LENGTH * self._width[gap] ** 2
         width = float(self._width[gap]) * self._cell_size - WIDTH_ROUNDING
         may_separate = self._door_width is None or width <= self._door_width
@@ -536,7 +543,7 @@ class SpaceMerger:
             separates = self.separates(gap)
             labels = self._labels[gap]
             if separates:
-                num_cells = self._num_cells[self.space_of[labels]]
+                num_cells = self._num_cells[self.space_of_label[labels]]
             else:
                 num_cells = self._initial_num_cells[labels]
             if (num_cells < MIN_CLOSE_AREA / self._cell_size**2).any():
@@ -561,10 +568,10 @@ class SpaceMerger:
             gap: the gap's number.
         """
         label_above, label_below = self._labels[gap]
-        return bool(self.space_of[label_above] != self.space_of[label_below])
+        return bool(self.space_of_label[label_above] != self.space_of_label[label_below])
 
     def measure(self, gaps: Int) -> None:
-        """Measure the two shares of gaps: a gap's width, divided by that of the space on each side.
+        """Measure gaps' two shares: a gap's width, divided by the width of the space on each side.
 
         Args:
             gaps: the numbers of the gaps to measure, shape (n,).
@@ -573,26 +580,26 @@ class SpaceMerger:
         for direction_number in sorted(set(direction_of_gap.tolist())):
             direction, scan, direction_gaps = self._directions[direction_number]
             first_gap = int(self._first_gap[direction_number])
-            chosen_gaps = gaps[direction_of_gap == direction_number] - first_gap
-            walls = self._walls[direction_number]
-            lines, shares, needs_rays, met_spaces = kernels.measure_gaps(
-                scan, direction_gaps, chosen_gaps, self.space_of, walls
+            gap_numbers = gaps[direction_of_gap == direction_number] - first_gap
+            gap_walls = self._walls[direction_number]
+            lines, shares, needs_rays, third_spaces = kernels.measure_gaps(
+                scan, direction_gaps, gap_numbers, self.space_of_label, gap_walls
             )
-            for gap, space in met_spaces:
+            for gap, space in third_spaces:
                 self._gaps_meeting[space].add(first_gap + gap)
             if self._rays is not None and needs_rays.any():
                 # The first call measures all gaps, and casts most rays that later calls need.
-                if len(chosen_gaps) == len(direction_gaps.first_col):
-                    casts_rays = np.ones_like(needs_rays)
+                if len(gap_numbers) == len(direction_gaps.first_col):
+                    is_cast = np.ones_like(needs_rays)
                 else:
-                    casts_rays = needs_rays
+                    is_cast = needs_rays
                 for cells in (lines.wall_cell, lines.opening_cell):
-                    self._rays.measure(direction, cells[casts_rays].reshape(-1, 2))
+                    self._rays.measure(direction, cells[is_cast].reshape(-1, 2))
                 _, shares_to_walls, _, _ = kernels.measure_gaps(
-                    scan, direction_gaps, chosen_gaps[needs_rays], self.space_of, walls
+                    scan, direction_gaps, gap_numbers[needs_rays], self.space_of_label, gap_walls
                 )
                 shares[needs_rays] = shares_to_walls
-            self._shares[first_gap + chosen_gaps] = shares
+            self._shares[first_gap + gap_numbers] = shares
 
     def join(self, gap: int) -> list[int]:
         """Join the spaces on both sides of a gap.
@@ -604,12 +611,12 @@ class SpaceMerger:
             The numbers of the gaps that were measured again, because one of the two spaces is
             beside the gap, and a line that measured it had ended at the other.
         """
-        space_above, space_below = self.space_of[self._labels[gap]].tolist()
+        space_above, space_below = self.space_of_label[self._labels[gap]].tolist()
         affected_gaps = self._gaps_beside[space_above] & self._gaps_meeting[space_below]
         affected_gaps |= self._gaps_beside[space_below] & self._gaps_meeting[space_above]
         kept_space = min(space_above, space_below)
         removed_space = max(space_above, space_below)
-        self.space_of[self.space_of == removed_space] = kept_space
+        self.space_of_label[self.space_of_label == removed_space] = kept_space
         self._num_cells[kept_space] += self._num_cells[removed_space]
         for gaps_of_space in (self._gaps_beside, self._gaps_meeting):
             smaller_set, larger_set = sorted(
@@ -618,11 +625,11 @@ class SpaceMerger:
             larger_set |= smaller_set
             gaps_of_space[kept_space] = larger_set
             gaps_of_space[removed_space] = set()
-        still_separating = [
+        separating_gaps = [
             affected_gap for affected_gap in sorted(affected_gaps) if self.separates(affected_gap)
         ]
-        self.measure(np.array(still_separating, dtype=np.int64))
-        return still_separating
+        self.measure(np.array(separating_gaps, dtype=np.int64))
+        return separating_gaps
 
 
 def _find_gap_walls(
@@ -656,13 +663,13 @@ def _find_gap_walls(
     rows_below = np.clip(gaps.bottom_row + 1 + rows_to_next, 0, last_row)
     label_above = scan.label[rows_above, next_cols]
     label_below = scan.label[rows_below, next_cols]
-    opening_continues = (
+    is_opening_continued = (
         scan.is_open[rows_between, next_cols] & (label_above > 0) & (label_below > 0)
     )
-    opening_continues &= (label_above != gaps.label_above[:, None]) | (
+    is_opening_continued &= (label_above != gaps.label_above[:, None]) | (
         label_below != gaps.label_below[:, None]
     )
-    end_cells = np.where(opening_continues, -1, rows * len(shift) + cols)
+    end_cells = np.where(is_opening_continued, -1, rows * len(shift) + cols)
     if rays is None:
         coded_distance = np.full((scan.label.size, 2), 1.5)
     else:

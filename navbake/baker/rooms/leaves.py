@@ -57,15 +57,15 @@ class LeafMarks(NamedTuple):
     """The cells of a level's closed leaves.
 
     Attributes:
-        separating: a mask of the open cells of leaves that separate two spaces, of these leaves'
+        is_separating: a mask of the open cells of leaves that separate two spaces, of these leaves'
             frames, and of small pockets between leaves, shape (height, width).
-        not_separating: a mask of the open cells of all other leaves.
+        is_not_separating: a mask of the open cells of all other leaves.
         cells_beyond: ids of cells in the spaces on both sides of separating leaves: the first cell
             beyond the leaf, on each line at a right angle to it.
     """
 
-    separating: Bool
-    not_separating: Bool
+    is_separating: Bool
+    is_not_separating: Bool
     cells_beyond: Int
 
 
@@ -93,19 +93,23 @@ def mark_leaves(
         return None
     leaves = [leaf for leaf in leaves_on_level if leaf.lines is not None]
     while leaves:
-        lines = [leaf.lines for leaf in leaves if leaf.lines is not None]
-        barrier = _mark_cells(level, level_number, leaves)
-        barrier |= _mark_frames(level, barrier, np.stack([line.end_cells for line in lines]))
-        spaces = _SpacesBetweenLeaves(level, barrier, cell_size)
-        cells_beyond = spaces.find_cells_beyond(np.stack([line.sight_cells for line in lines]))
+        leaf_lines = [leaf.lines for leaf in leaves if leaf.lines is not None]
+        is_barrier = _mark_cells(level, level_number, leaves)
+        is_barrier |= _mark_frames(
+            level, is_barrier, np.stack([lines_of_leaf.end_cells for lines_of_leaf in leaf_lines])
+        )
+        spaces = _SpacesBetweenLeaves(level, is_barrier, cell_size)
+        cells_beyond = spaces.find_cells_beyond(
+            np.stack([lines_of_leaf.sight_cells for lines_of_leaf in leaf_lines])
+        )
         windows_near_leaves = [
             _window_near(leaf.cells[level_number], leaf_cells.shape, cell_size) for leaf in leaves
         ]
-        is_separating = spaces.find_separating(cells_beyond, windows_near_leaves)
+        is_separating = spaces.mark_separating_leaves(cells_beyond, windows_near_leaves)
         if is_separating.all():
             return LeafMarks(
-                separating=spaces.barrier,
-                not_separating=leaf_cells & ~spaces.barrier,
+                is_separating=spaces.is_barrier,
+                is_not_separating=leaf_cells & ~spaces.is_barrier,
                 cells_beyond=np.unique(cells_beyond[cells_beyond >= 0]),
             )
         leaves = [leaf for leaf, separates in zip(leaves, is_separating, strict=True) if separates]
@@ -133,7 +137,7 @@ def _mark_frames(level: LevelFlags, leaf_cells: Bool, end_cells: Int) -> Bool:
         end_cells: `LeafLines.end_cells` of each leaf, shape (leaves, 2, steps).
     """
     clipped_cells = np.maximum(end_cells, 0)
-    is_occupied = leaf_cells | level.is_open & level.occupied
+    is_occupied = leaf_cells | level.is_open & level.is_occupied
     continues_leaf = np.logical_and.accumulate(
         (end_cells >= 0) & is_occupied.ravel()[clipped_cells], axis=-1
     )
@@ -162,32 +166,32 @@ class _SpacesBetweenLeaves:
     """The spaces of a level: its connected open cells without the cells of closed leaves.
 
     Attributes:
-        barrier: the open cells of leaves and their frames, shape (height, width); small pockets
+        is_barrier: the open cells of leaves and their frames, shape (height, width); small pockets
             between leaves are added to it.
     """
 
-    def __init__(self, level: LevelFlags, barrier: Bool, cell_size: float) -> None:
+    def __init__(self, level: LevelFlags, is_barrier: Bool, cell_size: float) -> None:
         """Label the spaces, and find which of them are large enough to count.
 
         Args:
             level: the flags of the level's cells.
-            barrier: a mask of the open cells of leaves and their frames; the cells of small pockets
-                between leaves are added to it.
+            is_barrier: a mask of the open cells of leaves and their frames; the cells of small
+                pockets between leaves are added to it.
             cell_size: the side of a cell, > 0 [m].
         """
-        self.barrier = barrier
+        self.is_barrier = is_barrier
         self._level = level
-        self._label, num_components = label_components_2d(level.is_open & ~barrier)
+        self._label, num_components = label_components_2d(level.is_open & ~is_barrier)
         num_labels = num_components + 1
         min_cells = MIN_FREE_AREA / cell_size**2
         num_cells = count_cells_by_label(self._label, num_labels)
-        num_free = np.bincount(self._label[~level.occupied], minlength=num_labels)
-        at_edge = np.zeros(num_labels, dtype=np.bool_)
-        at_edge[self._label[level.at_edge]] = True
+        num_free = np.bincount(self._label[~level.is_occupied], minlength=num_labels)
+        is_at_edge = np.zeros(num_labels, dtype=np.bool_)
+        is_at_edge[self._label[level.is_at_edge]] = True
         self._is_space = num_free >= min_cells
-        self._is_space |= at_edge & (num_free > 0)  # a threshold before the outside
+        self._is_space |= is_at_edge & (num_free > 0)  # a threshold before the outside
         self._is_space[0] = False
-        self._is_pocket = (num_cells < min_cells) & ~at_edge
+        self._is_pocket = (num_cells < min_cells) & ~is_at_edge
         self._is_pocket[0] = False
 
     def find_cells_beyond(self, sight_cells: Int) -> Int:
@@ -206,19 +210,21 @@ class _SpacesBetweenLeaves:
         is_visible = mark_visible(sight_cells, self._level.is_open, self._level.floor)
         is_visible &= (sight_cells >= 0) & self._level.is_open.ravel()[clipped_cells]
         while True:
-            is_beyond = is_visible & ~self.barrier.ravel()[clipped_cells]
+            is_beyond = is_visible & ~self.is_barrier.ravel()[clipped_cells]
             first_step = is_beyond.argmax(axis=-1)
             first_cells = np.take_along_axis(clipped_cells, first_step[..., None], axis=-1)[..., 0]
             first_cells = np.where(is_beyond.any(axis=-1), first_cells, -1)
             first_labels = np.unique(self._label.ravel()[first_cells[first_cells >= 0]])
-            pockets = first_labels[self._is_pocket[first_labels]]
-            if not len(pockets):
+            pocket_labels = first_labels[self._is_pocket[first_labels]]
+            if not len(pocket_labels):
                 return np.asarray(first_cells)
-            in_pocket = np.isin(self._label, pockets)
-            self.barrier |= in_pocket
-            self._label[in_pocket] = 0
+            is_in_pocket = np.isin(self._label, pocket_labels)
+            self.is_barrier |= is_in_pocket
+            self._label[is_in_pocket] = 0
 
-    def find_separating(self, cells_beyond: Int, windows: Sequence[tuple[slice, slice]]) -> Bool:
+    def mark_separating_leaves(
+        self, cells_beyond: Int, windows: Sequence[tuple[slice, slice]]
+    ) -> Bool:
         """Mark the leaves that have different spaces on their two sides.
 
         The space of a side is the one that most lines of sight from this side reach. If both sides
@@ -245,12 +251,12 @@ class _SpacesBetweenLeaves:
         for leaf in np.flatnonzero(has_both_sides & ~is_separating).tolist():
             rows, cols = windows[leaf]
             row, col = np.divmod(cells_beyond[leaf], num_cols)
-            is_near = (row >= rows.start) & (row < rows.stop)
-            is_near &= (col >= cols.start) & (col < cols.stop) & is_seen[leaf]
+            is_near_leaf = (row >= rows.start) & (row < rows.stop)
+            is_near_leaf &= (col >= cols.start) & (col < cols.stop) & is_seen[leaf]
             component, _ = label_components_2d(self._label[rows, cols] > 0)
-            row = np.where(is_near, row - rows.start, 0)
-            col = np.where(is_near, col - cols.start, 0)
-            near_label = np.where(is_near, component[row, col], 0)
+            row = np.where(is_near_leaf, row - rows.start, 0)
+            col = np.where(is_near_leaf, col - cols.start, 0)
+            near_label = np.where(is_near_leaf, component[row, col], 0)
             near_side_labels = _find_majority_label(near_label[None])[0]
             is_separating[leaf] = (near_side_labels > 0).all() and near_side_labels[
                 0
@@ -292,7 +298,7 @@ def _find_majority_label(label: Int32) -> Int32:
     Returns:
         The label, 0 where no line has one, shape (leaves, 2).
     """
-    num_equal = (label[..., :, None] == label[..., None, :]).sum(axis=-1) * (label > 0)
-    best_line = num_equal.argmax(axis=-1)
-    majority: Int32 = np.take_along_axis(label, best_line[..., None], axis=-1)[..., 0]
-    return majority
+    num_equal_lines = (label[..., :, None] == label[..., None, :]).sum(axis=-1) * (label > 0)
+    best_line = num_equal_lines.argmax(axis=-1)
+    majority_label: Int32 = np.take_along_axis(label, best_line[..., None], axis=-1)[..., 0]
+    return majority_label

@@ -84,7 +84,7 @@ class Rooms:
         openings: the openings between rooms of a level.
         links: pairs of rooms on different levels between which an agent can step.
         lattice: the whole lattice.
-        open_cells: for each level, a mask of the cells that may be in a room, shape (height,
+        is_open_by_level: for each level, a mask of the cells that may be in a room, shape (height,
             width), see `LevelFlags.is_open`.
         warnings: warnings for the user, one line each.
     """
@@ -94,7 +94,7 @@ class Rooms:
     openings: list[Opening]
     links: list[tuple[RoomKey, RoomKey]]
     lattice: Lattice
-    open_cells: list[Bool]
+    is_open_by_level: list[Bool]
     warnings: list[str]
 
     def id_of(self, level: int, index: int) -> str | None:
@@ -185,7 +185,7 @@ def find_rooms(
     leaf's cells. The floor behind such a leaf is a room whatever its size.
 
     Args:
-        flags: all that rooms depend on besides the other arguments.
+        flags: the flags of the cells of all levels, and the rooms that the scene marks.
         settings: sources and limits.
         max_step: the agent's highest step [m]; where floors of two rooms differ by more, there is
             no opening between them.
@@ -197,15 +197,15 @@ def find_rooms(
     Raises:
         SceneError: there are more rooms on a level than a file can number.
     """
-    assignment = _RoomAssignment(flags, settings, closed_leaves)
+    room_assignment = _RoomAssignment(flags, settings, closed_leaves)
     for source in settings.sources:
         if source == "auto":
-            assignment.add_segments()
+            room_assignment.add_segments()
         else:
-            assignment.add_source(flags.marked_rooms[source], source)
+            room_assignment.add_source(flags.marked_rooms[source], source)
     room_index = list[RoomIndex]()
     named_rooms = list[list[NamedRoom]]()
-    for level_number, room_of_cell in enumerate(assignment.room_numbers):
+    for level_number, room_of_cell in enumerate(room_assignment.room_numbers):
         room_number, used_rooms = renumber(room_of_cell)
         if len(used_rooms) > MAX_ROOMS:
             raise SceneError(
@@ -213,11 +213,11 @@ def find_rooms(
                 f"{level_number}: raise `rooms.min_area`"
             )
         room_index.append(room_number.astype(np.uint16))
-        named_rooms.append([assignment.rooms[room - 1] for room in used_rooms])
+        named_rooms.append([room_assignment.rooms[room - 1] for room in used_rooms])
     floors = [level.floor for level in flags.levels]
-    occupied = [level.occupied for level in flags.levels]
+    occupied_masks = [level.is_occupied for level in flags.levels]
     wait_for_table = run_beside(make_room_table, room_index, named_rooms, floors, flags.lattice)
-    openings = find_openings(room_index, floors, occupied, flags.links, max_step)
+    openings = find_openings(room_index, floors, occupied_masks, flags.links, max_step)
     links = _find_room_links(room_index, flags.links)
     return Rooms(
         index=room_index,
@@ -225,26 +225,26 @@ def find_rooms(
         openings=openings,
         links=links,
         lattice=flags.lattice,
-        open_cells=[level.is_open for level in flags.levels],
-        warnings=assignment.warnings,
+        is_open_by_level=[level.is_open for level in flags.levels],
+        warnings=room_assignment.warnings,
     )
 
 
-def _find_room_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
+def _find_room_links(room_index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
     """Return the pairs of rooms on different levels that a step joins, each pair once, sorted.
 
     Args:
-        index: for each level, the index of each cell's room.
+        room_index: for each level, the index of each cell's room.
         links: pairs of cells that a step or a slope joins, see `Floors.links`, shape (n, 4).
     """
-    pairs = set[tuple[RoomKey, RoomKey]]()
-    to_another_level = links[links[:, 0] != links[:, 2]]
-    for first_level, first_cell, second_level, second_cell in to_another_level.tolist():
-        first_room = (first_level, int(index[first_level].flat[first_cell]))
-        second_room = (second_level, int(index[second_level].flat[second_cell]))
+    room_pairs = set[tuple[RoomKey, RoomKey]]()
+    links_between_levels = links[links[:, 0] != links[:, 2]]
+    for first_level, first_cell, second_level, second_cell in links_between_levels.tolist():
+        first_room = (first_level, int(room_index[first_level].flat[first_cell]))
+        second_room = (second_level, int(room_index[second_level].flat[second_cell]))
         if first_room[1] and second_room[1]:
-            pairs.add((min(first_room, second_room), max(first_room, second_room)))
-    return sorted(pairs)
+            room_pairs.add((min(first_room, second_room), max(first_room, second_room)))
+    return sorted(room_pairs)
 
 
 class _RoomAssignment:
@@ -292,15 +292,17 @@ class _RoomAssignment:
                     NamedRoom(
                         marked_rooms.names[room_index],
                         source,
-                        room_index + 1 in marked_rooms.outdoors,
+                        room_index + 1 in marked_rooms.outdoor_rooms,
                     )
                 )
                 new_room_number[room_index + 1] = len(self.rooms)
             room_number += new_room_number[label]
             if source != "auto":
-                covered = marked_rooms.covered or marked_rooms.labels
+                covered_labels = marked_rooms.covered_labels or marked_rooms.labels
                 room_under = self._room_under[level_number]
-                np.copyto(room_under, new_room_number[covered[level_number]], where=room_under == 0)
+                np.copyto(
+                    room_under, new_room_number[covered_labels[level_number]], where=room_under == 0
+                )
 
     def add_segments(self) -> None:
         """Divide the cells that have no room yet into rooms: the source ``auto``.
@@ -308,21 +310,25 @@ class _RoomAssignment:
         The floor is divided at narrow places, such as doorways, see `segment_by_gaps`.
         """
         labels = list[Int32]()
-        outdoors = set[int]()
+        outdoor_rooms = set[int]()
         separating_cells: list[Bool | None] = []
         num_new_rooms = 0  # of new rooms on the levels so far
         for level_number, level in enumerate(self._flags.levels):
             leaves = mark_leaves(
                 level, level_number, self._closed_leaves, self._flags.lattice.cell_size
             )
-            separating_cells.append(None if leaves is None else leaves.separating & level.is_open)
+            separating_cells.append(
+                None if leaves is None else leaves.is_separating & level.is_open
+            )
             segment, outdoor_segments = self._segment_level(level_number, level, leaves)
-            outdoors.update(room + num_new_rooms for room in outdoor_segments)
+            outdoor_rooms.update(room + num_new_rooms for room in outdoor_segments)
             labels.append(
                 np.where(segment > 0, segment + num_new_rooms, 0) if num_new_rooms else segment
             )
             num_new_rooms += int(segment.max(initial=0))
-        self.add_source(MarkedRooms([None] * num_new_rooms, labels, outdoors=outdoors), "auto")
+        self.add_source(
+            MarkedRooms([None] * num_new_rooms, labels, outdoor_rooms=outdoor_rooms), "auto"
+        )
         for room_number, leaf_cells in zip(self.room_numbers, separating_cells, strict=True):
             if leaf_cells is not None:
                 assign_leaf_cells(room_number, leaf_cells)
@@ -350,7 +356,7 @@ class _RoomAssignment:
             lattice.cell_size,
             self._settings.min_area,
             None if door_width == "auto" else door_width,
-            walls=self._flags.walls,
+            walls=self._flags.wall_shapes,
             lattice=lattice,
             leaves=leaves,
         )
@@ -385,7 +391,7 @@ class _RoomAssignment:
         room_number = (
             marked_room_number
             if leaves is None
-            else np.where(leaves.separating, np.int32(0), marked_room_number)
+            else np.where(leaves.is_separating, np.int32(0), marked_room_number)
         )
         room_number = assign_covered(
             room_number, self._room_under[level_number] * level.is_open, segment
@@ -406,23 +412,23 @@ class _RoomAssignment:
 def _describe_close_calls(close_calls: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
     """Make the warning that lists the openings that nearly joined, or nearly parted, two rooms."""
     descriptions = []
-    for cell, width, separates in close_calls[:MAX_LISTED_CLOSE_CALLS]:
-        x, y = lattice.positions(*cell).tolist()
+    for row_col, width, separates in close_calls[:MAX_LISTED_CLOSE_CALLS]:
+        x, y = lattice.positions(*row_col).tolist()
         descriptions.append(
             f"{width:.1f} m at ({x:.1f}, {y:.1f}) {'parts' if separates else 'joins'}"
         )
     num_more = len(close_calls) - MAX_LISTED_CLOSE_CALLS
-    more = f", and {num_more} more" if num_more > 0 else ""
+    more_text = f", and {num_more} more" if num_more > 0 else ""
     return (
         f"openings of rooms on level {level} that were a close call: "
-        f"{', '.join(descriptions)}{more}; "
+        f"{', '.join(descriptions)}{more_text}; "
         "`rooms.door_width` in metres joins rooms at wider ones, `rooms.polygons` draws rooms"
     )
 
 
 def make_room_table(
-    index: Sequence[RoomIndex],
-    rooms: Sequence[Sequence[NamedRoom]],
+    room_index: Sequence[RoomIndex],
+    named_rooms: Sequence[Sequence[NamedRoom]],
     floors: Sequence[Float],
     lattice: Lattice,
 ) -> list[Room]:
@@ -431,40 +437,42 @@ def make_room_table(
     A room's id is its name if no other room has that name, else ``<level>:<index>``.
 
     Args:
-        index: for each level, the index of each cell's room.
-        rooms: for each level, its rooms, in the order of indices.
+        room_index: for each level, the index of each cell's room.
+        named_rooms: for each level, its rooms, in the order of indices.
         floors: for each level, z of the floors, shape (height, width) [m].
         lattice: the whole lattice.
     """
-    name_counts = Counter(room.name for level_rooms in rooms for room in level_rooms)
+    name_counts = Counter(room.name for level_rooms in named_rooms for room in level_rooms)
     table = []
-    for level_number, (room_of_cell, floor) in enumerate(zip(index, floors, strict=True)):
-        run_rows, run_starts, run_stops, run_rooms = find_row_runs(room_of_cell)
-        run_lengths = run_stops - run_starts
-        micrometres = np.rint(floor[room_of_cell > 0] * MICROMETRES)
-        height_sums = np.add.reduceat(micrometres, np.cumsum(run_lengths) - run_lengths)
+    for level_number, (room_of_cell, floor) in enumerate(zip(room_index, floors, strict=True)):
+        run_rows, run_first_cols, run_end_cols, run_rooms = find_row_runs(room_of_cell)
+        run_lengths = run_end_cols - run_first_cols
+        heights_in_micrometres = np.rint(floor[room_of_cell > 0] * MICROMETRES)
+        height_sums = np.add.reduceat(heights_in_micrometres, np.cumsum(run_lengths) - run_lengths)
         # Sums of whole numbers don't depend on their order. The mean column of a run of cells may
         # end in .5, so twice its sum is used.
         num_cells = np.bincount(run_rooms, run_lengths, minlength=1)
         row_sum = np.bincount(run_rooms, run_rows * run_lengths, minlength=1)
         twice_col_sum = np.bincount(
-            run_rooms, (run_starts + run_stops - 1) * run_lengths, minlength=1
+            run_rooms, (run_first_cols + run_end_cols - 1) * run_lengths, minlength=1
         )
         z_sum = np.bincount(run_rooms, height_sums, minlength=1)
         x = lattice.x_min + (twice_col_sum / 2 / np.maximum(num_cells, 1) + 0.5) * lattice.cell_size
         y = lattice.y_max - (row_sum / np.maximum(num_cells, 1) + 0.5) * lattice.cell_size
         z = z_sum / np.maximum(num_cells, 1) / MICROMETRES
-        center = (np.round(np.stack([x, y, z], axis=1), 6) + 0.0).tolist()  # no -0.0
-        for room_index, (name, source, outdoors) in enumerate(rooms[level_number], 1):
+        centroids = (np.round(np.stack([x, y, z], axis=1), 6) + 0.0).tolist()  # no -0.0
+        for index_on_level, (name, source, outdoors) in enumerate(named_rooms[level_number], 1):
             is_unique = name_counts[name] == 1 and not ID_LIKE.fullmatch(name or "")
             table.append(
                 Room(
-                    index=room_index,
-                    id=name if name is not None and is_unique else f"{level_number}:{room_index}",
+                    index=index_on_level,
+                    id=name
+                    if name is not None and is_unique
+                    else f"{level_number}:{index_on_level}",
                     name=name,
                     level=level_number,
-                    area=round(float(num_cells[room_index]) * lattice.cell_size**2, 6),
-                    centroid=(*center[room_index],),
+                    area=round(float(num_cells[index_on_level]) * lattice.cell_size**2, 6),
+                    centroid=(*centroids[index_on_level],),
                     source=source,
                     outdoors=outdoors,
                 )
@@ -473,13 +481,13 @@ def make_room_table(
 
 
 def find_openings(
-    index: Sequence[RoomIndex],
+    room_index: Sequence[RoomIndex],
     floors: Sequence[Float],
-    occupied: Sequence[Bool],
+    occupied_masks: Sequence[Bool],
     links: Int,
     max_step: float,
 ) -> list[Opening]:
-    """Find the openings between rooms: places where an agent can walk from one room to the next.
+    """Find the openings between rooms: places where an agent can walk from one room to another.
 
     Two neighbouring cells of different rooms are part of an opening if their floors differ by at
     most a step, or if a slope links them. Such cells of the same two rooms that touch, also at
@@ -487,10 +495,10 @@ def find_openings(
     left out: a curtain or a piece of wall closes it.
 
     Args:
-        index: for each level, the index of each cell's room.
+        room_index: for each level, the index of each cell's room.
         floors: for each level, z of the floors, NaN for none, shape (height, width) [m].
-        occupied: for each level, a mask of the cells without a floor or with structure at an
-            agent's height, see `LevelFlags.occupied`.
+        occupied_masks: for each level, a mask of the cells without a floor or with structure at an
+            agent's height, see `LevelFlags.is_occupied`.
         links: pairs of cells that a step between levels, or only a slope, joins, see
             `Floors.links`, shape (n, 4). Only the slopes are used, which join cells of one level.
         max_step: the highest step [m].
@@ -499,16 +507,16 @@ def find_openings(
         The openings, ordered by level and rooms.
     """
     openings = []
-    for level_number, (room_of_cell, floor, level_occupied) in enumerate(
-        zip(index, floors, occupied, strict=True)
+    for level_number, (room_of_cell, floor, is_occupied) in enumerate(
+        zip(room_index, floors, occupied_masks, strict=True)
     ):
-        is_on_level = (links[:, [0, 2]] == level_number).all(axis=1)
+        is_link_on_level = (links[:, [0, 2]] == level_number).all(axis=1)
         neighbor_pairs = list_differing_pairs(
             room_of_cell
         ).T  # few: only their heights are compared
         height_difference = np.subtract(*floor.ravel()[neighbor_pairs.T])
         is_step = np.abs(height_difference) <= max_step + LIMIT_SLACK
-        cell_pairs = np.concatenate([links[is_on_level][:, [1, 3]], neighbor_pairs[is_step]])
+        cell_pairs = np.concatenate([links[is_link_on_level][:, [1, 3]], neighbor_pairs[is_step]])
         rooms_of_cells = np.sort(room_of_cell.ravel()[cell_pairs].astype(np.int64), axis=1)
         is_between_rooms = (rooms_of_cells[:, 0] > 0) & (
             rooms_of_cells[:, 0] != rooms_of_cells[:, 1]
@@ -521,21 +529,21 @@ def find_openings(
         )
         # Cells get a separate range of keys for each pair of rooms, so that pairs don't touch.
         lattice_size = (room_of_cell.shape[0] + 1) * room_of_cell.shape[1]
-        keys, key_of_cell = np.unique(
+        cell_keys, key_index = np.unique(
             pair_of_cells[:, None] * lattice_size + cell_pairs, return_inverse=True
         )
         opening_of_key = label_components(
-            list_adjacent_pairs(keys, room_of_cell.shape[1]), len(keys)
+            list_adjacent_pairs(cell_keys, room_of_cell.shape[1]), len(cell_keys)
         )
-        is_free = ~level_occupied.ravel()[cell_pairs].any(axis=1)
+        is_free = ~is_occupied.ravel()[cell_pairs].any(axis=1)
         is_passable = np.zeros(int(opening_of_key.max()) + 1, dtype=np.bool_)
-        is_passable[opening_of_key[key_of_cell.reshape(-1, 2)[is_free]]] = True
+        is_passable[opening_of_key[key_index.reshape(-1, 2)[is_free]]] = True
         sort_indices = np.argsort(opening_of_key, kind="stable")
         sort_indices = sort_indices[is_passable[opening_of_key[sort_indices]]]
         if not len(sort_indices):
             continue
         for opening_keys in np.split(
-            keys[sort_indices], np.flatnonzero(np.diff(opening_of_key[sort_indices])) + 1
+            cell_keys[sort_indices], np.flatnonzero(np.diff(opening_of_key[sort_indices])) + 1
         ):
             room_pair = divmod(int(pair_keys[opening_keys[0] // lattice_size]), PAIR_BASE)
             openings.append(Opening(level_number, room_pair, opening_keys % lattice_size))
@@ -567,21 +575,21 @@ def match_doors(
     """
     max_distance = MAX_DOOR_DISTANCE / lattice.cell_size + LIMIT_SLACK  # [cells]
     doors_of_opening: dict[int, list[str]] = {}
-    for door, (door_rooms, closed_cells) in sorted(doors.items()):
+    for door, (room_ids, closed_cells) in sorted(doors.items()):
         # number of near cells, negative distance, negative number of the opening: best is greatest
         candidates: list[tuple[int, float, int]] = []
         for opening_number, opening in enumerate(openings):
             cells_of_door = closed_cells[opening.level]
             opening_rooms = {ids[opening.level, room] for room in opening.rooms}
-            if len(cells_of_door) and opening_rooms == set(door_rooms):
+            if len(cells_of_door) and opening_rooms == set(room_ids):
                 row, col = np.divmod(opening.cells[:, None], lattice.width)
                 closed_row, closed_col = np.divmod(cells_of_door, lattice.width)
                 distance = np.hypot(row - closed_row, col - closed_col).min(axis=1)
-                num_near = int(np.count_nonzero(distance <= max_distance))
-                candidates.append((num_near, -float(distance.mean()), -opening_number))
+                num_near_cells = int(np.count_nonzero(distance <= max_distance))
+                candidates.append((num_near_cells, -float(distance.mean()), -opening_number))
         if not candidates:
             continue
-        num_near, _, negative_number = max(candidates)
-        if num_near:
+        num_near_cells, _, negative_number = max(candidates)
+        if num_near_cells:
             doors_of_opening.setdefault(-negative_number, []).append(door)
     return doors_of_opening

@@ -36,8 +36,8 @@ from navbake.baker.rooms.leaves import LeafMarks
 from navbake.baker.rooms.walls import (
     WallRays,
     mark_wall_nodes,
-    squared_distances,
-    squared_distances_at,
+    measure_squared_distances,
+    measure_squared_distances_at,
 )
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
@@ -133,77 +133,75 @@ def segment_by_gaps(
     )
     rows, cols = window
     floor = level.floor[window]
-    at_edge = level.at_edge[window]
-    open_cells = np.ascontiguousarray(level.is_open[window])
-    holes = np.ascontiguousarray(level.is_hole[window])
+    is_at_edge = level.is_at_edge[window]
+    is_open = np.ascontiguousarray(level.is_open[window])
+    is_hole = np.ascontiguousarray(level.is_hole[window])
     rays = None
     if walls is not None and lattice is not None:
         rays = WallRays(walls, lattice.cut(rows, cols), floor)
-    closed_cells = np.zeros_like(open_cells) if leaves is None else leaves.separating[window]
-    label, close_calls = _label_at_gaps(
-        open_cells, holes, cell_size, door_width, rays, closed_cells
-    )
+    is_closed = np.zeros_like(is_open) if leaves is None else leaves.is_separating[window]
+    label, close_calls = _label_at_gaps(is_open, is_hole, cell_size, door_width, rays, is_closed)
     del rays  # which hold the walls in all directions
-    open_cells = open_cells & ~closed_cells
+    is_open = is_open & ~is_closed
     cells_beyond = np.empty((2, 0), dtype=np.int64)  # rows and columns in the window
     if leaves is not None:
         # rooms meet in the cells of a leaf, not beside it
-        if leaves.not_separating.any():
-            spread_labels(label, open_cells & ~leaves.not_separating[window])
+        if leaves.is_not_separating.any():
+            spread_labels(label, is_open & ~leaves.is_not_separating[window])
         beyond_row, beyond_col = np.divmod(leaves.cells_beyond, level.is_open.shape[1])
         cells_beyond = np.stack([beyond_row - rows.start, beyond_col - cols.start])
-    spread_labels(label, open_cells)
-    _label_spaces_behind(cells_beyond, label, open_cells)
-    label = _join_spaces(label, open_cells, floor, at_edge, cells_beyond, cell_size, min_area)
+    spread_labels(label, is_open)
+    _label_spaces_behind(cells_beyond, label, is_open)
+    label = _join_spaces(label, is_open, floor, is_at_edge, cells_beyond, cell_size, min_area)
     segment[window], _ = renumber(label)
     close_calls = [
-        call._replace(cell=(call.cell[0] + rows.start, call.cell[1] + cols.start))
+        call._replace(row_col=(call.row_col[0] + rows.start, call.row_col[1] + cols.start))
         for call in close_calls
     ]
     return segment, close_calls
 
 
 def _label_at_gaps(
-    open_cells: Bool,
-    holes: Bool,
+    is_open: Bool,
+    is_hole: Bool,
     cell_size: float,
     door_width: float | None,
     rays: WallRays | None,
-    closed_cells: Bool,
+    is_closed: Bool,
 ) -> tuple[Int32, list[CloseCall]]:
     """Label the spaces between gaps, after the spaces on both sides of wide gaps were joined.
 
     Args:
-        open_cells: cells with a floor and without a wall, shape (height, width).
-        holes: cells with neither floor nor wall.
+        is_open: cells with a floor and without a wall, shape (height, width).
+        is_hole: cells with neither floor nor wall.
         cell_size: the side of a cell, > 0 [m].
         door_width: the widest gap that separates two rooms [m]; None for the limits of
             `segment_by_gaps`.
         rays: rays to the geometry of walls; None to measure widths in cells.
-        closed_cells: cells of the closed leaves that separate two spaces.
+        is_closed: cells of the closed leaves that separate two spaces.
 
     Returns:
         The label of each cell's space, 0 for none, shape (height, width); and the gaps that nearly
         joined, or nearly separated, two spaces.
     """
-    separated = find_gaps(open_cells, holes, cell_size, door_width, rays, closed_cells)
-    merger = SpaceMerger(separated, cell_size, door_width, rays)
-    merger.join_spaces()
-    return merger.space_of[separated.label], merger.list_close_calls()
+    separated_spaces = find_gaps(is_open, is_hole, cell_size, door_width, rays, is_closed)
+    space_merger = SpaceMerger(separated_spaces, cell_size, door_width, rays)
+    space_merger.join_spaces()
+    return space_merger.space_of_label[separated_spaces.label], space_merger.list_close_calls()
 
 
-def _label_spaces_behind(cells_beyond: Int, label: Int32, open_cells: Bool) -> None:
+def _label_spaces_behind(cells_beyond: Int, label: Int32, is_open: Bool) -> None:
     """Label the spaces behind closed leaves that have no label yet, as all of their cells are gaps.
 
     Args:
         cells_beyond: rows and columns of cells in the spaces that leaves lead into, shape (2, n).
         label: the space of each cell, 0 for none, shape (height, width); is changed.
-        open_cells: cells of spaces and of gaps between them.
+        is_open: cells of spaces and of gaps between them.
     """
     row, col = cells_beyond[:, label[tuple(cells_beyond)] == 0]
     if not len(row):
         return
-    component, num_components = label_components_2d(open_cells & (label == 0))
+    component, num_components = label_components_2d(is_open & (label == 0))
     new_label = np.zeros(num_components + 1, dtype=np.int32)
     unlabelled_components = np.unique(component[row, col])
     new_label[unlabelled_components] = label.max() + 1 + np.arange(len(unlabelled_components))
@@ -212,9 +210,9 @@ def _label_spaces_behind(cells_beyond: Int, label: Int32, open_cells: Bool) -> N
 
 def _join_spaces(
     label: Int32,
-    open_cells: Bool,
+    is_open: Bool,
     floor: Float,
-    at_edge: Bool,
+    is_at_edge: Bool,
     cells_beyond: Int,
     cell_size: float,
     min_area: float,
@@ -223,9 +221,9 @@ def _join_spaces(
 
     Args:
         label: the space of each cell, 0 for none, shape (height, width).
-        open_cells: cells of spaces and of gaps between them.
+        is_open: cells of spaces and of gaps between them.
         floor: heights of the floor [m].
-        at_edge: cells at the outer boundary of the scene, see `LevelFlags.at_edge`.
+        is_at_edge: cells at the outer boundary of the scene, see `LevelFlags.is_at_edge`.
         cells_beyond: rows and columns of cells in spaces that closed leaves lead into, shape (2,
             n).
         cell_size: the side of a cell, > 0 [m].
@@ -242,26 +240,26 @@ def _join_spaces(
     may_join = is_stair | (num_cells > 0) & (num_cells < min_cells)
     if not may_join[1:].any():
         return label
-    num_at_edge = np.bincount(label[at_edge], minlength=num_labels)
+    num_at_edge = np.bincount(label[is_at_edge], minlength=num_labels)
     is_room = np.bincount(label[tuple(cells_beyond)], minlength=num_labels) > 0
     is_room &= num_at_edge == 0
     # distances matter up to half the widest gap [half cells]
     reach = int(MAX_GAP_WIDTH / cell_size) + 2
-    graph = _SpaceGraph(label, num_cells, may_join, open_cells, reach)
+    space_graph = _SpaceGraph(label, num_cells, may_join, is_open, reach)
     if is_stair.any():
         height_sums = np.bincount(
             label.ravel(), np.where(label > 0, floor, 0.0).ravel(), num_labels
         )
-        heights = height_sums / np.maximum(num_cells, 1)
+        mean_heights = height_sums / np.maximum(num_cells, 1)
         widest_squared = find_widest_distances(
-            label, squared_distances(mark_wall_nodes(open_cells), reach), num_labels
+            label, measure_squared_distances(mark_wall_nodes(is_open), reach), num_labels
         )
-        graph.join_stairs(is_stair, heights, np.sqrt(widest_squared))
-    graph.join_small_spaces(min_cells, num_at_edge, MAX_GAP_WIDTH / cell_size)
-    return graph.select_rooms(min_cells, is_room)[label]
+        space_graph.join_stairs(is_stair, mean_heights, np.sqrt(widest_squared))
+    space_graph.join_small_spaces(min_cells, num_at_edge, MAX_GAP_WIDTH / cell_size)
+    return space_graph.select_rooms(min_cells, is_room)[label]
 
 
-def spread_labels(label: Int32, open_cells: Bool) -> None:
+def spread_labels(label: Int32, is_open: Bool) -> None:
     """Spread labels to the open cells without a label, each wave by one cell across cells' edges.
 
     If several labels reach a cell in one wave, the label of the nearest labelled cell wins. On a
@@ -270,19 +268,19 @@ def spread_labels(label: Int32, open_cells: Bool) -> None:
 
     Args:
         label: the label of each cell, from 1, 0 for none, shape (height, width); is changed.
-        open_cells: cells that may receive a label.
+        is_open: cells that may receive a label.
     """
     padded_width = label.shape[1] + 2
-    labels = np.pad(label, 1).ravel()
-    unlabelled_cells = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
+    flat_labels = np.pad(label, 1).ravel()
+    unlabelled_cells = np.flatnonzero(np.pad(is_open, 1).ravel() & (flat_labels == 0))
     # from each cell to the cell that its label is from
-    rows_to_sources = np.zeros(len(labels), dtype=np.int32)
-    cols_to_sources = np.zeros(len(labels), dtype=np.int32)
+    rows_to_sources = np.zeros(len(flat_labels), dtype=np.int32)
+    cols_to_sources = np.zeros(len(flat_labels), dtype=np.int32)
     # to the four neighbours: rows, columns, and both in the padded array
     neighbor_steps = (0, 1, 1), (1, 0, padded_width), (0, -1, -1), (-1, 0, -padded_width)
     while len(unlabelled_cells):
         is_reached = np.logical_or.reduce(
-            [labels[unlabelled_cells + step] > 0 for _, _, step in neighbor_steps]
+            [flat_labels[unlabelled_cells + step] > 0 for _, _, step in neighbor_steps]
         )
         if not is_reached.any():
             break
@@ -294,26 +292,26 @@ def spread_labels(label: Int32, open_cells: Bool) -> None:
         best_cols_to_source = np.zeros(len(reached_cells), dtype=np.int32)
         for row_step, col_step, step in neighbor_steps:
             neighbor = reached_cells + step
-            new_label = labels[neighbor]
+            new_label = flat_labels[neighbor]
             rows_to_source = rows_to_sources[neighbor] + row_step
             cols_to_source = cols_to_sources[neighbor] + col_step
             squared_distance = rows_to_source**2 + cols_to_source**2
             is_clockwise = (
                 best_cols_to_source * rows_to_source - best_rows_to_source * cols_to_source > 0
             )
-            wins_tie = (new_label < best_label) | (new_label == best_label) & is_clockwise
+            is_tie_winner = (new_label < best_label) | (new_label == best_label) & is_clockwise
             is_nearer = (squared_distance < best_squared_distance) | (
                 squared_distance == best_squared_distance
-            ) & wins_tie
+            ) & is_tie_winner
             is_better = (new_label > 0) & ((best_label == 0) | is_nearer)
             np.copyto(best_squared_distance, squared_distance, where=is_better)
             np.copyto(best_label, new_label, where=is_better)
             np.copyto(best_rows_to_source, rows_to_source, where=is_better)
             np.copyto(best_cols_to_source, cols_to_source, where=is_better)
-        labels[reached_cells] = best_label
+        flat_labels[reached_cells] = best_label
         rows_to_sources[reached_cells] = best_rows_to_source
         cols_to_sources[reached_cells] = best_cols_to_source
-    label[:] = labels.reshape(-1, padded_width)[1:-1, 1:-1]
+    label[:] = flat_labels.reshape(-1, padded_width)[1:-1, 1:-1]
 
 
 def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
@@ -330,19 +328,21 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= min_rise / 2:
         return is_steep
 
-    def mark_rows(first: int, stop: int) -> None:
-        window = slice(max(first - reach, 0), stop + reach)
-        height = np.where(label[window] > 0, floor[window], np.nan)
-        squared_rise = np.zeros(height.shape)  # over rows and columns together
+    def mark_rows(first_row: int, end_row: int) -> None:
+        window = slice(max(first_row - reach, 0), end_row + reach)
+        floor_height = np.where(label[window] > 0, floor[window], np.nan)
+        squared_rise = np.zeros(floor_height.shape)  # over rows and columns together
         for height_along, squared_rise_along in (
-            (height, squared_rise),
-            (height.T, squared_rise.T),
+            (floor_height, squared_rise),
+            (floor_height.T, squared_rise.T),
         ):
             rise = height_along[2 * reach :] - height_along[: -2 * reach]
             rise *= rise
             squared_rise_along[reach:-reach] += np.fmax(rise, 0.0, out=rise)  # NaN becomes 0
-        inner_rows = slice(first - window.start, stop - window.start)
-        is_steep[first:stop] = (squared_rise[inner_rows] >= min_rise**2) & (label[first:stop] > 0)
+        inner_rows = slice(first_row - window.start, end_row - window.start)
+        is_steep[first_row:end_row] = (squared_rise[inner_rows] >= min_rise**2) & (
+            label[first_row:end_row] > 0
+        )
 
     run_in_chunks(mark_rows, len(label), min_chunk_size=2 * reach)
     return is_steep
@@ -352,13 +352,13 @@ class SpaceContact(NamedTuple):
     """The boundary along which two spaces touch.
 
     Attributes:
-        distance: half of the opening's width: the distance to the nearest wall, from the place on
+        half_width: half of the opening's width: the distance to the nearest wall, from the place on
             the boundary where that is greatest [half cells].
-        length: the number of edges between a cell of one space and a cell of the other.
+        num_edges: the number of edges between a cell of one space and a cell of the other.
     """
 
-    distance: float
-    length: int
+    half_width: float
+    num_edges: int
 
 
 class _SpaceGraph:
@@ -368,7 +368,7 @@ class _SpaceGraph:
     """
 
     def __init__(
-        self, label: Int32, num_cells: Int, may_join: Bool, open_cells: Bool, reach: int
+        self, label: Int32, num_cells: Int, may_join: Bool, is_open: Bool, reach: int
     ) -> None:
         """Find where spaces touch, and how wide the openings between them are.
 
@@ -377,7 +377,7 @@ class _SpaceGraph:
             num_cells: the number of cells of each space, by label.
             may_join: by label, whether a space may be joined to a neighbour. The contact of two
                 spaces is only recorded if at least one of them may be joined.
-            open_cells: cells of spaces and gaps.
+            is_open: cells of spaces and gaps.
             reach: up to which distances to walls are measured [half cells].
         """
         num_labels = len(num_cells)
@@ -390,29 +390,29 @@ class _SpaceGraph:
         is_contact = (spaces[0] > 0) & may_join[spaces].any(axis=0)
         spaces = spaces[:, is_contact]
         row, col = _edge_nodes(edge_cells[:, is_contact], label.shape[1])
-        squared = squared_distances_at(open_cells, reach, row, col)
-        widest_squared = squared.reshape(3, -1).max(axis=0)
-        keys, key_of_edge, lengths = np.unique(
+        squared_distance = measure_squared_distances_at(is_open, reach, row, col)
+        widest_squared = squared_distance.reshape(3, -1).max(axis=0)
+        pair_keys, key_of_edge, edge_counts = np.unique(
             spaces[0] * num_labels + spaces[1], return_inverse=True, return_counts=True
         )
-        distances = np.zeros(len(keys))
-        np.maximum.at(distances, key_of_edge, np.sqrt(widest_squared))
+        half_widths = np.zeros(len(pair_keys))
+        np.maximum.at(half_widths, key_of_edge, np.sqrt(widest_squared))
         # by space and neighbour
         self._contacts: list[dict[int, SpaceContact]] = [{} for _ in num_cells]
-        for key, distance, length in zip(
-            keys.tolist(), distances.tolist(), lengths.tolist(), strict=True
+        for pair_key, half_width, num_edges in zip(
+            pair_keys.tolist(), half_widths.tolist(), edge_counts.tolist(), strict=True
         ):
-            first_space, second_space = divmod(key, num_labels)
-            contact = SpaceContact(distance, length)
+            first_space, second_space = divmod(pair_key, num_labels)
+            contact = SpaceContact(half_width, num_edges)
             self._contacts[first_space][second_space] = contact
             self._contacts[second_space][first_space] = contact
 
-    def join_stairs(self, is_stair: Bool, height: Float, widest_distance: Float) -> None:
+    def join_stairs(self, is_stair: Bool, mean_height: Float, widest_distance: Float) -> None:
         """Join each stair to the lowest of the spaces that it opens to over its full width.
 
         Args:
             is_stair: by label, whether the space is a stair.
-            height: by label, the mean height of the space's floor [m].
+            mean_height: by label, the mean height of the space's floor [m].
             widest_distance: by label, the distance to walls at the space's widest place [half
                 cells]; is changed.
         """
@@ -424,10 +424,12 @@ class _SpaceGraph:
             neighbors = [
                 neighbor
                 for neighbor, contact in self._contacts[stair].items()
-                if contact.distance >= min_half_width
+                if contact.half_width >= min_half_width
             ]
             if neighbors:
-                lowest_neighbor = min(neighbors, key=lambda neighbor: (height[neighbor], neighbor))
+                lowest_neighbor = min(
+                    neighbors, key=lambda neighbor: (mean_height[neighbor], neighbor)
+                )
                 self._join(lowest_neighbor, stair)
                 widest_distance[lowest_neighbor] = max(
                     widest_distance[lowest_neighbor], widest_distance[stair]
@@ -465,15 +467,15 @@ class _SpaceGraph:
                 or self._num_cells[small_space] != num_cells
             ):
                 continue
-            ranks = []
+            neighbor_ranks = []
             for neighbor, contact in self._contacts[small_space].items():
                 edge_rank = (
                     min(num_at_edge[neighbor], max_counted_cells) if num_at_edge[small_space] else 0
                 )
-                ranks.append((edge_rank, *contact, self._num_cells[neighbor], -neighbor))
-            if not ranks:
+                neighbor_ranks.append((edge_rank, *contact, self._num_cells[neighbor], -neighbor))
+            if not neighbor_ranks:
                 continue
-            best_neighbor = -max(ranks)[-1]
+            best_neighbor = -max(neighbor_ranks)[-1]
             if num_at_edge[small_space] > max_counted_cells >= num_at_edge[best_neighbor]:
                 continue
             self._join(best_neighbor, small_space)
@@ -482,7 +484,7 @@ class _SpaceGraph:
                 heapq.heappush(queue, (int(self._num_cells[best_neighbor]), best_neighbor))
 
     def select_rooms(self, min_cells: float, is_room: Bool) -> Int32:
-        """Return for each label the space that it belongs to after the joins, 0 if it is too small.
+        """Return the space of each label after the joins, 0 where that space is too small.
 
         Args:
             min_cells: the least number of cells of a space that isn't too small.
@@ -501,7 +503,8 @@ class _SpaceGraph:
                 continue
             kept_contact = self._contacts[kept_space].get(neighbor, SpaceContact(0.0, 0))
             combined_contact = SpaceContact(
-                max(kept_contact.distance, contact.distance), kept_contact.length + contact.length
+                max(kept_contact.half_width, contact.half_width),
+                kept_contact.num_edges + contact.num_edges,
             )
             self._contacts[kept_space][neighbor] = combined_contact
             self._contacts[neighbor][kept_space] = combined_contact
@@ -532,7 +535,7 @@ def _edge_nodes(cells: Int, width: int) -> tuple[Int, Int]:
 
 
 def find_widest_distances(label: Int32, squared_distance: Int32, num_labels: int) -> Int32:
-    """Find how wide each labelled area is at its widest place: how far that is from walls.
+    """Find how far the widest place of each labelled area is from the nearest wall.
 
     Args:
         label: the label of each cell, 0 for none, shape (height, width).
@@ -560,7 +563,7 @@ def find_widest_distances(label: Int32, squared_distance: Int32, num_labels: int
 
 
 def assign_covered(room_number: Int32, room_under: Int32, segment: Int32) -> Int32:
-    """Give cells without a room (of a podium, for example) to the room below their floor.
+    """Give cells without a room, such as those of a podium, to the room below their floor.
 
     This is only done if the room below has cells in the same segment, so that a house does not
     become part of the ground that it stands on.
@@ -580,8 +583,8 @@ def assign_covered(room_number: Int32, room_under: Int32, segment: Int32) -> Int
         segment[has_room].astype(np.int64) * key_base + room_number[has_room]
     )
     is_covered = (room_number == 0) & (room_under > 0) & (segment > 0)
-    keys = segment[is_covered].astype(np.int64) * key_base + room_under[is_covered]
-    is_covered[is_covered] = np.isin(keys, rooms_in_segments)
+    covered_keys = segment[is_covered].astype(np.int64) * key_base + room_under[is_covered]
+    is_covered[is_covered] = np.isin(covered_keys, rooms_in_segments)
     return np.where(is_covered, room_under, room_number)
 
 
@@ -623,10 +626,10 @@ def assign_unmarked(
     is_room = (num_cells >= min_cells) & is_wide
     if not (is_room | (num_cells < min_cells)).all():
         # the rest of a ledge is as narrow as the ledge: that is no reason to give it away
-        segment_of = np.zeros(len(num_cells), dtype=np.int32)
-        segment_of[component] = segment
+        segment_of_component = np.zeros(len(num_cells), dtype=np.int32)
+        segment_of_component[component] = segment
         _, is_segment_wide = _measure_components(segment, cell_size)
-        is_room |= (num_cells >= min_cells) & ~is_segment_wide[segment_of]
+        is_room |= (num_cells >= min_cells) & ~is_segment_wide[segment_of_component]
     touched_room = _find_most_touched_room(component, room_number, len(num_cells))
     if cells_beyond is not None:
         is_behind_leaf = np.zeros(len(num_cells), dtype=np.bool_)
@@ -684,7 +687,7 @@ def _measure_components(label: Int32, cell_size: float) -> tuple[Int, Bool]:
         )
     num_cells = count_cells_by_label(label, int(label.max(initial=0)) + 1)
     widest_squared = find_widest_distances(
-        label, squared_distances(is_boundary_node, reach), len(num_cells)
+        label, measure_squared_distances(is_boundary_node, reach), len(num_cells)
     )
     # twice the distance to the boundary, in half cells: the widest disc that fits
     return num_cells, widest_squared >= (MIN_REMAINDER_WIDTH / cell_size) ** 2 - CELL_ROUNDING
@@ -773,7 +776,7 @@ def mark_cavities(
     is_connected = np.zeros(num_labels, dtype=np.bool_)
     is_connected[0] = True
     is_connected[pairs[(pairs > 0).all(axis=0) & (pairs < num_labels)]] = True
-    is_connected[segment[level_flags.at_edge]] = True
+    is_connected[segment[level_flags.is_at_edge]] = True
     if cells_beyond is not None:
         is_connected[segment.ravel()[cells_beyond]] = True
     for level_column, cell_column in ((0, 1), (2, 3)):  # of both ends of links
@@ -785,7 +788,7 @@ def mark_cavities(
         return is_cavity
     reach = int(MIN_CLOSED_ROOM_WIDTH / cell_size) + 2
     widest_squared = find_widest_distances(
-        segment, squared_distances(mark_wall_nodes(segment > 0), reach), num_labels
+        segment, measure_squared_distances(mark_wall_nodes(segment > 0), reach), num_labels
     )
     is_wide = widest_squared >= (MIN_CLOSED_ROOM_WIDTH / cell_size) ** 2 - CELL_ROUNDING
     return is_cavity | ~is_connected & ~is_wide
@@ -812,20 +815,22 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level_number: int) -> tuple[
     level_flags = flags.levels[level_number]
     cell_size = flags.lattice.cell_size
     num_labels = int(segment.max(initial=0)) + 1
-    edge_extents = _measure_edge_extents(segment, level_flags.at_edge & (segment > 0), num_labels)
+    edge_extents = _measure_edge_extents(
+        segment, level_flags.is_at_edge & (segment > 0), num_labels
+    )
     is_candidate = edge_extents * cell_size > MIN_OUTDOOR_EDGE
     if not is_candidate.any():
         return segment, set()
-    in_candidate = is_candidate[segment]
-    is_under_open_sky = level_flags.under_sky[in_candidate]
-    if not is_under_open_sky.all() and flags.scene_ends.any():
+    is_in_candidate = is_candidate[segment]
+    is_under_open_sky = level_flags.is_under_sky[is_in_candidate]
+    if not is_under_open_sky.all() and flags.is_scene_end.any():
         # where the lattice crops the scene, rooms go on beyond it
-        is_at_scene_end = in_candidate & mark_edge(flags.is_empty, flags.scene_ends)
+        is_at_scene_end = is_in_candidate & mark_edge(flags.is_empty, flags.is_scene_end)
         if is_at_scene_end.any():
             reach = int(MAX_EAVES_DEPTH / cell_size) + 1
-            squared_distance = squared_distances(is_at_scene_end, reach)[in_candidate]
+            squared_distance = measure_squared_distances(is_at_scene_end, reach)[is_in_candidate]
             is_under_open_sky |= np.sqrt(squared_distance) * cell_size <= MAX_EAVES_DEPTH
-    cell_segments = segment[in_candidate]
+    cell_segments = segment[is_in_candidate]
     num_under_open_sky = np.bincount(cell_segments[is_under_open_sky], minlength=num_labels)
     num_cells = np.bincount(cell_segments, minlength=num_labels)
     is_outdoors = is_candidate & (num_under_open_sky >= MIN_OPEN_SHARE * num_cells)
@@ -859,7 +864,7 @@ def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
     return lowest_node[component][: len(is_outdoors)]
 
 
-def _measure_edge_extents(segment: Int32, at_edge: Bool, num_labels: int) -> Float:
+def _measure_edge_extents(segment: Int32, is_at_edge: Bool, num_labels: int) -> Float:
     """Measure over which connected length each segment touches the edge of the grid [cells].
 
     Of several connected pieces of a segment's cells at the edge, the longest counts. The length of
@@ -867,26 +872,26 @@ def _measure_edge_extents(segment: Int32, at_edge: Bool, num_labels: int) -> Flo
 
     Args:
         segment: the segment of each cell, shape (height, width).
-        at_edge: a mask of the cells at the edge that are in a segment.
+        is_at_edge: a mask of the cells at the edge that are in a segment.
         num_labels: the number of segments, plus 1.
 
     Returns:
         The lengths by segment, 0 for segments that don't touch the edge, shape (num_labels,).
     """
-    edge_cells = np.flatnonzero(at_edge)
+    edge_cells = np.flatnonzero(is_at_edge)
     rows, cols = np.divmod(edge_cells, segment.shape[1])
-    segment_of = segment[rows, cols]
+    segment_of_cell = segment[rows, cols]
     pairs = list_adjacent_pairs(edge_cells, segment.shape[1])
     piece_of_cell = label_components(
-        pairs[:, segment_of[pairs[0]] == segment_of[pairs[1]]], len(edge_cells)
+        pairs[:, segment_of_cell[pairs[0]] == segment_of_cell[pairs[1]]], len(edge_cells)
     )
     extent = np.zeros(len(edge_cells))
     for coordinate in (rows, cols):
-        lowest = np.full(len(edge_cells), np.inf)
-        highest = np.full(len(edge_cells), -np.inf)
-        np.minimum.at(lowest, piece_of_cell, coordinate)
-        np.maximum.at(highest, piece_of_cell, coordinate)
-        extent = np.hypot(extent, (highest - lowest)[piece_of_cell])
+        lowest_index = np.full(len(edge_cells), np.inf)
+        highest_index = np.full(len(edge_cells), -np.inf)
+        np.minimum.at(lowest_index, piece_of_cell, coordinate)
+        np.maximum.at(highest_index, piece_of_cell, coordinate)
+        extent = np.hypot(extent, (highest_index - lowest_index)[piece_of_cell])
     max_extent = np.zeros(num_labels)
-    np.maximum.at(max_extent, segment_of, extent + 1)
+    np.maximum.at(max_extent, segment_of_cell, extent + 1)
     return max_extent

@@ -103,7 +103,7 @@ MAX_SILL_THICKNESS = 0.5
 # ---------------------------------------------------------------- distances
 
 
-def squared_distances(is_target: Bool, reach: int) -> Int32:
+def measure_squared_distances(is_target: Bool, reach: int) -> Int32:
     """Measure how far each cell is from the nearest target cell.
 
     Args:
@@ -116,11 +116,11 @@ def squared_distances(is_target: Bool, reach: int) -> Int32:
         (rows, cols), int32 [cells squared].
     """
     is_target = np.ascontiguousarray(is_target)
-    rows, cols = is_target.shape
+    num_rows, num_cols = is_target.shape
     column_distance = np.empty(is_target.shape, dtype=np.int16)
     run_in_chunks(
         kernels.sweep_distances,
-        cols,
+        num_cols,
         is_target,
         reach,
         column_distance,
@@ -129,59 +129,61 @@ def squared_distances(is_target: Bool, reach: int) -> Int32:
     )
     squared_distance = np.empty(is_target.shape, dtype=np.int32)
     run_in_chunks(
-        kernels.sweep_distances, rows, is_target, reach, column_distance, squared_distance
+        kernels.sweep_distances, num_rows, is_target, reach, column_distance, squared_distance
     )
     return squared_distance
 
 
-def squared_distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
+def measure_squared_distances_at(is_open: Bool, reach: int, node_row: Int, node_col: Int) -> Int:
     """Measure how far some nodes are from the nearest closed cell or the lattice's edge.
 
     Nodes are the centres, the corners and the middles of edges of cells, see `mark_wall_nodes`. The
-    result equals that of ``squared_distances(mark_wall_nodes(open_cells), reach)`` at these nodes,
-    but takes less time: distances are computed for cells, a quarter as many as nodes.
+    result equals that of ``measure_squared_distances(mark_wall_nodes(is_open), reach)`` at these
+    nodes, but takes less time: distances are computed for cells, a quarter as many as nodes.
 
     Args:
-        open_cells: a mask of the open cells, shape (height, width).
+        is_open: a mask of the open cells, shape (height, width).
         reach: the largest distance that is measured, >= 0 [half cells].
-        row: the nodes' rows, shape (n,).
-        col: the nodes' columns, shape (n,).
+        node_row: the nodes' rows, shape (n,).
+        node_col: the nodes' columns, shape (n,).
 
     Returns:
         The squared distances, ``(reach + 1) ** 2`` for all distances greater than `reach`, shape
         (n,) [half cells squared].
     """
-    is_closed = np.pad(~open_cells, 1, constant_values=True)
-    cols = is_closed.shape[1]
+    is_closed = np.pad(~is_open, 1, constant_values=True)
+    num_cols = is_closed.shape[1]
     column_distance = np.empty(is_closed.shape, dtype=np.int16)
     cell_reach = reach // 2 + 1
     run_in_chunks(
         kernels.sweep_distances,
-        cols,
+        num_cols,
         is_closed,
         cell_reach,
         column_distance,
         NO_ROWS,
         min_chunk_size=MIN_CHUNK_COLUMNS,
     )
-    least_squared = np.full(len(row), (reach + 1) ** 2)
+    least_squared_distance = np.full(len(node_row), (reach + 1) ** 2)
     # the cells above and below each node; the same cell where the node is at its middle
-    row_above = (row + 1) // 2
-    row_below = (row + 2) // 2
+    row_above = (node_row + 1) // 2
+    row_below = (node_row + 2) // 2
     for col_shift in range(-(reach // 2) - 1, reach // 2 + 3):
-        cell_col = np.clip(col // 2 + col_shift, 0, cols - 1)
-        num_rows = np.minimum(
+        cell_col = np.clip(node_col // 2 + col_shift, 0, num_cols - 1)
+        rows_away = np.minimum(
             column_distance[row_above, cell_col], column_distance[row_below, cell_col]
         )
-        nodes_down = np.maximum(2 * num_rows.astype(np.int64) - row % 2, 0)
-        nodes_right = np.abs(2 * cell_col - 1 - col) - 1  # cells are two nodes wide
+        nodes_down = np.maximum(2 * rows_away.astype(np.int64) - node_row % 2, 0)
+        nodes_right = np.abs(2 * cell_col - 1 - node_col) - 1  # cells are two nodes wide
         np.minimum(
-            least_squared, nodes_down**2 + np.maximum(nodes_right, 0) ** 2, out=least_squared
+            least_squared_distance,
+            nodes_down**2 + np.maximum(nodes_right, 0) ** 2,
+            out=least_squared_distance,
         )
-    return least_squared
+    return least_squared_distance
 
 
-def mark_wall_nodes(open_cells: Bool) -> Bool:
+def mark_wall_nodes(is_open: Bool) -> Bool:
     """Mark the nodes that are on a closed cell or the lattice's edge.
 
     Nodes are points half a cell apart, so that distances can be measured to half a cell. Node
@@ -189,12 +191,12 @@ def mark_wall_nodes(open_cells: Bool) -> Bool:
     the middles of their edges.
 
     Args:
-        open_cells: a mask of the open cells, shape (height, width).
+        is_open: a mask of the open cells, shape (height, width).
 
     Returns:
         A mask of the nodes, shape (2 height + 1, 2 width + 1).
     """
-    is_closed = np.pad(~open_cells, 1, constant_values=True)
+    is_closed = np.pad(~is_open, 1, constant_values=True)
     closed_rows = is_closed.repeat(2, axis=0)[1:-1]
     # each row's upper edge, its centre, …, the last row's lower edge
     closed_rows = closed_rows[:-1] | closed_rows[1:]
@@ -249,7 +251,7 @@ class WallPoints(NamedTuple):
 
 
 def find_directions(
-    open_cells: Bool, cell_size: float, rays: WallRays | None = None
+    is_open: Bool, cell_size: float, rays: WallRays | None = None
 ) -> list[WallDirection]:
     """Find the directions that walls run in.
 
@@ -257,20 +259,20 @@ def find_directions(
     they are found from the gradient of the distance to closed cells.
 
     Args:
-        open_cells: a mask of the cells without a wall, shape (height, width).
+        is_open: a mask of the cells without a wall, shape (height, width).
         cell_size: the side of a cell, > 0 [m].
         rays: rays to the walls' geometry; None without geometry.
 
     Returns:
         The directions, starting with the most common one.
     """
-    shape = open_cells.shape
+    shape = is_open.shape
     if rays is not None:
-        points, num_rays = rays.find_points(open_cells)
-        directions, num_explained = _list_directions(points, shape, cell_size)
-        if num_rays and num_explained >= MIN_EXPLAINED_SHARE * num_rays:
+        points, num_rays = rays.find_points(is_open)
+        directions, num_points_on_walls = _list_directions(points, shape, cell_size)
+        if num_rays and num_points_on_walls >= MIN_EXPLAINED_SHARE * num_rays:
             return directions
-    directions, _ = _list_directions(_find_cell_points(open_cells, cell_size), shape, cell_size)
+    directions, _ = _list_directions(_find_cell_points(is_open, cell_size), shape, cell_size)
     return directions
 
 
@@ -292,29 +294,31 @@ def _list_directions(
     """
     position, angle, spacing, bin_width, line_width = points
     num_bins = round(180 / bin_width)
-    bins = np.rint(angle / bin_width).astype(np.int64) % num_bins
+    bin_of_point = np.rint(angle / bin_width).astype(np.int64) % num_bins
     # about this many points of every angle are at corners of walls, where slopes point everywhere
-    corner_count = 2.0 * float(np.median(_add_neighbor_bins(np.bincount(bins, minlength=num_bins))))
-    min_points = max(MIN_WALL_LENGTH / spacing, MIN_POINT_SHARE * len(bins))
-    min_on_line = MIN_LENGTH_ON_LINE / spacing
+    num_corner_points = 2.0 * float(
+        np.median(_add_neighbor_bins(np.bincount(bin_of_point, minlength=num_bins)))
+    )
+    min_points = max(MIN_WALL_LENGTH / spacing, MIN_POINT_SHARE * len(bin_of_point))
+    min_points_on_line = MIN_LENGTH_ON_LINE / spacing
     directions = list[WallDirection]()
     main_angle = 0.0
-    num_explained = 0
-    is_remaining = np.ones(len(bins), dtype=np.bool_)
+    num_points_on_walls = 0
+    is_remaining = np.ones(len(bin_of_point), dtype=np.bool_)
     while True:
-        bin_counts = _add_neighbor_bins(np.bincount(bins[is_remaining], minlength=num_bins))
+        bin_counts = _add_neighbor_bins(np.bincount(bin_of_point[is_remaining], minlength=num_bins))
         best_bin = int(bin_counts.argmax())
-        if bin_counts[best_bin] < min_points + corner_count:
-            return directions, num_explained
+        if bin_counts[best_bin] < min_points + num_corner_points:
+            return directions, num_points_on_walls
         angle_difference = np.abs((angle - best_bin * bin_width + 90.0) % 180.0 - 90.0)
-        is_near = is_remaining & (angle_difference <= 1.5 * bin_width)
-        wall_angle = _refine_angle(position[:, is_near], best_bin, bin_width, line_width)
+        is_near_angle = is_remaining & (angle_difference <= 1.5 * bin_width)
+        wall_angle = _refine_angle(position[:, is_near_angle], best_bin, bin_width, line_width)
         # points on walls of this direction count for no other direction, a few degrees off
-        is_near = is_remaining & (angle_difference <= 2.5 * bin_width)
-        near_position = position[:, is_near]
-        is_on_wall = _mark_on_walls(near_position, wall_angle, line_width, min_on_line)
+        is_near_angle = is_remaining & (angle_difference <= 2.5 * bin_width)
+        near_position = position[:, is_near_angle]
+        is_on_wall = _mark_on_walls(near_position, wall_angle, line_width, min_points_on_line)
         if is_on_wall.sum() < min_points:
-            is_remaining[is_near] = False
+            is_remaining[is_near_angle] = False
             continue
         direction = make_direction(wall_angle, shape)
         if not directions:
@@ -323,8 +327,8 @@ def _list_directions(
             is_near_wall = _mark_near_points(near_position[:, is_on_wall], shape, cell_size)
             direction = direction._replace(is_near_wall=is_near_wall)
         directions.append(direction)
-        is_remaining[is_near] = ~is_on_wall
-        num_explained += int(is_on_wall.sum())
+        is_remaining[is_near_angle] = ~is_on_wall
+        num_points_on_walls += int(is_on_wall.sum())
 
 
 def _mark_near_points(position: Float, shape: tuple[int, ...], cell_size: float) -> Bool:
@@ -340,10 +344,10 @@ def _mark_near_points(position: Float, shape: tuple[int, ...], cell_size: float)
     is_inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
     is_wall[row[is_inside], col[is_inside]] = True
     reach = round(NEAR_WALL_DISTANCE / cell_size)
-    return np.asarray(squared_distances(is_wall, reach) <= reach**2)
+    return np.asarray(measure_squared_distances(is_wall, reach) <= reach**2)
 
 
-def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
+def _find_cell_points(is_open: Bool, cell_size: float) -> WallPoints:
     """Find points on walls from the cells alone, without the walls' geometry.
 
     At each cell that is about `SLOPE_DISTANCE` from a wall, the distance to closed cells falls
@@ -351,12 +355,12 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
     """
     reach = max(MIN_SLOPE_DISTANCE, round(SLOPE_DISTANCE / cell_size))
     # the edge of the lattice is no wall: what is at it goes on beyond it
-    is_closed = np.pad(~open_cells, EDGE_PADDING, mode="edge")
-    squared_distance = squared_distances(is_closed, reach + 2)
-    is_off_wall = (squared_distance >= (reach - 1) ** 2) & (squared_distance < reach**2)
-    is_off_wall[[0, 1, -2, -1]] = False
-    is_off_wall[:, [0, 1, -2, -1]] = False
-    cells = np.flatnonzero(is_off_wall)
+    is_closed = np.pad(~is_open, EDGE_PADDING, mode="edge")
+    squared_distance = measure_squared_distances(is_closed, reach + 2)
+    is_at_slope_distance = (squared_distance >= (reach - 1) ** 2) & (squared_distance < reach**2)
+    is_at_slope_distance[[0, 1, -2, -1]] = False
+    is_at_slope_distance[:, [0, 1, -2, -1]] = False
+    cells = np.flatnonzero(is_at_slope_distance)
     width = is_closed.shape[1]
     neighbor_cells = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
     distances = np.sqrt(squared_distance.ravel()[neighbor_cells], dtype=np.float32)
@@ -364,11 +368,11 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
     slope_down = distance_below - distance_above
     slope_right = distance_after - distance_before
     # a wall runs across the slope; between two walls that are equally near, the slope is less steep
-    is_clear = np.hypot(slope_down, slope_right) > MIN_DISTANCE_CHANGE
-    cells = cells[is_clear]
-    wall_distance = wall_distance[is_clear]
-    slope_down = slope_down[is_clear]
-    slope_right = slope_right[is_clear]
+    has_clear_slope = np.hypot(slope_down, slope_right) > MIN_DISTANCE_CHANGE
+    cells = cells[has_clear_slope]
+    wall_distance = wall_distance[has_clear_slope]
+    slope_down = slope_down[has_clear_slope]
+    slope_right = slope_right[has_clear_slope]
     angle = np.mod(np.rad2deg(np.arctan2(slope_down, slope_right)) + 90.0, 180.0)
     slope = np.hypot(slope_down, slope_right)
     wall_position = (
@@ -416,10 +420,12 @@ def _mark_on_walls(position: Float, angle: float, line_width: float, min_points:
         min_points: the least number of points that two strips with a wall contain together.
     """
     strip_of_point = _find_strips(position, np.array([angle]), line_width)[0].astype(np.int64)
-    points_in_strip = np.pad(np.bincount(strip_of_point), 1)
-    points_in_pair = points_in_strip[1:] + points_in_strip[:-1]  # each line with the one before
+    num_points_in_strip = np.pad(np.bincount(strip_of_point), 1)
+    # each strip with the one before
+    num_points_in_pair = num_points_in_strip[1:] + num_points_in_strip[:-1]
     is_on_wall: Bool = (
-        np.maximum(points_in_pair[strip_of_point], points_in_pair[strip_of_point + 1]) >= min_points
+        np.maximum(num_points_in_pair[strip_of_point], num_points_in_pair[strip_of_point + 1])
+        >= min_points
     )
     return is_on_wall
 
@@ -444,11 +450,12 @@ def _refine_angle(position: Float, bin_number: int, bin_width: float, line_width
     sharpness = np.zeros(len(angles), dtype=np.int64)
     for angle_index, strip_of_point in enumerate(_find_strips(position, angles, line_width)):
         for strip_offset in (0.0, 0.5):  # so that no wall falls between two strips
-            points_in_strip = np.bincount((strip_of_point + strip_offset).astype(np.int64))
+            num_points_in_strip = np.bincount((strip_of_point + strip_offset).astype(np.int64))
             # how densely points lie in strips and in pairs of strips; whole numbers, so exact
             sharpness[angle_index] = max(
                 sharpness[angle_index],
-                points_in_strip @ points_in_strip + points_in_strip[1:] @ points_in_strip[:-1],
+                num_points_in_strip @ num_points_in_strip
+                + num_points_in_strip[1:] @ num_points_in_strip[:-1],
             )
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= MIN_AXIS_SHARPNESS_SHARE * sharpness.max()).any():
@@ -464,11 +471,11 @@ def make_direction(angle: float, shape: tuple[int, ...]) -> WallDirection:
             where the direction goes one row down per column.
         shape: the shape of the lattice, (height, width).
     """
-    swapped = 45.0 < angle < 135.0
-    slope = np.tan(np.deg2rad(90.0 - angle if swapped else angle))
-    num_cols = shape[0] if swapped else shape[1]
+    is_swapped = 45.0 < angle < 135.0
+    slope = np.tan(np.deg2rad(90.0 - angle if is_swapped else angle))
+    num_cols = shape[0] if is_swapped else shape[1]
     return WallDirection(
-        is_swapped=swapped,
+        is_swapped=is_swapped,
         shift=np.rint(np.arange(num_cols) * slope).astype(np.int64),
         slope=float(slope),
         length_per_column=float(np.hypot(1.0, slope)),
@@ -584,35 +591,37 @@ class WallRays:
             walls.coded_distance[ray_cells, ray_ends] = distance / column_length + 1.0
         return walls.coded_distance
 
-    def find_points(self, open_cells: Bool) -> tuple[WallPoints, int]:
+    def find_points(self, is_open: Bool) -> tuple[WallPoints, int]:
         """Find points on walls by rays along the lattice's axes.
 
         Rays are cast from open cells that are next to closed cells, towards these.
 
         Args:
-            open_cells: a mask of the cells without a wall, shape (height, width).
+            is_open: a mask of the cells without a wall, shape (height, width).
 
         Returns:
             The points; and the number of rays. Rays that meet no wall are counted, rays that meet a
             wall at less than 45° are not.
         """
-        is_closed = np.pad(~open_cells, 1, mode="edge")
+        is_closed = np.pad(~is_open, 1, mode="edge")
         cell_size = self._lattice.cell_size
-        has_floor = open_cells & (self._ray_heights > NO_FLOOR_HEIGHT)
+        has_floor = is_open & (self._ray_heights > NO_FLOOR_HEIGHT)
         cells_per_ray = max(1, int(POINT_SPACING / cell_size))  # one of this many cells has a ray
-        rows, cols = open_cells.shape
+        num_rows, num_cols = is_open.shape
         positions = list[Float]()
         angles = list[Float]()
         num_rays = 0
         for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            is_before_closed = is_closed[1 + down : 1 + down + rows, 1 + right : 1 + right + cols]
+            is_before_closed = is_closed[
+                1 + down : 1 + down + num_rows, 1 + right : 1 + right + num_cols
+            ]
             rows_of_rays, cols_of_rays = np.divmod(
-                np.flatnonzero(has_floor & is_before_closed), cols
+                np.flatnonzero(has_floor & is_before_closed), num_cols
             )
             has_ray = (rows_of_rays + cols_of_rays) % cells_per_ray == 0
             rows_of_rays = rows_of_rays[has_ray]
             cols_of_rays = cols_of_rays[has_ray]
-            walls = self._rotate(make_direction(90.0 * abs(down), open_cells.shape))
+            walls = self._rotate(make_direction(90.0 * abs(down), is_open.shape))
             is_forward = np.full(len(rows_of_rays), down + right > 0)
             distance, normal = self._cast(
                 walls, rows_of_rays, cols_of_rays, is_forward, np.zeros(1)
@@ -623,9 +632,14 @@ class WallRays:
             meets_wall = faces_ray & np.isfinite(distance)
             rows_of_rays = rows_of_rays[meets_wall]
             cols_of_rays = cols_of_rays[meets_wall]
-            num_cells = distance[meets_wall] / cell_size
+            distance_in_cells = distance[meets_wall] / cell_size
             positions.append(
-                np.stack([rows_of_rays + down * num_cells, cols_of_rays + right * num_cells])
+                np.stack(
+                    [
+                        rows_of_rays + down * distance_in_cells,
+                        cols_of_rays + right * distance_in_cells,
+                    ]
+                )
             )
             x, y, _ = walls.axes.T @ normal[meets_wall].T
             angles.append(np.mod(np.rad2deg(np.arctan2(-y, x)) + 90.0, 180.0))
@@ -677,10 +691,12 @@ class WallRays:
             offset_of_ray = np.tile(ray_offsets, len(unfinished_rays))
             points = centers[ray_numbers, :2]
             points[:, 0] += offset_of_ray * lattice.cell_size
-            ends = np.empty((2, len(ray_numbers), 2))
-            ends[..., 0] = start_cells[:, ray_numbers] + across_step[:, None] * offset_of_ray
-            ends[..., 1] = ends[..., 0] + along_step[:, None] * (sign[ray_numbers] * ray_length)
-            rows, cols = ends.astype(np.int64)
+            ray_ends = np.empty((2, len(ray_numbers), 2))
+            ray_ends[..., 0] = start_cells[:, ray_numbers] + across_step[:, None] * offset_of_ray
+            ray_ends[..., 1] = ray_ends[..., 0] + along_step[:, None] * (
+                sign[ray_numbers] * ray_length
+            )
+            rows, cols = ray_ends.astype(np.int64)
             hits = cast_points(tiled_walls, rows * tiled_walls.lattice.width + cols, points, axes)
             ray_of_hit = np.repeat(ray_numbers, np.diff(hits.start))
             distance_ahead = sign[ray_of_hit] * (hits.z - centers[ray_of_hit, 2])
@@ -722,33 +738,35 @@ def _choose_triangles(triangles: Facets, heights: Float) -> list[NDArray[Any]]:
         The arrays of `Facets`, with the chosen triangles in the order of `triangles`.
     """
     bounds = triangles.bounds
-    lowest_ray = heights.min()
-    highest_ray = heights.max()
-    has_ray = np.zeros(int((highest_ray - lowest_ray) / HEIGHT_BIN) + 1, dtype=np.int64)
-    has_ray[((heights - lowest_ray) / HEIGHT_BIN).astype(np.int64)] = 1
-    ray_bins_before = np.append(0, np.cumsum(has_ray))  # of each bin, those with a ray
-    ids_of_chunk = dict[int, Int]()
+    lowest_ray_z = heights.min()
+    highest_ray_z = heights.max()
+    has_ray = np.zeros(int((highest_ray_z - lowest_ray_z) / HEIGHT_BIN) + 1, dtype=np.int64)
+    has_ray[((heights - lowest_ray_z) / HEIGHT_BIN).astype(np.int64)] = 1
+    num_ray_bins_before = np.append(0, np.cumsum(has_ray))  # of each bin, those with a ray
+    triangle_ids_of_chunk = dict[int, Int]()
 
     def choose_in_chunks(first_chunk: int, end_chunk: int) -> None:
         for chunk in range(first_chunk, end_chunk):
             first_triangle = chunk * TRIANGLE_CHUNK
-            bottom = bounds[first_triangle : first_triangle + TRIANGLE_CHUNK, 2]
-            top = bounds[first_triangle : first_triangle + TRIANGLE_CHUNK, 5]
-            ids_in_range = np.flatnonzero((bottom <= highest_ray) & (top >= lowest_ray))
+            bottom_z = bounds[first_triangle : first_triangle + TRIANGLE_CHUNK, 2]
+            top_z = bounds[first_triangle : first_triangle + TRIANGLE_CHUNK, 5]
+            ids_in_range = np.flatnonzero((bottom_z <= highest_ray_z) & (top_z >= lowest_ray_z))
             end_heights = (
-                np.stack([bottom[ids_in_range] - TILE_MARGIN, top[ids_in_range] + TILE_MARGIN])
-                - lowest_ray
+                np.stack([bottom_z[ids_in_range] - TILE_MARGIN, top_z[ids_in_range] + TILE_MARGIN])
+                - lowest_ray_z
             )
             first_bin, last_bin = (
                 (end_heights / HEIGHT_BIN).astype(np.int64).clip(0, len(has_ray) - 1)
             )
-            meets_ray = ray_bins_before[last_bin + 1] > ray_bins_before[first_bin]
-            ids_of_chunk[chunk] = first_triangle + ids_in_range[meets_ray]
+            meets_ray = num_ray_bins_before[last_bin + 1] > num_ray_bins_before[first_bin]
+            triangle_ids_of_chunk[chunk] = first_triangle + ids_in_range[meets_ray]
 
     run_in_chunks(choose_in_chunks, -(-len(bounds) // TRIANGLE_CHUNK))
-    chunk_ids = [ids_of_chunk[chunk] for chunk in sorted(ids_of_chunk)]
-    chosen_ids = np.concatenate([np.empty(0, np.int64), *chunk_ids])
-    return [array.take(chosen_ids, axis=0) for array in triangles]
+    triangle_ids_by_chunk = [
+        triangle_ids_of_chunk[chunk] for chunk in sorted(triangle_ids_of_chunk)
+    ]
+    triangle_ids = np.concatenate([np.empty(0, np.int64), *triangle_ids_by_chunk])
+    return [array.take(triangle_ids, axis=0) for array in triangles]
 
 
 # ---------------------------------------------------------------- sills
@@ -776,18 +794,18 @@ def find_windows(is_low: Bool, is_wall: Bool, cell_size: float) -> Bool:
     scans = []
     for direction in find_directions(~is_wall, cell_size):
         # drawn sills are as wide as their wall, so that each line of theirs ends at it
-        scanned_low = to_scan_order(is_low, direction)
-        scanned_wall = to_scan_order(is_wall, direction)
-        is_sill = np.zeros_like(scanned_low)
+        is_low_in_scan = to_scan_order(is_low, direction)
+        is_wall_in_scan = to_scan_order(is_wall, direction)
+        is_sill = np.zeros_like(is_low_in_scan)
         wait_for_sills = run_beside(
-            kernels.mark_sills, scanned_low, scanned_wall, direction.shift, is_sill
+            kernels.mark_sills, is_low_in_scan, is_wall_in_scan, direction.shift, is_sill
         )
         scans.append((direction, is_sill, wait_for_sills))
     for direction, is_sill, wait_for_sills in scans:
         wait_for_sills()
-        max_rows = int(MAX_SILL_THICKNESS * direction.length_per_column / cell_size) + 2
-        run_cols, run_tops, run_stops, _ = find_row_runs(is_sill.T)
-        for run in np.flatnonzero(run_stops - run_tops > max_rows).tolist():
-            is_sill[run_tops[run] : run_stops[run], run_cols[run]] = False
+        max_sill_rows = int(MAX_SILL_THICKNESS * direction.length_per_column / cell_size) + 2
+        run_cols, run_tops, run_ends, _ = find_row_runs(is_sill.T)
+        for run in np.flatnonzero(run_ends - run_tops > max_sill_rows).tolist():
+            is_sill[run_tops[run] : run_ends[run], run_cols[run]] = False
         is_window |= from_scan_order(is_sill, direction)
     return is_window

@@ -23,8 +23,8 @@ from navbake.baker.rooms.walls import (
     find_directions,
     make_direction,
     mark_wall_nodes,
-    squared_distances,
-    squared_distances_at,
+    measure_squared_distances,
+    measure_squared_distances_at,
 )
 from offices import make_plan
 from offices_truth import bake_plan, overlaps
@@ -100,7 +100,7 @@ def test_gaps_are_beside_longer_runs(both):
         widening_factor=WIDENING_FACTOR,
         min_widening=2.0,
         max_thickness=5,
-        only_doorways=both,
+        marks_only_doorways=both,
     )
     for _ in range(4):
         is_open = np.asfortranarray(floor_plan(rng))
@@ -266,10 +266,10 @@ def test_the_share_that_a_gap_has(angle):
         for _ in range(count // 3):
             one, other = whole[rng.integers(1, count, 2)]
             whole[whole == max(one, other)] = min(one, other)
-        for _, scan, gaps in spaces.directions:
+        for _, scan, gaps in spaces.direction_gaps:
             chosen = np.arange(len(gaps.first_col))
             walls = kernels.GapWalls(
-                beside=np.full((len(chosen), 2), 0.5),
+                end_distance=np.full((len(chosen), 2), 0.5),
                 max_distance=np.full(len(chosen), MAX_WALL_DISTANCE),
                 coded_distance=np.full((scan.label.size, 2), 1.5),
             )
@@ -320,9 +320,9 @@ def test_spaces_are_joined_as_if_all_gaps_were_measured_after_each(angle):
         slow = Remeasured(spaces, CELL, None)
         for merger in (fast, slow):
             merger.join_spaces()
-        np.testing.assert_array_equal(fast.space_of, slow.space_of)
+        np.testing.assert_array_equal(fast.space_of_label, slow.space_of_label)
         assert fast.list_close_calls() == slow.list_close_calls()
-        joined += len(spaces.num_cells) - len(np.unique(fast.space_of))
+        joined += len(spaces.num_cells) - len(np.unique(fast.space_of_label))
     assert joined > 25
 
 
@@ -344,7 +344,7 @@ def test_what_is_far_from_a_change_is_not_measured_again():
 
         merger = Counted(parted(is_open), CELL, None)
         merger.join_spaces()
-        assert len(np.unique(merger.space_of)) == 2  # the hall, and 0 for none
+        assert len(np.unique(merger.space_of_label)) == 2  # the hall, and 0 for none
         counts.append(measured)
     assert counts[1] <= 5 * counts[0]
 
@@ -359,7 +359,7 @@ def test_distances_are_those_of_scipy(reach, shape):
         if target.any():
             exact = np.rint(ndimage.distance_transform_edt(~target) ** 2)
             expected = np.minimum(exact, expected)
-        np.testing.assert_array_equal(squared_distances(target, reach), expected)
+        np.testing.assert_array_equal(measure_squared_distances(target, reach), expected)
 
 
 @pytest.mark.parametrize("reach", [0, 1, 8, 21])
@@ -367,9 +367,9 @@ def test_distances_at_some_nodes(reach):
     rng = np.random.default_rng(reach)
     for shape in ((1, 1), (3, 50), (31, 20)):
         is_open = rng.random(shape) < 0.99
-        every = squared_distances(mark_wall_nodes(is_open), reach)
+        every = measure_squared_distances(mark_wall_nodes(is_open), reach)
         nodes = rng.integers(0, every.shape, (200, 2)).T
-        distances = squared_distances_at(is_open, reach, *nodes)
+        distances = measure_squared_distances_at(is_open, reach, *nodes)
         np.testing.assert_array_equal(distances, every[tuple(nodes)])
 
 
@@ -408,7 +408,7 @@ def test_rays_to_walls(as_mesh, is_cut, tmp_path):
     if is_cut:
         part = tuple(slice(count // 4, count // 2) for count in lattice.shape)
         lattice, is_open, floor = lattice.cut(*part), is_open[part], floor[part]
-    rays = WallRays(flags.walls, lattice, floor)
+    rays = WallRays(flags.wall_shapes, lattice, floor)
     rng = np.random.default_rng(1)
     row, col = rng.permutation(np.argwhere(is_open))[:400].T
     upright = [box for box in plan.boxes if abs(box[1][2] - RAY_HEIGHT) < box[2][2]]

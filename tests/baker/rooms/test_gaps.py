@@ -230,7 +230,7 @@ def test_walls_at_an_angle(angle):
     merger = SpaceMerger(spaces, CELL, None)
     merger.join_spaces()
     # 0 is for gaps; no cells between their lines are a space
-    assert len(np.unique(merger.space_of[spaces.label])) == 3
+    assert len(np.unique(merger.space_of_label[spaces.label])) == 3
     rooms = segment_by_gaps(is_open)[0]
     assert rooms.max() == 2
     left, right = rooms[is_open & (u < -0.4)], rooms[is_open & (u > 0.4)]

@@ -42,7 +42,7 @@ def room_with_wall(*rows: tuple[int, int]) -> np.ndarray:
 
 def parting_rows(is_open: np.ndarray, *leaves: ClosedLeaf, occupied=None) -> list[int]:
     marks = mark_leaves(level_of(is_open, occupied), 0, leaves, CELL)
-    return [] if marks is None else np.flatnonzero(marks.separating[:, MIDDLE]).tolist()
+    return [] if marks is None else np.flatnonzero(marks.is_separating[:, MIDDLE]).tolist()
 
 
 def test_a_leaf_that_fills_an_opening_parts():
@@ -65,9 +65,9 @@ def test_a_leaf_in_the_open_parts_nothing_and_hinders_no_other():
     is_open = room_with_wall((10, 20))
     in_the_open = leaf_at(12, 24, col=10)
     marks = mark_leaves(level_of(is_open), 0, [in_the_open, leaf_at(10, 20)], CELL)
-    assert not marks.separating[:, 10].any()
+    assert not marks.is_separating[:, 10].any()
     assert marks.not_separating[12:24, 10].all()
-    assert marks.separating[10:20, MIDDLE].all()
+    assert marks.is_separating[10:20, MIDDLE].all()
     assert not marks.not_separating[:, MIDDLE].any()
 
 
@@ -100,5 +100,5 @@ def test_what_little_lies_between_two_leaves_belongs_to_them():
     is_open[10:18, MIDDLE : MIDDLE + 3] = True
     leaves = [leaf_at(10, 18), leaf_at(10, 18, col=MIDDLE + 2)]
     marks = mark_leaves(level_of(is_open), 0, leaves, CELL)
-    assert marks.separating[10:18, MIDDLE : MIDDLE + 3].all()
-    assert marks.separating.sum() == 24
+    assert marks.is_separating[10:18, MIDDLE : MIDDLE + 3].all()
+    assert marks.is_separating.sum() == 24
