@@ -101,16 +101,16 @@ def find_stops(
         return Stops(tuple(goals))
     search = finder.search
     cells_of_goals = [find_goal_cells(finder, goal) for goal in goals]
-    stop_cells = cells_of_goals if in_order else [np.unique(np.concatenate(cells_of_goals))]
-    if not all(map(len, stop_cells)):
+    cells_of_stops = cells_of_goals if in_order else [np.unique(np.concatenate(cells_of_goals))]
+    if not all(map(len, cells_of_stops)):
         return None
-    distance_fields = [search.compute_cost_field(cells, by="length") for cells in stop_cells]
+    distance_fields = [search.compute_cost_field(cells, by="length") for cells in cells_of_stops]
     leg_lengths = [
         distance_field[cells].min()
-        for distance_field, cells in zip(distance_fields[1:], stop_cells, strict=False)
+        for distance_field, cells in zip(distance_fields[1:], cells_of_stops, strict=False)
     ]
     remaining_lengths = [*np.cumsum(leg_lengths[::-1])[::-1].tolist(), 0.0]
-    places = [search.flat.positions(cells) for cells in stop_cells]
+    places = [search.flat.positions(cells) for cells in cells_of_stops]
     return Stops(tuple(goals), places, distance_fields, remaining_lengths)
 
 

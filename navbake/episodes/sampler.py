@@ -256,7 +256,7 @@ def make_episodes(
         raise QueryError(f"expected grids of different scenes, got {scenes_text}")
     episodes: list[Episode] = []
     grid_entries = []
-    agent_facts = set()  # tuples of radius, height and speed
+    sizes_and_speeds = set()  # tuples of radius, height and speed
     num_rejected = Counter[str]()
     for index, (scene, original_grid) in enumerate(zip(scenes, grid_list, strict=True)):
         agent = choose_agent(
@@ -273,16 +273,16 @@ def make_episodes(
         grid_entries.append(GridEntry(scene=scene, digest=digest_of(grid), file=file_name))
         height = grid.agent_height if agent.height is None else float(agent.height)
         speed = agent.speed if agent_name else agent_choice.get("speed")
-        agent_facts.add((grid.radius, height, speed))
-    if len(agent_facts) > 1:
-        agent_sizes = sorted({(radius, height) for radius, height, _ in agent_facts})
+        sizes_and_speeds.add((grid.radius, height, speed))
+    if len(sizes_and_speeds) > 1:
+        agent_sizes = sorted({(radius, height) for radius, height, _ in sizes_and_speeds})
         size_text = ", ".join(f"{radius:g} x {height:g} m" for radius, height in agent_sizes)
         raise QueryError(f"the grids are for agents of several sizes ({size_text}): give a radius")
     if not episodes:
         count_texts = [f"{num_draws} {reason}" for reason, num_draws in num_rejected.most_common()]
         reasons_text = ", ".join(count_texts) or "nothing drawn"
         raise QueryError(f"no episode of {scenes[0]!r} keeps the rules: {reasons_text}")
-    ((radius, height, speed),) = agent_facts
+    ((radius, height, speed),) = sizes_and_speeds
     sampler_settings = {"task": task, "rules": rules, "count": int(count), "splits": splits}
     header = Header(
         agent=Agent(radius=radius, height=height, speed=speed, name=agent_name or msgspec.UNSET),

@@ -25,15 +25,15 @@ MAX_CELLS = 100_000_000  # of all levels together
 MAX_VOXELS = 1 << 31  # 1290 along each axis
 MAX_PIXELS = 80_000_000  # below the number from which Pillow warns of a decompression bomb
 MAX_DEPTH = 64  # of nested metadata, userData, timings and unknown fields
-MAX_HEADER = 65536  # text before the voxels of a binvox or octree, comments included [bytes]
-FREE_BYTES = 256 << 20  # of memory that a file of any size may fill
-# of memory that a file may fill in addition, for each of its own bytes; a campus as an octree takes
+MAX_HEADER_BYTES = 65536  # text before the voxels of a binvox or octree, comments included [bytes]
+BASE_MEMORY = 256 << 20  # that a file of any size may fill [bytes]
+# that a file may fill in addition, for each of its own bytes [bytes]; a campus as an octree takes
 # 400, house-100 as JSON 40
-BYTES_PER_BYTE = 512
+MEMORY_PER_FILE_BYTE = 512
 BYTES_PER_CELL = 128  # of memory for all arrays together, if the caller gives `max_cells`
 BYTES_PER_TEXT_BYTE = 4  # of memory that counts for a byte of unpacked JSON
 BYTES_PER_PIXEL = 6  # of memory: an image, a copy, and values
-MAX_SHOWN = 40  # characters of a wrong value that an error shows
+MAX_SHOWN_CHARACTERS = 40  # characters of a wrong value that an error shows
 LEAF_TYPES = {str, int, bool, type(None)}  # of JSON values without children, except floats
 FAST_TYPES = LEAF_TYPES | {dict, list, tuple}  # of values that need no further check
 JSON_CLASSES = (str, int, float, dict, list, tuple)  # subclasses count as well
@@ -56,11 +56,11 @@ def format_value(value: object) -> str:
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, str):
-        value = value[: MAX_SHOWN + 1]
-    elif isinstance(value, int) and abs(value) > 10**MAX_SHOWN:
+        value = value[: MAX_SHOWN_CHARACTERS + 1]
+    elif isinstance(value, int) and abs(value) > 10**MAX_SHOWN_CHARACTERS:
         return f"{value:.3e}" if abs(value) < 10**300 else "an integer of over 300 digits"
     text = repr(value)
-    return text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "…"
+    return text if len(text) <= MAX_SHOWN_CHARACTERS else text[:MAX_SHOWN_CHARACTERS] + "…"
 
 
 @dataclass(frozen=True)
@@ -299,7 +299,7 @@ class Allowance:
             raise FormatError(message, key=keyword, value=limit, expected=expected)
         self._keyword = keyword
         self._remedy = f"pass {keyword} if that is meant" if keyword else ""
-        num_memory_bytes = FREE_BYTES + BYTES_PER_BYTE * num_bytes
+        num_memory_bytes = BASE_MEMORY + MEMORY_PER_FILE_BYTE * num_bytes
         self._rule = f"a file of {num_bytes:,} bytes may fill ({num_memory_bytes:,} bytes)"
         self._cells = {"max_cells": MAX_CELLS, "max_voxels": MAX_VOXELS, "": MAX_PIXELS}[keyword]
         self._memory: float = num_memory_bytes

@@ -228,16 +228,16 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     shape = (len(cells), len(cells))
     matrix = sparse.csr_array((costs, node_of_cell[target_cell], row_starts), shape=shape)
 
-    link_source = np.repeat(links.cell, np.diff(links.start))
-    link_target = links.target
-    is_open = flat_grid.free[link_source] & flat_grid.free[link_target]
+    link_source_cell = np.repeat(links.cell, np.diff(links.start))
+    link_target_cell = links.target
+    is_open = flat_grid.free[link_source_cell] & flat_grid.free[link_target_cell]
     if is_open.any():  # if a link joins neighbours, the cheaper step counts
-        link_weight = flat_grid.weight[link_target[is_open]]
+        link_weight = flat_grid.weight[link_target_cell[is_open]]
         link_cost = links.length[is_open] * link_weight + links.cost[is_open]
         steps = matrix.tocoo()
         costs = np.append(steps.data, link_cost)
-        sources = np.append(steps.row, node_of_cell[link_source[is_open]])
-        targets = np.append(steps.col, node_of_cell[link_target[is_open]])
+        sources = np.append(steps.row, node_of_cell[link_source_cell[is_open]])
+        targets = np.append(steps.col, node_of_cell[link_target_cell[is_open]])
         sort_indices = np.lexsort((costs, targets, sources))
         costs = costs[sort_indices]
         sources = sources[sort_indices]

@@ -39,7 +39,7 @@ RISE_TOLERANCE = 0.05  # by which the equal rises of a ramp differ at most [m]
 # How many times as large as the largest floor of the rooms a floor outdoors is, to be the ground
 OUTDOORS_FACTOR = 4
 HEIGHT_BIN = 0.01  # floors that differ by less than that have the same height [m]
-MAX_NAMES = 5  # of links, areas and agents in the line that tells what is lost
+MAX_LISTED_NAMES = 5  # of links, areas and agents in the line that tells what is lost
 
 
 class ClosedCells(NamedTuple):
@@ -380,6 +380,6 @@ def _measure_area(grid: NavGrid, masks: Sequence[Bool], level_numbers: Collectio
 
 def _list_names(names: Sequence[str]) -> str:
     """List some names, and how many more there are."""
-    listed_names = ", ".join(names[:MAX_NAMES])
-    num_unlisted = len(names) - MAX_NAMES
+    listed_names = ", ".join(names[:MAX_LISTED_NAMES])
+    num_unlisted = len(names) - MAX_LISTED_NAMES
     return f"{listed_names} and {num_unlisted} more" if num_unlisted > 0 else listed_names

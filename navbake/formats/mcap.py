@@ -142,12 +142,12 @@ def _make_markers(grid: NavGrid) -> Iterator[Json]:
     level, cell_id = grid.step_array.reshape(-1, 2).T
     width = np.array([grid_level.width for grid_level in grid.levels])[level]
     row, col = np.divmod(cell_id, width)
-    step_ends = grid.position_of((level, row, col))
+    step_end_positions = grid.position_of((level, row, col))
     lines_of_namespaces: list[
         tuple[str, list[Sequence[float]]]
     ] = []  # (namespace, both ends of each line)
-    if len(step_ends):
-        lines_of_namespaces.append(("links", list(step_ends)))
+    if len(step_end_positions):
+        lines_of_namespaces.append(("links", list(step_end_positions)))
     for link in grid.links:
         stop_positions = [stop.position for stop in link.stops]
         lines_of_namespaces.append((link.name, list(chain.from_iterable(pairwise(stop_positions)))))

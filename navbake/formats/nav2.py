@@ -389,18 +389,24 @@ def read_pixel_values(
             raw_values <= occupancy.OCCUPIED, raw_values, occupancy.UNKNOWN
         )
     else:
-        other_values: NDArray[Any] = np.full(max_brightness + 1, float(occupancy.UNKNOWN))
+        values_between_thresholds: NDArray[Any] = np.full(
+            max_brightness + 1, float(occupancy.UNKNOWN)
+        )
         if map_yaml.mode == "scale":
             percent = (
                 (darkness - free_threshold) / float_type(map_yaml.occupied - map_yaml.free) * 100
             )
-            other_values = np.floor(percent + float_type(0.5)) if follows_main else np.rint(percent)
+            values_between_thresholds = (
+                np.floor(percent + float_type(0.5)) if follows_main else np.rint(percent)
+            )
         is_free = darkness <= free_threshold if follows_main else darkness < free_threshold
         is_occupied = (
             occupied_threshold <= darkness if follows_main else occupied_threshold < darkness
         )
         value_of_brightness = np.where(
-            is_free, occupancy.FREE, np.where(is_occupied, occupancy.OCCUPIED, other_values)
+            is_free,
+            occupancy.FREE,
+            np.where(is_occupied, occupancy.OCCUPIED, values_between_thresholds),
         )
     values: occupancy.OccupancyValues = value_of_brightness.astype(np.int8)[brightness]
 

@@ -47,7 +47,7 @@ KEEPOUT = 0
 SPEED_PERCENT = 1
 SPEED_ABSOLUTE = 2
 MAX_VALUE = 100  # of a mask
-MAX_LISTED = 20  # names that an error lists
+MAX_LISTED_NAMES = 20  # names that an error lists
 # a value is used even if its limit is higher than the wanted one by this share, for rounding
 LIMIT_SLACK = 1e-9
 ROUND_MULTIPLIERS = (1.0, 0.5, 0.1, 0.05, 0.01)  # tried in this order [m/s]
@@ -263,7 +263,7 @@ def _mark_zones(
         if not matching_zones:
             owner_text = "the grid" if zones_path is None else f"the grid or {zones_path}"
             zone_names = (candidate.names[-1] for candidate in available_zones)
-            hint = suggest(name, zone_names, MAX_LISTED, owner_text)
+            hint = suggest(name, zone_names, MAX_LISTED_NAMES, owner_text)
             raise FormatError(
                 f"no room or polygon is called {name!r}: {hint}", key="zone", value=name, hint=hint
             )

@@ -57,7 +57,7 @@ PLAIN_NAME = re.compile(r"(?!(weights|userData)$)[A-Za-z0-9_.-]{1,100}")
 
 
 class Archive:
-    """The arrays of an archive, read one by one within an allowance.
+    """The arrays of an archive, read one by one within an `Allowance`.
 
     Attributes:
         allowance: what the arrays' memory is taken from.
@@ -168,7 +168,7 @@ def read_npy(source: PathOrBytes) -> NDArray[Any]:
 def open_archive(
     source: PathOrBytes, expected: str, keyword: str = "", limit: int | None = None
 ) -> Iterator[Archive]:
-    """Open an archive whose arrays are read within an allowance.
+    """Open an archive whose arrays are read within an `Allowance` of memory.
 
     Args:
         source: a path, or the archive's content.

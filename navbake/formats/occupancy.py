@@ -37,7 +37,8 @@ MIN_BLOCKED_COST = 253
 QUARTER_TURN = math.pi / 2
 # a yaw counts as whole quarter turns if a map's farthest corner moves by less [cells]
 QUARTER_TOLERANCE = 0.1
-MIN_COVER = 0.01  # a new cell is occupied if occupied cells of the map cover this share of it
+# a new cell is occupied if occupied cells of the map cover this share of it
+MIN_COVERED_SHARE = 0.01
 CELLS_AT_ONCE = 1 << 18  # occupied cells that are compared with new cells at once, to limit memory
 
 OccupancyValues: TypeAlias = NDArray[np.int8]
@@ -252,7 +253,7 @@ def align_with_axes(
         map_y = height - occupied_rows[chunk_slice] - 0.5
         centers = np.stack([cos * map_x - sin * map_y, sin * map_x + cos * map_y], axis=-1)
         _add_covered_shares(covered_shares, turned_values, lattice, centers, cos, sin)
-    turned_values[covered_shares >= MIN_COVER] = OCCUPIED
+    turned_values[covered_shares >= MIN_COVERED_SHARE] = OCCUPIED
     x = x + lattice.x_min * resolution
     y = y + lattice.bounds[1] * resolution
     return turned_values, lattice_from_corner(turned_values, x, y, resolution)

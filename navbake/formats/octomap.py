@@ -27,7 +27,7 @@ MAGIC = b"# Octomap OcTree"
 DEPTH = 16
 CENTER_KEY = 2**15  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
-COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
+HEADER_COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
 LATTICE_TOLERANCE = 1e-3  # by how much a grid may be off the tree's lattice [voxels]
 LEAF_BYTES = 20  # of memory for a leaf
 # A node of a ColorOcTree's ``.ot``: log-odds, red, green and blue, children (OctoMap 1.9,
@@ -101,8 +101,10 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         states = NODE_STATES[states[:, :, 0::2] | states[:, :, 1::2]]
         parent_indices = np.argwhere(states >= MIXED_WITHOUT_OCCUPIED)  # of nodes with children
         i, j, k = parent_indices.T
-        half_x, half_y, half_z = states.shape
-        child_states_in_octets = child_states.reshape(half_x, 2, half_y, 2, half_z, 2)
+        num_parents_x, num_parents_y, num_parents_z = states.shape
+        child_states_in_octets = child_states.reshape(
+            num_parents_x, 2, num_parents_y, 2, num_parents_z, 2
+        )
         # a child has the number x + 2 y + 4 z
         sibling_states = child_states_in_octets[i, :, j, :, k].swapaxes(1, 3).reshape(-1, 8)
         parent_corners = (parent_indices + (level_keys >> 1)) << (level + 1)
@@ -133,7 +135,10 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     res_text = f"{grid.res:g}"  # six digits, as OctoMap writes it, if they are exact
     if not math.isclose(float(res_text), grid.res, rel_tol=1e-12):
         res_text = repr(grid.res)
-    header = f"{FIRST_LINES[kind]}\n{COMMENT}\nid OcTree\nsize {num_nodes}\nres {res_text}\ndata\n"
+    header = (
+        f"{FIRST_LINES[kind]}\n{HEADER_COMMENT}\n"
+        f"id OcTree\nsize {num_nodes}\nres {res_text}\ndata\n"
+    )
     return header.encode() + nodes.tobytes()
 
 
@@ -300,8 +305,8 @@ def _read_header(data: bytes, source: str) -> tuple[str, int, float, int, bool]:
     if kind is None:
         expected = "an OctoMap file (bt or ot)"
         raise FormatError(f"expected {expected}, got {source}", path=source, expected=expected)
-    numbers_per_line = {"size": (1, float), "res": (1, float)}
-    lines, numbers, data_offset = read_header(data, source, numbers_per_line)
+    number_types_of_lines = {"size": (1, float), "res": (1, float)}
+    lines, numbers, data_offset = read_header(data, source, number_types_of_lines)
     num_nodes = numbers[0][0]
     res = numbers[1][0]
     if lines.get("id") not in (["OcTree"], ["ColorOcTree"]):

@@ -37,7 +37,7 @@ MATERIAL_SUFFIX = ".material"  # ending of a script of Ogre's, which changes the
 MODEL_CONFIG = "model.config"
 MODEL_SDF = "model.sdf"
 MAX_VERSION_DIGITS = 9  # of each number in a version of SDF
-MAX_PROLOG = 1 << 16  # bytes before the first element of an SDF, such as a licence
+MAX_PROLOG_BYTES = 1 << 16  # bytes before the first element of an SDF, such as a licence
 MODEL_ELEMENTS = ("include", "model", "attach")  # the file of these is XML, whatever its name
 TEXTURE_ELEMENTS = ("texture", "skin")  # these change a scene's appearance, but no cell
 # attributes of a compiler that name folders, without and with the folders of textures
@@ -212,7 +212,7 @@ def _list_sdf_inputs(
     """Return, for each file that an SDF or a model.config names, its possible paths."""
     if file.name == MODEL_CONFIG:
         return [[file.parent / entry.name] for entry in _list_config_entries(content)]
-    if find_root_tag(content[:MAX_PROLOG]) != "sdf":  # a mesh, an image
+    if find_root_tag(content[:MAX_PROLOG_BYTES]) != "sdf":  # a mesh, an image
         return []
     try:
         root = parse_xml(content)

@@ -91,7 +91,7 @@ class Shape:
 
     @property
     def properties(self) -> Json:
-        """All but the geometry, as JSON."""
+        """The attributes except the geometry, as a JSON object; see `to_geojson`."""
         return {
             "kind": self.kind,
             "level": self.level,
@@ -253,8 +253,8 @@ def _trace_rings(part_numbers: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     index_offset_ahead = np.array([1, -width, -1, width])
     index_offset_right = np.array([width, 1, -width, -1])
     cells, directions = np.divmod(np.arange(4 * part_of_cell.size), 4)
-    right_part = part_of_cell[(cells + index_offset_right[directions]) % part_of_cell.size]
-    steps = np.flatnonzero((part_of_cell[cells] > 0) & (part_of_cell[cells] != right_part))
+    part_on_right = part_of_cell[(cells + index_offset_right[directions]) % part_of_cell.size]
+    steps = np.flatnonzero((part_of_cell[cells] > 0) & (part_of_cell[cells] != part_on_right))
     cells = cells[steps]
     directions = directions[steps]
 

@@ -28,7 +28,7 @@ from navbake.files import write_together
 from navbake.formats.allowance import (
     BYTES_PER_PIXEL,
     MAX_BYTES,
-    MAX_HEADER,
+    MAX_HEADER_BYTES,
     Allowance,
     JsonPath,
     format_value,
@@ -428,7 +428,7 @@ def read_header(
     lines = dict(defaults or {})
     line_start = 0
     while "data" not in lines:
-        line_stop = data.find(b"\n", line_start, MAX_HEADER)
+        line_stop = data.find(b"\n", line_start, MAX_HEADER_BYTES)
         if line_stop < 0:
             raise FormatError(f"no line `data` ends the header of {source}", path=source)
         first_word, *words = data[line_start:line_stop].decode(

@@ -69,8 +69,8 @@ def read_voxel_plan(
             expected=expected,
         )
     is_occupied = cut_band(voxels, low_z, high_z) != 0
-    known_values = np.ones(voxels.shape, dtype=bool) if voxels.known is None else voxels.known
-    known_voxels = VoxelGrid(values=known_values, origin=voxels.origin, res=voxels.res)
+    is_known_voxel = np.ones(voxels.shape, dtype=bool) if voxels.known is None else voxels.known
+    known_voxels = VoxelGrid(values=is_known_voxel, origin=voxels.origin, res=voxels.res)
     is_known = cut_band(known_voxels, low_z, high_z) != 0
     values = np.where(is_known, FREE, UNKNOWN_VALUES[unknown])
     values = np.where(is_occupied, OCCUPIED, values).astype(np.int8)

@@ -46,7 +46,7 @@ IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
 BinvoxLayout: TypeAlias = Literal["auto", "binvox", "airsim"]
 BINVOX_LAYOUTS = ("auto", "binvox", "airsim")
 MAGIC = b"#binvox"
-MAX_BYTE = 255  # largest value of a voxel, and most voxels of a run
+MAX_BYTE_VALUE = 255  # largest value of a voxel, and most voxels of a run
 DECIMALS = 12  # of the numbers in the header
 AIRSIM_TOLERANCE = 1e-4  # relative error of numbers in AirSim's headers, which have six digits
 ID_RULE = "0 is empty; where several meet a voxel, the least ID is its"
@@ -195,9 +195,11 @@ def map_ids(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
         raise FormatError(
             f"expected {expected}, got {mapping!r}", key="mapping", value=mapping, expected=expected
         )
-    invalid_ids = [new_id for new_id in new_ids.values() if not 0 <= new_id <= MAX_BYTE]
+    invalid_ids = [new_id for new_id in new_ids.values() if not 0 <= new_id <= MAX_BYTE_VALUE]
     if invalid_ids:
-        message = f"binvox holds values up to {MAX_BYTE}, and the mapping has {invalid_ids[0]}"
+        message = (
+            f"binvox holds values up to {MAX_BYTE_VALUE}, and the mapping has {invalid_ids[0]}"
+        )
         if mapping == "compact":
             message += f": {len(present_ids)} IDs occur; write .npz"
         raise FormatError(message, key="mapping", value=invalid_ids[0])
@@ -227,11 +229,11 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
         )
     values = grid.values
     max_id = int(values.max()) if grid.is_segmented else 0
-    if max_id > MAX_BYTE:
+    if max_id > MAX_BYTE_VALUE:
         raise FormatError(
-            f"binvox holds IDs up to {MAX_BYTE}, and these voxels have IDs up to {max_id}: write "
-            f".npz, or give a mapping ('compact', --compact, numbers the {len(grid.ids())} IDs "
-            f"that occur from 1)"
+            f"binvox holds IDs up to {MAX_BYTE_VALUE}, and these voxels have IDs up to {max_id}: "
+            f"write .npz, or give a mapping ('compact', --compact, numbers the "
+            f"{len(grid.ids())} IDs that occur from 1)"
         )
     file_values = _view_in_file_order(values.astype(np.uint8, copy=False), layout == "airsim")
     flat_values = file_values.ravel()
@@ -249,10 +251,10 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
     # pairs of value and count; a run longer than a byte can count takes several pairs
     run_start = np.concatenate([[0], np.flatnonzero(flat_values[1:] != flat_values[:-1]) + 1])
     run_length = np.diff(run_start, append=len(flat_values))
-    num_pairs_of_run = -(-run_length // MAX_BYTE)
-    pairs = np.full((int(num_pairs_of_run.sum()), 2), MAX_BYTE, dtype=np.uint8)
+    num_pairs_of_run = -(-run_length // MAX_BYTE_VALUE)
+    pairs = np.full((int(num_pairs_of_run.sum()), 2), MAX_BYTE_VALUE, dtype=np.uint8)
     pairs[:, 0] = np.repeat(flat_values[run_start], num_pairs_of_run)
-    pairs[np.cumsum(num_pairs_of_run) - 1, 1] = run_length - MAX_BYTE * (num_pairs_of_run - 1)
+    pairs[np.cumsum(num_pairs_of_run) - 1, 1] = run_length - MAX_BYTE_VALUE * (num_pairs_of_run - 1)
     return header.encode() + pairs.tobytes()
 
 

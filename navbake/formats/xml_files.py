@@ -24,10 +24,10 @@ from xml.parsers import expat
 
 Element = ElementTree.Element
 MAX_DEPTH = 500  # elements in elements
-NAME = r"[A-Za-z_:\x80-\U0010ffff][\w.:\-\x80-\U0010ffff]*"
-NAME_PATTERN = re.compile(NAME)
+NAME_REGEX = r"[A-Za-z_:\x80-\U0010ffff][\w.:\-\x80-\U0010ffff]*"
+NAME_PATTERN = re.compile(NAME_REGEX)
 # An attribute, with the blanks before it
-ATTRIBUTE_PATTERN = re.compile(rf"\s*({NAME})\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
+ATTRIBUTE_PATTERN = re.compile(rf"\s*({NAME_REGEX})\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 BLANKS_PATTERN = re.compile(r"\s*")
 ENTITY_PATTERN = re.compile(r"&(?:#(\d{1,7})|#x([0-9A-Fa-f]{1,6})|(lt|gt|amp|quot|apos));")
 ENTITIES = {"lt": "<", "gt": ">", "amp": "&", "quot": '"', "apos": "'"}

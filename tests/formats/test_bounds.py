@@ -12,7 +12,7 @@ import pytest
 import navbake
 from navbake.errors import FormatError, NavbakeError
 from navbake.formats import allowance
-from navbake.formats.allowance import BYTES_PER_BYTE, FREE_BYTES, MAX_VOXELS
+from navbake.formats.allowance import BASE_MEMORY, MAX_VOXELS, MEMORY_PER_FILE_BYTE
 from navbake.formats.npz import encode_npz, read_grid_npz, read_npy, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
 from navbake.formats.procthor import read_procthor
@@ -56,12 +56,12 @@ def test_few_bytes_of_an_octree_do_not_fill_gigabytes():
 
 
 def test_no_flipped_bit_of_an_octree_takes_more_than_the_rule_says(monkeypatch):
-    monkeypatch.setattr(allowance, "FREE_BYTES", 100_000)
+    monkeypatch.setattr(allowance, "BASE_MEMORY", 100_000)
     grid = voxels()
     outcomes = set()
     for kind in ("bt", "ot"):
         data = encode_octomap(grid, kind)
-        limit = 100_000 + BYTES_PER_BYTE * len(data)
+        limit = 100_000 + MEMORY_PER_FILE_BYTE * len(data)
         for at in range(data.index(b"data\n") + 5, len(data)):
             for bit in range(8):
                 changed = bytearray(data)
@@ -77,7 +77,7 @@ def test_no_flipped_bit_of_an_octree_takes_more_than_the_rule_says(monkeypatch):
 
 
 def test_max_voxels_lifts_the_rule(monkeypatch):
-    monkeypatch.setattr(allowance, "FREE_BYTES", 1000)
+    monkeypatch.setattr(allowance, "BASE_MEMORY", 1000)
     data = tree_with_one_leaf(5)
     with pytest.raises(FormatError, match="max_voxels"):
         read_octomap(data)
@@ -111,7 +111,7 @@ def bomb(tmp_path, num_bytes):
 
 
 def test_a_small_archive_does_not_unpack_to_gigabytes(tmp_path, monkeypatch):
-    monkeypatch.setattr(allowance, "FREE_BYTES", 4 << 20)
+    monkeypatch.setattr(allowance, "BASE_MEMORY", 4 << 20)
     path = bomb(tmp_path, 16 << 20)
     assert 100 * path.stat().st_size < 16 << 20
     with pytest.raises(FormatError, match="more memory than a file of"):
@@ -146,7 +146,7 @@ def test_the_rule_is_the_same_on_every_system(monkeypatch):
     monkeypatch.setattr("navbake.voxels.grid.measure_free_memory", lambda: 2**62)
     with pytest.raises(FormatError, match="more memory than a file of"):
         read_octomap(tree_with_one_leaf(10))
-    assert FREE_BYTES == 256 << 20 and MAX_VOXELS == 2**31
+    assert BASE_MEMORY == 256 << 20 and MAX_VOXELS == 2**31
 
 
 # ---------------------------------------------------------------- endless and over-large files
@@ -204,7 +204,7 @@ def image_bomb(edge):
 
 
 def test_a_small_image_does_not_unpack_to_gigabytes(monkeypatch):
-    monkeypatch.setattr(allowance, "FREE_BYTES", 6_000_000)
+    monkeypatch.setattr(allowance, "BASE_MEMORY", 6_000_000)
     assert open_image(image_bomb(1000)).size == (1000, 1000)
     with pytest.raises(FormatError, match=r"more memory than a file of .* bytes may fill"):
         open_image(image_bomb(1500))
@@ -214,8 +214,8 @@ def test_a_small_image_does_not_unpack_to_gigabytes(monkeypatch):
 
 
 def test_the_text_of_an_archive_is_limited(tmp_path, monkeypatch):
-    monkeypatch.setattr(allowance, "FREE_BYTES", 1 << 20)
-    monkeypatch.setattr(allowance, "BYTES_PER_BYTE", 1)
+    monkeypatch.setattr(allowance, "BASE_MEMORY", 1 << 20)
+    monkeypatch.setattr(allowance, "MEMORY_PER_FILE_BYTE", 1)
     for text, culprit in (
         (b"{" + b" " * (2 << 20), "more text than a file of .* bytes may unpack to"),
         (b"{" + b" " * 10, "broken JSON"),

@@ -228,7 +228,7 @@ def test_many_long_texts_in_a_short_file_are_refused(tmp_path):
 
 
 def test_a_short_file_of_many_zeros_is_refused_before_it_fills_memory(monkeypatch):
-    monkeypatch.setattr(allowance, "FREE_BYTES", 1 << 20)
+    monkeypatch.setattr(allowance, "BASE_MEMORY", 1 << 20)
     level = small()
     num = 1000
     level.width = level.height = num

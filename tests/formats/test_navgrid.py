@@ -588,8 +588,8 @@ def test_a_small_file_of_many_arrays_is_refused_unless_meant():
 
 
 def test_what_a_file_may_fill_grows_with_its_size(monkeypatch):
-    monkeypatch.setattr(allowance, "FREE_BYTES", 0)
-    monkeypatch.setattr(allowance, "BYTES_PER_BYTE", 8)
+    monkeypatch.setattr(allowance, "BASE_MEMORY", 0)
+    monkeypatch.setattr(allowance, "MEMORY_PER_FILE_BYTE", 8)
     runs = {"data": [1, 6], "encoding": "rle"}
     many = {f"a{i}": runs for i in range(9)}
     assert read(small(tileAttributes=many))  # 60 values in more bytes
@@ -599,7 +599,7 @@ def test_what_a_file_may_fill_grows_with_its_size(monkeypatch):
 
 
 def test_a_gzip_bomb_is_refused(monkeypatch):
-    monkeypatch.setattr(allowance, "FREE_BYTES", 8 << 20)
+    monkeypatch.setattr(allowance, "BASE_MEMORY", 8 << 20)
     bomb = gzip.compress(b"{" + b" " * (8 << 20))
     message = _message(bomb)
     assert f"more text than a file of {len(bomb):,} bytes may unpack to" in message
