@@ -115,9 +115,9 @@ def _name_farthest_geom(scene: Scene, config: BakeConfig) -> str:
     largest_geom = int(area.argmax())
     name = scene.geoms[int(geom_ids[largest_geom])].name
     width, depth = sides[largest_geom].tolist()
-    text = f"the largest geom is {name!r}, {width:.6g} x {depth:.6g} m; "
+    largest_geom_text = f"the largest geom is {name!r}, {width:.6g} x {depth:.6g} m; "
     if len(geom_ids) == 1:
-        return text
+        return largest_geom_text
     # the box without a geom ends at the second lowest or highest side where that geom has the first
     two_lowest_sides = np.sort(lower_corners, axis=0)[:2]
     two_highest_sides = np.sort(upper_corners, axis=0)[-2:]
@@ -133,7 +133,7 @@ def _name_farthest_geom(scene: Scene, config: BakeConfig) -> str:
         <= MAX_REMAINING_FRACTION * (two_highest_sides[1] - two_lowest_sides[0]).prod()
     )
     if not is_enlarging_geom.any():
-        return text
+        return largest_geom_text
     # of a floor and a small thing far away, the box is small without either: the thing is the one
     total_area = remaining_area + area
     is_best_geom = is_enlarging_geom & (

@@ -177,12 +177,12 @@ class Stages:
 
     @cached_property
     def tile_index(self) -> ShapeSource:
-        """The structure's geometry, by tiles of the lattice."""
+        """The structure's shapes, listed by the tiles of the lattice that they lie over."""
         return self._index_structure(self.lattice)
 
     @cached_property
     def floor_tile_index(self) -> ShapeSource:
-        """The structure's geometry, by tiles of the extended lattice."""
+        """The structure's shapes, listed by the tiles of the extended lattice."""
         lattice = self.extended_lattice.lattice
         return self.tile_index if lattice == self.lattice else self._index_structure(lattice)
 
@@ -349,11 +349,11 @@ class Stages:
     @cached_property
     def rooms(self) -> Rooms:
         """The room of each cell, and the table of rooms, in which doors are not listed yet."""
-        flags = self.room_flags
+        room_flags = self.room_flags
         leaf_cells = self.leaf_cells
         with self.clock.stage("rooms"):
             return find_rooms(
-                flags,
+                room_flags,
                 self.config.rooms,
                 max_step=self.config.agent.traversable_floor_height,
                 closed_leaves=[cells.closed for cells in leaf_cells],

@@ -68,8 +68,8 @@ def warn_uncounted(
     if not len(candidate_geoms):
         return []
     selections = {
-        geom_ids: GeomSelection(True, "", scene.selections[geom_ids].mesh_mode)
-        for geom_ids in candidate_geoms.tolist()
+        geom: GeomSelection(True, "", scene.selections[geom].mesh_mode)
+        for geom in candidate_geoms.tolist()
     }
     shapes, *_ = collect_shapes(
         scene.model,
@@ -101,10 +101,9 @@ def warn_uncounted(
         :MAX_NAMED_GEOMS
     ].tolist()
     names = ", ".join(
-        f"{scene.geoms[geom_ids].name!r} ({free_area[geom_ids]:.2f} m²)"
-        for geom_ids in largest_geoms
+        f"{scene.geoms[geom].name!r} ({free_area[geom]:.2f} m²)" for geom in largest_geoms
     )
-    reasons = {scene.selections[geom_ids].reason for geom_ids in uncounted_geoms.tolist()}
+    reasons = {scene.selections[geom].reason for geom in uncounted_geoms.tolist()}
     reason_text = "they can't collide"
     if COLLIDES_IN_PAIRS in reasons:
         reason_text = (

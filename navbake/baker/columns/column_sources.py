@@ -121,7 +121,7 @@ class ChunkedShapes:
         facets = self._shapes.meshes.only(is_near).expand()
         tile_start, facet_indices_by_tile = list_by_tile(facets.bounds, self._margin, self.lattice)
         tile_index = self._solids.tile_index._replace(
-            triangle_start=tile_start, triangle_item=facet_indices_by_tile
+            triangle_start=tile_start, triangle_indices=facet_indices_by_tile
         )
         return TiledShapes(self._shapes, self.lattice, facets, tile_index)
 

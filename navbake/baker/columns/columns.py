@@ -116,13 +116,13 @@ class TiledShapes:
     @cached_property
     def tile_row_index(self) -> ShapeIndex:
         """The solids and triangles that lie over a cell's centre, for each row of tiles."""
-        solid_start, solid_item = list_by_tile_row(
+        solid_start, solid_indices = list_by_tile_row(
             self.shapes.solids.bounds, RIM_WIDTH, self.lattice
         )
-        triangle_start, triangle_item = list_by_tile_row(
+        triangle_start, triangle_indices = list_by_tile_row(
             self.facets.bounds, RIM_WIDTH, self.lattice
         )
-        return ShapeIndex(solid_start, solid_item, triangle_start, triangle_item)
+        return ShapeIndex(solid_start, solid_indices, triangle_start, triangle_indices)
 
     @cached_property
     def height_range(self) -> HeightRange:
@@ -324,9 +324,9 @@ def tile_shapes(
         facets: triangles to list in place of those of `shapes`.
     """
     facets = shapes.triangles if facets is None else facets
-    solid_start, solid_item = list_by_tile(shapes.solids.bounds, margin, lattice)
-    triangle_start, triangle_item = list_by_tile(facets.bounds, margin, lattice)
-    tile_index = ShapeIndex(solid_start, solid_item, triangle_start, triangle_item)
+    solid_start, solid_indices = list_by_tile(shapes.solids.bounds, margin, lattice)
+    triangle_start, triangle_indices = list_by_tile(facets.bounds, margin, lattice)
+    tile_index = ShapeIndex(solid_start, solid_indices, triangle_start, triangle_indices)
     return TiledShapes(shapes, lattice, facets, tile_index)
 
 
@@ -419,7 +419,7 @@ def _cast_groups(
         shapes.solids, tiled_shapes.facets, shapes.planes, tiled_shapes.height_range
     )
     num_dropped = np.zeros(group_range.stop, dtype=np.int64)
-    is_crossed = np.empty(len(shape_index.triangle_item), dtype=np.bool_)
+    is_crossed = np.empty(len(shape_index.triangle_indices), dtype=np.bool_)
 
     def cast_all(hits: ColumnHits) -> None:
         run_in_chunks(
@@ -580,8 +580,8 @@ def list_by_tile(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, In
 
     Returns:
         Where each tile's list begins, ``start``, shape (tiles + 1,), int64; and the indices of the
-        boxes, tile by tile, ``item``, int32. The list of tile t is ``item[start[t] : start[t +
-        1]]``, ascending.
+        boxes, tile by tile, ``indices``, int32. The list of tile t is ascending:
+        ``indices[start[t] : start[t + 1]]``.
     """
     num_tiles = -(-lattice.width // TILE) * -(-lattice.height // TILE)
     return _list_boxes(boxes, margin, lattice, num_tiles, by_tile_row=False)
@@ -597,8 +597,8 @@ def list_by_tile_row(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int
 
     Returns:
         Where the list of each row of tiles begins, ``start``, shape (rows of tiles + 1,), int64;
-        and the indices of the boxes, row by row, ``item``, int32. The list of row r is
-        ``item[start[r] : start[r + 1]]``, ascending.
+        and the indices of the boxes, row by row, ``indices``, int32. The list of row r is
+        ascending: ``indices[start[r] : start[r + 1]]``.
     """
     num_tile_rows = -(-lattice.height // TILE)
     return _list_boxes(boxes, margin, lattice, num_tile_rows, by_tile_row=True)
@@ -619,8 +619,8 @@ def _list_boxes(
 
     Returns:
         Where the list of each tile (or row of tiles) begins, ``start``, shape (num_tiles + 1,),
-        int64; and the indices of the boxes, list by list, ``item``, int32. The list of tile t is
-        ``item[start[t] : start[t + 1]]``, ascending.
+        int64; and the indices of the boxes, list by list, ``indices``, int32. The list of tile t is
+        ascending: ``indices[start[t] : start[t + 1]]``.
     """
     if not len(boxes):
         return np.zeros(num_tiles + 1, dtype=np.int64), np.empty(0, dtype=np.int32)

@@ -388,13 +388,13 @@ def _list_in_tile(
         face_axis = -1
         num_faces = 0
         if entry >= end_of_solid_entries:
-            shape_number = np.int64(tile_index.triangle_item[entry + triangle_entry_shift])
+            shape_number = np.int64(tile_index.triangle_indices[entry + triangle_entry_shift])
             if facets.normal_z_percent[shape_number] < max(
                 100.0 * limits.min_normal_z - 1.0, 1.0
             ):  # rounded
                 continue
         else:
-            shape_number = np.int64(tile_index.solid_item[entry])
+            shape_number = np.int64(tile_index.solid_indices[entry])
             face_axis = 0
             num_faces = 3 if solids.kind[shape_number] == BOX else 1
         while face_axis < num_faces:

@@ -446,11 +446,11 @@ def _cast_tile_row(
             planes, plane, lattice, rows, height_range, ray, middle_hits, hits, next_hit, is_writing
         )
     for entry in range(shape_index.solid_start[tile_row], shape_index.solid_start[tile_row + 1]):
-        solid = shape_index.solid_item[entry]
+        solid = shape_index.solid_indices[entry]
         _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, is_writing)
     first_entry = shape_index.triangle_start[tile_row]
     end_entry = shape_index.triangle_start[tile_row + 1]
-    triangles = shape_index.triangle_item[first_entry:end_entry]
+    triangles = shape_index.triangle_indices[first_entry:end_entry]
     raster_triangles(
         facets,
         triangles,
@@ -546,14 +546,14 @@ def _cast_line(
         ):
             tile = row * tiles_per_row + col
             for entry in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
-                solid = tile_index.solid_item[entry]
+                solid = tile_index.solid_indices[entry]
                 next_hit = first_hit + num_line_hits if is_writing else first_hit
                 if not is_beside(solids.bounds, solid, x, y):
                     num_line_hits += _hit_solid(solids, solid, x, y, ray, hits, next_hit)
             for entry in range(
                 tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]
             ):
-                triangle = tile_index.triangle_item[entry]
+                triangle = tile_index.triangle_indices[entry]
                 next_hit = first_hit + num_line_hits
                 if not is_rotated and is_beside(facets.bounds, triangle, x, y):
                     continue
@@ -598,7 +598,7 @@ def cast_lines(
             row of tiles are a group.
         geometry: the shapes, as `Geometry`.
         shape_index: the shapes by tile for lines through points, else by row of tiles.
-        is_crossed: for each entry of `shape_index.triangle_item`, whether any line of its row of
+        is_crossed: for each entry of `shape_index.triangle_indices`, whether any line of its row of
             tiles crosses the triangle, bool; written while counting, read while writing. Unused for
             lines through points.
         column_hits: `ColumnHits`. While counting, all arrays but `start` are empty, and entry i + 1

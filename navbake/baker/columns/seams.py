@@ -108,7 +108,7 @@ def _aligned_boxes(tiled_shapes: TiledShapes, tiles: Int) -> Float:
     solids = tiled_shapes.shapes.solids
     tile_index = tiled_shapes.tile_index
     is_over_tiles = _mark_items_over_tiles(
-        tile_index.solid_start, tile_index.solid_item, tiles, len(solids.geom)
+        tile_index.solid_start, tile_index.solid_indices, tiles, len(solids.geom)
     )
     box_indices = np.flatnonzero(is_over_tiles & (solids.kind == BOX))
     absolute_mat = abs(solids.mat[box_indices])
@@ -126,7 +126,7 @@ def _upright_triangles(tiled_shapes: TiledShapes, tiles: Int) -> Float:
     bounds = tiled_shapes.facets.bounds
     tile_index = tiled_shapes.tile_index
     is_candidate = _mark_items_over_tiles(
-        tile_index.triangle_start, tile_index.triangle_item, tiles, len(bounds)
+        tile_index.triangle_start, tile_index.triangle_indices, tiles, len(bounds)
     )
 
     def drop_thick_triangles(first_triangle: int, end_triangle: int) -> None:

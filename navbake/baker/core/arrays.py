@@ -109,20 +109,20 @@ class ShapeIndex(NamedTuple):
 
     The bins are either tiles or rows of tiles. A tile's bin lists the shapes that reach into the
     tile; the bin of a row of tiles lists the shapes that cover a cell's centre there. Bin b lists
-    the solids ``solid_item[solid_start[b] : solid_start[b + 1]]``, ascending, and the triangles
-    ``triangle_item[triangle_start[b] : triangle_start[b + 1]]``, ascending.
+    the solids ``solid_indices[solid_start[b] : solid_start[b + 1]]``, ascending, and the triangles
+    ``triangle_indices[triangle_start[b] : triangle_start[b + 1]]``, ascending.
 
     Attributes:
-        solid_start: where each bin's solids begin in `solid_item`, (bins + 1,) int64.
-        solid_item: indices into `Solids`, (n,) int32.
-        triangle_start: where each bin's triangles begin in `triangle_item`, (bins + 1,) int64.
-        triangle_item: indices into `Facets`, (m,) int32.
+        solid_start: where each bin's solids begin in `solid_indices`, (bins + 1,) int64.
+        solid_indices: indices into `Solids`, (n,) int32.
+        triangle_start: where each bin's triangles begin in `triangle_indices`, (bins + 1,) int64.
+        triangle_indices: indices into `Facets`, (m,) int32.
     """
 
     solid_start: Int
-    solid_item: Int32
+    solid_indices: Int32
     triangle_start: Int
-    triangle_item: Int32
+    triangle_indices: Int32
 
 
 class HeightRange(NamedTuple):

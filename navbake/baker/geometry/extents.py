@@ -95,8 +95,10 @@ def _measure_solids(solids: Solids, extents: Extents) -> None:
     least_area = np.full(len(solids.geom), np.inf)
     for axis in range(3):
         direction = axes[:, :2, axis]
-        length = np.hypot(direction[:, 0], direction[:, 1])[:, None]
-        direction = np.where(length > 1e-6, direction / np.maximum(length, 1e-6), [1.0, 0.0])
+        horizontal_length = np.hypot(direction[:, 0], direction[:, 1])[:, None]
+        direction = np.where(
+            horizontal_length > 1e-6, direction / np.maximum(horizontal_length, 1e-6), [1.0, 0.0]
+        )
         perpendicular = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
         half_width_along = _horizontal_half_widths(solids, axes, direction)
         half_width_across = _horizontal_half_widths(solids, axes, perpendicular)

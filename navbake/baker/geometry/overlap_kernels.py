@@ -31,11 +31,11 @@ class Polygons(NamedTuple):
 
     Attributes:
         polygon: corners of the polygon, (MAX_CORNERS, 3) float64 [m].
-        scratch: corners of the polygon in between, (MAX_CORNERS, 3) float64 [m].
+        scratch_polygon: corners of the polygon in between, (MAX_CORNERS, 3) float64 [m].
     """
 
     polygon: Float
-    scratch: Float
+    scratch_polygon: Float
 
 
 @subkernel
@@ -89,11 +89,11 @@ def facet_meets_prism(facets, triangle, prism, polygons):
 
 
 @subkernel(**NO_REFCOUNT)
-def clip_polygon(points, num_corners, clipped_corners, axis, limit, sign):
+def clip_polygon(corners, num_corners, clipped_corners, axis, limit, sign):
     """Clip a polygon by a plane across an axis: keep where ``sign * (coordinate - limit) >= 0``.
 
     Args:
-        points: corners, (>= num_corners, 3) float64 [m].
+        corners: corners, (>= num_corners, 3) float64 [m].
         num_corners: number of corners.
         clipped_corners: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64.
         axis: which coordinate: X, Y or Z.
@@ -106,19 +106,19 @@ def clip_polygon(points, num_corners, clipped_corners, axis, limit, sign):
     num_clipped = 0
     for i in range(num_corners):
         j = i + 1 if i + 1 < num_corners else 0
-        start_offset = sign * (points[i, axis] - limit)
-        end_offset = sign * (points[j, axis] - limit)
+        start_offset = sign * (corners[i, axis] - limit)
+        end_offset = sign * (corners[j, axis] - limit)
         if start_offset >= 0.0:
-            clipped_corners[num_clipped, 0] = points[i, 0]
-            clipped_corners[num_clipped, 1] = points[i, 1]
-            clipped_corners[num_clipped, 2] = points[i, 2]
+            clipped_corners[num_clipped, 0] = corners[i, 0]
+            clipped_corners[num_clipped, 1] = corners[i, 1]
+            clipped_corners[num_clipped, 2] = corners[i, 2]
             num_clipped += 1
         # an edge that ends on the limit does not cross it: its end is a corner already
         if (start_offset > 0.0 and end_offset < 0.0) or (start_offset < 0.0 and end_offset > 0.0):
             edge_fraction = start_offset / (start_offset - end_offset)
             for k in range(3):
-                clipped_corners[num_clipped, k] = points[i, k] + edge_fraction * (
-                    points[j, k] - points[i, k]
+                clipped_corners[num_clipped, k] = corners[i, k] + edge_fraction * (
+                    corners[j, k] - corners[i, k]
                 )
             clipped_corners[num_clipped, axis] = (
                 limit  # exactly, so that the next clip sees no rounding
@@ -128,36 +128,36 @@ def clip_polygon(points, num_corners, clipped_corners, axis, limit, sign):
 
 
 @subkernel(**NO_REFCOUNT)
-def clip_polygon_between(points, num_corners, scratch, axis, limits, clipped_corners):
+def clip_polygon_between(corners, num_corners, scratch, axis, limits, clipped_corners):
     """Clip a polygon to a range of a coordinate.
 
     Args:
-        points: corners, (>= num_corners, 3) float64 [m].
+        corners: corners, (>= num_corners, 3) float64 [m].
         num_corners: number of corners.
         scratch: room for a polygon in between, (MAX_CORNERS, 3) float64.
         axis: which coordinate: X, Y or Z.
         limits: the least and the greatest coordinate [m].
         clipped_corners: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64; may
-            be `points`.
+            be `corners`.
 
     Returns:
         The number of corners of the clipped polygon; 0 if nothing is left.
     """
-    num_corners = clip_polygon(points, num_corners, scratch, axis, limits[0], 1.0)
+    num_corners = clip_polygon(corners, num_corners, scratch, axis, limits[0], 1.0)
     return clip_polygon(scratch, num_corners, clipped_corners, axis, limits[1], -1.0)
 
 
 @subkernel(inline="always")
-def _disc_meets_polygon(points, num_corners, prism):
+def _disc_meets_polygon(corners, num_corners, prism):
     """Return whether a polygon, seen from above, overlaps a round prism's disc."""
     is_left_of_any = False
     is_right_of_any = False
     for i in range(num_corners):
         j = i + 1 if i + 1 < num_corners else 0
-        corner_dx = points[i, 0] - prism.x
-        corner_dy = points[i, 1] - prism.y
-        edge_x = points[j, 0] - points[i, 0]
-        edge_y = points[j, 1] - points[i, 1]
+        corner_dx = corners[i, 0] - prism.x
+        corner_dy = corners[i, 1] - prism.y
+        edge_x = corners[j, 0] - corners[i, 0]
+        edge_y = corners[j, 1] - corners[i, 1]
         squared_length = edge_x * edge_x + edge_y * edge_y
         edge_fraction = 0.0
         if squared_length > 0.0:
@@ -185,7 +185,7 @@ def triangle_meets_prism(corners, prism, polygons):
         polygons: room for clipping, see `allocate_polygons`.
     """
     polygon = polygons.polygon
-    scratch = polygons.scratch
+    scratch = polygons.scratch_polygon
     height_limits = (prism.low, prism.high)
     num_corners = clip_polygon_between(
         corners, corners.shape[0], scratch, Z, height_limits, polygon
@@ -301,8 +301,8 @@ def find_blocked_lines(cells, low_z, high_z, hits, is_blocked, first_test, end_t
     """
     most_hits = count_most_hits(hits, cells, first_test, end_test)
     num_enclosing = np.empty(most_hits + 1, np.int64)
-    for test in range(first_test, end_test):
-        if test == first_test or cells[test] != cells[test - 1]:
-            count_enclosing(hits, cells[test], num_enclosing)
-        heights = HeightRange(low_z[test], high_z[test])
-        is_blocked[test] = is_line_blocked(hits, cells[test], heights, num_enclosing)
+    for test_index in range(first_test, end_test):
+        if test_index == first_test or cells[test_index] != cells[test_index - 1]:
+            count_enclosing(hits, cells[test_index], num_enclosing)
+        heights = HeightRange(low_z[test_index], high_z[test_index])
+        is_blocked[test_index] = is_line_blocked(hits, cells[test_index], heights, num_enclosing)

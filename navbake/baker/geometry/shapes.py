@@ -712,11 +712,13 @@ def _are_convex(points: Float) -> Bool:
     """Mark the polygons that turn to one side at all corners; points have shape (n, k, 3)."""
     points = points - points[:, :1]
     edges = np.roll(points, -1, axis=1) - points
-    turns = np.cross(edges, np.roll(edges, -1, axis=1))
+    turn_vectors = np.cross(edges, np.roll(edges, -1, axis=1))
     normals = np.cross(points, np.roll(points, -1, axis=1)).sum(axis=1)  # Newell's
-    bend_direction = np.einsum("nkc,nc->nk", turns, normals)
+    turns_along_normal = np.einsum("nkc,nc->nk", turn_vectors, normals)
     return np.asarray(
-        (bend_direction >= -1e-9 * np.abs(bend_direction).max(axis=1, keepdims=True)).all(axis=1)
+        (turns_along_normal >= -1e-9 * np.abs(turns_along_normal).max(axis=1, keepdims=True)).all(
+            axis=1
+        )
     )
 
 
@@ -736,7 +738,7 @@ def _cut_ears(points: Float, corners: Int32) -> Int32:
     dropped_axis = int(np.abs(normal).argmax())
     projected_points = np.delete(points, dropped_axis, axis=1)
     winding_sign = 1.0 if (normal[dropped_axis] > 0) == (dropped_axis != 1) else -1.0
-    remaining_points = list(range(len(points)))
+    remaining_indices = list(range(len(points)))
     triangles = list[list[int]]()
 
     def double_area(a: Float, b: Float, c: Float) -> Float:
@@ -748,17 +750,17 @@ def _cut_ears(points: Float, corners: Int32) -> Int32:
     def ear_at(k: int) -> list[int]:
         """Return the k-th remaining corner between its neighbors."""
         return [
-            remaining_points[k - 1],
-            remaining_points[k],
-            remaining_points[(k + 1) % len(remaining_points)],
+            remaining_indices[k - 1],
+            remaining_indices[k],
+            remaining_indices[(k + 1) % len(remaining_indices)],
         ]
 
-    while len(remaining_points) > 3:
-        for k in range(len(remaining_points)):
+    while len(remaining_indices) > 3:
+        for k in range(len(remaining_indices)):
             ear = ear_at(k)
             a, b, c = projected_points[ear]
             remaining_corners = projected_points[
-                [point for point in remaining_points if point not in ear]
+                [index for index in remaining_indices if index not in ear]
             ]
             # a slit in the polygon has two corners at one place: those at the ear's don't count
             is_slit = (remaining_corners[:, None] == [a, b, c]).all(axis=2).any(axis=1)
@@ -772,9 +774,9 @@ def _cut_ears(points: Float, corners: Int32) -> Int32:
             if double_area(a, b, c) > 0 and not holds_corner:
                 break
         else:  # corners on a line, or lines that cross: the flattest ear is cut off
-            ears = [ear_at(k) for k in range(len(remaining_points))]
+            ears = [ear_at(k) for k in range(len(remaining_indices))]
             k = int(np.argmin([abs(double_area(*projected_points[ear])) for ear in ears]))
             ear = ears[k]
         triangles.append(ear)
-        remaining_points.pop(k)
-    return np.asarray(corners[np.array([*triangles, remaining_points])])
+        remaining_indices.pop(k)
+    return np.asarray(corners[np.array([*triangles, remaining_indices])])

@@ -57,7 +57,7 @@ class PoseArrays(NamedTuple):
 
 
 class PoseSnapshot(NamedTuple):
-    """The values of one pose, with which those of the next pose are compared to find what changed.
+    """Values of one pose, to be compared with those of the next pose to find what changed.
 
     Attributes:
         geom_attributes: the model's arrays that decide which geoms the bake uses, as bytes.

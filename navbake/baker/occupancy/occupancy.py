@@ -256,7 +256,7 @@ def _fcl_finds_overlap(
     if footprint.radius > 0:
         prisms.append(fcl.Cylinder(footprint.radius, 2 * half_height))
     footprint_objects = [fcl.CollisionObject(prism, fcl.Transform(center)) for prism in prisms]
-    for solid in tile_index.solid_item[
+    for solid in tile_index.solid_indices[
         tile_index.solid_start[tile] : tile_index.solid_start[tile + 1]
     ]:
         fcl_shape = FCL_SHAPES[int(solids.kind[solid])](solids.size[solid])

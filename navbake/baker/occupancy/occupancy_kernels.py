@@ -413,10 +413,10 @@ def _check_tile(task, tiles, tile, entries):
     while num_entries >= 0 and tile_state.open_cell_bits[0] != 0:
         plane_geom = planes.geom[next_plane] if next_plane < planes.geom.shape[0] else NO_GEOM
         solid_geom = (
-            solids.geom[tiles.solid_item[next_solid]] if next_solid < solid_end else NO_GEOM
+            solids.geom[tiles.solid_indices[next_solid]] if next_solid < solid_end else NO_GEOM
         )
         triangle_geom = (
-            facets.geom[tiles.triangle_item[next_triangle]]
+            facets.geom[tiles.triangle_indices[next_triangle]]
             if next_triangle < triangle_end
             else NO_GEOM
         )
@@ -425,7 +425,7 @@ def _check_tile(task, tiles, tile, entries):
             break
         # the geom's shapes over the tile: `shape_ids[shape_start:shape_stop]`
         shape_kind = SOLID_KIND
-        shape_ids = tiles.solid_item
+        shape_ids = tiles.solid_indices
         bounds = solids.bounds
         shape_start = next_solid
         shape_stop = next_solid + 1
@@ -440,7 +440,7 @@ def _check_tile(task, tiles, tile, entries):
             next_solid += 1
         else:
             shape_kind = TRIANGLE_KIND
-            shape_ids = tiles.triangle_item
+            shape_ids = tiles.triangle_indices
             bounds = facets.bounds
             shape_start = next_triangle
             while next_triangle < triangle_end and facets.geom[shape_ids[next_triangle]] == geom:

@@ -526,8 +526,8 @@ def _collect_solids(model: mujoco.MjModel, data: mujoco.MjData, geom_ids: Int32)
 
 def _plane_triangles(half_sides: Float, *, is_strip: bool) -> GeomTriangles:
     """Make the triangles of a rectangular plane, or of a strip, which is endless along x or y."""
-    half_sizes = np.where(half_sides > 0, half_sides, ENDLESS_HALF_SIZE)
-    mesh = tessellate("plane", half_sizes.tolist())
+    finite_half_sides = np.where(half_sides > 0, half_sides, ENDLESS_HALF_SIZE)
+    mesh = tessellate("plane", finite_half_sides.tolist())
     shape_kind = "strip" if is_strip else "rectangle"
     return _make_single_part(mesh.vertices, mesh.faces, constants.OPEN_SURFACE, shape_kind)
 

@@ -252,7 +252,7 @@ def fill_voxels(
                 x, y = cell_center_at(lattice, row, col)
                 column = voxels.values[col, lattice.height - 1 - row]
                 for item in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
-                    solid = np.int64(tile_index.solid_item[item])
+                    solid = np.int64(tile_index.solid_indices[item])
                     label = labels[solids.geom[solid]]
                     _fill_convex(voxels, solids, planes, solid, column, x, y, label, simplex)
                 for plane in range(planes.geom.shape[0]):
@@ -261,7 +261,7 @@ def fill_voxels(
                     _fill_convex(voxels, solids, planes, shape_index, column, x, y, label, simplex)
                 _fill_inside(voxels, column, hits, row * lattice.width + col, labels)
         for item in range(tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]):
-            triangle = tile_index.triangle_item[item]
+            triangle = tile_index.triangle_indices[item]
             label = labels[facets.geom[triangle]]
             _fill_triangle(
                 voxels, lattice, window, facets, triangle, label, polygons, strip_polygon
