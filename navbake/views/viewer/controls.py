@@ -237,22 +237,22 @@ class Controls:
         drawing = self._view_state.drawing(choices)
         if drawing is None:
             return
-        lowest = float(self._view_state.bounds[0, 2])
-        highest = max(float(drawing.bounds[1, 2]), lowest) + CUT_STEP
-        height = highest if choices.cut is None else min(choices.cut, highest)
-        height = max(lowest, height)
-        slider_end = round(highest, 2)
+        lowest_z = float(self._view_state.bounds[0, 2])
+        highest_z = max(float(drawing.bounds[1, 2]), lowest_z) + CUT_STEP
+        cut_height = highest_z if choices.cut is None else min(choices.cut, highest_z)
+        cut_height = max(lowest_z, cut_height)
+        slider_end = round(highest_z, 2)
 
-        def make_cut_change(height: float) -> Change:
-            is_at_end = height >= slider_end - CUT_STEP / 2
-            return _make_setter("cut")(None if is_at_end else height)
+        def make_cut_change(cut_height: float) -> Change:
+            is_at_end = cut_height >= slider_end - CUT_STEP / 2
+            return _make_setter("cut")(None if is_at_end else cut_height)
 
         slider = gui.add_slider(
             "Cut height [m]",
-            min=round(lowest, 2),
+            min=round(lowest_z, 2),
             max=slider_end,
             step=CUT_STEP,
-            initial_value=round(height, 2),
+            initial_value=round(cut_height, 2),
             hint="The scene is drawn up to here, so that one sees into storeys.",
         )
         self._add_input("cut", slider, make_cut_change)
@@ -283,9 +283,9 @@ class Controls:
         if choices.start or choices.episode:
             color_of_mark = {"start": START_COLOR, "goal and path": GOAL_COLOR}
         if "task" in handles:
-            run = view_state.runs.get(choices.episode)
-            handles["task"].content = describe_episode(run.episode if run else None)
-            if run is not None and run.trajectory is not None:
+            episode_run = view_state.runs.get(choices.episode)
+            handles["task"].content = describe_episode(episode_run.episode if episode_run else None)
+            if episode_run is not None and episode_run.trajectory is not None:
                 color_of_mark["trajectory"] = TRAJECTORY_COLOR
         panels = [view_state.panel(choices, level_number) for level_number in choices.levels]
         handles["legend"].content = render_legend(panels, color_of_mark)
@@ -337,15 +337,15 @@ def _format_heading(view_state: ViewState) -> str:
     """Return the grid's name, its numbers of levels, and the view state's note, as Markdown."""
     grid = view_state.grid
     name = escape_markdown(grid.scene_id or "grid")
-    levels = f"{len(grid.levels)} levels" if len(grid.levels) > 1 else "one level"
-    cell_size = escape_markdown(f"{grid.levels[0].lattice.cell_size:g}")
-    note = escape_markdown(view_state.note)
-    return f"**{name}** — {levels}, cells of {cell_size} m\n\n{note}"
+    levels_text = f"{len(grid.levels)} levels" if len(grid.levels) > 1 else "one level"
+    cell_size_text = escape_markdown(f"{grid.levels[0].lattice.cell_size:g}")
+    note_text = escape_markdown(view_state.note)
+    return f"**{name}** — {levels_text}, cells of {cell_size_text} m\n\n{note_text}"
 
 
-def _make_setter(field: str) -> Callable[[Any], Change]:
+def _make_setter(field_name: str) -> Callable[[Any], Change]:
     """Return a function that takes a value and returns the change that sets a field to it."""
-    return lambda value: lambda choices: replace(choices, **{field: value})
+    return lambda value: lambda choices: replace(choices, **{field_name: value})
 
 
 def _make_level_switch(level_number: int) -> Callable[[bool], Change]:
@@ -363,14 +363,14 @@ def _make_level_switch(level_number: int) -> Callable[[bool], Change]:
     return make_change
 
 
-def _find_shown_level_name(names: list[str], choices: Choices) -> str:
+def _find_shown_level_name(level_options: list[str], choices: Choices) -> str:
     """Return the name of the shown level; the first name if several levels are shown.
 
     Args:
-        names: `ALL_LEVELS`, then the names of the levels.
+        level_options: `ALL_LEVELS`, then the names of the levels.
         choices: the user's choices.
     """
-    return names[choices.levels[0] + 1] if len(choices.levels) == 1 else names[0]
+    return level_options[choices.levels[0] + 1] if len(choices.levels) == 1 else level_options[0]
 
 
 def _number_duplicates(level_names: list[str]) -> list[str]:
@@ -393,22 +393,22 @@ def escape_markdown(text: object) -> str:
     return MARKDOWN_SIGNS.sub(r"\\\1", " ".join(str(text).split()))
 
 
-def describe_free_space(shown: FreeSpace, as_baked: FreeSpace) -> str:
+def describe_free_space(shown_space: FreeSpace, baked_space: FreeSpace) -> str:
     """Describe how much of the shown grid is free.
 
     Args:
-        shown: the free space of the grid with the chosen doors and inflation.
-        as_baked: the free space of the grid as it is in its file.
+        shown_space: the free space of the grid with the chosen doors and inflation.
+        baked_space: the free space of the grid as it is in its file.
 
     Returns:
         Markdown.
     """
-    text = f"**{shown.num_free_cells:,} free cells**, {shown.free_area:,.1f} m²"
-    if shown != as_baked:
-        return f"{text} — as baked: {as_baked.num_free_cells:,}"
-    if not shown.num_floor_cells:
+    text = f"**{shown_space.num_free_cells:,} free cells**, {shown_space.free_area:,.1f} m²"
+    if shown_space != baked_space:
+        return f"{text} — as baked: {baked_space.num_free_cells:,}"
+    if not shown_space.num_floor_cells:
         return text
-    return f"{text} — {shown.num_free_cells / shown.num_floor_cells:.0%} of the floor"
+    return f"{text} — {shown_space.num_free_cells / shown_space.num_floor_cells:.0%} of the floor"
 
 
 def describe_route(choices: Choices, route: Path | str | None) -> str:
@@ -537,8 +537,8 @@ def render_legend(panels: Sequence[Panel], color_of_mark: Mapping[str, str] | No
         f"{html.escape(meaning)}</span>"
         for meaning, color in color_of_meaning.items()
     )
-    body = "".join([*html_parts, f"<div>{swatches_html}</div>"])
-    return f'<div style="font-size:12px;line-height:1.5;padding:2px 12px 6px">{body}</div>'
+    legend_body = "".join([*html_parts, f"<div>{swatches_html}</div>"])
+    return f'<div style="font-size:12px;line-height:1.5;padding:2px 12px 6px">{legend_body}</div>'
 
 
 def describe_report(view_state: ViewState) -> str:

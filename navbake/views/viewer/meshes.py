@@ -80,13 +80,13 @@ FLAT_TOLERANCE = 0.01  # how far a drawn layer may be off the floor [m]
 # If a level needs more rectangles, FLAT_TOLERANCE is doubled until they are few enough.
 MAX_RECTANGLES = 200_000
 MAX_RISE = 1.0  # steepest slope of a rectangle: its rise, divided by its length
-OVERLAP = 0.002  # by how much rectangles overlap, so that no gaps show [cells]
-MAX_SIDE = 4096  # longest side of a picture that any browser accepts [pixels]
+RECTANGLE_OVERLAP = 0.002  # by how much rectangles overlap, so that no gaps show [cells]
+MAX_PICTURE_SIDE = 4096  # longest side of a picture that any browser accepts [pixels]
 FLOOR_TOLERANCE = 0.05  # a floor at most this far above the clicked point counts as below it [m]
 # numbers of glTF for how pictures are sampled
-NEAREST = 9728
-MIPMAPS = 9987
-CLAMP = 33071
+NEAREST_FILTER = 9728
+MIPMAP_FILTER = 9987
+CLAMP_TO_EDGE = 33071
 
 Picture: TypeAlias = NDArray[np.uint8]
 """Pixels, shape (height, width, 3 or 4)."""
@@ -190,9 +190,8 @@ class Drawing(NamedTuple):
 class GeomColors(NamedTuple):
     """The colours of a model's n geoms: linear red, green, blue and opacity."""
 
-    with_texture: NDArray[
-        np.float32
-    ]  # colours that include the texture's mean colour, shape (n, 4)
+    # colours that include the texture's mean colour, shape (n, 4)
+    with_texture: NDArray[np.float32]
     without_texture: NDArray[np.float32]  # colours to multiply with the texture, shape (n, 4)
     texture_ids: Int  # MuJoCo's id of the texture that a mesh shows, -1 for none, shape (n,)
 
@@ -379,9 +378,9 @@ def _make_batch(
     positions = data.geom_xpos[geoms].copy()
     relative_tops = (rotations[:, 2] @ vertices.T).max(axis=1)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    is_fine = triangle_fraction < 1  # else few triangles, each with edges of its own
+    has_many_triangles = triangle_fraction < 1  # else few triangles, each with edges of its own
     lod: tuple[LodStep, ...] = ()
-    if is_fine:
+    if has_many_triangles:
         mesh = graph.smooth_shade(mesh, SHARP_ANGLE, facet_minarea=None)
         lod = (
             LodStep(LOD_DISTANCE, max(LOD_SHARE, triangle_fraction)),
@@ -391,7 +390,7 @@ def _make_batch(
         mesh.vertices.astype(np.float32),
         mesh.faces.astype(np.uint32),
         colors=np.tile(color, (len(mesh.vertices), 1)),
-        is_round=is_fine,
+        is_round=has_many_triangles,
     )
     to_quaternion = trimesh.transformations.quaternion_from_matrix
     return MeshBatch(
@@ -407,10 +406,10 @@ def _make_batch(
 def _mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> tuple[Float, Faces]:
     """Return the vertices of a model's mesh in its own frame [m], and its triangles."""
     mesh = model.mesh(mesh_id)
-    first_vertex = int(mesh.vertadr[0])
-    first_face = int(mesh.faceadr[0])
-    vertices = model.mesh_vert[first_vertex : first_vertex + int(mesh.vertnum[0])]
-    faces = model.mesh_face[first_face : first_face + int(mesh.facenum[0])]
+    first_vertex_index = int(mesh.vertadr[0])
+    first_face_index = int(mesh.faceadr[0])
+    vertices = model.mesh_vert[first_vertex_index : first_vertex_index + int(mesh.vertnum[0])]
+    faces = model.mesh_face[first_face_index : first_face_index + int(mesh.facenum[0])]
     return vertices.astype(np.float64), faces
 
 
@@ -423,7 +422,9 @@ def _draw_solids(
         For each kind, a surface of all opaque geoms, and one of all transparent geoms.
     """
     num_round = int(np.isin(model.geom_type[is_drawn], ROUND_KINDS).sum())
-    num_corners = next(num_corners for limit, num_corners in CIRCLE_CORNERS if num_round <= limit)
+    num_corners = next(
+        num_corners for max_num_round, num_corners in CIRCLE_CORNERS if num_round <= max_num_round
+    )
     for (kind, size_entries), is_clear_group in product(SIZE_ENTRIES.items(), (False, True)):
         geoms = np.flatnonzero(is_drawn & (model.geom_type == kind) & (is_clear == is_clear_group))
         if not len(geoms):
@@ -541,10 +542,12 @@ def _make_hfield_top(model: mujoco.MjModel, hfield_id: int) -> tuple[Float, Int]
 def _list_texcoord_ids(model: mujoco.MjModel, mesh_id: int) -> NDArray[np.int32]:
     """Return an index into `model.mesh_texcoord` for each corner of a mesh's triangles, (3 n,)."""
     mesh = model.mesh(mesh_id)
-    first_face = int(mesh.faceadr[0])
-    end = first_face + int(mesh.facenum[0])
-    ids: NDArray[np.int32] = model.mesh_facetexcoord[first_face:end].ravel() + mesh.texcoordadr[0]
-    return ids
+    first_face_index = int(mesh.faceadr[0])
+    end_face_index = first_face_index + int(mesh.facenum[0])
+    texcoord_ids: NDArray[np.int32] = (
+        model.mesh_facetexcoord[first_face_index:end_face_index].ravel() + mesh.texcoordadr[0]
+    )
+    return texcoord_ids
 
 
 def coarsen(vertices: Float, faces: Faces, max_triangles: int) -> tuple[Float, Faces]:
@@ -606,7 +609,7 @@ def _find_bounds(surfaces: Sequence[Surface]) -> Float:
     """
     if not surfaces:
         return np.array([[-1.0, -1, -1], [1, 1, 1]])
-    vertices = np.concatenate([piece.vertices for piece in surfaces])
+    vertices = np.concatenate([surface.vertices for surface in surfaces])
     return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
 
 
@@ -623,15 +626,15 @@ def _find_geom_colors(model: mujoco.MjModel) -> GeomColors:
         rgba[has_material_color] = model.mat_rgba[material_ids[has_material_color]]
         texture_of_role = np.asarray(model.mat_texid).reshape(model.nmat, -1)
         rgb_texture = texture_of_role[:, RGB_ROLE]
-        material_texture = np.where(rgb_texture >= 0, rgb_texture, texture_of_role[:, RGBA_ROLE])
-        texture_ids = np.where(material_ids >= 0, material_texture[material_ids], -1)
+        texture_of_material = np.where(rgb_texture >= 0, rgb_texture, texture_of_role[:, RGBA_ROLE])
+        texture_ids = np.where(material_ids >= 0, texture_of_material[material_ids], -1)
     without_texture = _to_linear_rgba(rgba)
-    plain = without_texture.copy()
+    with_texture = without_texture.copy()
     for texture_id in np.unique(texture_ids[texture_ids >= 0]).tolist():
         mean_color = _read_texture(model, texture_id)[..., :3].mean(axis=(0, 1)) / 255
-        plain[texture_ids == texture_id, :3] *= _to_linear_rgba(mean_color)
-    is_2d = np.isin(texture_ids, np.flatnonzero(np.asarray(model.tex_type) == TEXTURE_2D))
-    return GeomColors(plain, without_texture, np.where(is_2d, texture_ids, -1))
+        with_texture[texture_ids == texture_id, :3] *= _to_linear_rgba(mean_color)
+    is_flat_texture = np.isin(texture_ids, np.flatnonzero(np.asarray(model.tex_type) == TEXTURE_2D))
+    return GeomColors(with_texture, without_texture, np.where(is_flat_texture, texture_ids, -1))
 
 
 def _read_texture(model: mujoco.MjModel, texture_id: int) -> Picture:
@@ -647,12 +650,12 @@ def _read_texture(model: mujoco.MjModel, texture_id: int) -> Picture:
     return np.repeat(picture, 3, axis=2) if num_channels == 1 else picture
 
 
-def _to_linear_rgba(color: Reals) -> NDArray[np.float32]:
+def _to_linear_rgba(srgb_color: Reals) -> NDArray[np.float32]:
     """Convert sRGB colours to linear light, shape (..., 3 or 4); the opacity stays."""
-    color = np.asarray(color, dtype=np.float32)
-    linear = to_linear(color)
-    linear[..., 3:] = color[..., 3:]
-    return linear.astype(np.float32)
+    srgb_color = np.asarray(srgb_color, dtype=np.float32)
+    linear_color = to_linear(srgb_color)
+    linear_color[..., 3:] = srgb_color[..., 3:]
+    return linear_color.astype(np.float32)
 
 
 # --- the scene below a height ---------------------------------------------------------------------
@@ -676,9 +679,12 @@ def cut_drawing(drawing: Drawing, height: float) -> tuple[Surface, ...]:
         if (surface.vertices[:, 2] <= height).all():
             surfaces.append(surface)
             continue
-        for cut in (_cut_surface(surface, height), _make_caps(surface, height, drawing.is_solid)):
-            if len(cut.faces):
-                surfaces.append(cut)
+        for cut_surface in (
+            _cut_surface(surface, height),
+            _make_caps(surface, height, drawing.is_solid),
+        ):
+            if len(cut_surface.faces):
+                surfaces.append(cut_surface)
     return tuple(surfaces)
 
 
@@ -721,7 +727,7 @@ def _make_caps(drawn_triangles: Surface, height: float, is_solid: Bool) -> Surfa
     Args:
         drawn_triangles: triangles of solids and of other geoms, not yet cut.
         height: world z of the cut [m].
-        is_solid: whether each geom is a convex solid, see `Drawing.solid`.
+        is_solid: whether each geom is a convex solid, see `Drawing.is_solid`.
     """
     assert drawn_triangles.geom is not None and drawn_triangles.colors is not None
     solid_faces = drawn_triangles.faces[is_solid[drawn_triangles.face_geoms]]
@@ -773,16 +779,16 @@ def make_floor_surface(
     cell_size = level.lattice.cell_size
     is_shown = ~np.isnan(floor) if with_holes else np.ones(level.shape, np.bool_)
     cell_heights = np.where(np.isnan(floor), level.ground, floor)
-    labels = is_shown.astype(np.int32)
+    cell_labels = is_shown.astype(np.int32)
     height_span = float(np.ptp(cell_heights))
-    flatness = FLAT_TOLERANCE
+    flat_tolerance = FLAT_TOLERANCE
     while True:
         _, corner_rows, corner_cols, z = cover_with_quads(
-            labels, cell_heights, flatness, MAX_RISE * cell_size, OVERLAP
+            cell_labels, cell_heights, flat_tolerance, MAX_RISE * cell_size, RECTANGLE_OVERLAP
         )
-        if len(corner_rows) <= max_rectangles or flatness > height_span:
+        if len(corner_rows) <= max_rectangles or flat_tolerance > height_span:
             break
-        flatness *= 2
+        flat_tolerance *= 2
     x = level.lattice.x_min + corner_cols * cell_size
     y = level.lattice.y_max - corner_rows * cell_size
     first_corners = (np.arange(len(corner_rows)) * 4)[:, None, None]
@@ -790,7 +796,9 @@ def make_floor_surface(
         [corner_cols / level.width, corner_rows / level.height], axis=-1
     ).reshape(-1, 2)
     return Surface(
-        np.stack([x, y, z + LAYER_LIFT + flatness], axis=-1).reshape(-1, 3).astype(np.float32),
+        np.stack([x, y, z + LAYER_LIFT + flat_tolerance], axis=-1)
+        .reshape(-1, 3)
+        .astype(np.float32),
         (RECTANGLE_TRIANGLES + first_corners).reshape(-1, 3).astype(np.uint32),
         uv=texture_positions.astype(np.float32),
         texture=0,
@@ -809,7 +817,7 @@ def draw_overlay(floor_surface: Surface, cell_colors: Picture, opacity: float = 
         The triangles as GLB.
     """
     picture = Image.fromarray(cell_colors)
-    picture = picture.reduce(-(-max(picture.size) // MAX_SIDE))
+    picture = picture.reduce(-(-max(picture.size) // MAX_PICTURE_SIDE))
     return make_glb([floor_surface._replace(opacity=opacity)], {0: np.asarray(picture)})
 
 
@@ -840,9 +848,9 @@ def draw_surfaces(
             surface = _split_vertices(surface)
         assert surface.colors is not None
         mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-        facing = np.abs(mesh.vertex_normals @ to_world.T)
-        light = (AMBIENT_LIGHT + facing @ DIRECTED_LIGHT)[:, None]
-        colors = surface.colors * np.where([True, True, True, False], light, 1.0)
+        absolute_normals = np.abs(mesh.vertex_normals @ to_world.T)
+        light_factors = (AMBIENT_LIGHT + absolute_normals @ DIRECTED_LIGHT)[:, None]
+        colors = surface.colors * np.where([True, True, True, False], light_factors, 1.0)
         lit_surfaces.append(surface._replace(colors=colors))
     return make_glb(lit_surfaces, textures)
 
@@ -871,54 +879,59 @@ def make_glb(
     Returns:
         The triangles as GLB.
     """
-    buffer = GlbBuffer()
+    glb_buffer = GlbBuffer()
     primitives = list[Json]()
     materials = list[Json]()
     surfaces = [surface for surface in surfaces if len(surface.faces)]
     textures = sorted({surface.texture for surface in surfaces if surface.uv is not None})
     for surface in surfaces:
         is_clear = surface.opacity < 1
-        attributes = {"POSITION": buffer.add_positions(surface.vertices)}
+        attributes = {"POSITION": glb_buffer.add_positions(surface.vertices)}
         if surface.colors is not None:
             integer_colors = np.round(np.clip(surface.colors, 0, 1) * 65535).astype(np.uint16)
-            attributes["COLOR_0"] = buffer.add_vectors(integer_colors, normalized=True)
+            attributes["COLOR_0"] = glb_buffer.add_vectors(integer_colors, normalized=True)
             is_clear |= bool((surface.colors[:, 3] < 1).any())
-        shading: Json = {"baseColorFactor": [1.0, 1.0, 1.0, surface.opacity]}
+        pbr_shading: Json = {"baseColorFactor": [1.0, 1.0, 1.0, surface.opacity]}
         if surface.uv is not None:
-            attributes["TEXCOORD_0"] = buffer.add_vectors(surface.uv)
-            shading["baseColorTexture"] = {"index": textures.index(surface.texture)}
-        indices = buffer.add_indices(surface.faces.astype(np.uint32, copy=False))
+            attributes["TEXCOORD_0"] = glb_buffer.add_vectors(surface.uv)
+            pbr_shading["baseColorTexture"] = {"index": textures.index(surface.texture)}
+        index_accessor = glb_buffer.add_indices(surface.faces.astype(np.uint32, copy=False))
         primitives.append(
-            {"attributes": attributes, "indices": indices, "material": len(materials)}
+            {"attributes": attributes, "indices": index_accessor, "material": len(materials)}
         )
         materials.append(
             {
                 "alphaMode": "BLEND" if is_clear else "OPAQUE",
                 "doubleSided": True,
-                "pbrMetallicRoughness": shading,
+                "pbrMetallicRoughness": pbr_shading,
                 "extensions": {"KHR_materials_unlit": {}},
             }
         )
 
-    document: Json = {"extensionsUsed": ["KHR_materials_unlit"], "scenes": [{}]}
+    gltf_document: Json = {"extensionsUsed": ["KHR_materials_unlit"], "scenes": [{}]}
     if primitives:
-        document["scenes"] = [{"nodes": [0]}]
-        document["nodes"] = [{"mesh": 0}]
-        document["meshes"] = [{"primitives": primitives}]
-        document["materials"] = materials
+        gltf_document["scenes"] = [{"nodes": [0]}]
+        gltf_document["nodes"] = [{"mesh": 0}]
+        gltf_document["meshes"] = [{"primitives": primitives}]
+        gltf_document["materials"] = materials
     # `GlbBuffer.pack` leaves out empty lists
-    document["images"] = []
-    document["textures"] = []
-    for index, texture in enumerate(textures):
+    gltf_document["images"] = []
+    gltf_document["textures"] = []
+    for texture_index, texture in enumerate(textures):
         png_file = io.BytesIO()
         # packed fast rather than small: the page is on this machine
         Image.fromarray((picture_of_texture or {})[texture]).save(png_file, "PNG", compress_level=1)
-        buffer_view = buffer.add_bytes(png_file.getvalue())
-        document["images"].append({"bufferView": buffer_view, "mimeType": "image/png"})
-        document["textures"].append({"source": index, "sampler": 0})
-        sampler = {"magFilter": NEAREST, "minFilter": MIPMAPS, "wrapS": CLAMP, "wrapT": CLAMP}
-        document["samplers"] = [sampler]
-    return buffer.pack(document)
+        buffer_view = glb_buffer.add_bytes(png_file.getvalue())
+        gltf_document["images"].append({"bufferView": buffer_view, "mimeType": "image/png"})
+        gltf_document["textures"].append({"source": texture_index, "sampler": 0})
+        sampler = {
+            "magFilter": NEAREST_FILTER,
+            "minFilter": MIPMAP_FILTER,
+            "wrapS": CLAMP_TO_EDGE,
+            "wrapT": CLAMP_TO_EDGE,
+        }
+        gltf_document["samplers"] = [sampler]
+    return glb_buffer.pack(gltf_document)
 
 
 # --- picking --------------------------------------------------------------------------------------
@@ -952,7 +965,7 @@ class PickCandidate(NamedTuple):
     Candidates are compared as tuples, field by field: the smallest one is the best.
     """
 
-    without_floor: bool
+    has_no_floor: bool
     is_above: bool  # whether the floor is above the clicked point
     distance: float  # from the floor to the clicked point [m]
     cell: Cell
@@ -989,7 +1002,7 @@ def pick_cell(
         floor_height = grid.levels[level_number].ground if place.floor is None else place.floor
         candidates.append(
             PickCandidate(
-                without_floor=place.floor is None,
+                has_no_floor=place.floor is None,
                 is_above=z - floor_height < -FLOOR_TOLERANCE,
                 distance=abs(z - floor_height),
                 cell=place.cell,
@@ -1021,12 +1034,12 @@ def _cast_ray(ray: ViewRay, surfaces: Sequence[Surface]) -> Hit | None:
         with np.errstate(divide="ignore", invalid="ignore"):
             distances = ((corners[:, 0] - origin) * normals).sum(axis=1) / (normals @ direction)
             points = origin + distances[:, None] * direction
-            barycentric = trimesh.triangles.points_to_barycentric(corners, points)
-            is_met = (barycentric >= -1e-9).all(axis=1)
-            is_met &= (distances > 0) & (distances <= nearest_distance)
-            met_triangles = np.flatnonzero(is_met)
-        if len(met_triangles):
-            nearest_triangle = met_triangles[np.argmin(distances[met_triangles])]
+            barycentric_coordinates = trimesh.triangles.points_to_barycentric(corners, points)
+            is_hit = (barycentric_coordinates >= -1e-9).all(axis=1)
+            is_hit &= (distances > 0) & (distances <= nearest_distance)
+            hit_triangles = np.flatnonzero(is_hit)
+        if len(hit_triangles):
+            nearest_triangle = hit_triangles[np.argmin(distances[hit_triangles])]
             nearest_distance = float(distances[nearest_triangle])
             nearest_geom = int(surface.face_geoms[nearest_triangle])
     if not np.isfinite(nearest_distance):

@@ -170,8 +170,8 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._set_camera(view_state.bounds)
         self._scene.on_click()(self._on_click)
         page.on_dark = lambda: self._changes.put(Choices.with_dark_system)
-        clear = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
-        clear.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
+        clear_command = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
+        clear_command.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
         self._thread.start()
         if watch is not None:
@@ -253,9 +253,9 @@ class Viewer(AbstractContextManager["Viewer"]):
             return choices
 
         gui = self._server.gui
-        name = self._view_state.grid.scene_id
-        gui.set_panel_label(name or "navbake")
-        self._page.title = f"{name} – navbake" if name else "navbake"
+        grid_name = self._view_state.grid.scene_id
+        gui.set_panel_label(grid_name or "navbake")
+        self._page.title = f"{grid_name} – navbake" if grid_name else "navbake"
         self._controls = Controls(
             gui,
             self._view_state,
@@ -349,7 +349,9 @@ class Viewer(AbstractContextManager["Viewer"]):
         names = view_state.names(choices)
         self._replace_nodes("/names", names, lambda: map(self._add_name, names))
         arcs = view_state.arcs(choices)
-        stop_marks = [Mark(arc.points[end], arc.color) for arc in arcs for end in (0, -1)]
+        stop_marks = [
+            Mark(arc.points[end_index], arc.color) for arc in arcs for end_index in (0, -1)
+        ]
         lines = [Line(arc.points, arc.color) for arc in arcs]
         radius = self._mark_radius() / 2
         self._replace_nodes(
@@ -379,13 +381,13 @@ class Viewer(AbstractContextManager["Viewer"]):
         path = self._view_state.episode_path(choices)
         marks = []
         lines = []
-        run = self._view_state.runs.get(choices.episode)
-        if run is not None and run.episode is not None:
-            marks.append(Mark(run.episode.start, START_COLOR))
-            marks += [Mark(goal, GOAL_COLOR) for goal in list_goal_positions(run.episode)]
+        episode_run = self._view_state.runs.get(choices.episode)
+        if episode_run is not None and episode_run.episode is not None:
+            marks.append(Mark(episode_run.episode.start, START_COLOR))
+            marks += [Mark(goal, GOAL_COLOR) for goal in list_goal_positions(episode_run.episode)]
             lines.append(Line(path, GOAL_COLOR))
-        if run is not None and run.trajectory is not None:
-            trajectory = np.array(run.trajectory.positions).reshape(-1, 3)
+        if episode_run is not None and episode_run.trajectory is not None:
+            trajectory = np.array(episode_run.trajectory.positions).reshape(-1, 3)
             lines.append(Line(trajectory, TRAJECTORY_COLOR))
         radius = self._mark_radius()
         self._replace_nodes(
@@ -398,22 +400,22 @@ class Viewer(AbstractContextManager["Viewer"]):
         """Draw the outline of the inspected cell, and highlight the objects that block it."""
         corners: Reals = np.empty((0, 3))
         lines = []
-        outline = b""
+        outline_key = b""
         if inspection is not None:
             corners = inspection.highlighted.reshape(-1, 3)
-            outline = inspection.outline.tobytes()
+            outline_key = inspection.outline.tobytes()
             # the pole is seen where furniture hides the cell
             pole_ends = inspection.outline[:4].mean(axis=0) + CELL_POLE
             lines = [Line(inspection.outline, HIGHLIGHT_COLOR), Line(pole_ends, HIGHLIGHT_COLOR)]
         self._replace_nodes("/lit", corners.tobytes(), lambda: self._add_highlight(corners))
         self._replace_nodes(
-            "/cell", outline, lambda: self._add_marks_and_lines("/cell", [], lines, radius=0)
+            "/cell", outline_key, lambda: self._add_marks_and_lines("/cell", [], lines, radius=0)
         )
 
     def _mark_radius(self) -> float:
         """Return the radius of marks [m]; it is larger on a larger grid."""
-        low, high = self._view_state.bounds
-        radius = np.linalg.norm(high - low) * MARK_SHARE
+        low_corner, high_corner = self._view_state.bounds
+        radius = np.linalg.norm(high_corner - low_corner) * MARK_SHARE
         return float(np.clip(radius, MIN_MARK_RADIUS, MAX_MARK_RADIUS))
 
     def _replace_nodes(
@@ -541,20 +543,20 @@ class Viewer(AbstractContextManager["Viewer"]):
         After an error, the page keeps the previous grid.
         """
 
-        def announce(choices: Choices) -> Choices:
+        def announce_change(choices: Choices) -> Choices:
             self._controls.show_status("Files have changed: baking again…")
             return choices
 
-        def fail(error: Exception, _: Choices) -> Choices:
+        def raise_error(error: Exception, _: Choices) -> Choices:
             raise error
 
         while not self._closed.wait(WATCH_PERIOD):
             try:
                 if watch.has_changed():
-                    self._changes.put(announce)
+                    self._changes.put(announce_change)
                     self._show_view_state(watch.read())
             except Exception as error:  # the next version of the files may be right again
-                self._changes.put(partial(fail, error))
+                self._changes.put(partial(raise_error, error))
 
 
 def view(
@@ -624,7 +626,7 @@ def make_view_state(
     episodes: EpisodeSet | str | PathLike[str] | None = None,
     trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
 ) -> ViewState:
-    """Read what the viewer shows: a grid, its scene, episodes and trajectories.
+    """Read the grid, scene, episodes and trajectories that the viewer shows.
 
     The arguments and errors are those of `view`.
     """
@@ -684,16 +686,16 @@ def find_watched_files(paths: Iterable[Path]) -> list[Path]:
 
     For a missing file, every path at which it is looked for is listed.
     """
-    files: dict[Path, None] = {}
+    watched_paths: dict[Path, None] = {}
     for path in paths:
-        files |= dict.fromkeys(find_inputs(path, with_textures=True, with_missing=True))
-    return list(files)
+        watched_paths |= dict.fromkeys(find_inputs(path, with_textures=True, with_missing=True))
+    return list(watched_paths)
 
 
 class FileState(NamedTuple):
     """The time of change and the size of a file, by which a write is noticed."""
 
-    modified: int  # time of the last change [ns]
+    modified_ns: int  # time of the last change [ns]
     size: int  # [bytes]
 
 

@@ -52,7 +52,8 @@ INSPECT_TEXT = "tells about the cell"
 ROUTE_TEXT = "sets start, then goal"
 CLICK_TEXTS = (INSPECT_TEXT, ROUTE_TEXT)
 """What a click may do, as the page words it."""
-NUM_CACHED = 6  # how many results of a method are kept, so that going back to a choice is fast
+# how many results of a method are kept, so that going back to a choice is fast
+NUM_CACHED_RESULTS = 6
 SAMPLE_SIZE = 20_000  # number of cells that a verification looks at
 MAX_NAMES = 250  # most names that are written; those of the largest rooms come first
 # corners of a cell as multiples of half its side; the first is repeated at the end
@@ -120,12 +121,14 @@ class Choices:
             door_ids: the ids of the doors.
             state: the state, such as ``closed``.
         """
-        grid_states = {door.id: door.state for door in grid.doors}
+        grid_state_of_door = {door.id: door.state for door in grid.doors}
         changed_ids = [
             door.id for door in grid.doors if door.id in door_ids and state in door.states
         ]
-        states = {**dict(self.doors), **dict.fromkeys(changed_ids, state)}
-        return replace(self, doors=tuple(sorted(states.items() - grid_states.items())))
+        state_of_door = {**dict(self.doors), **dict.fromkeys(changed_ids, state)}
+        return replace(
+            self, doors=tuple(sorted(state_of_door.items() - grid_state_of_door.items()))
+        )
 
     def with_dark_system(self) -> Choices:
         """Return the choices for a system that prefers dark pages: dark unless the user chose."""
@@ -183,21 +186,21 @@ def transfer_choices(choices: Choices, grid: NavGrid) -> Choices:
 
 
 class FreeSpace(NamedTuple):
-    """How many cells of some levels are free and have a floor, and how large the free area is."""
+    """The free cells of some levels: number and area; and the number of cells with a floor."""
 
     num_free_cells: int  # number of free cells
     num_floor_cells: int  # number of cells with a floor
     free_area: float  # [m²]
 
 
-class Run(NamedTuple):
-    """What the page can show of one episode: its task, and an agent's trajectory in it."""
+class EpisodeRun(NamedTuple):
+    """An episode and an agent's trajectory in it, as far as the page has them."""
 
     episode: Episode | None  # None where only the trajectory is known
     trajectory: Trajectory | None
 
 
-Runs: TypeAlias = dict[str, Run]
+Runs: TypeAlias = dict[str, EpisodeRun]
 """Id of an episode -> its run."""
 
 
@@ -215,11 +218,11 @@ def list_runs(
         Id of an episode -> its run.
     """
     if episodes is None:
-        return {trajectory.episode: Run(None, trajectory) for trajectory in trajectories}
+        return {trajectory.episode: EpisodeRun(None, trajectory) for trajectory in trajectories}
     trajectory_of_episode = {trajectory.episode: trajectory for trajectory in trajectories}
     scene = scene_of(grid)
     return {
-        episode.id: Run(episode, trajectory_of_episode.get(episode.id))
+        episode.id: EpisodeRun(episode, trajectory_of_episode.get(episode.id))
         for episode in episodes.episodes
         if episode.scene == scene
     }
@@ -253,7 +256,7 @@ class VisibleBatch(NamedTuple):
 
 
 class Inspection(NamedTuple):
-    """What the page shows about the inspected cell.
+    """The description of the inspected cell, as the page shows it.
 
     Attributes:
         facts: the description of the cell, see `navbake.views.describe.describe_cell`.
@@ -272,7 +275,7 @@ class Inspection(NamedTuple):
 
 
 def cache_results_by(*fields: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Make a decorator of `ViewState` methods that caches their last `NUM_CACHED` results.
+    """Make a decorator of `ViewState` methods that caches their last `NUM_CACHED_RESULTS` results.
 
     Args:
         fields: the names of the fields of `Choices` that the result depends on.
@@ -285,14 +288,14 @@ def cache_results_by(*fields: str) -> Callable[[Callable[..., Result]], Callable
         @wraps(method)
         def call(view_state: ViewState, choices: Choices, *level_number: int) -> Result:
             results = view_state.cache.setdefault((method.__name__, *level_number), {})
-            key = tuple(getattr(choices, field) for field in fields)
+            cache_key = tuple(getattr(choices, field) for field in fields)
             # the entry moves to the end of the dict: the first is the one not used for longest
-            if key in results:
-                result: Result = results.pop(key)
+            if cache_key in results:
+                result: Result = results.pop(cache_key)
             else:
                 result = method(view_state, choices, *level_number)
-            results[key] = result
-            while len(results) > NUM_CACHED:
+            results[cache_key] = result
+            while len(results) > NUM_CACHED_RESULTS:
                 del results[next(iter(results))]
             return result
 
@@ -302,7 +305,7 @@ def cache_results_by(*fields: str) -> Callable[[Callable[..., Result]], Callable
 
 
 class ViewState:
-    """A grid and its scene, if it has one. Methods compute what the page shows of them.
+    """A grid and its scene, if it has one, and methods that compute the contents of the page.
 
     Attributes:
         grid: the grid as it is in its file.
@@ -353,11 +356,11 @@ class ViewState:
 
         In z, the box begins at the lowest ground, and ends `CUT_HEIGHT` above the highest one.
         """
-        corners = np.array([level.lattice.bounds for level in self.grid.levels])
+        level_bounds = np.array([level.lattice.bounds for level in self.grid.levels])
         grounds = [level.ground for level in self.grid.levels]
-        low = corners[:, :2].min(axis=0)
-        high = corners[:, 2:].max(axis=0)
-        return np.array([[*low, min(grounds)], [*high, max(grounds) + CUT_HEIGHT]])
+        low_xy = level_bounds[:, :2].min(axis=0)
+        high_xy = level_bounds[:, 2:].max(axis=0)
+        return np.array([[*low_xy, min(grounds)], [*high_xy, max(grounds) + CUT_HEIGHT]])
 
     @cache_results_by("doors", "inflation")
     def shown_grid(self, choices: Choices) -> NavGrid:
@@ -373,12 +376,14 @@ class ViewState:
     def count(self, choices: Choices) -> FreeSpace:
         """Count the free cells of the shown levels."""
         levels = [self.shown_grid(choices).levels[level_number] for level_number in choices.levels]
-        num_free = sum(int(np.count_nonzero(level.free)) for level in levels)
-        num_with_floor = sum(
+        num_free_cells = sum(int(np.count_nonzero(level.free)) for level in levels)
+        num_floor_cells = sum(
             int(np.count_nonzero(~np.isnan(level.floor_height))) for level in levels
         )
         return FreeSpace(
-            num_free, num_with_floor, num_free * self.grid.levels[0].lattice.cell_size ** 2
+            num_free_cells,
+            num_floor_cells,
+            num_free_cells * self.grid.levels[0].lattice.cell_size ** 2,
         )
 
     @cache_results_by("doors", "inflation", "layer")
@@ -428,14 +433,14 @@ class ViewState:
         """
         if not choices.with_names:
             return []
-        candidates = []
+        candidate_names = []
         for level_number in choices.levels:
             for label in self.panel(choices, level_number).labels:
-                floors = self._floors_at(label, choices.levels)
-                z = floors.get(level_number, self.grid.levels[level_number].ground)
+                floor_of_level = self._floors_at(label, choices.levels)
+                z = floor_of_level.get(level_number, self.grid.levels[level_number].ground)
                 is_hidden = any(
                     level > level_number and floor > z + self.grid.max_step
-                    for level, floor in floors.items()
+                    for level, floor in floor_of_level.items()
                 )
                 if is_hidden:
                     continue
@@ -445,24 +450,28 @@ class ViewState:
                 name = NameLabel(
                     label.text, (label.x, label.y, z + NAME_LIFT), min(NAME_HEIGHT, letter_height)
                 )
-                candidates.append((-label.width, level_number, name))
-        names: dict[int, list[NameLabel]] = {level_number: [] for level_number in choices.levels}
-        for _, level_number, name in sorted(candidates)[:MAX_NAMES]:
-            if not any(_overlaps(name, earlier_name) for earlier_name in names[level_number]):
-                names[level_number].append(name)
-        return [name for names_of_level in names.values() for name in names_of_level]
+                candidate_names.append((-label.width, level_number, name))
+        names_by_level: dict[int, list[NameLabel]] = {
+            level_number: [] for level_number in choices.levels
+        }
+        for _, level_number, name in sorted(candidate_names)[:MAX_NAMES]:
+            if not any(
+                _overlaps(name, earlier_name) for earlier_name in names_by_level[level_number]
+            ):
+                names_by_level[level_number].append(name)
+        return [name for names_of_level in names_by_level.values() for name in names_of_level]
 
-    def _floors_at(self, label: Label, levels: Sequence[int]) -> dict[int, float]:
+    def _floors_at(self, label: Label, level_numbers: Sequence[int]) -> dict[int, float]:
         """Find the floors at a label: number of a level -> world z of its floor there [m].
 
         Levels without a floor there are left out.
         """
-        floors = {}
-        for level in levels:
-            place = place_at(self.grid, (label.x, label.y), level)
+        floor_of_level = {}
+        for level_number in level_numbers:
+            place = place_at(self.grid, (label.x, label.y), level_number)
             if place is not None and place.floor is not None:
-                floors[level] = place.floor
-        return floors
+                floor_of_level[level_number] = place.floor
+        return floor_of_level
 
     @cache_results_by("levels", "layer")
     def arcs(self, choices: Choices) -> list[ColoredArc]:
@@ -495,11 +504,11 @@ class ViewState:
             return meshes.draw_scene(self.scene, with_hidden=choices.with_hidden)
         from navbake.verifier.source import pose_doors  # loads MuJoCo, which moves the doors
 
-        posed_scene = pose_doors(self.scene, self.grid.with_doors(dict(choices.doors)))
+        door_pose = pose_doors(self.scene, self.grid.with_doors(dict(choices.doors)))
         return meshes.draw_scene(
             self.scene,
-            data=posed_scene.data,
-            removed=posed_scene.removed_geoms,
+            data=door_pose.data,
+            removed=door_pose.removed_geoms,
             with_hidden=choices.with_hidden,
         )
 
@@ -520,9 +529,9 @@ class ViewState:
         drawing = self.drawing(choices)
         if drawing is None or not surfaces:
             return b""
-        batch_geoms = [batch.geoms[batch.is_below(choices.cut)] for batch in drawing.batches]
-        if batch_geoms:
-            batch_geom_ids = np.concatenate(batch_geoms)
+        drawn_batch_geoms = [batch.geoms[batch.is_below(choices.cut)] for batch in drawing.batches]
+        if drawn_batch_geoms:
+            batch_geom_ids = np.concatenate(drawn_batch_geoms)
             surfaces = tuple(
                 surface._replace(faces=surface.faces[~np.isin(surface.face_geoms, batch_geom_ids)])
                 for surface in surfaces
@@ -535,7 +544,7 @@ class ViewState:
         if drawing is None:
             return []
         batches = [VisibleBatch(batch, batch.is_below(choices.cut)) for batch in drawing.batches]
-        return [visible for visible in batches if visible.is_drawn.any()]
+        return [visible_batch for visible_batch in batches if visible_batch.is_drawn.any()]
 
     def click(self, choices: Choices, ray: ViewRay) -> Choices:
         """Return the choices after a click.
@@ -544,7 +553,7 @@ class ViewState:
             choices: the choices before the click.
             ray: the ray from the camera through the click.
         """
-        level_surfaces = [self.floor_surfaces[number] for number in choices.levels]
+        level_surfaces = [self.floor_surfaces[level_number] for level_number in choices.levels]
         clicked_cell = meshes.pick_cell(
             self.grid, ray, [*self.surfaces(choices), *level_surfaces], choices.levels
         )
@@ -579,10 +588,10 @@ class ViewState:
         If the episode stores no path, the shortest path in the shown grid is planned; for a
         sequence of goals, none is. Without a path, the array is empty.
         """
-        run = self.runs.get(choices.episode)
-        if run is None or run.episode is None:
+        episode_run = self.runs.get(choices.episode)
+        if episode_run is None or episode_run.episode is None:
             return np.empty((0, 3))
-        episode = run.episode
+        episode = episode_run.episode
         if episode.path or episode.task == "sequence":
             return np.array(episode.path or ()).reshape(-1, 3)
         positions = list_goal_positions(episode)

@@ -21,7 +21,7 @@ from navbake.views.viewer.view_state import (
     INSPECT_TEXT,
     NAME_HEIGHT,
     ROUTE_TEXT,
-    Run,
+    EpisodeRun,
     ViewState,
     first_choices,
     list_runs,
@@ -156,7 +156,9 @@ def test_an_episode_without_a_path_has_a_shortest_one():
     (bare,) = make_episodes(grid, "point", count=1).episodes
     stored = msgspec.structs.replace(bare, id="stored", path=((0, 0, 0), (1, 0, 0)))
     lost = msgspec.structs.replace(bare, id="lost", start=(99.0, 99.0, 0.0))
-    runs = {each.id: Run(each, None) for each in (bare, stored, lost)} | {"driven": Run(None, None)}
+    runs = {each.id: EpisodeRun(each, None) for each in (bare, stored, lost)} | {
+        "driven": EpisodeRun(None, None)
+    }
     view_state = ViewState(grid, runs=runs)
     chosen = first_choices(grid)
     path = view_state.episode_path(replace(chosen, episode=bare.id))
