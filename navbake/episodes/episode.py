@@ -37,7 +37,7 @@ Length = Annotated[float, msgspec.Meta(ge=0)]
 
 
 def check_word(value: str, words: Collection[str], name: str) -> None:
-    """Check that a value is one of some words.
+    """Check that a word is one of the allowed words.
 
     Args:
         value: the value.
@@ -260,11 +260,11 @@ def choose_agent(
 
 
 def digest_of(grid: NavGrid) -> str:
-    """Compute the SHA-256, in hexadecimal, of a grid's rooms and of all that distances depend on.
+    """Compute a SHA-256, in hexadecimal, of the parts of a grid that its episodes depend on.
 
-    Distances depend on the lattices of the levels, on free cells, floors, steps, links and areas,
-    and on the agent's radius, height and highest step. Names, timings, added obstacles, and the
-    states of doors that block nothing do not change the digest.
+    These are the rooms, the lattices of the levels, free cells, floors, steps, links and areas, and
+    the agent's radius, height and highest step. Names, timings, added obstacles, and the states of
+    doors that block nothing do not change the digest.
     """
     grid = grid.without_obstacles()
     sizes_and_steps = (grid.radius, grid.agent_height, grid.max_step, grid.step_array.tolist())

@@ -62,7 +62,7 @@ class Task(Record, frozen=True, kw_only=True):
 
 
 class Stops(NamedTuple):
-    """The stops of an episode, at which its goals are reached, and the distances to them.
+    """The stops of an episode: the places where its goals are reached, and the distances to them.
 
     In a sequence, each goal has a stop of its own. In other tasks, all goals share one stop, as any
     one of them has to be reached. Exploring has no stops.
@@ -293,7 +293,7 @@ class GoalFinder:
 
     @cached_property
     def object_cells(self) -> dict[str, Int]:
-        """The cells that each object stands in: its name -> flat ids, ascending.
+        """Name of each object -> flat ids of the cells that it stands in, ascending.
 
         A flat id is a cell's number among the cells of all levels. The cells are those whose user
         data list the object. Walls and doors are left out.

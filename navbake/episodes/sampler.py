@@ -133,7 +133,7 @@ class Splits(Record, frozen=True, kw_only=True):
 
 
 def make_rules(sampler: str | Rules = "uniform", **changes: object) -> Rules:
-    """Make the rules of a sampler.
+    """Make the rules of a sampler: those of a preset, with some of them changed.
 
     Args:
         sampler: the rules to begin with, or the name of a preset.
@@ -158,7 +158,7 @@ def make_rules(sampler: str | Rules = "uniform", **changes: object) -> Rules:
 
 
 def make_task(name: str = "point", **fields: object) -> Task:
-    """Make a task.
+    """Make a task from its name and the values of its other fields.
 
     Args:
         name: the name of the task, one of `TASKS`.

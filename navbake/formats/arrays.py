@@ -30,7 +30,7 @@ def decode_array(
     default_datatype: object = None,
     null_value: float = np.nan,
 ) -> NDArray[Any]:
-    """Decode the array of a layer of a level, as a NavGrid file has it.
+    """Decode the array of a level's layer, such as its weights, from a NavGrid file.
 
     The file has an object ``{"datatype", "length", "encoding", "data"}``, of which only ``data`` is
     required, or the bare list of the cells' values. ``dataType`` is an alias of ``datatype``.

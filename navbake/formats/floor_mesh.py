@@ -267,7 +267,7 @@ def find_room_colors(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
 
 
 class GlbBuffer:
-    """Collects the binary data of a GLB file: its buffer, with glTF's views and accessors of it."""
+    """Collects the binary data of a GLB file: the buffer, its buffer views and its accessors."""
 
     def __init__(self) -> None:
         self._data = bytearray()

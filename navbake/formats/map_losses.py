@@ -58,7 +58,7 @@ class ClosedCells(NamedTuple):
     barred_masks: list[Bool]
 
     def join_masks(self) -> list[Bool]:
-        """Return the closed cells of each level, shape (height, width), bool."""
+        """Return for each level the mask of all closed cells, shape (height, width), bool."""
         return [
             stair_mask | barred_mask
             for stair_mask, barred_mask in zip(self.stair_masks, self.barred_masks, strict=True)

@@ -160,7 +160,7 @@ def encode_nav2(
 def encode_map(
     level: SceneGrid2D, values: occupancy.OccupancyValues, path: Path, mode: str, image: str
 ) -> Files:
-    """Encode the image of a level's values, and the YAML that names it.
+    """Encode a map of a level: the image of its occupancy values, and the YAML that names it.
 
     Args:
         level: the level.
@@ -255,7 +255,7 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
 def read_map(
     path: str | PathLike[str], rules: str = "humble"
 ) -> tuple[occupancy.OccupancyValues, Lattice, MapYaml]:
-    """Read a map onto cells along the world's axes.
+    """Read a map, and resample it on cells along the world's axes.
 
     Args:
         path: the YAML.

@@ -76,7 +76,7 @@ class Archive:
         return name in self._members
 
     def read(self, name: str, place: JsonPath, *, is_text: bool = False) -> NDArray[Any]:
-        """Read an array of the archive, after taking its size from the allowance.
+        """Read an array of the archive, after subtracting its size from the allowance.
 
         Args:
             name: the array's name in the archive.

@@ -158,7 +158,7 @@ def level_from_rooms(
     ground: float,
     scene_id: str,
 ) -> SceneGrid2D:
-    """Make a flat level of a map that states which cells are free, and their rooms.
+    """Make a flat level of a map's free cells and rooms.
 
     Args:
         is_free: where an agent can stand, shape (height, width), bool.

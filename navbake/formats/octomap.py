@@ -57,7 +57,7 @@ CHILD_BITS["ot"][UNKNOWN] = 0
 
 
 def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
-    """Encode voxels as an octree; their corners must be whole multiples of their edge.
+    """Encode voxels as an octree; coordinates of corners must be whole multiples of their edge.
 
     Args:
         grid: the voxels; those with an ID count as occupied.

@@ -101,7 +101,7 @@ def read_leaves(node_bytes, log_odds, has_log_odds, leaves):
 
 @kernel
 def fill_leaves(leaves, first_keys, is_occupied, is_known):
-    """Fill the voxels that the leaves of an octree cover with the leaves' states.
+    """Write the state of each leaf of an octree into the voxels that the leaf covers.
 
     Args:
         leaves: the leaves, see `read_leaves`, shape (n, 5), int32.

@@ -48,7 +48,7 @@ REVERSED_NUMBER = re.compile(r"\d*[\s_-]*")
 
 
 class RoomFiles(NamedTuple):
-    """The files of rooms beside a map of level 0."""
+    """Paths of the files that describe the rooms of level 0, beside the map of that level."""
 
     room_image: Path  #: Image with the number of each pixel's room.
     category_image: Path  #: Image with the number of each pixel's category.
@@ -56,7 +56,7 @@ class RoomFiles(NamedTuple):
 
 
 def name_room_files(folder: Path, stem: str) -> RoomFiles:
-    """Name the files of rooms of a map, after the map.
+    """Return the paths of the files that describe the rooms of a map; they are named after it.
 
     In OmniGibson's dataset, the maps of a scene with and without objects or doors share these
     files: ``floor_trav`` and ``floor_trav_no_obj`` both have ``floor_insseg_0.png``.

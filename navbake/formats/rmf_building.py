@@ -115,10 +115,10 @@ class _BuildingLevel:
 
 
 def encode_building(grid: NavGrid, path: Path) -> Files:
-    """Encode a grid as a building; log a warning that names what the format can't hold.
+    """Encode a grid as a building of Open-RMF; log a warning that names the parts left out.
 
     The warning names links (except lifts whose car is known), steps between levels, and areas;
-    rooms and furniture are left out without one.
+    rooms and furniture are left out without a warning.
 
     Args:
         grid: the grid.

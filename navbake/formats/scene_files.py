@@ -148,9 +148,9 @@ def find_inputs(
     input_paths: set[Path] = set()
 
     def add_existing(candidates: Iterable[Path], only_first: bool = False) -> None:
-        """Add the existing paths of a file to `input_paths`; if none exists, maybe all.
+        """Add the existing paths of a file to `input_paths`.
 
-        All are added if `with_missing` is True.
+        If none exists and `with_missing` is True, all possible paths are added.
 
         Args:
             candidates: the possible paths of the file, in the order of search.

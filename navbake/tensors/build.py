@@ -473,7 +473,7 @@ def find_first_in_cells(
 def find_lowest_within_step(
     floor_z: Float, max_step: float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """For each floor, find the lowest z that counts as on it: at most a step below the floor.
+    """Find the lowest z that counts as on each floor: at most a step below the floor.
 
     Args:
         floor_z: z of floors, shape (n,) [m].

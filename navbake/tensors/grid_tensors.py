@@ -51,7 +51,7 @@ class PaddedShape(NamedTuple):
 
 
 class SceneSearches(tuple["Search", ...]):
-    """The search on each scene's grid, as a tuple that JAX takes for a constant.
+    """The search on each scene's grid, as a tuple that JAX treats as a constant.
 
     Two such tuples always compare as equal. So JAX doesn't compile a function again for tensors
     that differ only in their searches, which no compiled function reads.
@@ -161,7 +161,7 @@ def register_pytree(xp: Namespace) -> None:
 def locate_in_scenes(
     tensors: GridTensors, positions: Array, scene_id: Ids
 ) -> tuple[Array, Array, Array]:
-    """Find the cells of positions.
+    """Find the cell and the level of each position, in the position's scene.
 
     Args:
         tensors: the tensors.

@@ -258,7 +258,7 @@ def patch(
     layer: str = "free",
     scene_id: Ids = None,
 ) -> Array:
-    """Cut an egocentric map of a layer round each agent, with its heading up.
+    """Make an egocentric map of a layer round each agent, with the agent's heading up.
 
     The agent is in the middle. Each pixel shows the cell at its middle, by the rule of `level_at`
     at the agent's z.
