@@ -93,7 +93,7 @@ def clip_polygon(corners, num_corners, clipped_corners, axis, limit, sign):
     """Clip a polygon by a plane across an axis: keep where ``sign * (coordinate - limit) >= 0``.
 
     Args:
-        corners: corners, (>= num_corners, 3) float64 [m].
+        corners: the polygon's corners, (>= num_corners, 3) float64 [m].
         num_corners: number of corners.
         clipped_corners: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64.
         axis: which coordinate: X, Y or Z.
@@ -132,7 +132,7 @@ def clip_polygon_between(corners, num_corners, scratch, axis, limits, clipped_co
     """Clip a polygon to a range of a coordinate.
 
     Args:
-        corners: corners, (>= num_corners, 3) float64 [m].
+        corners: the polygon's corners, (>= num_corners, 3) float64 [m].
         num_corners: number of corners.
         scratch: room for a polygon in between, (MAX_CORNERS, 3) float64.
         axis: which coordinate: X, Y or Z.

@@ -203,7 +203,12 @@ def _fill_triangle(voxels, lattice, window, facets, triangle, label, polygons, s
         x, _ = cell_center_at(lattice, first_row, col)
         x_limits = (x - half_voxel + TOUCH_DEPTH, x + half_voxel - TOUCH_DEPTH)
         num_strip_corners = clip_polygon_between(
-            facets.corners[triangle], np.int64(3), polygons.scratch, X, x_limits, strip_polygon
+            facets.corners[triangle],
+            np.int64(3),
+            polygons.scratch_polygon,
+            X,
+            x_limits,
+            strip_polygon,
         )
         if num_strip_corners == 0:
             continue
@@ -212,7 +217,7 @@ def _fill_triangle(voxels, lattice, window, facets, triangle, label, polygons, s
             y_limits = (y - half_voxel + TOUCH_DEPTH, y + half_voxel - TOUCH_DEPTH)
             polygon = polygons.polygon
             num_corners = clip_polygon_between(
-                strip_polygon, num_strip_corners, polygons.scratch, Y, y_limits, polygon
+                strip_polygon, num_strip_corners, polygons.scratch_polygon, Y, y_limits, polygon
             )
             if num_corners > 0:
                 lowest_z = polygon[0, 2]
