@@ -214,10 +214,10 @@ def voxelize(
     print_warnings(grid.notes)
     num_notes = len(grid.notes)
     for output, ending in zip(outputs, endings, strict=True):
-        mapping: Literal["compact"] | None = None
+        id_mapping: Literal["compact"] | None = None
         if compact and ending == ".binvox":
-            mapping = "compact"
-        write_voxels(grid, output, free=free, layout=layout, mapping=mapping)
+            id_mapping = "compact"
+        write_voxels(grid, output, free=free, layout=layout, mapping=id_mapping)
         say_unless_quiet(output)
         if grid.is_segmented and ending not in OCTREE_SUFFIXES:
             say_unless_quiet(id_table_path(output))

@@ -149,7 +149,7 @@ def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
     smooth_part_of_cell = label_islands(  # the largest is number 1
         first_cells=np.array([0, num_cells]),
         widths=np.array([level.width]),
-        free=has_floor.ravel(),
+        is_free=has_floor.ravel(),
         floor=floor.ravel(),
         max_rise=_find_rise_limit(grid, level),
         steps=_find_ramp_steps(

@@ -44,7 +44,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
     island_numbers = label_islands(
         first_cells=first_cells,
         widths=widths,
-        free=is_free,
+        is_free=is_free,
         floor=floor_y,
         max_rise=step_limit(grid),
         steps=steps,
@@ -79,7 +79,7 @@ def values_by_area(grid: GridBase, values: Sequence[object], value_outside: obje
 def label_islands(
     first_cells: Int,
     widths: Int,
-    free: Bool,
+    is_free: Bool,
     floor: NDArray[Any],
     max_rise: float,
     steps: Int,
@@ -96,7 +96,7 @@ def label_islands(
     Args:
         first_cells: First flat id of each level, then the number of all cells, shape (levels + 1,).
         widths: Number of columns of each level, shape (levels,).
-        free: Whether each cell is free, by flat id, shape (n,).
+        is_free: Whether each cell is free, by flat id, shape (n,).
         floor: Floor of each cell, NaN for none, shape (n,).
         max_rise: Largest difference of neighbours' floors, in the unit of `floor`.
         steps: Flat ids of the two cells that each step joins, shape (m, 2).
@@ -108,21 +108,23 @@ def label_islands(
     """
     # float32, and a difference of two that is rounded to it, could pass a limit
     floor = floor.astype(np.float64)
-    begins_run = free.copy()
-    cell_pairs = [steps[free[steps].all(axis=1)]]
+    begins_run = is_free.copy()
+    cell_pairs = [steps[is_free[steps].all(axis=1)]]
     for first_cell, end_cell, num_cols in zip(
         first_cells[:-1], first_cells[1:], widths, strict=True
     ):
         level_cells = slice(first_cell, end_cell)
-        is_free = free[level_cells].reshape(-1, num_cols)
+        is_level_free = is_free[level_cells].reshape(-1, num_cols)
         level_floor = floor[level_cells].reshape(-1, num_cols)
         level_begins_run = begins_run[level_cells].reshape(-1, num_cols)
         # an unknown floor, NaN, is level with its neighbours
-        joins_right = is_free[:, 1:] & is_free[:, :-1]
+        joins_right = is_level_free[:, 1:] & is_level_free[:, :-1]
         joins_right &= ~(np.abs(level_floor[:, 1:] - level_floor[:, :-1]) > max_rise)
         level_begins_run[:, 1:] &= ~joins_right
         joins_down = (
-            is_free[1:] & is_free[:-1] & ~(np.abs(level_floor[1:] - level_floor[:-1]) > max_rise)
+            is_level_free[1:]
+            & is_level_free[:-1]
+            & ~(np.abs(level_floor[1:] - level_floor[:-1]) > max_rise)
         )
         # one pair of cells for each pair of runs
         joins_down[:, 1:] &= (
@@ -140,16 +142,16 @@ def label_islands(
         while (root_of_run[root_of_run] != root_of_run).any():
             root_of_run = root_of_run[root_of_run]
     island_of_run = np.unique(root_of_run, return_inverse=True)[1]
-    if arcs is not None and free[arcs].all(axis=1).any():
-        free_arcs = arcs[free[arcs].all(axis=1)]
+    if arcs is not None and is_free[arcs].all(axis=1).any():
+        free_arcs = arcs[is_free[arcs].all(axis=1)]
         island_of_run = _join_linked(island_of_run, island_of_run[run_of_cell[free_arcs]])
-    island_of_run = island_of_run[run_of_cell[free]]
+    island_of_run = island_of_run[run_of_cell[is_free]]
     island_sizes = np.bincount(island_of_run, minlength=1)
     number_by_island = np.empty(len(island_sizes), dtype=np.int32)
     # stable, so that islands of one size stay in the order of their first cells
     number_by_island[np.argsort(-island_sizes, kind="stable")] = np.arange(1, len(island_sizes) + 1)
-    island_numbers = np.zeros(len(free), dtype=np.int32)
-    island_numbers[free] = number_by_island[island_of_run]
+    island_numbers = np.zeros(len(is_free), dtype=np.int32)
+    island_numbers[is_free] = number_by_island[island_of_run]
     return island_numbers
 
 

@@ -92,17 +92,17 @@ def read_table(entries: JsonValue, table_type: type[Table], place: str) -> Table
         raise FormatError(f"{error_text[0].lower()}{error_text[1:]}", place=faulty_place) from error
 
 
-def to_entry(record: DataclassInstance, *left_out: str) -> Json:
+def to_entry(record: DataclassInstance, *left_out_fields: str) -> Json:
     """Convert a dataclass to a JSON object, without the fields that are None.
 
     Args:
         record: An object of a dataclass.
-        *left_out: Names of fields to leave out.
+        *left_out_fields: Names of fields to leave out.
     """
     entry: Json = {}
     for name in record.__dataclass_fields__:
         value = getattr(record, name)
-        if name not in left_out and value is not None:
+        if name not in left_out_fields and value is not None:
             entry[name] = list(value) if isinstance(value, tuple) else value
     return entry
 

@@ -17,13 +17,13 @@ NO_ENTRY = -1  # the number of the entry of a cell without names
 
 
 class NameEntry(NamedTuple):
-    """The names in a cell; many cells share an entry.
+    """The names of things in a cell; many cells share an entry.
 
     Attributes:
         objects: the objects over the cell's square, up to the next storey.
         walls: the walls there.
         doors: the doors there.
-        blocking: those of all three that are in an agent's way.
+        blocking: the objects, walls and doors that are in an agent's way.
     """
 
     objects: frozenset[str]
@@ -39,8 +39,8 @@ class CellNames(NamedTuple):
         entry_of_cell: by flat id, the number of the cell's entry, `NO_ENTRY` for none, int32.
         entries: the different entries.
         sorted_cells: flat ids of the cells that have an entry, by entry, ascending in each.
-        first_of_entry: for each entry, the index in `sorted_cells` of its first cell, and at the
-            end the number of all.
+        first_of_entry: for each entry, the index in `sorted_cells` of its first cell; then, as the
+            last element, the number of all cells in `sorted_cells`.
         entries_of_name: the numbers of the entries that list a name.
     """
 
@@ -59,11 +59,13 @@ class CellNames(NamedTuple):
         Returns:
             Flat ids, ascending.
         """
-        slices = [
-            self.sorted_cells[self.first_of_entry[number] : self.first_of_entry[number + 1]]
-            for number in self.entries_of_name[name]
+        cells_of_entries = [
+            self.sorted_cells[
+                self.first_of_entry[entry_number] : self.first_of_entry[entry_number + 1]
+            ]
+            for entry_number in self.entries_of_name[name]
         ]
-        return np.sort(np.concatenate(slices))
+        return np.sort(np.concatenate(cells_of_entries))
 
     def check(self, name: str, scene: str | None) -> None:
         """Check that a grid has an object, door or wall of a name.
@@ -83,9 +85,9 @@ class CellNames(NamedTuple):
 
     def list_objects(self) -> list[str]:
         """List the names of all objects, sorted; walls and doors are left out."""
-        objects = {name for entry in self.entries for name in entry.objects}
-        structure = {name for entry in self.entries for name in entry.walls | entry.doors}
-        return sorted(objects - structure)
+        object_names = {name for entry in self.entries for name in entry.objects}
+        structure_names = {name for entry in self.entries for name in entry.walls | entry.doors}
+        return sorted(object_names - structure_names)
 
 
 def map_names(grid: NavGrid) -> CellNames:
@@ -94,29 +96,31 @@ def map_names(grid: NavGrid) -> CellNames:
     Args:
         grid: the grid, with its user data.
     """
-    number_of_entry: dict[NameEntry, int] = {}
-    level_entries = []
+    number_by_entry: dict[NameEntry, int] = {}
+    entries_by_level = []
     for level in grid.levels:
         cells, entry_indices, level_data = UserData.of(level.user_data).shared_entries()
         entries = [_read_entry(user_data) for user_data in level_data]
-        numbers = [number_of_entry.setdefault(entry, len(number_of_entry)) for entry in entries]
+        entry_numbers = [
+            number_by_entry.setdefault(entry, len(number_by_entry)) for entry in entries
+        ]
         entry_of_cell = np.full(level.height * level.width, NO_ENTRY, dtype=np.int32)
-        entry_of_cell[cells] = np.array(numbers, dtype=np.int32)[entry_indices]
-        level_entries.append(entry_of_cell)
-    entry_of_cell = np.concatenate(level_entries)
+        entry_of_cell[cells] = np.array(entry_numbers, dtype=np.int32)[entry_indices]
+        entries_by_level.append(entry_of_cell)
+    entry_of_cell = np.concatenate(entries_by_level)
     sorted_cells = np.argsort(entry_of_cell, kind="stable")
     num_without_entry = int(np.count_nonzero(entry_of_cell == NO_ENTRY))
     entries_of_name: dict[str, list[int]] = {}
-    for entry, number in number_of_entry.items():
+    for entry, entry_number in number_by_entry.items():
         for name in entry.objects | entry.walls | entry.doors:
-            entries_of_name.setdefault(name, []).append(number)
+            entries_of_name.setdefault(name, []).append(entry_number)
     sorted_cells = sorted_cells[num_without_entry:]
     return CellNames(
         entry_of_cell=entry_of_cell,
-        entries=list(number_of_entry),
+        entries=list(number_by_entry),
         sorted_cells=sorted_cells,
         first_of_entry=np.searchsorted(
-            entry_of_cell[sorted_cells], np.arange(len(number_of_entry) + 1)
+            entry_of_cell[sorted_cells], np.arange(len(number_by_entry) + 1)
         ),
         entries_of_name=entries_of_name,
     )

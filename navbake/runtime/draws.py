@@ -270,9 +270,9 @@ def reachable_positions(
         # free cells' centres are free of obstacles; elsewhere, measure the clearance
         center_distances = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
         cell_sizes = flat.layout.cell_size[flat.level_of(cells)]
-        is_center = center_distances <= ARRIVAL_TOLERANCE * cell_sizes
+        is_at_center = center_distances <= ARRIVAL_TOLERANCE * cell_sizes
         clearances = clearance(search, places, None, 2.0 * radius + 1.0)
-        can_stand = is_center | (clearances >= radius * (1.0 - RADIUS_SLACK))
+        can_stand = is_at_center | (clearances >= radius * (1.0 - RADIUS_SLACK))
         lattice_indices = lattice_indices[can_stand]
         places = places[can_stand]
         reached_places.append(places)

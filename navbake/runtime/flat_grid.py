@@ -58,7 +58,7 @@ class FlatGrid:
             area bars the agent; by flat id, or one number for all cells.
         pace: the seconds that the agent takes for a metre [s/m]; by flat id, or one number for all
             cells.
-        slopes: by flat id, whether one of `steps` joins the cell to its neighbour in the next
+        slope_bits: by flat id, whether one of `steps` joins the cell to its neighbour in the next
             column (bit EAST of `navbake.runtime.grid_arrays`) or in the next row (bit SOUTH),
             uint8; empty if there is no such step.
     """
@@ -71,7 +71,7 @@ class FlatGrid:
     weight: Float
     area_factor: Float
     pace: Float
-    slopes: NDArray[np.uint8]
+    slope_bits: NDArray[np.uint8]
 
     @property
     def num_levels(self) -> int:
@@ -439,7 +439,7 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
         weight=weight,
         area_factor=area_factor[:1] if (area_factor == area_factor[0]).all() else area_factor,
         pace=pace[:1] if (pace == pace[0]).all() else pace,
-        slopes=_mark_slopes(step_array, step_cells, layout),
+        slope_bits=_mark_slopes(step_array, step_cells, layout),
     )
     weight[:] = flat.weights_for_agent(weight)
     flat.free[:] = np.isfinite(weight)
@@ -455,7 +455,7 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
 def _mark_slopes(step_array: Int, step_cells: Int, layout: Layout) -> NDArray[np.uint8]:
     """Mark the cells that a step of the table joins to the next cell in their row or column.
 
-    The result is `FlatGrid.slopes`.
+    The result is `FlatGrid.slope_bits`.
 
 
     Args:
@@ -465,7 +465,7 @@ def _mark_slopes(step_array: Int, step_cells: Int, layout: Layout) -> NDArray[np
     """
     if not (step_array[:, 0] == step_array[:, 2]).any():
         return np.zeros(0, dtype=np.uint8)
-    slopes = np.zeros(layout.start[-1], dtype=np.uint8)
+    slope_bits = np.zeros(layout.start[-1], dtype=np.uint8)
     levels = step_array[:, 0]
     widths = layout.width[levels]
     smaller_ids = step_cells.min(axis=1)
@@ -475,9 +475,9 @@ def _mark_slopes(step_array: Int, step_cells: Int, layout: Layout) -> NDArray[np
     is_same_row = np.diff(rows)[:, 0] == 0
     leads_east = is_on_level & (id_differences == 1) & is_same_row
     leads_south = is_on_level & (id_differences == widths)
-    slopes[smaller_ids[leads_east]] |= np.uint8(arrays.EAST)
-    slopes[smaller_ids[leads_south]] |= np.uint8(arrays.SOUTH)
-    return slopes
+    slope_bits[smaller_ids[leads_east]] |= np.uint8(arrays.EAST)
+    slope_bits[smaller_ids[leads_south]] |= np.uint8(arrays.SOUTH)
+    return slope_bits
 
 
 # ---------------------------------------------------------------- rooms
@@ -747,7 +747,7 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
     number = label_islands(
         first_cells=layout.start,
         widths=layout.width,
-        free=flat.free,
+        is_free=flat.free,
         floor=floors.z,
         max_rise=floors.max_step,
         steps=np.concatenate(step_pair_arrays),

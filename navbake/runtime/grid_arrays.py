@@ -132,14 +132,15 @@ class OffCenter(NamedTuple):
         sweepable: by cell, whether nothing but solid squares of the cell's own level can be in the
             agent's way. There, sweeping its disc over these squares decides whether it fits. True
             also where `anywhere` is.
-        solid_before: entry i is the number of solid cells with flat ids below i, shape (n + 1,).
+        num_solid_before: entry i is the number of solid cells with flat ids below i, shape
+            (n + 1,).
         radius: the agent's radius [m]; 0 for an agent that fits at every point of free cells.
         is_solid_outside: whether the area beyond a level's cells is solid.
     """
 
     anywhere: Bool
     sweepable: Bool
-    solid_before: Int32
+    num_solid_before: Int32
     radius: float
     is_solid_outside: bool
 

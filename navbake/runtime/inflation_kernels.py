@@ -33,10 +33,10 @@ class LevelStack(NamedTuple):
         floor: world z of the floor [m], NaN for none, shape (levels, rows, cols), float32.
         occupied: `SceneGrid2D.solid` of each level, and 1 outside of the level's own rectangle;
             shape of `floor`, uint8.
-        slopes: for each cell, the directions in which a step of the grid's table leads up or down a
-            steep ramp, to a neighbour on any level whose floor is higher or lower by more than
-            `max_step`: bits EAST, NORTH, WEST and SOUTH, uint8. Shape of `floor`, or (0, 0, 0) if
-            there are no such steps.
+        slope_bits: for each cell, the directions in which a step of the grid's table leads up or
+            down a steep ramp, to a neighbour on any level whose floor is higher or lower by more
+            than `max_step`: bits EAST, NORTH, WEST and SOUTH, uint8. Shape of `floor`, or
+            (0, 0, 0) if there are no such steps.
         level: index in the arrays of the level that the agent is on.
         max_step: largest difference of neighbours' floors that an agent can step over [m].
         height: the agent's height [m].
@@ -44,7 +44,7 @@ class LevelStack(NamedTuple):
 
     floor: NDArray[np.float32]
     occupied: NDArray[np.uint8]
-    slopes: NDArray[np.uint8]
+    slope_bits: NDArray[np.uint8]
     level: int
     max_step: float
     height: float
@@ -168,11 +168,11 @@ def block_by_floors(
         lower_floors_block: whether drops block.
         is_blocked: whether each of the level's cells is blocked, bool, shape (rows, cols), written.
     """
-    floor, occupied, slopes, level, max_step, height = stack
+    floor, occupied, slope_bits, level, max_step, height = stack
     num_levels, num_rows, num_cols = floor.shape
     height_tolerance = height - max_step
     max_blocking_rise = height + SLAB_THICKNESS
-    has_slopes = slopes.shape[0] > 0
+    has_slopes = slope_bits.shape[0] > 0
     for row in range(num_rows if num_levels > 1 else 0):
         for col in range(num_cols):
             z = floor[level, row, col]
@@ -233,7 +233,15 @@ def block_by_floors(
                         rise = floor[k, row, col] - z
                         if max_step < rise and (k == level or rise < max_blocking_rise):
                             is_blocked[agent_row, agent_col] |= not has_slopes or not _is_slope(
-                                floor, slopes, max_step, level, agent_row, agent_col, k, row, col
+                                floor,
+                                slope_bits,
+                                max_step,
+                                level,
+                                agent_row,
+                                agent_col,
+                                k,
+                                row,
+                                col,
                             )
                     if (
                         is_too_low
@@ -241,7 +249,7 @@ def block_by_floors(
                         and not is_blocked[agent_row, agent_col]
                     ):
                         is_blocked[agent_row, agent_col] = _is_drop(
-                            floor, slopes, max_step, level, agent_row, agent_col, row, col
+                            floor, slope_bits, max_step, level, agent_row, agent_col, row, col
                         )
                 # with a single level, fewer cells are above a drop than at its bottom: start above
                 may_fall = num_levels == 1 and floor[level, row, col] - lowest_floor_z > max_step
@@ -252,7 +260,7 @@ def block_by_floors(
                         break
                     if 0 <= to_row < num_rows and 0 <= to_col < num_cols:
                         is_blocked[row, col] = _is_drop(
-                            floor, slopes, max_step, level, row, col, to_row, to_col
+                            floor, slope_bits, max_step, level, row, col, to_row, to_col
                         )
 
 
@@ -344,7 +352,7 @@ def measure_near_levels(
 
 
 @subkernel
-def _is_drop(floor, slopes, max_step, level, row, col, to_row, to_col):
+def _is_drop(floor, slope_bits, max_step, level, row, col, to_row, to_col):
     """Whether an agent that moves from a cell of a level to another row and column drops there.
 
     It does if some level has a floor there more than a step below the cell's, no level has one
@@ -363,13 +371,13 @@ def _is_drop(floor, slopes, max_step, level, row, col, to_row, to_col):
             highest_lower_z = other_z
             level_below = k
     return is_below and (
-        slopes.shape[0] == 0
-        or not _is_slope(floor, slopes, max_step, level, row, col, level_below, to_row, to_col)
+        slope_bits.shape[0] == 0
+        or not _is_slope(floor, slope_bits, max_step, level, row, col, level_below, to_row, to_col)
     )
 
 
 @subkernel
-def _is_slope(floor, slopes, max_step, level, row, col, to_level, to_row, to_col):
+def _is_slope(floor, slope_bits, max_step, level, row, col, to_level, to_row, to_col):
     """Whether an agent can walk straight from a cell of a level to one of another on a slope.
 
     The walk leads from cell to cell along the line (Bresenham 1965), over steps and slopes, and
@@ -396,11 +404,11 @@ def _is_slope(floor, slopes, max_step, level, row, col, to_level, to_row, to_col
             mid_row = next_row if walk_index == 0 else current_row
             mid_col = current_col if walk_index == 0 else next_col
             mid_level, first_is_slope = _walk_edge(
-                floor, slopes, max_step, level, current_row, current_col, mid_row, mid_col
+                floor, slope_bits, max_step, level, current_row, current_col, mid_row, mid_col
             )
             if mid_level >= 0:
                 end_level, second_is_slope = _walk_edge(
-                    floor, slopes, max_step, mid_level, mid_row, mid_col, next_row, next_col
+                    floor, slope_bits, max_step, mid_level, mid_row, mid_col, next_row, next_col
                 )
                 if end_level >= 0 and max(first_is_slope, second_is_slope) > slope_flag:
                     reached_level = end_level
@@ -415,7 +423,7 @@ def _is_slope(floor, slopes, max_step, level, row, col, to_level, to_row, to_col
 
 
 @subkernel
-def _walk_edge(floor, slopes, max_step, level, row, col, to_row, to_col):
+def _walk_edge(floor, slope_bits, max_step, level, row, col, to_row, to_col):
     """Find the level that a step or a slope over an edge of a cell leads to.
 
     Returns:
@@ -429,7 +437,7 @@ def _walk_edge(floor, slopes, max_step, level, row, col, to_row, to_col):
     else:
         direction, opposite_direction = (SOUTH, NORTH) if to_row > row else (NORTH, SOUTH)
     floor_z = floor[level, row, col]
-    is_steep = slopes[level, row, col] & direction != 0
+    is_steep = slope_bits[level, row, col] & direction != 0
     num_levels = floor.shape[0]
     for k in range(num_levels):
         to_level = (level + k) % num_levels
@@ -439,7 +447,7 @@ def _walk_edge(floor, slopes, max_step, level, row, col, to_row, to_col):
         if (
             is_steep
             and rise > max_step
-            and slopes[to_level, to_row, to_col] & opposite_direction != 0
+            and slope_bits[to_level, to_row, to_col] & opposite_direction != 0
         ):
             return to_level, 1
     return -1, 0

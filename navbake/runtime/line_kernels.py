@@ -100,7 +100,7 @@ def is_walkable(start, end, layout, level, moves, is_allowed):
 
 
 @subkernel
-def crossed_cells(start, end, layout, level):
+def find_crossed_cells(start, end, layout, level):
     """Compute which cells a line crosses, and where along the line each of them begins.
 
     Cells that the line only touches at a corner are left out.
@@ -148,7 +148,7 @@ def crossed_cells(start, end, layout, level):
 
 
 @subkernel
-def line_cost(start, end, level, graph):
+def compute_line_cost(start, end, level, graph):
     """Compute the cost of a straight line between two points x, y [m].
 
     For each cell that the line crosses, the line's length within the cell is multiplied by the
@@ -162,7 +162,7 @@ def line_cost(start, end, level, graph):
     """
     start_in_cells = to_cell_units(graph.layout, level, start[0], start[1])
     end_in_cells = to_cell_units(graph.layout, level, end[0], end[1])
-    cells, entry_fractions = crossed_cells(start_in_cells, end_in_cells, graph.layout, level)
+    cells, entry_fractions = find_crossed_cells(start_in_cells, end_in_cells, graph.layout, level)
     mean_weight = 0.0
     for k in range(cells.shape[0]):
         mean_weight += (entry_fractions[k + 1] - entry_fractions[k]) * graph.weight[cells[k]]
@@ -172,7 +172,7 @@ def line_cost(start, end, level, graph):
 
 
 @subkernel
-def disc_passes(start, end, layout, level, solid_before, radius, is_solid_outside):
+def disc_passes(start, end, layout, level, num_solid_before, radius, is_solid_outside):
     """Return whether a disc can move along a line without overlapping a solid cell's square.
 
     Args:
@@ -180,7 +180,7 @@ def disc_passes(start, end, layout, level, solid_before, radius, is_solid_outsid
         end: u, v of its end.
         layout: `navbake.runtime.grid_arrays.Layout`.
         level: number of the level.
-        solid_before: `OffCenter.solid_before` of `navbake.runtime.grid_arrays`.
+        num_solid_before: `OffCenter.num_solid_before` of `navbake.runtime.grid_arrays`.
         radius: the disc's radius, in cells.
         is_solid_outside: `OffCenter.is_solid_outside`.
     """
@@ -207,7 +207,7 @@ def disc_passes(start, end, layout, level, solid_before, radius, is_solid_outsid
         if is_outside or first_col >= stop_col:
             continue
         row_start_id = layout.start[level] + row * num_cols
-        if solid_before[row_start_id + stop_col] > solid_before[row_start_id + first_col]:
+        if num_solid_before[row_start_id + stop_col] > num_solid_before[row_start_id + first_col]:
             return False
     return True
 
@@ -262,10 +262,10 @@ def can_pass(start, end, level, graph, off_center):
     if not is_walkable(start_in_cells, end_in_cells, layout, level, moves, off_center.sweepable):
         return False
     radius = off_center.radius / layout.cell_size[level]
-    solid_before = off_center.solid_before
+    num_solid_before = off_center.num_solid_before
     is_solid_outside = off_center.is_solid_outside
     return disc_passes(
-        start_in_cells, end_in_cells, layout, level, solid_before, radius, is_solid_outside
+        start_in_cells, end_in_cells, layout, level, num_solid_before, radius, is_solid_outside
     )
 
 
@@ -363,7 +363,7 @@ def _pull_string(points, levels, link_end_indices, graph, off_center):
         for i in range(1, num_points):
             costs[i] = costs[i - 1]
             if not link_end_indices[i - 1]:
-                costs[i] += line_cost(points[i - 1], points[i], levels[i], graph)
+                costs[i] += compute_line_cost(points[i - 1], points[i], levels[i], graph)
     current_corner = 0
     is_corner = np.zeros(num_points, np.bool_)
     is_corner[0] = True
@@ -391,7 +391,7 @@ def _pull_string(points, levels, link_end_indices, graph, off_center):
             level = levels[current_corner]
             if can_pass(start, end, level, graph, off_center) and (
                 graph.uniform_weight > 0.0
-                or line_cost(start, end, level, graph)
+                or compute_line_cost(start, end, level, graph)
                 <= (costs[candidate_index] - costs[current_corner]) * (1.0 + COST_SLACK)
             ):
                 reachable_index = candidate_index
@@ -495,7 +495,7 @@ def _floor_profile(start, end, level, layout, floors):
     `start` and `end` are u, v. Returns fractions of the line's length, ascending, and floor z there
     [m], shape (n, 2).
     """
-    cells, entry_fractions = crossed_cells(start, end, layout, level)
+    cells, entry_fractions = find_crossed_cells(start, end, layout, level)
     last_index = cells.shape[0] - 1
     # an end that lies on an edge may be crossed in the neighbour of its cell
     cells[last_index] = _cell_at(layout, level, end)

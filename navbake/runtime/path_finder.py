@@ -842,16 +842,17 @@ class PathFinder:
     ) -> StandPoses:
         """Find poses of a robot's base from which it reaches things, and touches nothing.
 
-        The base's axis stands on the middle of a cell that is free for the finder's agent. What a
-        grid knows of an object are the cells over whose squares it stands. So the distance to it is
-        known to within a cell: the base is in reach if no such square is nearer than the least
+        The base's axis stands on the middle of a cell that is free for the finder's agent. A grid
+        knows an object by the cells over whose squares it stands. So the distance to it is known to
+        within a cell: the base is in reach if no such square is nearer than the least
         distance, and all of one is within the greatest. The object's nearest point is then within
         reach, whatever it looks like. The distance to a point is exact.
 
-        Sight runs from the middle of the base's cell to the middle of a cell of the target. What is
-        in the agent's way hides the target, whatever its height, but for the target itself and what
-        stands in its cells: the table under a cup, the counter round a drawer. So a cup in a closed
-        cupboard counts as in sight from in front of the cupboard; walls and doors always hide.
+        Sight runs from the middle of the base's cell to the middle of a cell of the target. All
+        things in the agent's way hide the target, whatever their height, except for the target
+        itself and things that stand in its cells: the table under a cup, the counter round a
+        drawer. So a cup in a closed cupboard counts as in sight from in front of the cupboard;
+        walls and doors always hide.
 
         Args:
             target: a position, ``object:NAME``, ``category:NAME`` for all objects whose names

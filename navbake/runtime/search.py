@@ -162,16 +162,16 @@ class Search:
 
     def _make_off_center(self, grid_without_added: NavGrid) -> OffCenter:
         """Make `off_center`, with the solid cells of the grid without obstacles."""
-        solid_before = np.zeros(1, dtype=np.int32)
+        num_solid_before = np.zeros(1, dtype=np.int32)
         if self._masks_without_obstacles is not None:
             is_solid = np.concatenate(
                 [level.solid.ravel() != 0 for level in grid_without_added.levels]
             )
-            solid_before = np.append(np.int32(0), np.cumsum(is_solid, dtype=np.int32))
+            num_solid_before = np.append(np.int32(0), np.cumsum(is_solid, dtype=np.int32))
         off_center: OffCenter = arrays.OffCenter(
             anywhere=self._masks.anywhere,
             sweepable=self._masks.sweepable,
-            solid_before=solid_before,
+            num_solid_before=num_solid_before,
             radius=self.grid.inflated_radius,
             is_solid_outside=len(self.grid.levels) > 1,
         )
@@ -276,7 +276,7 @@ class Search:
             self.flat.free,
             self.free_diagonally,
             self.flat.floors,
-            self.flat.slopes,
+            self.flat.slope_bits,
             self.cut_corners,
             self.flat.layout,
             level_number,

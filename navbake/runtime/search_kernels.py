@@ -67,7 +67,9 @@ QUEUE_FULL = 1
 
 
 @kernel
-def find_moves(is_free, fits_diagonally, floors, slopes, cut_corners, layout, level, window, moves):
+def find_moves(
+    is_free, fits_diagonally, floors, slope_bits, cut_corners, layout, level, window, moves
+):
     """Compute in which directions an agent can move from each cell of a window, into `moves`.
 
     A move leads to a free neighbour whose floor differs by at most `max_step`, or by more on a
@@ -78,7 +80,7 @@ def find_moves(is_free, fits_diagonally, floors, slopes, cut_corners, layout, le
         is_free: by cell, bool.
         fits_diagonally: by cell, whether the agent has room for a diagonal step.
         floors: `navbake.runtime.grid_arrays.FloorHeights`.
-        slopes: `navbake.runtime.flat_grid.FlatGrid.slopes`.
+        slope_bits: `navbake.runtime.flat_grid.FlatGrid.slope_bits`.
         cut_corners: whether diagonal moves past blocked corners are allowed.
         layout: `navbake.runtime.grid_arrays.Layout`.
         level: the window's level.
@@ -111,7 +113,7 @@ def find_moves(is_free, fits_diagonally, floors, slopes, cut_corners, layout, le
                     # A diagonal move on a slope counts if the straight moves over its corners use
                     # the slope: at one of their edges, floors must differ by more than a step.
                     if is_steep and not (
-                        slopes.shape[0] > 0
+                        slope_bits.shape[0] > 0
                         and (
                             abs(floor[cell] - floor[row_neighbor]) > max_step
                             or abs(floor[cell] - floor[col_neighbor]) > max_step
@@ -120,22 +122,22 @@ def find_moves(is_free, fits_diagonally, floors, slopes, cut_corners, layout, le
                         )
                     ):
                         continue
-                elif not _is_step(cell, target, is_free, floor, max_step, slopes):
+                elif not _is_step(cell, target, is_free, floor, max_step, slope_bits):
                     continue
                 # Straight moves must connect the four cells round the corner: `move_bits` has those
                 # from this cell; the last two tests are for those to the target.
                 if (direction < 4 or (cut_corners and not is_steep)) or (
                     move_bits & STRAIGHT_MOVES_BESIDE[direction] == STRAIGHT_MOVES_BESIDE[direction]
                     and (cut_corners or (fits_diagonally[cell] and fits_diagonally[target]))
-                    and _is_step(row_neighbor, target, is_free, floor, max_step, slopes)
-                    and _is_step(col_neighbor, target, is_free, floor, max_step, slopes)
+                    and _is_step(row_neighbor, target, is_free, floor, max_step, slope_bits)
+                    and _is_step(col_neighbor, target, is_free, floor, max_step, slope_bits)
                 ):
                     move_bits |= 1 << direction
             moves[cell] = move_bits
 
 
 @subkernel
-def _is_step(cell, neighbor, is_free, floor, max_step, slopes):
+def _is_step(cell, neighbor, is_free, floor, max_step, slope_bits):
     """Whether an agent may step from a cell over an edge to a neighbour.
 
     It may if the neighbour is free, and its floor at most a step higher or lower or on a slope.
@@ -144,10 +146,10 @@ def _is_step(cell, neighbor, is_free, floor, max_step, slopes):
         return False
     if not abs(floor[cell] - floor[neighbor]) > max_step:  # so that NaN, no floor, is no step
         return True
-    if slopes.shape[0] == 0:
+    if slope_bits.shape[0] == 0:
         return False
     bit = EAST if abs(cell - neighbor) == 1 else SOUTH
-    return slopes[min(cell, neighbor)] & bit != 0
+    return slope_bits[min(cell, neighbor)] & bit != 0
 
 
 def plan_buckets(

@@ -46,15 +46,15 @@ class SightLines(NamedTuple):
         Returns:
             bool, shape (n,).
         """
-        offsets = ends - starts
-        num_rows, num_cols = np.abs(offsets).T
-        row_sign, col_sign = np.sign(offsets).T[:, :, None]
+        line_vectors = ends - starts
+        num_rows, num_cols = np.abs(line_vectors).T
+        row_sign, col_sign = np.sign(line_vectors).T[:, :, None]
         start_row, start_col = starts.T[:, :, None]
-        longest = int((num_rows + num_cols).max(initial=0))
-        rows = start_row + row_sign * self.row[num_rows, num_cols, :longest]
-        cols = start_col + col_sign * self.col[num_rows, num_cols, :longest]
-        rows_before = start_row + row_sign * self.row_before[num_rows, num_cols, :longest]
-        cols_before = start_col + col_sign * self.col_before[num_rows, num_cols, :longest]
+        max_num_steps = int((num_rows + num_cols).max(initial=0))
+        rows = start_row + row_sign * self.row[num_rows, num_cols, :max_num_steps]
+        cols = start_col + col_sign * self.col[num_rows, num_cols, :max_num_steps]
+        rows_before = start_row + row_sign * self.row_before[num_rows, num_cols, :max_num_steps]
+        cols_before = start_col + col_sign * self.col_before[num_rows, num_cols, :max_num_steps]
         # where a step leads over an edge, one of these two is the cell itself
         has_passage = is_clear[rows, cols_before] | is_clear[rows_before, cols]
         is_line_clear: Bool = (is_clear[rows, cols] & has_passage).all(axis=1)
@@ -82,8 +82,8 @@ def trace_sight_lines(max_cells: int) -> SightLines:
     Args:
         max_cells: the largest number of rows, and of columns.
     """
-    counts = np.arange(max_cells + 1)
-    num_rows, num_cols = np.meshgrid(counts, counts, indexing="ij")
+    line_spans = np.arange(max_cells + 1)
+    num_rows, num_cols = np.meshgrid(line_spans, line_spans, indexing="ij")
     row = np.zeros_like(num_rows)
     col = np.zeros_like(num_cols)
     rows = []

@@ -89,30 +89,30 @@ def stand_poses(
     rng = np.random.default_rng(seed)
     targets = find_stand_targets(search, target, needs_height=rules.height is not None)
     site = StandSite(search, rules)
-    stands = [site.find_stands(stand_target) for stand_target in targets]
+    stands_by_target = [site.find_stands(stand_target) for stand_target in targets]
     why_not = {
         stand_target.name: site.explain(stand_target, target_stands.tally)
-        for stand_target, target_stands in zip(targets, stands, strict=True)
+        for stand_target, target_stands in zip(targets, stands_by_target, strict=True)
         if not len(target_stands.cells)
     }
-    cells = np.concatenate([target_stands.cells for target_stands in stands])
-    distances = np.concatenate([target_stands.distances for target_stands in stands])
-    headings = np.concatenate([target_stands.headings for target_stands in stands])
-    num_cells = [len(target_stands.cells) for target_stands in stands]
+    cells = np.concatenate([target_stands.cells for target_stands in stands_by_target])
+    distances = np.concatenate([target_stands.distances for target_stands in stands_by_target])
+    headings = np.concatenate([target_stands.headings for target_stands in stands_by_target])
+    num_cells = [len(target_stands.cells) for target_stands in stands_by_target]
     target_index = np.repeat(np.arange(len(targets)), num_cells)
     positions = search.flat.positions(cells)
     path_lengths = np.full(len(cells), np.nan)
     if site.path_lengths is not None:
         path_lengths = site.path_lengths[cells]
-    picked = pick_spread(positions, target_index, path_lengths, count, spread, rng)
+    picked_indices = pick_spread(positions, target_index, path_lengths, count, spread, rng)
     if rules.facing is None:
         headings = site.draw_headings(cells, rng)
     return StandPoses(
-        positions=positions[picked],
-        headings=headings[picked],
-        target_index=target_index[picked],
-        distances=distances[picked],
-        path_lengths=path_lengths[picked],
+        positions=positions[picked_indices],
+        headings=headings[picked_indices],
+        target_index=target_index[picked_indices],
+        distances=distances[picked_indices],
+        path_lengths=path_lengths[picked_indices],
         targets=tuple(stand_target.name for stand_target in targets),
         why_not=why_not,
     )
@@ -137,8 +137,8 @@ def stand_region(search: Search, target: StandTargets, rules: StandRules) -> lis
     for stand_target in find_stand_targets(search, target, needs_height=rules.height is not None):
         is_stand[site.find_stands(stand_target).cells] = True
     return [
-        is_stand[search.flat.cells_of(number)].reshape(level.shape)
-        for number, level in enumerate(search.grid.levels)
+        is_stand[search.flat.cells_of(level_number)].reshape(level.shape)
+        for level_number, level in enumerate(search.grid.levels)
     ]
 
 
@@ -161,25 +161,25 @@ def find_stand_targets(
     Raises:
         QueryError: there is no such object or category, or a position is not valid.
     """
-    items: list[str | ArrayLike]
+    target_items: list[str | ArrayLike]
     if isinstance(target, str):
-        items = [target]
+        target_items = [target]
     elif isinstance(target, list | tuple) and any(
-        np.ndim(item) or isinstance(item, str) for item in target
+        np.ndim(target_item) or isinstance(target_item, str) for target_item in target
     ):
-        items = list(target)
+        target_items = list(target)
     else:
         positions = check_positions(cast("ArrayLike", target), search.flat.num_levels)
-        items = list(np.atleast_2d(positions))
-    if not items:
+        target_items = list(np.atleast_2d(positions))
+    if not target_items:
         expected = "a position, object:NAME, category:NAME, or several of them"
         raise QueryError(f"expected {expected}, got none", key="target", expected=expected)
     targets = []
-    for item in items:
-        if isinstance(item, str):
-            targets += _find_named_targets(search, item)
+    for target_item in target_items:
+        if isinstance(target_item, str):
+            targets += _find_named_targets(search, target_item)
         else:
-            point, cell = search.flat.locate(item, position_name="target")
+            point, cell = search.flat.locate(target_item, position_name="target")
             cells = NO_CELLS if cell < 0 else np.array([cell])
             targets.append(StandTarget(format_position(point), cells, point))
     for stand_target in targets:
@@ -200,26 +200,33 @@ def _find_named_targets(search: Search, text: str) -> list[StandTarget]:
     """Find the objects of ``object:NAME`` or of ``category:NAME``."""
     kind, _, name = text.partition(":")
     names = search.names
-    scene = search.grid.scene_id
+    scene_id = search.grid.scene_id
     if kind == "object":
         if name not in names.entries_of_name:
             hint = suggest(name, sorted(names.entries_of_name))
             raise QueryError(
-                f"no object {name!r} in {scene!r}: {hint}", key="target", value=text, hint=hint
+                f"no object {name!r} in {scene_id!r}: {hint}", key="target", value=text, hint=hint
             )
         return [StandTarget(name, names.cells_of(name), None)]
     if kind == "category":
-        objects = names.list_objects()
-        members = [object_name for object_name in objects if find_category(object_name) == name]
-        if not members:
-            hint = suggest(name, sorted({find_category(object_name) for object_name in objects}))
+        object_names = names.list_objects()
+        member_names = [
+            object_name for object_name in object_names if find_category(object_name) == name
+        ]
+        if not member_names:
+            hint = suggest(
+                name, sorted({find_category(object_name) for object_name in object_names})
+            )
             raise QueryError(
-                f"no object of category {name!r} in {scene!r}: {hint}",
+                f"no object of category {name!r} in {scene_id!r}: {hint}",
                 key="target",
                 value=text,
                 hint=hint,
             )
-        return [StandTarget(member, names.cells_of(member), None) for member in members]
+        return [
+            StandTarget(member_name, names.cells_of(member_name), None)
+            for member_name in member_names
+        ]
     expected = "a position, object:NAME or category:NAME"
     raise QueryError(
         f"expected {expected}, got {text!r}", key="target", value=text, expected=expected
@@ -239,8 +246,8 @@ def pick_spread(
 ) -> Int:
     """Pick poses of each target that are apart from each other.
 
-    With path lengths, the next pose is that with the shortest path. Without, the first one of a
-    target is drawn, and the next is the farthest from all before.
+    With path lengths, the poses with the shortest paths are picked first. Without, the first pose
+    of a target is drawn at random, and each next one is the farthest from all before.
 
     Args:
         positions: world x, y, z of all poses [m], shape (n, 3).
@@ -255,31 +262,33 @@ def pick_spread(
     """
     if not len(positions):
         return NO_CELLS
-    by_path = not np.isnan(path_lengths).any()
-    _, first_of_target, group = np.unique(target_index, return_index=True, return_inverse=True)
+    has_paths = not np.isnan(path_lengths).any()
+    _, first_index_of_group, group_of_pose = np.unique(
+        target_index, return_index=True, return_inverse=True
+    )
     is_open = np.ones(len(positions), dtype=np.bool_)
-    merits = -path_lengths if by_path else rng.random(len(positions)) + 1.0
-    to_nearest = np.full(len(positions), np.inf)
-    rounds = []
+    merits = -path_lengths if has_paths else rng.random(len(positions)) + 1.0
+    nearest_distances = np.full(len(positions), np.inf)
+    picked_by_round = []
     for _ in range(count):
         merits_of_open = np.where(is_open, merits, -np.inf)
-        best_of_group = np.maximum.reduceat(merits_of_open, first_of_target)
-        is_best = is_open & (merits_of_open == best_of_group[group])
-        best = np.flatnonzero(is_best)
-        groups, first_indices = np.unique(group[best], return_index=True)
-        if not len(groups):
+        best_of_group = np.maximum.reduceat(merits_of_open, first_index_of_group)
+        is_best = is_open & (merits_of_open == best_of_group[group_of_pose])
+        best_indices = np.flatnonzero(is_best)
+        group_indices, first_indices = np.unique(group_of_pose[best_indices], return_index=True)
+        if not len(group_indices):
             break
-        picked = best[first_indices]
-        rounds.append(picked)
-        picked_of_group = np.full(len(first_of_target), -1)
-        picked_of_group[groups] = picked
-        has_pick = picked_of_group[group] >= 0
-        offsets = positions - positions[picked_of_group[group]]
-        distances = np.where(has_pick, np.linalg.norm(offsets, axis=1), np.inf)
-        to_nearest = np.minimum(to_nearest, distances)
-        is_open &= to_nearest >= spread * (1.0 - REACH_SLACK)
-        is_open[picked] = False
-        if not by_path:
-            merits = to_nearest
-    indices = np.concatenate(rounds)
-    return indices[np.argsort(group[indices], kind="stable")]
+        picked_indices = best_indices[first_indices]
+        picked_by_round.append(picked_indices)
+        picked_of_group = np.full(len(first_index_of_group), -1)
+        picked_of_group[group_indices] = picked_indices
+        has_picked = picked_of_group[group_of_pose] >= 0
+        pick_vectors = positions - positions[picked_of_group[group_of_pose]]
+        distances = np.where(has_picked, np.linalg.norm(pick_vectors, axis=1), np.inf)
+        nearest_distances = np.minimum(nearest_distances, distances)
+        is_open &= nearest_distances >= spread * (1.0 - REACH_SLACK)
+        is_open[picked_indices] = False
+        if not has_paths:
+            merits = nearest_distances
+    indices = np.concatenate(picked_by_round)
+    return indices[np.argsort(group_of_pose[indices], kind="stable")]

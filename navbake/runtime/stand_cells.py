@@ -8,7 +8,10 @@ reach if both distances are. The distance to a point is exact.
 Sight runs from the middle of the base's cell to the middle of a cell of the target, and over no
 cell with something in the agent's way, except for the target itself and what shares a cell with it:
 the table under a cup, the counter round a drawer. Walls and doors always hide what is behind them.
-The base faces the nearest cell of the target that is in reach and in sight.
+The base faces the nearest cell of the target that is in reach and in sight. This cell is called the
+base's aim here.
+
+Window cells are given by row and column in a `Window`, not by flat id.
 """
 
 from __future__ import annotations
@@ -92,34 +95,34 @@ class Window(NamedTuple):
     cell_size: float
 
     def cut(self, layer: NDArray[Value]) -> NDArray[Value]:
-        """Return the window's part of an array by flat id, shape (rows, cols)."""
+        """Cut the window out of an array by flat id; the result has the shape (rows, cols)."""
         return layer[self.level_cells].reshape(-1, self.width)[self.rows, self.cols]
 
-    def to_cells(self, places: Int) -> Int:
+    def to_cells(self, window_cells: Int) -> Int:
         """Convert rows and columns of the window, shape (n, 2), to flat ids, shape (n,)."""
-        rows = places[:, 0] + self.rows.start
-        cols = places[:, 1] + self.cols.start
+        rows = window_cells[:, 0] + self.rows.start
+        cols = window_cells[:, 1] + self.cols.start
         return np.asarray(self.level_cells.start + rows * self.width + cols)
 
-    def to_places(self, cells: Int) -> Int:
+    def to_window_cells(self, cells: Int) -> Int:
         """Convert flat ids, shape (n,), to rows and columns of the window, shape (n, 2)."""
         rows, cols = np.divmod(cells - self.level_cells.start, self.width)
         return np.stack([rows - self.rows.start, cols - self.cols.start], axis=1)
 
 
 class Tally(NamedTuple):
-    """How many cells pass each test for a target, and what hides it from the others.
+    """The numbers of cells that pass each test for a target, and the names of things that hide it.
 
     Attributes:
-        in_reach: number of free cells in reach.
-        with_path: number of these that a path from the start leads to.
-        in_sight: number of these from which the target is in sight.
+        num_in_reach: number of free cells in reach.
+        num_with_path: number of these that a path from the start leads to.
+        num_in_sight: number of these from which the target is in sight.
         names_between: names of what hides the target, if it is in sight of no cell.
     """
 
-    in_reach: int
-    with_path: int
-    in_sight: int
+    num_in_reach: int
+    num_with_path: int
+    num_in_sight: int
     names_between: list[str]
 
 
@@ -170,10 +173,12 @@ class StandSite:
             self.path_lengths = search.lengths_from(np.array([start_cell]))
         self._fits: Bool | None = None  # at each of `NUM_HEADINGS` headings, by flat id
         if rules.footprint is not None:
-            masks = inflate_footprint(
+            free_masks = inflate_footprint(
                 search.grid, rules.footprint, NUM_HEADINGS, ledges=ledges_setting(search.grid)
             )
-            self._fits = np.concatenate([mask.reshape(NUM_HEADINGS, -1) for mask in masks], axis=1)
+            self._fits = np.concatenate(
+                [mask.reshape(NUM_HEADINGS, -1) for mask in free_masks], axis=1
+            )
         self._max_cells = math.ceil(rules.reach[1] / float(self._flat.layout.cell_size.min())) + 1
         self._lines: SightLines = trace_sight_lines(self._max_cells)
 
@@ -199,9 +204,9 @@ class StandSite:
             distances=np.concatenate([NO_NUMBERS, *distances]),
             headings=np.concatenate([NO_NUMBERS, *headings]),
             tally=Tally(
-                in_reach=sum(tally.in_reach for tally in tallies),
-                with_path=sum(tally.with_path for tally in tallies),
-                in_sight=sum(tally.in_sight for tally in tallies),
+                num_in_reach=sum(tally.num_in_reach for tally in tallies),
+                num_with_path=sum(tally.num_with_path for tally in tallies),
+                num_in_sight=sum(tally.num_in_sight for tally in tallies),
                 names_between=[name for tally in tallies for name in tally.names_between],
             ),
         )
@@ -215,53 +220,55 @@ class StandSite:
             target: the thing to be reached.
         """
         window = self._cut_window(level, target_cells)
-        target_places = window.to_places(target_cells)
+        target_window_cells = window.to_window_cells(target_cells)
         is_free = window.cut(self._flat.free)
         is_target = np.zeros(is_free.shape, dtype=np.bool_)
-        is_target[tuple(target_places.T)] = True
+        is_target[tuple(target_window_cells.T)] = True
         is_aim = is_target
         is_clear = np.ones_like(is_target)
         if self._rules.sight:
             is_aim, is_clear = self._mark_clear(window, is_target, target)
-        places = np.argwhere(is_free)
-        distances = self._measure(window, places, is_target, target.point)
-        least, greatest = self._rules.reach
-        is_in_reach = distances >= least * (1.0 - REACH_SLACK)
+        window_cells = np.argwhere(is_free)
+        distances = self._measure(window, window_cells, is_target, target.point)
+        min_reach, max_reach = self._rules.reach
+        is_in_reach = distances >= min_reach * (1.0 - REACH_SLACK)
         max_distance = math.inf
         if target.point is None:
-            max_distance = greatest * (1.0 + REACH_SLACK) / window.cell_size
+            max_distance = max_reach * (1.0 + REACH_SLACK) / window.cell_size
         else:
-            is_in_reach &= distances <= greatest * (1.0 + REACH_SLACK)
-        places = places[is_in_reach]
+            is_in_reach &= distances <= max_reach * (1.0 + REACH_SLACK)
+        window_cells = window_cells[is_in_reach]
         distances = distances[is_in_reach]
-        aims = find_nearest_aims(places, is_aim, max_distance)
+        aims = find_nearest_aims(window_cells, is_aim, max_distance)
         is_in_reach = aims[:, 0] >= 0
         num_in_reach = int(np.count_nonzero(is_in_reach))
         if self.path_lengths is not None:
-            is_in_reach &= np.isfinite(self.path_lengths[window.to_cells(places)])
-        places = places[is_in_reach]
+            is_in_reach &= np.isfinite(self.path_lengths[window.to_cells(window_cells)])
+        window_cells = window_cells[is_in_reach]
         distances = distances[is_in_reach]
         aims = aims[is_in_reach]
-        num_with_path = len(places)
+        num_with_path = len(window_cells)
         names_between = []
         if self._rules.sight:
-            seen_aims = find_seen_aims(self._lines, is_clear, places, aims, is_aim, max_distance)
+            seen_aims = find_seen_aims(
+                self._lines, is_clear, window_cells, aims, is_aim, max_distance
+            )
             is_seen = seen_aims[:, 0] >= 0
             if not is_seen.any():
-                names_between = self._name_between(window, is_clear, places, aims)
-            places = places[is_seen]
+                names_between = self._name_between(window, is_clear, window_cells, aims)
+            window_cells = window_cells[is_seen]
             distances = distances[is_seen]
             aims = seen_aims[is_seen]
-        cells = window.to_cells(places)
-        headings = self._find_headings(places, aims, target_places, cells, target.point)
+        cells = window.to_cells(window_cells)
+        headings = self._find_headings(window_cells, aims, target_window_cells, cells, target.point)
         num_in_sight = len(cells)
         if self._fits is not None:
             if self._rules.facing is None:
                 is_fitting = self._fits[:, cells].any(axis=0)
             else:
-                heading_index = np.rint(headings / (2.0 * math.pi / NUM_HEADINGS)).astype(int)
-                headings = wrap_angle(heading_index * (2.0 * math.pi / NUM_HEADINGS))
-                is_fitting = self._fits[heading_index % NUM_HEADINGS, cells]
+                heading_indices = np.rint(headings / (2.0 * math.pi / NUM_HEADINGS)).astype(int)
+                headings = wrap_angle(heading_indices * (2.0 * math.pi / NUM_HEADINGS))
+                is_fitting = self._fits[heading_indices % NUM_HEADINGS, cells]
             cells = cells[is_fitting]
             distances = distances[is_fitting]
             headings = headings[is_fitting]
@@ -304,81 +311,94 @@ class StandSite:
         entry_of_cell = window.cut(names.entry_of_cell)
         has_entry = entry_of_cell != NO_ENTRY
         target_entries = np.unique(entry_of_cell[is_target & has_entry]).tolist()
-        companions = {target.name}
-        for number in target_entries:
-            entry = names.entries[number]
-            companions |= entry.objects - entry.walls - entry.doors
+        companion_names = {target.name}
+        for entry_index in target_entries:
+            entry = names.entries[entry_index]
+            companion_names |= entry.objects - entry.walls - entry.doors
         is_occupied = window.cut(self._search.occupied)
-        numbers = np.unique(entry_of_cell[(is_occupied | is_target) & has_entry])
+        entry_indices = np.unique(entry_of_cell[(is_occupied | is_target) & has_entry])
         has_wall = np.zeros(len(names.entries) + 1, dtype=np.bool_)
         has_companions_only = np.zeros(len(names.entries) + 1, dtype=np.bool_)
-        for number in numbers.tolist():
-            entry = names.entries[number]
-            has_wall[number] = bool(entry.blocking & (entry.walls | entry.doors) - {target.name})
-            has_companions_only[number] = bool(entry.blocking) and entry.blocking <= companions
+        for entry_index in entry_indices.tolist():
+            entry = names.entries[entry_index]
+            has_wall[entry_index] = bool(
+                entry.blocking & (entry.walls | entry.doors) - {target.name}
+            )
+            has_companions_only[entry_index] = (
+                bool(entry.blocking) and entry.blocking <= companion_names
+            )
         is_aim = is_target & ~has_wall[entry_of_cell]  # NO_ENTRY is the last element, False
         if not is_aim.any():
             is_aim = is_target
         is_clear = ~is_occupied | is_aim | has_companions_only[entry_of_cell]
         return is_aim, is_clear
 
-    def _measure(self, window: Window, places: Int, is_target: Bool, point: Float | None) -> Float:
+    def _measure(
+        self, window: Window, window_cells: Int, is_target: Bool, point: Float | None
+    ) -> Float:
         """Measure from the middles of cells to a point, or to the nearest square of an object [m].
 
         Args:
             window: the cells round the target.
-            places: rows and columns in the window, shape (n, 2).
+            window_cells: rows and columns in the window, shape (n, 2).
             is_target: the target's cells in the window.
             point: the point; None for an object.
         """
         if point is None:
-            return measure_to_squares(places, is_target) * window.cell_size
-        positions = self._flat.positions(window.to_cells(places))
+            return measure_to_squares(window_cells, is_target) * window.cell_size
+        positions = self._flat.positions(window.to_cells(window_cells))
         if self._rules.height is None:
             return np.asarray(np.hypot(*(positions[:, :2] - point[:2]).T))
         positions[:, 2] += self._rules.height
         return np.asarray(np.linalg.norm(positions - point, axis=1))
 
     def _find_headings(
-        self, places: Int, aims: Int, target_places: Int, cells: Int, point: Float | None
+        self,
+        window_cells: Int,
+        aims: Int,
+        target_window_cells: Int,
+        cells: Int,
+        point: Float | None,
     ) -> Float:
         """Find the headings from cells to the places that they face [rad].
 
         A base that stands in a cell of an object faces the object's middle.
 
         Args:
-            places: row and column of each cell, shape (n, 2).
+            window_cells: row and column of each cell, shape (n, 2).
             aims: row and column of the object's cell that each faces, shape (n, 2).
-            target_places: rows and columns of all of the object's cells, shape (m, 2).
+            target_window_cells: rows and columns of all of the object's cells, shape (m, 2).
             cells: flat ids of the cells, shape (n,).
             point: the point that they face; None for an object.
         """
         if point is not None:
-            to_point = point[:2] - self._flat.positions(cells)[:, :2]
-            return np.asarray(np.arctan2(to_point[:, 1], to_point[:, 0]))
-        offsets = (aims - places).astype(np.float64)
-        is_inside = ~offsets.any(axis=1)
-        offsets[is_inside] = target_places.mean(axis=0) - places[is_inside]
-        return np.asarray(np.arctan2(0.0 - offsets[:, 0], offsets[:, 1]))  # rows go south
+            point_vectors = point[:2] - self._flat.positions(cells)[:, :2]
+            return np.asarray(np.arctan2(point_vectors[:, 1], point_vectors[:, 0]))
+        aim_offsets = (aims - window_cells).astype(np.float64)
+        is_inside = ~aim_offsets.any(axis=1)
+        aim_offsets[is_inside] = target_window_cells.mean(axis=0) - window_cells[is_inside]
+        return np.asarray(np.arctan2(0.0 - aim_offsets[:, 0], aim_offsets[:, 1]))  # rows go south
 
-    def _name_between(self, window: Window, is_clear: Bool, places: Int, aims: Int) -> list[str]:
+    def _name_between(
+        self, window: Window, is_clear: Bool, window_cells: Int, aims: Int
+    ) -> list[str]:
         """List the names of what is on lines of sight, sorted.
 
         Args:
             window: the cells round the target.
             is_clear: the cells that hide nothing.
-            places: row and column of each line's start, shape (n, 2).
+            window_cells: row and column of each line's start, shape (n, 2).
             aims: row and column of each line's end, shape (n, 2).
         """
         names = self._search.names
         entry_of_cell = window.cut(names.entry_of_cell)
         names_between: set[str] = set()
-        for place, aim in zip(places[:MAX_HIDDEN], aims[:MAX_HIDDEN], strict=True):
-            line_cells = self._lines.list_cells(place, aim)
+        for window_cell, aim in zip(window_cells[:MAX_HIDDEN], aims[:MAX_HIDDEN], strict=True):
+            line_cells = self._lines.list_cells(window_cell, aim)
             is_hiding = ~is_clear[tuple(line_cells.T)]
-            for number in entry_of_cell[tuple(line_cells[is_hiding].T)].tolist():
-                if number != NO_ENTRY:
-                    names_between |= names.entries[number].blocking
+            for entry_index in entry_of_cell[tuple(line_cells[is_hiding].T)].tolist():
+                if entry_index != NO_ENTRY:
+                    names_between |= names.entries[entry_index].blocking
         return sorted(names_between)
 
     def draw_headings(self, cells: Int, rng: Generator) -> Float:
@@ -390,9 +410,9 @@ class StandSite:
         """
         if self._fits is None:
             return rng.uniform(-math.pi, math.pi, len(cells))
-        ranks = rng.random((NUM_HEADINGS, len(cells)))
-        heading_index = np.where(self._fits[:, cells], ranks, -1.0).argmax(axis=0)
-        return wrap_angle(heading_index * (2.0 * math.pi / NUM_HEADINGS))
+        random_values = rng.random((NUM_HEADINGS, len(cells)))
+        heading_indices = np.where(self._fits[:, cells], random_values, -1.0).argmax(axis=0)
+        return wrap_angle(heading_indices * (2.0 * math.pi / NUM_HEADINGS))
 
     def explain(self, target: StandTarget, tally: Tally) -> str:
         """Say in one sentence why a target has no pose.
@@ -401,22 +421,24 @@ class StandSite:
             target: the thing to be reached.
             tally: how many cells passed each test.
         """
-        least, greatest = self._rules.reach
+        min_reach, max_reach = self._rules.reach
         if not len(target.cells):
             return f"{target.name} is in no cell: it lies beside the grid, or below its floors"
-        if not tally.in_reach:
-            distances = f"{least:g} to {greatest:g} m from {target.name}"
+        if not tally.num_in_reach:
+            distances_text = f"{min_reach:g} to {max_reach:g} m from {target.name}"
             radius = self._search.grid.radius
-            return f"no cell at {distances} is free for a radius of {radius:g} m"
-        if not tally.with_path:
-            cells_text = f"the {tally.in_reach} free cells in reach of {target.name}"
+            return f"no cell at {distances_text} is free for a radius of {radius:g} m"
+        if not tally.num_with_path:
+            cells_text = f"the {tally.num_in_reach} free cells in reach of {target.name}"
             return f"no path leads from the start to {cells_text}"
-        if not tally.in_sight:
-            names = list_first(tally.names_between, MAX_NAMES)
-            reason = f": {names} in between" if names else ""
-            cells_text = f"none of the {tally.with_path} free cells in reach"
+        if not tally.num_in_sight:
+            names_text = list_first(tally.names_between, MAX_NAMES)
+            reason = f": {names_text} in between" if names_text else ""
+            cells_text = f"none of the {tally.num_with_path} free cells in reach"
             return f"{target.name} is in sight of {cells_text}{reason}"
-        cells_text = f"none of the {tally.in_sight} cells in reach and in sight of {target.name}"
+        cells_text = (
+            f"none of the {tally.num_in_sight} cells in reach and in sight of {target.name}"
+        )
         return f"the footprint fits in {cells_text}"
 
 
@@ -431,8 +453,8 @@ def _check_rules(rules: StandRules) -> None:
             value=rules.reach,
             expected=expected,
         )
-    least, greatest = rules.reach
-    if not 0.0 <= least <= greatest < math.inf:
+    min_reach, max_reach = rules.reach
+    if not 0.0 <= min_reach <= max_reach < math.inf:
         raise QueryError(
             f"expected {expected}, got {rules.reach!r}",
             key="reach",
@@ -450,91 +472,103 @@ def _check_rules(rules: StandRules) -> None:
 
 def mark_rim(is_target: Bool) -> Bool:
     """Mark the cells of a mask that have a neighbour outside of it, over an edge."""
-    padded = np.pad(is_target, 1)
-    is_inside = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    padded_mask = np.pad(is_target, 1)
+    is_inside = (
+        padded_mask[:-2, 1:-1]
+        & padded_mask[2:, 1:-1]
+        & padded_mask[1:-1, :-2]
+        & padded_mask[1:-1, 2:]
+    )
     return np.asarray(is_target & ~is_inside)
 
 
-def measure_to_squares(places: Int, is_target: Bool) -> Float:
-    """Measure from the middles of cells to the nearest square of marked cells, in cells.
+def measure_to_squares(window_cells: Int, is_target: Bool) -> Float:
+    """Measure the distance from each cell's middle to the nearest marked square, in cells.
 
     Args:
-        places: rows and columns, shape (n, 2).
+        window_cells: rows and columns of the cells, shape (n, 2).
         is_target: the marked cells, at least one.
 
     Returns:
         Distances, shape (n,); 0 in marked cells.
     """
     # from middle to middle in half cells; the square begins a half cell before its middle
-    rim_places = np.argwhere(mark_rim(is_target))
-    squared_distances = np.empty(len(places), dtype=np.int64)
-    chunk_size = max(MAX_PAIRS // len(rim_places), 1)
-    for first in range(0, len(places), chunk_size):
-        chunk = np.s_[first : first + chunk_size]
-        row_offsets = 2 * np.abs(places[chunk, :1] - rim_places[:, 0])
-        col_offsets = 2 * np.abs(places[chunk, 1:] - rim_places[:, 1])
-        squares = np.maximum(row_offsets - 1, 0) ** 2 + np.maximum(col_offsets - 1, 0) ** 2
-        squared_distances[chunk] = squares.min(axis=1)
-    squared_distances[is_target[tuple(places.T)]] = 0
+    rim_cells = np.argwhere(mark_rim(is_target))
+    squared_distances = np.empty(len(window_cells), dtype=np.int64)
+    chunk_size = max(MAX_PAIRS // len(rim_cells), 1)
+    for first_index in range(0, len(window_cells), chunk_size):
+        chunk = np.s_[first_index : first_index + chunk_size]
+        row_offsets = 2 * np.abs(window_cells[chunk, :1] - rim_cells[:, 0])
+        col_offsets = 2 * np.abs(window_cells[chunk, 1:] - rim_cells[:, 1])
+        chunk_squared_distances = (
+            np.maximum(row_offsets - 1, 0) ** 2 + np.maximum(col_offsets - 1, 0) ** 2
+        )
+        squared_distances[chunk] = chunk_squared_distances.min(axis=1)
+    squared_distances[is_target[tuple(window_cells.T)]] = 0
     return np.sqrt(squared_distances) / 2.0
 
 
-def measure_to_corners(places: Int, aim_places: Int) -> Int:
-    """Measure from the middles of cells to the farthest corner of each of several squares.
+def measure_to_corners(window_cells: Int, aim_cells: Int) -> Int:
+    """Measure the distance from each cell's middle to the farthest corner of each of some squares.
 
     Args:
-        places: rows and columns, shape (n, 2).
-        aim_places: rows and columns of the squares, shape (k, 2).
+        window_cells: rows and columns of the cells, shape (n, 2).
+        aim_cells: rows and columns of the squares, shape (k, 2).
 
     Returns:
         Squared distances in half cells, shape (n, k).
     """
-    row_offsets = 2 * np.abs(places[:, :1] - aim_places[:, 0]) + 1
-    col_offsets = 2 * np.abs(places[:, 1:] - aim_places[:, 1]) + 1
+    row_offsets = 2 * np.abs(window_cells[:, :1] - aim_cells[:, 0]) + 1
+    col_offsets = 2 * np.abs(window_cells[:, 1:] - aim_cells[:, 1]) + 1
     return np.asarray(row_offsets**2 + col_offsets**2)
 
 
-def find_nearest_aims(places: Int, is_aim: Bool, max_distance: float) -> Int:
-    """Find the cell of a target that is nearest to each cell, if all of its square is in reach.
+def find_nearest_aims(window_cells: Int, is_aim: Bool, max_distance: float) -> Int:
+    """Find each cell's aim without regard to sight: the nearest cell of a target, if in reach.
+
+    A cell of a target is in reach if all of its square is.
 
     Args:
-        places: rows and columns of the cells, shape (n, 2).
+        window_cells: rows and columns of the cells, shape (n, 2).
         is_aim: the cells of the target that count, at least one.
         max_distance: greatest distance to the farthest corner of a square, in cells.
 
     Returns:
         Rows and columns of the nearest cells, shape (n, 2); -1 where none is in reach.
     """
-    rim_places = np.argwhere(mark_rim(is_aim))
-    aims = np.full((len(places), 2), -1, dtype=np.int64)
-    chunk_size = max(MAX_PAIRS // len(rim_places), 1)
-    for first in range(0, len(places), chunk_size):
-        chunk = np.s_[first : first + chunk_size]
-        squares = measure_to_corners(places[chunk], rim_places)
-        nearest = squares.argmin(axis=1)
-        is_in_reach = squares[np.arange(len(squares)), nearest] <= (2.0 * max_distance) ** 2
-        aims[chunk][is_in_reach] = rim_places[nearest[is_in_reach]]
-    is_inside = is_aim[tuple(places.T)]
+    rim_cells = np.argwhere(mark_rim(is_aim))
+    aims = np.full((len(window_cells), 2), -1, dtype=np.int64)
+    chunk_size = max(MAX_PAIRS // len(rim_cells), 1)
+    for first_index in range(0, len(window_cells), chunk_size):
+        chunk = np.s_[first_index : first_index + chunk_size]
+        squared_distances = measure_to_corners(window_cells[chunk], rim_cells)
+        nearest_indices = squared_distances.argmin(axis=1)
+        is_in_reach = (
+            squared_distances[np.arange(len(squared_distances)), nearest_indices]
+            <= (2.0 * max_distance) ** 2
+        )
+        aims[chunk][is_in_reach] = rim_cells[nearest_indices[is_in_reach]]
+    is_inside = is_aim[tuple(window_cells.T)]
     if max_distance >= math.sqrt(0.5):
-        aims[is_inside] = places[is_inside]
+        aims[is_inside] = window_cells[is_inside]
     return aims
 
 
 def find_seen_aims(
     lines: SightLines,
     is_clear: Bool,
-    places: Int,
+    window_cells: Int,
     nearest_aims: Int,
     is_aim: Bool,
     max_distance: float,
 ) -> Int:
-    """Find the cell of a target that is the nearest one in sight of each cell, and in reach.
+    """Find each cell's aim: the nearest cell of a target that is in reach and in sight.
 
     Args:
         lines: lines of sight of all lengths up to the reach.
         is_clear: the cells that hide nothing.
-        places: rows and columns of the cells, shape (n, 2).
-        nearest_aims: what `find_nearest_aims` returns, without -1.
+        window_cells: rows and columns of the cells, shape (n, 2).
+        nearest_aims: the result of `find_nearest_aims` for these cells, all of them in reach.
         is_aim: the cells of the target that count.
         max_distance: greatest distance to the farthest corner of a square, in cells.
 
@@ -542,25 +576,27 @@ def find_seen_aims(
         Rows and columns of the nearest cells in sight, shape (n, 2); -1 for none.
     """
     aims = nearest_aims.copy()
-    is_seen = lines.find_clear(is_clear, places, nearest_aims)
-    hidden = np.flatnonzero(~is_seen)
-    aims[hidden] = -1
-    rim_places = np.argwhere(mark_rim(is_aim))
-    chunk_size = max(MAX_PAIRS // len(rim_places), 1)
-    for first in range(0, len(hidden), chunk_size):
-        chunk = hidden[first : first + chunk_size]
-        squares = measure_to_corners(places[chunk], rim_places)
-        place_index, aim_index = np.nonzero(squares <= (2.0 * max_distance) ** 2)
-        is_seen = lines.find_clear(is_clear, places[chunk[place_index]], rim_places[aim_index])
-        place_index = place_index[is_seen]
-        aim_index = aim_index[is_seen]
+    is_seen = lines.find_clear(is_clear, window_cells, nearest_aims)
+    hidden_indices = np.flatnonzero(~is_seen)
+    aims[hidden_indices] = -1
+    rim_cells = np.argwhere(mark_rim(is_aim))
+    chunk_size = max(MAX_PAIRS // len(rim_cells), 1)
+    for first_index in range(0, len(hidden_indices), chunk_size):
+        chunk = hidden_indices[first_index : first_index + chunk_size]
+        squared_distances = measure_to_corners(window_cells[chunk], rim_cells)
+        cell_indices, aim_indices = np.nonzero(squared_distances <= (2.0 * max_distance) ** 2)
+        is_seen = lines.find_clear(
+            is_clear, window_cells[chunk[cell_indices]], rim_cells[aim_indices]
+        )
+        cell_indices = cell_indices[is_seen]
+        aim_indices = aim_indices[is_seen]
         # the nearest of each place first
-        sort_indices = np.lexsort([squares[place_index, aim_index], place_index])
-        seen_places, first_indices = np.unique(place_index[sort_indices], return_index=True)
-        aims[chunk[seen_places]] = rim_places[aim_index[sort_indices[first_indices]]]
+        sort_indices = np.lexsort([squared_distances[cell_indices, aim_indices], cell_indices])
+        seen_indices, first_indices = np.unique(cell_indices[sort_indices], return_index=True)
+        aims[chunk[seen_indices]] = rim_cells[aim_indices[sort_indices[first_indices]]]
     return aims
 
 
 def wrap_angle(angles: Float) -> Float:
-    """Turn angles by whole turns to -pi to pi [rad]."""
+    """Bring angles into the range -pi to pi by whole turns [rad]."""
     return np.asarray(np.mod(angles + math.pi, 2.0 * math.pi) - math.pi)

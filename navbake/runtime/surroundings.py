@@ -382,7 +382,7 @@ def stack_levels(
     stack: LevelStack = kernels.LevelStack(
         floor=floor,
         occupied=occupied,
-        slopes=_mark_slopes(grid, place_by_level, floor, max_step),
+        slope_bits=_mark_slopes(grid, place_by_level, floor, max_step),
         level=place_by_level[level_number].layer,
         max_step=max_step,
         height=grid.agent_height,
@@ -418,7 +418,7 @@ def _mark_slopes(
     floor: NDArray[np.float32],
     max_step: float,
 ) -> NDArray[np.uint8]:
-    """Mark the directions in which links lead up or down a slope: `LevelStack.slopes`.
+    """Mark the directions in which links lead up or down a slope: `LevelStack.slope_bits`.
 
 
     Args:
@@ -428,10 +428,10 @@ def _mark_slopes(
         max_step: largest difference of neighbours' floors that an agent can step over [m].
     """
     step_rows = grid.step_array
-    no_slopes = np.zeros((0, 0, 0), dtype=np.uint8)
+    no_slope_bits = np.zeros((0, 0, 0), dtype=np.uint8)
     step_rows = step_rows[np.isin(step_rows[:, ::2], list(place_by_level)).all(axis=1)]
     if not len(step_rows):
-        return no_slopes
+        return no_slope_bits
     start_indices = _stack_indices(
         grid, place_by_level, level=step_rows[:, 0], cell=step_rows[:, 1]
     )
@@ -448,8 +448,8 @@ def _mark_slopes(
     is_slope = np.abs(floor[tuple(start_indices)] - floor[tuple(end_indices)]) > max_step
     is_slope &= np.abs(end_indices - start_indices)[1:].sum(axis=0) == 1
     if not is_slope.any():
-        return no_slopes
-    slopes = np.zeros(floor.shape, dtype=np.uint8)
+        return no_slope_bits
+    slope_bits = np.zeros(floor.shape, dtype=np.uint8)
     # the bit of each direction, at [1 + row step, 1 + column step]; the middle is no direction
     direction_bits = np.zeros((3, 3), dtype=np.uint8)
     direction_bits[1, 2] = arrays.EAST
@@ -460,8 +460,8 @@ def _mark_slopes(
     end_indices = end_indices[:, is_slope]
     for cells, neighbors in ((start_indices, end_indices), (end_indices, start_indices)):
         cell_bits = direction_bits[tuple((neighbors - cells)[1:] + 1)]
-        np.bitwise_or.at(slopes, tuple(cells), cell_bits)
-    return slopes
+        np.bitwise_or.at(slope_bits, tuple(cells), cell_bits)
+    return slope_bits
 
 
 def _stack_indices(

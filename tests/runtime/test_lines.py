@@ -13,7 +13,12 @@ from navbake.runtime.search_kernels import find_moves
 # parts of kernels as functions that Python can call
 crossed_cells, disc_passes, is_walkable, line_cost = (
     numba.njit(part.py_func)
-    for part in (lines.crossed_cells, lines.disc_passes, lines.is_walkable, lines.line_cost)
+    for part in (
+        lines.find_crossed_cells,
+        lines.disc_passes,
+        lines.is_walkable,
+        lines.compute_line_cost,
+    )
 )
 
 WIDTH, HEIGHT = 9, 7

@@ -283,7 +283,7 @@ def _mark_tops(
     surface_of_cell = label_islands(
         first_cells=np.array([0, len(is_gentle)]),
         widths=np.array([lattice.width]),
-        free=is_gentle,
+        is_free=is_gentle,
         floor=top_z,
         max_rise=limits.max_step + LIMIT_SLACK,
         steps=np.empty((0, 2), dtype=np.int64),
