@@ -22,7 +22,7 @@ from navbake.errors import FormatError, QueryError
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.lattice import CELL_SLACK, Lattice, count_cells
 from navbake.types import Bool, Float, Int
-from navbake.voxels.grid import finite_array
+from navbake.voxels.grid import to_finite_array
 
 ARENA_SHAPE = (20, 15)  # rows and columns of the format's arena
 SQUARE_EDGE = 0.1  # edge of its squares [m]
@@ -254,7 +254,7 @@ def check_squares(square: float, corner: ArrayLike) -> Float:
         raise _make_argument_error(
             "square", square, expected="squares with an edge > 0 m", actual=f"{square:g}"
         )
-    position = finite_array(corner, (2,))
+    position = to_finite_array(corner, (2,))
     if position is None:
         raise _make_argument_error(
             "corner",

@@ -200,7 +200,7 @@ def _find_max_step_rise(facts: Facts) -> float:
 
 
 def check_missing_steps(facts: Facts) -> Iterator[Finding]:
-    """Find neighbouring free cells of two levels, a step apart in height, that no step joins.
+    """Find neighbouring free cells of two levels that no step joins, though their heights allow it.
 
     They are reported only where nothing else connects the islands of both cells.
     """

@@ -100,8 +100,8 @@ def check_weights(facts: Facts) -> Iterator[Finding]:
         )
         if "occupancy" not in level.attributes:
             continue
-        may_be_opened = (inflation_reach is not None) & (level.solid == 0)
-        is_free_but_occupied = is_free & is_occupied & ~may_be_opened
+        may_be_freed = (inflation_reach is not None) & (level.solid == 0)
+        is_free_but_occupied = is_free & is_occupied & ~may_be_freed
         yield from facts.report_wrong_cells(
             level_number, is_free_but_occupied, "free by weight, but occupied"
         )
@@ -160,7 +160,7 @@ def mark_cells_inflation_may_block(grid: GridBase, level_number: int, max_distan
 
 
 def check_inflation(facts: Facts) -> Iterator[Finding]:
-    """Find metadata that don't state properly for which radius the grid was inflated."""
+    """Find metadata that state the radius or the mode of an inflation wrongly, or not at all."""
     _, problem = read_inflations(facts.grid)
     if problem is not None:
         # in files of other programs, `inflation` may mean anything
@@ -248,7 +248,10 @@ def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
     )
     num_cells = np.zeros(num_islands, dtype=np.int64)
     num_edges = np.zeros(num_islands, dtype=np.int64)  # cells' edges in each outline
-    jumps_by_direction = {"above": _Jumps.none(num_islands), "below": _Jumps.none(num_islands)}
+    jumps_by_direction = {
+        "above": _Jumps.make_zero(num_islands),
+        "below": _Jumps.make_zero(num_islands),
+    }
     for level_number, level_islands in enumerate(islands):
         num_cells += np.bincount(level_islands.ravel(), minlength=num_islands)
         padded_islands = np.pad(level_islands, 1)  # beyond the edge is no island
@@ -265,11 +268,11 @@ def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
         floor = facts.floors[level_number].ravel()
         for cells, id_offset in find_differing_pairs(level_islands, 1):
             cells = cells[(flat_island[cells] > 0) & (flat_island[cells + id_offset] > 0)]
-            drops = floor[cells] - floor[cells + id_offset]
-            jumps_by_direction["above"].add(flat_island[cells + id_offset], -drops)
-            jumps_by_direction["below"].add(flat_island[cells + id_offset], drops)
-            jumps_by_direction["above"].add(flat_island[cells], drops)
-            jumps_by_direction["below"].add(flat_island[cells], -drops)
+            height_drops = floor[cells] - floor[cells + id_offset]
+            jumps_by_direction["above"].add(flat_island[cells + id_offset], -height_drops)
+            jumps_by_direction["below"].add(flat_island[cells + id_offset], height_drops)
+            jumps_by_direction["above"].add(flat_island[cells], height_drops)
+            jumps_by_direction["below"].add(flat_island[cells], -height_drops)
     num_cells[0] = 0
     island_areas = num_cells * facts.levels[0].lattice.cell_size ** 2
     for direction, island_jumps in jumps_by_direction.items():
@@ -296,7 +299,7 @@ class _Jumps(NamedTuple):
     total_height: Float  # sum of the heights of these jumps [m]
 
     @classmethod
-    def none(cls, num_islands: int) -> _Jumps:
+    def make_zero(cls, num_islands: int) -> _Jumps:
         """Make the sums for islands before any edge is added: all are 0."""
         return cls(np.zeros(num_islands), np.zeros(num_islands))
 

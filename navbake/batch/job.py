@@ -36,8 +36,8 @@ from navbake.batch.scenes import Job, find_room_outlines_path, merge_settings
 from navbake.config.settings import (
     BakeConfig,
     load_config,
+    select_settings_to_store,
     settings_digest,
-    settings_to_store,
 )
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
@@ -538,7 +538,7 @@ def _copy_twin(plan: Plan, job: Job, scene: BatchScene) -> NavGrid | None:
         "/" in warning or os.sep in warning or stated_path in warning for warning in grid.warnings
     ):
         return None
-    navbake_metadata = {**grid.navbake, "settings": settings_to_store(scene.config)}
+    navbake_metadata = {**grid.navbake, "settings": select_settings_to_store(scene.config)}
     navbake_metadata["settingsDigest"] = settings_digest(scene.config)
     metadata = {**grid.metadata, "sceneId": scene.config.scene.id, "navbake": navbake_metadata}
     return grid.with_levels(grid.levels, metadata)

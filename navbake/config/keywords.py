@@ -14,10 +14,10 @@ from navbake.config.settings import (
     SECTIONS,
     BakeConfig,
     as_config,
-    defaults_of,
     find_source,
     is_settings,
-    memory_path,
+    make_default_settings,
+    make_memory_path,
     parse_config,
 )
 from navbake.errors import ConfigError, shorten
@@ -124,7 +124,7 @@ def add_keywords_to_config(config: object, keywords: Mapping[str, Any]) -> BakeC
     else:
         path = find_source(config)
         source_text = f"{path} with the keywords"
-        settings = defaults_of(path)
+        settings = make_default_settings(path)
         if is_settings(path):
             settings = read_yaml(path)
             folder = path.parent
@@ -151,7 +151,7 @@ def make_memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
     Raises:
         ConfigError: A setting is wrong.
     """
-    settings: Mapping[str, Any] = {"scene": {"path": memory_path(name)}}
+    settings: Mapping[str, Any] = {"scene": {"path": make_memory_path(name)}}
     source_text = "the keywords"
     return parse_config(
         overlay_settings(settings, _check_keywords(keywords), source_text), source_text

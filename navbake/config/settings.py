@@ -64,7 +64,7 @@ from navbake.yaml_text import apply_overrides, read_yaml
 MeshMode = Literal["auto", "hull", "surface", "shell"]
 
 
-def memory_path(name: str) -> Path:
+def make_memory_path(name: str) -> Path:
     """Return the path that stands for a scene in memory, from its name: ``<apartment>``."""
     name = "".join(char if char.isprintable() and char not in "/\\" else "_" for char in name)
     return Path(f"<{name if name.strip('. ') else 'scene'}>")
@@ -75,7 +75,7 @@ def is_memory_path(path: str | PathLike[str]) -> bool:
     return str(path).startswith("<") and str(path).endswith(">")
 
 
-def stem_of(path: str | PathLike[str]) -> str:
+def find_scene_stem(path: str | PathLike[str]) -> str:
     """Return the name of a scene: a file's name without its ending, or the name in memory."""
     if is_memory_path(path):
         return str(path)[1:-1]
@@ -178,7 +178,7 @@ class SceneSettings(Settings):
             path = settings.get("path")
             stem = ""
             if isinstance(path, str | PathLike) and can_be_path(str(path)):
-                stem = stem_of(path)
+                stem = find_scene_stem(path)
             return {**settings, "id": stem or "scene"}
         return settings
 
@@ -496,11 +496,11 @@ def find_source(path: str | PathLike[str]) -> Path:
 
 
 def is_settings(path: str | PathLike[str]) -> bool:
-    """Return whether a file holds settings, not a scene; its name tells."""
+    """Return whether a file holds settings, not a scene, by the ending of its name."""
     return scene_suffix(path) in YAML_SUFFIXES
 
 
-def defaults_of(scene: Path) -> dict[str, Any]:
+def make_default_settings(scene: Path) -> dict[str, Any]:
     """Return the default settings for a scene file; a building with lifts gets links for them."""
     settings: dict[str, Any] = {"scene": {"path": scene}}
     if scene_suffix(scene) in BUILDING_SUFFIXES and scene.is_file():
@@ -522,7 +522,7 @@ def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Bak
     """
     path = find_source(path)
     if not is_settings(path):
-        return parse_config(defaults_of(path), f"the settings of {path}", overrides)
+        return parse_config(make_default_settings(path), f"the settings of {path}", overrides)
     return parse_config(read_yaml(path), str(path), overrides, folder=path.parent)
 
 
@@ -596,7 +596,7 @@ def settings_digest(config: BakeConfig) -> str:
     return hashlib.sha256(canonical_json.encode()).hexdigest()
 
 
-def settings_to_store(config: BakeConfig) -> Json:
+def select_settings_to_store(config: BakeConfig) -> Json:
     """Return the settings that are stored in a grid's file: those that differ from the defaults.
 
     Only the sections scene, agent, grid, levels and floors are stored. The scene's file is stored

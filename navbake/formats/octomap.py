@@ -21,7 +21,7 @@ from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath
 from navbake.formats.source import read_bytes, read_header
 from navbake.types import Int
-from navbake.voxels.grid import VoxelGrid, finite_array
+from navbake.voxels.grid import VoxelGrid, to_finite_array
 
 MAGIC = b"# Octomap OcTree"
 DEPTH = 16
@@ -270,7 +270,7 @@ def _find_box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, ...]]
 
     Voxels that the box only touches don't count.
     """
-    box = finite_array(bounds, (2, 3))
+    box = to_finite_array(bounds, (2, 3))
     if box is None or not (box[0] < box[1]).all():
         expected = "bounds as (lower, upper) corner [m]"
         raise FormatError(

@@ -40,7 +40,7 @@ from navbake.formats.source import (
 )
 from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.types import Float
-from navbake.voxels.grid import AIRSIM_SHIFT, VoxelGrid, check_three
+from navbake.voxels.grid import AIRSIM_SHIFT, VoxelGrid, check_three_numbers
 
 IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
 BinvoxLayout: TypeAlias = Literal["auto", "binvox", "airsim"]
@@ -388,7 +388,7 @@ def read_binvox(
         raise FormatError(message, path=name, key="translate", value=header.translate)
     # the middle of the first voxel, from the grid's position
     first_middle = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge
-    center = check_three(position, "the position to be x, y, z [m]")
+    center = check_three_numbers(position, "the position to be x, y, z [m]")
     is_edge_uncertain = voxel_edge is None and edges_along_axes.max() > edge * (
         1 + AIRSIM_TOLERANCE
     )

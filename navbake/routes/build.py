@@ -220,8 +220,8 @@ class _Builder:
 
     def _stop_cells(self, link: Link) -> list[int]:
         """List the flat ids of the cells of a link's stops."""
-        start = self.flat.layout.start
-        return [int(start[stop.level]) + stop.cell for stop in link.stops]
+        level_starts = self.flat.layout.start
+        return [int(level_starts[stop.level]) + stop.cell for stop in link.stops]
 
     def _add_junctions(self) -> None:
         """Add junctions where three branches of the medial axis meet, the widest places first.

@@ -1,4 +1,4 @@
-"""Graphs of routes: nodes, which are named places, and lanes between them, free for an agent."""
+"""Graphs of routes: named places (nodes), and the lanes between them that an agent can drive."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ def list_landings(graph: RouteGraph) -> dict[str, list[int]]:
 
 
 def plan_cars(graph: RouteGraph) -> dict[str, CarPlan]:
-    """Find the car of each lift that a graph has lanes over, and the place where agents ride.
+    """Find the car of each lift in a graph, and the place in the car where agents ride.
 
     The place is the middle of the car. If landings lie inside of the car, all at the same x, y, it
     is the place of these landings instead. If the graph lists no car for a lift, a square in the

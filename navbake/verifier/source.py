@@ -19,7 +19,7 @@ from navbake.config.settings import (
     BakeConfig,
     as_config,
     is_settings,
-    memory_path,
+    make_memory_path,
     parse_config,
     settings_digest,
 )
@@ -93,7 +93,7 @@ def find_source(
 
     scene_model = None
     if is_source_in_memory or is_file:
-        path = memory_path(name_of(source)) if is_source_in_memory else Path(str(source))
+        path = make_memory_path(name_of(source)) if is_source_in_memory else Path(str(source))
         if is_file and not path.exists():
             raise QueryError(f"no scene at {path}: it may have moved; give its path")
         try:

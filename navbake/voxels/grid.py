@@ -1,4 +1,4 @@
-"""Voxel grids in memory: what one is, and where it is placed.
+"""Voxel grids in memory, and their placement in a scene.
 
 A grid is placed by a centre and counts, a size in metres, or a scene's bounding box.
 """
@@ -72,7 +72,7 @@ class VoxelGrid:
             raise _make_field_error(
                 "known", known.dtype.name, "`known` of dtype bool", f"{known.dtype}"
             )
-        corner = finite_array(self.origin, (3,))
+        corner = to_finite_array(self.origin, (3,))
         if corner is None:
             origin_text = reprlib.repr(self.origin)[:80]
             raise _make_field_error(
@@ -314,7 +314,7 @@ def place_grid(
         ConfigError: A number is wrong; both `cells` and `size` are given, or only a centre is; or
             the grid needs more memory than there is.
     """
-    checked_edge = finite_array(res, ())
+    checked_edge = to_finite_array(res, ())
     if checked_edge is None or checked_edge < MIN_EDGE:
         expected = f"to be >= {MIN_EDGE:g} m"
         raise ConfigError(
@@ -330,7 +330,7 @@ def place_grid(
     if covers_bounds and position is not None:
         raise ConfigError("expected counts of cells or a size in metres beside the centre")
     if position is not None:
-        center = check_three(position, "the centre to be x, y, z [m]")
+        center = check_three_numbers(position, "the centre to be x, y, z [m]")
     elif bounds is None or not np.isfinite(bounds).all():
         reason = "the scene has geoms with a pose that is not finite"
         if bounds is None:
@@ -352,7 +352,7 @@ def place_grid(
             )
         shape = _as_shape(counts)
     else:
-        lengths = check_three(size, "a size x, y, z in metres")
+        lengths = check_three_numbers(size, "a size x, y, z in metres")
         if not (lengths > 0).all():
             expected = "a size > 0 m along each axis"
             raise ConfigError(
@@ -403,7 +403,7 @@ def check_memory(shape: Sequence[int], itemsize: int) -> None:
         )
 
 
-def finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
+def to_finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
     """Convert a value to finite numbers, float64.
 
     Args:
@@ -420,7 +420,7 @@ def finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
     return numbers if numbers.shape == shape and np.isfinite(numbers).all() else None
 
 
-def check_three(value: ArrayLike | None, expected: str) -> Float:
+def check_three_numbers(value: ArrayLike | None, expected: str) -> Float:
     """Check that a value is three finite numbers, and return them as an array, float64.
 
     Args:
@@ -433,7 +433,7 @@ def check_three(value: ArrayLike | None, expected: str) -> Float:
     Raises:
         ConfigError: The value is not three finite numbers.
     """
-    numbers = finite_array(value, (3,))
+    numbers = to_finite_array(value, (3,))
     if numbers is None:
         raise ConfigError(f"expected {expected}, got {value!r}", value=value, expected=expected)
     return numbers

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from navbake.config.keywords import add_keywords_to_config, make_memory_config
-from navbake.config.settings import is_memory_path, load_config, stem_of
+from navbake.config.settings import find_scene_stem, is_memory_path, load_config
 from navbake.errors import ConfigError
 
 YAML = """
@@ -85,7 +85,7 @@ def test_scene_in_memory_has_a_name_in_place_of_a_path():
     for name, stem in (("flat", "flat"), ("a/b\\c", "a_b_c"), ("", "scene"), ("..", "scene")):
         settings = make_memory_config(name, {}).scene
         assert is_memory_path(settings.path)
-        assert stem_of(settings.path) == settings.id == stem
+        assert find_scene_stem(settings.path) == settings.id == stem
     named = make_memory_config("flat", {"scene": {"path": "scenes/house.xml"}}).scene
-    assert (named.id, stem_of(named.path)) == ("house", "house")
+    assert (named.id, find_scene_stem(named.path)) == ("house", "house")
     assert not is_memory_path(named.path)

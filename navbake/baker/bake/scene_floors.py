@@ -96,7 +96,7 @@ def make_occupancy_test(
     def is_occupied(
         cells: Int, floor_heights: Float, height_range: HeightRange | None = None, /
     ) -> Bool:
-        volume = footprint if height_range is None else footprint.between(height_range)
+        volume = footprint if height_range is None else footprint.with_heights(height_range)
         is_cell_occupied = np.zeros(len(cells), dtype=np.bool_)
         for chunk_indices in split_cells(tile_index, cells):
             chunk_cells = cells[chunk_indices]

@@ -70,7 +70,7 @@ from navbake.baker.scene.model import CompileLimits, SceneInput, SceneModel
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
-from navbake.config.settings import BakeConfig, settings_digest, settings_to_store
+from navbake.config.settings import BakeConfig, select_settings_to_store, settings_digest
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside
 from navbake.types import Bool, Float
@@ -471,7 +471,7 @@ class Stages:
             link_geometry=link_geometry,
             settings_metadata={
                 "settingsDigest": settings_digest(self.config),
-                "settings": settings_to_store(self.config),
+                "settings": select_settings_to_store(self.config),
             },
             steps=crop_steps(self.floors.links, boxes, self.lattice.width),
             warnings=warn_of_structure(

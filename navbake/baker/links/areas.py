@@ -247,7 +247,7 @@ def _mark_geoms(
     columns = cast_columns(tiled_shapes)
     # surfaces that enclose nothing are tested against squares that are wider by 2 * TOUCH_DEPTH
     area_footprint = Footprint(
-        square=lattice.cell_size / 2 - 3 * TOUCH_DEPTH,
+        half_square=lattice.cell_size / 2 - 3 * TOUCH_DEPTH,
         radius=0.0,
         low=-MAX_FLOOR_ABOVE_GEOM,
         high=agent_height - TOUCH_DEPTH,

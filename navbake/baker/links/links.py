@@ -99,7 +99,7 @@ def bake_links(
 
 
 def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
-    """Make the links of the settings: place the stops of those listed, and find those of the rules.
+    """Make the links that the settings list, and find the links that their rules describe.
 
     A stop is left out if no free cell is nearby, or if it is on the same cell as an earlier stop. A
     link with fewer than two stops is left out.

@@ -22,13 +22,14 @@ class Footprint(NamedTuple):
     block it.
 
     Attributes:
-        square: half of the square's edge, less TOUCH_DEPTH; 0 if the disc covers the square [m].
+        half_square: half of the square's edge, less TOUCH_DEPTH; 0 if the disc covers the square
+            [m].
         radius: the disc's radius less TOUCH_DEPTH; 0 if the square covers the disc [m].
         low: height of the volume's bottom above the floor: the highest step plus TOUCH_DEPTH [m].
         high: height of the volume's top above the floor: the agent's height less TOUCH_DEPTH [m].
     """
 
-    square: float
+    half_square: float
     radius: float
     low: float
     high: float
@@ -36,7 +37,7 @@ class Footprint(NamedTuple):
     @property
     def half_width(self) -> float:
         """Return half the footprint's width along x or y, including TOUCH_DEPTH [m]."""
-        return max(self.square, self.radius) + TOUCH_DEPTH
+        return max(self.half_square, self.radius) + TOUCH_DEPTH
 
     @classmethod
     def for_agent(cls, agent: AgentSettings, cell_size: float) -> Footprint:
@@ -49,12 +50,12 @@ class Footprint(NamedTuple):
         half_cell = cell_size / 2
         radius = agent.radius
         return cls(
-            square=half_cell - TOUCH_DEPTH if radius < half_cell * np.sqrt(2.0) else 0.0,
+            half_square=half_cell - TOUCH_DEPTH if radius < half_cell * np.sqrt(2.0) else 0.0,
             radius=radius - TOUCH_DEPTH if radius > half_cell else 0.0,
             low=agent.traversable_floor_height + TOUCH_DEPTH,
             high=agent.height - TOUCH_DEPTH,
         )
 
-    def between(self, heights: HeightRange) -> Footprint:
+    def with_heights(self, heights: HeightRange) -> Footprint:
         """Return the volume with the same base between two other heights over the floor [m]."""
         return self._replace(low=heights.low + TOUCH_DEPTH, high=heights.high - TOUCH_DEPTH)

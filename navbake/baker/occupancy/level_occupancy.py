@@ -1,4 +1,4 @@
-"""Checks which cells of a level are occupied, and lists the geoms between its floors and the next.
+"""Checks which cells of each level are occupied, and lists the geoms over their floors.
 
 The structure of a bake is checked by this, and so are movables, see `navbake.baker.occupants`.
 """
@@ -29,7 +29,7 @@ TOP_LEVEL_HEIGHT = 100.0
 
 
 class LevelOccupancy(NamedTuple):
-    """Which of some checked cells of a level are occupied, and the geoms in them.
+    """The occupancy of some cells of a level, and the lists of the geoms in them.
 
     Attributes:
         cells: ids of the checked cells that have a floor, shape (n,).

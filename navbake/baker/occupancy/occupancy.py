@@ -56,7 +56,7 @@ NO_OCCUPANT_LISTS = OccupantLists(
 
 
 class StructureOccupancy(NamedTuple):
-    """Which cells structure occupies; movables and doors are not included.
+    """The cells that structure occupies; movables and doors are not included.
 
     Attributes:
         levels: for each level, a mask of shape (height, width) of the whole lattice: structure
@@ -96,7 +96,7 @@ def check_occupancy(
     floors: Float,
     occupant_lists: OccupantLists = NO_OCCUPANT_LISTS,
 ) -> CellOccupancy:
-    """Check which cells are occupied: over whose floor a geom meets the agent's footprint.
+    """Check which cells are occupied: those where a geom meets the footprint over the floor.
 
     The footprint is an upright prism over the cell's square and the agent's disc, usually from the
     highest step to the agent's height above the floor. If the cell's vertical line crosses a geom
@@ -175,7 +175,7 @@ def check_occupancy(
     if footprint.radius > 0:
         square_occupied = (query_flags & BLOCKING_SQUARE) > 0
         square_footprint = footprint._replace(
-            square=lattice.cell_size / 2 - TOUCH_DEPTH, radius=0.0
+            half_square=lattice.cell_size / 2 - TOUCH_DEPTH, radius=0.0
         )
         is_undecided = occupied & ~square_occupied & ((query_flags & MAYBE_BLOCKING_SQUARE) > 0)
         for query in np.flatnonzero(is_undecided):
@@ -251,8 +251,10 @@ def _fcl_finds_overlap(
     x, y = lattice.positions(*divmod(cell, lattice.width))
     center = np.array([x, y, floor + (footprint.low + footprint.high) / 2])
     prisms = []
-    if footprint.square > 0:
-        prisms.append(fcl.Box(2 * footprint.square, 2 * footprint.square, 2 * half_height))
+    if footprint.half_square > 0:
+        prisms.append(
+            fcl.Box(2 * footprint.half_square, 2 * footprint.half_square, 2 * half_height)
+        )
     if footprint.radius > 0:
         prisms.append(fcl.Cylinder(footprint.radius, 2 * half_height))
     footprint_objects = [fcl.CollisionObject(prism, fcl.Transform(center)) for prism in prisms]

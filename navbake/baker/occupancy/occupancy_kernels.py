@@ -84,7 +84,7 @@ FIRST_CAPACITY = 1024  # how many entries arrays have room for at first
 
 
 class TileEntries(NamedTuple):
-    """Which geoms are over the floors of a tile's cells, in the order of geom ids; shape (n,) each.
+    """Pairs of a floor of a tile and a geom over it, in the order of geom ids; shape (n,) each.
 
     A query is a cell with the height of a floor.
 
@@ -172,7 +172,7 @@ def check_tiles(
     first_tile_row,
     end_tile_row,
 ):
-    """Decide the queries in rows of tiles ``range(first, end)``, and list their occupants.
+    """Decide which queries in some rows of tiles are occupied, and list the occupants of each.
 
     A query is a cell with the height of a floor. It is occupied if a geom meets the footprint over
     that floor, a prism from the highest step to the agent's height above it; `queries.flags` says
@@ -188,8 +188,8 @@ def check_tiles(
         footprint: the volume over a floor that has to be free.
         queries: the queries; receives the answers.
         occupant_lists: receives where the lists begin; nothing is listed if its arrays are empty.
-        first_tile_row: first row of tiles.
-        end_tile_row: row of tiles after the last.
+        first_tile_row: number of the first row of tiles.
+        end_tile_row: number of the row of tiles after the last.
 
     Returns:
         The geom ids of all lists, int32; their flags, uint8; and how long the used part of both
@@ -407,33 +407,33 @@ def _check_tile(task, tiles, tile, entries):
     num_entries = np.int64(0)  # see `next_list_start` above
     next_plane = 0
     next_solid = tiles.solid_start[tile]
-    solid_end = tiles.solid_start[tile + 1]
+    end_solid = tiles.solid_start[tile + 1]
     next_triangle = tiles.triangle_start[tile]
-    triangle_end = tiles.triangle_start[tile + 1]
+    end_triangle = tiles.triangle_start[tile + 1]
     while num_entries >= 0 and tile_state.open_cell_bits[0] != 0:
         plane_geom = planes.geom[next_plane] if next_plane < planes.geom.shape[0] else NO_GEOM
         solid_geom = (
-            solids.geom[tiles.solid_indices[next_solid]] if next_solid < solid_end else NO_GEOM
+            solids.geom[tiles.solid_indices[next_solid]] if next_solid < end_solid else NO_GEOM
         )
         triangle_geom = (
             facets.geom[tiles.triangle_indices[next_triangle]]
-            if next_triangle < triangle_end
+            if next_triangle < end_triangle
             else NO_GEOM
         )
         geom = min(plane_geom, solid_geom, triangle_geom)
         if geom == NO_GEOM:
             break
-        # the geom's shapes over the tile: `shape_ids[shape_start:shape_stop]`
+        # the geom's shapes over the tile: `shape_ids[first_shape:end_shape]`
         shape_kind = SOLID_KIND
         shape_ids = tiles.solid_indices
         bounds = solids.bounds
-        shape_start = next_solid
-        shape_stop = next_solid + 1
+        first_shape = next_solid
+        end_shape = next_solid + 1
         if geom == plane_geom:
             shape_kind = PLANE_KIND
             shape_ids = tile_state.current_plane
-            shape_start = np.int64(0)
-            shape_stop = np.int64(1)
+            first_shape = np.int64(0)
+            end_shape = np.int64(1)
             tile_state.current_plane[0] = next_plane
             next_plane += 1
         elif geom == solid_geom:
@@ -442,16 +442,16 @@ def _check_tile(task, tiles, tile, entries):
             shape_kind = TRIANGLE_KIND
             shape_ids = tiles.triangle_indices
             bounds = facets.bounds
-            shape_start = next_triangle
-            while next_triangle < triangle_end and facets.geom[shape_ids[next_triangle]] == geom:
+            first_shape = next_triangle
+            while next_triangle < end_triangle and facets.geom[shape_ids[next_triangle]] == geom:
                 next_triangle += 1
-            shape_stop = next_triangle
+            end_shape = next_triangle
         # one loop for solids and triangles, and one call below: both are compiled where they stand
         for axis in range(3):
             geom_box[0, axis] = math.inf
             geom_box[0, 3 + axis] = -math.inf
         for shape in shape_ids[
-            shape_start : shape_stop if shape_kind != PLANE_KIND else shape_start
+            first_shape : end_shape if shape_kind != PLANE_KIND else first_shape
         ]:
             for axis in range(3):
                 geom_box[0, axis] = min(geom_box[0, axis], bounds[shape, axis])
@@ -468,7 +468,7 @@ def _check_tile(task, tiles, tile, entries):
             if is_level_ground:
                 geom_box[0, 5] = planes.pos[shape_ids[0], 2]
         num_entries = _check_geom(
-            task, shape_kind, shape_ids[shape_start:shape_stop], geom, entries, num_entries
+            task, shape_kind, shape_ids[first_shape:end_shape], geom, entries, num_entries
         )
     return num_entries
 
@@ -506,7 +506,7 @@ def _check_geom(task, shape_kind, shape_ids, geom, entries, num_entries):
     # how far from a cell's centre shapes can meet the prisms over its square, and any of its prisms
     square_search_distance = lattice.cell_size / 2 + SEARCH_MARGIN
     prism_search_distance = max(
-        square_search_distance, max(footprint.square, footprint.radius) + SEARCH_MARGIN
+        square_search_distance, max(footprint.half_square, footprint.radius) + SEARCH_MARGIN
     )
     window_near_geom = window_near_box(
         lattice, window, tile_state.geom_box, 0, prism_search_distance
@@ -638,7 +638,9 @@ def _begin_geom(task, shape_kind, geom, query, volumes):
     geom_flags = 0
     # where the square is a part of the footprint, each geom is tested; else no geom is tested once
     # another geom has met the square
-    if footprint.radius > 0.0 and (footprint.square > 0.0 or not query_flags & BLOCKING_SQUARE):
+    if footprint.radius > 0.0 and (
+        footprint.half_square > 0.0 or not query_flags & BLOCKING_SQUARE
+    ):
         tested_flags = BLOCKING_SQUARE
     if occupant_lists.ceiling.shape[0] > 0:
         tested_flags |= OCCUPYING | BLOCKING
@@ -689,7 +691,7 @@ def _check_shape(task, shape_kind, shape, query, volumes):
             # a shape that misses a prism also misses that of BLOCKING_SQUARE if it is a part of it
             if flag == OCCUPYING and footprint.low >= SAME_HEIGHT + TOUCH_DEPTH:
                 open_flags &= ~BLOCKING_SQUARE
-            if flag == BLOCKING and footprint.square == 0.0:
+            if flag == BLOCKING and footprint.half_square == 0.0:
                 open_flags &= ~BLOCKING_SQUARE
         elif flag == BLOCKING:
             geom_flags |= MAYBE_BLOCKING
@@ -740,7 +742,7 @@ def _keep_flags(task, window_near_geom, geom, entries, num_entries):
                 flags = np.int64(queries.geom_flags[query])
                 if queries.tested_flags[query] and flags:
                     # the square is a part of the footprint, or lies in its disc
-                    if flags & MAYBE_BLOCKING_SQUARE and footprint.square > 0.0:
+                    if flags & MAYBE_BLOCKING_SQUARE and footprint.half_square > 0.0:
                         flags |= MAYBE_BLOCKING
                     if flags & BLOCKING_SQUARE:
                         flags |= BLOCKING

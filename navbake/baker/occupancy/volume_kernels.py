@@ -69,7 +69,8 @@ class ShapeArrays(NamedTuple):
 
 
 class Queries(NamedTuple):
-    """Cells with the height of a floor, and which prisms over it geoms meet; arrays of shape (n,).
+    """Floors to check, each a cell and a height, and flags of geoms over them; arrays of shape
+    (n,).
 
     Attributes:
         cell: cell ids, ascending, int64.
@@ -92,7 +93,7 @@ class Queries(NamedTuple):
 
 
 class OccupantLists(NamedTuple):
-    """Settings of the lists of the geoms over each floor, and arrays that receive where they begin.
+    """Settings for listing the geoms over each floor, and arrays that receive where lists begin.
 
     If only occupancy is wanted, all arrays are empty.
 
@@ -188,7 +189,7 @@ def make_envelope(lattice, footprint, queries, occupant_lists, query, row, col):
     """
     floor = queries.floor[query]
     x, y = cell_center_at(lattice, row, col)
-    half_width = max(lattice.cell_size / 2, footprint.square, footprint.radius) + SEARCH_MARGIN
+    half_width = max(lattice.cell_size / 2, footprint.half_square, footprint.radius) + SEARCH_MARGIN
     bottom = floor + footprint.low
     top = floor + footprint.high
     if occupant_lists.ceiling.shape[0] > 0:
@@ -230,7 +231,7 @@ def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
 
 @subkernel(**NO_REFCOUNT)
 def find_flags_on_line(hits, cell, geom, highest_z, volumes):
-    """Return the flags of a geom that the vertical line through a cell's centre proves.
+    """Return the flags of a geom in a cell that follow from its hits on the cell's vertical line.
 
     The line proves that the geom meets a prism over the floor if it hits the geom between the
     prism's lower and upper height, or runs inside of the geom there: then the winding number above
@@ -283,7 +284,7 @@ def find_flags_on_line(hits, cell, geom, highest_z, volumes):
 
 @subkernel(inline="always")
 def describe_floor(hits, cell, floor, min_normal_z):
-    """Find the geom whose surface is the floor of a cell, and how far below it another one lies.
+    """Find the geom whose surface is the floor of a cell, and the gap to the next surface below.
 
     Args:
         hits: hits on the vertical line through each cell's centre, as `ColumnHits`.

@@ -1,4 +1,4 @@
-"""Classifies geoms: walls, meshes of a whole building, floors and ceilings, or things."""
+"""Classifies geoms as walls, meshes of a whole building, floors, ceilings or things."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class OccupantSizes(NamedTuple):
 
 
 class FloorCounts(NamedTuple):
-    """How many cells have the surface of each geom as their floor; by geom id, shape (ngeom,).
+    """Counts of the cells whose floor is the surface of a geom; by geom id, shape (ngeom,).
 
     Attributes:
         num_cells: number of cells in which the geom's surface is the floor.
@@ -224,7 +224,7 @@ def classify_geoms(
 
 
 def mark_wall_candidates(scene: Scene, extents: Extents) -> Bool:
-    """Mark the geoms whose shape alone allows that they are walls, panes, or a whole building.
+    """Mark the geoms that have the shape of a wall, of a pane, or of a whole building.
 
     Args:
         scene: the scene of the geoms.

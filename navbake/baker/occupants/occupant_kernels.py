@@ -31,9 +31,9 @@ NUM_COUNTS = 5
 IS_STANDABLE = 5  # 1 if an agent can stand on the geom in any cell of the block, else 0
 GEOM = 6  # the geom's id
 # Columns of heights of the same rows, float64 [m]
-LOWER_END = 0  # the least height of the geom's lower end over a floor
+MIN_BOTTOM_HEIGHT = 0  # the least height of the geom's lower end over a floor
 # The greatest height of the geom's upper end over its lower end, or over the floor if higher
-EXTENT_UP = 1
+MAX_RISE = 1
 
 
 class LevelOccupants(NamedTuple):
@@ -117,8 +117,8 @@ def _get_row(rows, row_of_geom, first_row, num_rows, geom):
         row_of_geom[geom] = num_rows
         counts[row, :GEOM] = 0
         counts[row, GEOM] = geom
-        heights[row, LOWER_END] = math.inf
-        heights[row, EXTENT_UP] = -math.inf
+        heights[row, MIN_BOTTOM_HEIGHT] = math.inf
+        heights[row, MAX_RISE] = -math.inf
     return row
 
 
@@ -138,7 +138,7 @@ def measure_blocks(
         blocks: ids of the blocks to measure.
         num_rows_in_block: receives the number of rows of each block.
         rows: two arrays that receive the rows: ``NUM_CELLS`` to ``GEOM``, (capacity, 7) int64; and
-            ``LOWER_END`` and ``EXTENT_UP`` [m], (capacity, 2) float64.
+            ``MIN_BOTTOM_HEIGHT`` and ``MAX_RISE`` [m], (capacity, 2) float64.
         first_block: index into `blocks` of the first block that this call measures.
         end_block: index after the last of them.
 
@@ -173,10 +173,10 @@ def measure_blocks(
                     geom_bottom = geom_heights.low[geom]
                     geom_top = geom_heights.high[geom]
                     # no comparison holds for an endless plane, whose heights are NaN
-                    if geom_bottom - floor < heights[row, LOWER_END]:
-                        heights[row, LOWER_END] = geom_bottom - floor
-                    if geom_top - max(geom_bottom, floor) > heights[row, EXTENT_UP]:
-                        heights[row, EXTENT_UP] = geom_top - max(geom_bottom, floor)
+                    if geom_bottom - floor < heights[row, MIN_BOTTOM_HEIGHT]:
+                        heights[row, MIN_BOTTOM_HEIGHT] = geom_bottom - floor
+                    if geom_top - max(geom_bottom, floor) > heights[row, MAX_RISE]:
+                        heights[row, MAX_RISE] = geom_top - max(geom_bottom, floor)
                 floor_geom = occupants.floor_geom[cell]
                 gap_below = occupants.gap_below[cell]
                 if floor_geom >= 0:

@@ -336,8 +336,8 @@ def _measure_levels(
         total_counts[level_geoms] += level_counts
         largest_counts[level_geoms] = np.maximum(largest_counts[level_geoms], level_counts)
         is_stood_on[row_geoms[block_counts[:, kernels.IS_STANDABLE] > 0]] = True
-        np.minimum.at(min_bottom_over_floor, row_geoms, block_heights[:, kernels.LOWER_END])
-        np.maximum.at(max_top_over_bottom, row_geoms, block_heights[:, kernels.EXTENT_UP])
+        np.minimum.at(min_bottom_over_floor, row_geoms, block_heights[:, kernels.MIN_BOTTOM_HEIGHT])
+        np.maximum.at(max_top_over_bottom, row_geoms, block_heights[:, kernels.MAX_RISE])
     areas_by_count = (largest_counts * lattice.cell_size**2).astype(np.float64, copy=False)
     sizes = OccupantSizes(
         min_bottom_over_floor=min_bottom_over_floor,

@@ -516,8 +516,8 @@ def _find_car_walls(half_sizes: tuple[float, float], doors: Json) -> Iterator[Ca
                 position = (float(door["x"]), float(door["y"]))
                 x_distance = abs(abs(position[0]) - half_sizes[0])
                 y_distance = abs(abs(position[1]) - half_sizes[1])
-                is_on_such_side = (x_distance <= y_distance) == (axis == 0)
-                if is_on_such_side and (position[axis] > 0) == (sign > 0):
+                is_on_side_pair = (x_distance <= y_distance) == (axis == 0)
+                if is_on_side_pair and (position[axis] > 0) == (sign > 0):
                     opening_middle = position[other_axis]
                     openings.append(
                         (opening_middle - door["width"] / 2, opening_middle + door["width"] / 2)

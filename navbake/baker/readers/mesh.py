@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.geometry.shapes import bounding_box, drop_unused_vertices, triangle_areas
-from navbake.config.settings import stem_of
+from navbake.config.settings import find_scene_stem
 from navbake.errors import SceneError
 from navbake.formats.allowance import MAX_BYTES
 from navbake.known_names import list_first, unique_name
@@ -412,8 +412,8 @@ def _to_world(
     for mesh in meshes:
         name = "".join(char if char.isprintable() else "_" for char in mesh.name)
         if re.fullmatch(r"geometry(_\d+)?", name):  # trimesh made it up
-            name = stem_of(path)
-        name = name.removeprefix(path.name).removeprefix("_") or stem_of(path)
+            name = find_scene_stem(path)
+        name = name.removeprefix(path.name).removeprefix("_") or find_scene_stem(path)
         vertices, faces = drop_unused_vertices(mesh.vertices, mesh.faces)
         with np.errstate(all="ignore"):
             vertices = _transform(vertices, matrix)

@@ -1,4 +1,4 @@
-"""Finds which direction of a mesh is up: the one that floors with most furniture on them face.
+"""Finds the up direction of a mesh: the direction that the floors with the most furniture face.
 
 A sample of the triangles is taken. The directions that most of its area faces are searched
 (`_find_axes`), and along each direction the largest flat surfaces (`_find_planes`). The large ones
@@ -212,7 +212,7 @@ def _turn_up(meshes: list[NamedMesh], up: Direction) -> list[NamedMesh]:
     return [mesh._replace(vertices=mesh.vertices @ rotation.T) for mesh in meshes]
 
 
-def is_lowest_along_y(meshes: Collection[NamedMesh]) -> bool:
+def is_shortest_along_y(meshes: Collection[NamedMesh]) -> bool:
     """Return whether the bounding box of meshes in the world frame is smallest along y.
 
     Args:
@@ -237,12 +237,14 @@ def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
     is_facing_z = np.abs(sample.normal[:, 2]) >= np.sqrt(0.5)
     y_area = sample.area[is_facing_y].sum()
     z_area = sample.area[is_facing_z].sum()
-    return bool(y_area > ON_SIDE_RATIO * z_area) and is_lowest_along_y(meshes)
+    return bool(y_area > ON_SIDE_RATIO * z_area) and is_shortest_along_y(meshes)
 
 
 def _name_direction(direction: Float) -> str:
     """Write a direction as a value of `scene.up`: an axis within 10°, or else its components."""
-    name, axis = max(AXIS_VECTORS.items(), key=lambda item: float(np.dot(item[1], direction)))
+    name, axis = max(
+        AXIS_VECTORS.items(), key=lambda name_and_axis: float(np.dot(name_and_axis[1], direction))
+    )
     if np.dot(axis, direction) >= np.cos(np.radians(10.0)):
         return name
     return "[" + ", ".join(f"{value:.4g}" for value in direction) + "]"

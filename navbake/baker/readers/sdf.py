@@ -69,7 +69,7 @@ GROUND_MODEL = "ground_plane"
 
 
 class SolidSize(NamedTuple):
-    """How SDF states the size of a kind of solid.
+    """The XML element in which SDF states the size of a kind of solid.
 
     Attributes:
         element: the name of the XML element with the values.

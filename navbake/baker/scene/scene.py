@@ -41,7 +41,7 @@ from navbake.config.settings import (
     AgentSettings,
     BakeConfig,
     SceneSettings,
-    stem_of,
+    find_scene_stem,
 )
 from navbake.errors import SceneError
 from navbake.formats.scene_files import SDF_SUFFIXES, STAGE_SUFFIXES, XML_SUFFIXES
@@ -241,7 +241,7 @@ def load_scene(
     size_warnings = _warn_size(settings, exact_meshes, bounds)
     hints = [text for text in model_warnings if exact_meshes and "`scene.up" in text]
     return Scene(
-        id=settings.id or stem_of(settings.path),
+        id=settings.id or find_scene_stem(settings.path),
         geoms=_report_geoms(model, counted_geoms),
         shapes=counted_geoms.shapes,
         bounds=bounds,

@@ -22,7 +22,11 @@ from navbake.baker.core.tiles import TILE, window_bits, window_near_box
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
 from navbake.baker.geometry.extents import measure_extents
 from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.level_occupancy import OPEN_ABOVE, WALL_HEIGHTS, select_list_entries
+from navbake.baker.occupancy.level_occupancy import (
+    TOP_LEVEL_HEIGHT,
+    WALL_HEIGHTS,
+    select_list_entries,
+)
 from navbake.baker.occupancy.occupancy import check_occupancy
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.kinds import mark_wall_candidates
@@ -90,7 +94,7 @@ def test_occupancy_as_when_every_cell_asks_every_geom(seed):
         for cell in np.flatnonzero(~np.isnan(level.floor)).tolist():
             floor = level.floor.flat[cell]
             band = floor + footprint.low, floor + footprint.high
-            prisms = prisms_over(columns, cell, *band, footprint.square, footprint.radius)
+            prisms = prisms_over(columns, cell, *band, footprint.half_square, footprint.radius)
             answers = set(geoms_that_meet(stages.tile_index, prisms).values())
             if MEETS in answers or line_meets(columns, cell, prisms[0]):
                 assert occupied.flat[cell], cell
@@ -114,7 +118,7 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
         at, geom, flags = select_list_entries(listed.first, listed.geom, listed.flags, every)
         for cell in np.flatnonzero(~np.isnan(level.floor)).tolist():
             floor = level.floor.flat[cell]
-            ceiling = max(min(top, floor + OPEN_ABOVE), floor + height) - TOUCH_DEPTH
+            ceiling = max(min(top, floor + TOP_LEVEL_HEIGHT), floor + height) - TOUCH_DEPTH
             volumes = {
                 "stands": (floor + SAME_HEIGHT + TOUCH_DEPTH, ceiling, half, 0.0),
                 "blocks": (floor + footprint.low, floor + footprint.high, *footprint[:2]),

@@ -51,7 +51,7 @@ def endings_at(tmp_path: Path):
         narrow = Footprint.for_agent(point, stages.lattice.cell_size)
 
         def is_occupied(cells, floors, band: HeightRange | None = None, /):
-            volume = narrow if band is None else narrow.between(band)
+            volume = narrow if band is None else narrow.with_heights(band)
             return check_occupancy(columns, tiles, volume, cells, floors).occupied
 
         regions = regions_of(stages)
