@@ -356,7 +356,7 @@ class Stages:
                 room_flags,
                 self.config.rooms,
                 max_step=self.config.agent.traversable_floor_height,
-                closed_leaves=[cells.closed for cells in leaf_cells],
+                closed_leaves=[cells.closed_leaf for cells in leaf_cells],
             )
 
     @property

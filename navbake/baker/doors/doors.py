@@ -446,8 +446,8 @@ def warn_doors(
     """
     stuck_warnings = [
         f"the open state of door {door.candidate.id!r} still closes its doorway, as its joint "
-        f"opens it by {door.leaf.travel} only: check its range, whether the file means degrees or "
-        "radians (`<compiler angle>`), and `grid.cell_size`"
+        f"opens it by {door.leaf.travel_text} only: check its range, whether the file means "
+        "degrees or radians (`<compiler angle>`), and `grid.cell_size`"
         for door in doors
         if door.candidate.id in stuck_ids
     ]
@@ -475,7 +475,7 @@ def _warn_carried_floor(leaf: Leaf, inputs: DoorInputs) -> str:
     Returns:
         The warning, empty if `MIN_CARRIED_AREA` of the top or more is walkable in no state.
     """
-    for state, shapes in leaf.tops.items():
+    for state, shapes in leaf.top_shapes.items():
         area = _measure_walkable_area(shapes, inputs)
         if area >= MIN_CARRIED_AREA - LIMIT_SLACK:
             return (

@@ -76,16 +76,17 @@ class Leaf:
             with the same joint position share a window.
         lines: the cells along straight lines that start at the closed leaf: on both sides of it,
             and beyond its two ends. None if the leaf has no finite geometry.
-        tops: the leaf's geometry by state; only of states in which the leaf, seen from above, is
-            large enough to walk on.
-        travel: how far the leaf's joint opens it, as text with the unit; empty without a joint.
+        top_shapes: the leaf's geometry by state; only of states in which the leaf, seen from above,
+            is large enough to walk on.
+        travel_text: how far the leaf's joint opens it, as text with the unit; empty without a
+            joint.
     """
 
     candidate: DoorCandidate
     windows: dict[str, LeafWindow | None]
     lines: LeafLines | None
-    tops: dict[str, Shapes]
-    travel: str
+    top_shapes: dict[str, Shapes]
+    travel_text: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,7 @@ class LeafCells:
     blocked_squares: CellsByState
 
     @property
-    def closed(self) -> ClosedLeaf:
+    def closed_leaf(self) -> ClosedLeaf:
         """The closed leaf, as the segmentation of rooms reads it."""
         return ClosedLeaf(self.blocked["closed"], self.leaf.lines)
 
@@ -131,10 +132,10 @@ def pose_shapes(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Sha
             joint_positions[door.joint_id] = float(position)
     if not joint_positions:
         return scene.shapes.only(is_door_geom)
-    data = data_with_joints(scene.model, scene.data, joint_positions)
+    posed_data = data_with_joints(scene.model, scene.data, joint_positions)
     shapes, *_ = collect_shapes(
         scene.model,
-        data,
+        posed_data,
         selections=scene.selections,
         exact_meshes=scene.exact_meshes,
         geom_ids=np.flatnonzero(is_door_geom).tolist(),
@@ -209,22 +210,24 @@ def _pose_leaf(
         else:
             windows[state] = windows[first_state]
     # seen from above, most doors are too small to walk on, which is quickly found
-    tops = dict[str, Shapes]()
+    top_shapes = dict[str, Shapes]()
     for state, extents in extents_by_state.items():
         area = np.nansum((extents.short_side * extents.long_side)[candidate.geoms])
         if area >= MIN_CARRIED_AREA - LIMIT_SLACK:
-            tops[state] = leaf_shapes[state]
-    travel = ""
+            top_shapes[state] = leaf_shapes[state]
+    travel_text = ""
     if candidate.positions:
         opening_distance = abs(candidate.positions["open"] - candidate.positions["closed"])
         is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
-        travel = f"{np.degrees(opening_distance):.3g}°" if is_hinge else f"{opening_distance:.3g} m"
+        travel_text = (
+            f"{np.degrees(opening_distance):.3g}°" if is_hinge else f"{opening_distance:.3g} m"
+        )
     return Leaf(
         candidate=candidate,
         windows=windows,
         lines=_find_line_cells(extents_by_state["closed"], candidate.geoms, lattice, reach),
-        tops=tops,
-        travel=travel,
+        top_shapes=top_shapes,
+        travel_text=travel_text,
     )
 
 

@@ -434,15 +434,17 @@ def _find_next_ground(
         # before shrinking, to skip bands with too few surfaces
         selection = HeightSelection(ground, ALL_BANDS, half_step, top)
         histogram = _count_heights(assignment_input, selection, NO_SHRINKING)
-        bands, band_index = np.unique(histogram.band, return_inverse=True)
+        band_numbers, band_index = np.unique(histogram.band, return_inverse=True)
         num_surfaces_of_band = np.bincount(band_index, histogram.num_surfaces)
-        num_surfaces_by_band = dict(zip(bands.tolist(), num_surfaces_of_band.tolist(), strict=True))
+        num_surfaces_by_band = dict(
+            zip(band_numbers.tolist(), num_surfaces_of_band.tolist(), strict=True)
+        )
         # two bands of half a step each, the lower one first
         lower_bands = {
             lower_band
             for band in num_surfaces_by_band
             for lower_band in (band - 1, band)
-            if lower_band >= bands[0]
+            if lower_band >= band_numbers[0]
         }
         for band in sorted(lower_bands):
             end_height = (band + 2) * half_step
@@ -472,7 +474,7 @@ def _count_heights(
         area_test: the disc by which their cells are shrunk before they are counted.
     """
     regions = assignment_input.regions
-    _, (rows, lowest_z) = regions.blocks.list_rows(
+    _, (histogram_rows, lowest_z) = regions.blocks.list_rows(
         kernels.count_heights,
         NO_HISTOGRAM_ROWS,
         regions.surfaces,
@@ -481,7 +483,10 @@ def _count_heights(
         area_test,
     )
     return HeightHistogram(
-        band=rows[:, 0], height_bin=rows[:, 1], num_surfaces=rows[:, 3], lowest_z=lowest_z
+        band=histogram_rows[:, 0],
+        height_bin=histogram_rows[:, 1],
+        num_surfaces=histogram_rows[:, 3],
+        lowest_z=lowest_z,
     )
 
 

@@ -229,10 +229,10 @@ def _find_scene_ends(scene: Scene, lattice: Lattice) -> Bool:
         return ~ALL_SIDES
     x_min, y_min, x_max, y_max = lattice.bounds
     (scene_x_min, scene_y_min), (scene_x_max, scene_y_max) = scene.bounds[:, :2]
-    excess = np.array(
+    scene_excess = np.array(
         [[scene_y_max - y_max, y_min - scene_y_min], [x_min - scene_x_min, scene_x_max - x_max]]
     )
-    is_scene_end: Bool = excess <= MAX_SCENE_EXCESS * lattice.cell_size
+    is_scene_end: Bool = scene_excess <= MAX_SCENE_EXCESS * lattice.cell_size
     return is_scene_end
 
 
@@ -358,11 +358,11 @@ def _mark_by_geoms(
     num_surfaces = np.bincount(surfaces.geom, minlength=num_geoms)
     num_at_floor = np.bincount(surfaces.geom[is_at_floor], minlength=num_geoms)
     is_floor_geom = num_at_floor >= MIN_FLOOR_SHARE * num_surfaces
-    for level_labels, min_label_height in (
+    for labels_by_level, min_label_height in (
         (labels, -MAX_MARKER_DEPTH - SAME_HEIGHT),
         (covered_labels, min_height_above_floor),
     ):
-        for label, height_above_floor in zip(level_labels, heights_above_floors, strict=True):
+        for label, height_above_floor in zip(labels_by_level, heights_above_floors, strict=True):
             is_marking_surface = (
                 (height_above_floor >= min_label_height)
                 & (height_above_floor <= max_height_above_floor)
@@ -441,10 +441,10 @@ def _mark_standing_in_site(
     size = model.site_size[[site]]
     bounds = solid_bounds(geom_type, position, rotation, size)
     solid = Solids(np.zeros(1, dtype=np.int32), geom_type, position, rotation, size, bounds)
-    masks = [np.zeros(lattice.shape, dtype=np.bool_) for _ in levels]
+    standing_masks = [np.zeros(lattice.shape, dtype=np.bool_) for _ in levels]
     window = lattice.window(solid.bounds.reshape(2, 3))
     if window is None:
-        return masks
+        return standing_masks
     no_shapes = scene.shapes.only(np.zeros(model.ngeom, dtype=np.bool_))
     window_lattice = lattice.cut(*window)
     site_hits = cast_columns(tile_shapes(replace(no_shapes, solids=solid), window_lattice, 0.0))
@@ -453,14 +453,14 @@ def _mark_standing_in_site(
     is_hit = np.diff(site_hits.start).reshape(window_lattice.shape) > 1
     site_bottom[is_hit] = site_hits.z[site_hits.start[:-1][is_hit.ravel()]]
     site_top[is_hit] = site_hits.z[site_hits.start[1:][is_hit.ravel()] - 1]
-    for mask, level in zip(masks, levels, strict=True):
+    for standing_mask, level in zip(standing_masks, levels, strict=True):
         floor = level.floor[window]
         standing_length = np.minimum(site_top, floor + agent.height) - np.maximum(
             site_bottom, floor - MAX_SITE_GAP
         )
         min_standing_length = MIN_STANDING_SHARE * np.minimum(site_top - site_bottom, agent.height)
-        mask[window] = standing_length >= min_standing_length - SAME_HEIGHT
-    return masks
+        standing_mask[window] = standing_length >= min_standing_length - SAME_HEIGHT
+    return standing_masks
 
 
 def _mark_by_polygons(
@@ -478,10 +478,10 @@ def _mark_by_polygons(
         description = f"room {repr(polygon.name) if polygon.name else f'[{polygon_number}]'}"
         matching_levels = [k for k, level in enumerate(levels) if polygon.level in (k, level.name)]
         if not matching_levels:
-            level_list = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
+            level_list_text = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
             raise ConfigError(
                 f"no level {polygon.level!r} for {description} of `rooms.polygons`: there are "
-                f"{level_list}"
+                f"{level_list_text}"
             )
         level = levels[matching_levels[0]]
         label = labels[matching_levels[0]]
@@ -531,7 +531,7 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
     """
     num_geoms = len(scene.geoms)
     geoms_in_columns = {geom for geom in geoms if scene.geoms[geom].shape not in ("", "hull")}
-    sources: list[tuple[ColumnSource, set[int]]] = [(columns, geoms_in_columns)]
+    column_sources: list[tuple[ColumnSource, set[int]]] = [(columns, geoms_in_columns)]
     missing_geoms = geoms - geoms_in_columns
     if missing_geoms:
         selections = [
@@ -540,11 +540,11 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
         ]
         shapes, *_ = collect_shapes(scene.model, scene.data, selections, scene.exact_meshes)
         mesh_columns = cast_columns(tile_shapes(shapes, columns.lattice, 0.0))
-        sources.append((mesh_columns, missing_geoms))
+        column_sources.append((mesh_columns, missing_geoms))
     cells = list[Int]()
     heights = list[Float]()
     geom_ids = list[Int32]()
-    for source, source_geoms in sources:
+    for source, source_geoms in column_sources:
         is_marking = np.isin(np.arange(num_geoms), list(source_geoms))
         for chunk in source.row_chunks() if source_geoms else ():
             first_cell, end_cell = chunk.valid_rows.cell_range(chunk.lattice)

@@ -262,7 +262,7 @@ def measure_runs(is_open, shift, is_marked):
     for col in range(num_cols):
         line_of_first_row = num_cols - shift[col]
         for row in range(num_rows):
-            line = row + line_of_first_row
+            line_number = row + line_of_first_row
             # a line that leaves the lattice at its upper or lower edge ends there
             if is_open[row, col]:
                 previous_row = row if col == 0 else row - shift[col] + shift[col - 1]
@@ -273,9 +273,9 @@ def measure_runs(is_open, shift, is_marked):
                 is_continued = is_continued and (
                     is_open[previous_row, col] or is_open[row, col - 1]
                 )
-                length_so_far[line] = length_so_far[line] + 1 if is_continued else 1
+                length_so_far[line_number] = length_so_far[line_number] + 1 if is_continued else 1
                 is_marked[row, col] |= is_continued and is_marked[previous_row, col - 1]
-                run_length[row, col] = length_so_far[line]
+                run_length[row, col] = length_so_far[line_number]
     for col in range(num_cols - 2, -1, -1):
         for row in range(num_rows):
             next_row = row - shift[col] + shift[col + 1]
@@ -489,15 +489,15 @@ def _limit_depth(scan, gaps, gap, side, depth_index):
         row_step = 1
         row = (gaps.bottom_row[gap, 0] + gaps.bottom_row[gap, 1]) // 2
     col = (gaps.first_col[gap] + gaps.last_col[gap]) // 2
-    num_open = 0
-    while num_open < depth and 0 <= row + row_step * (num_open + 1) < len(scan.is_open):
-        if not scan.is_open[row + row_step * (num_open + 1), col]:
+    num_open_cells = 0
+    while num_open_cells < depth and 0 <= row + row_step * (num_open_cells + 1) < len(scan.is_open):
+        if not scan.is_open[row + row_step * (num_open_cells + 1), col]:
             break
-        num_open += 1
-    if num_open < depth:
+        num_open_cells += 1
+    if num_open_cells < depth:
         if depth > 1:
             lean = np.int64(0)
-        depth = np.int64(max(num_open, 1))
+        depth = np.int64(max(num_open_cells, 1))
     return depth, lean
 
 

@@ -518,10 +518,16 @@ class SpaceMerger:
         narrower_space = self.space_of_label[
             self._labels[gap, 0 if share_above >= share_below else 1]
         ]
-        is_long = self._num_cells[narrower_space] >= MIN_PASSAGE_LENGTH * self._width[gap] ** 2
+        is_long_passage = (
+            self._num_cells[narrower_space] >= MIN_PASSAGE_LENGTH * self._width[gap] ** 2
+        )
         width = float(self._width[gap]) * self._cell_size - WIDTH_ROUNDING
         may_separate = self._door_width is None or width <= self._door_width
-        if is_long and min(share_above, share_below) <= 1 / PASSAGE_WIDENING and may_separate:
+        if (
+            is_long_passage
+            and min(share_above, share_below) <= 1 / PASSAGE_WIDENING
+            and may_separate
+        ):
             return 0.0
         if width > (self._door_width or MAX_GAP_WIDTH):
             return 1.0
@@ -536,10 +542,10 @@ class SpaceMerger:
         most `CLOSE_SHARE` from the limit `JOIN_SHARE_OF_NARROWER`, from which on the spaces are
         joined. A warning names these gaps.
         """
-        is_close = np.abs(self._deciding_share - JOIN_SHARE_OF_NARROWER) <= CLOSE_SHARE
-        is_close &= self._width * self._cell_size >= MIN_CLOSE_WIDTH
+        is_close_call = np.abs(self._deciding_share - JOIN_SHARE_OF_NARROWER) <= CLOSE_SHARE
+        is_close_call &= self._width * self._cell_size >= MIN_CLOSE_WIDTH
         close_calls = []
-        for gap in np.flatnonzero(is_close).tolist():
+        for gap in np.flatnonzero(is_close_call).tolist():
             separates = self.separates(gap)
             labels = self._labels[gap]
             if separates:
@@ -556,9 +562,9 @@ class SpaceMerger:
         """Return the row and the column of a gap's middle, with fractions."""
         direction_number = int(self._direction_of[gap])
         direction, _, gaps = self._directions[direction_number]
-        index = gap - int(self._first_gap[direction_number])
-        col = float(gaps.first_col[index] + gaps.last_col[index]) / 2
-        row = float(gaps.top_row[index].mean() + gaps.bottom_row[index].mean()) / 2
+        gap_index = gap - int(self._first_gap[direction_number])
+        col = float(gaps.first_col[gap_index] + gaps.last_col[gap_index]) / 2
+        row = float(gaps.top_row[gap_index].mean() + gaps.bottom_row[gap_index].mean()) / 2
         return (col, row) if direction.is_swapped else (row, col)
 
     def separates(self, gap: int) -> bool:
@@ -648,18 +654,18 @@ def _find_gap_walls(
     """
     direction, scan, gaps = direction_gaps
     shift = scan.shift
-    cols = np.stack([gaps.first_col, gaps.last_col], axis=1)
-    rows = (gaps.top_row + gaps.bottom_row) // 2
-    jamb_distance = max(
+    end_cols = np.stack([gaps.first_col, gaps.last_col], axis=1)
+    middle_rows = (gaps.top_row + gaps.bottom_row) // 2
+    max_jamb_distance = max(
         MAX_WALL_DISTANCE, MAX_JAMB_DISTANCE / (direction.length_per_column * cell_size)
     )
-    max_distance = np.where(gaps.is_doorway, jamb_distance, MAX_WALL_DISTANCE)
+    max_distance = np.where(gaps.is_doorway, max_jamb_distance, MAX_WALL_DISTANCE)
     # The cells in the next column after each end
-    next_cols = np.clip(cols + np.array([-1, 1]), 0, len(shift) - 1)
-    rows_to_next = shift[next_cols] - shift[cols]
+    next_cols = np.clip(end_cols + np.array([-1, 1]), 0, len(shift) - 1)
+    rows_to_next = shift[next_cols] - shift[end_cols]
     last_row = len(scan.label) - 1
     rows_above = np.clip(gaps.top_row - 1 + rows_to_next, 0, last_row)
-    rows_between = np.clip(rows + rows_to_next, 0, last_row)
+    rows_between = np.clip(middle_rows + rows_to_next, 0, last_row)
     rows_below = np.clip(gaps.bottom_row + 1 + rows_to_next, 0, last_row)
     label_above = scan.label[rows_above, next_cols]
     label_below = scan.label[rows_below, next_cols]
@@ -669,7 +675,7 @@ def _find_gap_walls(
     is_opening_continued &= (label_above != gaps.label_above[:, None]) | (
         label_below != gaps.label_below[:, None]
     )
-    end_cells = np.where(is_opening_continued, -1, rows * len(shift) + cols)
+    end_cells = np.where(is_opening_continued, -1, middle_rows * len(shift) + end_cols)
     if rays is None:
         coded_distance = np.full((scan.label.size, 2), 1.5)
     else:

@@ -248,17 +248,17 @@ class _SpacesBetweenLeaves:
         is_separating = has_both_sides & (side_labels[:, 0] != side_labels[:, 1])
         # one space on both sides may still be two spaces near the leaf
         num_cols = self._label.shape[1]
-        for leaf in np.flatnonzero(has_both_sides & ~is_separating).tolist():
-            rows, cols = windows[leaf]
-            row, col = np.divmod(cells_beyond[leaf], num_cols)
-            is_near_leaf = (row >= rows.start) & (row < rows.stop)
-            is_near_leaf &= (col >= cols.start) & (col < cols.stop) & is_seen[leaf]
-            component, _ = label_components_2d(self._label[rows, cols] > 0)
-            row = np.where(is_near_leaf, row - rows.start, 0)
-            col = np.where(is_near_leaf, col - cols.start, 0)
+        for leaf_index in np.flatnonzero(has_both_sides & ~is_separating).tolist():
+            row_slice, col_slice = windows[leaf_index]
+            row, col = np.divmod(cells_beyond[leaf_index], num_cols)
+            is_near_leaf = (row >= row_slice.start) & (row < row_slice.stop)
+            is_near_leaf &= (col >= col_slice.start) & (col < col_slice.stop) & is_seen[leaf_index]
+            component, _ = label_components_2d(self._label[row_slice, col_slice] > 0)
+            row = np.where(is_near_leaf, row - row_slice.start, 0)
+            col = np.where(is_near_leaf, col - col_slice.start, 0)
             near_label = np.where(is_near_leaf, component[row, col], 0)
             near_side_labels = _find_majority_label(near_label[None])[0]
-            is_separating[leaf] = (near_side_labels > 0).all() and near_side_labels[
+            is_separating[leaf_index] = (near_side_labels > 0).all() and near_side_labels[
                 0
             ] != near_side_labels[1]
         return np.asarray(is_separating)

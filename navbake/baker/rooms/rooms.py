@@ -311,16 +311,16 @@ class _RoomAssignment:
         """
         labels = list[Int32]()
         outdoor_rooms = set[int]()
-        separating_cells: list[Bool | None] = []
+        separating_masks: list[Bool | None] = []
         num_new_rooms = 0  # of new rooms on the levels so far
         for level_number, level in enumerate(self._flags.levels):
-            leaves = mark_leaves(
+            leaf_marks = mark_leaves(
                 level, level_number, self._closed_leaves, self._flags.lattice.cell_size
             )
-            separating_cells.append(
-                None if leaves is None else leaves.is_separating & level.is_open
+            separating_masks.append(
+                None if leaf_marks is None else leaf_marks.is_separating & level.is_open
             )
-            segment, outdoor_segments = self._segment_level(level_number, level, leaves)
+            segment, outdoor_segments = self._segment_level(level_number, level, leaf_marks)
             outdoor_rooms.update(room + num_new_rooms for room in outdoor_segments)
             labels.append(
                 np.where(segment > 0, segment + num_new_rooms, 0) if num_new_rooms else segment
@@ -329,12 +329,12 @@ class _RoomAssignment:
         self.add_source(
             MarkedRooms([None] * num_new_rooms, labels, outdoor_rooms=outdoor_rooms), "auto"
         )
-        for room_number, leaf_cells in zip(self.room_numbers, separating_cells, strict=True):
+        for room_number, leaf_cells in zip(self.room_numbers, separating_masks, strict=True):
             if leaf_cells is not None:
                 assign_leaf_cells(room_number, leaf_cells)
 
     def _segment_level(
-        self, level_number: int, level: LevelFlags, leaves: LeafMarks | None
+        self, level_number: int, level: LevelFlags, leaf_marks: LeafMarks | None
     ) -> tuple[Int32, set[int]]:
         """Find the rooms of a level that no other source marks.
 
@@ -343,7 +343,7 @@ class _RoomAssignment:
         Args:
             level_number: the number of the level.
             level: the flags of the level's cells.
-            leaves: the cells of the level's closed door leaves; None if there are none.
+            leaf_marks: the cells of the level's closed door leaves; None if there are none.
 
         Returns:
             The number of each cell's new room, from 1, 0 for none, shape (height, width); and the
@@ -358,13 +358,13 @@ class _RoomAssignment:
             None if door_width == "auto" else door_width,
             walls=self._flags.wall_shapes,
             lattice=lattice,
-            leaves=leaves,
+            leaf_marks=leaf_marks,
         )
         if close_calls and door_width == "auto":
             self.warnings.append(_describe_close_calls(close_calls, level_number, lattice))
-        cells_beyond = None if leaves is None else leaves.cells_beyond
+        cells_beyond = None if leaf_marks is None else leaf_marks.cells_beyond
         if self.room_numbers[level_number].any():
-            segment = self._divide_segments(level_number, segment, leaves)
+            segment = self._divide_segments(level_number, segment, leaf_marks)
         is_cavity = mark_cavities(
             segment, self.room_numbers[level_number], self._flags, level_number, cells_beyond
         )
@@ -373,7 +373,7 @@ class _RoomAssignment:
         return find_outdoors(segment, self._flags, level_number)
 
     def _divide_segments(
-        self, level_number: int, segment: Int32, leaves: LeafMarks | None
+        self, level_number: int, segment: Int32, leaf_marks: LeafMarks | None
     ) -> Int32:
         """Divide the cells of a level between marked rooms and new rooms; changes `room_number`.
 
@@ -381,7 +381,7 @@ class _RoomAssignment:
             level_number: the number of the level.
             segment: the part of the floor, between narrow places, that each cell belongs to, from
                 1, 0 for none; see `segment_by_gaps`.
-            leaves: the cells of the level's closed door leaves; None if there are none.
+            leaf_marks: the cells of the level's closed door leaves; None if there are none.
 
         Returns:
             The number of each cell's new room, from 1, 0 for none, shape (height, width).
@@ -390,8 +390,8 @@ class _RoomAssignment:
         marked_room_number = self.room_numbers[level_number]
         room_number = (
             marked_room_number
-            if leaves is None
-            else np.where(leaves.is_separating, np.int32(0), marked_room_number)
+            if leaf_marks is None
+            else np.where(leaf_marks.is_separating, np.int32(0), marked_room_number)
         )
         room_number = assign_covered(
             room_number, self._room_under[level_number] * level.is_open, segment
@@ -401,7 +401,7 @@ class _RoomAssignment:
             segment,
             self._flags.lattice.cell_size,
             self._settings.min_area,
-            None if leaves is None else leaves.cells_beyond,
+            None if leaf_marks is None else leaf_marks.cells_beyond,
         )
         self.room_numbers[level_number] = np.where(
             marked_room_number > 0, marked_room_number, room_number
@@ -553,7 +553,7 @@ def find_openings(
 def match_doors(
     openings: Sequence[Opening],
     doors: Mapping[str, tuple[RoomIds, Sequence[Int]]],
-    ids: Mapping[RoomKey, str],
+    id_of_room: Mapping[RoomKey, str],
     lattice: Lattice,
 ) -> dict[int, list[str]]:
     """Find the opening that each door is in.
@@ -566,7 +566,7 @@ def match_doors(
         openings: the openings of all levels.
         doors: id of a door -> the ids of the rooms that it joins; and, for each level, the ids of
             the cells that it blocks when it is closed.
-        ids: level and index of a room -> the room's id.
+        id_of_room: level and index of a room -> the room's id.
         lattice: the whole lattice.
 
     Returns:
@@ -575,21 +575,23 @@ def match_doors(
     """
     max_distance = MAX_DOOR_DISTANCE / lattice.cell_size + LIMIT_SLACK  # [cells]
     doors_of_opening: dict[int, list[str]] = {}
-    for door, (room_ids, closed_cells) in sorted(doors.items()):
+    for door, (joined_rooms, closed_cells) in sorted(doors.items()):
         # number of near cells, negative distance, negative number of the opening: best is greatest
-        candidates: list[tuple[int, float, int]] = []
+        opening_candidates: list[tuple[int, float, int]] = []
         for opening_number, opening in enumerate(openings):
             cells_of_door = closed_cells[opening.level]
-            opening_rooms = {ids[opening.level, room] for room in opening.rooms}
-            if len(cells_of_door) and opening_rooms == set(room_ids):
+            opening_rooms = {id_of_room[opening.level, room] for room in opening.rooms}
+            if len(cells_of_door) and opening_rooms == set(joined_rooms):
                 row, col = np.divmod(opening.cells[:, None], lattice.width)
                 closed_row, closed_col = np.divmod(cells_of_door, lattice.width)
                 distance = np.hypot(row - closed_row, col - closed_col).min(axis=1)
                 num_near_cells = int(np.count_nonzero(distance <= max_distance))
-                candidates.append((num_near_cells, -float(distance.mean()), -opening_number))
-        if not candidates:
+                opening_candidates.append(
+                    (num_near_cells, -float(distance.mean()), -opening_number)
+                )
+        if not opening_candidates:
             continue
-        num_near_cells, _, negative_number = max(candidates)
+        num_near_cells, _, negative_opening_number = max(opening_candidates)
         if num_near_cells:
-            doors_of_opening.setdefault(-negative_number, []).append(door)
+            doors_of_opening.setdefault(-negative_opening_number, []).append(door)
     return doors_of_opening

@@ -79,7 +79,7 @@ def segment_by_gaps(
     door_width: float | None = None,
     walls: Shapes | None = None,
     lattice: Lattice | None = None,
-    leaves: LeafMarks | None = None,
+    leaf_marks: LeafMarks | None = None,
 ) -> tuple[Int32, list[CloseCall]]:
     """Divide the open floor of a level into segments, the candidates for rooms, at narrow places.
 
@@ -108,7 +108,7 @@ def segment_by_gaps(
         walls: the geometry of walls, up to which widths are measured; None to measure them in
             cells.
         lattice: the lattice of the level; needed if `walls` is given.
-        leaves: the closed door leaves; None if there are none. A leaf that separates two spaces
+        leaf_marks: the closed door leaves; None if there are none. A leaf that separates two spaces
             closes its cells: they are in no gap and no segment. What is behind it is a segment
             however small it is, unless it is joined to a neighbour or lies at the edge of the grid
             (a threshold).
@@ -131,32 +131,37 @@ def segment_by_gaps(
         slice(max(open_rows.start - 1, 0), open_rows.stop + 1),
         slice(max(open_cols.start - 1, 0), open_cols.stop + 1),
     )
-    rows, cols = window
+    row_slice, col_slice = window
     floor = level.floor[window]
     is_at_edge = level.is_at_edge[window]
     is_open = np.ascontiguousarray(level.is_open[window])
     is_hole = np.ascontiguousarray(level.is_hole[window])
     rays = None
     if walls is not None and lattice is not None:
-        rays = WallRays(walls, lattice.cut(rows, cols), floor)
-    is_closed = np.zeros_like(is_open) if leaves is None else leaves.is_separating[window]
+        rays = WallRays(walls, lattice.cut(row_slice, col_slice), floor)
+    is_closed = np.zeros_like(is_open) if leaf_marks is None else leaf_marks.is_separating[window]
     label, close_calls = _label_at_gaps(is_open, is_hole, cell_size, door_width, rays, is_closed)
     del rays  # which hold the walls in all directions
     is_open = is_open & ~is_closed
     cells_beyond = np.empty((2, 0), dtype=np.int64)  # rows and columns in the window
-    if leaves is not None:
+    if leaf_marks is not None:
         # rooms meet in the cells of a leaf, not beside it
-        if leaves.is_not_separating.any():
-            spread_labels(label, is_open & ~leaves.is_not_separating[window])
-        beyond_row, beyond_col = np.divmod(leaves.cells_beyond, level.is_open.shape[1])
-        cells_beyond = np.stack([beyond_row - rows.start, beyond_col - cols.start])
+        if leaf_marks.is_not_separating.any():
+            spread_labels(label, is_open & ~leaf_marks.is_not_separating[window])
+        beyond_row, beyond_col = np.divmod(leaf_marks.cells_beyond, level.is_open.shape[1])
+        cells_beyond = np.stack([beyond_row - row_slice.start, beyond_col - col_slice.start])
     spread_labels(label, is_open)
     _label_spaces_behind(cells_beyond, label, is_open)
     label = _join_spaces(label, is_open, floor, is_at_edge, cells_beyond, cell_size, min_area)
     segment[window], _ = renumber(label)
     close_calls = [
-        call._replace(row_col=(call.row_col[0] + rows.start, call.row_col[1] + cols.start))
-        for call in close_calls
+        close_call._replace(
+            row_col=(
+                close_call.row_col[0] + row_slice.start,
+                close_call.row_col[1] + col_slice.start,
+            )
+        )
+        for close_call in close_calls
     ]
     return segment, close_calls
 
@@ -235,8 +240,8 @@ def _join_spaces(
     min_cells = min_area / cell_size**2 - CELL_ROUNDING
     num_labels = int(label.max(initial=0)) + 1
     num_cells = count_cells_by_label(label, num_labels)
-    num_steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=num_labels)
-    is_stair = num_steep >= MIN_STAIR_SHARE * np.maximum(num_cells, 1)
+    num_steep_cells = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=num_labels)
+    is_stair = num_steep_cells >= MIN_STAIR_SHARE * np.maximum(num_cells, 1)
     may_join = is_stair | (num_cells > 0) & (num_cells < min_cells)
     if not may_join[1:].any():
         return label
@@ -280,7 +285,7 @@ def spread_labels(label: Int32, is_open: Bool) -> None:
     neighbor_steps = (0, 1, 1), (1, 0, padded_width), (0, -1, -1), (-1, 0, -padded_width)
     while len(unlabelled_cells):
         is_reached = np.logical_or.reduce(
-            [flat_labels[unlabelled_cells + step] > 0 for _, _, step in neighbor_steps]
+            [flat_labels[unlabelled_cells + id_step] > 0 for _, _, id_step in neighbor_steps]
         )
         if not is_reached.any():
             break
@@ -290,8 +295,8 @@ def spread_labels(label: Int32, is_open: Bool) -> None:
         best_label = np.zeros(len(reached_cells), dtype=np.int32)
         best_rows_to_source = np.zeros(len(reached_cells), dtype=np.int32)
         best_cols_to_source = np.zeros(len(reached_cells), dtype=np.int32)
-        for row_step, col_step, step in neighbor_steps:
-            neighbor = reached_cells + step
+        for row_step, col_step, id_step in neighbor_steps:
+            neighbor = reached_cells + id_step
             new_label = flat_labels[neighbor]
             rows_to_source = rows_to_sources[neighbor] + row_step
             cols_to_source = cols_to_sources[neighbor] + col_step
@@ -386,14 +391,14 @@ class _SpaceGraph:
         self._space_of = np.arange(num_labels, dtype=np.int32)
         # the edges between cells of two spaces
         edge_cells = list_differing_pairs(label)
-        spaces = np.sort(label.ravel()[edge_cells].astype(np.int64), axis=0)
-        is_contact = (spaces[0] > 0) & may_join[spaces].any(axis=0)
-        spaces = spaces[:, is_contact]
+        space_pairs = np.sort(label.ravel()[edge_cells].astype(np.int64), axis=0)
+        is_contact = (space_pairs[0] > 0) & may_join[space_pairs].any(axis=0)
+        space_pairs = space_pairs[:, is_contact]
         row, col = _edge_nodes(edge_cells[:, is_contact], label.shape[1])
         squared_distance = measure_squared_distances_at(is_open, reach, row, col)
         widest_squared = squared_distance.reshape(3, -1).max(axis=0)
         pair_keys, key_of_edge, edge_counts = np.unique(
-            spaces[0] * num_labels + spaces[1], return_inverse=True, return_counts=True
+            space_pairs[0] * num_labels + space_pairs[1], return_inverse=True, return_counts=True
         )
         half_widths = np.zeros(len(pair_keys))
         np.maximum.at(half_widths, key_of_edge, np.sqrt(widest_squared))
@@ -772,10 +777,12 @@ def mark_cavities(
     num_labels = int(segment.max(initial=0)) + 1
     area = count_cells_by_label(segment, num_labels) * cell_size**2
     space_of_cell = np.where(room_number > 0, room_number + num_labels, segment)
-    pairs = space_of_cell.ravel()[list_differing_pairs(space_of_cell)]
+    touching_spaces = space_of_cell.ravel()[list_differing_pairs(space_of_cell)]
     is_connected = np.zeros(num_labels, dtype=np.bool_)
     is_connected[0] = True
-    is_connected[pairs[(pairs > 0).all(axis=0) & (pairs < num_labels)]] = True
+    is_connected[
+        touching_spaces[(touching_spaces > 0).all(axis=0) & (touching_spaces < num_labels)]
+    ] = True
     is_connected[segment[level_flags.is_at_edge]] = True
     if cells_beyond is not None:
         is_connected[segment.ravel()[cells_beyond]] = True
@@ -886,11 +893,11 @@ def _measure_edge_extents(segment: Int32, is_at_edge: Bool, num_labels: int) -> 
         pairs[:, segment_of_cell[pairs[0]] == segment_of_cell[pairs[1]]], len(edge_cells)
     )
     extent = np.zeros(len(edge_cells))
-    for coordinate in (rows, cols):
+    for coordinates in (rows, cols):
         lowest_index = np.full(len(edge_cells), np.inf)
         highest_index = np.full(len(edge_cells), -np.inf)
-        np.minimum.at(lowest_index, piece_of_cell, coordinate)
-        np.maximum.at(highest_index, piece_of_cell, coordinate)
+        np.minimum.at(lowest_index, piece_of_cell, coordinates)
+        np.maximum.at(highest_index, piece_of_cell, coordinates)
         extent = np.hypot(extent, (highest_index - lowest_index)[piece_of_cell])
     max_extent = np.zeros(num_labels)
     np.maximum.at(max_extent, segment_of_cell, extent + 1)

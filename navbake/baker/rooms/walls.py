@@ -36,7 +36,7 @@ POINT_SPACING = 0.1
 # Points on geometry are exact: they are counted in bins of angles of this size [°], and in parallel
 # strips of this width [m]
 GEOMETRY_BIN_WIDTH = 1.0
-GEOMETRY_LINE_WIDTH = 0.01
+GEOMETRY_STRIP_WIDTH = 0.01
 # Directions from geometry are used if at least this share of the points lies on walls that run in
 # one of these directions
 MIN_EXPLAINED_SHARE = 0.5
@@ -49,7 +49,7 @@ MIN_SLOPE_DISTANCE = 5
 # Points that slopes lead to are counted in bins of angles of this size [°], and in parallel strips
 # of this width [cells]
 CELL_BIN_WIDTH = 5.0
-CELL_LINE_WIDTH = 0.5
+CELL_STRIP_WIDTH = 0.5
 # The least change of the distance over four cells at which one wall is the nearest: beside a single
 # wall it is 4; where two walls are about as near, it is less [cells]
 MIN_DISTANCE_CHANGE = 3.2
@@ -197,11 +197,11 @@ def mark_wall_nodes(is_open: Bool) -> Bool:
         A mask of the nodes, shape (2 height + 1, 2 width + 1).
     """
     is_closed = np.pad(~is_open, 1, constant_values=True)
-    closed_rows = is_closed.repeat(2, axis=0)[1:-1]
+    is_closed_row = is_closed.repeat(2, axis=0)[1:-1]
     # each row's upper edge, its centre, …, the last row's lower edge
-    closed_rows = closed_rows[:-1] | closed_rows[1:]
-    closed_nodes = closed_rows.repeat(2, axis=1)[:, 1:-1]
-    return closed_nodes[:, :-1] | closed_nodes[:, 1:]
+    is_closed_row = is_closed_row[:-1] | is_closed_row[1:]
+    is_closed_node = is_closed_row.repeat(2, axis=1)[:, 1:-1]
+    return is_closed_node[:, :-1] | is_closed_node[:, 1:]
 
 
 # ---------------------------------------------------------------- directions of walls
@@ -240,14 +240,14 @@ class WallPoints(NamedTuple):
             the lattice, 45 where it goes one row down per column, 90 along a column.
         spacing: the distance between neighbouring points on a wall [m].
         bin_width: the width of the bins in which angles are counted [°].
-        line_width: the width of the parallel strips in which points are counted [cells].
+        strip_width: the width of the parallel strips in which points are counted [cells].
     """
 
     position: Float
     angle: Float
     spacing: float
     bin_width: float
-    line_width: float
+    strip_width: float
 
 
 def find_directions(
@@ -292,7 +292,7 @@ def _list_directions(
     Returns:
         The directions, starting with the most common one; and the number of points on such walls.
     """
-    position, angle, spacing, bin_width, line_width = points
+    position, angle, spacing, bin_width, strip_width = points
     num_bins = round(180 / bin_width)
     bin_of_point = np.rint(angle / bin_width).astype(np.int64) % num_bins
     # about this many points of every angle are at corners of walls, where slopes point everywhere
@@ -300,7 +300,7 @@ def _list_directions(
         np.median(_add_neighbor_bins(np.bincount(bin_of_point, minlength=num_bins)))
     )
     min_points = max(MIN_WALL_LENGTH / spacing, MIN_POINT_SHARE * len(bin_of_point))
-    min_points_on_line = MIN_LENGTH_ON_LINE / spacing
+    min_points_in_strips = MIN_LENGTH_ON_LINE / spacing
     directions = list[WallDirection]()
     main_angle = 0.0
     num_points_on_walls = 0
@@ -312,11 +312,11 @@ def _list_directions(
             return directions, num_points_on_walls
         angle_difference = np.abs((angle - best_bin * bin_width + 90.0) % 180.0 - 90.0)
         is_near_angle = is_remaining & (angle_difference <= 1.5 * bin_width)
-        wall_angle = _refine_angle(position[:, is_near_angle], best_bin, bin_width, line_width)
+        wall_angle = _refine_angle(position[:, is_near_angle], best_bin, bin_width, strip_width)
         # points on walls of this direction count for no other direction, a few degrees off
         is_near_angle = is_remaining & (angle_difference <= 2.5 * bin_width)
         near_position = position[:, is_near_angle]
-        is_on_wall = _mark_on_walls(near_position, wall_angle, line_width, min_points_on_line)
+        is_on_wall = _mark_on_walls(near_position, wall_angle, strip_width, min_points_in_strips)
         if is_on_wall.sum() < min_points:
             is_remaining[is_near_angle] = False
             continue
@@ -363,8 +363,10 @@ def _find_cell_points(is_open: Bool, cell_size: float) -> WallPoints:
     cells = np.flatnonzero(is_at_slope_distance)
     width = is_closed.shape[1]
     neighbor_cells = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
-    distances = np.sqrt(squared_distance.ravel()[neighbor_cells], dtype=np.float32)
-    distance_below, distance_above, distance_after, distance_before, wall_distance = distances
+    neighbor_distances = np.sqrt(squared_distance.ravel()[neighbor_cells], dtype=np.float32)
+    distance_below, distance_above, distance_after, distance_before, wall_distance = (
+        neighbor_distances
+    )
     slope_down = distance_below - distance_above
     slope_right = distance_after - distance_before
     # a wall runs across the slope; between two walls that are equally near, the slope is less steep
@@ -384,7 +386,7 @@ def _find_cell_points(is_open: Bool, cell_size: float) -> WallPoints:
         angle=angle,
         spacing=cell_size,
         bin_width=CELL_BIN_WIDTH,
-        line_width=CELL_LINE_WIDTH,
+        strip_width=CELL_STRIP_WIDTH,
     )
 
 
@@ -393,13 +395,13 @@ def _add_neighbor_bins(bin_counts: Int) -> Int:
     return bin_counts + np.roll(bin_counts, 1) + np.roll(bin_counts, -1)
 
 
-def _find_strips(position: Float, angles: Float, line_width: float) -> Float:
+def _find_strips(position: Float, angles: Float, strip_width: float) -> Float:
     """Find for each angle in which of many parallel strips, side by side, each point lies.
 
     Args:
         position: rows and columns of the points, shape (2, n) [cells].
         angles: the directions of the strips, see `WallPoints.angle` [°].
-        line_width: the width of a strip [cells].
+        strip_width: the width of a strip [cells].
 
     Returns:
         The number of each point's strip, from 0; its fraction is the place across the strip. Shape
@@ -407,19 +409,19 @@ def _find_strips(position: Float, angles: Float, line_width: float) -> Float:
     """
     radians = np.deg2rad(angles)[:, None]
     distance_across = position[0] * np.cos(radians) - position[1] * np.sin(radians)
-    return np.asarray((distance_across - distance_across.min(axis=1, keepdims=True)) / line_width)
+    return np.asarray((distance_across - distance_across.min(axis=1, keepdims=True)) / strip_width)
 
 
-def _mark_on_walls(position: Float, angle: float, line_width: float, min_points: float) -> Bool:
+def _mark_on_walls(position: Float, angle: float, strip_width: float, min_points: float) -> Bool:
     """Mark the points on walls: points in two neighbouring strips that contain many points.
 
     Args:
         position: rows and columns of the points, shape (2, n) [cells].
         angle: the direction of the strips [°].
-        line_width: the width of a strip [cells].
+        strip_width: the width of a strip [cells].
         min_points: the least number of points that two strips with a wall contain together.
     """
-    strip_of_point = _find_strips(position, np.array([angle]), line_width)[0].astype(np.int64)
+    strip_of_point = _find_strips(position, np.array([angle]), strip_width)[0].astype(np.int64)
     num_points_in_strip = np.pad(np.bincount(strip_of_point), 1)
     # each strip with the one before
     num_points_in_pair = num_points_in_strip[1:] + num_points_in_strip[:-1]
@@ -430,7 +432,7 @@ def _mark_on_walls(position: Float, angle: float, line_width: float, min_points:
     return is_on_wall
 
 
-def _refine_angle(position: Float, bin_number: int, bin_width: float, line_width: float) -> float:
+def _refine_angle(position: Float, bin_number: int, bin_width: float, strip_width: float) -> float:
     """Find more exactly the angle of the walls that points lie on [°].
 
     It is the angle at which the points lie the most densely in parallel strips, like the sharpest
@@ -441,14 +443,14 @@ def _refine_angle(position: Float, bin_number: int, bin_width: float, line_width
         position: rows and columns of the points, shape (2, n) [cells].
         bin_number: the number of the bin that the angle is near.
         bin_width: the width of a bin [°].
-        line_width: the width of a strip [cells].
+        strip_width: the width of a strip [cells].
     """
     position = position[:, :: max(1, position.shape[1] // NUM_REFINEMENT_POINTS)]
     num_steps = round(1.5 / REFINEMENT_STEP)
-    steps = np.arange(-num_steps, num_steps + 1, dtype=np.float64)
-    angles = bin_width * (bin_number + REFINEMENT_STEP * steps)
+    refinement_steps = np.arange(-num_steps, num_steps + 1, dtype=np.float64)
+    angles = bin_width * (bin_number + REFINEMENT_STEP * refinement_steps)
     sharpness = np.zeros(len(angles), dtype=np.int64)
-    for angle_index, strip_of_point in enumerate(_find_strips(position, angles, line_width)):
+    for angle_index, strip_of_point in enumerate(_find_strips(position, angles, strip_width)):
         for strip_offset in (0.0, 0.5):  # so that no wall falls between two strips
             num_points_in_strip = np.bincount((strip_of_point + strip_offset).astype(np.int64))
             # how densely points lie in strips and in pairs of strips; whole numbers, so exact
@@ -578,9 +580,9 @@ class WallRays:
         ray_indices = np.nonzero(cells >= 0)
         ray_cells = cells[ray_indices]
         ray_ends = ray_indices[-1]
-        is_new = walls.coded_distance[ray_cells, ray_ends] == 0.0
-        ray_cells = ray_cells[is_new]
-        ray_ends = ray_ends[is_new]
+        is_unmeasured = walls.coded_distance[ray_cells, ray_ends] == 0.0
+        ray_cells = ray_cells[is_unmeasured]
+        ray_ends = ray_ends[is_unmeasured]
         if len(ray_cells):
             if direction.is_swapped:
                 cols, rows = np.divmod(ray_cells, self._ray_heights.shape[0])
@@ -648,7 +650,7 @@ class WallRays:
             angle=np.concatenate(angles),
             spacing=cells_per_ray * cell_size,
             bin_width=GEOMETRY_BIN_WIDTH,
-            line_width=GEOMETRY_LINE_WIDTH / cell_size,
+            strip_width=GEOMETRY_STRIP_WIDTH / cell_size,
         )
         return points, num_rays
 
@@ -678,7 +680,7 @@ class WallRays:
         )
         # cells of the lattice with its margin
         start_cells = np.stack([row, col]) + (self._margin + 0.5)
-        sign = np.where(is_forward, 1.0, -1.0)
+        ray_sign = np.where(is_forward, 1.0, -1.0)
         # how a step across a ray and one along it change the row and the column
         across_step, along_step = axes[[0, 2]][:, [1, 0]] * (-1.0, 1.0)
         distance = np.full(len(row), np.inf)
@@ -694,16 +696,16 @@ class WallRays:
             ray_ends = np.empty((2, len(ray_numbers), 2))
             ray_ends[..., 0] = start_cells[:, ray_numbers] + across_step[:, None] * offset_of_ray
             ray_ends[..., 1] = ray_ends[..., 0] + along_step[:, None] * (
-                sign[ray_numbers] * ray_length
+                ray_sign[ray_numbers] * ray_length
             )
             rows, cols = ray_ends.astype(np.int64)
             hits = cast_points(tiled_walls, rows * tiled_walls.lattice.width + cols, points, axes)
             ray_of_hit = np.repeat(ray_numbers, np.diff(hits.start))
-            distance_ahead = sign[ray_of_hit] * (hits.z - centers[ray_of_hit, 2])
+            distance_ahead = ray_sign[ray_of_hit] * (hits.z - centers[ray_of_hit, 2])
             distance_ahead[~(distance_ahead >= 0.0)] = np.inf
             np.minimum.at(distance, ray_of_hit, distance_ahead)
-            is_first = np.isfinite(distance_ahead) & (distance_ahead == distance[ray_of_hit])
-            normal[ray_of_hit[is_first]] = hits.normal[is_first]
+            is_nearest_hit = np.isfinite(distance_ahead) & (distance_ahead == distance[ray_of_hit])
+            normal[ray_of_hit[is_nearest_hit]] = hits.normal[is_nearest_hit]
             unfinished_rays = unfinished_rays[
                 distance[unfinished_rays] > ray_length * lattice.cell_size
             ]
@@ -751,12 +753,12 @@ def _choose_triangles(triangles: Facets, heights: Float) -> list[NDArray[Any]]:
             bottom_z = bounds[first_triangle : first_triangle + TRIANGLE_CHUNK, 2]
             top_z = bounds[first_triangle : first_triangle + TRIANGLE_CHUNK, 5]
             ids_in_range = np.flatnonzero((bottom_z <= highest_ray_z) & (top_z >= lowest_ray_z))
-            end_heights = (
+            relative_heights = (
                 np.stack([bottom_z[ids_in_range] - TILE_MARGIN, top_z[ids_in_range] + TILE_MARGIN])
                 - lowest_ray_z
             )
             first_bin, last_bin = (
-                (end_heights / HEIGHT_BIN).astype(np.int64).clip(0, len(has_ray) - 1)
+                (relative_heights / HEIGHT_BIN).astype(np.int64).clip(0, len(has_ray) - 1)
             )
             meets_ray = num_ray_bins_before[last_bin + 1] > num_ray_bins_before[first_bin]
             triangle_ids_of_chunk[chunk] = first_triangle + ids_in_range[meets_ray]

@@ -244,7 +244,7 @@ def test_close_calls_are_told():
     is_open[1:20, 45:47] = True
     (call,) = segment_by_gaps(is_open)[1]
     assert call.width == pytest.approx(1.9)
-    assert 44 <= call.cell[1] <= 47
+    assert 44 <= call.row_col[1] <= 47
     is_open[1:10, 45:47] = False
     assert segment_by_gaps(is_open)[1] == []
 

@@ -66,9 +66,9 @@ def test_a_leaf_in_the_open_parts_nothing_and_hinders_no_other():
     in_the_open = leaf_at(12, 24, col=10)
     marks = mark_leaves(level_of(is_open), 0, [in_the_open, leaf_at(10, 20)], CELL)
     assert not marks.is_separating[:, 10].any()
-    assert marks.not_separating[12:24, 10].all()
+    assert marks.is_not_separating[12:24, 10].all()
     assert marks.is_separating[10:20, MIDDLE].all()
-    assert not marks.not_separating[:, MIDDLE].any()
+    assert not marks.is_not_separating[:, MIDDLE].any()
 
 
 @pytest.mark.parametrize(("free_cells", "parts"), [(0, False), (9, False), (12, True)])

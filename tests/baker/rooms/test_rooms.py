@@ -273,7 +273,7 @@ def test_rooms_depend_on_their_flags_alone():
     config = load_config(ROOT / "configs" / "house.yaml")
     stages = open_stages(config, StageClock())
     flags, step = stages.room_flags, config.agent.traversable_floor_height
-    leaves = [leaf.closed for leaf in stages.leaf_cells]
+    leaves = [leaf.closed_leaf for leaf in stages.leaf_cells]
     again = find_rooms(copy.deepcopy(flags), config.rooms, step, leaves)
     assert again.table == stages.rooms.table and again.links == stages.rooms.links
     np.testing.assert_array_equal(again.index, stages.rooms.index)
