@@ -168,8 +168,8 @@ def convert_episode_set(
     Args:
         source: the file to read.
         output: the file to write.
-        format_name: the format to write; None for the one of the file's ending.
-        scenes: name of a scene -> what the other program calls it.
+        format_name: the format to write; None to go by the ending of `output`.
+        scenes: name of a scene -> its name in the other program.
     """
     from navbake.episodes import read_episodes, write_episodes  # loads numpy
 

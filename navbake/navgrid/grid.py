@@ -492,7 +492,7 @@ class SceneGrid2D(GridBase):
 
         Args:
             rows: The rows of the cells: indices or a slice of the rows of `floor_height`.
-            cols: The columns of the cells, likewise.
+            cols: The columns of the cells: indices or a slice of the columns of `floor_height`.
         """
         return self.floor_height[rows, cols].astype(np.float64) * self.unit
 

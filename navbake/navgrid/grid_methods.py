@@ -846,7 +846,7 @@ class GridMethods:
                 ``island``, ``weights``, ``links`` or ``area``.
             route: A path to draw on top, each of its parts on its level.
             marks: Places to mark, each as level (-1 for all levels), world x and y [m], and the
-                kind of what is there.
+                kind of the mark, such as the name of a fault.
 
         Returns:
             The image, or the path of the file if `path` is given.

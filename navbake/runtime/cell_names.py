@@ -1,4 +1,4 @@
-"""The names of what stands in the cells of a grid, looked up by cell and by name."""
+"""The names of the things in the cells of a grid, looked up by cell and by name."""
 
 from __future__ import annotations
 

@@ -231,7 +231,7 @@ def reachable_positions(
 
     Returns:
         World x, y and floor z of the points [m], shape (n, 3): the start, then the other points,
-        those that take the fewest moves first.
+        sorted by the number of moves that lead to them.
     """
     flat = search.flat
     radius = search.grid.radius

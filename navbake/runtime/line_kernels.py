@@ -1,4 +1,4 @@
-"""Straight lines over a level: which cells they touch, whether a disc fits, what they cost.
+"""Straight lines over a level: the cells that they touch, whether a disc fits, and their costs.
 
 The ends of lines are points (u, v) in the level's own units, u in columns and v in rows: cell
 (row, col) is the square from (col, row) to (col + 1, row + 1).

@@ -57,8 +57,9 @@ class PathFinder:
     A path leads from free cell to free cell, over their edges and corners, if their floors differ
     by at most the grid's `traversableFloorHeight`. It leads to other levels over the grid's `steps`
     and open `links`. A step costs its length [m] times the weight of the cell that it leads to,
-    times the cost of that cell's area. A link costs what the grid states, else its length. It takes
-    as long as the grid states, else its cost divided by the agent's speed.
+    times the cost of that cell's area. A passage over a link costs as much as the grid states, else
+    the link's length. It takes as long as the grid states, else its cost divided by the agent's
+    speed.
 
     With an agent, the grid is inflated to its radius. The agent takes no step that is too high for
     it, no link that bars it or is narrower than twice its radius, and enters no area that bars it.
@@ -1179,8 +1180,8 @@ class PathFinder:
             level: the start's level, for which x, y are then enough; None finds it by z.
 
         Returns:
-            World x, y and floor z [m], shape (n, 3): the start, then the other points, those that
-            take the fewest moves first.
+            World x, y and floor z [m], shape (n, 3): the start, then the other points, sorted by
+            the number of moves that lead to them.
 
         Raises:
             QueryError: the start isn't free or not valid, the spacing is too small, or there is no

@@ -267,9 +267,9 @@ def find_nearest_cell(
         layout: `navbake.runtime.grid_arrays.Layout`.
         mask: by cell, bool.
         floor: world z of the floor by cell, NaN for none [m].
-        distance_kind: what is measured from the point: `CENTER_ON_MAP` and `CENTER_IN_SPACE` for
-            the distance to a cell's centre in 2D or 3D, or `TO_OBSTACLE` for the distance to the
-            square of an occupied cell.
+        distance_kind: which distance from the point is measured: `CENTER_ON_MAP` and
+            `CENTER_IN_SPACE` for the distance to a cell's centre in 2D or 3D, or `TO_OBSTACLE` for
+            the distance to the square of an occupied cell.
         ground: for `CENTER_IN_SPACE`, z of cells without a floor [m].
         height_tolerance: for `TO_OBSTACLE`, floors whose heights differ by less than this count as
             equally high [m].

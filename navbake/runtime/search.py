@@ -324,7 +324,7 @@ class Search:
 
     @cached_property
     def names(self) -> CellNames:
-        """The names of what stands in the cells."""
+        """The names of the things in the cells."""
         return map_names(self.grid)
 
     @property
@@ -521,7 +521,7 @@ class Search:
         Args:
             route: a route that this search found.
             route_cells: level, row and column of the route's cells.
-            by: what the route was planned by, ``cost`` or ``time``.
+            by: the criterion that the route was planned by, ``cost`` or ``time``.
 
         Returns:
             The cost [m], the duration [s], and the links in the order of the route.

@@ -68,7 +68,7 @@ def stand_poses(
 
     Args:
         search: the search on the grid.
-        target: what is to be reached.
+        target: the thing to be reached, or several.
         rules: where the base may stand.
         count: most poses for each target, >= 1.
         spread: least distance between two poses of a target [m].
@@ -123,7 +123,7 @@ def stand_region(search: Search, target: StandTargets, rules: StandRules) -> lis
 
     Args:
         search: the search on the grid.
-        target: what is to be reached; any of several.
+        target: the thing to be reached, or several, of which any counts.
         rules: where the base may stand.
 
     Returns:

@@ -164,8 +164,8 @@ def block_by_floors(
 ) -> None:
     """Apply the rules about floors and about other levels to the cells of a stack.
 
-    Cells get blocked near floors that are too high or too low, and near what is occupied on other
-    levels. Cells become free where only another level has a floor.
+    Cells get blocked near floors that are too high or too low, and near cells that are occupied on
+    other levels. Cells become free where only another level has a floor.
 
     Args:
         grid: the grid.
