@@ -82,12 +82,12 @@ def check_boxes(facts: Facts) -> Iterator[Finding]:
     The box (`bbox` in the file) is the range of x, y and z that belongs to the level.
     """
     boxes = [level.bbox_yup for level in facts.levels]
-    for level_number, box in enumerate(boxes):
-        if box is None:
+    for level_number, box_yup in enumerate(boxes):
+        if box_yup is None:
             continue
         is_free = facts.free[level_number]
         floor_heights = facts.floors[level_number]
-        is_outside = is_free & ~_mark_cells_in_box(facts, level_number, box)
+        is_outside = is_free & ~_mark_cells_in_box(facts, level_number, box_yup)
         for other_level_number, other_floor_heights in enumerate(facts.floors):
             # where levels interleave, no boxes are right
             heights_of_other_level = other_floor_heights[
@@ -120,14 +120,16 @@ def check_boxes(facts: Facts) -> Iterator[Finding]:
             )
 
 
-def _mark_cells_in_box(facts: Facts, level_number: int, box: tuple[tuple[float, ...], ...]) -> Bool:
+def _mark_cells_in_box(
+    facts: Facts, level_number: int, box_yup: tuple[tuple[float, ...], ...]
+) -> Bool:
     """Mark the cells of a level whose centres, on the floor, are in a box of the file (y up)."""
     level = facts.levels[level_number]
     floor = facts.floors[level_number]
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
     z = np.where(np.isnan(floor), level.ground, floor)
     centers_yup = np.stack([x, z, -y], axis=-1)
-    low_corner, high_corner = np.array(box) * level.unit
+    low_corner, high_corner = np.array(box_yup) * level.unit
     slack = np.array([BOX_SLACK, 1e-6, BOX_SLACK])
     is_inside = (centers_yup >= low_corner - slack) & (centers_yup <= high_corner + slack)
     return np.asarray(is_inside.all(axis=-1))

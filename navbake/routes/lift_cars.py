@@ -215,7 +215,9 @@ def find_nodes_in_cars(
         The nodes' indices.
     """
     landings = list_landings(graph)
-    all_landings = {node_index for numbers in landings.values() for node_index in numbers}
+    all_landings = {
+        node_index for landing_nodes in landings.values() for node_index in landing_nodes
+    }
     node_indices = set()
     for plan in plans:
         lift = plan.car.name

@@ -133,7 +133,7 @@ def check_occupancy(
         )
     lattice = columns.lattice
     shapes = tiled_shapes.shapes
-    all_shapes = ShapeArrays(shapes.solids, tiled_shapes.facets, shapes.planes)
+    shape_arrays = ShapeArrays(shapes.solids, tiled_shapes.facets, shapes.planes)
     cells = cells.astype(np.int64, copy=False)
     query_flags = np.zeros(len(cells), dtype=np.uint8)
     queries = Queries(
@@ -144,13 +144,13 @@ def check_occupancy(
         tested_flags=np.zeros(len(cells), dtype=np.uint8),
         geom_flags=np.zeros(len(cells), dtype=np.uint8),
     )
-    lists_by_row: dict[int, tuple[Int32, NDArray[np.uint8]]] = {}
+    lists_by_tile_row: dict[int, tuple[Int32, NDArray[np.uint8]]] = {}
 
     def check_rows(first_row: int, end_row: int) -> None:
         geom, flags, num_entries = check_tiles(
             lattice,
             columns.hits,
-            all_shapes,
+            shape_arrays,
             tiled_shapes.tile_index,
             footprint,
             queries,
@@ -158,12 +158,12 @@ def check_occupancy(
             first_row,
             end_row,
         )
-        lists_by_row[first_row] = geom[:num_entries], flags[:num_entries]
+        lists_by_tile_row[first_row] = geom[:num_entries], flags[:num_entries]
 
     if len(cells):
         first_tile_row, last_tile_row = (cells[[0, -1]] // lattice.width // TILE).tolist()
         run_in_chunks(check_rows, last_tile_row - first_tile_row + 1, begin=first_tile_row)
-    geom, flags = _join_lists(lists_by_row, occupant_lists.list_start, cells, lattice)
+    geom, flags = _join_lists(lists_by_tile_row, occupant_lists.list_start, cells, lattice)
 
     occupied = (query_flags & BLOCKING) > 0
     is_undecided = ~occupied & ((query_flags & MAYBE_BLOCKING) > 0)
@@ -197,7 +197,7 @@ def check_occupancy(
 
 
 def _join_lists(
-    lists_by_row: dict[int, tuple[Int32, NDArray[np.uint8]]],
+    lists_by_tile_row: dict[int, tuple[Int32, NDArray[np.uint8]]],
     list_start: Int32,
     cells: Int,
     lattice: Lattice,
@@ -205,7 +205,7 @@ def _join_lists(
     """Join the lists of the geoms in each cell that several calls of `check_tiles` made.
 
     Args:
-        lists_by_row: first row of tiles of a call -> geom ids and flags that the call listed.
+        lists_by_tile_row: first row of tiles of a call -> geom ids and flags that the call listed.
         list_start: for each cell, where its list begins in the lists of its call; changed to where
             it begins in the joined lists. Empty if nothing is listed.
         cells: the cells, ascending.
@@ -214,21 +214,21 @@ def _join_lists(
     Returns:
         Geom ids and flags of all lists.
     """
-    if not lists_by_row:
+    if not lists_by_tile_row:
         return np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.uint8)
-    first_tile_rows = sorted(lists_by_row)
+    first_tile_rows = sorted(lists_by_tile_row)
     if len(list_start):
         first_cells = [tile_row * TILE * lattice.width for tile_row in first_tile_rows[1:]]
         num_entries = 0
-        starts_by_row = np.split(list_start, np.searchsorted(cells, first_cells))
-        for tile_row, list_starts in zip(first_tile_rows, starts_by_row, strict=True):
+        starts_by_tile_row = np.split(list_start, np.searchsorted(cells, first_cells))
+        for tile_row, list_starts in zip(first_tile_rows, starts_by_tile_row, strict=True):
             list_starts += num_entries  # a view: this changes `list_start`
-            geom, _ = lists_by_row[tile_row]
+            geom, _ = lists_by_tile_row[tile_row]
             num_entries += len(geom)
     if len(first_tile_rows) == 1:
-        return lists_by_row[first_tile_rows[0]]
-    geom = np.concatenate([lists_by_row[tile_row][0] for tile_row in first_tile_rows])
-    flags = np.concatenate([lists_by_row[tile_row][1] for tile_row in first_tile_rows])
+        return lists_by_tile_row[first_tile_rows[0]]
+    geom = np.concatenate([lists_by_tile_row[tile_row][0] for tile_row in first_tile_rows])
+    flags = np.concatenate([lists_by_tile_row[tile_row][1] for tile_row in first_tile_rows])
     return geom, flags
 
 

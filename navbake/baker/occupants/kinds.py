@@ -72,8 +72,8 @@ MAX_FURNITURE_DEPTH = 1.2
 MAX_FURNITURE_LENGTH = 3.0
 MAX_FURNITURE_GEOMS = 200
 # A geom that continues a wall may be this much thicker on each side, and this far from its end [m]
-LINE_SLACK = 0.03
-END_GAP = 0.05
+MAX_EXTRA_THICKNESS = 0.03
+MAX_END_GAP = 0.05
 MAX_PAIRS = 1_000_000  # of geoms that are compared at once, for the memory they take
 # Least width along both axes of a mesh that holds a building [m], and the greatest share of its
 # box, seen from above, that it fills within `WALL_HEIGHTS`
@@ -369,8 +369,8 @@ def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
         )
         meets_at_end = np.zeros((2, len(is_pane)), dtype=np.bool_)
         for pane_ids, neighbor_ids in _iterate_near_pairs(panes, neighbors, extents):
-            for end_number, end_sign in enumerate((-0.5, 0.5)):
-                end_point = _find_end_points(pane_ids, end_sign, extents)
+            for end_number, end_factor in enumerate((-0.5, 0.5)):
+                end_point = _find_end_points(pane_ids, end_factor, extents)
                 is_meeting = (pane_ids != neighbor_ids) & _mark_points_on(
                     end_point, neighbor_ids, extents
                 )
@@ -445,7 +445,7 @@ def _mark_ends_at(geoms: Int, neighbors: Int, extents: Extents) -> Bool:
 
 
 def _mark_points_on(points: Float, geoms: Int, extents: Extents) -> Bool:
-    """Mark the points that lie on a geom, or at most `END_GAP` beside it, seen from above.
+    """Mark the points that lie on a geom, or at most `MAX_END_GAP` beside it, seen from above.
 
     Args:
         points: the points, (n, 2) [m].
@@ -461,7 +461,7 @@ def _mark_points_on(points: Float, geoms: Int, extents: Extents) -> Bool:
         np.abs((offset_from_center * extents.long_axis[geoms]).sum(axis=1))
         - extents.long_side[geoms] / 2
     )
-    return np.asarray(np.maximum(distance_beyond_side, distance_beyond_end) <= END_GAP)
+    return np.asarray(np.maximum(distance_beyond_side, distance_beyond_end) <= MAX_END_GAP)
 
 
 def _add_wall_pieces(is_wall: Bool, may_continue_wall: Bool, extents: Extents) -> Bool:
@@ -480,7 +480,7 @@ def _add_wall_pieces(is_wall: Bool, may_continue_wall: Bool, extents: Extents) -
     may_continue_wall = may_continue_wall & is_thin
     new_walls = np.flatnonzero(is_wall & is_thin)
     while len(new_walls):
-        max_thickness = extents.short_side[new_walls].max() + 2 * LINE_SLACK
+        max_thickness = extents.short_side[new_walls].max() + 2 * MAX_EXTRA_THICKNESS
         pieces = np.flatnonzero(
             may_continue_wall & ~is_wall & (extents.short_side <= max_thickness)
         )
@@ -495,8 +495,8 @@ def _add_wall_pieces(is_wall: Bool, may_continue_wall: Bool, extents: Extents) -
             end_distance = np.abs(
                 (offset_from_center * long_axis).sum(axis=1)
             ) - extents.half_widths(piece_ids, long_axis)
-            is_in_line = side_distance <= extents.short_side[wall_ids] / 2 + LINE_SLACK
-            is_in_line &= end_distance <= extents.long_side[wall_ids] / 2 + END_GAP
+            is_in_line = side_distance <= extents.short_side[wall_ids] / 2 + MAX_EXTRA_THICKNESS
+            is_in_line &= end_distance <= extents.long_side[wall_ids] / 2 + MAX_END_GAP
             continues_wall[piece_ids[is_in_line]] = True
         new_walls = np.flatnonzero(continues_wall)
         is_wall |= continues_wall
@@ -527,7 +527,9 @@ def _iterate_near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterato
         is_touching = np.ones((len(geom_chunk), len(neighbors)), dtype=np.bool_)
         for axis in range(3):
             center_distance = np.abs(center[geom_chunk, axis, None] - center[neighbors, axis])
-            max_distance = half_size[geom_chunk, axis, None] + half_size[neighbors, axis] + END_GAP
+            max_distance = (
+                half_size[geom_chunk, axis, None] + half_size[neighbors, axis] + MAX_END_GAP
+            )
             is_touching &= center_distance <= max_distance
         geom_index, neighbor_index = np.nonzero(is_touching)
         yield geom_chunk[geom_index], neighbors[neighbor_index]

@@ -610,7 +610,9 @@ class _ShapeReader(NamedTuple):
         if shape_tag == "image":
             return self._read_image(file)
         height_field = read_height_field(file, self._numbers("size", 3, [1.0, 1.0, 1.0]))
-        position = np.add(self._numbers("pos", 3, [0.0, 0.0, 0.0]), [0.0, 0.0, height_field.lowest])
+        position = np.add(
+            self._numbers("pos", 3, [0.0, 0.0, 0.0]), [0.0, 0.0, height_field.lowest_height]
+        )
         geom = self._geom("hfield", height_field.size, position)
         return [geom._replace(heights=height_field.heights)]
 

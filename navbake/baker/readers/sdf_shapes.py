@@ -45,12 +45,12 @@ class HeightField(NamedTuple):
         heights: the heights, scaled to 0 to 1; row 0 is at the smallest y.
         size: the size as MuJoCo states it: half of the width, half of the depth, the difference
             between the highest and lowest point, and the thickness of the base [m].
-        lowest: the lowest height [m].
+        lowest_height: the lowest height [m].
     """
 
     heights: Float
     size: tuple[float, float, float, float]
-    lowest: float
+    lowest_height: float
 
 
 def read_height_field(file: Path, dimensions: Sequence[float]) -> HeightField:
@@ -73,7 +73,7 @@ def read_height_field(file: Path, dimensions: Sequence[float]) -> HeightField:
     return HeightField(
         heights=(brightness - min_brightness) / ((max_brightness - min_brightness) or 1.0),
         size=(dimensions[0] / 2, dimensions[1] / 2, height_range, HEIGHT_FIELD_BASE),
-        lowest=min_brightness * dimensions[2],
+        lowest_height=min_brightness * dimensions[2],
     )
 
 
