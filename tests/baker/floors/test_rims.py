@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from navbake.baker.core.components import label_components, list_adjacent_pairs
-from navbake.baker.floors.outline import find_hole_edges, neighbor_cells
+from navbake.baker.floors.outline import find_hole_edges, find_neighbor_cells
 from navbake.baker.floors.region_kernels import RegionEdges
 from navbake.navgrid.lattice import Lattice
 
@@ -19,7 +19,7 @@ def edges_of(mask: np.ndarray, number: int) -> tuple[Lattice, list[np.ndarray]]:
     """The edges of a region with the cells of a mask: its number, their cells and directions."""
     lattice = Lattice(0.0, float(mask.shape[0]), 1.0, mask.shape[1], mask.shape[0])
     cell, direction = (part.ravel() for part in np.meshgrid(np.flatnonzero(mask), np.arange(4)))
-    neighbor = neighbor_cells(lattice, cell, direction)
+    neighbor = find_neighbor_cells(lattice, cell, direction)
     ends = (neighbor < 0) | ~mask.ravel()[neighbor]
     return lattice, [np.full(ends.sum(), number, dtype=np.int32), cell[ends], direction[ends]]
 
