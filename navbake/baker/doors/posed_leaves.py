@@ -107,7 +107,7 @@ class LeafCells:
 
     @property
     def closed_leaf(self) -> ClosedLeaf:
-        """The closed leaf, as the segmentation of rooms reads it."""
+        """The cells and lines of the closed leaf, from which rooms are found."""
         return ClosedLeaf(self.blocked["closed"], self.leaf.lines)
 
 

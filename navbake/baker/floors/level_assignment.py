@@ -307,7 +307,7 @@ def _find_stairs(
     """
     join_rule = JoinRule(min(max_step, HEIGHT_BIN), max_link_step=max_step)
     components = find_components(regions.surfaces, join_rule, group_of_surface.astype(np.int32))
-    plateau_of_component = components.merge()
+    plateau_of_component = components.merge_across_blocks()
     num_plateaus = int(plateau_of_component.max(initial=-1)) + 1
 
     # the histogram of each plateau's heights; each component of a plateau is in one region
@@ -568,7 +568,7 @@ def _move_grounds_down_once(
     # the connected parts of each level
     join_rule = JoinRule(max_step, max_link_step=max_step)
     components = find_components(regions.surfaces, join_rule, surface_levels.level_of_surface)
-    part_of_component = components.merge()
+    part_of_component = components.merge_across_blocks()
     num_parts = int(part_of_component.max(initial=-1)) + 1
     _, (histogram_rows, lowest_z) = regions.blocks.list_rows(
         cross_tabulate,
@@ -779,7 +779,8 @@ def _find_walkable_areas(
         group_of_surface: 0 for each surface that counts, else -1, shape (surfaces,).
 
     Returns:
-        The part of each area in each block of cells; `Components.merge` joins and numbers them.
+        The part of each area in each block of cells; `Components.merge_across_blocks` joins and
+        numbers them.
     """
     surfaces = assignment_input.regions.surfaces
     join_rule = make_region_join_rule(surfaces.lattice, assignment_input.agent)
@@ -794,7 +795,7 @@ def _count_large_walkable_areas(
     A walkable area is a set of surfaces between which an agent can walk. One that is large enough
     in several regions counts once for each of them.
     """
-    area_of_component = walkable_areas.merge()
+    area_of_component = walkable_areas.merge_across_blocks()
     num_large_areas = 0
     for region_surfaces in surfaces_by_region:
         component_of_surface = walkable_areas.component_of_surface[region_surfaces.surface_id]

@@ -79,7 +79,7 @@ class Components(NamedTuple):
         pairs: Int = self.pairs[kinds == kind]
         return pairs
 
-    def merge(self) -> Int32:
+    def merge_across_blocks(self) -> Int32:
         """Merge components across the borders of blocks.
 
         Returns:
@@ -92,7 +92,8 @@ class Components(NamedTuple):
         """Find the pairs of different merged components that are linked, see `JoinRule`.
 
         Args:
-            merged_component: the merged component of each component, as `merge` returns it.
+            merged_component: the merged component of each component, as `merge_across_blocks`
+                returns it.
 
         Returns:
             The lower and the higher number of each pair, without repeats, shape (n,) each.
@@ -100,12 +101,12 @@ class Components(NamedTuple):
         linked_components = merged_component[self.list_pairs_of_kind(LINKED)[:, :2]].astype(
             np.int64
         )
-        lower_number = linked_components.min(axis=1)
-        higher_number = linked_components.max(axis=1)
-        is_different = lower_number != higher_number
+        lower_component = linked_components.min(axis=1)
+        higher_component = linked_components.max(axis=1)
+        is_different = lower_component != higher_component
         # one number for each pair, so that `unique` sorts numbers rather than rows
         pair_ids = np.unique(
-            lower_number[is_different] * self.num_components + higher_number[is_different]
+            lower_component[is_different] * self.num_components + higher_component[is_different]
         )
         return np.divmod(pair_ids, max(self.num_components, 1))
 
@@ -335,7 +336,7 @@ def find_regions(
     components = find_components(
         surfaces, make_region_join_rule(surfaces.lattice, agent), group_of_surface
     )
-    merged_component = components.merge()
+    merged_component = components.merge_across_blocks()
     num_regions = int(merged_component.max(initial=-1)) + 1
     # sort components by region: those of a region then stand side by side, and the measures of the
     # region are their sums, minima or maxima

@@ -209,14 +209,14 @@ def _find_tops(region_context: RegionContext, height_fields: Int32) -> Bool:
             > MIN_FLOOR_RATIO * num_surfaces
         )
         # for each floor in its holes: the drops to it from these holes, and from other regions
-        drops_around_floor = [
+        num_drops_around_floors = [
             num_hole_drops
             + num_drops_to_floor[floor_region]
             - region_drops.num_drops_to_region[floor_region]
             for floor_region, num_hole_drops in region_drops.num_hole_drops_to_region.items()
         ]
         has_floor_winding_through = (
-            max(drops_around_floor, default=0) > region_drops.num_outline_edges
+            max(num_drops_around_floors, default=0) > region_drops.num_outline_edges
         )
         is_top[region] = is_small or has_floor_winding_through
         is_too_large[region] = not is_top[region]
@@ -488,7 +488,7 @@ def _mark_over_walls(region_context: RegionContext, is_candidate: Bool) -> Bool:
         return is_over_walls
     regions = region_context.regions
     lattice = regions.lattice
-    eaves_depth = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
+    eaves_depth_in_cells = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
     # all regions count, also furniture
     labelled_surfaces = regions.label_surfaces(np.ones_like(is_candidate))
     region_ids = np.flatnonzero(is_candidate)
@@ -504,7 +504,7 @@ def _mark_over_walls(region_context: RegionContext, is_candidate: Bool) -> Bool:
         # dilate by a square, first along one axis, then along the other
         for mask in (is_over_region_or_wall, is_over_region_or_wall.T):
             undilated_mask = mask.copy()
-            for k in range(1, min(eaves_depth, len(mask) - 1) + 1):
+            for k in range(1, min(eaves_depth_in_cells, len(mask) - 1) + 1):
                 mask[k:] |= undilated_mask[:-k]
                 mask[:-k] |= undilated_mask[k:]
         is_over_walls[region] = (

@@ -36,7 +36,7 @@ NORTH = 3
 
 # In a building that leans a little, the sides of treads lean, too: z of their unit normals is at
 # most this, which is a lean of 2.9 degrees
-MAX_SIDE_UP = 0.05
+MAX_SIDE_NORMAL_Z = 0.05
 
 
 class Surfaces(NamedTuple):
@@ -204,7 +204,11 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
                 normal_z > 0.0 and z - gentle_z <= agent_limits.max_step + LIMIT_SLACK
             ):
                 continue
-            if not is_gentle and normal_z <= MAX_SIDE_UP and gentle_z - standable_z > SAME_HEIGHT:
+            if (
+                not is_gentle
+                and normal_z <= MAX_SIDE_NORMAL_Z
+                and gentle_z - standable_z > SAME_HEIGHT
+            ):
                 # the side of a tread covers the tread below, which is the floor
                 has_headroom = height_of_next_hit - gentle_z >= agent_limits.headroom - LIMIT_SLACK
                 if num_meshes + num_solids <= 0 and has_headroom:
@@ -271,14 +275,14 @@ def are_joined_by_slopes(surfaces, surface_a, surface_b, direction, max_step):
     if direction == SOUTH:  # which is against y
         axis = 1
         slope_sign = cell_size
-    rise_by_a = slope_sign * normal[surface_a, axis] / normal[surface_a, 2]
-    rise_by_b = slope_sign * normal[surface_b, axis] / normal[surface_b, 2]
-    if max(abs(rise_by_a), abs(rise_by_b)) <= max_step + LIMIT_SLACK:
+    predicted_rise_a = slope_sign * normal[surface_a, axis] / normal[surface_a, 2]
+    predicted_rise_b = slope_sign * normal[surface_b, axis] / normal[surface_b, 2]
+    if max(abs(predicted_rise_a), abs(predicted_rise_b)) <= max_step + LIMIT_SLACK:
         return False
     # a bend between the two cells makes the real rise a mean of both predictions
-    lowest_rise = min(rise_by_a, rise_by_b)
-    highest_rise = max(rise_by_a, rise_by_b)
+    lowest_rise = min(predicted_rise_a, predicted_rise_b)
+    highest_rise = max(predicted_rise_a, predicted_rise_b)
     if lowest_rise - LIMIT_SLACK <= rise <= highest_rise + LIMIT_SLACK:
         return True
-    is_near_a = abs(rise - rise_by_a) <= max_step + LIMIT_SLACK
-    return is_near_a and abs(rise - rise_by_b) <= max_step + LIMIT_SLACK
+    is_near_prediction_a = abs(rise - predicted_rise_a) <= max_step + LIMIT_SLACK
+    return is_near_prediction_a and abs(rise - predicted_rise_b) <= max_step + LIMIT_SLACK

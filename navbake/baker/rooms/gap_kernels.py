@@ -791,8 +791,8 @@ def sweep_distances(is_target, reach, column_distance, squared_distance, begin, 
         is_target: the target cells, bool.
         reach: the largest distance that is measured; larger ones become ``reach + 1`` [cells].
         column_distance: the distance of each cell to the nearest target in its column, int16. The
-            first call writes the columns ``range(start, stop)``; the second call reads all.
-        squared_distance: receives the squared distances of the rows ``range(start, stop)``, int32;
+            first call writes the columns ``range(begin, end)``; the second call reads all.
+        squared_distance: receives the squared distances of the rows ``range(begin, end)``, int32;
             empty in the first call.
         begin: the first column; in the second call, the first row.
         end: the last column or row, plus 1.
