@@ -69,7 +69,7 @@ def _geoms_that_meet(tiled: TiledShapes, prism: Prism) -> dict[int, int]:
         edge = 2.0 * TOUCH_DEPTH if tiled.facets.closed[t] == OPEN_SURFACE else 0.0
         if t not in _boxes_near(tiled.facets.bounds, prism, edge):
             continue
-        asked = prism._replace(half=prism.half + edge)
+        asked = prism._replace(half_width=prism.half_width + edge)
         if triangle_meets_prism(tiled.facets.corners[t], asked, POLYGONS):
             found[int(tiled.facets.geom[t])] = MEETS
     for s in _boxes_near(shapes.solids.bounds, prism, 0.0):
@@ -81,7 +81,7 @@ def _geoms_that_meet(tiled: TiledShapes, prism: Prism) -> dict[int, int]:
 
 def _boxes_near(bounds: NDArray[np.float64], prism: Prism, edge: float) -> list[int]:
     """The boxes that aren't beside a prism; touching is beside it."""
-    reach = prism.half + edge
+    reach = prism.half_width + edge
     low = np.array([prism.x - reach, prism.y - reach, prism.low])
     high = np.array([prism.x + reach, prism.y + reach, prism.high])
     return np.flatnonzero(((bounds[:, :3] < high) & (bounds[:, 3:] > low)).all(axis=1)).tolist()

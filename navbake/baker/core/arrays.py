@@ -143,7 +143,7 @@ class Prism(NamedTuple):
     Attributes:
         x, y: its axis, world frame [m].
         low, high: heights of its bottom and top [m].
-        half: half the length of the square's edge, or the disc's radius [m].
+        half_width: half the length of the square's edge, or the disc's radius [m].
         is_round: whether it is a disc.
     """
 
@@ -151,5 +151,5 @@ class Prism(NamedTuple):
     y: float
     low: float
     high: float
-    half: float
+    half_width: float
     is_round: bool | np.bool_

@@ -121,14 +121,14 @@ def _subtract_prism_support(prism, dx, dy, dz, difference):
     if prism.is_round:
         horizontal_length = math.sqrt(dx * dx + dy * dy)
         if horizontal_length > 0.0:
-            difference[0] -= prism.x + prism.half * dx / horizontal_length
-            difference[1] -= prism.y + prism.half * dy / horizontal_length
+            difference[0] -= prism.x + prism.half_width * dx / horizontal_length
+            difference[1] -= prism.y + prism.half_width * dy / horizontal_length
         else:
             difference[0] -= prism.x
             difference[1] -= prism.y
     else:
-        difference[0] -= prism.x + (prism.half if dx > 0.0 else -prism.half)
-        difference[1] -= prism.y + (prism.half if dy > 0.0 else -prism.half)
+        difference[0] -= prism.x + (prism.half_width if dx > 0.0 else -prism.half_width)
+        difference[1] -= prism.y + (prism.half_width if dy > 0.0 else -prism.half_width)
     half_z = (prism.high - prism.low) / 2.0
     difference[2] -= (prism.low + prism.high) / 2.0 + (half_z if dz > 0.0 else -half_z)
 

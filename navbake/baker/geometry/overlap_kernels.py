@@ -53,12 +53,12 @@ def is_beside_prism(boxes, box, prism):
         box: index of the box.
         prism: the prism, as `Prism`; a round one counts as its square.
     """
-    half = prism.half
+    half_width = prism.half_width
     return (
-        boxes[box, 0] >= prism.x + half
-        or boxes[box, 3] <= prism.x - half
-        or boxes[box, 1] >= prism.y + half
-        or boxes[box, 4] <= prism.y - half
+        boxes[box, 0] >= prism.x + half_width
+        or boxes[box, 3] <= prism.x - half_width
+        or boxes[box, 1] >= prism.y + half_width
+        or boxes[box, 4] <= prism.y - half_width
         or boxes[box, 2] >= prism.high
         or boxes[box, 5] <= prism.low
     )
@@ -81,7 +81,7 @@ def facet_meets_prism(facets, triangle, prism, polygons):
     """
     margin = 2.0 * TOUCH_DEPTH if facets.closed[triangle] == OPEN_SURFACE else 0.0
     widened_prism = Prism(
-        prism.x, prism.y, prism.low, prism.high, prism.half + margin, prism.is_round
+        prism.x, prism.y, prism.low, prism.high, prism.half_width + margin, prism.is_round
     )
     if is_beside_prism(facets.bounds, triangle, widened_prism):  # true for most triangles
         return False
@@ -166,7 +166,7 @@ def _disc_meets_polygon(corners, num_corners, prism):
             )
         dx = corner_dx + edge_fraction * edge_x
         dy = corner_dy + edge_fraction * edge_y
-        if dx * dx + dy * dy < prism.half * prism.half:
+        if dx * dx + dy * dy < prism.half_width * prism.half_width:
             return True
         side_sign = edge_x * corner_dy - edge_y * corner_dx
         is_left_of_any = is_left_of_any or side_sign > 0.0
@@ -196,11 +196,16 @@ def triangle_meets_prism(corners, prism, polygons):
         return _disc_meets_polygon(polygon, num_corners, prism)
     x = prism.x
     y = prism.y
-    half = prism.half
+    half_width = prism.half_width
     num_corners = clip_polygon_between(
-        polygon, num_corners, scratch, X, (x - half, x + half), polygon
+        polygon, num_corners, scratch, X, (x - half_width, x + half_width), polygon
     )
-    return clip_polygon_between(polygon, num_corners, scratch, Y, (y - half, y + half), polygon) > 0
+    return (
+        clip_polygon_between(
+            polygon, num_corners, scratch, Y, (y - half_width, y + half_width), polygon
+        )
+        > 0
+    )
 
 
 @subkernel(**NO_REFCOUNT)
@@ -223,7 +228,7 @@ def plane_meets_prism(planes, plane, prism):
     depth -= abs(nz) * half_z
     # how far the disc's rim or the square's corner reaches against the normal
     reach = math.sqrt(nx * nx + ny * ny) if prism.is_round else abs(nx) + abs(ny)
-    return depth - prism.half * reach < 0.0
+    return depth - prism.half_width * reach < 0.0
 
 
 @subkernel(**NO_REFCOUNT)

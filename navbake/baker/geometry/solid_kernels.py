@@ -17,18 +17,18 @@ MIN_PROVED_DISTANCE = 1e-9  # a gap or an overlap larger than this is not due to
 
 
 @subkernel(inline="always")
-def _point_distance(dx, dy, half, is_round):
+def _point_distance(dx, dy, half_width, is_round):
     """Return the distance in the plane from a point to a square or a disc around the origin [m].
 
-    It is 0 inside. `half` is half of the square's edge, or the disc's radius [m].
+    It is 0 inside. `half_width` is half of the square's edge, or the disc's radius [m].
     """
     if is_round:
-        return max(math.hypot(dx, dy) - half, 0.0)
-    return math.hypot(max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0))
+        return max(math.hypot(dx, dy) - half_width, 0.0)
+    return math.hypot(max(abs(dx) - half_width, 0.0), max(abs(dy) - half_width, 0.0))
 
 
 @subkernel(inline="always")
-def _distance_from_above(solids, solid, upright_axis, dx, dy, half, is_round):
+def _distance_from_above(solids, solid, upright_axis, dx, dy, half_width, is_round):
     """Return the distance from an upright box or cylinder to a prism, seen from above [m].
 
     It is negative if they overlap. For a box and a square prism it may be less than the distance.
@@ -38,15 +38,15 @@ def _distance_from_above(solids, solid, upright_axis, dx, dy, half, is_round):
         solid: index of the solid.
         upright_axis: number of the solid's own axis that points up or down.
         dx, dy: the prism's axis, from the solid's centre [m].
-        half: half of the prism's edge, or its radius [m].
+        half_width: half of the prism's edge, or its radius [m].
         is_round: whether the prism is round.
     """
     mat = solids.mat[solid]
     size = solids.size[solid]
     if solids.kind[solid] == CYLINDER:
         if is_round:
-            return math.hypot(dx, dy) - size[0] - half
-        return _point_distance(dx, dy, half, NOT_ROUND) - size[0]
+            return math.hypot(dx, dy) - size[0] - half_width
+        return _point_distance(dx, dy, half_width, NOT_ROUND) - size[0]
     first_axis = (upright_axis + 1) % 3
     second_axis = (upright_axis + 2) % 3
     ax = mat[first_axis]
@@ -56,19 +56,22 @@ def _distance_from_above(solids, solid, upright_axis, dx, dy, half, is_round):
     gap_along_first = abs(dx * ax + dy * ay) - size[first_axis]
     gap_along_second = abs(dx * bx + dy * by) - size[second_axis]
     if is_round:
-        return math.hypot(max(gap_along_first, 0.0), max(gap_along_second, 0.0)) - half
+        return math.hypot(max(gap_along_first, 0.0), max(gap_along_second, 0.0)) - half_width
     # two rectangles are apart when one of their four axes separates them
     distance = max(
-        gap_along_first - half * (abs(ax) + abs(ay)), gap_along_second - half * (abs(bx) + abs(by))
+        gap_along_first - half_width * (abs(ax) + abs(ay)),
+        gap_along_second - half_width * (abs(bx) + abs(by)),
     )
     distance = max(
-        distance, abs(dx) - half - abs(ax) * size[first_axis] - abs(bx) * size[second_axis]
+        distance, abs(dx) - half_width - abs(ax) * size[first_axis] - abs(bx) * size[second_axis]
     )
-    return max(distance, abs(dy) - half - abs(ay) * size[first_axis] - abs(by) * size[second_axis])
+    return max(
+        distance, abs(dy) - half_width - abs(ay) * size[first_axis] - abs(by) * size[second_axis]
+    )
 
 
 @subkernel(inline="always")
-def _axis_distance_bound(solids, solid, prism, half, is_round):
+def _axis_distance_bound(solids, solid, prism, half_width, is_round):
     """Return a lower bound of the distance between a capsule or cylinder and a prism [m].
 
     It is used where the solid leans, and for capsules. It is negative only if the two overlap.
@@ -77,7 +80,7 @@ def _axis_distance_bound(solids, solid, prism, half, is_round):
         solids: the solids, as `Solids`.
         solid: index of the solid.
         prism: the prism, as `Prism`.
-        half: half of the prism's edge, or its radius [m].
+        half_width: half of the prism's edge, or its radius [m].
         is_round: whether the prism is round.
     """
     pos = solids.pos[solid]
@@ -101,15 +104,17 @@ def _axis_distance_bound(solids, solid, prism, half, is_round):
     pz = pos[2] + axis_fraction * az
     if solids.kind[solid] == CAPSULE:  # the ball around that point proves most overlaps
         height_distance = max(prism.low - pz, pz - prism.high, 0.0)
-        distance = math.hypot(_point_distance(px, py, half, is_round), height_distance) - radius
+        distance = (
+            math.hypot(_point_distance(px, py, half_width, is_round), height_distance) - radius
+        )
         if distance < 0.0:
             return distance
-    radius_sum = radius + (half if is_round else half * math.sqrt(2.0))
+    radius_sum = radius + (half_width if is_round else half_width * math.sqrt(2.0))
     return max(math.hypot(px, py) - radius_sum, 0.0)
 
 
 @subkernel(inline="always")
-def _distance_bound(solids, solid, prism, half, is_round):
+def _distance_bound(solids, solid, prism, half_width, is_round):
     """Return a lower bound of the distance between a solid and a prism [m].
 
     It is negative only if the two overlap, and 0 if nothing is known.
@@ -118,7 +123,7 @@ def _distance_bound(solids, solid, prism, half, is_round):
         solids: the solids, as `Solids`.
         solid: index of the solid.
         prism: the prism, as `Prism`.
-        half: half of the prism's edge, or its radius [m].
+        half_width: half of the prism's edge, or its radius [m].
         is_round: whether the prism is round.
     """
     kind = solids.kind[solid]
@@ -128,7 +133,7 @@ def _distance_bound(solids, solid, prism, half, is_round):
     if kind == SPHERE:
         height_distance = max(prism.low - pos[2], pos[2] - prism.high, 0.0)
         return (
-            math.hypot(_point_distance(dx, dy, half, is_round), height_distance)
+            math.hypot(_point_distance(dx, dy, half_width, is_round), height_distance)
             - solids.size[solid, 0]
         )
     for axis in range(3):
@@ -138,10 +143,11 @@ def _distance_bound(solids, solid, prism, half, is_round):
                 solids.bounds[solid, 2] - prism.high, prism.low - solids.bounds[solid, 5]
             )
             return max(
-                _distance_from_above(solids, solid, axis, dx, dy, half, is_round), height_distance
+                _distance_from_above(solids, solid, axis, dx, dy, half_width, is_round),
+                height_distance,
             )
     if kind in (CAPSULE, CYLINDER):
-        return _axis_distance_bound(solids, solid, prism, half, is_round)
+        return _axis_distance_bound(solids, solid, prism, half_width, is_round)
     return 0.0
 
 
@@ -158,7 +164,7 @@ def solid_meets_prism(solids, solid, prism, simplex):
     Returns:
         APART, MEETS or UNDECIDED.
     """
-    distance_bound = _distance_bound(solids, solid, prism, prism.half, prism.is_round)
+    distance_bound = _distance_bound(solids, solid, prism, prism.half_width, prism.is_round)
     if abs(distance_bound) > MIN_PROVED_DISTANCE:
         return APART if distance_bound > 0.0 else MEETS
     return gjk_meets_prism(solids, solid, prism, simplex)

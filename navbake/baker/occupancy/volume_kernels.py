@@ -225,7 +225,7 @@ def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
         return APART
     # GJK's error grows with the prism's height: a tall prism is cut above the solid
     cut_top = min(prism.high, solids.bounds[shape, 5] + 1.0)
-    cut_prism = Prism(prism.x, prism.y, prism.low, cut_top, prism.half, prism.is_round)
+    cut_prism = Prism(prism.x, prism.y, prism.low, cut_top, prism.half_width, prism.is_round)
     return solid_meets_prism(solids, shape, cut_prism, scratch.simplex)
 
 
