@@ -17,6 +17,7 @@ from navbake.types import Int
 FREE = "#f7f3e8"
 OCCUPIED = "#3b4252"
 NO_FLOOR = "#b9c0cc"
+CLOSED = "#938fbf"  # free as baked, closed by inflation
 DOOR = "#c8440a"  # where a door blocks the way
 DOORWAY = "#ff9f5a"  # where a door would block the way if it were closed
 ROUTE = "#1864ab"

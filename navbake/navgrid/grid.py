@@ -544,6 +544,20 @@ class SceneGrid2D(GridBase):
         return np.asarray(free | (is_blocked & (self.solid == 0)))
 
     @property
+    def closed_by_inflation(self) -> Bool:
+        """True where an agent fits as the grid was baked, and not as it was inflated.
+
+        Shape (height, width), bool. All False in a grid that was not inflated. Cells that an added
+        obstacle blocks are False.
+        """
+        if "inflation" not in self.metadata:
+            return np.zeros(self.shape, dtype=np.bool_)
+        is_closed: Bool = (self.occupancy == 0) & ~self.free & ~np.isnan(self.floor_height)
+        if self.obstacle_state is not None:
+            is_closed &= ~self.obstacle_state.mask_of(BLOCKED)
+        return is_closed
+
+    @property
     def room_index(self) -> NDArray[np.uint16]:
         """The index of each cell's room on its level, from 1; shape (height, width), uint16.
 

@@ -35,7 +35,12 @@ MAX_WHITE_SHARE = 0.3
 MAX_BLACK_SHARE = 0.35
 # most cells along a room's longer side that are looked at to place its name
 MAX_SAMPLED_CELLS = 400
-OCCUPANCY_COLORS = {"free": colors.FREE, "occupied": colors.OCCUPIED, "no floor": colors.NO_FLOOR}
+OCCUPANCY_COLORS = {
+    "free": colors.FREE,
+    "occupied": colors.OCCUPIED,
+    "no floor": colors.NO_FLOOR,
+    "closed by inflation": colors.CLOSED,
+}
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 
 # Colours of viridis from 0.22 to 1, chosen so that neighbours differ equally to all people, also to
@@ -328,6 +333,7 @@ def _paint_occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
     color_index = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1)).astype(
         np.uint8
     )
+    color_index[level.closed_by_inflation] = 3
     is_color_used = np.bincount(color_index.ravel(), minlength=len(OCCUPANCY_COLORS)) > 0
     legend = [
         entry
@@ -398,7 +404,7 @@ def _show_islands(grid: NavGrid, level_number: int) -> Panel:
 def paint_rooms(grid: NavGrid, level_number: int) -> NDArray[np.uint8]:
     """Paint the cells of a level in the colours of their rooms, blocked cells darker.
 
-    The cells of doors and doorways have colours of their own.
+    The cells of doors and doorways, and cells that inflation closed, have colours of their own.
 
     Args:
         grid: a grid of one or several levels.
@@ -415,6 +421,7 @@ def paint_rooms(grid: NavGrid, level_number: int) -> NDArray[np.uint8]:
     palette[1] = colors.rgb_of(colors.FREE)
     rgb = palette.take(level.room_index.astype(np.uint32) * 2 + level.free, axis=0)
     rgb[np.isnan(level.floor_height)] = colors.rgb_of(colors.NO_FLOOR)
+    rgb[level.closed_by_inflation] = colors.rgb_of(colors.CLOSED)
     _paint_doors(rgb, grid, level_number)
     return rgb
 
@@ -428,6 +435,7 @@ def _show_rooms(grid: NavGrid, level_number: int) -> Panel:
     level = grid.levels[level_number]
     room_index = level.room_index
     is_free = level.free
+    is_closed = level.closed_by_inflation
     has_no_floor = np.isnan(level.floor_height)
     is_door = mark_door_cells(grid, level_number, in_current_state=True)
     is_doorway = mark_door_cells(grid, level_number, in_current_state=False)
@@ -436,10 +444,15 @@ def _show_rooms(grid: NavGrid, level_number: int) -> Panel:
     ]
     mask_of_entry = {
         ("outdoors", colors.OUTDOORS): np.isin(room_index, outdoor_indices),
-        ("occupied, no room", colors.OCCUPIED): (room_index == 0) & ~is_free & ~has_no_floor,
+        ("occupied, no room", colors.OCCUPIED): (
+            (room_index == 0) & ~is_free & ~is_closed & ~has_no_floor
+        ),
         ("no floor", colors.NO_FLOOR): has_no_floor,
         ("free, no room", colors.FREE): (room_index == 0) & is_free,
-        ("greyer: occupied in a room", colors.ROOM_LEGEND): (room_index > 0) & ~is_free,
+        ("greyer: occupied in a room", colors.ROOM_LEGEND): (
+            (room_index > 0) & ~is_free & ~is_closed
+        ),
+        ("closed by inflation", colors.CLOSED): is_closed,
         ("door", colors.DOOR): is_door,
         ("doorway", colors.DOORWAY): is_doorway & ~is_door,
     }
@@ -576,7 +589,8 @@ def _show_areas(grid: NavGrid, level_number: int) -> Panel:
         is_in_area = level.area_index == area_number
         area_rgb = np.array(colors.rgb_of(color), dtype=np.uint8)
         rgb[is_in_area & level.free] = area_rgb
-        rgb[is_in_area & ~level.free] = colors.darken_rooms(area_rgb)
+        is_occupied = ~level.free & ~level.closed_by_inflation
+        rgb[is_in_area & is_occupied] = colors.darken_rooms(area_rgb)
         if is_in_area.any():
             area_entries.append((describe_area(area), color))
         region_names.append(RegionName(area_number, area.name, str(area_number)))

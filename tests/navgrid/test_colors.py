@@ -23,7 +23,7 @@ from navbake.views.layers import (
 AT_A_GLANCE = 8.0  # CIEDE2000; 1 is barely seen beside each other
 KINDS = {
     name: getattr(colors, name)
-    for name in ("FREE", "OCCUPIED", "NO_FLOOR", "DOOR", "DOORWAY", "ROUTE")
+    for name in ("FREE", "OCCUPIED", "NO_FLOOR", "CLOSED", "DOOR", "DOORWAY", "ROUTE")
 }
 
 
@@ -51,7 +51,7 @@ def test_rooms_stay_apart_from_each_other_and_from_what_is_no_room(vision):
     for one, other in combinations(rooms, 2):
         assert difference(rgb_of(one), rgb_of(other), vision) > AT_A_GLANCE, (one, other)
     for one in rooms:
-        for name in ("OCCUPIED", "NO_FLOOR", "DOOR", "DOORWAY", "ROUTE"):
+        for name in ("OCCUPIED", "NO_FLOOR", "CLOSED", "DOOR", "DOORWAY", "ROUTE"):
             assert difference(rgb_of(one), rgb_of(KINDS[name]), vision) > AT_A_GLANCE, (one, name)
         dark = darken_rooms(np.array(rgb_of(one), dtype=np.uint8))
         assert difference(rgb_of(one), dark, vision) > 15
@@ -63,7 +63,7 @@ def test_marks_stay_apart(vision):
     for one, other in combinations(colors.MARKS, 2):
         assert difference(rgb_of(one), rgb_of(other), vision) > AT_A_GLANCE, (one, other)
     for one in colors.MARKS:
-        for name in ("FREE", "OCCUPIED", "NO_FLOOR"):
+        for name in ("FREE", "OCCUPIED", "NO_FLOOR", "CLOSED"):
             assert difference(rgb_of(one), rgb_of(KINDS[name]), vision) > AT_A_GLANCE, (one, name)
     ways = (colors.LINK_UP, colors.LINK_DOWN, colors.LINK_ACROSS, colors.ROUTE)
     for one, other in combinations((*ways, colors.FREE), 2):

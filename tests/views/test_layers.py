@@ -5,6 +5,7 @@ import pytest
 
 from navbake.errors import QueryError
 from navbake.navgrid.colors import (
+    CLOSED,
     DOOR,
     DOORWAY,
     FREE,
@@ -241,3 +242,34 @@ def test_light_comes_from_the_upper_left():
 def test_a_panel_of_colours_is_painted_as_it_is():
     rgb = np.arange(12, dtype=np.uint8).reshape(2, 2, 3)
     np.testing.assert_array_equal(paint(Panel("p", rgb)), rgb)
+
+
+def test_what_inflation_closed_has_a_colour_of_its_own():
+    art = "###########\n#aaaaabbbb#\n#aaaaDbTbb#\n#aaaaabbbb#\n#aaaaabbbb#\n###########"
+    baked = make_level(art)
+    assert not baked.closed_by_inflation.any()
+    inflated = baked.inflate(0.6)
+    expected = baked.free & ~inflated.free
+    assert expected.any() and inflated.free.any()
+    np.testing.assert_array_equal(inflated.closed_by_inflation, expected)
+    for layer in ("occupancy", "clearance", "island", "weights"):
+        panel = make_panel(inflated, layer, 0)
+        assert ("closed by inflation", CLOSED) in panel.legend, layer
+        np.testing.assert_array_equal((paint(panel) == rgb_of(CLOSED)).all(axis=2), expected)
+        plain_legend = make_panel(baked, layer, 0).legend
+        assert all(color != CLOSED for _, color in plain_legend), layer
+    rooms = make_panel(inflated, "rooms", 0)
+    assert ("closed by inflation", CLOSED) in rooms.legend
+    is_closed_color = (rooms.rgb == rgb_of(CLOSED)).all(axis=2)
+    is_door_cell = (rooms.rgb == rgb_of(DOORWAY)).all(axis=2)
+    np.testing.assert_array_equal(is_closed_color | is_door_cell, expected | is_door_cell)
+
+
+def test_what_an_obstacle_blocks_was_not_closed_by_inflation():
+    inflated = make_level().inflate(0.3)
+    closed_by_inflation = inflated.closed_by_inflation
+    obstacle = inflated.block(disc=((1.25, 1.25), 0.3), margin=0.3)
+    assert not inflated.free[2, 2]
+    assert not inflated.closed_by_inflation[2, 2]
+    obstacle.free()
+    np.testing.assert_array_equal(inflated.closed_by_inflation, closed_by_inflation)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
-from navbake.navgrid.colors import DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE
+from navbake.navgrid.colors import CLOSED, DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.rooms import to_runs
 from navbake.runtime.paths import Path as Route
@@ -344,3 +344,19 @@ def test_letters_that_no_font_has_are_known():
     families, missing = plot.choose_fonts("\u043a\u0443\u0445\u043d\u044f a\U000e0fff")
     assert families == [plot.FONT]
     assert missing <= {"\U000e0fff", "\\"}
+
+
+def test_an_inflated_grid_names_its_radius_and_shows_what_it_closed():
+    level = make_level()
+    level.attributes["floorHeight"][:] = 0
+    plain = pixels(render_picture(level, layers=["occupancy"]))
+    inflated = level.inflate(0.2)
+    inflated.metadata["sceneId"] = "house"
+    image = pixels(render_picture(inflated, layers=["occupancy"]))
+    above = image.shape[0] * 8 // 10
+    assert len(find(image, CLOSED, slice(0, above))[0]) > 1000
+    assert len(find(image, CLOSED, slice(above, None))[0]) > 50  # the legend has it
+    assert not len(find(plain, CLOSED)[0])
+    # the heading: the first dark rows, wider by the radius
+    headings = [(pixels[:60] < 100).all(axis=2).any(axis=0).sum() for pixels in (plain, image)]
+    assert headings[1] > 2 * headings[0]
