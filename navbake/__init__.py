@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from navbake.verifier.verify import verify
     from navbake.views.report import write_report as report
     from navbake.views.viewer.view import view
+    from navbake.voxels.finder import VoxelFinder
     from navbake.voxels.grid import VoxelGrid
 
 __all__ = [
@@ -59,6 +60,7 @@ __all__ = [
     "QueryError",
     "SceneError",
     "SceneGrid2D",
+    "VoxelFinder",
     "VoxelGrid",
     "Voxelizer",
     "__version__",
@@ -93,6 +95,7 @@ _LAZY = {
     "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
     "PathFinder": "navbake.runtime.path_finder:PathFinder",
     "SceneGrid2D": "navbake.navgrid.grid:SceneGrid2D",
+    "VoxelFinder": "navbake.voxels.finder:VoxelFinder",
     "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
     "Voxelizer": "navbake.baker.voxels.voxelize:Voxelizer",
     "create_voxel_grid": "navbake.baker.voxels.voxelize:create_voxel_grid",

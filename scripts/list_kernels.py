@@ -172,6 +172,22 @@ def _use_voxels(voxelizer: navbake.Voxelizer, folder: Path) -> None:
     voxelizer.create(*place, res=0.1, segments="top").save(folder / "ids.binvox")
     navbake.load_voxels(folder / "ids.binvox")
     voxelizer.create(*place, res=0.1, segments={"*": 999})
+    _use_flights(voxelizer.create(res=0.2))
+
+
+def _use_flights(voxels: navbake.VoxelGrid) -> None:
+    """Ask whatever of distances and flights has kernels."""
+    field = voxels.distances(signed=True)
+    finder = navbake.VoxelFinder(voxels, 0.2, cost_of_clearance=0.1)
+    start, goal = finder.random_point(np.random.default_rng(0), 2, island=1)
+    field.gradients_at(start)
+    finder.find_path(start, goal)
+    finder.distance_field(goal)
+    finder.why_not(start, voxels.bounds[1])
+    middle = voxels.bounds.mean(axis=0)
+    nearest = np.argmin(np.linalg.norm(voxels.centers() - middle, axis=1))
+    finder.why_not(start, voxels.centers()[nearest])  # where something is
+    finder.snap(start, island=1)
 
 
 def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:

@@ -54,6 +54,13 @@ REVEALED = {
     "navbake.audit(grid)": "AuditReport",
     'navbake.Baker("house.xml").grid': "SceneGrid2D | MultiLevelGrid",
     'navbake.load_voxels("house.npz")': "VoxelGrid",
+    'navbake.load_voxels("house.npz").distances().at((1.0, 2.0, 0.0))': "ndarray[float64]",
+    "flights": "VoxelFinder",
+    "flights.find_path((1.0, 2.0, 1.0), (3.0, 2.0, 1.0))": "FlightPath | None",
+    "flights.is_free((1.0, 2.0, 1.0))": "bool",
+    "flights.sees((1.0, 2.0, 1.0), (3.0, 2.0, 1.0))": "bool",
+    "flights.snap((1.0, 2.0, 1.0))": "ndarray[float64] | None",
+    "flights.snap([(1.0, 2.0, 1.0), (3.0, 2.0, 1.0)])": "ndarray[float64]",
 }
 BEGINNING = """\
 import navbake
@@ -62,6 +69,7 @@ grid = navbake.bake("house.yaml", grid={"cell_size": 0.05})
 finder = navbake.PathFinder(grid)
 path = finder.find_path((1.0, 2.0, 0.0), (3.0, 2.0, 0.0))
 assert path is not None
+flights = navbake.VoxelFinder(navbake.load_voxels("house.bt"), 0.3)
 """
 
 

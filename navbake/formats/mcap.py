@@ -8,6 +8,9 @@ The topics are:
 - ``/links``: a ``visualization_msgs/MarkerArray`` with lines for the steps between levels, and from
   stop to stop of the named links.
 
+A file of a flight has ``/path_0``, and in ``/voxels`` a ``visualization_msgs/MarkerArray`` with a
+cube for each occupied voxel at the surface.
+
 All frames are ``map``, all times are 0.
 
 Source: the definitions of messages of ROS 2 Humble; ``mcap_ros2`` encodes them.
@@ -31,6 +34,8 @@ from navbake.formats.source import Files, import_extra
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.types import Float, Json
+from navbake.voxels.finder import FlightPath
+from navbake.voxels.grid import VoxelGrid
 
 # type of a message -> its fields, in the language of ROS' own definitions
 MESSAGES = {
@@ -66,6 +71,8 @@ MESSAGES = {
 MAP_FRAME = {"frame_id": "map"}
 NO_ROTATION = {"w": 1.0}  # a quaternion
 LINE_LIST = 5  # type of a marker: points 0 and 1 are the ends of a line, then 2 and 3, …
+CUBE_LIST = 6  # type of a marker: each point is the middle of a cube
+VOXEL_COLOR = {"r": 0.6, "g": 0.6, "b": 0.65, "a": 1.0}
 LINE_WIDTH = 0.03  # [m]
 LINE_COLOR = {"r": 0.9, "g": 0.5, "b": 0.1, "a": 1.0}
 
@@ -93,15 +100,8 @@ def encode_mcap(
     if any(planned_path is None for planned_path in route):
         raise FormatError("expected paths as `route`, got None: there is no path")
     file = io.BytesIO()
-    schemas = dict[str, Any]()
     with mcap_writer.Writer(file) as writer:
-
-        def write_message(topic: str, message_type: str, message: Json) -> None:
-            if message_type not in schemas:
-                name = message_type.replace("/", "/msg/")
-                schemas[message_type] = writer.register_msgdef(name, define_message(message_type))
-            writer.write_message(topic, schemas[message_type], message, log_time=0, publish_time=0)
-
+        messages = _Messages(writer)
         for level_number in level_numbers:
             grid_level = grid.levels[level_number]
             x_min, y_min, _, _ = grid_level.lattice.bounds
@@ -115,22 +115,82 @@ def encode_mcap(
             values = compute_occupancy_values(grid, level_number)[::-1]
             message = {"header": MAP_FRAME, "info": map_info, "data": values.ravel().tolist()}
             topic = "/map" if len(level_numbers) == 1 else f"/map_{level_number}"
-            write_message(topic, "nav_msgs/OccupancyGrid", message)
+            messages.write(topic, "nav_msgs/OccupancyGrid", message)
         for path_number, planned_path in enumerate(route):
-            poses = [
-                {"header": MAP_FRAME, "pose": _make_pose(position, heading)}
-                for position, heading in zip(
-                    planned_path.positions, find_headings(planned_path.positions), strict=True
-                )
-            ]
-            write_message(
-                f"/path_{path_number}", "nav_msgs/Path", {"header": MAP_FRAME, "poses": poses}
-            )
+            path_message = _make_path(planned_path.positions)
+            messages.write(f"/path_{path_number}", "nav_msgs/Path", path_message)
         if len(level_numbers) == len(grid.levels):
             markers = list(_make_markers(grid))
             if markers:
-                write_message("/links", "visualization_msgs/MarkerArray", {"markers": markers})
+                messages.write("/links", "visualization_msgs/MarkerArray", {"markers": markers})
     return {path: file.getvalue()}
+
+
+def encode_flight(flight: FlightPath, voxels: VoxelGrid | None = None) -> bytes:
+    """Encode a path through voxels as an MCAP file.
+
+    Args:
+        flight: the path.
+        voxels: voxels to show; None for none.
+
+    Raises:
+        MissingDependencyError: mcap-ros2-support is not installed.
+    """
+    mcap_writer = import_extra("mcap_ros2.writer", "mcap", "MCAP")
+    file = io.BytesIO()
+    with mcap_writer.Writer(file) as writer:
+        messages = _Messages(writer)
+        messages.write("/path_0", "nav_msgs/Path", _make_path(flight.positions))
+        if voxels is not None:
+            marker = _make_voxel_marker(voxels)
+            messages.write("/voxels", "visualization_msgs/MarkerArray", {"markers": [marker]})
+    return file.getvalue()
+
+
+class _Messages:
+    """Writes messages to an MCAP file; each type is registered when it is first written."""
+
+    def __init__(self, writer: Any) -> None:
+        self._writer = writer
+        self._schemas = dict[str, Any]()
+
+    def write(self, topic: str, message_type: str, message: Json) -> None:
+        if message_type not in self._schemas:
+            name = message_type.replace("/", "/msg/")
+            definition = define_message(message_type)
+            self._schemas[message_type] = self._writer.register_msgdef(name, definition)
+        schema = self._schemas[message_type]
+        self._writer.write_message(topic, schema, message, log_time=0, publish_time=0)
+
+
+def _make_path(positions: Float) -> Json:
+    """Make a ``nav_msgs/Path`` of positions, shape (n, 3) [m]; its poses head along the path."""
+    poses = [
+        {"header": MAP_FRAME, "pose": _make_pose(position, heading)}
+        for position, heading in zip(positions, find_headings(positions), strict=True)
+    ]
+    return {"header": MAP_FRAME, "poses": poses}
+
+
+def _make_voxel_marker(voxels: VoxelGrid) -> Json:
+    """Make a marker with a cube for each occupied voxel that has an empty one beside it."""
+    occupied = np.pad(voxels.occupied, 1, constant_values=True)
+    is_covered = np.ones(voxels.shape, dtype=np.bool_)
+    for axis in range(3):
+        for shift in (-1, 1):
+            neighbors = np.roll(occupied, shift, axis=axis)
+            is_covered &= neighbors[1:-1, 1:-1, 1:-1]
+    at_surface = np.argwhere(voxels.occupied & ~is_covered)
+    centers = (at_surface + 0.5) * voxels.res + np.array(voxels.origin)
+    return {
+        "header": MAP_FRAME,
+        "ns": "voxels",
+        "type": CUBE_LIST,
+        "pose": {"orientation": NO_ROTATION},
+        "scale": {"x": voxels.res, "y": voxels.res, "z": voxels.res},
+        "color": VOXEL_COLOR,
+        "points": [_make_point(center) for center in centers.tolist()],
+    }
 
 
 def _make_markers(grid: NavGrid) -> Iterator[Json]:

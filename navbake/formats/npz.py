@@ -37,9 +37,10 @@ from navbake.formats.allowance import (
     check_optional_object,
     check_whole_number,
 )
-from navbake.formats.source import Files, parse_json, read_bytes
+from navbake.formats.source import Files, parse_json, read_bytes, write_bytes
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.types import Json
+from navbake.voxels.distances import DistanceField
 from navbake.voxels.grid import VoxelGrid
 
 PathOrBytes: TypeAlias = str | PathLike[str] | bytes
@@ -195,6 +196,28 @@ def _pack_arrays(arrays: Mapping[str, Any]) -> bytes:
 
 
 # ---------------------------------------------------------------- voxels
+
+
+def write_distances(field: DistanceField, path: str | PathLike[str]) -> None:
+    """Write a distance field as ``.npz``: `DistanceField.save`.
+
+    Args:
+        field: the field.
+        path: the file, which ends in ``.npz``.
+
+    Raises:
+        FormatError: the name has another ending, or the file cannot be written.
+    """
+    if not str(path).lower().endswith(".npz"):
+        expected = "a name that ends in .npz"
+        raise FormatError(f"expected {expected}, got {path}", value=path, expected=expected)
+    arrays = {
+        "distances": field.values,
+        "origin": np.array(field.origin),
+        "res": np.array(field.res),
+        "is_signed": np.array(field.is_signed),
+    }
+    write_bytes(_pack_arrays(arrays), path)
 
 
 def encode_npz(grid: VoxelGrid) -> bytes:

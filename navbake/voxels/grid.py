@@ -20,6 +20,8 @@ from navbake.lazy import resolve
 from navbake.navgrid.lattice import CELL_SLACK, LEAST_EDGE, MAX_COORDINATE, count_cells
 from navbake.processes import measure_free_memory
 from navbake.types import Bool, Float, Int, Vector3
+from navbake.voxels.distances import DistanceField, find_distances
+from navbake.voxels.positions import check_inside, check_xyz
 
 DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers are IDs
 HUGE_COUNT = 2**200  # more than any memory holds, and still a float
@@ -142,27 +144,38 @@ class VoxelGrid:
         Raises:
             QueryError: A position is outside the grid, or not a finite number.
         """
-        positions = np.asarray(xyz, dtype=np.float64)
-        if positions.shape[-1:] != (3,) or not np.isfinite(positions).all():
-            expected = "finite positions x, y, z [m]"
-            raise QueryError(
-                f"expected {expected}, got {positions.tolist()}"[:200],
-                key="xyz",
-                value=xyz,
-                expected=expected,
-            )
-        index = self.indices(positions)
-        is_outside = ((index < 0) | (index >= self.shape)).any(axis=-1)
-        if is_outside.any():
-            position = positions.reshape(-1, 3)[int(np.argmax(is_outside.ravel()))]
-            lower, upper = self.bounds
-            box = f"from ({_format_position(lower)}) to ({_format_position(upper)})"
-            raise QueryError(
-                f"no voxel at ({_format_position(position)}): the grid is {box}",
-                key="xyz",
-                value=tuple(position.tolist()),
-            )
+        positions = check_xyz(xyz)
+        check_inside(positions, self.bounds)
+        index = np.minimum(self.indices(positions), np.array(self.shape) - 1)
         return np.asarray(self.values[index[..., 0], index[..., 1], index[..., 2]])
+
+    def distances(self, *, signed: bool = False, unknown_occupied: bool = False) -> DistanceField:
+        """Compute how far each voxel is from the nearest occupied voxel.
+
+        A distance is measured from the voxel's centre to the nearest point of the occupied voxel,
+        which is a cube of edge `res`. So a ball round the centre meets no occupied voxel if its
+        radius is at most the distance. What is outside the grid does not count.
+
+        Args:
+            signed: Give occupied voxels the negative distance of their centre from the nearest
+                voxel that is not occupied, in place of 0.
+            unknown_occupied: Count voxels as occupied where `known` is False.
+
+        Returns:
+            The distances [m], `values` of shape (nx, ny, nz); inf if nothing is occupied. The field
+            also interpolates distances and their gradients at positions.
+
+        Example:
+            >>> voxels = navbake.create_voxel_grid("house.xml", res=0.1)
+            >>> field = voxels.distances(signed=True)
+            >>> field.values.shape == voxels.shape
+            True
+            >>> field.at((1.0, 0.5, 1.2)), field.gradients_at((1.0, 0.5, 1.2))
+        """
+        occupied = self.occupied
+        if unknown_occupied and self.known is not None:
+            occupied = occupied | ~self.known
+        return find_distances(occupied, self.origin, self.res, signed=signed)
 
     def ids(self) -> list[int]:
         """Return the IDs that occur, ascending, without 0; [] if voxels hold no IDs."""
@@ -248,11 +261,6 @@ def _make_field_error(key: str, value: object, expected: str, text: str) -> Form
     """Return an error for a wrong value of an attribute; the message shows the value as `text`."""
     message = f"expected {expected}, got {text}"
     return FormatError(message, key=key, value=value, expected=expected)
-
-
-def _format_position(position: Float) -> str:
-    """Write a position for messages."""
-    return ", ".join(f"{coordinate:.6g}" for coordinate in position)
 
 
 def dtype_of(max_id: int) -> np.dtype[Any]:

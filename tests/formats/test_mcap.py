@@ -197,3 +197,25 @@ def test_no_path_and_no_package(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)
     with pytest.raises(MissingDependencyError, match=r'pip install "navbake\[mcap\]"$'):
         small().convert(tmp_path / "a.mcap")
+
+
+@READERS
+def test_a_flight_is_a_path_and_the_voxels_that_show(tmp_path, read):
+    occupied = np.zeros((6, 5, 5), dtype=bool)
+    occupied[3:, :3, :3] = True  # 27 voxels, of which the one in the middle shows no face
+    voxels = navbake.VoxelGrid(values=occupied, origin=(1.0, 2.0, 3.0), res=0.5)
+    finder = navbake.VoxelFinder(voxels, 0.2)
+    flight = finder.find_path((1.3, 2.3, 3.3), (3.6, 4.2, 5.2))
+    flight.save(tmp_path / "flight.mcap", voxels=voxels)
+    found = read(tmp_path / "flight.mcap")
+    assert {*found} == {"/path_0", "/voxels"}
+    poses = found["/path_0"][2].poses
+    assert positions(pose.pose.position for pose in poses) == flight.positions.tolist()
+    (marker,) = found["/voxels"][2].markers
+    assert marker.type == 6 and marker.scale.x == 0.5
+    cubes = positions(marker.points)
+    assert [2.75, 2.25, 3.25] in cubes and [3.25, 2.75, 3.75] not in cubes
+    # faces on the grid's border count as covered, which leaves those at x, y and z
+    assert len(cubes) == 27 - 2 * 2 * 2
+    flight.save(tmp_path / "path.mcap")
+    assert {*read(tmp_path / "path.mcap")} == {"/path_0"}

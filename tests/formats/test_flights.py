@@ -1,0 +1,33 @@
+"""Files of flights: JSON; MCAP is tested with that of grids."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import navbake
+from navbake.errors import FormatError
+
+
+@pytest.fixture(scope="module")
+def flight():
+    voxels = navbake.VoxelGrid(
+        values=np.zeros((9, 9, 9), dtype=bool), origin=(0.0, 0.0, 0.0), res=0.1
+    )
+    return navbake.VoxelFinder(voxels, 0.1).find_path((0.2, 0.2, 0.2), (0.2, 0.7, 0.7))
+
+
+def test_json_has_positions_and_numbers(tmp_path, flight):
+    flight.save(tmp_path / "flight.json")
+    facts = json.loads((tmp_path / "flight.json").read_text())
+    assert facts["positions"] == flight.positions.tolist() == [[0.2, 0.2, 0.2], [0.2, 0.7, 0.7]]
+    assert facts["length"] == flight.length == pytest.approx(0.5 * 2**0.5)
+    assert facts["cost"] == flight.cost and facts["radius"] == 0.1
+
+
+def test_another_ending_is_refused(tmp_path, flight):
+    with pytest.raises(FormatError, match=r"expected a name that ends in \.json or \.mcap"):
+        flight.save(tmp_path / "flight.csv")
+    assert not list(tmp_path.iterdir())

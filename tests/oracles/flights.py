@@ -1,0 +1,137 @@
+"""Flights through voxels, slowly: distances, moves and routes by definition, and in MuJoCo."""
+
+from __future__ import annotations
+
+import itertools
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from navbake.voxels.grid import VoxelGrid
+
+Mask = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+
+NEIGHBOURS = [step for step in itertools.product((-1, 0, 1), repeat=3) if step > (0, 0, 0)]
+TOLERANCE = 1e-9  # as in the finder [m]
+
+
+def measure_distances(occupied: Mask, res: float) -> Floats:
+    """From each voxel's centre to the nearest point of the nearest occupied cube, one by one."""
+    cubes = np.argwhere(occupied)
+    distances = np.full(occupied.shape, np.inf)
+    if len(cubes):
+        for voxel in np.ndindex(occupied.shape):
+            excess = np.maximum(np.abs(cubes - np.array(voxel)) - 0.5, 0.0)
+            distances[voxel] = res * np.sqrt((excess**2).sum(axis=1).min())
+    return distances
+
+
+def distance_of_line(begin: Floats, end: Floats, cubes: Floats, res: float) -> float:
+    """The least distance of a line from cubes, by their centres: golden sections, all at once."""
+    if not len(cubes):
+        return np.inf
+    ratio = (np.sqrt(5.0) - 1.0) / 2.0
+
+    def measure(shares: Floats) -> Floats:
+        points = begin + shares[:, None] * (end - begin)
+        return np.linalg.norm(np.maximum(np.abs(points - cubes) - res / 2, 0.0), axis=1)
+
+    low, high = np.zeros(len(cubes)), np.ones(len(cubes))
+    for _ in range(40):
+        first, second = high - ratio * (high - low), low + ratio * (high - low)
+        is_lower = measure(first) <= measure(second)
+        low, high = np.where(is_lower, low, first), np.where(is_lower, second, high)
+    ends = [measure(np.zeros(len(cubes))), measure(np.ones(len(cubes)))]
+    return float(min(measure(low).min(), *(each.min() for each in ends)))
+
+
+def fits(voxels: VoxelGrid, radius: float, heights: tuple[float, float] | None = None) -> Mask:
+    """Where a ball round a voxel's centre is in the grid and meets no occupied cube."""
+    is_free = measure_distances(voxels.occupied, voxels.res) >= radius - TOLERANCE
+    low, high = voxels.bounds
+    for voxel in np.ndindex(voxels.shape):
+        center = low + (np.array(voxel) + 0.5) * voxels.res
+        if ((center - low < radius - TOLERANCE) | (high - center < radius - TOLERANCE)).any():
+            is_free[voxel] = False
+        if heights and not heights[0] <= center[2] <= heights[1]:
+            is_free[voxel] = False
+    return is_free
+
+
+def make_graph(
+    voxels: VoxelGrid, radius: float, cost: float = 0.0, heights: tuple[float, float] | None = None
+) -> csr_array:
+    """All moves of a ball between free neighbours, with their costs: each tried for itself."""
+    is_free = fits(voxels, radius, heights)
+    distances = measure_distances(voxels.occupied, voxels.res)
+    cubes = voxels.centers()
+    origin = np.array(voxels.origin)
+    rows, columns, costs = [], [], []
+    for voxel in np.argwhere(is_free):
+        for step in NEIGHBOURS:
+            end = voxel + step
+            if (end < 0).any() or (end >= voxels.shape).any() or not is_free[tuple(end)]:
+                continue
+            begin_at = origin + (voxel + 0.5) * voxels.res
+            end_at = origin + (end + 0.5) * voxels.res
+            near = cubes[np.abs(cubes - begin_at).max(axis=1) < radius + 2.0 * voxels.res]
+            if distance_of_line(begin_at, end_at, near, voxels.res) < radius - TOLERANCE:
+                continue
+            weights = [1.0 + cost / distances[tuple(each)] for each in (voxel, end)]
+            rows.append(np.ravel_multi_index(tuple(voxel), voxels.shape))
+            columns.append(np.ravel_multi_index(tuple(end), voxels.shape))
+            costs.append(np.linalg.norm(step) * voxels.res * sum(weights) / 2)
+    size = voxels.values.size
+    return coo_array((costs, (rows, columns)), shape=(size, size)).tocsr()
+
+
+def find_costs(graph: csr_array, sources: list[int]) -> Floats:
+    """Costs from some voxels, by their flat numbers, to all others: scipy's Dijkstra."""
+    return np.asarray(dijkstra(graph, directed=False, indices=sources))
+
+
+# --- in MuJoCo ------------------------------------------------------------------------------------
+
+
+class CapsuleProbe:
+    """Measures how far the geoms of a scene are from a ball that flies along lines.
+
+    Args:
+        path: the scene, as MJCF.
+        counted: which of its geoms count, by id.
+        joints: positions of its joints, qpos.
+    """
+
+    def __init__(self, path: str, counted: list[bool], joints: Floats) -> None:
+        spec = mujoco.MjSpec.from_file(path)
+        body = spec.worldbody.add_body(name="probe", mocap=True)
+        body.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.1, 0.1, 0])
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:] = joints
+        mujoco.mj_kinematics(self.model, self.data)
+        self.probe = int(self.model.geom("probe").id)
+        names = [geom for geom in range(self.model.ngeom) if geom != self.probe]
+        self.geoms = [geom for geom, is_counted in zip(names, counted, strict=True) if is_counted]
+
+    def clearance(self, begin: Floats, end: Floats, radius: float) -> float:
+        """The distance of the nearest geom from the swept ball [m], negative where it meets one."""
+        length = float(np.linalg.norm(end - begin))
+        rotation = np.zeros(9)
+        direction = (end - begin) / length if length else np.array([0.0, 0.0, 1.0])
+        quaternion = np.zeros(4)
+        mujoco.mju_quatZ2Vec(quaternion, direction)
+        mujoco.mju_quat2Mat(rotation, quaternion)
+        self.model.geom_size[self.probe] = (radius, length / 2, 0)
+        self.model.geom_rbound[self.probe] = radius + length / 2
+        self.data.geom_xpos[self.probe] = (begin + end) / 2
+        self.data.geom_xmat[self.probe] = rotation
+        least = 0.05
+        for geom in self.geoms:
+            distance = mujoco.mj_geomDistance(self.model, self.data, self.probe, geom, least, None)
+            least = min(least, float(distance))
+        return least
