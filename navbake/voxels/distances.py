@@ -113,7 +113,7 @@ class DistanceField:
             points,
             distances,
             gradients,
-            least=LEAST_POINTS,
+            min_chunk_size=LEAST_POINTS,
         )
         return distances.reshape(shape), gradients.reshape(positions.shape) / self.res
 

@@ -289,7 +289,7 @@ class VoxelFinder:
             begins,
             ends,
             is_clear,
-            least=LEAST_PAIRS,
+            min_chunk_size=LEAST_PAIRS,
         )
         return bool(is_clear[0]) if len(shape) == 1 else is_clear.reshape(shape[:-1])
 
@@ -340,7 +340,7 @@ class VoxelFinder:
             points,
             float(max_distance),
             places,
-            least=LEAST_PAIRS,
+            min_chunk_size=LEAST_PAIRS,
         )
         if island is None:
             is_clear = np.atleast_1d(self.sees(points, points))
