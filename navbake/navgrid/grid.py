@@ -35,7 +35,7 @@ from navbake.navgrid.links import (
 from navbake.navgrid.metadata import cut_metadata, describe_attributes
 from navbake.navgrid.obstacle_state import BLOCKED, CHANGING_ATTRIBUTES, OCCUPIED, ObstacleState
 from navbake.navgrid.rooms import Door, Room, measure_rooms, parse_doors, parse_rooms
-from navbake.navgrid.user_data import UserData
+from navbake.navgrid.user_data import Box, UserData, parse_boxes
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
 
 if TYPE_CHECKING:
@@ -52,8 +52,8 @@ DEFAULT_STEP = 0.25  # highest step that the agent takes, if the file states non
 class GridBase(GridMethods):
     """Common base of grids of one level and of several levels.
 
-    The properties `rooms`, `doors`, `steps`, `links`, `areas` and `agents` parse a table of the
-    file on first access. They raise a FormatError if that table is broken.
+    The properties `rooms`, `doors`, `steps`, `links`, `areas`, `agents` and `name_boxes` parse a
+    table of the file on first access. They raise a FormatError if that table is broken.
 
     Attributes:
         cell_size: Edge of a cell [file units], > 0.
@@ -264,6 +264,17 @@ class GridBase(GridMethods):
     def agents(self) -> dict[str, Agent]:
         """The agents that the file names, by name."""
         return dict(self._table("agents", parse_agents))
+
+    @property
+    def name_boxes(self) -> dict[str, Box]:
+        """The upright boxes round what the cells name, by name; empty if the file has none.
+
+        Each is world x, y, z of the lower corner, then of the upper corner [m], in the pose of the
+        bake.
+        """
+        if "boxes" not in self.navbake:
+            return {}
+        return self._table("boxes", parse_boxes)
 
     @property
     def _cell_counts(self) -> list[int]:

@@ -16,7 +16,11 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from navbake.navgrid.metadata import read_table
 from navbake.types import Int, Json, JsonValue
+
+Box: TypeAlias = tuple[float, float, float, float, float, float]
+"""World x, y, z of an upright box's lower corner, then of its upper corner [m]."""
 
 NAME_KEYS = ("doors", "objects", "walls")  # keys of a cell's user data that list names
 # matches the reversed end of names like chair_1, where it has a number; from the front, its cost
@@ -185,6 +189,21 @@ def names_in(entry: Json, key: str) -> list[str]:
     """
     names = entry.get(key)
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+
+def parse_boxes(entries: JsonValue) -> dict[str, Box]:
+    """Check and convert ``metadata.navbake.boxes``.
+
+    Args:
+        entries: The table.
+
+    Returns:
+        Name -> box.
+
+    Raises:
+        FormatError: The table is broken.
+    """
+    return read_table(entries, dict[str, Box], "metadata.navbake.boxes")
 
 
 def find_category(name: str) -> str:

@@ -836,7 +836,7 @@ class PathFinder:
         footprint: ArrayLike | None = None,
         facing: str | None = "target",
         height: float | None = None,
-        sight: bool = True,
+        sight: bool | float = True,
         spread: float = 0.25,
         seed: int = 0,
         start: ArrayLike | None = None,
@@ -844,16 +844,16 @@ class PathFinder:
         """Find poses of a robot's base from which it reaches things, and touches nothing.
 
         The base's axis stands on the middle of a cell that is free for the finder's agent. A grid
-        knows an object by the cells over whose squares it stands. So the distance to it is known to
-        within a cell: the base is in reach if no such square is nearer than the least
-        distance, and all of one is within the greatest. The object's nearest point is then within
-        reach, whatever it looks like. The distance to a point is exact.
+        knows an object by the cells over whose squares it stands, and by its upright box. Distances
+        are measured to the part of these squares that the box covers: a base is in reach if none of
+        them is nearer than the least distance, and all of one within the greatest. So the object's
+        nearest point is within reach, whatever its shape. The distance to a point is exact.
 
-        Sight runs from the middle of the base's cell to the middle of a cell of the target. All
-        things in the agent's way hide the target, whatever their height, except for the target
-        itself and things that stand in its cells: the table under a cup, the counter round a
-        drawer. So a cup in a closed cupboard counts as in sight from in front of the cupboard;
-        walls and doors always hide.
+        Sight runs from the eye, over the base's axis, to the middle of a cell of the target. Things
+        hide it with their boxes: one sees a cup over the edge of its table, and nothing in a closed
+        cupboard or far back on a shelf, but for things whose cells reach to the front. In the
+        target's own cells, only walls and doors hide it. A grid without boxes, as older bakes and
+        other programs write it, takes all that is in the agent's way as endlessly high.
 
         Args:
             target: a position, ``object:NAME``, ``category:NAME`` for all objects whose names
@@ -867,8 +867,9 @@ class PathFinder:
             facing: ``target`` to face the nearest part of the target that is in reach and in
                 sight; None for random headings.
             height: height of the shoulder over the floor [m]. Distances are then those in space
-                from it, and targets must be positions x, y, z. None for distances on the map.
-            sight: whether the target must be in sight.
+                from it, to the heights of the object's box. None for distances on the map.
+            sight: True if the target must be in sight of an eye at the agent's height, the eye's
+                height over the floor [m], or False.
             spread: least distance between two poses of a target [m]; 0 for any.
             seed: seed of first poses and of random headings; equal seeds give equal poses.
             start: where the robot is, world x, y, z [m], free: poses are where a path leads from
@@ -899,7 +900,7 @@ class PathFinder:
         footprint: ArrayLike | None = None,
         facing: str | None = "target",
         height: float | None = None,
-        sight: bool = True,
+        sight: bool | float = True,
         start: ArrayLike | None = None,
     ) -> list[Bool]:
         """Mark the cells where a robot's base can stand to reach a target, or any of several.
@@ -911,8 +912,8 @@ class PathFinder:
             reach: least and greatest distance to the target [m].
             footprint: outline of the base, shape (k, 2) [m]; None for a disc of the grid's radius.
             facing: ``target``, or None for a footprint that may have any heading.
-            height: height of the shoulder over the floor [m], for targets that are positions.
-            sight: whether the target must be in sight.
+            height: height of the shoulder over the floor [m], for distances in space.
+            sight: True, False, or the height of the eye over the floor [m].
             start: a free position from which a path must lead to the cells, world x, y, z [m].
 
         Returns:

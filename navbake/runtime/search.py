@@ -18,9 +18,9 @@ from navbake.navgrid.links import Agent
 from navbake.navgrid.obstacle_state import NO_DIAGONAL, NO_OFF_CENTER, CellRange, ObstacleState
 from navbake.runtime import flat_grid
 from navbake.runtime.blocking import find_agent, fit_grid
-from navbake.runtime.cell_names import CellNames, map_names
 from navbake.runtime.flat_grid import octile_length
 from navbake.runtime.inflation import OffCenterMasks, find_off_center_masks
+from navbake.runtime.name_map import NameMap, map_names
 from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:
@@ -323,8 +323,8 @@ class Search:
         return flat_grid.map_doors(self.grid, self.flat)
 
     @cached_property
-    def names(self) -> CellNames:
-        """The names of the things in the cells."""
+    def names(self) -> NameMap:
+        """The names of what stands in the cells."""
         return map_names(self.grid)
 
     @property

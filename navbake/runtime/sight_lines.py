@@ -1,4 +1,4 @@
-"""Lines of sight between the middles of cells, many at once.
+"""Lines of sight from the middles of cells to the middles of others, in space, many at once.
 
 A line goes from cell to cell as in Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray
 Tracing" (1987). From middle to middle, the cells that it runs over follow from the numbers of rows
@@ -11,7 +11,37 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.types import Bool, Int
+from navbake.types import Bool, Float, Int
+
+HEIGHT_SLACK = 1e-3  # by how much a line may run below the top of a thing, for rounding [m]
+
+
+class Obstructions(NamedTuple):
+    """The things in each cell that may hide what is behind them.
+
+    Attributes:
+        bottoms: world z of their lower ends [m], shape (rows, cols, things); inf for no thing.
+        tops: world z of their upper ends [m], of the same shape; -inf for no thing.
+    """
+
+    bottoms: Float
+    tops: Float
+
+    def hide(self, rows: Int, cols: Int, lowest: Float, highest: Float) -> Bool:
+        """Mark the cells in which a thing is at the height of a line.
+
+        Args:
+            rows: rows of the cells, any shape.
+            cols: their columns, of that shape.
+            lowest: lower end of each line over its cell, world z [m], of that shape.
+            highest: its upper end [m].
+
+        Returns:
+            bool, of that shape.
+        """
+        is_below_top = lowest[..., None] < self.tops[rows, cols] - HEIGHT_SLACK
+        is_above_bottom = highest[..., None] > self.bottoms[rows, cols] + HEIGHT_SLACK
+        return np.asarray((is_below_top & is_above_bottom).any(axis=-1))
 
 
 class SightLines(NamedTuple):
@@ -25,40 +55,64 @@ class SightLines(NamedTuple):
         col: columns to that cell.
         row_before: rows to the cell before.
         col_before: columns to the cell before.
+        share: share of the line's length up to where it enters the cell, 1 after its end.
     """
 
     row: Int
     col: Int
     row_before: Int
     col_before: Int
+    share: Float
 
-    def find_clear(self, is_clear: Bool, starts: Int, ends: Int) -> Bool:
-        """Mark the lines that run over clear cells only.
+    def find_hidden(
+        self,
+        obstructions: Obstructions,
+        starts: Int,
+        ends: Int,
+        start_heights: Float,
+        end_heights: Float,
+    ) -> Bool:
+        """Mark the steps of lines at which something is in between.
 
-        A line may run through a corner if one of the two cells beside it is clear. The cell that
-        it starts in doesn't count.
+        A line may run through a corner if nothing hides it in one of the two cells beside it. The
+        cell that it starts in doesn't count.
 
         Args:
-            is_clear: the clear cells, shape (rows, cols).
+            obstructions: the things in each cell.
             starts: row and column of each line's start, shape (n, 2).
             ends: row and column of each line's end, shape (n, 2).
+            start_heights: world z of each line's start [m], shape (n,).
+            end_heights: world z of each line's end [m], shape (n,).
 
         Returns:
-            bool, shape (n,).
+            bool, shape (n, steps).
         """
         line_vectors = ends - starts
         num_rows, num_cols = np.abs(line_vectors).T
         row_sign, col_sign = np.sign(line_vectors).T[:, :, None]
         start_row, start_col = starts.T[:, :, None]
-        max_num_steps = int((num_rows + num_cols).max(initial=0))
-        rows = start_row + row_sign * self.row[num_rows, num_cols, :max_num_steps]
-        cols = start_col + col_sign * self.col[num_rows, num_cols, :max_num_steps]
-        rows_before = start_row + row_sign * self.row_before[num_rows, num_cols, :max_num_steps]
-        cols_before = start_col + col_sign * self.col_before[num_rows, num_cols, :max_num_steps]
-        # where a step leads over an edge, one of these two is the cell itself
-        has_passage = is_clear[rows, cols_before] | is_clear[rows_before, cols]
-        is_line_clear: Bool = (is_clear[rows, cols] & has_passage).all(axis=1)
-        return is_line_clear
+        longest = int((num_rows + num_cols).max(initial=0))
+        rows = start_row + row_sign * self.row[num_rows, num_cols, :longest]
+        cols = start_col + col_sign * self.col[num_rows, num_cols, :longest]
+        shares = self.share[num_rows, num_cols, :longest]
+        rises = (end_heights - start_heights)[:, None]
+        heights = start_heights[:, None] + rises * shares
+        heights_after = np.concatenate([heights[:, 1:], end_heights[:, None]], axis=1)[:, :longest]
+        lowest = np.minimum(heights, heights_after)
+        highest = np.maximum(heights, heights_after)
+        is_hidden = obstructions.hide(rows, cols, lowest, highest)
+        rows_before = start_row + row_sign * self.row_before[num_rows, num_cols, :longest]
+        cols_before = start_col + col_sign * self.col_before[num_rows, num_cols, :longest]
+        at_corner = np.nonzero((rows != rows_before) & (cols != cols_before))
+        corner_heights = heights[at_corner]
+        is_below_hiding = obstructions.hide(
+            rows[at_corner], cols_before[at_corner], corner_heights, corner_heights
+        )
+        is_beside_hiding = obstructions.hide(
+            rows_before[at_corner], cols[at_corner], corner_heights, corner_heights
+        )
+        is_hidden[at_corner] |= is_below_hiding & is_beside_hiding
+        return is_hidden
 
     def list_cells(self, start: Int, end: Int) -> Int:
         """List the cells that a line runs over, from the cell after its start to its end.
@@ -68,7 +122,7 @@ class SightLines(NamedTuple):
             end: row and column, shape (2,).
 
         Returns:
-            Rows and columns, shape (n, 2).
+            Rows and columns, shape (steps, 2).
         """
         num_rows, num_cols = np.abs(end - start)
         steps = np.stack([self.row[num_rows, num_cols], self.col[num_rows, num_cols]], axis=1)
@@ -90,12 +144,16 @@ def trace_sight_lines(max_cells: int) -> SightLines:
     cols = []
     rows_before = []
     cols_before = []
+    shares = []
     for _ in range(2 * max_cells):
         # where on the line the next edges are, times 2 * num_rows * num_cols
         next_row_edge = np.where(row < num_rows, (2 * row + 1) * num_cols, np.inf)
         next_col_edge = np.where(col < num_cols, (2 * col + 1) * num_rows, np.inf)
         is_down = (next_row_edge <= next_col_edge) & (row < num_rows)
         is_right = (next_col_edge <= next_row_edge) & (col < num_cols)
+        row_share = np.where(is_down, (2 * row + 1) / np.maximum(2 * num_rows, 1), 1.0)
+        col_share = np.where(is_right, (2 * col + 1) / np.maximum(2 * num_cols, 1), 1.0)
+        shares.append(np.minimum(row_share, col_share))
         rows_before.append(row)
         cols_before.append(col)
         row = row + is_down
@@ -107,4 +165,5 @@ def trace_sight_lines(max_cells: int) -> SightLines:
         col=np.stack(cols, axis=-1),
         row_before=np.stack(rows_before, axis=-1),
         col_before=np.stack(cols_before, axis=-1),
+        share=np.stack(shares, axis=-1),
     )

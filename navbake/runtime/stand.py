@@ -153,7 +153,7 @@ def find_stand_targets(
     Args:
         search: the search on the grid.
         target: a position, ``object:NAME``, ``category:NAME``, or several of them.
-        needs_height: whether distances are measured in space, so that targets are points with a z.
+        needs_height: whether distances are measured in space, so that heights must be known.
 
     Returns:
         The targets, in their order; a category is replaced by its objects.
@@ -181,11 +181,13 @@ def find_stand_targets(
         else:
             point, cell = search.flat.locate(target_item, position_name="target")
             cells = NO_CELLS if cell < 0 else np.array([cell])
-            targets.append(StandTarget(format_position(point), cells, point))
+            z = point[2:] if len(point) == 3 else search.flat.positions(cells)[:1, 2]
+            box = np.tile(np.append(point[:2], z), 2) if len(z) else None
+            targets.append(StandTarget(format_position(point), cells, box))
     for stand_target in targets:
-        if needs_height and (stand_target.point is None or len(stand_target.point) < 3):
-            expected = "a target with x, y, z where a height is given"
-            hint = "a grid doesn't hold the heights of objects"
+        if needs_height and stand_target.box is None:
+            expected = "a target of known height where the shoulder's is given"
+            hint = "bake the scene again, or give a position with x, y, z"
             raise QueryError(
                 f"expected {expected}, got {stand_target.name}: {hint}",
                 key="target",
@@ -207,7 +209,7 @@ def _find_named_targets(search: Search, text: str) -> list[StandTarget]:
             raise QueryError(
                 f"no object {name!r} in {scene_id!r}: {hint}", key="target", value=text, hint=hint
             )
-        return [StandTarget(name, names.cells_of(name), None)]
+        return [StandTarget(name, names.cells_of(name), names.boxes.get(name))]
     if kind == "category":
         object_names = names.list_objects()
         member_names = [
@@ -224,8 +226,8 @@ def _find_named_targets(search: Search, text: str) -> list[StandTarget]:
                 hint=hint,
             )
         return [
-            StandTarget(member_name, names.cells_of(member_name), None)
-            for member_name in member_names
+            StandTarget(member, names.cells_of(member), names.boxes.get(member))
+            for member in members
         ]
     expected = "a position, object:NAME or category:NAME"
     raise QueryError(

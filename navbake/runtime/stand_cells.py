@@ -1,17 +1,18 @@
 """Finds the cells where a robot's base can stand to reach a thing.
 
-A grid knows an object by the cells over whose squares it stands. So the distance from the base's
-axis to the object is known to within a cell: the object is nowhere nearer than the nearest of these
-squares, and part of it is in each of them, so not beyond the square's farthest corner. A base is in
-reach if both distances are. The distance to a point is exact.
+A grid knows an object by the cells over whose squares it stands, and by its upright box. The object
+lies within these squares where the box covers them: a square below is that part of a cell's square.
+It is nowhere nearer to a base than the nearest square, and part of it is in each square, so not
+beyond the square's farthest corner. A base is in reach if both distances are. A point is a square
+without an extent.
 
-Sight runs from the middle of the base's cell to the middle of a cell of the target, and over no
-cell with something in the agent's way, except for the target itself and what shares a cell with it:
-the table under a cup, the counter round a drawer. Walls and doors always hide what is behind them.
-The base faces the nearest cell of the target that is in reach and in sight. This cell is called the
-base's aim here.
-
-Window cells are given by row and column in a `Window`, not by flat id.
+Sight runs from the eye, over the middle of the base's cell, to the middle of a cell of the target,
+at the height of the target that is nearest to the eye's. A thing hides the target where the line
+runs over one of its cells and between the lower and the upper end of its box. What is in the
+agent's way and of which the grid has no box is endlessly high. In its own cells, nothing hides the
+target, but cells that have a wall or a door, too, count as its own only if all of them do. In the
+cells beside them, what shares its own cells doesn't hide it: what it stands on or in. The base
+faces the nearest square that is in reach and in sight.
 """
 
 from __future__ import annotations
@@ -26,18 +27,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.known_names import check_choice, list_first
-from navbake.runtime.cell_names import NO_ENTRY
 from navbake.runtime.flat_grid import FlatGrid, RealNumber, check_distance
 from navbake.runtime.inflation import inflate_footprint, ledges_setting
+from navbake.runtime.name_map import NO_ENTRY
 from navbake.runtime.search import NO_CELLS, Search
-from navbake.runtime.sight_lines import SightLines, trace_sight_lines
+from navbake.runtime.sight_lines import Obstructions, SightLines, trace_sight_lines
 from navbake.types import Bool, Float, Int
 
 NUM_HEADINGS = 64  # headings at which a footprint is tested
+HEADING_STEP = 2.0 * math.pi / NUM_HEADINGS  # [rad]
 REACH_SLACK = 1e-9  # share of a reach by which rounding may change a distance
-MAX_PAIRS = 2_000_000  # pairs of cells whose distances are computed at once, to limit memory
+MAX_PAIRS = 2_000_000  # pairs of bases and squares that are measured at once, to limit memory
 MAX_NAMES = 3  # how many names of things in between a sentence lists
-MAX_HIDDEN = 100  # from how many cells a sentence looks for what is in between
+DISTANCE_DIGITS = 9  # decimal digits of distances that are compared
+MIDDLE_SLACK = 1e-9  # how near to the middle of a square a base stands in it [m]
+NO_THING = -2  # of a name that no cell has; -1 is no name
 NO_NUMBERS = np.empty(0)
 Value = TypeVar("Value", bound=np.generic)
 
@@ -50,7 +54,8 @@ class StandRules(NamedTuple):
         footprint: the outline of the base, shape (k, 2) [m]; None for a disc of the grid's radius.
         facing: ``target``, or None for any heading.
         height: height of the shoulder over the floor [m]; None to measure on the map.
-        sight: whether the target must be in sight.
+        sight: height of the eye over the floor, which must see the target [m]; True for the agent's
+            height, False for no such condition.
         start: a free position, world x, y, z [m], from which a path must lead to the base; None for
             no such condition.
     """
@@ -59,7 +64,7 @@ class StandRules(NamedTuple):
     footprint: ArrayLike | None
     facing: str | None
     height: float | None
-    sight: bool
+    sight: bool | float
     start: ArrayLike | None
 
 
@@ -69,43 +74,42 @@ class StandTarget(NamedTuple):
     Attributes:
         name: the object's name, or the point's numbers.
         cells: flat ids of its cells; of a point, its cell, if it is in one.
-        point: world x, y, z [m], or x, y; None for an object.
+        box: x, y, z of the lower, then of the upper corner of its box, world [m], shape (6,); for a
+            point, both are the point. None if the grid has no box of the object.
     """
 
     name: str
     cells: Int
-    point: Float | None
+    box: Float | None
 
 
 class Window(NamedTuple):
-    """The cells of a level round a target.
+    """The cells of a level round a target. Places are rows and columns in it, shape (n, 2).
 
     Attributes:
         level_cells: the flat ids of the level's cells.
         width: number of columns of the level.
         rows: the window's rows on the level.
         cols: the window's columns on the level.
-        cell_size: edge of a cell [m].
     """
 
     level_cells: slice
     width: int
     rows: slice
     cols: slice
-    cell_size: float
 
     def cut(self, layer: NDArray[Value]) -> NDArray[Value]:
         """Cut the window out of an array by flat id; the result has the shape (rows, cols)."""
         return layer[self.level_cells].reshape(-1, self.width)[self.rows, self.cols]
 
-    def to_cells(self, window_cells: Int) -> Int:
-        """Convert rows and columns of the window, shape (n, 2), to flat ids, shape (n,)."""
-        rows = window_cells[:, 0] + self.rows.start
-        cols = window_cells[:, 1] + self.cols.start
+    def to_cells(self, places: Int) -> Int:
+        """Convert places to flat ids, shape (n,)."""
+        rows = places[:, 0] + self.rows.start
+        cols = places[:, 1] + self.cols.start
         return np.asarray(self.level_cells.start + rows * self.width + cols)
 
-    def to_window_cells(self, cells: Int) -> Int:
-        """Convert flat ids, shape (n,), to rows and columns of the window, shape (n, 2)."""
+    def to_places(self, cells: Int) -> Int:
+        """Convert flat ids, shape (n,), to places."""
         rows, cols = np.divmod(cells - self.level_cells.start, self.width)
         return np.stack([rows - self.rows.start, cols - self.cols.start], axis=1)
 
@@ -117,7 +121,7 @@ class Tally(NamedTuple):
         num_in_reach: number of free cells in reach.
         num_with_path: number of these that a path from the start leads to.
         num_in_sight: number of these from which the target is in sight.
-        names_between: names of what hides the target, if it is in sight of no cell.
+        names_between: names of the things that hide the target, if it is in sight of no cell.
     """
 
     num_in_reach: int
@@ -140,6 +144,24 @@ class Stands(NamedTuple):
     distances: Float
     headings: Float
     tally: Tally
+
+
+class TargetView(NamedTuple):
+    """A target on a level, and what may hide it.
+
+    Attributes:
+        window: the cells round it.
+        target: the target.
+        aim_places: the cells that bases see and face, shape (k, 2).
+        squares: their squares, cut to the target's box, shape (k, 4) [m].
+        obstructions: the things in the window's cells, without the target and its cells.
+    """
+
+    window: Window
+    target: StandTarget
+    aim_places: Int
+    squares: Float
+    obstructions: Obstructions
 
 
 # ---------------------------------------------------------------- cells of bases
@@ -189,8 +211,9 @@ class StandSite:
             target: the thing to be reached.
         """
         level_of_cell = self._flat.level_of(target.cells)
+        squares = self._squares_of(target.cells, target.box)
         stands_of_levels = [
-            self._find_on_level(level, target.cells[level_of_cell == level], target)
+            self._find_on_level(level, target.cells[level_of_cell == level], target, squares)
             for level in np.unique(level_of_cell).tolist()
         ]
         if len(stands_of_levels) == 1:
@@ -211,69 +234,65 @@ class StandSite:
             ),
         )
 
-    def _find_on_level(self, level: int, target_cells: Int, target: StandTarget) -> Stands:
+    def _find_on_level(
+        self, level: int, target_cells: Int, target: StandTarget, target_squares: Float
+    ) -> Stands:
         """Find the cells of a level where a base can stand to reach a target.
 
         Args:
             level: number of the level.
             target_cells: flat ids of the target's cells on the level, at least one.
             target: the thing to be reached.
+            target_squares: the squares of its cells on all levels, shape (k, 4) [m].
         """
         window = self._cut_window(level, target_cells)
-        target_window_cells = window.to_window_cells(target_cells)
-        is_free = window.cut(self._flat.free)
-        is_target = np.zeros(is_free.shape, dtype=np.bool_)
-        is_target[tuple(target_window_cells.T)] = True
-        is_aim = is_target
-        is_clear = np.ones_like(is_target)
-        if self._rules.sight:
-            is_aim, is_clear = self._mark_clear(window, is_target, target)
-        window_cells = np.argwhere(is_free)
-        distances = self._measure(window, window_cells, is_target, target.point)
+        bases = np.argwhere(window.cut(self._flat.free))
+        cells = window.to_cells(bases)
+        points = self._flat.positions(cells)[:, :2]
+        height_gaps = self._measure_height_gaps(cells, target.box)
         min_reach, max_reach = self._rules.reach
-        is_in_reach = distances >= min_reach * (1.0 - REACH_SLACK)
-        max_distance = math.inf
-        if target.point is None:
-            max_distance = max_reach * (1.0 + REACH_SLACK) / window.cell_size
-        else:
-            is_in_reach &= distances <= max_reach * (1.0 + REACH_SLACK)
-        window_cells = window_cells[is_in_reach]
-        distances = distances[is_in_reach]
-        aims = find_nearest_aims(window_cells, is_aim, max_distance)
-        is_in_reach = aims[:, 0] >= 0
-        num_in_reach = int(np.count_nonzero(is_in_reach))
+        distances = np.hypot(measure_to_nearest(points, target_squares), height_gaps)
+        # how far the farthest corner of a square may be on the map
+        squared_limits = (max_reach * (1.0 + REACH_SLACK)) ** 2 - height_gaps**2
+        limits = np.where(squared_limits >= 0.0, np.sqrt(np.maximum(squared_limits, 0.0)), -1.0)
+        aims = self._find_aims(target, target_cells)
+        aim_places = window.to_places(aims)
+        squares = self._squares_of(aims, target.box)
+        is_far_enough = distances >= min_reach * (1.0 - REACH_SLACK)
+        in_reach = np.flatnonzero(is_far_enough)
+        aim_index = find_nearest_square(points[in_reach], squares, limits[in_reach])
+        in_reach = in_reach[aim_index >= 0]
+        aim_index = aim_index[aim_index >= 0]
+        num_in_reach = len(in_reach)
         if self.path_lengths is not None:
-            is_in_reach &= np.isfinite(self.path_lengths[window.to_cells(window_cells)])
-        window_cells = window_cells[is_in_reach]
-        distances = distances[is_in_reach]
-        aims = aims[is_in_reach]
-        num_with_path = len(window_cells)
-        names_between = []
-        if self._rules.sight:
-            seen_aims = find_seen_aims(
-                self._lines, is_clear, window_cells, aims, is_aim, max_distance
+            has_path = np.isfinite(self.path_lengths[cells[in_reach]])
+            in_reach = in_reach[has_path]
+            aim_index = aim_index[has_path]
+        num_with_path = len(in_reach)
+        names_between: list[str] = []
+        if self._rules.sight is not False:
+            view = self._look_at(window, target, aim_places, squares)
+            seen_index = self._find_seen_squares(
+                view, bases[in_reach], points[in_reach], limits[in_reach], aim_index
             )
-            is_seen = seen_aims[:, 0] >= 0
-            if not is_seen.any():
-                names_between = self._name_between(window, is_clear, window_cells, aims)
-            window_cells = window_cells[is_seen]
-            distances = distances[is_seen]
-            aims = seen_aims[is_seen]
-        cells = window.to_cells(window_cells)
-        headings = self._find_headings(window_cells, aims, target_window_cells, cells, target.point)
-        num_in_sight = len(cells)
-        if self._fits is not None:
-            if self._rules.facing is None:
-                is_fitting = self._fits[:, cells].any(axis=0)
-            else:
-                heading_indices = np.rint(headings / (2.0 * math.pi / NUM_HEADINGS)).astype(int)
-                headings = wrap_angle(heading_indices * (2.0 * math.pi / NUM_HEADINGS))
-                is_fitting = self._fits[heading_indices % NUM_HEADINGS, cells]
-            cells = cells[is_fitting]
-            distances = distances[is_fitting]
-            headings = headings[is_fitting]
-        tally = Tally(num_in_reach, num_with_path, num_in_sight, names_between)
-        return Stands(cells, distances, headings, tally)
+            is_seen = seen_index >= 0
+            if not is_seen.any() and num_with_path:
+                names_between = self._name_between(view, bases[in_reach], aim_index)
+            in_reach = in_reach[is_seen]
+            aim_index = seen_index[is_seen]
+        cells = cells[in_reach]
+        headings = find_headings(points[in_reach], squares[aim_index], squares)
+        distances = distances[in_reach]
+        tally = Tally(num_in_reach, num_with_path, len(cells), names_between)
+        if self._fits is None:
+            return Stands(cells, distances, headings, tally)
+        if self._rules.facing is None:
+            is_fitting = self._fits[:, cells].any(axis=0)
+        else:
+            heading_index = np.rint(headings / HEADING_STEP).astype(np.int64)
+            headings = wrap_angle(heading_index * HEADING_STEP)
+            is_fitting = self._fits[heading_index % NUM_HEADINGS, cells]
+        return Stands(cells[is_fitting], distances[is_fitting], headings[is_fitting], tally)
 
     def _cut_window(self, level: int, target_cells: Int) -> Window:
         """Return the window of a level in which bases may reach some cells."""
@@ -284,122 +303,154 @@ class StandSite:
         margin = math.ceil(self._rules.reach[1] / cell_size) + 1
         level_cells = self._flat.cells_of(level)
         rows, cols = np.divmod(target_cells - level_cells.start, width)
+        first_row = max(int(rows.min()) - margin, 0)
+        first_col = max(int(cols.min()) - margin, 0)
         return Window(
             level_cells=level_cells,
             width=width,
-            rows=slice(max(int(rows.min()) - margin, 0), min(int(rows.max()) + margin + 1, height)),
-            cols=slice(max(int(cols.min()) - margin, 0), min(int(cols.max()) + margin + 1, width)),
-            cell_size=cell_size,
+            rows=slice(first_row, min(int(rows.max()) + margin + 1, height)),
+            cols=slice(first_col, min(int(cols.max()) + margin + 1, width)),
         )
 
-    def _mark_clear(
-        self, window: Window, is_target: Bool, target: StandTarget
-    ) -> tuple[Bool, Bool]:
-        """Mark the cells of a target that can be seen, and the cells that hide nothing of it.
+    def _squares_of(self, cells: Int, box: Float | None) -> Float:
+        """Return the squares of cells, flat ids, cut to a box, shape (n, 4); see `cut_squares`."""
+        edges = self._flat.layout.cell_size[self._flat.level_of(cells)]
+        return cut_squares(self._flat.positions(cells)[:, :2], edges[:, None], box)
+
+    def _measure_height_gaps(self, cells: Int, box: Float | None) -> Float:
+        """Measure from shoulders to the heights of a target [m]; 0 where the map alone counts.
 
         Args:
-            window: the cells round the target.
-            is_target: the target's cells in the window.
+            cells: flat ids of the bases' cells.
+            box: the target's box; not None where the rules have a height.
+        """
+        if self._rules.height is None or box is None:
+            return np.zeros(len(cells))
+        shoulders = self._flat.positions(cells)[:, 2] + self._rules.height
+        return np.asarray(np.maximum(np.maximum(box[2] - shoulders, shoulders - box[5]), 0.0))
+
+    def _find_aims(self, target: StandTarget, target_cells: Int) -> Int:
+        """List the cells of a target that bases see and face: those without a wall or a door.
+
+        Args:
             target: the thing to be reached.
+            target_cells: flat ids of its cells on a level.
 
         Returns:
-            The target's cells without a wall or door, or all if each has one; and these cells, the
-            cells without anything in the agent's way, and those where nothing but the target is in
-            the way, and what shares a cell with it. Both of the window's shape.
+            Flat ids; all of them if each has a wall or a door, or if sight doesn't count.
         """
+        if self._rules.sight is False:
+            return target_cells
+        names = self._search.names
+        entry_of_cell = names.entry_of_cell[target_cells]
+        entries = [number for number in np.unique(entry_of_cell).tolist() if number != NO_ENTRY]
+        has_wall = np.zeros(len(names.entries) + 1, dtype=np.bool_)  # NO_ENTRY: the last
+        for number in entries:
+            entry = names.entries[number]
+            has_wall[number] = bool((entry.walls | entry.doors) - {target.name})
+        is_without_wall = ~has_wall[entry_of_cell]
+        return target_cells[is_without_wall] if is_without_wall.any() else target_cells
+
+    def _look_at(
+        self, window: Window, target: StandTarget, aim_places: Int, squares: Float
+    ) -> TargetView:
+        """Gather what hides a target, and from where it is seen."""
         names = self._search.names
         entry_of_cell = window.cut(names.entry_of_cell)
-        has_entry = entry_of_cell != NO_ENTRY
-        target_entries = np.unique(entry_of_cell[is_target & has_entry]).tolist()
-        companion_names = {target.name}
-        for entry_index in target_entries:
-            entry = names.entries[entry_index]
-            companion_names |= entry.objects - entry.walls - entry.doors
-        is_occupied = window.cut(self._search.occupied)
-        entry_indices = np.unique(entry_of_cell[(is_occupied | is_target) & has_entry])
-        has_wall = np.zeros(len(names.entries) + 1, dtype=np.bool_)
-        has_companions_only = np.zeros(len(names.entries) + 1, dtype=np.bool_)
-        for entry_index in entry_indices.tolist():
-            entry = names.entries[entry_index]
-            has_wall[entry_index] = bool(
-                entry.blocking & (entry.walls | entry.doors) - {target.name}
-            )
-            has_companions_only[entry_index] = (
-                bool(entry.blocking) and entry.blocking <= companion_names
-            )
-        is_aim = is_target & ~has_wall[entry_of_cell]  # NO_ENTRY is the last element, False
-        if not is_aim.any():
-            is_aim = is_target
-        is_clear = ~is_occupied | is_aim | has_companions_only[entry_of_cell]
-        return is_aim, is_clear
+        bottoms = names.bottoms[entry_of_cell]
+        tops = names.tops[entry_of_cell]
+        # nameless things, and those that were added, are endlessly high
+        is_nameless = window.cut(self._search.occupied) & ~names.has_blocking[entry_of_cell]
+        bottoms[is_nameless, -1] = -np.inf
+        tops[is_nameless, -1] = np.inf
+        things = names.names_of_entry[entry_of_cell]
+        is_aim = np.zeros(entry_of_cell.shape, dtype=np.bool_)
+        is_aim[tuple(aim_places.T)] = True
+        companions = {target.name}
+        for number in np.unique(entry_of_cell[is_aim]).tolist():
+            if number != NO_ENTRY:
+                entry = names.entries[number]
+                companions |= entry.objects - entry.walls - entry.doors
+        companion_numbers = [names.number_of_name.get(name, NO_THING) for name in companions]
+        hides_nothing = things == names.number_of_name.get(target.name, NO_THING)
+        # what it stands on or in may end in a cell beside its own: the worktop over a drawer
+        hides_nothing |= mark_near(is_aim)[..., None] & np.isin(things, companion_numbers)
+        hides_nothing[is_aim] = True
+        bottoms[hides_nothing] = np.inf
+        tops[hides_nothing] = -np.inf
+        return TargetView(window, target, aim_places, squares, Obstructions(bottoms, tops))
 
-    def _measure(
-        self, window: Window, window_cells: Int, is_target: Bool, point: Float | None
-    ) -> Float:
-        """Measure from the middles of cells to a point, or to the nearest square of an object [m].
+    def _find_hidden(self, view: TargetView, bases: Int, aim_index: Int) -> Bool:
+        """Mark the steps of lines of sight at which something is in between, shape (n, steps).
 
         Args:
-            window: the cells round the target.
-            window_cells: rows and columns in the window, shape (n, 2).
-            is_target: the target's cells in the window.
-            point: the point; None for an object.
+            view: what hides the target.
+            bases: places of the bases, shape (n, 2).
+            aim_index: for each base, the index of the square that its line leads to, shape (n,).
         """
-        if point is None:
-            return measure_to_squares(window_cells, is_target) * window.cell_size
-        positions = self._flat.positions(window.to_cells(window_cells))
-        if self._rules.height is None:
-            return np.asarray(np.hypot(*(positions[:, :2] - point[:2]).T))
-        positions[:, 2] += self._rules.height
-        return np.asarray(np.linalg.norm(positions - point, axis=1))
+        floors = self._flat.positions(view.window.to_cells(bases))[:, 2]
+        eye_height = self._search.grid.agent_height
+        if self._rules.sight is not True:
+            eye_height = float(self._rules.sight)
+        eyes = floors + eye_height
+        heights = eyes
+        if view.target.box is not None:
+            heights = np.clip(eyes, view.target.box[2], view.target.box[5])
+        return self._lines.find_hidden(
+            view.obstructions, bases, view.aim_places[aim_index], eyes, heights
+        )
 
-    def _find_headings(
-        self,
-        window_cells: Int,
-        aims: Int,
-        target_window_cells: Int,
-        cells: Int,
-        point: Float | None,
-    ) -> Float:
-        """Find the headings from cells to the places that they face [rad].
-
-        A base that stands in a cell of an object faces the object's middle.
+    def _find_seen_squares(
+        self, view: TargetView, bases: Int, points: Float, limits: Float, nearest_index: Int
+    ) -> Int:
+        """Find the nearest square in sight of each base, and in reach.
 
         Args:
-            window_cells: row and column of each cell, shape (n, 2).
-            aims: row and column of the object's cell that each faces, shape (n, 2).
-            target_window_cells: rows and columns of all of the object's cells, shape (m, 2).
-            cells: flat ids of the cells, shape (n,).
-            point: the point that they face; None for an object.
-        """
-        if point is not None:
-            point_vectors = point[:2] - self._flat.positions(cells)[:, :2]
-            return np.asarray(np.arctan2(point_vectors[:, 1], point_vectors[:, 0]))
-        aim_offsets = (aims - window_cells).astype(np.float64)
-        is_inside = ~aim_offsets.any(axis=1)
-        aim_offsets[is_inside] = target_window_cells.mean(axis=0) - window_cells[is_inside]
-        return np.asarray(np.arctan2(0.0 - aim_offsets[:, 0], aim_offsets[:, 1]))  # rows go south
+            view: what hides the target.
+            bases: places of the bases, shape (n, 2).
+            points: their middles, world x, y [m], shape (n, 2).
+            limits: how far the farthest corner of a square may be from each [m], shape (n,).
+            nearest_index: index of the square that is nearest to each, shape (n,).
 
-    def _name_between(
-        self, window: Window, is_clear: Bool, window_cells: Int, aims: Int
-    ) -> list[str]:
+        Returns:
+            Index of each base's square, shape (n,); -1 for none.
+        """
+        is_hidden = self._find_hidden(view, bases, nearest_index).any(axis=1)
+        seen_index = np.where(is_hidden, -1, nearest_index)
+        hidden = np.flatnonzero(is_hidden)
+        chunk_size = max(MAX_PAIRS // len(view.squares), 1)
+        for first in range(0, len(hidden), chunk_size):
+            chunk = hidden[first : first + chunk_size]
+            corner_distances = measure_to_farthest(points[chunk], view.squares)
+            base_index, aim_index = np.nonzero(corner_distances <= limits[chunk, None])
+            is_seen = ~self._find_hidden(view, bases[chunk[base_index]], aim_index).any(axis=1)
+            base_index = base_index[is_seen]
+            aim_index = aim_index[is_seen]
+            # the nearest of each base first
+            order = np.lexsort([corner_distances[base_index, aim_index], base_index])
+            seen_bases, first_indices = np.unique(base_index[order], return_index=True)
+            seen_index[chunk[seen_bases]] = aim_index[order[first_indices]]
+        return seen_index
+
+    def _name_between(self, view: TargetView, bases: Int, aim_index: Int) -> list[str]:
         """List the names of what is on lines of sight, sorted.
 
         Args:
-            window: the cells round the target.
-            is_clear: the cells that hide nothing.
-            window_cells: row and column of each line's start, shape (n, 2).
-            aims: row and column of each line's end, shape (n, 2).
+            view: what hides the target.
+            bases: places of the bases, shape (n, 2).
+            aim_index: index of the square that each line leads to, shape (n,).
         """
         names = self._search.names
-        entry_of_cell = window.cut(names.entry_of_cell)
+        entry_of_cell = view.window.cut(names.entry_of_cell)
+        is_hidden = self._find_hidden(view, bases, aim_index)
         names_between: set[str] = set()
-        for window_cell, aim in zip(window_cells[:MAX_HIDDEN], aims[:MAX_HIDDEN], strict=True):
-            line_cells = self._lines.list_cells(window_cell, aim)
-            is_hiding = ~is_clear[tuple(line_cells.T)]
-            for entry_index in entry_of_cell[tuple(line_cells[is_hiding].T)].tolist():
-                if entry_index != NO_ENTRY:
-                    names_between |= names.entries[entry_index].blocking
-        return sorted(names_between)
+        for number in range(len(bases)):
+            line_places = self._lines.list_cells(bases[number], view.aim_places[aim_index[number]])
+            hiding_places = line_places[is_hidden[number, : len(line_places)]]
+            for entry_number in entry_of_cell[tuple(hiding_places.T)].tolist():
+                if entry_number != NO_ENTRY:
+                    names_between |= names.entries[entry_number].blocking
+        return sorted(names_between - {view.target.name})
 
     def draw_headings(self, cells: Int, rng: Generator) -> Float:
         """Draw a heading for each cell; of a footprint, one at which it fits [rad].
@@ -410,9 +461,9 @@ class StandSite:
         """
         if self._fits is None:
             return rng.uniform(-math.pi, math.pi, len(cells))
-        random_values = rng.random((NUM_HEADINGS, len(cells)))
-        heading_indices = np.where(self._fits[:, cells], random_values, -1.0).argmax(axis=0)
-        return wrap_angle(heading_indices * (2.0 * math.pi / NUM_HEADINGS))
+        ranks = rng.random((NUM_HEADINGS, len(cells)))
+        heading_index = np.where(self._fits[:, cells], ranks, -1.0).argmax(axis=0)
+        return wrap_angle(heading_index * HEADING_STEP)
 
     def explain(self, target: StandTarget, tally: Tally) -> str:
         """Say in one sentence why a target has no pose.
@@ -425,20 +476,18 @@ class StandSite:
         if not len(target.cells):
             return f"{target.name} is in no cell: it lies beside the grid, or below its floors"
         if not tally.num_in_reach:
-            distances_text = f"{min_reach:g} to {max_reach:g} m from {target.name}"
+            distances = f"{min_reach:g} to {max_reach:g} m from {target.name}"
             radius = self._search.grid.radius
-            return f"no cell at {distances_text} is free for a radius of {radius:g} m"
+            return f"no cell at {distances} is free for a radius of {radius:g} m"
         if not tally.num_with_path:
             cells_text = f"the {tally.num_in_reach} free cells in reach of {target.name}"
             return f"no path leads from the start to {cells_text}"
         if not tally.num_in_sight:
-            names_text = list_first(tally.names_between, MAX_NAMES)
-            reason = f": {names_text} in between" if names_text else ""
+            names = list_first(tally.names_between, MAX_NAMES)
+            reason = f": {names} in between" if names else ""
             cells_text = f"none of the {tally.num_with_path} free cells in reach"
             return f"{target.name} is in sight of {cells_text}{reason}"
-        cells_text = (
-            f"none of the {tally.num_in_sight} cells in reach and in sight of {target.name}"
-        )
+        cells_text = f"none of the {tally.num_in_sight} cells in reach and in sight of {target.name}"
         return f"the footprint fits in {cells_text}"
 
 
@@ -465,138 +514,123 @@ def _check_rules(rules: StandRules) -> None:
         check_choice(rules.facing, ("target",), "facing", QueryError)
     if rules.height is not None:
         check_distance(rules.height, "height")
+    check_distance(rules.sight, "sight")
 
 
-# ---------------------------------------------------------------- distances and aims, in cells
+# ---------------------------------------------------------------- distances and headings
 
 
-def mark_rim(is_target: Bool) -> Bool:
-    """Mark the cells of a mask that have a neighbour outside of it, over an edge."""
-    padded_mask = np.pad(is_target, 1)
-    is_inside = (
-        padded_mask[:-2, 1:-1]
-        & padded_mask[2:, 1:-1]
-        & padded_mask[1:-1, :-2]
-        & padded_mask[1:-1, 2:]
-    )
-    return np.asarray(is_target & ~is_inside)
+def mark_near(mask: Bool) -> Bool:
+    """Mark the cells of a mask, and their eight neighbours."""
+    rows, cols = mask.shape
+    padded = np.pad(mask, 1)
+    shifted = [padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3)]
+    return np.asarray(np.logical_or.reduce(shifted))
 
 
-def measure_to_squares(window_cells: Int, is_target: Bool) -> Float:
-    """Measure the distance from each cell's middle to the nearest marked square, in cells.
+def cut_squares(middles: Float, edges: Float, box: Float | None) -> Float:
+    """Cut squares to a box; a square that the box misses stays whole.
 
     Args:
-        window_cells: rows and columns of the cells, shape (n, 2).
-        is_target: the marked cells, at least one.
+        middles: world x, y of the squares' middles [m], shape (k, 2).
+        edges: their edges [m], shape (k, 1).
+        box: x, y, z of the box's lower, then of its upper corner [m]; None to cut nothing.
 
     Returns:
-        Distances, shape (n,); 0 in marked cells.
+        x, y of each lower corner, then of each upper corner [m], shape (k, 4).
     """
-    # from middle to middle in half cells; the square begins a half cell before its middle
-    rim_cells = np.argwhere(mark_rim(is_target))
-    squared_distances = np.empty(len(window_cells), dtype=np.int64)
-    chunk_size = max(MAX_PAIRS // len(rim_cells), 1)
-    for first_index in range(0, len(window_cells), chunk_size):
-        chunk = np.s_[first_index : first_index + chunk_size]
-        row_offsets = 2 * np.abs(window_cells[chunk, :1] - rim_cells[:, 0])
-        col_offsets = 2 * np.abs(window_cells[chunk, 1:] - rim_cells[:, 1])
-        chunk_squared_distances = (
-            np.maximum(row_offsets - 1, 0) ** 2 + np.maximum(col_offsets - 1, 0) ** 2
-        )
-        squared_distances[chunk] = chunk_squared_distances.min(axis=1)
-    squared_distances[is_target[tuple(window_cells.T)]] = 0
-    return np.sqrt(squared_distances) / 2.0
+    squares = np.concatenate([middles - edges / 2, middles + edges / 2], axis=1)
+    if box is None:
+        return squares
+    lower_corners = np.maximum(squares[:, :2], box[:2])
+    upper_corners = np.minimum(squares[:, 2:], box[3:5])
+    is_met = (lower_corners <= upper_corners).all(axis=1)
+    squares[is_met] = np.concatenate([lower_corners, upper_corners], axis=1)[is_met]
+    return squares
 
 
-def measure_to_corners(window_cells: Int, aim_cells: Int) -> Int:
-    """Measure the distance from each cell's middle to the farthest corner of each of some squares.
+def measure_to_nearest(points: Float, squares: Float) -> Float:
+    """Measure from points to the nearest of several squares [m]; 0 inside.
 
     Args:
-        window_cells: rows and columns of the cells, shape (n, 2).
-        aim_cells: rows and columns of the squares, shape (k, 2).
+        points: world x, y [m], shape (n, 2).
+        squares: x, y of the lower corner, then of the upper corner [m], shape (k, 4).
 
     Returns:
-        Squared distances in half cells, shape (n, k).
+        Shape (n,).
     """
-    row_offsets = 2 * np.abs(window_cells[:, :1] - aim_cells[:, 0]) + 1
-    col_offsets = 2 * np.abs(window_cells[:, 1:] - aim_cells[:, 1]) + 1
-    return np.asarray(row_offsets**2 + col_offsets**2)
+    distances = np.empty(len(points))
+    chunk_size = max(MAX_PAIRS // len(squares), 1)
+    for first in range(0, len(points), chunk_size):
+        chunk = points[first : first + chunk_size]
+        x = chunk[:, :1]
+        y = chunk[:, 1:]
+        x_gaps = np.maximum(np.maximum(squares[:, 0] - x, x - squares[:, 2]), 0.0)
+        y_gaps = np.maximum(np.maximum(squares[:, 1] - y, y - squares[:, 3]), 0.0)
+        squared_distances = x_gaps**2 + y_gaps**2
+        distances[first : first + chunk_size] = np.sqrt(squared_distances.min(axis=1))
+    return distances
 
 
-def find_nearest_aims(window_cells: Int, is_aim: Bool, max_distance: float) -> Int:
-    """Find each cell's aim without regard to sight: the nearest cell of a target, if in reach.
+def measure_to_farthest(points: Float, squares: Float) -> Float:
+    """Measure from points to the farthest corner of each of several squares, to a nanometre [m].
 
-    A cell of a target is in reach if all of its square is.
+    So equal distances are equal, and of squares at one distance the first counts.
 
     Args:
-        window_cells: rows and columns of the cells, shape (n, 2).
-        is_aim: the cells of the target that count, at least one.
-        max_distance: greatest distance to the farthest corner of a square, in cells.
+        points: world x, y [m], shape (n, 2).
+        squares: x, y of the lower corner, then of the upper corner [m], shape (k, 4).
 
     Returns:
-        Rows and columns of the nearest cells, shape (n, 2); -1 where none is in reach.
+        Shape (n, k).
     """
-    rim_cells = np.argwhere(mark_rim(is_aim))
-    aims = np.full((len(window_cells), 2), -1, dtype=np.int64)
-    chunk_size = max(MAX_PAIRS // len(rim_cells), 1)
-    for first_index in range(0, len(window_cells), chunk_size):
-        chunk = np.s_[first_index : first_index + chunk_size]
-        squared_distances = measure_to_corners(window_cells[chunk], rim_cells)
-        nearest_indices = squared_distances.argmin(axis=1)
-        is_in_reach = (
-            squared_distances[np.arange(len(squared_distances)), nearest_indices]
-            <= (2.0 * max_distance) ** 2
-        )
-        aims[chunk][is_in_reach] = rim_cells[nearest_indices[is_in_reach]]
-    is_inside = is_aim[tuple(window_cells.T)]
-    if max_distance >= math.sqrt(0.5):
-        aims[is_inside] = window_cells[is_inside]
-    return aims
+    x = points[:, :1]
+    y = points[:, 1:]
+    x_gaps = np.maximum(squares[:, 2] - x, x - squares[:, 0])
+    y_gaps = np.maximum(squares[:, 3] - y, y - squares[:, 1])
+    return np.asarray(np.round(np.sqrt(x_gaps**2 + y_gaps**2), DISTANCE_DIGITS))
 
 
-def find_seen_aims(
-    lines: SightLines,
-    is_clear: Bool,
-    window_cells: Int,
-    nearest_aims: Int,
-    is_aim: Bool,
-    max_distance: float,
-) -> Int:
-    """Find each cell's aim: the nearest cell of a target that is in reach and in sight.
+def find_nearest_square(points: Float, squares: Float, limits: Float) -> Int:
+    """Find the square of which the farthest corner is the nearest to each point.
 
     Args:
-        lines: lines of sight of all lengths up to the reach.
-        is_clear: the cells that hide nothing.
-        window_cells: rows and columns of the cells, shape (n, 2).
-        nearest_aims: the result of `find_nearest_aims` for these cells, all of them in reach.
-        is_aim: the cells of the target that count.
-        max_distance: greatest distance to the farthest corner of a square, in cells.
+        points: world x, y [m], shape (n, 2).
+        squares: x, y of the lower corner, then of the upper corner [m], shape (k, 4).
+        limits: how far that corner may be from each point [m], shape (n,).
 
     Returns:
-        Rows and columns of the nearest cells in sight, shape (n, 2); -1 for none.
+        Index of each point's square, shape (n,); -1 for none.
     """
-    aims = nearest_aims.copy()
-    is_seen = lines.find_clear(is_clear, window_cells, nearest_aims)
-    hidden_indices = np.flatnonzero(~is_seen)
-    aims[hidden_indices] = -1
-    rim_cells = np.argwhere(mark_rim(is_aim))
-    chunk_size = max(MAX_PAIRS // len(rim_cells), 1)
-    for first_index in range(0, len(hidden_indices), chunk_size):
-        chunk = hidden_indices[first_index : first_index + chunk_size]
-        squared_distances = measure_to_corners(window_cells[chunk], rim_cells)
-        cell_indices, aim_indices = np.nonzero(squared_distances <= (2.0 * max_distance) ** 2)
-        is_seen = lines.find_clear(
-            is_clear, window_cells[chunk[cell_indices]], rim_cells[aim_indices]
-        )
-        cell_indices = cell_indices[is_seen]
-        aim_indices = aim_indices[is_seen]
-        # the nearest of each place first
-        sort_indices = np.lexsort([squared_distances[cell_indices, aim_indices], cell_indices])
-        seen_indices, first_indices = np.unique(cell_indices[sort_indices], return_index=True)
-        aims[chunk[seen_indices]] = rim_cells[aim_indices[sort_indices[first_indices]]]
-    return aims
+    nearest = np.full(len(points), -1, dtype=np.int64)
+    chunk_size = max(MAX_PAIRS // len(squares), 1)
+    for first in range(0, len(points), chunk_size):
+        chunk = np.s_[first : first + chunk_size]
+        distances = measure_to_farthest(points[chunk], squares)
+        index = distances.argmin(axis=1)
+        is_within = distances[np.arange(len(index)), index] <= limits[chunk]
+        nearest[chunk] = np.where(is_within, index, -1)
+    return nearest
 
 
-def wrap_angle(angles: Float) -> Float:
+def find_headings(points: Float, faced_squares: Float, squares: Float) -> Float:
+    """Find the headings from points to the middles of squares [rad].
+
+    From the very middle of its square, a base faces the middle of all squares; from there, along x.
+
+    Args:
+        points: world x, y [m], shape (n, 2).
+        faced_squares: the square that each faces, shape (n, 4) [m].
+        squares: all squares of the target, shape (k, 4) [m].
+    """
+    offsets = (faced_squares[:, :2] + faced_squares[:, 2:]) / 2.0 - points
+    is_in_middle = (np.abs(offsets) < MIDDLE_SLACK).all(axis=1)
+    middle = (squares[:, :2] + squares[:, 2:]).mean(axis=0) / 2.0
+    offsets[is_in_middle] = middle - points[is_in_middle]
+    offsets[np.abs(offsets) < MIDDLE_SLACK] = 0.0
+    return np.asarray(np.arctan2(offsets[:, 1], offsets[:, 0]))
+
+
+def wrap_angle(angles: NDArray[np.floating]) -> Float:
     """Bring angles into the range -pi to pi by whole turns [rad]."""
     return np.asarray(np.mod(angles + math.pi, 2.0 * math.pi) - math.pi)

@@ -26,6 +26,14 @@ NAMES = {
 }
 BASE = [(0.17, 0.08), (-0.12, 0.08), (-0.12, -0.08), (0.17, -0.08)]  # its axis isn't its middle
 
+HEIGHTS = {
+    "table": (0.0, 0.7),
+    "cup_1": (0.7, 0.8),
+    "cup_2": (0.7, 0.8),
+    "box": (0.0, 0.5),
+    "wall": (0.0, 2.4),
+}
+
 KITCHEN = """
 ................
 ................
@@ -34,7 +42,7 @@ KITCHEN = """
 .....TcTTTT.....
 .....TTTTTT.....
 ................
-....bb..........
+....bb....rr....
 ....bb..........
 ################
 ................
@@ -42,11 +50,34 @@ KITCHEN = """
 """
 
 
-def make_level(text, ground=0.0):
-    """A level from a map: a dot is free, a space has no floor, letters are in `NAMES`."""
+def make_level(text, heights=None, ground=0.0, inset=0.0):
+    """A level from a map: a dot is free, a space has no floor, letters are in `NAMES`.
+
+    With `heights`, name -> lower and upper end [m], the file has boxes: of the things' cells, and
+    smaller by `inset` on each side.
+    """
     letters = np.array([list(row) for row in text.strip("\n").split("\n")])
     free = np.isin(letters, [".", "r"])
     height, width = letters.shape
+    user_data = {
+        cell: NAMES[letter]
+        for cell, letter in enumerate(letters.ravel().tolist())
+        if letter in NAMES
+    }
+    boxes = {}
+    for name, (bottom, top) in (heights or {}).items():
+        cells = np.array([cell for cell, entry in user_data.items() if name in list_names(entry)])
+        if len(cells):
+            rows, cols = np.divmod(cells, width)
+            corners = [
+                cols.min() * CELL + inset,
+                (height - 1 - rows.max()) * CELL + inset,
+                bottom + ground,
+                (cols.max() + 1) * CELL - inset,
+                (height - rows.min()) * CELL - inset,
+                top + ground,
+            ]
+            boxes[name] = [float(number) for number in corners]
     return SceneGrid2D(
         width=width,
         height=height,
@@ -57,17 +88,18 @@ def make_level(text, ground=0.0):
             "occupancy": (~free).astype(np.uint8),
             "floorHeight": np.where(letters == " ", np.nan, ground).astype(np.float32),
         },
-        user_data={
-            cell: NAMES[letter]
-            for cell, letter in enumerate(letters.ravel().tolist())
-            if letter in NAMES
+        user_data=user_data,
+        metadata={
+            "traversableFloorHeight": 0.25,
+            "agentHeight": 1.2,
+            "sceneId": "map",
+            "navbake": {"boxes": boxes},
         },
-        metadata={"traversableFloorHeight": 0.25, "agentHeight": 1.2, "sceneId": "map"},
     )
 
 
 def random_map(seed):
-    """A map with walls, a table with a cup, boxes and a rug."""
+    """A map with walls, a table with a cup, boxes and a rug, and the heights of all."""
     rng = np.random.default_rng(seed)
     letters = np.full(rng.integers(10, 18, 2), ".")
     for letter, count in (("r", 2), ("T", 2), ("b", 2), ("#", 3)):
@@ -79,58 +111,89 @@ def random_map(seed):
             letters[row : row + tall, col : col + wide] = letter
     row, col = rng.permutation(np.argwhere(letters == "T"))[0]
     letters[row, col] = "c"
-    return "\n".join("".join(line) for line in letters.tolist())
+    table = rng.uniform(0.5, 1.1)
+    heights = {
+        "table": (0.0, table),
+        "cup_1": (table, table + 0.1),
+        "box": (0.0, rng.uniform(0.3, 1.5)),
+        "rug": (0.0, 0.02),
+        "wall": (0.0, 2.5),
+    }
+    return "\n".join("".join(line) for line in letters.tolist()), heights
 
 
 # ---------------------------------------------------------------- brute force
 
 
-def crosses(line, row, col) -> bool:
-    """Whether a line runs through the inside of a cell; its ends are middles of cells."""
-    (row_0, col_0), (row_1, col_1) = line
+def find_crossing(line, row, col) -> tuple[Fraction, Fraction]:
+    """The shares of a line at which it enters a cell and leaves it; its ends are middles."""
     low, high = Fraction(0), Fraction(1)
-    for begin, end, cell in ((row_0, row_1, row), (col_0, col_1, col)):
+    for begin, end, cell in zip(*line, (row, col), strict=True):
         sides = [Fraction(2 * cell - 1, 2), Fraction(2 * cell + 1, 2)]
         if begin == end:
             if not sides[0] < begin < sides[1]:
-                return False
+                return Fraction(0), Fraction(0)
             continue
         inside = sorted((side - begin) / (end - begin) for side in sides)
         low, high = max(low, inside[0]), min(high, inside[1])
-    return low < high
+    return low, high
 
 
-def passes_corners(line, is_clear) -> bool:
-    """Whether one of the two cells beside each corner that a line runs through is clear."""
+def find_corners(line):
+    """The corners that a line runs through: its share up to there, and the two cells beside."""
     (row_0, col_0), (row_1, col_1) = line
-    rows, cols = row_1 - row_0, col_1 - col_0
-    for step in range(2 * abs(rows)):
+    rows, cols = abs(row_1 - row_0), abs(col_1 - col_0)
+    for step in range(rows if cols else 0):
         row = Fraction(2 * step + 1, 2)
-        if not rows or not cols or row > abs(rows):
-            continue
-        col = row * abs(cols) / abs(rows)
-        if col.denominator != 2:
-            continue
-        down, right = int(math.copysign(1, rows)), int(math.copysign(1, cols))
-        before = (
-            row_0 + down * int(row - Fraction(1, 2)),
-            col_0 + right * int(col - Fraction(1, 2)),
-        )
-        below, beside = (before[0] + down, before[1]), (before[0], before[1] + right)
-        if not (is_clear[below] or is_clear[beside]):
-            return False
-    return True
+        col = row * cols / rows
+        if col.denominator == 2:
+            down, right = math.copysign(1, row_1 - row_0), math.copysign(1, col_1 - col_0)
+            above, before = int(row_0 + down * step), int(col_0 + right * (col - Fraction(1, 2)))
+            yield row / rows, (int(above + down), before), (above, int(before + right))
 
 
-def is_in_sight(line, is_clear) -> bool:
+def hides(level, cell, lowest, highest, name, aims) -> bool:
+    """Whether a thing in a cell is between two heights.
+
+    Nothing hides a target in its cells, and nothing that shares them in the cells beside.
+    """
+    if cell in aims:
+        return False
+    companions = {name}
+    if any(max(abs(cell[0] - row), abs(cell[1] - col)) == 1 for row, col in aims):
+        for row, col in aims:
+            companions |= set(level.user_data[row * level.width + col].get("objects", []))
+    entry = level.user_data.get(cell[0] * level.width + cell[1], {})
+    boxes = level.metadata["navbake"]["boxes"]
+    names = list_names(entry)
+    if not names:
+        return bool(level.occupancy[cell])
+    for thing in names:
+        bottom, top = (boxes[thing][2], boxes[thing][5]) if thing in boxes else (-9.0, 9.0)
+        if thing not in companions and lowest < top - 1e-3 and highest > bottom + 1e-3:
+            return True
+    return False
+
+
+def is_in_sight(level, line, name, aims, eye) -> bool:
+    box = level.metadata["navbake"]["boxes"].get(name)
+    end = eye if box is None else min(max(eye, box[2]), box[5])
+
+    def height_at(share):
+        return eye + float(share) * (end - eye)
+
     (row_0, col_0), (row_1, col_1) = line
-    cells = [
-        (row, col)
-        for row in range(min(row_0, row_1), max(row_0, row_1) + 1)
-        for col in range(min(col_0, col_1), max(col_0, col_1) + 1)
-        if (row, col) != (row_0, col_0) and crosses(line, row, col)
-    ]
-    return all(is_clear[cell] for cell in cells) and passes_corners(line, is_clear)
+    for row in range(min(row_0, row_1), max(row_0, row_1) + 1):
+        for col in range(min(col_0, col_1), max(col_0, col_1) + 1):
+            low, high = find_crossing(line, row, col)
+            heights = sorted([height_at(low), height_at(high)])
+            is_crossed = (row, col) != (row_0, col_0) and low < high
+            if is_crossed and hides(level, (row, col), *heights, name, aims):
+                return False
+    return not any(
+        all(hides(level, cell, height_at(share), height_at(share), name, aims) for cell in cells)
+        for share, *cells in find_corners(line)
+    )
 
 
 def list_names(entry) -> list[str]:
@@ -140,51 +203,59 @@ def list_names(entry) -> list[str]:
 def find_by_brute_force(level, name, reach, footprint, facing, sight):
     """Each cell where a base can stand, and the headings at which it can."""
     names = {divmod(cell, level.width): entry for cell, entry in level.user_data.items()}
+    box = level.metadata["navbake"]["boxes"].get(name)
     own = [cell for cell, entry in names.items() if name in list_names(entry)]
-    companions = {other for cell in own for other in names[cell].get("objects", [])} | {name}
-    aims = [cell for cell in own if not names[cell].keys() & {"walls", "doors"}] or own
-    if not sight:
-        aims = own
-    is_clear = {}
-    for cell in np.ndindex(level.shape):
-        things = set(list_names(names.get(cell, {})))
-        is_clear[cell] = (
-            not level.occupancy[cell] or cell in aims or (things and things <= companions)
-        )
+    aims = own
+    if sight:
+        aims = [
+            cell
+            for cell in own
+            if not {*names[cell].get("walls", []), *names[cell].get("doors", [])} - {name}
+        ] or own
+
+    def sides_of(cell):
+        """x and y of the cell's square, cut to the box, as seen from the origin."""
+        x, y = cell[1] * CELL, (level.height - 1 - cell[0]) * CELL
+        low, high = [x, y], [x + CELL, y + CELL]
+        if box:
+            low, high = np.maximum(low, box[:2]), np.minimum(high, box[3:5])
+        return low, high
+
+    def measure(base, cell):
+        """The least and the greatest distance to the cell's square."""
+        point = ((base[1] + 0.5) * CELL, (level.height - base[0] - 0.5) * CELL)
+        low, high = sides_of(cell)
+        gaps = [max(a - p, p - b, 0) for p, a, b in zip(point, low, high, strict=True)]
+        spans = [max(b - p, p - a) for p, a, b in zip(point, low, high, strict=True)]
+        middle = [(a + b) / 2 - p for p, a, b in zip(point, low, high, strict=True)]
+        return math.hypot(*gaps), math.hypot(*spans), middle
+
     masks = None if footprint is None else level.inflate_footprint(footprint, 64)[0]
+    eye = 1.2 if sight is True else sight
     stands = {}
-    for row, col in np.argwhere(level.free).tolist():
-        gaps = [
-            math.hypot(max(abs(r - row) - 0.5, 0), max(abs(c - col) - 0.5, 0)) * CELL
-            for r, c in own
-        ]
-        if (row, col) in own:
-            gaps = [0.0]
-        if min(gaps) < reach[0] - 1e-9:
+    for base in map(tuple, np.argwhere(level.free).tolist()):
+        if min(measure(base, cell)[0] for cell in own) < reach[0] - 1e-9:
             continue
-        corners = {
-            (r, c): math.hypot(abs(r - row) + 0.5, abs(c - col) + 0.5) * CELL for r, c in aims
-        }
         seen = [
-            aim
-            for aim, corner in corners.items()
-            if corner <= reach[1] + 1e-9 and (not sight or is_in_sight(((row, col), aim), is_clear))
+            measure(base, aim)[1:]
+            for aim in aims
+            if measure(base, aim)[1] <= reach[1] + 1e-9
+            and (not sight or is_in_sight(level, (base, aim), name, aims, eye))
         ]
         if not seen:
             continue
-        least = min(corners[aim] for aim in seen)
-        nearest = [aim for aim in seen if corners[aim] < least + 1e-9]
-        headings = {math.atan2(row - r, c - col) for r, c in nearest}
-        if (row, col) in aims:
-            middle = np.mean(own, axis=0)
-            headings = {math.atan2(row - middle[0], middle[1] - col)}
+        # of squares at one distance, the first counts
+        x, y = min(seen, key=lambda distance_and_middle: round(distance_and_middle[0], 9))[1]
+        if abs(x) < 1e-9 and abs(y) < 1e-9:
+            x, y = np.mean([measure(base, aim)[2] for aim in aims], axis=0)
+        headings = {math.atan2(round(y, 9) + 0.0, round(x, 9) + 0.0)}
         if masks is not None:
             tested = range(64)
             if facing:
-                tested = [round(heading / (2 * math.pi / 64)) % 64 for heading in headings]
-            headings = {k * 2 * math.pi / 64 for k in tested if masks[k, row, col]}
+                tested = {round(heading / (2 * math.pi / 64)) % 64 for heading in headings}
+            headings = {k * 2 * math.pi / 64 for k in tested if masks[k][base]}
         if headings:
-            stands[row, col] = headings
+            stands[base] = headings
     return stands
 
 
@@ -198,14 +269,15 @@ def angle_between(first, second):
     [
         (None, "target", True),
         (None, "target", False),
-        (BASE, "target", True),
+        (BASE, "target", 0.7),
         (BASE, None, True),
     ],
 )
 def test_bases_stand_where_brute_force_over_all_cells_and_headings_finds_that_they_can(
     seed, footprint, facing, sight
 ):
-    level = make_level(random_map(seed))
+    text, heights = random_map(seed)
+    level = make_level(text, heights if seed % 3 else None, inset=0.03 * (seed % 2))
     finder = PathFinder(level)
     rules = {"footprint": footprint, "facing": facing, "sight": sight}
     for name in ("cup_1", "box", "rug", "wall"):
@@ -214,19 +286,20 @@ def test_bases_stand_where_brute_force_over_all_cells_and_headings_finds_that_th
         (region,) = finder.stand_region(f"object:{name}", reach=reach, **rules)
         assert set(map(tuple, np.argwhere(region).tolist())) == expected.keys()
         poses = finder.stand_poses(f"object:{name}", reach=reach, count=999, spread=0, **rules)
-        assert len(poses) == len(expected) and (name in poses.why_not) == (not expected)
+        assert len(poses) == len(expected)
+        assert (name in poses.why_not) == (not expected)
         for position, heading in zip(poses.positions, poses.headings, strict=True):
             cell = finder.cell_at(position)
             headings = expected[cell.row, cell.col]
             if footprint is not None or facing:
-                assert min(angle_between(heading, other) for other in headings) < 1e-9
+                assert min(angle_between(heading, other) for other in headings) < 1e-6
 
 
 # ---------------------------------------------------------------- reach and sight
 
 
 def test_a_cup_is_reached_over_its_table_and_not_from_behind_a_wall():
-    finder = PathFinder(make_level(KITCHEN))
+    finder = PathFinder(make_level(KITCHEN, HEIGHTS))
     poses = finder.stand_poses("object:cup_1", count=99, spread=0.0, reach=(0.1, 0.7))
     cells = [finder.cell_at(position) for position in poses.positions]
     assert {cell.row for cell in cells} >= {0, 1, 2, 6}
@@ -262,7 +335,7 @@ def test_a_closed_door_hides_what_is_behind_it_and_is_a_target_itself():
 
 
 def test_the_distance_to_a_point_is_exact_and_in_space_with_a_height():
-    finder = PathFinder(make_level(KITCHEN))
+    finder = PathFinder(make_level(KITCHEN, HEIGHTS))
     cup = (0.63, 0.77, 0.8)
     poses = finder.stand_poses(cup, count=999, spread=0.0)
     distances = np.hypot(*(poses.positions[:, :2] - cup[:2]).T)
@@ -306,7 +379,7 @@ def test_each_level_has_poses_for_what_stands_on_it():
 
 
 def test_poses_are_apart_and_no_more_would_fit():
-    finder = PathFinder(make_level(KITCHEN))
+    finder = PathFinder(make_level(KITCHEN, HEIGHTS))
     poses = finder.stand_poses("object:table", count=999, spread=0.25)
     gaps = np.linalg.norm(poses.positions[:, None] - poses.positions, axis=2)
     assert (gaps[~np.eye(len(poses), dtype=bool)] >= 0.25 - 1e-9).all()
@@ -318,7 +391,7 @@ def test_poses_are_apart_and_no_more_would_fit():
 
 
 def test_equal_seeds_give_equal_poses_and_others_begin_elsewhere():
-    finder = PathFinder(make_level(KITCHEN))
+    finder = PathFinder(make_level(KITCHEN, HEIGHTS))
     firsts = set()
     for seed in range(8):
         poses = finder.stand_poses("object:table", seed=seed, facing=None)
@@ -330,7 +403,7 @@ def test_equal_seeds_give_equal_poses_and_others_begin_elsewhere():
 
 
 def test_from_a_start_the_shortest_paths_come_first_and_all_lead_there():
-    finder = PathFinder(make_level(KITCHEN))
+    finder = PathFinder(make_level(KITCHEN, HEIGHTS))
     start = (0.05, 1.15, 0.0)
     poses = finder.stand_poses("object:table", start=start, count=9)
     assert len(poses) and (np.diff(poses.path_lengths) >= 0).all()
@@ -342,7 +415,7 @@ def test_from_a_start_the_shortest_paths_come_first_and_all_lead_there():
 
 
 def test_several_targets_get_the_poses_that_each_gets_alone():
-    finder = PathFinder(make_level(KITCHEN))
+    finder = PathFinder(make_level(KITCHEN, HEIGHTS))
     start = (0.05, 1.15, 0.0)
     targets = ["object:table", (0.45, 0.42, 0.0), "object:box"]
     together = finder.stand_poses(targets, start=start, count=5, footprint=BASE)
@@ -357,7 +430,7 @@ def test_several_targets_get_the_poses_that_each_gets_alone():
 
 
 def test_a_category_is_each_of_its_objects():
-    finder = PathFinder(make_level(KITCHEN.replace("TcTTTT", "TcTTdT")))
+    finder = PathFinder(make_level(KITCHEN.replace("TcTTTT", "TcTTdT"), HEIGHTS))
     poses = finder.stand_poses("category:cup", count=3)
     assert poses.targets == ("cup_1", "cup_2")
     assert np.bincount(poses.target_index).tolist() == [3, 3]
@@ -396,7 +469,7 @@ def test_a_category_is_each_of_its_objects():
     ],
 )
 def test_a_target_without_a_pose_has_a_reason(target, rules, reason):
-    finder = PathFinder(make_level(KITCHEN))
+    finder = PathFinder(make_level(KITCHEN, HEIGHTS))
     poses = finder.stand_poses(target, **rules)
     assert not len(poses)
     (text,) = poses.why_not.values()
@@ -424,13 +497,13 @@ def test_a_hidden_target_names_what_is_in_between():
         ("object:table", {"count": 0}, "expected a count >= 1, got 0"),
         ("object:table", {"spread": -1}, "expected a spread >= 0 m, got -1"),
         ("object:table", {"facing": "away"}, "expected target as facing, got 'away'"),
-        ("object:table", {"height": 1.2}, "expected a target with x, y, z where a height"),
-        ((0.5, 0.5), {"height": 1.2}, "expected a target with x, y, z where a height"),
+        ("object:rug", {"height": 1.2}, "expected a target of known height .* got rug"),
+        ("object:table", {"sight": -1.0}, "expected a sight >= 0 m, got -1"),
         ("object:table", {"footprint": [(0, 0), (1, 0)]}, "expected a polygon"),
         ("object:table", {"start": (0.65, 0.75, 0.0)}, "no agent can stand at 0.65, 0.75, 0"),
     ],
 )
 def test_what_is_wrong_is_one_clear_line(target, rules, message):
-    finder = PathFinder(make_level(KITCHEN))
+    finder = PathFinder(make_level(KITCHEN, HEIGHTS))
     with pytest.raises(QueryError, match=message):
         finder.stand_poses(target, **rules)

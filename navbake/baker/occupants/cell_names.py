@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.union_find import number_distinct_lists
 from navbake.baker.core.windows import Window, crop_cells
+from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.navgrid.lattice import Lattice
@@ -19,6 +20,8 @@ CellNames = dict[str, list[str]]
 OBJECTS = 1
 WALLS = 2
 BLOCKERS = 4
+BOX_STEPS = 10_000.0  # steps in a metre to which the corners of boxes are rounded
+BOX_SLACK = 1e-3  # share of a step
 USER_DATA_KEYS = {"objects": OBJECTS, "walls": WALLS}
 OBJECTS_OR_WALLS = OBJECTS | WALLS
 NUM_BIT_COMBINATIONS = 8  # all sums of these bits are below this
@@ -39,6 +42,40 @@ def name_geoms(scene: Scene) -> list[str]:
         names_of_bodies[int(root_body)] if root_body else geom_report.name
         for root_body, geom_report in zip(root_bodies, scene.geoms, strict=True)
     ]
+
+
+def measure_names(shapes: Shapes, names: Sequence[str]) -> dict[str, list[float]]:
+    """Measure the upright box round all geoms of each name.
+
+    Args:
+        shapes: the geometry of the posed scene.
+        names: the name of each geom, by geom id.
+
+    Returns:
+        Name -> x, y, z of the box's lower corner, and of its upper corner [m], in steps of 0.1 mm;
+        sorted by name. Names of geoms without an end are left out.
+    """
+    boxes = shapes.boxes
+    geom_of_box = shapes.geom_of_box
+    has_end = np.isfinite(boxes).all(axis=1) & ~shapes.is_endless[geom_of_box]
+    unique_names = sorted(set(names))
+    number_of_name = {name: number for number, name in enumerate(unique_names)}
+    number_of_geom = np.array([number_of_name[name] for name in names], dtype=np.int64)
+    numbers = number_of_geom[geom_of_box[has_end]]
+    corners = np.full((len(unique_names), 6), np.inf)
+    corners[:, 3:] = -np.inf
+    np.minimum.at(corners[:, :3], numbers, boxes[has_end, :3])
+    np.maximum.at(corners[:, 3:], numbers, boxes[has_end, 3:])
+    # outwards, but for what rounding may have moved a round number
+    corners[:, :3] = np.floor(corners[:, :3] * BOX_STEPS + BOX_SLACK)
+    corners[:, 3:] = np.ceil(corners[:, 3:] * BOX_STEPS - BOX_SLACK)
+    rounded_corners = (corners / BOX_STEPS + 0.0).tolist()  # no -0.0
+    has_box = np.isfinite(corners).all(axis=1).tolist()
+    return {
+        name: box
+        for name, box, is_measured in zip(unique_names, rounded_corners, has_box, strict=True)
+        if is_measured
+    }
 
 
 def name_cells(

@@ -225,6 +225,23 @@ def test_names_can_be_switched_off(tmp_path):
         assert len(grid.levels[0].user_data) == expected
 
 
+def test_boxes_hold_all_geoms_of_a_name_in_their_pose(tmp_path):
+    path = tmp_path / "scene.xml"
+    desk = (
+        '<body name="desk" pos="1 0.5 0" euler="0 0 90">'
+        '<geom type="box" pos="0 0 0.7" size="0.6 0.3 0.02"/>'
+        '<body><geom type="sphere" pos="0 0 0.81" size="0.09"/></body></body>'
+    )
+    plane = '<geom name="ground" type="plane" size="0 0 1"/>'
+    path.write_text(world(FLOOR + plane + desk + box("crate", -1, 0, 0, -0.5, 0.12345, 1)))
+    grid = run_bake(parse_config({"scene": {"path": path}})).grid
+    assert "ground" not in grid.name_boxes  # it has no end
+    assert grid.name_boxes["desk"] == (0.7, -0.1, 0.68, 1.3, 1.1, 0.9)
+    assert grid.name_boxes["crate"] == (-1.0, 0.0, 0.0, -0.5, 0.1235, 1.0)
+    nameless = run_bake(parse_config({"scene": {"path": path}, "names": False})).grid
+    assert nameless.name_boxes == {} and "boxes" not in nameless.navbake
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_entries_are_those_of_one_cell_after_another(seed):
     rng = np.random.default_rng(seed)
