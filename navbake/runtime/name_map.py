@@ -16,13 +16,13 @@ NO_ENTRY = -1  # the number of the entry of a cell without names; the last row o
 
 
 class NameEntry(NamedTuple):
-    """The names of things in a cell; many cells share an entry.
+    """The names in a cell; many cells share an entry.
 
     Attributes:
         objects: the objects over the cell's square, up to the next storey.
         walls: the walls there.
         doors: the doors there.
-        blocking: the objects, walls and doors that are in an agent's way.
+        blocking: those of all three that are in an agent's way.
     """
 
     objects: frozenset[str]
@@ -39,8 +39,8 @@ class NameMap:
         entry_of_cell: by flat id, the number of the cell's entry, `NO_ENTRY` for none, int32.
         entries: the different entries.
         sorted_cells: flat ids of the cells that have an entry, by entry, ascending in each.
-        first_of_entry: for each entry, the index in `sorted_cells` of its first cell; then, as the
-            last element, the number of all cells in `sorted_cells`.
+        first_of_entry: for each entry, the index in `sorted_cells` of its first cell, and at the
+            end the number of all.
         entries_of_name: the numbers of the entries that list a name.
         boxes: name -> x, y, z of its box's lower, then of its upper corner [m], if it is known.
         names_of_entry: for each entry, the numbers of what may hide something, with -1 after them,
@@ -73,19 +73,17 @@ class NameMap:
         Returns:
             Flat ids, ascending.
         """
-        cells_of_entries = [
-            self.sorted_cells[
-                self.first_of_entry[entry_number] : self.first_of_entry[entry_number + 1]
-            ]
-            for entry_number in self.entries_of_name[name]
+        slices = [
+            self.sorted_cells[self.first_of_entry[number] : self.first_of_entry[number + 1]]
+            for number in self.entries_of_name[name]
         ]
-        return np.sort(np.concatenate(cells_of_entries))
+        return np.sort(np.concatenate(slices))
 
     def list_objects(self) -> list[str]:
         """List the names of all objects, sorted; walls and doors are left out."""
-        object_names = {name for entry in self.entries for name in entry.objects}
-        structure_names = {name for entry in self.entries for name in entry.walls | entry.doors}
-        return sorted(object_names - structure_names)
+        objects = {name for entry in self.entries for name in entry.objects}
+        structure = {name for entry in self.entries for name in entry.walls | entry.doors}
+        return sorted(objects - structure)
 
 
 def map_names(grid: NavGrid) -> NameMap:
@@ -108,7 +106,7 @@ def map_names(grid: NavGrid) -> NameMap:
     entry_of_cell = np.concatenate(entry_of_cell_by_level)
     entries = list(number_of_entry)
     entries_of_name: dict[str, list[int]] = {}
-    for entry, entry_number in number_by_entry.items():
+    for entry, number in number_of_entry.items():
         for name in entry.objects | entry.walls | entry.doors:
             entries_of_name.setdefault(name, []).append(number)
     sorted_cells = np.argsort(entry_of_cell, kind="stable")

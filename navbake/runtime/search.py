@@ -324,7 +324,7 @@ class Search:
 
     @cached_property
     def names(self) -> NameMap:
-        """The names of what stands in the cells."""
+        """The names of the things in the cells."""
         return map_names(self.grid)
 
     @property

@@ -91,18 +91,20 @@ class SightLines(NamedTuple):
         num_rows, num_cols = np.abs(line_vectors).T
         row_sign, col_sign = np.sign(line_vectors).T[:, :, None]
         start_row, start_col = starts.T[:, :, None]
-        longest = int((num_rows + num_cols).max(initial=0))
-        rows = start_row + row_sign * self.row[num_rows, num_cols, :longest]
-        cols = start_col + col_sign * self.col[num_rows, num_cols, :longest]
-        shares = self.share[num_rows, num_cols, :longest]
+        max_num_steps = int((num_rows + num_cols).max(initial=0))
+        rows = start_row + row_sign * self.row[num_rows, num_cols, :max_num_steps]
+        cols = start_col + col_sign * self.col[num_rows, num_cols, :max_num_steps]
+        shares = self.share[num_rows, num_cols, :max_num_steps]
         rises = (end_heights - start_heights)[:, None]
         heights = start_heights[:, None] + rises * shares
-        heights_after = np.concatenate([heights[:, 1:], end_heights[:, None]], axis=1)[:, :longest]
+        heights_after = np.concatenate([heights[:, 1:], end_heights[:, None]], axis=1)[
+            :, :max_num_steps
+        ]
         lowest = np.minimum(heights, heights_after)
         highest = np.maximum(heights, heights_after)
         is_hidden = obstructions.hide(rows, cols, lowest, highest)
-        rows_before = start_row + row_sign * self.row_before[num_rows, num_cols, :longest]
-        cols_before = start_col + col_sign * self.col_before[num_rows, num_cols, :longest]
+        rows_before = start_row + row_sign * self.row_before[num_rows, num_cols, :max_num_steps]
+        cols_before = start_col + col_sign * self.col_before[num_rows, num_cols, :max_num_steps]
         at_corner = np.nonzero((rows != rows_before) & (cols != cols_before))
         corner_heights = heights[at_corner]
         is_below_hiding = obstructions.hide(

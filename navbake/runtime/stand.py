@@ -227,7 +227,7 @@ def _find_named_targets(search: Search, text: str) -> list[StandTarget]:
             )
         return [
             StandTarget(member, names.cells_of(member), names.boxes.get(member))
-            for member in members
+            for member in member_names
         ]
     expected = "a position, object:NAME or category:NAME"
     raise QueryError(

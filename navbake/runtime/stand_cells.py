@@ -99,7 +99,7 @@ class Window(NamedTuple):
     cols: slice
 
     def cut(self, layer: NDArray[Value]) -> NDArray[Value]:
-        """Cut the window out of an array by flat id; the result has the shape (rows, cols)."""
+        """Return the window's part of an array by flat id, shape (rows, cols)."""
         return layer[self.level_cells].reshape(-1, self.width)[self.rows, self.cols]
 
     def to_cells(self, places: Int) -> Int:
@@ -115,7 +115,7 @@ class Window(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """The numbers of cells that pass each test for a target, and the names of things that hide it.
+    """How many cells pass each test for a target, and what hides it from the others.
 
     Attributes:
         num_in_reach: number of free cells in reach.
@@ -195,12 +195,10 @@ class StandSite:
             self.path_lengths = search.lengths_from(np.array([start_cell]))
         self._fits: Bool | None = None  # at each of `NUM_HEADINGS` headings, by flat id
         if rules.footprint is not None:
-            free_masks = inflate_footprint(
+            masks = inflate_footprint(
                 search.grid, rules.footprint, NUM_HEADINGS, ledges=ledges_setting(search.grid)
             )
-            self._fits = np.concatenate(
-                [mask.reshape(NUM_HEADINGS, -1) for mask in free_masks], axis=1
-            )
+            self._fits = np.concatenate([mask.reshape(NUM_HEADINGS, -1) for mask in masks], axis=1)
         self._max_cells = math.ceil(rules.reach[1] / float(self._flat.layout.cell_size.min())) + 1
         self._lines: SightLines = trace_sight_lines(self._max_cells)
 
@@ -487,7 +485,9 @@ class StandSite:
             reason = f": {names} in between" if names else ""
             cells_text = f"none of the {tally.num_with_path} free cells in reach"
             return f"{target.name} is in sight of {cells_text}{reason}"
-        cells_text = f"none of the {tally.num_in_sight} cells in reach and in sight of {target.name}"
+        cells_text = (
+            f"none of the {tally.num_in_sight} cells in reach and in sight of {target.name}"
+        )
         return f"the footprint fits in {cells_text}"
 
 
