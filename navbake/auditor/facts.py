@@ -87,7 +87,7 @@ class AuditReport:
         """Return the report as a JSON object."""
         return {
             "ok": self.ok,
-            "sceneId": self.scene_id,
+            "scene_id": self.scene_id,
             "checks": list(self.checks),
             "remarks": [remark.to_json() for remark in self.remarks],
         }

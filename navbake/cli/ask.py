@@ -15,12 +15,11 @@ from navbake.cli.options import (
     OUTPUT_FLAGS,
     PLACE,
     PLACE_HELP,
-    AsJson,
     GridFile,
     argument,
     option,
 )
-from navbake.cli.printing import print_json, print_tables, print_warnings, say
+from navbake.cli.printing import add_facts, print_tables, print_warnings, say
 from navbake.errors import QueryError, count_of
 from navbake.views import tables
 
@@ -31,7 +30,7 @@ PLACE_METAVAR = f"{PLACE}|room:NAME"
 PATH_FIELDS = "length", "cost", "seconds", "rooms", "doors", "links", "positions", "levels", "cells"
 
 
-def info(grid: GridFile, as_json: AsJson = False) -> None:
+def info(grid: GridFile) -> None:
     """Print a summary of a grid: levels, doors, links, areas, agents, versions.
 
     Example: navbake info house.grid.json
@@ -40,9 +39,8 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
 
     nav_grid = navbake.load(grid)
     facts = describe(nav_grid)
-    if as_json:
-        print_json(facts)
-        return
+    facts.pop("warnings")  # printed, and so added, below
+    add_facts(**facts)
     tables_of_file = [
         tables.make_door_table(nav_grid.doors, nav_grid.level_names),
         tables.make_link_table(nav_grid.links, nav_grid.level_names),
@@ -58,7 +56,7 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     print_warnings(nav_grid.warnings)
 
 
-def rooms(grid: GridFile, as_json: AsJson = False) -> None:
+def rooms(grid: GridFile) -> None:
     """List the rooms of a grid, what each opens to, and the doors.
 
     Example: navbake rooms house.grid.json
@@ -66,17 +64,15 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
     nav_grid = navbake.load(grid)
     room_list = nav_grid.rooms
     doors = nav_grid.doors
-    if as_json:
-        tables_as_json = {
-            "rooms": [room.to_json() for room in room_list],
-            "doors": [door.to_json() for door in doors],
-        }
-        print_json({"scene_id": nav_grid.scene_id, **tables_as_json})
-        return
+    add_facts(
+        scene_id=nav_grid.scene_id,
+        rooms=[room.to_json() for room in room_list],
+        doors=[door.to_json() for door in doors],
+    )
     print_tables(tables.make_room_table(room_list, nav_grid.level_names))
-    print(count_of(len(room_list), "room"))
+    say(count_of(len(room_list), "room"))
     if doors:
-        print()
+        say()
         print_tables(tables.make_door_table(doors, nav_grid.level_names))
 
 
@@ -84,7 +80,6 @@ def why(
     grid: GridFile,
     place: str | None = argument(PLACE, f"World position, {PLACE_HELP}.", None),
     at: str | None = option(PLACE, "The same."),
-    as_json: AsJson = False,
 ) -> None:
     """Print what a grid holds at a position, and what blocks it.
 
@@ -111,10 +106,8 @@ def why(
         cell_facts = describe_column(nav_grid, x, y)
     else:
         cell_facts = [nav_grid.describe_cell(x, y, level)]
-    if as_json:
-        print_json(cell_facts)
-    else:
-        print_tables(*map(printing.make_cell_table, cell_facts))
+    add_facts(scene_id=nav_grid.scene_id, cells=cell_facts)
+    print_tables(*map(printing.make_cell_table, cell_facts))
 
 
 def path(
@@ -138,7 +131,6 @@ def path(
     ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
-    as_json: AsJson = False,
     output: Path | None = option("PNG|SVG", "Draw the path; - for a PNG on stdout.", *OUTPUT_FLAGS),
 ) -> None:
     """Plan a path through a grid, or say why there is none.
@@ -187,24 +179,21 @@ def path(
             start_position, goal, by=by
         ):
             reason += "; `--doors open` opens all doors"
+    path_facts = {key: getattr(planned_path, key) for key in PATH_FIELDS} if planned_path else None
+    add_facts(scene_id=nav_grid.scene_id, path=path_facts, reason=reason)
     with options.keep_stdout_for(output):
-        if as_json:
-            facts = (
-                {key: getattr(planned_path, key) for key in PATH_FIELDS} if planned_path else None
-            )
-            print_json({"path": facts, "reason": reason})
-        elif planned_path:
-            print(f"length  {planned_path.length:.3f} m")
-            print(f"cost    {planned_path.cost:.3f}")
-            print(f"time    {planned_path.seconds:.1f} s")
+        if planned_path:
+            say(f"length  {planned_path.length:.3f} m")
+            say(f"cost    {planned_path.cost:.3f}")
+            say(f"time    {planned_path.seconds:.1f} s")
             say(f"rooms   {', '.join(planned_path.rooms) or '-'}")
             say(f"doors   {', '.join(planned_path.doors) or '-'}")
             if nav_grid.links:
                 say(f"links   {', '.join(planned_path.links) or '-'}")
-            print("      x       y       z  level")
+            say("      x       y       z  level")
             positions = planned_path.positions.round(3) + 0.0  # no -0.000
             for (x, y, z), level in zip(positions, planned_path.levels, strict=True):
-                print(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")
+                say(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")
         else:
             say(f"no path: {reason}")
     if output is not None:
@@ -224,7 +213,6 @@ def sample(
         "METRES", "At least so far from each other [m].  [default: any distance]", min=0.0
     ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
-    as_json: AsJson = False,
 ) -> None:
     """Draw places where an agent can stand, each with a heading.
 
@@ -252,15 +240,13 @@ def sample(
     cells = [finder.cell_at(position) for position in positions]
     levels = [cell.level for cell in cells if cell is not None]
     room_ids = [finder.room_at(position) for position in positions.tolist()]
-    if as_json:
-        places = [
-            {"position": position, "heading": heading, "level": level, "room": room_id}
-            for position, heading, level, room_id in zip(
-                positions.tolist(), headings.tolist(), levels, room_ids, strict=True
-            )
-        ]
-        print_json({"scene_id": nav_grid.scene_id, "seed": seed, "places": places})
-        return
+    places = [
+        {"position": position, "heading": heading, "level": level, "room": room_id}
+        for position, heading, level, room_id in zip(
+            positions.tolist(), headings.tolist(), levels, room_ids, strict=True
+        )
+    ]
+    add_facts(scene_id=nav_grid.scene_id, seed=seed, places=places)
     rows = []
     for position, heading, level, room_id in zip(
         positions, headings, levels, room_ids, strict=True

@@ -17,7 +17,6 @@ from navbake.cli import options, printing
 from navbake.cli.options import (
     OUTPUT_FLAGS,
     AgentRadius,
-    AsJson,
     CellSize,
     ModelPath,
     Overrides,
@@ -27,8 +26,9 @@ from navbake.cli.options import (
     option,
 )
 from navbake.cli.printing import (
+    add_facts,
+    add_files,
     print_error,
-    print_json,
     print_warnings,
     say,
     say_unless_quiet,
@@ -38,8 +38,10 @@ from navbake.formats.format_table import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.views.tables import make_level_table, make_table
 
 if TYPE_CHECKING:
+    from navbake.baker.bake.pipeline import BakeResult
     from navbake.config.settings import BakeConfig
     from navbake.navgrid.grid import NavGrid
+    from navbake.types import Json
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
 
@@ -57,13 +59,17 @@ def init(
 
     Example: navbake init house.xml -o house.yaml
     """
+    from navbake.config.settings import load_config
     from navbake.config.template import make_template, write_template
 
     options.refuse_unused(("--force", force, output != options.STDOUT, "files"))
     if output == options.STDOUT:
-        print(make_template(scene, Path())[1], end="")
+        options.write_output(make_template(scene, Path())[1].encode(), output)
+        add_facts(scene_id=load_config(scene).scene.id)
         return
     path = write_template(scene, output, force=force)
+    add_files(path)
+    add_facts(scene_id=load_config(scene).scene.id)
     say_unless_quiet(f"{path}: the default settings; `navbake bake {path}` bakes with them")
 
 
@@ -97,21 +103,29 @@ def samples(
     """
     from navbake import samples as sample_files  # not for --help
 
-    if not names:
-        for name in sample_files.names():
-            first_line = sample_files.path(name).read_text(encoding="utf-8").splitlines()[0]
-            say(f"{name:<10} {first_line.removeprefix('# ')}")
-        return
-    for name in names:
-        settings_path = sample_files.copy(name, folder)[0]
-        say_unless_quiet(
-            f"{settings_path}: a sample's settings; `navbake bake {settings_path}` bakes it"
+    sample_facts = []
+    for name in names or sample_files.names():
+        settings_path = sample_files.path(name)
+        first_line = settings_path.read_text(encoding="utf-8").splitlines()[0]
+        description = first_line.removeprefix("# ")
+        if names:
+            copied_paths = sample_files.copy(name, folder)
+            add_files(*copied_paths)
+            settings_path = copied_paths[0]
+        sample_facts.append(
+            {"name": name, "description": description, "settings": str(settings_path)}
         )
+        if names:
+            say_unless_quiet(
+                f"{settings_path}: a sample's settings; `navbake bake {settings_path}` bakes it"
+            )
+        else:
+            say(f"{name:<10} {description}")
+    add_facts(samples=sample_facts)
 
 
 def geoms(
     config: SceneOrConfig,
-    as_json: AsJson = False,
     overrides: Overrides = None,
     model_path: ModelPath = None,
 ) -> None:
@@ -127,11 +141,9 @@ def geoms(
     options.say_if_sample(config)
     scene = load_scene(settings)
     print_warnings(scene.warnings)
-    if as_json:
-        keys = ("id", "name", "body", "type", "counted", "shape", "role", "reason")
-        rows_as_json = [{key: getattr(geom, key) for key in keys} for geom in scene.geoms]
-        print_json({"scene_id": scene.id, "geoms": rows_as_json, "warnings": list(scene.warnings)})
-        return
+    keys = ("id", "name", "body", "type", "counted", "shape", "role", "reason")
+    geom_facts = [{key: getattr(geom, key) for key in keys} for geom in scene.geoms]
+    add_facts(scene_id=scene.id, geoms=geom_facts)
     num_counted = sum(geom.counted for geom in scene.geoms)
     rows = [
         (
@@ -148,7 +160,7 @@ def geoms(
     ]
     headings = ("id", "geom", "body", "type", "counted", "as", "role", "why")
     printing.print_tables(make_table(headings, rows, numbers=("id",)))
-    print(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")
+    say(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")
 
 
 def voxelize(
@@ -213,25 +225,38 @@ def voxelize(
     )
     print_warnings(grid.notes)
     num_notes = len(grid.notes)
+    written_paths: list[Path] = []
     for output, ending in zip(outputs, endings, strict=True):
         id_mapping: Literal["compact"] | None = None
         if compact and ending == ".binvox":
             id_mapping = "compact"
         write_voxels(grid, output, free=free, layout=layout, mapping=id_mapping)
-        say_unless_quiet(output)
+        written_paths.append(output)
         if grid.is_segmented and ending not in OCTREE_SUFFIXES:
-            say_unless_quiet(id_table_path(output))
+            written_paths.append(id_table_path(output))
         if twin and grid.is_segmented and ending == ".binvox":
             twin_path = output.with_suffix(".occupied.binvox")
             write_voxels(grid.without_ids(), twin_path, layout=layout)
-            say_unless_quiet(twin_path)
+            written_paths.append(twin_path)
+    for path in written_paths:
+        say_unless_quiet(path)
+    add_files(*written_paths)
     print_warnings(grid.notes[num_notes:])
+    num_occupied = int(grid.occupied.sum())
+    add_facts(
+        scene_id=voxelizer.scene.id,
+        shape=grid.shape,
+        res=grid.res,
+        bounds=grid.bounds,
+        num_occupied=num_occupied,
+        ids=grid.names,
+    )
     lower_corner_text = _format_corner(grid.bounds[0])
     upper_corner_text = _format_corner(grid.bounds[1])
     ids_text = f", {len(grid.names)} IDs" if grid.is_segmented else ""
     voxels_text = f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m"
     summary_text = f"{voxels_text}, {lower_corner_text} to {upper_corner_text} m:"
-    say_unless_quiet(f"{summary_text} {grid.occupied.sum()} occupied{ids_text}")
+    say_unless_quiet(f"{summary_text} {num_occupied} occupied{ids_text}")
 
 
 def _format_corner(corner: Iterable[float]) -> str:
@@ -319,6 +344,7 @@ def bake(
         ("--isolate-memory", memory is not None, isolate, "--isolate"),
     )
     from navbake.config.settings import load_config
+    from navbake.views.describe import describe
 
     compile_limits: dict[str, float] | None = None
     if isolate:
@@ -332,16 +358,17 @@ def bake(
     overrides += options.override_model_path(model_path)
     overrides += ["scene.strict=true"] * strict
     jobs: list[tuple[Path, BakeConfig]] = []
-    failed_paths: list[Path] = []
+    failures: list[Json] = []
+    scene_facts: list[Json] = []
     for path in configs:
-        with _collect_failures(path, failed_paths, len(configs)):
+        with _collect_failures(path, failures, len(configs)):
             jobs.append((path, load_config(path, overrides)))
             options.say_if_sample(path)
     written_paths: set[Path] = set()
     for (path, config), output_path in zip(
         jobs, list_output_files(jobs, output, name), strict=True
     ):
-        with _collect_failures(path, failed_paths, len(configs)):
+        with _collect_failures(path, failures, len(configs)):
             if output_path.resolve() in written_paths:
                 problem = (
                     f"{output_path} was written for another scene: give each its own `scene.id`"
@@ -362,24 +389,36 @@ def bake(
                     f"expected a name that ends in {', '.join(options.GRID_SUFFIXES)} as `output`"
                 )
                 raise ConfigError(f"{problem} in {path}, got {output_path}")
-            grid = _bake_and_report(config, output_path, threads, compile_limits, not no_timings)
+            result = _bake_and_report(config, output_path, threads, compile_limits, not no_timings)
+            warnings = list(result.warnings)
             if radius:
-                _warn_of_what_radius_closes(grid, radius)
+                warnings += _warn_of_what_radius_closes(result.grid, radius)
             written_paths.add(output_path.resolve())
-    if failed_paths:
-        print_error(f"{len(failed_paths)} of {len(configs)} failed")
+            scene_facts.append(
+                {
+                    "config": str(path),
+                    "scene_id": result.grid.scene_id,
+                    "file": str(output_path),
+                    "levels": describe(result.grid)["levels"],
+                    "seconds": result.timings,
+                    "warnings": warnings,
+                }
+            )
+    add_facts(scenes=scene_facts, failures=failures)
+    if failures:
+        print_error(f"{len(failures)} of {len(configs)} failed")
         raise Exit(1)
 
 
 @contextmanager
-def _collect_failures(path: Path, failed_paths: list[Path], num_configs: int) -> Iterator[None]:
+def _collect_failures(path: Path, failures: list[Json], num_configs: int) -> Iterator[None]:
     """Let a command go on after a NavbakeError in the with statement, if it has several CONFIGs.
 
     The error is printed.
 
     Args:
         path: the CONFIG that is worked on.
-        failed_paths: after an error, `path` is appended to it.
+        failures: after an error, it is appended with its ``config``, as --json prints both.
         num_configs: number of CONFIGs; if it is 1, the error is raised.
     """
     try:
@@ -387,7 +426,7 @@ def _collect_failures(path: Path, failed_paths: list[Path], num_configs: int) ->
     except NavbakeError as error:
         if num_configs == 1:
             raise
-        failed_paths.append(path)
+        failures.append({"config": str(path), "error": str(error)})
         path_prefix = "" if str(path) in str(error) else f"{path}: "
         print_error(f"{path_prefix}{error}")
 
@@ -398,8 +437,8 @@ def _bake_and_report(
     threads: int | None,
     compile_limits: dict[str, float] | None,
     with_timings: bool,
-) -> NavGrid:
-    """Bake a grid, write it, print its levels and warnings, and return it.
+) -> BakeResult:
+    """Bake a grid, write it, print its levels and warnings, and return what the bake returns.
 
     Args:
         config: the settings.
@@ -414,9 +453,10 @@ def _bake_and_report(
     from navbake.formats.navgrid import encode_files
     from navbake.views.describe import describe
 
+    prints_lines = not (printing.VERBOSITY.quiet or printing.VERBOSITY.as_json)
     with printing.show_progress_bars(str(config.scene.id), printing.VERBOSITY.quiet) as progress:
-        # with --quiet, all warnings follow the bake
-        print_hint = None if printing.VERBOSITY.quiet else lambda hint: print_warnings([hint])
+        # without lines, all warnings follow the bake
+        print_hint = (lambda hint: print_warnings([hint])) if prints_lines else None
         result = run_bake(
             config,
             threads=threads,
@@ -431,9 +471,9 @@ def _bake_and_report(
     (content,) = encode_files(result.grid, output_path).values()
     options.write_output(content, output_path)
     result.timings["write"] = time.perf_counter() - start_time
-    if printing.VERBOSITY.quiet:
+    if not prints_lines:
         print_warnings(result.warnings)
-        return result.grid
+        return result
     with options.keep_stdout_for(output_path):
         if output_path != options.STDOUT:
             say(output_path)
@@ -443,17 +483,20 @@ def _bake_and_report(
         stages_text = ", ".join(
             f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items()
         )
-        print(f"{sum(result.timings.values()):.2f} s: {stages_text}")
-    return result.grid
+        say(f"{sum(result.timings.values()):.2f} s: {stages_text}")
+    return result
 
 
-def _warn_of_what_radius_closes(grid: NavGrid, radius: float) -> None:
-    """Print a warning of stairs, doors and links that the baked radius [m] closes for the agent."""
+def _warn_of_what_radius_closes(grid: NavGrid, radius: float) -> list[str]:
+    """Print a warning of stairs, doors and links that the baked radius [m] closes for the agent.
+
+    Returns the warnings.
+    """
     from navbake.runtime.passage import make_point_grid  # loads numpy
     from navbake.runtime.search import Search
 
     search_before = Search(make_point_grid(grid), radius=0.0)
-    printing.warn_of_closed_connections(search_before, Search(grid), radius)
+    return printing.warn_of_closed_connections(search_before, Search(grid), radius)
 
 
 # --- output files -----------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from navbake.cli.options import (
 )
 from navbake.cli.printing import (
     VERBOSITY,
+    add_facts,
     print_error,
     print_warnings,
     say,
@@ -515,8 +516,10 @@ def warm_up() -> None:
     if compiled.cache_folder() is None:
         problem = "no folder for compiled code can be written, so nothing can be kept"
         print_warnings([f"{problem}: {compiled.CACHE_REMEDY}"])
+        add_facts(compiled=False, folder=None)
         return
     uncompiled_names = compiled.warm_up()
+    add_facts(compiled=not uncompiled_names, folder=str(compiled.cache_folder()))
     if uncompiled_names:
         print_warnings([f"not compiled, or not kept: {', '.join(uncompiled_names)}"])
     else:

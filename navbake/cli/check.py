@@ -19,8 +19,8 @@ import navbake
 from navbake import samples
 from navbake._version import __version__
 from navbake.cli import options
-from navbake.cli.options import PICTURE_OPTION, SCENE_OPTION, AsJson, GridFile, flag, option
-from navbake.cli.printing import print_json, print_tables, say
+from navbake.cli.options import PICTURE_OPTION, SCENE_OPTION, GridFile, flag, option
+from navbake.cli.printing import add_facts, print_tables, say
 from navbake.errors import NavbakeError, count_of
 from navbake.formats.convert import read_as
 from navbake.lazy import lazy
@@ -76,7 +76,6 @@ def verify(
         "What touches by less than this is free [m], > 0, at most a quarter of a cell.",
         default=1e-4,
     ),
-    as_json: AsJson = False,
     output: Path | None = PICTURE_OPTION,
     force: bool = flag("--force", "Compare with a scene that isn't the one that was baked."),
 ) -> None:
@@ -102,11 +101,9 @@ def verify(
         tolerance=tolerance,
         force=force,
     )
+    add_facts(**report.to_json())
     with options.keep_stdout_for(output):
-        if as_json:
-            print_json(report.to_json())
-        else:
-            _print_report(report)
+        _print_report(report)
     if output is not None:
         marks = [
             (finding.level, *finding.position[:2], finding.kind) for finding in report.findings
@@ -144,7 +141,6 @@ def _print_report(report: VerifyReport) -> None:
 
 def audit(
     grid: GridFile,
-    as_json: AsJson = False,
     output: Path | None = PICTURE_OPTION,
     routes_grid: Path | None = option(
         "FILE", "GRID is a graph of routes on this grid or map.", "--grid"
@@ -173,15 +169,13 @@ def audit(
 
         nav_grid = read_as(routes_grid)
         report = audit_routes(grid, nav_grid, radius=radius)
+    add_facts(**report.to_json())
     with options.keep_stdout_for(output):
-        if as_json:
-            print_json(report.to_json())
-        else:
-            for remark in report.remarks:
-                say(remark)
-            errors_text = count_of(len(report.errors), "error")
-            remarks_text = count_of(len(report.remarks) - len(report.errors), "remark")
-            say(f"{len(report.checks)} checks: {errors_text}, {remarks_text}")
+        for remark in report.remarks:
+            say(remark)
+        errors_text = count_of(len(report.errors), "error")
+        remarks_text = count_of(len(report.remarks) - len(report.errors), "remark")
+        say(f"{len(report.checks)} checks: {errors_text}, {remarks_text}")
     if output is not None:
         marks = [
             (-1 if remark.level is None else remark.level, *remark.place[:2], remark.check)
@@ -202,8 +196,16 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
 
     Example: navbake doctor
     """
+    text_by_name: dict[str, str] = {}
+    name = ""
     for line_name, line_text in _describe_installation():
-        print(f"{line_name:<12} {line_text}")
+        say(f"{line_name:<12} {line_text}")
+        if line_name:
+            name = line_name
+            text_by_name[name] = line_text
+        else:  # the line goes on with the one above
+            text_by_name[name] += f"; {line_text}"
+    add_facts(version=__version__, installation=text_by_name, bake=None)
     if no_bake:
         return
     settings = config.load_config(samples.path(CHECKED_SAMPLE))
@@ -216,15 +218,19 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
     except NavbakeError as error:
         raise NavbakeError(f"the sample {CHECKED_SAMPLE!r} can't be baked: {error}") from error
     num_free = sum(int(level.free.sum()) for level in grid.levels)
-    speed_text = (
-        "as usual"
-        if bake_seconds[1] <= USUAL_BAKE_SECONDS
-        else f"SLOW: usually below {USUAL_BAKE_SECONDS} s"
-    )
+    is_slow = bake_seconds[1] > USUAL_BAKE_SECONDS
+    speed_text = f"SLOW: usually below {USUAL_BAKE_SECONDS} s" if is_slow else "as usual"
     first_seconds, second_seconds = bake_seconds
     times_text = f"{first_seconds:.2f} s, again {second_seconds:.2f} s ({speed_text})"
     line_text = f"{CHECKED_SAMPLE}: {times_text}, {num_free} free cells"
-    print(f"{'bake':<12} {line_text}")
+    say(f"{'bake':<12} {line_text}")
+    bake_facts = {
+        "scene_id": CHECKED_SAMPLE,
+        "seconds": bake_seconds,
+        "is_slow": is_slow,
+        "num_free": num_free,
+    }
+    add_facts(bake=bake_facts)
 
 
 def _installed_version(package: str) -> str | None:

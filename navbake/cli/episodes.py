@@ -10,8 +10,15 @@ from typer import Argument, BadParameter
 
 import navbake
 from navbake.cli import options
-from navbake.cli.options import OUTPUT_FLAGS, AsJson, argument, flag, option
-from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
+from navbake.cli.options import OUTPUT_FLAGS, argument, flag, option
+from navbake.cli.printing import (
+    add_facts,
+    add_files,
+    print_tables,
+    print_warnings,
+    say,
+    say_unless_quiet,
+)
 from navbake.errors import ConfigError, QueryError, count_of
 from navbake.files import encode_csv
 from navbake.known_names import suggest
@@ -97,20 +104,28 @@ def episodes(
         files=[_relative_path(grid, output.parent) for grid in grids],
     )
     sets.write_episodes(episode_set, output)
+    add_files(output)
     rejected_draws = episode_set.header.rejected
     num_rejected = sum(rejected_draws.values())
     say_unless_quiet(f"{output}: {len(episode_set)} episodes, {num_rejected} draws refused")
     for reason, num_draws in rejected_draws.items():
         say_unless_quiet(f"  {num_draws:>8} {reason}")
     yard_areas = [area for area in map(_yard_area, loaded_grids) if area > 0.0]
-    if yard_areas and not sampler_rules.outdoors:
+    leaves_yards_out = bool(yard_areas) and not sampler_rules.outdoors
+    add_facts(
+        scenes=[{"scene_id": grid_entry.scene} for grid_entry in episode_set.header.grids],
+        num_episodes=len(episode_set),
+        refused=rejected_draws,
+        outdoor_area_left_out=round(sum(yard_areas), 6) if leaves_yards_out else 0.0,
+    )
+    if leaves_yards_out:
         scenes_text = count_of(len(yard_areas), "scene")
         say_unless_quiet(
             f"outdoors is left out, {sum(yard_areas):.0f} m² of {scenes_text}: "
             "`--rule outdoors=true` takes it in"
         )
     if len(episode_set) < count:
-        say(f"only {len(episode_set)} of {count}: the rules refuse the rest")
+        print_warnings([f"only {len(episode_set)} of {count}: the rules refuse the rest"])
 
 
 def _yard_area(grid: NavGrid) -> float:
@@ -181,9 +196,11 @@ def convert_episode_set(
         problem = f"--scene {name}={scenes[name]} fits no scene of {source}"
         raise ConfigError(f"{problem}: {suggest(name, sorted(scene_names))}")
     missing_data = write_episodes(episode_set, output, format_name, scenes)
+    add_files(output)
+    add_facts(scenes=[{"scene_id": scene_name} for scene_name in sorted(scene_names)])
     say_unless_quiet(output)
     if missing_data:
-        say(f"{output} doesn't hold: {', '.join(missing_data)}")
+        print_warnings([f"{output} doesn't hold: {', '.join(missing_data)}"])
 
 
 def score(
@@ -197,7 +214,6 @@ def score(
     seed: int = option("N", "Seed of the intervals.", default=0, min=0),
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),
     force: bool = flag("--force", "Score on another grid, or for another agent."),
-    as_json: AsJson = False,
     output: Path | None = option(
         "CSV", "Write a row for each episode; - for stdout.", *OUTPUT_FLAGS
     ),
@@ -227,22 +243,23 @@ def score(
         threshold=threshold, force=force, partial=partial,
     )  # fmt: skip
     groups = scores.summarize(rows, by, seed=seed)
+    group_facts = [
+        group | {measure: group[measure]._asdict() for measure in scores.MEAN_FIELDS}
+        for group in groups
+    ]
+    add_facts(
+        scenes=[{"scene_id": grid_entry.scene} for grid_entry in episode_set.header.grids],
+        groups=msgspec.json.decode(msgspec.json.encode(group_facts)),  # null for NaN
+    )
     with options.keep_stdout_for(output):
-        if as_json:
-            facts = [
-                group | {measure: group[measure]._asdict() for measure in scores.MEAN_FIELDS}
-                for group in groups
+        for group in groups:
+            say(f"{group['group']}: {group['episodes']} episodes")
+            intervals = [(key, group[key]) for key in scores.MEAN_FIELDS if group[key].known]
+            table_rows = [
+                (measure, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
+                for measure, interval in intervals
             ]
-            print_json(msgspec.json.decode(msgspec.json.encode(facts)))  # null for NaN
-        else:
-            for group in groups:
-                say(f"{group['group']}: {group['episodes']} episodes")
-                intervals = [(key, group[key]) for key in scores.MEAN_FIELDS if group[key].known]
-                table_rows = [
-                    (measure, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
-                    for measure, interval in intervals
-                ]
-                print_tables(make_table(("measure", "mean", "95 %"), table_rows))
+            print_tables(make_table(("measure", "mean", "95 %"), table_rows))
     if output is not None:
         headings = list(rows[0]) if rows else ["episode"]
         options.write_output(encode_csv([headings, *(row.values() for row in rows)]), output)

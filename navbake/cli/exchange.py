@@ -16,14 +16,15 @@ from navbake.cli.options import (
     LEVEL_OPTION,
     OUTPUT_FLAGS,
     STDOUT,
-    AsJson,
     GridFile,
     argument,
     option,
 )
 from navbake.cli.printing import (
-    print_json,
+    add_facts,
+    add_files,
     print_warnings,
+    say,
     say_unless_quiet,
     warn_of_closed_connections,
 )
@@ -179,6 +180,7 @@ def convert(
         given_options["route"] = [_plan_route(inflated_grid, text) for text in route]
     target_path = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
     content_by_path = encode_with(writer, grid, target_path, **given_options)
+    add_facts(scene_id=grid.scene_id, input_format=reader.name, output_format=writer.name)
     if output == STDOUT:
         if len(content_by_path) > 1:
             raise BadParameter(f"{writer.name} is {len(content_by_path)} files", param_hint="OUT")
@@ -188,6 +190,7 @@ def convert(
     for path in content_by_path:
         options.check_output(path, inputs=inputs)
     for path in write_files(content_by_path):
+        add_files(path)
         say_unless_quiet(path)
 
 
@@ -204,12 +207,17 @@ def _convert_routes(
     """
     from navbake.formats.route_files import encode_routes, read_routes
 
-    _find_format(source, source_format, ("--from", "IN"), writing=False, formats=ROUTE_FORMATS)
+    reader = _find_format(
+        source, source_format, ("--from", "IN"), writing=False, formats=ROUTE_FORMATS
+    )
     if output == STDOUT and target_format is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
-    _find_format(output, target_format, ("--to", "OUT"), writing=True, formats=ROUTE_FORMATS)
+    writer = _find_format(
+        output, target_format, ("--to", "OUT"), writing=True, formats=ROUTE_FORMATS
+    )
     options.check_output(output, inputs=[source])
     graph = read_routes(source, source_format)
+    add_facts(scene_id=graph.scene_id, input_format=reader.name, output_format=writer.name)
     options.write_output(encode_routes(graph, output, target_format), output)
     if output != STDOUT:
         say_unless_quiet(output)
@@ -361,9 +369,16 @@ def inflate(
     share_text = f" ({free_areas[1] / free_areas[0]:.1%})" if free_areas[0] else ""
     if mode == "exact":
         warn_of_closed_connections(Search(grid_before), Search(grid_after), radius)
+    total_radius = max(radius, previous_radius)
+    add_facts(
+        scene_id=grid_after.scene_id,
+        radius=total_radius,
+        mode=mode,
+        free_area=round(free_areas[1], 6),
+        free_area_before=round(free_areas[0], 6),
+    )
     with options.keep_stdout_for(output):
         summary = f"{output}: {free_areas[1]:.2f} of {free_areas[0]:.2f} m² free{share_text}"
-        total_radius = max(radius, previous_radius)
         say_unless_quiet(f"{summary} for an agent of radius {total_radius:g} m ({mode})")
 
 
@@ -391,6 +406,12 @@ def routes(
     graph = make_routes(nav_grid, route_agent)
     graph = graph if level is None else graph.on_level(level)
     options.write_output(encode_routes(graph, output, to), output)
+    add_facts(
+        scene_id=nav_grid.scene_id,
+        radius=graph.radius,
+        num_nodes=len(graph.nodes),
+        num_lanes=len(graph.lanes),
+    )
     if output != STDOUT:
         size_text = f"{len(graph.nodes)} nodes, {len(graph.lanes)} lanes"
         say_unless_quiet(f"{output}: {size_text} for a radius of {graph.radius:g} m")
@@ -419,7 +440,6 @@ def map_descriptor(
     explored: Path | None = option(
         "NPY", "Which squares are explored: an array [row, col], row 0 at the top.  [default: all]"
     ),
-    as_json: AsJson = False,
 ) -> None:
     """Write a level as a map descriptor (two hex strings) and draw it.
 
@@ -438,12 +458,15 @@ def map_descriptor(
     from navbake.formats.npz import read_npy
 
     shape = None if rows is None or cols is None else (rows, cols)
+    scene_id = None
     if decode is not None:
         part1, part2 = decode
         is_explored, is_obstacle = descriptor.decode(part1, part2, shape or descriptor.ARENA_SHAPE)
     else:
         assert grid is not None
-        levels = navbake.load(grid).levels
+        nav_grid = navbake.load(grid)
+        scene_id = nav_grid.scene_id
+        levels = nav_grid.levels
         level_number = level or 0
         if level_number >= len(levels):
             raise ConfigError(
@@ -457,15 +480,16 @@ def map_descriptor(
         is_explored = np.ones_like(is_obstacle) if explored is None else read_npy(explored)
         part1, part2 = descriptor.encode(is_explored, is_obstacle)
     drawing = descriptor.draw(is_explored, is_obstacle)
-    if as_json:
-        facts = {
-            "rows": is_explored.shape[0],
-            "cols": is_explored.shape[1],
-            "part1": part1,
-            "part2": part2,
-        }
-        print_json({**facts, "map": drawing.split("\n")})
-        return
+    add_facts(
+        scene_id=scene_id,
+        rows=is_explored.shape[0],
+        cols=is_explored.shape[1],
+        part1=part1,
+        part2=part2,
+        map=drawing.split("\n"),
+    )
     if decode is None:
-        print(f"{part1}\n{part2}")
-    print(drawing)
+        say(part1)
+        say(part2)
+    for line in drawing.split("\n"):
+        say(line)

@@ -23,7 +23,7 @@ from navbake.cli.options import (
     flag,
     option,
 )
-from navbake.cli.printing import print_warnings, say, say_unless_quiet
+from navbake.cli.printing import add_facts, add_files, print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
 
 # Functions import what they need only when they run: --help loads no numpy, MuJoCo or viser.
@@ -59,6 +59,7 @@ def plot(
     nav_grid = navbake.load(grid)
     layer_names = tuple(layers or DEFAULT_LAYERS)
     options.write_picture(nav_grid, output, level=level, layers=layer_names)
+    add_facts(scene_id=nav_grid.scene_id, level=level, layers=layer_names)
     if output != STDOUT:
         say_unless_quiet(output)
 
@@ -92,7 +93,7 @@ def report(
             ("--audit", with_audit, False, "grids: a batch audits its grids itself"),
             ("--verify", bool(verifications), False, "grids"),
         )
-        from navbake.batch.index import INDEX_NAME
+        from navbake.batch.index import INDEX_NAME, read_index
         from navbake.batch.page import PAGE_NAME, write_page
 
         if len(grids) > 1 or not os.path.isfile(grids[0] / INDEX_NAME):
@@ -106,6 +107,8 @@ def report(
         options.check_output(page_path, ".html", ".htm", inputs=[grids[0] / INDEX_NAME])
         draw_missing_thumbnails(grids[0])
         write_page(grids[0], output)
+        add_files(page_path)
+        add_facts(scenes=[{"scene_id": scene_id} for scene_id in read_index(grids[0])])
         say_unless_quiet(page_path)
         return
     if output is None:
@@ -123,6 +126,7 @@ def report(
         verifications=reports or None,
     )
     options.write_output(page_content, output)
+    add_facts(scenes=[{"scene_id": nav_grid.scene_id} for nav_grid in nav_grids])
     if output != STDOUT:
         say_unless_quiet(output)
 
@@ -194,8 +198,11 @@ def view(
         else:
             options.say_if_sample(source)
             watch = Watch(bake, list_watched_files)
-        with Viewer(watch.read(), server, watch=watch) as viewer:
+        view_state = watch.read()
+        with Viewer(view_state, server, watch=watch) as viewer:
             say(f"{viewer.url} (Ctrl-C ends it)")
+            add_facts(scene_id=view_state.grid.scene_id, url=viewer.url)
+            printing.print_facts()  # not at the end, which is Ctrl-C
             if not no_open:
                 viewer.open()
             viewer.wait()

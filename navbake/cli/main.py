@@ -24,7 +24,7 @@ from navbake.cli.episodes import episodes, score
 from navbake.cli.exchange import convert, inflate, map_descriptor, routes
 from navbake.cli.look import plot, report, view
 from navbake.cli.options import NavbakeCommand, prepare_command
-from navbake.cli.printing import print_causes, print_error
+from navbake.cli.printing import add_warning, print_causes, print_error
 from navbake.errors import NavbakeError
 
 # No command draws with OpenGL. MuJoCo's import is faster without looking for it.
@@ -119,6 +119,8 @@ class _LogPrinter(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         print_error(record.getMessage())
+        if record.name.startswith("navbake.formats"):  # what a file has no place for
+            add_warning(record.getMessage())
 
 
 def _print_version(is_given: bool) -> None:

@@ -18,10 +18,11 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from typer import Argument, BadParameter, Option
+from typer import Argument, BadParameter, Exit, Option
 from typer.core import TyperCommand
 
 from navbake import files, samples
+from navbake.cli import printing
 from navbake.cli.printing import VERBOSITY, print_error, use_verbosity
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.source import write_bytes
@@ -135,8 +136,8 @@ SCENE_OPTION = option(
     "The scene of GRID, or the settings of its bake (YAML).  [default: the file that GRID names, "
     "beside it or in the current folder, or in `scenes` there]",
 )
-AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 QUIET_OPTION = flag("-q", "Print only what was asked for, warnings and errors.", "--quiet")
+JSON_OPTION = flag("--json", "Print one JSON object in place of the lines.")
 VERBOSE_OPTION = flag("-v", "Print on stderr what is read, done and written, too.", "--verbose")
 OUTPUT_FLAGS = "-o", "--output"
 """The names of the option for the output file."""
@@ -216,10 +217,16 @@ def write_picture(grid: NavGrid, output: Path, **content: Any) -> None:
 
 
 def write_output(content: bytes, output: Path) -> None:
-    """Write content to a file, whole or not at all, or to stdout."""
+    """Write content to a file, whole or not at all, or to stdout.
+
+    The file is added to the object that --json prints; if stdout has the content, the object goes
+    to stderr.
+    """
     if output != STDOUT:
         write_bytes(content, output)
+        printing.add_files(output)
         return
+    printing.take_stdout()
     if sys.stdout is None:
         raise NavbakeError("cannot write to stdout: it is closed")
     sys.stdout.buffer.write(content)
@@ -304,8 +311,10 @@ class NavbakeCommand(TyperCommand):
 def prepare_command(command: Callable[..., None]) -> Callable[..., None]:
     """Wrap a command so that typer can read its options from its signature.
 
-    The options -q and -v are added. A parameter whose type is a dataclass is a group of options:
-    the dataclass's fields become options, and the command receives the dataclass.
+    The options -q, -v and --json are added; a command that has --json itself receives it. With
+    --json, the facts of the command are printed at its end, unless an error ends it. A parameter
+    whose type is a dataclass is a group of options: the dataclass's fields become options, and the
+    command receives the dataclass.
     """
     # `get_type_hints` of Python 3.10 would hide the options whose default is None
     type_hints = inspect.get_annotations(command, eval_str=True)
@@ -314,7 +323,9 @@ def prepare_command(command: Callable[..., None]) -> Callable[..., None]:
     }
 
     @wraps(command)
-    def run_command(quiet: bool, verbose: bool, **values: object) -> None:
+    def run_command(
+        quiet: bool, verbose: bool, prints_facts: bool = False, **values: object
+    ) -> None:
         if quiet and verbose:
             raise BadParameter("expected one of them", param_hint="--quiet, --verbose")
         for name, group in option_groups.items():
@@ -322,8 +333,13 @@ def prepare_command(command: Callable[..., None]) -> Callable[..., None]:
                 field.name: values.pop(field.name) for field in dataclasses.fields(group)
             }
             values[name] = group(**field_values)
-        with use_verbosity(quiet=quiet, verbose=verbose):
-            command(**values)
+        with use_verbosity(quiet=quiet, verbose=verbose, as_json=prints_facts):
+            try:
+                command(**values)
+            except Exit:  # the answer is no, and the facts say why
+                printing.print_facts()
+                raise
+            printing.print_facts()
 
     parameters = []
     for parameter in inspect.signature(command).parameters.values():
@@ -333,6 +349,11 @@ def prepare_command(command: Callable[..., None]) -> Callable[..., None]:
             parameters.append(
                 _keyword(parameter.name, parameter.default, type_hints[parameter.name])
             )
+    option_names: list[str] = []
+    for parameter in parameters:
+        option_names += getattr(parameter.default, "param_decls", None) or ()
+    if "--json" not in option_names:
+        parameters.append(_keyword("prints_facts", JSON_OPTION, bool))
     parameters.append(_keyword("quiet", QUIET_OPTION, bool))
     parameters.append(_keyword("verbose", VERBOSE_OPTION, bool))
     run_command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]

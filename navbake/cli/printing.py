@@ -1,4 +1,9 @@
-"""Prints tables and JSON on stdout, warnings, errors and progress on stderr."""
+"""Prints what commands say: lines, or one JSON object; warnings, errors, progress on stderr.
+
+A command says everything twice: as lines (`say`, `print_tables`), and as facts (`add_facts`). With
+--json, only the facts are printed, as one object at the end of the command; without it, only the
+lines are.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +14,8 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -25,12 +32,69 @@ rich_progress = lazy("rich.progress")  # on a terminal only
 rich_table = lazy("rich.table")
 
 LOG = logging.getLogger("navbake")
-VERBOSITY = SimpleNamespace(quiet=False, verbose=False)
-"""Whether the command that runs was given --quiet or --verbose; `use_verbosity` sets it."""
+VERBOSITY = SimpleNamespace(quiet=False, verbose=False, as_json=False)
+"""Whether the running command was given --quiet, --verbose, --json; `use_verbosity` sets it."""
+
+
+@dataclass
+class CommandResult:
+    """What the running command prints at its end with --json.
+
+    Attributes:
+        facts: The facts of the command, such as ``scene_id``, by their keys.
+        files: The paths of the files that it wrote, in their order.
+        warnings: The warnings that it printed on stderr.
+        stdout_is_taken: Whether it wrote a file to stdout, so that the object goes to stderr.
+        is_printed: Whether the object is printed.
+    """
+
+    facts: dict[str, object] = field(default_factory=dict)
+    files: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    stdout_is_taken: bool = False
+    is_printed: bool = False
+
+
+_COMMAND = SimpleNamespace(result=CommandResult())
+
+
+def add_facts(**facts: object) -> None:
+    """Add facts to the object that --json prints.
+
+    Args:
+        facts: key -> a value of JSON, which may contain numpy arrays. Keys are words joined by
+            underscores, and the same fact has the same key in all commands.
+    """
+    _COMMAND.result.facts.update(facts)
+
+
+def add_files(*paths: Path) -> None:
+    """Add files that the command wrote to the object that --json prints."""
+    _COMMAND.result.files += map(str, paths)
+
+
+def add_warning(warning: str) -> None:
+    """Add a warning, which is printed on stderr elsewhere, to the object that --json prints."""
+    _COMMAND.result.warnings.append(warning)
+
+
+def take_stdout() -> None:
+    """Note that a file is written to stdout, so that the object of --json goes to stderr."""
+    _COMMAND.result.stdout_is_taken = True
+
+
+def print_facts() -> None:
+    """Print what was added as one JSON object, if the command has --json, and only once."""
+    result: CommandResult = _COMMAND.result
+    if not VERBOSITY.as_json or result.is_printed:
+        return
+    result.is_printed = True
+    value = {**result.facts, "files": result.files, "warnings": result.warnings}
+    print_json(value, sys.stderr if result.stdout_is_taken else sys.stdout)
 
 
 @contextmanager
-def use_verbosity(*, quiet: bool, verbose: bool) -> Iterator[None]:
+def use_verbosity(*, quiet: bool, verbose: bool, as_json: bool = False) -> Iterator[None]:
     """Set `VERBOSITY` for a command, within a with statement.
 
     With `verbose`, records of the logger ``navbake`` are printed on stderr, and at the end the
@@ -38,6 +102,8 @@ def use_verbosity(*, quiet: bool, verbose: bool) -> Iterator[None]:
     """
     VERBOSITY.quiet = quiet
     VERBOSITY.verbose = verbose
+    VERBOSITY.as_json = as_json
+    _COMMAND.result = CommandResult()
     if not verbose:
         yield
         return
@@ -67,15 +133,23 @@ def print_json_line(value: object) -> None:
     print(json.dumps(value, separators=(",", ":"), allow_nan=False), flush=True)
 
 
-def print_json(value: object) -> None:
-    """Print a value, which may contain numpy arrays, as JSON.
+def print_json(value: object, stream: TextIO | None = None) -> None:
+    """Print a value, which may contain numpy arrays, as JSON, and flush it.
 
-    Raises a ValueError for NaN and infinity, which JSON doesn't have.
+    Args:
+        value: the value.
+        stream: where to print it; None for stdout.
+
+    Raises:
+        ValueError: a number is NaN or infinite, which JSON doesn't have.
     """
+    stream = stream or sys.stdout
+    # JSON is UTF-8; a pipe on Windows may have another encoding, in which escapes are safe
+    is_utf8 = (getattr(stream, "encoding", None) or "utf-8").lower().replace("_", "-") == "utf-8"
     json_text = json.dumps(
         value,
         indent=2,
-        ensure_ascii=False,
+        ensure_ascii=not is_utf8,
         allow_nan=False,
         default=lambda numpy_array: numpy_array.tolist(),
     )
@@ -86,17 +160,23 @@ def print_json(value: object) -> None:
             if character.isprintable() or character == "\n"
             else json.dumps(character)[1:-1]
             for character in json_text
-        )
+        ),
+        file=stream,
+        flush=True,
     )
 
 
-def say(text: object) -> None:
-    """Print one line on stdout; control characters are escaped, as they may command terminals."""
-    print(printable(str(text)))
+def say(text: object = "") -> None:
+    """Print one line on stdout; with --json, print nothing.
+
+    Control characters are escaped, as they may command terminals.
+    """
+    if not VERBOSITY.as_json:
+        print(printable(str(text)))
 
 
 def say_unless_quiet(text: object) -> None:
-    """Print one line of information on stdout; with --quiet, print nothing."""
+    """Print one line of information on stdout; with --quiet or --json, print nothing."""
     if not VERBOSITY.quiet:
         say(text)
 
@@ -115,27 +195,37 @@ def print_causes(error: BaseException) -> None:
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
+    """Print warnings on stderr, one line each, and add them to the object of --json."""
     for warning in warnings:
         print_error(f"warning: {warning}")
+        add_warning(warning)
 
 
-def warn_of_closed_connections(search_before: Search, search_after: Search, radius: float) -> None:
+def warn_of_closed_connections(
+    search_before: Search, search_after: Search, radius: float
+) -> list[str]:
     """Print a warning that names the stairs, doors and links that a larger radius closes.
 
     Args:
         search_before: a search on the grid for the smaller radius.
         search_after: a search on the grid for the larger radius.
         radius: the larger radius, for the warning [m].
+
+    Returns:
+        The warnings: one, or none where nothing is closed.
     """
     from navbake.runtime.passage import find_lost_connections  # loads numpy
 
     lost_connections = find_lost_connections(search_before, search_after)
-    if lost_connections:
-        names_text = ", ".join(name for name, _ in lost_connections)
-        num_before = search_before.islands.count
-        verb = "was" if num_before == 1 else "were"
-        islands_text = f"{search_after.islands.count} islands where there {verb} {num_before}"
-        print_warnings([f"a radius of {radius:g} m closes {names_text}: {islands_text}"])
+    if not lost_connections:
+        return []
+    names_text = ", ".join(name for name, _ in lost_connections)
+    num_before = search_before.islands.count
+    verb = "was" if num_before == 1 else "were"
+    islands_text = f"{search_after.islands.count} islands where there {verb} {num_before}"
+    warnings = [f"a radius of {radius:g} m closes {names_text}: {islands_text}"]
+    print_warnings(warnings)
+    return warnings
 
 
 def is_terminal(stream: TextIO | None) -> bool:
@@ -144,7 +234,9 @@ def is_terminal(stream: TextIO | None) -> bool:
 
 
 def print_tables(*tables: Table) -> None:
-    """Print tables on stdout, at most as wide as the terminal."""
+    """Print tables on stdout, at most as wide as the terminal; with --json, print nothing."""
+    if VERBOSITY.as_json:
+        return
     width = shutil.get_terminal_size().columns if is_terminal(sys.stdout) else None
     for index, table in enumerate(tables):
         print("\n" * (index > 0) + "\n".join(lay_out_table(table, width)))

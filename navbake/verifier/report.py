@@ -168,7 +168,7 @@ class VerifyReport:
         """Return the report as a JSON object, with up to `MAX_LISTED_FINDINGS` findings."""
         return {
             "ok": self.ok,
-            "sceneId": self.scene_id,
+            "scene_id": self.scene_id,
             "cells": self.num_cells,
             "checked": self.checked,
             "seed": self.seed,
@@ -176,7 +176,7 @@ class VerifyReport:
             "radius": self.radius,
             "levels": [dict(vars(level)) for level in self.levels],
             "sweeps": None if self.sweeps is None else dict(vars(self.sweeps)),
-            "numFindings": len(self.findings),
+            "num_findings": len(self.findings),
             "findings": [finding.to_json() for finding in self.findings[:MAX_LISTED_FINDINGS]],
             "notes": list(self.notes),
         }

@@ -295,7 +295,7 @@ def _check_verification(grid: NavGrid, verification: Json) -> None:
     """Raise an error unless a verification has the scene, number of cells and levels of a grid."""
     num_cells = sum(level.free.size for level in grid.levels)
     num_levels = len(grid.levels)
-    scene_id = verification.get("sceneId")
+    scene_id = verification.get("scene_id", verification.get("sceneId"))  # as until 0.3
     if (scene_id, verification["cells"]) != (grid.scene_id, num_cells):
         raise QueryError(
             f"expected the verification of {grid.scene_id!r}, {num_cells} cells, got one of "

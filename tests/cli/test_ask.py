@@ -79,7 +79,7 @@ def test_plans_over_links_for_an_agent(plan, run, tmp_path):
     words = run("info", file)[1].split()
     assert {"links", "areas", "agents", "dock", "drop", "lab", "mud", "person"} <= set(words)
     assert "area" in run("why", file, "1.25,-0.05,L2")[1]
-    cell = json.loads(run("why", file, "0.55,-0.05,L0", "--json")[1])[0]
+    cell = json.loads(run("why", file, "0.55,-0.05,L0", "--json")[1])["cells"][0]
     assert (cell["links"], cell["area"]) == (["A"], None)
 
 
@@ -149,7 +149,7 @@ def test_numbers_beyond_floats_are_refused():
 def test_why_and_path_mean_the_same(run, at, level):
     status, out, _ = run("why", HOUSE, "--at", at, "--json")
     assert status == 0
-    assert [place["level"] for place in json.loads(out)] == [level]
+    assert [place["level"] for place in json.loads(out)["cells"]] == [level]
     status, out, _ = run("path", HOUSE, "--from", at, "--to", at, "--json")
     assert status == 0
     assert json.loads(out)["path"]["levels"][0] == level

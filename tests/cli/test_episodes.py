@@ -50,7 +50,7 @@ def test_a_set_is_made_and_scored(run):
     assert status == 0 and "all: 20 episodes" in err
     assert out.encode() == Path("scores.csv").read_bytes()
     status, out, _ = run("score", "set.jsonl", "runs.jsonl", "house.json.gz", "--json")
-    (found,) = json.loads(out)
+    (found,) = json.loads(out)["groups"]
     assert found["spl"]["mean"] > 0.95 and found["time"]["mean"] is None
 
 
@@ -106,8 +106,8 @@ def test_sets_are_converted(run):
     scenes = ("--scene", "house=x/house.glb", "--scene", "flat=x/flat.glb", "-q")
     assert run("convert", "a.json.gz", "e.jsonl", *scenes)[0] == 0
     assert Path("e.jsonl").read_bytes() == Path("b.jsonl").read_bytes()
-    status, out, _ = run("convert", "a.json.gz", "c.csv", "--to", "minos")
-    assert status == 0 and "c.csv doesn't hold: agent, path" in out
+    status, _, err = run("convert", "a.json.gz", "c.csv", "--to", "minos")
+    assert status == 0 and "c.csv doesn't hold: agent, path" in err
     assert run("convert", "c.csv", "d.json", "--to", "habitat-vln")[2].count("needs paths") == 1
     for wrong in (
         ("set.jsonl", "o.json", "--level", "0"),

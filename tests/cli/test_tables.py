@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from navbake.cli.printing import lay_out_table, print_error, print_tables
 from navbake.navgrid.rooms import Room
-from navbake.views.tables import make_table, room_table
+from navbake.views.tables import make_room_table, make_table
 
 LONG = "living_room/shelf_left/collision_mesh_17"
 HEADINGS = ("id", "geom", "body", "why")
@@ -84,6 +84,6 @@ def room(number):
 
 
 def test_rooms_of_one_level_have_short_rows():
-    lines = lay_out_table(room_table([room(n) for n in range(1, 51)], ["ground floor"]), 80)
+    lines = lay_out_table(make_room_table([room(n) for n in range(1, 51)], ["ground floor"]), 80)
     assert len(lines) == 51
     assert lines[0].split() == ["id", "m2", "centroid", "x", "y", "z", "m", "from"]

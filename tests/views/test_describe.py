@@ -214,10 +214,10 @@ def ask_house(capsys, at, *options):
 
 
 def test_command_tells_of_each_level_unless_one_is_given(capsys):
-    places = json.loads(ask_house(capsys, "1,1", "--json"))
+    places = json.loads(ask_house(capsys, "1,1", "--json"))["cells"]
     assert [place["level"] for place in places] == [0, 1]
     assert places == [navbake.load(HOUSE_FILE).describe_cell(1, 1, level) for level in (0, 1)]
-    assert json.loads(ask_house(capsys, "1,1,L1", "--json")) == [places[1]]
+    assert json.loads(ask_house(capsys, "1,1,L1", "--json"))["cells"] == [places[1]]
     assert ask_house(capsys, "1,1").count("verdict") == 2
     assert ask_house(capsys, "1,1,L1").count("verdict") == 1
 

@@ -178,8 +178,9 @@ def test_audits_and_verifications_are_marked(tmp_path):
     assert sum(mark["kind"].startswith("audit") for mark in sheet["levels"][0]["marks"]) == len(
         placed
     )
-    with pytest.raises(QueryError, match="of 'house', 13 cells, got one of 'barn', 13 cells"):
-        render_report(grid, verifications=[{**read, "sceneId": "barn"}])
+    for key in ("sceneId", "scene_id"):  # the first is that of files until 0.3
+        with pytest.raises(QueryError, match="of 'house', 13 cells, got one of 'barn', 13 cells"):
+            render_report(grid, verifications=[{**read, key: "barn"}])
     with pytest.raises(QueryError, match="of 'house', 13 cells, got one of 'house', 12 cells"):
         render_report(grid, verifications=[{**read, "cells": 12}])
     read["findings"][0]["level"] = 2

@@ -1,0 +1,172 @@
+"""`--json` of all commands, and their exit statuses: as docs/command_line.md lists them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from navbake import PathFinder, compiled, load
+from navbake.cli.main import COMMANDS
+from navbake.episodes import read_episodes
+from project_paths import GOLDEN, ROOT
+
+PAGE = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
+TABLE = PAGE.partition("## JSON")[2].partition("\n## ")[0]
+NAMES = [function.__name__.replace("_", "-") for group in COMMANDS.values() for function in group]
+LINES = {  # command -> its arguments, in a folder with what they name
+    "samples": "samples house -o try",
+    "init": "init room.xml -o new.yaml",
+    "schema": "schema -o schema.json",
+    "geoms": "geoms room.yaml",
+    "bake": "bake room.yaml -o room.grid.json --radius 0.2",
+    "voxelize": "voxelize room.yaml --res 0.5 --segment geom -o room.binvox -o room.npz",
+    "info": "info house.json.gz",
+    "rooms": "rooms house.json.gz",
+    "why": "why house.json.gz 1,1",
+    "path": "path house.json.gz --from 0,-4.8,L0 --to room:1:1",
+    "sample": "sample house.json.gz -n 2",
+    "plot": "plot house.json.gz -o house.png --level 0",
+    "report": "report house.json.gz -o house.html",
+    "view": "view house.json.gz --port 0 --no-open",
+    "convert": "convert house.json.gz map.yaml --level 0",
+    "inflate": "inflate house.json.gz 0.3 -o wide.json",
+    "routes": "routes house.json.gz -o routes.gml",
+    "map-descriptor": "map-descriptor house.json.gz --square 0.2",
+    "episodes": "episodes house.json.gz -o set.jsonl --count 3",
+    "score": "score set.jsonl runs.jsonl -o scores.csv",
+    "verify": "verify room.grid.json --scene room.yaml --sample 20",
+    "audit": "audit house.json.gz -o remarks.png",
+    "doctor": "doctor --no-bake",
+    "warm-up": "warm-up",
+}
+WRITTEN = {
+    "samples": ["try/house.yaml", "try/scenes/house.xml"],
+    "init": ["new.yaml"],
+    "schema": ["schema.json"],
+    "bake": ["room.grid.json"],
+    "voxelize": ["room.binvox", "room.binvox.names.json", "room.npz", "room.npz.names.json"],
+    "plot": ["house.png"],
+    "report": ["house.html"],
+    "convert": ["map.pgm", "map.yaml"],
+    "inflate": ["wide.json"],
+    "routes": ["routes.gml"],
+    "episodes": ["set.jsonl"],
+    "score": ["scores.csv"],
+    "audit": ["remarks.png"],
+}
+
+
+@pytest.fixture
+def house(folder, monkeypatch):
+    """The current folder, with a house, a room, and nothing that compiles for minutes."""
+    shutil.copy(GOLDEN / "house.grid.json.gz", folder / "house.json.gz")
+    monkeypatch.setattr(compiled, "warm_up", list)
+    return folder
+
+
+def list_keys(command: str) -> set[str]:
+    """The keys that the page lists for a command, with those of all commands."""
+    [row] = re.findall(rf"^\| `{command}` \| (.*) \|$", TABLE, flags=re.MULTILINE)
+    return {"files", "warnings", *re.findall(r"`(\w+)`", row)}
+
+
+def prepare(run, command: str) -> None:
+    """Make what the command reads."""
+    if command == "score":
+        run(*LINES["episodes"].split())
+        finder = PathFinder(load("house.json.gz"))
+        runs = [
+            {"episode": episode.id, "positions": path.positions.tolist()}
+            for episode in read_episodes("set.jsonl").episodes
+            if (path := finder.find_path(episode.start, episode.goals[0].position))
+        ]
+        Path("runs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in runs))
+    if command == "verify":
+        run(*LINES["bake"].split())
+
+
+@pytest.mark.parametrize("command", [name for name in NAMES if name != "batch"])
+def test_each_command_prints_one_object_with_the_keys_of_the_page(house, run, monkeypatch, command):
+    if command == "view":
+        viewer = pytest.importorskip("navbake.views.viewer.view")
+        monkeypatch.setattr(viewer.Viewer, "wait", lambda self: None)
+    prepare(run, command)
+    status, out, _ = run(*LINES[command].split(), "--json")
+    facts = json.loads(out)
+    assert status == 0
+    assert facts.keys() == list_keys(command)
+    assert facts["files"] == WRITTEN.get(command, [])
+    assert all(Path(name).is_file() for name in facts["files"])
+    assert facts.get("scene_id", "house") in ("house", "room")
+    for scene in facts.get("scenes", []):
+        assert scene["scene_id"] in ("house", "room")
+
+
+@pytest.mark.parametrize("command", NAMES)
+def test_each_command_has_the_option_once(run, command):
+    _, out, _ = run(command, "--help")
+    assert len(re.findall(r"^  +--json ", out, flags=re.MULTILINE)) == 1
+
+
+def test_quiet_prints_the_same_object(house, run):
+    _, out, _ = run("inflate", "house.json.gz", "0.3", "-o", "wide.json", "--json", "-q")
+    assert out == run("inflate", "house.json.gz", "0.3", "-o", "wide.json", "--json")[1]
+
+
+def test_warnings_are_in_the_object_and_on_stderr(house, run):
+    _, out, err = run(*LINES["convert"].split(), "--json")
+    [warning] = json.loads(out)["warnings"]
+    assert warning.startswith("nav2 has no place for ") and warning in err
+    _, out, err = run("inflate", "house.json.gz", "0.6", "-o", "wide.json", "--json")
+    [warning] = json.loads(out)["warnings"]
+    assert " closes " in warning and f"warning: {warning}\n" in err
+
+
+def test_a_file_on_stdout_leaves_the_object_to_stderr(house, run):
+    _, out, err = run("schema", "--json")
+    assert "properties" in json.loads(out)
+    assert json.loads(err) == {"files": [], "warnings": []}
+    _, out, err = run("init", "room.xml", "-o", "-", "--json")
+    assert "scene:" in out and json.loads(err)["scene_id"] == "room"
+    _, out, err = run("bake", "room.yaml", "-o", "-", "--json")
+    Path("again.json").write_text(out)
+    assert load("again.json").scene_id == "room"
+    assert json.loads(err)["scenes"][0]["file"] == "-"
+
+
+def test_an_error_prints_no_object_and_a_no_does(house, run):
+    status, out, err = run("info", "none.json", "--json")
+    assert (status, out) == (1, "") and err.startswith("navbake: ")
+    status, out, _ = run("path", "house.json.gz", "--from", "99,0,0", "--to", "1,1,L0", "--json")
+    assert status == 1 and json.loads(out)["path"] is None
+
+
+def test_of_several_bakes_those_that_fail_are_listed(house, run):
+    (house / "bad.yaml").write_text("scene: {path: none.xml}\n")
+    status, out, _ = run("bake", "bad.yaml", "room.yaml", "-o", "grids/", "--json")
+    facts = json.loads(out)
+    assert status == 1
+    assert facts["files"] == ["grids/room.grid.json"]
+    assert [(scene["config"], scene["scene_id"]) for scene in facts["scenes"]] == [
+        ("room.yaml", "room")
+    ]
+    assert [failure["config"] for failure in facts["failures"]] == ["bad.yaml"]
+    assert "none.xml" in facts["failures"][0]["error"]
+
+
+def test_a_pipe_of_another_encoding_gets_json(capsys, monkeypatch):
+    """As a pipe on Windows does."""
+    import io
+    import sys
+
+    from navbake.cli.printing import print_json
+
+    pipe = io.TextIOWrapper(io.BytesIO(), encoding="cp1252", errors="backslashreplace")
+    monkeypatch.setattr(sys, "stdout", pipe)
+    print_json({"name": "Küche 厨房"})
+    pipe.flush()
+    assert json.loads(pipe.buffer.getvalue()) == {"name": "Küche 厨房"}
