@@ -280,14 +280,16 @@ def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
         jump_fraction[0] = 0.0
         for island_number in np.flatnonzero(jump_fraction >= MIN_JUMP_SHARE).tolist():
             is_nearly_all = jump_fraction[island_number] >= ERROR_JUMP_SHARE
-            mean_height = (
+            mean_jump_height = (
                 island_jumps.total_height[island_number] / island_jumps.num_edges[island_number]
             )
             surroundings_text = "all" if is_nearly_all else "most of what is"
             count_text = count_of(int(num_cells[island_number]), "cell")
             size_text = f"{island_areas[island_number]:.3g} m² of floor ({count_text})"
-            text = f"{size_text} lies {mean_height:.2f} m {direction} {surroundings_text} round it"
-            text += ", and no step leads there"
+            text = (
+                f"{size_text} lies {mean_jump_height:.2f} m {direction} {surroundings_text} round "
+                "it, and no step leads there"
+            )
             is_error = is_nearly_all and island_areas[island_number] < min_area
             yield _Patch(not is_error, -island_areas[island_number], island_number, text)
 
@@ -351,12 +353,11 @@ class _Gap(NamedTuple):
 
 
 def check_cut_off(facts: Facts) -> Iterator[Finding]:
-    """Find islands that only one to three blocked cells separate, with all doors open.
+    """Find pairs of islands with a wall between them that is one cell thick and up to three long.
 
-    A cell separates two islands if they lie on opposite sides of it, with floors at most a step
-    apart. If more than three cells separate two islands, they are taken for a thin wall. But if
-    some of the cells are not occupied, only these are counted: they are a gap in the wall that an
-    inflation blocked.
+    The wall consists of the blocked cells with one island on each side, and floors on both sides
+    that are at most a step apart. All doors are open. Longer walls are not reported. Where only an
+    inflation blocks some of the wall's cells, nothing else is counted: these cells are a gap.
     """
     gaps = sorted(_find_gaps(facts), key=lambda gap: -gap.area)
     for gap in gaps[:MAX_GAPS]:

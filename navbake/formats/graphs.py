@@ -489,7 +489,7 @@ def _find_openings(search: Search, room_of_cell: Int32) -> Iterator[_Opening]:
 
     flat_grid = search.flat
     moves = search.graph.moves
-    all_steps: list[_RoomSteps] = []
+    step_groups: list[_RoomSteps] = []  # those of each level, then those between levels
     for level in range(flat_grid.num_levels):
         level_cells = flat_grid.cells_of(level)
         first_cell = level_cells.start
@@ -507,7 +507,7 @@ def _find_openings(search: Search, room_of_cell: Int32) -> Iterator[_Opening]:
             ends.append(np.stack([cells, cells + id_offset]))
             down, right = first_corner
             corners.append(np.array([[row + down, col + right], [row + 1, col + 1]]))
-        all_steps.append(
+        step_groups.append(
             _RoomSteps("open", np.concatenate(ends, axis=-1), np.concatenate(corners, axis=-1))
         )
 
@@ -529,9 +529,9 @@ def _find_openings(search: Search, room_of_cell: Int32) -> Iterator[_Opening]:
             for down, right in ((0, 0), (0, 1), (1, 0), (1, 1))
         ]
     )
-    all_steps.append(_RoomSteps("link", link_ends[:, joins_rooms], link_corners))
+    step_groups.append(_RoomSteps("link", link_ends[:, joins_rooms], link_corners))
 
-    for steps in all_steps:
+    for steps in step_groups:
         room_pairs = np.sort(room_of_cell[steps.ends], axis=0).astype(np.int64)
         for step_indices in _group_connected(room_pairs, steps.corners):
             corner_extents = np.ptp(steps.corners[:, :, step_indices], axis=(0, 2))

@@ -386,7 +386,8 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
         cell_size = level.lattice.cell_size
         anywhere_radius = _anywhere_radius(radius, cell_size)
         is_blocked = find_blocked(grid, level_number, anywhere_radius, ledge_rule)
-        is_blocked_by_floors = find_blocked(
+        # also marks cells that aren't blocked: all cells of other levels count as occupied there
+        may_floors_block = find_blocked(
             grid, level_number, anywhere_radius, ledge_rule, counts_own_occupied=False
         )
         is_blocked_diagonally = find_blocked(
@@ -394,7 +395,7 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
         )
         diagonal_masks.append((has_no_step & ~is_blocked_diagonally).ravel())
         anywhere_masks.append((has_no_step & ~is_blocked).ravel())
-        sweepable_masks.append((has_no_step & ~(is_blocked & is_blocked_by_floors)).ravel())
+        sweepable_masks.append((has_no_step & ~(is_blocked & may_floors_block)).ravel())
     return OffCenterMasks(
         diagonal=np.concatenate(diagonal_masks),
         anywhere=np.concatenate(anywhere_masks),

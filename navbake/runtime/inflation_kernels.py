@@ -6,8 +6,9 @@ All distances on the map are in cells.
 (2000): first along the columns, then along the rows. Along rows it unites intervals, where theirs
 compares parabolas.
 
-Floors of several levels are compared cell by cell, but only where the lowest and highest floors of
-whole patches of cells differ enough (one step of a min-max pyramid).
+To find where floors are too high or too low for an agent, patches of 4 x 4 cells are compared
+first, by their lowest and highest floors (one step of a min-max pyramid). Single cells are compared
+only in patches near which some floor, of any level, is more than a step away.
 
 Arrays have the shape (rows, cols); the arrays of `LevelStack` have the shape (levels, rows, cols).
 `cell_offsets` lead from an agent's cell to each cell that its disc overlaps: rows and columns,
@@ -145,16 +146,15 @@ def block_by_floors(
 ):
     """Update the mask of a level's blocked cells by the floors and occupied cells of all levels.
 
-    First, the levels' occupied cells are combined, for cells near another level's floor of about
-    the same height. At each place that the agent overlaps, the levels count whose floor there is
-    about as high as the agent's; where none has such a floor, the agent's own level counts. The
-    cell is blocked if one of these levels is occupied there. Else it becomes free, unless it is
-    occupied itself.
-
-    Then cells are blocked near floors that are more than a step higher, and near drops, unless a
-    slope leads there. A higher floor of another level blocks only if it is above the agent's floor
-    by less than the agent's height and a slab's thickness. Patches of cells whose floors differ
-    little are skipped.
+    1. Where another level's floor goes on at about the height of an agent's floor, the agent also
+       overlaps what stands on that level. So each cell under the agent's disc is looked up on the
+       levels whose floor there is about as high as the floor in the agent's cell; if there is no
+       such level, on the agent's own. The agent's cell is blocked if one of the looked up cells is
+       occupied, or it is itself; otherwise it becomes free.
+    2. Cells near floors that are more than a step higher are blocked, and cells near drops, unless
+       a slope leads there. A higher floor of another level blocks only if it is above the agent's
+       floor by less than the agent's height and a slab's thickness. Patches of cells whose floors
+       differ little are skipped.
 
     Args:
         stack: `LevelStack`.

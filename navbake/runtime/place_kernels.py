@@ -102,9 +102,11 @@ def _locate_batch(layout, floors, positions, cells, cell_floor_z):
     """Locate at most `BATCH_SIZE` positions.
 
     Writes the flat ids of their cells to `cells`, and z of these cells' floors to `cell_floor_z`.
+    If no floor is at or below a position (up to a step above it), its cell is one without a floor,
+    on the level whose ground is the highest of those at or below it.
     """
     level_cells = np.empty(BATCH_SIZE, dtype=np.int64)
-    ground_cells = np.full(BATCH_SIZE, -1, dtype=np.int64)
+    fallback_cells = np.full(BATCH_SIZE, -1, dtype=np.int64)
     highest_ground = np.full(BATCH_SIZE, -np.inf)
     floor = floors.z
     ground = floors.ground
@@ -126,11 +128,11 @@ def _locate_batch(layout, floors, positions, cells, cell_floor_z):
                 and math.isnan(floor_z)
                 and highest_ground[i] < ground[level] <= max_floor_z
             ):
-                ground_cells[i] = cell
+                fallback_cells[i] = cell
                 highest_ground[i] = ground[level]
     for i in range(num_positions):
         if cells[i] < 0:
-            cells[i] = ground_cells[i]
+            cells[i] = fallback_cells[i]
             cell_floor_z[i] = highest_ground[i]
 
 

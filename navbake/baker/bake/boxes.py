@@ -247,10 +247,13 @@ def _level_sides(lattice: Lattice, scene_box: Float | None) -> Float:
         return sides
     half_cell = lattice.cell_size / 2
     scene_sides = np.round(scene_box[:, :2].ravel(), LENGTH_DECIMALS) + 0.0
-    # Only a side between the rectangle's and the outermost centres is taken from the scene.
-    centers = np.array([x_min + half_cell, y_min + half_cell, x_max - half_cell, y_max - half_cell])
-    is_between = np.minimum(sides, centers) <= scene_sides
-    is_between &= scene_sides <= np.maximum(sides, centers)
+    # Only a side between the rectangle's side and the centres of the outermost cells along it is
+    # taken from the scene.
+    center_lines = np.array(
+        [x_min + half_cell, y_min + half_cell, x_max - half_cell, y_max - half_cell]
+    )
+    is_between = np.minimum(sides, center_lines) <= scene_sides
+    is_between &= scene_sides <= np.maximum(sides, center_lines)
     return np.where(is_between, scene_sides, sides)
 
 

@@ -52,7 +52,7 @@ NO_OCCUPANT_LISTS = OccupantLists(
     wall_high=0.0,
     min_normal_z=0.0,
 )
-"""The value of `lists` for which `check_occupancy` lists no occupants."""
+"""The value of `occupant_lists` for which `check_occupancy` lists no occupants."""
 
 
 class StructureOccupancy(NamedTuple):

@@ -84,14 +84,16 @@ FIRST_CAPACITY = 1024  # how many entries arrays have room for at first
 
 
 class TileEntries(NamedTuple):
-    """Pairs of a floor of a tile and a geom over it, in the order of geom ids; shape (n,) each.
+    """The geoms over the floors of a tile: an entry for each query and each geom over its floor.
 
-    A query is a cell with the height of a floor.
+    A query is a cell with the height of a floor. All arrays have the shape (n,), in the order of
+    geom ids.
 
     Attributes:
         query: index of the query, int32.
-        geom: id of a geom that meets one of the prisms over the query's floor, int32.
-        flags: which of these prisms the geom meets, uint8.
+        geom: id of a geom that meets at least one of the prisms (`Volumes`) over its floor, int32.
+        flags: bits that say which of these prisms the geom meets: OCCUPYING, BLOCKING and
+            AT_WALL_HEIGHT, uint8.
     """
 
     query: Int32

@@ -104,9 +104,11 @@ def orient_meshes(
 ) -> list[NamedMesh]:
     """Read the meshes of a file, and turn them so that the direction of `scene.up` is up.
 
-    - ``auto``: the axis that the file states. If it states none: z. But if the mesh looks as if it
-      lay on its side (`lies_on_side`), and things clearly stand on surfaces that face along y, it
-      is an axis near y, and a warning says so. If a scan's file states none: as for ``level``.
+    - ``auto``, if the file states an axis: that axis.
+    - ``auto``, if the file of a scan states none: as for ``level``.
+    - ``auto``, if another file states none: z. But it is an axis near y, and a warning says so, if
+      the mesh looks as if it lay on its side (`lies_on_side`), and things clearly stand on surfaces
+      that face along y.
     - ``level``: the direction that `find_orientations` finds from the floors of the mesh.
     - otherwise the axis or the vector that the setting states.
 

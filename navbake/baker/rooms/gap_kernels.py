@@ -44,8 +44,9 @@ BELOW = 1
 # Bits 0, 1 and 2: a chain that stays within one cell of the line ends in the cell above this cell,
 # in it, or in the cell below it. EXACT_CHAIN: a chain exactly on the line ends in this cell
 EXACT_CHAIN = 8
-# For the cell above, on and below the line: the bits of the cells in the next column that touch it
-TOUCHING_BITS = 0b011, 0b111, 0b110
+# By the side of the line that a cell is on, 0 above, 1 on, 2 below it: the bits of the cell on the
+# line in the next column for chains that end in a cell that touches this one
+BITS_OF_TOUCHING_CHAINS = 0b011, 0b111, 0b110
 
 
 class GapLimits(NamedTuple):
@@ -771,7 +772,9 @@ def _extend_chains(is_low, is_wall, rows_to_next, is_next_wall, next_chain_bits,
         if not (is_wall[row_above] or is_wall[row] or is_wall[row_below]):
             for chain_row in range(row_above, row_below + 1):
                 side = chain_row - row + 1
-                if is_low[chain_row] and (is_at_wall or bits_of_next_cell & TOUCHING_BITS[side]):
+                if is_low[chain_row] and (
+                    is_at_wall or bits_of_next_cell & BITS_OF_TOUCHING_CHAINS[side]
+                ):
                     chain_bits |= 1 << side
         column_chain_bits[row] = chain_bits
 

@@ -572,9 +572,10 @@ class WallRays:
                 the first cell of a pair, and forward from the second; -1 for no ray.
 
         Returns:
-            For each cell of the scan, the distance backward and the distance forward, shape (cells,
-            2) [columns]. Distances are stored plus 1, so that 0 means that no call has measured
-            them yet; inf means no wall. Later calls for the direction write into the same array.
+            All distances that were measured in this direction so far: for each cell of the scan,
+            that backward and that forward, shape (number of cells in the scan, 2). An entry is the
+            distance in columns of the scan, plus 1; 0 where no call has measured it; inf for no
+            wall. Later calls for the direction write into the same array.
         """
         walls = self._rotate(direction)
         ray_indices = np.nonzero(cells >= 0)
