@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from navbake.baker.core.arrays import ColumnHits
 from navbake.baker.core.limits import make_agent_limits
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.occupancy.level_occupancy import WALL_HEIGHTS
+from navbake.baker.occupancy.occupancy import WALL_HEIGHTS
 from navbake.baker.occupants import column_flag_kernels as kernels
 from navbake.config.settings import AgentSettings
 from navbake.threads import LEAST_CELLS, run_in_chunks

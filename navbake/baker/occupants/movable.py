@@ -28,8 +28,11 @@ from navbake.baker.core.windows import Window, find_cells_near_boxes
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.level_occupancy import check_level_occupancy, select_list_entries
-from navbake.baker.occupancy.occupancy import StructureOccupancy
+from navbake.baker.occupancy.occupancy import (
+    StructureOccupancy,
+    check_level_occupancy,
+    select_list_entries,
+)
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells
 from navbake.baker.occupants.standing import StandingOccupants

@@ -20,11 +20,11 @@ from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.extents import Extents
 from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.level_occupancy import (
+from navbake.baker.occupancy.occupancy import (
     LevelOccupancy,
+    StructureOccupancy,
     check_level_occupancy,
 )
-from navbake.baker.occupancy.occupancy import StructureOccupancy
 from navbake.baker.occupants import occupant_kernels as kernels
 from navbake.baker.occupants.cell_names import name_geoms
 from navbake.baker.occupants.column_flags import flag_columns

@@ -22,12 +22,12 @@ from navbake.baker.core.tiles import TILE, window_bits, window_near_box
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
 from navbake.baker.geometry.extents import measure_extents
 from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.level_occupancy import (
+from navbake.baker.occupancy.occupancy import (
     TOP_LEVEL_HEIGHT,
     WALL_HEIGHTS,
+    check_occupancy,
     select_list_entries,
 )
-from navbake.baker.occupancy.occupancy import check_occupancy
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.kinds import mark_wall_candidates
 from navbake.navgrid.lattice import Lattice

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.core.constants import BUILDING, OBJECT, WALL
-from navbake.baker.occupancy.level_occupancy import select_list_entries
+from navbake.baker.occupancy.occupancy import select_list_entries
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.occupant_kernels import LevelOccupants, mark_walls
 from navbake.navgrid.lattice import Lattice

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from box_worlds import FLOOR, box, stages_of_xml, world
 from navbake.baker.bake.stages import Stages, bake_stages
-from navbake.baker.occupancy.level_occupancy import WALL_HEIGHTS, select_list_entries
+from navbake.baker.occupancy.occupancy import WALL_HEIGHTS, select_list_entries
 from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.occupant_kernels import LevelOccupants
 from navbake.baker.occupants.standing import StandingOccupants
