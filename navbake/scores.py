@@ -30,7 +30,7 @@ from navbake.errors import FormatError, QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.blocking import fit_grid
+from navbake.runtime.agents import fit_grid
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap_to_cells
 from navbake.types import Float, Json

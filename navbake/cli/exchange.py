@@ -393,7 +393,7 @@ def routes(
     from navbake.formats.route_files import encode_routes
     from navbake.navgrid.links import Agent
     from navbake.routes.build import make_routes
-    from navbake.runtime.blocking import find_agent
+    from navbake.runtime.agents import find_agent
 
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")

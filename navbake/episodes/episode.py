@@ -17,7 +17,7 @@ from navbake.errors import QueryError, count_of
 from navbake.known_names import find_similar_names, suggest
 from navbake.navgrid import links
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.blocking import find_agent
+from navbake.runtime.agents import find_agent
 from navbake.types import Vector3
 
 TASKS = ("point", "object", "room", "sequence", "explore")

@@ -37,7 +37,7 @@ from navbake.lazy import lazy
 from navbake.navgrid import links
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.rooms import has_building
-from navbake.runtime.blocking import fit_grid
+from navbake.runtime.agents import fit_grid
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Bool, Float, Int
 

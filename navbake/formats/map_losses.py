@@ -89,7 +89,7 @@ def find_closed_cells(
         FormatError: `stairs` is another word.
         QueryError: the grid has no such agent.
     """
-    from navbake.runtime.blocking import find_agent  # loads the run time
+    from navbake.runtime.agents import find_agent  # loads the run time
 
     if stairs is not None:
         check_choice(stairs, STAIRS_CHOICES, "stairs", FormatError)
@@ -321,7 +321,7 @@ def describe_losses(
     Returns:
         A phrase for each kind of content that is lost, such as ``steps between levels (24)``.
     """
-    from navbake.runtime.blocking import find_agent  # loads the run time
+    from navbake.runtime.agents import find_agent  # loads the run time
 
     level_numbers = list(range(len(grid.levels))) if level is None else [level]
     phrases = []

@@ -38,7 +38,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
 from navbake.navgrid.lattice import cover_cells, touch_cells
 from navbake.navgrid.links import DEFAULT_SPEED, MAX_AREAS, Agent, Area
-from navbake.runtime.blocking import find_agent
+from navbake.runtime.agents import find_agent
 from navbake.types import Bool, Json
 
 LOG = logging.getLogger(__name__)

@@ -25,7 +25,7 @@ from navbake.navgrid.door_states import find_door_lines
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import DEFAULT_SPEED, Agent, Link
 from navbake.routes.graph import FLOOR, Doorway, Lane, LiftCar, Node, RouteGraph
-from navbake.runtime.blocking import find_agent, fit_grid
+from navbake.runtime.agents import find_agent, fit_grid
 from navbake.runtime.flat_grid import FlatGrid, find_leaf_cells, find_stairs
 from navbake.runtime.paths import find_path
 from navbake.runtime.search import Search

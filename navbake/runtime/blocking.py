@@ -1,4 +1,4 @@
-"""Obstacles that are added to a grid while it is in use, and grids for agents of other sizes.
+"""Obstacles that are added to a grid while it is in use.
 
 An obstacle changes the grid's layers in place, until it is freed. It also blocks the grids that
 were made from this one for other agents.
@@ -7,20 +7,16 @@ were made from this one for other agents.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypedDict
-from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.known_names import suggest
 from navbake.navgrid.cells import Cell, Cells, check_cells, check_level, check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.islands import measure_clearance, renew_islands, step_limit
-from navbake.navgrid.links import Agent
+from navbake.navgrid.islands import measure_clearance, step_limit
 from navbake.navgrid.obstacle_state import (
     BLOCKED,
     CHANGING_ATTRIBUTES,
@@ -31,14 +27,11 @@ from navbake.navgrid.obstacle_state import (
     Layers,
     ObstacleState,
 )
-from navbake.runtime.inflation import check_radius, compute_margins, ledges_setting
+from navbake.runtime.inflation import check_radius, compute_margins
 from navbake.types import Float, Int
 
 if TYPE_CHECKING:
     from typing_extensions import Self
-
-SIZE_TOLERANCE = 1e-9  # [m]: sizes that differ by less are equal
-FLOOR_ROUNDING = 1e-5  # [m]: rounding error of floor heights, which files hold as float32
 
 
 class BlockArguments(TypedDict):
@@ -439,109 +432,3 @@ def _check_box(grid: NavGrid, box: tuple[ArrayLike, ArrayLike], level: int | Non
         bottom=lower_corner[2] if has_z else -math.inf,
         top=upper_corner[2] if has_z else math.inf,
     )
-
-
-# ---------------------------------------------------------------- agents of other sizes
-
-
-def find_agent(grid: NavGrid, agent: str | Agent | None) -> Agent | None:
-    """Find the agent of a given name in the grid's `agents`.
-
-    Args:
-        grid: the grid.
-        agent: the agent's name; an `Agent` or None is returned unchanged.
-
-    Raises:
-        QueryError: the grid lists no such agent.
-    """
-    if agent is None or isinstance(agent, Agent):
-        return agent
-    agents: Mapping[str, Agent] = grid.agents
-    if agent not in agents:
-        hint = suggest(agent, agents)
-        raise QueryError(
-            f"no agent {agent!r} in {grid.scene_id!r}: {hint}", key="agent", value=agent, hint=hint
-        )
-    return agents[agent]
-
-
-def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
-    """Make the grid for an agent's size: inflated to its radius, without steps too high for it.
-
-    Obstacles that are added to the original grid later block the new grid, too. Only the heights of
-    floors decide whether an agent can take a step. So it can't use a ramp that rises by more than
-    its step within one cell.
-
-    Args:
-        grid: the original grid.
-        agent: the agent; None for the grid's own.
-
-    Returns:
-        A new grid; the original one if it fits the agent.
-
-    Raises:
-        QueryError: the agent is higher, takes higher steps, or is smaller than the grid was
-            inflated for.
-    """
-    if agent is None:
-        return grid
-    grid_name = f"the grid of {grid.scene_id or 'scene'!r}"
-    agent_name = f" (agent {agent.name!r})" if agent.name else ""
-    for noun, key, size, limit in (
-        ("agents", "height", agent.height, grid.agent_height),
-        ("steps", "traversable_floor_height", agent.step, grid.max_step),
-    ):
-        if size is not None and size > limit + SIZE_TOLERANCE:
-            hint = f"bake it with agent.{key}={size:g}"
-            raise QueryError(
-                f"{grid_name} is for {noun} up to {limit:g} m, got {size:g} m{agent_name}: {hint}",
-                key="agent",
-                value=size,
-                expected=f"{noun} up to {limit:g} m",
-                hint=hint,
-            )
-    grid_without_added: NavGrid = grid.without_obstacles()
-    fitted_grid = grid_without_added
-    radius = agent.radius
-    if agent.step is not None and agent.step < grid.max_step - SIZE_TOLERANCE:
-        fitted_grid = _limit_steps(grid_without_added, agent.step)
-    if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SIZE_TOLERANCE):
-        check_radius(radius)
-        if radius < grid.inflated_radius:
-            hint = "plan on the grid as it was baked"
-            raise QueryError(
-                f"{grid_name} was inflated to {grid.radius:g} m, got {radius:g} m{agent_name}: "
-                f"{hint}",
-                key="agent",
-                value=radius,
-                hint=hint,
-            )
-        fitted_grid = fitted_grid.inflate(radius, ledges=ledges_setting(grid))
-    if fitted_grid is grid_without_added:
-        return grid
-    grid.fitted_grids = grid.fitted_grids or WeakSet()
-    grid.fitted_grids.add(fitted_grid)
-    for obstacle in grid.obstacles:
-        obstacle.copies.append(block(fitted_grid, **obstacle.arguments))
-    return fitted_grid
-
-
-def _limit_steps(grid: NavGrid, max_step: float) -> NavGrid:
-    """Copy a grid without obstacles, but limit the steps between its floors.
-
-    Args:
-        grid: the grid, which stays as it is.
-        max_step: the highest step of the new grid [m]; links between cells that rise by more are
-            left out.
-    """
-    floor = np.concatenate([level.floor.ravel() for level in grid.levels])
-    first_cells = np.cumsum([0] + [level.width * level.height for level in grid.levels])
-    step_cells = first_cells[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
-    is_low_enough = np.abs(np.diff(floor[step_cells])[:, 0]) <= max_step + FLOOR_ROUNDING
-    metadata = {**grid.metadata, "traversableFloorHeight": max_step / grid.unit}
-    if not is_low_enough.all():
-        links = [*grid.step_array[is_low_enough].tolist(), *(link.to_json() for link in grid.links)]
-        metadata["navbake"] = {**grid.navbake, "links": links}
-    limited_grid = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
-    renew_islands(limited_grid)
-    return limited_grid

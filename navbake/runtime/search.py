@@ -17,7 +17,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
 from navbake.navgrid.obstacle_state import NO_DIAGONAL, NO_OFF_CENTER, CellRange, ObstacleState
 from navbake.runtime import flat_grid
-from navbake.runtime.blocking import find_agent, fit_grid
+from navbake.runtime.agents import find_agent, fit_grid
 from navbake.runtime.flat_grid import octile_length
 from navbake.runtime.inflation import OffCenterMasks, find_off_center_masks
 from navbake.runtime.name_map import NameMap, map_names
