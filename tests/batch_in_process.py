@@ -59,7 +59,7 @@ def stay_in_process(monkeypatch, after=lambda: None):
 
         def run(self, jobs, on_event=None):
             for number, job in enumerate(jobs):
-                yield JobEnd(number, DONE, self.work(pickle.loads(pickle.dumps(job))))
+                yield JobEnd(number, DONE, result=self.work(pickle.loads(pickle.dumps(job))))
                 if isinstance(job, Job):  # groups of scenes are only inspected
                     after()
 

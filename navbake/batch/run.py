@@ -184,7 +184,7 @@ def run_batch(
                 event_values["worker"] = job_end.worker
                 event_values["seconds"] = round(job_end.seconds, 3)
                 event_values["how"] = job_end.how
-                event_values["error"] = job_end.value
+                event_values["error"] = job_end.reason
             on_event(event, event_values)
 
         try:
@@ -220,10 +220,10 @@ def run_batch(
                     pass_stack.enter_context(closing(job_ends))
                     for job_end in job_ends:
                         job = pass_jobs[job_end.number]
-                        row = job_end.value
+                        row = job_end.result
                         if job_end.how != DONE:
                             row = record_failure(
-                                plan, job, job_end.how, job_end.value, job_end.seconds
+                                plan, job, job_end.how, job_end.reason, job_end.seconds
                             )
                         if row["status"] == LEFT:  # there is no room for other scenes, either
                             batch_result.stop_reason = row["error"]
@@ -389,10 +389,10 @@ class Inspector:
             for group_end in group_ends:
                 job_group = job_groups[group_end.number]
                 if group_end.how == DONE:
-                    for job, inspection in zip(job_group, group_end.value, strict=True):
+                    for job, inspection in zip(job_group, group_end.result, strict=True):
                         self._inspections[job.id] = inspection
                 elif len(job_group) == 1:
-                    self._inspections[job_group[0].id] = make_broken_inspection(group_end.value)
+                    self._inspections[job_group[0].id] = make_broken_inspection(group_end.reason)
                 else:
                     failed_job_groups.append(job_group)
         return failed_job_groups

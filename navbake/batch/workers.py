@@ -57,7 +57,6 @@ OBJECT_STORE_SIZE = 80 << 20  # object store of a cluster that is started here [
 RAY_ENVIRONMENT = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
 
 AnyJob = TypeVar("AnyJob")
-AnyResult = TypeVar("AnyResult")
 
 
 class JobLimits(NamedTuple):
@@ -74,7 +73,8 @@ class JobEnd(NamedTuple):
 
     number: int  #: The job's index in the sequence of jobs.
     how: str  #: ``done``, ``crashed``, ``too long`` or ``too large``; empty if it has just begun.
-    value: Any  #: If done, what the job returned; else the reason, a text.
+    result: Any = None  #: What the job returned, if it is done.
+    reason: str = ""  #: Why it failed, if it did.
     seconds: float = 0.0  #: Duration of the last attempt [s].
     worker: int = 0  #: The process id of its worker, 0 if unknown.
 
@@ -236,7 +236,7 @@ class Workers:
             for future in number_of_future.keys() - begin_time_of_future.keys():
                 if future.running() or future in ended_futures:
                     begin_time_of_future[future] = wait_begin
-                    on_event(SCENE_BEGUN, JobEnd(number_of_future[future], "", ""))
+                    on_event(SCENE_BEGUN, JobEnd(number_of_future[future], how=""))
             for future in ended_futures:
                 job_number = number_of_future.pop(future)
                 duration = time.time() - begin_time_of_future.pop(future)
@@ -247,8 +247,8 @@ class Workers:
                 if isinstance(error, TimeoutError) and future in suspended_futures:
                     waiting_job_numbers.append(job_number)
                 elif error is None:
-                    worker, how, value = future.result()
-                    yield JobEnd(job_number, how, value, duration, worker)
+                    job_end = future.result()
+                    yield job_end._replace(number=job_number, seconds=duration)
                 else:
                     yield self._describe_failure(job_number, error, duration)
 
@@ -262,16 +262,16 @@ class Workers:
         """
         if isinstance(error, TimeoutError):
             reason = f"it took more than {self._limits.seconds:g} s"
-            return JobEnd(number, TOO_LONG, reason, seconds)
+            return JobEnd(number, TOO_LONG, reason=reason, seconds=seconds)
         if isinstance(error, ProcessExpired):
             preposition = "with" if error.exitcode >= 0 else "by"
             reason = f"its process ended {preposition} {describe_exit(error.exitcode)}"
             stderr_line = self._last_stderr_line(error.pid)
             if stderr_line:
                 reason += f": {stderr_line}"
-            return JobEnd(number, CRASHED, reason, seconds, error.pid)
+            return JobEnd(number, CRASHED, reason=reason, seconds=seconds, worker=error.pid)
         reason = printable(f"{type(error).__name__}: {error}".strip())
-        return JobEnd(number, CRASHED, reason, seconds)
+        return JobEnd(number, CRASHED, reason=reason, seconds=seconds)
 
     def _last_stderr_line(self, pid: int | None) -> str:
         """Return the last line that a worker wrote to stderr, where libraries print reasons.
@@ -347,8 +347,8 @@ _lift_memory_limit: Callable[[], None] = lambda: None  # noqa: E731 as `limit_me
 
 
 def _run_job(
-    work: Callable[[AnyJob], AnyResult], job: AnyJob, is_isolated: bool, memory: float | None
-) -> tuple[int, str, AnyResult | str]:
+    work: Callable[[AnyJob], object], job: AnyJob, is_isolated: bool, memory: float | None
+) -> JobEnd:
     """Do a job in this worker process.
 
     Args:
@@ -358,18 +358,19 @@ def _run_job(
         memory: the limit of memory, for the reason [GiB].
 
     Returns:
-        The process id; `DONE` or `TOO_LARGE`; and what `work` returned, or the reason.
+        The end of the job; the worker doesn't know the job's number, and gives 0.
     """
     os.ftruncate(2, 0)
     try:
-        return os.getpid(), DONE, work(job)
+        return JobEnd(0, DONE, result=work(job), worker=os.getpid())
     except MemoryError as error:
         if not is_isolated:
             os._exit(1)  # after a failed allocation, its state is unknown
         _lift_memory_limit()  # the message needs memory
         available_text = "there is" if memory is None else f"{memory:g} GiB"
         details_text = f" ({printable(str(error))})" if str(error) else ""
-        return os.getpid(), TOO_LARGE, f"it took more memory than {available_text}{details_text}"
+        reason = f"it took more memory than {available_text}{details_text}"
+        return JobEnd(0, TOO_LARGE, reason=reason, worker=os.getpid())
 
 
 # ---------------------------------------------------------------- on a Ray cluster
@@ -432,7 +433,7 @@ def run_on_ray(
                     break
                 task = remote_task.remote(node_functions, job_number, jobs[job_number])
                 number_of_task[task] = job_number
-                on_event(SCENE_BEGUN, JobEnd(job_number, "", ""))
+                on_event(SCENE_BEGUN, JobEnd(job_number, how=""))
             if not number_of_task:
                 return
             ended_tasks, _ = ray.wait([*number_of_task], timeout=CLUSTER_CHECK_INTERVAL)
@@ -444,7 +445,7 @@ def run_on_ray(
                     raise NavbakeError(_last_line(error.cause or error)) from error
                 except ray.exceptions.RayError as error:
                     reason = f"it was lost {MAX_RAY_RETRIES + 1} times, as {_last_line(error)}"
-                    job_end = JobEnd(job_number, CRASHED, reason)
+                    job_end = JobEnd(job_number, CRASHED, reason=reason)
                     failed_attempts = []
                 for failed_attempt in failed_attempts:
                     on_event(RETRIED, failed_attempt)

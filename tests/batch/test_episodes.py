@@ -60,7 +60,7 @@ def test_one_set_of_all_scenes_is_beside_the_index(scenes, monkeypatch):
 def test_the_order_in_which_scenes_end_changes_no_byte(scenes, monkeypatch):
     def backwards(jobs, work, count, **options):
         for number, job in reversed([*enumerate(jobs)]):
-            yield JobEnd(number, DONE, work(job))
+            yield JobEnd(number, DONE, result=work(job))
 
     stay_in_process(monkeypatch)
     run(*scenes, products=MAKE, executor=backwards)

@@ -34,7 +34,7 @@ def run(jobs, count=1, **options):
     with Workers(crew_jobs.work, min(count, len(jobs)), **options) as workers:
         ended = sorted(workers.run(jobs, on_event))
     assert [end.number for end in ended] == list(range(len(jobs)))
-    return [(end.how, end.value) for end in ended]
+    return [(end.how, end.result if end.how == DONE else end.reason) for end in ended]
 
 
 def is_there(pid):
@@ -89,7 +89,7 @@ def test_what_ends_a_worker_costs_its_job_alone(capfd):
     out, err = capfd.readouterr()
     assert out == "" and "qh6154" not in err  # a worker that is ended while it starts may say so
     assert {end.number for event, end in events if event == SCENE_BEGUN} == {*range(len(jobs))}
-    again = {end.number: (end.how, end.value) for event, end in events if event == RETRIED}
+    again = {end.number: (end.how, end.reason) for event, end in events if event == RETRIED}
     assert {2, 4, 5, 6} <= again.keys() <= {2, 4, 5, 6, 9} and again[4] == ended[4]
 
 
@@ -139,7 +139,7 @@ def test_workers_that_do_not_start_are_one_error(prepare, why, capfd):
 
 def test_workers_are_gone_when_the_jobs_are_left():
     with Workers(crew_jobs.work, 1) as workers:
-        pid = next(workers.run([("sleep", 0), ("sleep", 60)])).value
+        pid = next(workers.run([("sleep", 0), ("sleep", 60)])).result
         assert is_there(pid)
     assert not is_there(pid)
 
@@ -156,7 +156,7 @@ def test_workers_are_gone_when_the_parent_is(number, tmp_path):
         "if __name__ == '__main__':\n"
         "    with Workers(crew_jobs.work, 1) as workers:\n"
         "        for end in workers.run([('sleep', 0), ('sleep', 60)]):\n"
-        "            print(end.value, flush=True)\n"
+        "            print(end.result, flush=True)\n"
     )
     with subprocess.Popen([sys.executable, script], stdout=-1, stderr=-1, text=True) as parent:
         assert parent.stdout is not None
