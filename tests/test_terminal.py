@@ -11,6 +11,7 @@ import sys
 import time
 from functools import partial
 
+import numpy as np
 import pytest
 
 import sweep_signals
@@ -18,6 +19,7 @@ from command_line import run_command
 from grid_maps import level_from
 from navbake.cli.main import COMMANDS
 from navbake.cli.printing import LOG, print_error, say, say_unless_quiet, use_verbosity
+from navbake.navgrid.rooms import Room
 from project_paths import ROOT
 
 ESCAPE = "\x1b[31mred"
@@ -132,21 +134,58 @@ def test_characters_beyond_ascii_control_no_terminal_in_json(capsys):
 # ---------------------------------------------------------------- completion
 
 
-@pytest.mark.parametrize(
-    ("typed", "expected"),
-    [("navbake ro", {"rooms"}), ("navbake bake --iso", {"--isolate", "--isolate-memory"})],
-)
-def test_a_shell_completes_commands_and_options(typed, expected):
+def complete(typed, folder, *options):
+    """What bash gets for the last of the words that were typed, and stderr."""
     env = {
         **os.environ,
+        "PYTHONPATH": str(ROOT),
         "_NAVBAKE_COMPLETE": "complete_bash",
         "COMP_WORDS": typed,
-        "COMP_CWORD": str(len(typed.split()) - 1),
+        "COMP_CWORD": str(len(typed.split(" ")) - 1),
     }
-    done = subprocess.run(
-        [sys.executable, "-m", "navbake"], env=env, capture_output=True, text=True, check=False
-    )
-    assert expected <= set(done.stdout.split())
+    command = [sys.executable, *options, "-m", "navbake"]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False, cwd=folder)
+    return done.stdout.split(), done.stderr
+
+
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("navbake ro", ["rooms", "routes"]),
+        ("navbake bake --isolate-", ["--isolate-seconds", "--isolate-memory"]),
+        ("navbake samples h", ["house"]),
+        ("navbake bake --set a=1 to", ["tower", "town.grid.json"]),
+        ("navbake path --by ", ["cost", "time"]),
+        ("navbake path town.grid.json --doors o", ["open"]),
+        ("navbake episodes --task s", ["sequence"]),
+        ("navbake plot town.grid.json --layer f", ["floor"]),
+        ("navbake plot town.grid.json --level ", ["0"]),
+        (
+            "navbake convert town.grid.json a --to nav2",
+            ["nav2", "nav2-keepout", "nav2-speed", "nav2-route"],
+        ),
+        ("navbake sample town.grid.json --room h", ["hall"]),
+        ("navbake path town.grid.json --to object:", ["object:bed"]),
+        ("navbake episodes town.grid.json --object b", ["bed"]),
+        ("navbake sample none.grid.json --room ", []),
+        ("navbake sample broken.json --room ", []),
+    ],
+)
+def test_a_shell_completes_commands_options_and_values(tmp_path, typed, expected):
+    level = level_from("......\n..##..\n......")
+    level.user_data = {8: {"objects": ["bed"]}}
+    level.attributes["roomIndex"] = np.ones(level.shape, dtype=np.uint16)
+    hall = Room(1, "0:1", "hall", 0, 0.18, (0.3, -0.2, 0.0), "auto")
+    level.metadata["navbake"] = {"rooms": [hall.to_json()]}
+    level.save(tmp_path / "town.grid.json")
+    (tmp_path / "broken.json").write_text("{")
+    assert complete(typed, tmp_path)[0] == expected
+
+
+def test_completion_of_words_loads_no_numpy(tmp_path):
+    words, loaded = complete("navbake path --by c", tmp_path, "-X", "importtime")
+    assert words == ["cost"]
+    assert "numpy" not in loaded and "navbake.cli.completion" in loaded
 
 
 def test_completion_can_be_installed(run):

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from typer import BadParameter, Exit, Option
 
 import navbake
-from navbake.cli import options, printing
+from navbake.cli import completion, options, printing
 from navbake.cli.options import (
     LEVEL_OPTION,
     OUTPUT_FLAGS,
@@ -112,12 +112,23 @@ def why(
 
 def path(
     grid: GridFile,
-    agent: str | None = option("NAME", "Plan for one of the grid's agents."),
+    agent: str | None = option(
+        "NAME", "Plan for one of the grid's agents.", completion=completion.list_agents
+    ),
     by: str = option("cost|time", "Find the cheapest path, or the quickest.", default="cost"),
-    closed: list[str] | None = option("LINK", "Close a link; may be repeated.", "--close"),
-    opened: list[str] | None = option("LINK", "Open a link; may be repeated.", "--open"),
+    closed: list[str] | None = option(
+        "LINK", "Close a link; may be repeated.", "--close", completion=completion.list_links
+    ),
+    opened: list[str] | None = option(
+        "LINK", "Open a link; may be repeated.", "--open", completion=completion.list_links
+    ),
     start: str = option(
-        PLACE_METAVAR, f"Start, {PLACE_HELP}; or a room's middle.", "--from", "--start", default=...
+        PLACE_METAVAR,
+        f"Start, {PLACE_HELP}; or a room's middle.",
+        "--from",
+        "--start",
+        default=...,
+        completion=completion.list_starts,
     ),
     goals: list[str] = option(
         f"{PLACE_METAVAR}|object:NAME",
@@ -125,6 +136,7 @@ def path(
         "--to",
         "--goal",
         default=...,
+        completion=completion.list_goals,
     ),
     doors: Literal["modelled", "open", "closed", "removed"] | None = option(
         "modelled|open|closed|removed", "State of all doors.  [default: as in the grid]"
@@ -206,7 +218,9 @@ def sample(
     grid: GridFile,
     count: int = option("N", "How many places.", "-n", "--count", default=1, min=1),
     seed: int = option("N", "Seed of the draw.", default=0, min=0),
-    room: str | None = option("NAME", "In this room only, by id or name."),
+    room: str | None = option(
+        "NAME", "In this room only, by id or name.", completion=completion.list_rooms
+    ),
     level: int | None = LEVEL_OPTION,
     outdoors: bool = Option(True, help="Also in rooms that are outdoors, or indoors alone."),
     spread: float | None = option(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from typer import BadParameter, Exit
 
 import navbake
-from navbake.cli import options, printing
+from navbake.cli import completion, options, printing
 from navbake.cli.options import (
     OUTPUT_FLAGS,
     AgentRadius,
@@ -94,7 +94,9 @@ def schema(
 
 
 def samples(
-    names: list[str] | None = argument("NAME", "Samples to copy.  [default: list them]", None),
+    names: list[str] | None = argument(
+        "NAME", "Samples to copy.  [default: list them]", None, completion.list_samples
+    ),
     folder: Path = option("FOLDER", "Where to copy them to.", *OUTPUT_FLAGS, default=Path()),
 ) -> None:
     """Copy sample scenes and their settings here, to try navbake with.
@@ -291,7 +293,11 @@ def _parse_segments(segment_values: list[str] | None) -> str | dict[str, int] | 
 
 
 def bake(
-    configs: list[Path] = argument("CONFIG", "Settings (YAML), a scene, or a sample's name."),
+    configs: list[Path] = argument(
+        "CONFIG",
+        "Settings (YAML), a scene, or a sample's name.",
+        completion=completion.list_scenes,
+    ),
     output: str | None = option(
         "FILE|FOLDER",
         "File (.json or .json.gz), - for stdout, or a folder: one that exists, or a new one that "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter
 
 import navbake
-from navbake.cli import options
+from navbake.cli import completion, options
 from navbake.cli.options import OUTPUT_FLAGS, argument, flag, option
 from navbake.cli.printing import (
     add_facts,
@@ -37,15 +37,40 @@ SET_FORMATS = ("habitat-pointnav", "habitat-objectnav", "habitat-vln", "minos", 
 
 def episodes(
     grids: Annotated[list[Path], Argument(metavar="GRID…", help="NavGrid files.")],
-    task: str = option("TASK", "point, object, room, sequence or explore.", default="point"),
-    objects: list[str] | None = option("PATTERN", "Objects by name. May be repeated.", "--object"),
+    task: str = option(
+        "TASK",
+        "point, object, room, sequence or explore.",
+        default="point",
+        completion=completion.list_choices("point|object|room|sequence|explore"),
+    ),
+    objects: list[str] | None = option(
+        "PATTERN",
+        "Objects by name. May be repeated.",
+        "--object",
+        completion=completion.list_objects,
+    ),
     categories: Path | None = option("YAML", "Patterns of names by category, or type of room."),
-    rooms: list[str] | None = option("PATTERN", "Rooms by id or name. May be repeated.", "--room"),
+    rooms: list[str] | None = option(
+        "PATTERN",
+        "Rooms by id or name. May be repeated.",
+        "--room",
+        completion=completion.list_rooms,
+    ),
     reach: float | None = option("METRES", "How near to the goal counts as reached [m]."),
     length: int = option("N", "Goals of a sequence.", default=3, min=2),
-    of: str = option("KIND", "What its goals are: point, object or room.", default="point"),
+    of: str = option(
+        "KIND",
+        "What its goals are: point, object or room.",
+        default="point",
+        completion=completion.list_choices("point|object|room"),
+    ),
     share: float = option("SHARE", "Of the free area to explore.", default=0.9),
-    sampler: str = option("NAME", "uniform, habitat, stratified or minos.", default="uniform"),
+    sampler: str = option(
+        "NAME",
+        "uniform, habitat, stratified or minos.",
+        default="uniform",
+        completion=completion.list_choices("uniform|habitat|stratified|minos"),
+    ),
     rule: list[str] | None = option("KEY=VALUE", "A rule, e.g. min_distance=2. May be repeated."),
     total: int | None = option("N", "Episodes in all.  [default: 100 a scene]", "--count", min=1),
     per_scene: int | None = option("N", "Episodes of each scene, in place of --count.", min=1),
@@ -55,7 +80,11 @@ def episodes(
     radius: float | None = option("METRES", "Of the agent; grids are inflated for it [m]."),
     height: float | None = option("METRES", "Of the agent, at most the grid's [m]."),
     speed: float | None = option("M/S", "Of the agent, as a note [m/s]."),
-    agent: str | None = option("NAME", "One of the grids' agents: its size, speed and rights."),
+    agent: str | None = option(
+        "NAME",
+        "One of the grids' agents: its size, speed and rights.",
+        completion=completion.list_agents,
+    ),
     output: Path = option(
         "SET", "File: .jsonl, .jsonl.gz or .parquet.", *OUTPUT_FLAGS, default=...
     ),
@@ -209,7 +238,12 @@ def score(
     grids: list[Path] | None = argument(
         "GRID…", "Of the set, or the folder that they are in.  [default: those it names]", None
     ),
-    by: str = option("GROUP", "all, distance, ratio, room, scene or split.", default="all"),
+    by: str = option(
+        "GROUP",
+        "all, distance, ratio, room, scene or split.",
+        default="all",
+        completion=completion.list_choices("all|distance|ratio|room|scene|split"),
+    ),
     threshold: float = option("METRES", "Of nDTW [m].", default=3.0),
     seed: int = option("N", "Seed of the intervals.", default=0, min=0),
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),

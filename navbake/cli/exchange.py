@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter, Option
 
 import navbake
-from navbake.cli import options
+from navbake.cli import completion, options
 from navbake.cli.episodes import SET_FORMATS, convert_episode_set
 from navbake.cli.options import (
     GRID_SUFFIXES,
@@ -74,7 +74,9 @@ def convert(
         "Floors of a map without heights that only steps lead to.  [default: occupied]",
     ),
     agent: str | None = option(
-        "NAME", "Agent whose barred areas a map or mask marks.  [default: any]"
+        "NAME",
+        "Agent whose barred areas a map or mask marks.  [default: any]",
+        completion=completion.list_agents,
     ),
     absolute: bool | None = Option(None, "--absolute", help="Limits of areas in m/s, not percent."),
     height: str | None = option(
@@ -100,9 +102,17 @@ def convert(
     cut_corners: bool | None = Option(
         None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
     ),
-    to: str | None = option("FORMAT", "Format of OUT.  [default: by its ending]", "--to"),
+    to: str | None = option(
+        "FORMAT",
+        "Format of OUT.  [default: by its ending]",
+        "--to",
+        completion=completion.list_written_formats,
+    ),
     source_format: str | None = option(
-        "FORMAT", "Format of IN.  [default: by its ending]", "--from"
+        "FORMAT",
+        "Format of IN.  [default: by its ending]",
+        "--from",
+        completion=completion.list_read_formats,
     ),
     scene: list[str] | None = option(
         "NAME=ID", "What the other program calls a scene, in a set of episodes. May be repeated."
@@ -385,10 +395,19 @@ def inflate(
 def routes(
     grid: GridFile,
     output: Path = option("FILE", "File to write, - for stdout.", *OUTPUT_FLAGS, default=...),
-    agent: str | None = option("NAME", "An agent that the grid names.  [default: the grid's own]"),
+    agent: str | None = option(
+        "NAME",
+        "An agent that the grid names.  [default: the grid's own]",
+        completion=completion.list_agents,
+    ),
     radius: float | None = option("METRES", "Of the agent [m].  [default: its own, or the grid's]"),
     level: int | None = LEVEL_OPTION,
-    to: str | None = option("FORMAT", "Format of the file.  [default: by its ending]", "--to"),
+    to: str | None = option(
+        "FORMAT",
+        "Format of the file.  [default: by its ending]",
+        "--to",
+        completion=completion.list_route_formats,
+    ),
 ) -> None:
     from navbake.formats.route_files import encode_routes
     from navbake.navgrid.links import Agent
@@ -428,7 +447,12 @@ routes.__doc__ = "\n\n".join(
 
 
 def map_descriptor(
-    level: int | None = option("N", "Which level; 0 is the lowest.  [default: 0]", min=0),
+    level: int | None = option(
+        "N",
+        "Which level; 0 is the lowest.  [default: 0]",
+        completion=completion.list_levels,
+        min=0,
+    ),
     corner: tuple[float, float] | None = option("X Y", "Lower left [m].  [default: the level's]"),
     rows: int | None = option("N", "Squares up.  [default: the whole level; decoding: 20]", min=1),
     cols: int | None = option(

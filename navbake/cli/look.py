@@ -9,7 +9,7 @@ from pathlib import Path
 from typer import BadParameter
 
 import navbake
-from navbake.cli import options, printing
+from navbake.cli import completion, options, printing
 from navbake.cli.batch import draw_missing_thumbnails
 from navbake.cli.options import (
     GRID_SUFFIXES,
@@ -40,6 +40,7 @@ def plot(
         "occupancy, floor, rooms, doors, clearance, island, weights, links or area. May be "
         "repeated.  [default: occupancy and floor]",
         "--layer",
+        completion=completion.list_layers,
     ),
 ) -> None:
     """Draw a grid: a row for each level, a column for each layer.
@@ -142,7 +143,9 @@ def view(
     no_open: bool = flag("--no-open", "Only print the link."),
     allow_origin: list[str] | None = option("URL", "An address of a proxy. May be repeated."),
     source: Path = argument(
-        "GRID|SCENE|CONFIG", "A NavGrid file, or a scene, settings or a sample's name to bake."
+        "GRID|SCENE|CONFIG",
+        "A NavGrid file, or a scene, settings or a sample's name to bake.",
+        completion=completion.list_scenes,
     ),
     scene: Path | None = SCENE_OPTION,
     overrides: Overrides = None,

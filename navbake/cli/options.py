@@ -23,6 +23,7 @@ from typer.core import TyperCommand
 
 from navbake import files, samples
 from navbake.cli import printing
+from navbake.cli.completion import list_choices, list_levels, list_scenes
 from navbake.cli.printing import VERBOSITY, print_error, use_verbosity
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.source import write_bytes
@@ -30,8 +31,18 @@ from navbake.formats.source import write_bytes
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
 
+Completion = Callable[..., list[str]]
+"""A function of `navbake.cli.completion`, as typer takes it."""
 
-def option(metavar: str, text: str, *names: str, default: Any = None, **limits: Any) -> Any:
+
+def option(
+    metavar: str,
+    text: str,
+    *names: str,
+    default: Any = None,
+    completion: Completion | None = None,
+    **limits: Any,
+) -> Any:
     """Return typer's declaration of an option that takes a value.
 
     Args:
@@ -40,14 +51,20 @@ def option(metavar: str, text: str, *names: str, default: Any = None, **limits: 
         names: the option's names, such as ``--name`` and ``-n``; by default typer derives one from
             the parameter's name.
         default: the value if the option isn't given; ``...`` if it has to be given.
+        completion: lists the values that a shell completes; None for the words of `metavar` if it
+            has the form ``cost|time``, else for files.
         limits: the smallest (`min`) and the largest (`max`) number that is accepted.
     """
-    return Option(default, *names, metavar=metavar, help=text, **limits)
+    if completion is None:
+        completion = list_choices(metavar)
+    return Option(default, *names, metavar=metavar, help=text, autocompletion=completion, **limits)
 
 
-def argument(metavar: str, text: str, default: Any = ...) -> Any:
+def argument(
+    metavar: str, text: str, default: Any = ..., completion: Completion | None = None
+) -> Any:
     """Return typer's declaration of an argument, which is required unless it has a default."""
-    return Argument(default, metavar=metavar, help=text)
+    return Argument(default, metavar=metavar, help=text, autocompletion=completion)
 
 
 def flag(name: str, text: str, *names: str) -> Any:
@@ -104,7 +121,11 @@ def read_pairs(texts: Iterable[str] | None, option: str, pair_form: str) -> dict
 GridFile = Annotated[Path, Argument(metavar="GRID", help="A NavGrid file.")]
 SceneOrConfig = Annotated[
     Path,
-    Argument(metavar="SCENE|CONFIG", help="A scene file, settings (YAML), or a sample's name."),
+    Argument(
+        metavar="SCENE|CONFIG",
+        help="A scene file, settings (YAML), or a sample's name.",
+        autocompletion=list_scenes,
+    ),
 ]
 Overrides = Annotated[
     list[str] | None,
@@ -142,7 +163,7 @@ VERBOSE_OPTION = flag("-v", "Print on stderr what is read, done and written, too
 OUTPUT_FLAGS = "-o", "--output"
 """The names of the option for the output file."""
 PICTURE_OPTION = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT_FLAGS)
-LEVEL_OPTION = option("N", "Only this level; 0 is the lowest.", min=0)
+LEVEL_OPTION = option("N", "Only this level; 0 is the lowest.", completion=list_levels, min=0)
 STDOUT = Path("-")
 """The output that stands for stdout."""
 GRID_SUFFIXES = (".json", ".json.gz")

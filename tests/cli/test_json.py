@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from grid_maps import level_from
 from navbake import PathFinder, compiled, load
 from navbake.cli.main import COMMANDS
+from navbake.cli.printing import print_json
 from navbake.episodes import read_episodes
 from project_paths import GOLDEN, ROOT
 
@@ -160,13 +167,82 @@ def test_of_several_bakes_those_that_fail_are_listed(house, run):
 
 def test_a_pipe_of_another_encoding_gets_json(capsys, monkeypatch):
     """As a pipe on Windows does."""
-    import io
-    import sys
-
-    from navbake.cli.printing import print_json
-
     pipe = io.TextIOWrapper(io.BytesIO(), encoding="cp1252", errors="backslashreplace")
     monkeypatch.setattr(sys, "stdout", pipe)
     print_json({"name": "Küche 厨房"})
     pipe.flush()
     assert json.loads(pipe.buffer.getvalue()) == {"name": "Küche 厨房"}
+
+
+# ---------------------------------------------------------------- exit statuses
+
+STATUSES = {  # status -> commands that end with it
+    0: [
+        "--version",
+        "samples",
+        "bake room.yaml -o again.grid.json",
+        "path house.json.gz --from 0,-4.8,L0 --to room:1:1",
+        "verify room.grid.json --sample 20",
+        "audit house.json.gz",
+    ],
+    1: [
+        "info none.json",
+        "samples nonsense",
+        "bake bad.yaml room.yaml -o grids/",
+        "batch bad.yaml -o out",
+        "path house.json.gz --from 99,0,0 --to 1,1,L1",
+        "path house.json.gz --from 0,-4.8,L0 --to 1,1,L1 --radius 2",
+        "verify wrong.grid.json --scene room.yaml --all",
+        "audit free.grid.json",
+    ],
+    2: [
+        "info",
+        "nonsense",
+        "info house.json.gz --nonsense",
+        "bake room.yaml --radius wide",
+        "plot house.json.gz -o house.txt",
+        "why house.json.gz here",
+    ],
+}
+SIGNALLED = """
+import os, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # tests may run in the background
+from navbake import __main__ as start
+import navbake.cli.main as command_line
+command_line.main = lambda: os.kill(os.getpid(), signal.{name})
+start.main()
+"""
+
+
+def test_the_page_lists_all_statuses():
+    table = PAGE.partition("## Exit status")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| ([\d, ]+) \|", table, flags=re.MULTILINE)
+    listed = {int(status) for row in rows for status in row.split(",")}
+    assert listed == {*STATUSES, 130, 143}
+    for command in ("path", "verify", "audit", "bake", "batch"):
+        assert f"`{command}`" in table
+        assert any(line.startswith(command) for line in STATUSES[1])
+
+
+@pytest.mark.parametrize(
+    ("status", "line"), [(status, line) for status, lines in STATUSES.items() for line in lines]
+)
+def test_a_command_ends_with_the_status_of_the_page(house, run, status, line):
+    (house / "bad.yaml").write_text("scene: {path: none.xml}\n")
+    if line.startswith("verify"):
+        run("bake", "room.yaml")
+        grid = load("room.grid.json")
+        grid.with_layers(weights=np.ones(grid.shape)).save("wrong.grid.json")
+    if line.startswith("audit free"):
+        level = level_from("...")
+        level.attributes["floorHeight"] = np.full((1, 3), np.nan)
+        level.save("free.grid.json")
+    assert run(*line.split())[0] == status
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_signal_ends_a_command_with_the_status_of_the_page(name, status):
+    code = SIGNALLED.format(name=name)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert done.returncode == status
