@@ -24,6 +24,7 @@ from make_house import make_house
 from navbake.baker.bake.stages import bake_stages
 from navbake.episodes import make_episodes, make_rules
 from navbake.navgrid.grid import NavGrid
+from navbake.views.flight import draw_flight
 from navbake.views.plot import render_picture
 from sweep_scans import make_scan
 
@@ -126,6 +127,15 @@ def draw_voxels() -> bytes:
     return content.getvalue()
 
 
+def draw_fly() -> bytes:
+    """A flight through a window of the house, as in `examples/fly_through_a_house.py`."""
+    voxelizer = navbake.Voxelizer(ROOT / "configs" / "house.yaml")
+    lower, upper = voxelizer.shapes.bounds
+    voxels = voxelizer.create((lower + upper) / 2, res=0.1, size=upper - lower + 2.0, align=True)
+    flight = navbake.VoxelFinder(voxels, 0.25).find_path((0.0, -4.4, 1.5), (-3.0, 3.0, 4.2))
+    return draw_flight(voxels, flight)
+
+
 ROLES_SCENE = """
 <mujoco><worldbody>
   <geom type="box" pos="3 2 -0.05" size="3.1 2.1 0.05"/>
@@ -208,6 +218,7 @@ PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
     "scan": partial(draw_scan, True),
     "scan_holes": partial(draw_scan, False),
     "voxels": draw_voxels,
+    "fly": draw_fly,
     "baselines": draw_baselines,
     "viewer": partial(draw_page, "take_viewer"),
     "report": partial(draw_page, "take_report"),

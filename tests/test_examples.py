@@ -12,6 +12,10 @@ EXAMPLES = ROOT / "examples"
 PRINTED = {
     "bake_and_look": ["level 1: 100 x 81 cells, ground 3.00 m", "['dining_table']"],
     "doors": ["door: joint hinge, modelled", "door 'door' (closed) is in the way", "open: 4.00 m"],
+    "fly_through_a_house": [
+        "cost of clearance 0 m: 11.08 m, 0.47 m from things",
+        "no way for a radius of 0.6 m from island 1",
+    ],
     "follow_a_path": ["arrived after 1", " m from the person, contacts: 0"],
     "gymnasium_env": ["50 episodes, four at a time: ", "a step ahead is worth "],
     "larger_robot": [

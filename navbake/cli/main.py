@@ -8,7 +8,7 @@ import io
 import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -22,6 +22,7 @@ from navbake.cli.batch import batch, warm_up
 from navbake.cli.check import audit, doctor, verify
 from navbake.cli.episodes import episodes, score
 from navbake.cli.exchange import convert, inflate, map_descriptor, routes
+from navbake.cli.fly import fly
 from navbake.cli.look import plot, report, view
 from navbake.cli.options import NavbakeCommand, prepare_command
 from navbake.cli.printing import add_warning, print_causes, print_error
@@ -33,9 +34,9 @@ os.environ.setdefault("MUJOCO_GL", "disable")
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, errno.EPIPE)
 """Numbers of operating system errors when an output can't be written any further."""
 
-COMMANDS = {
+COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Bake": (samples, init, schema, geoms, bake, voxelize),
-    "Ask": (info, rooms, why, path, sample),
+    "Ask": (info, rooms, why, path, sample, fly),
     "Look": (plot, report, view),
     "Exchange": (convert, inflate, routes, map_descriptor),
     "Benchmark": (episodes, score),

@@ -166,9 +166,9 @@ class VoxelFinder:
     ) -> None:
         check_choice(unknown, UNKNOWN_SPACE, "unknown", QueryError)
         self.voxels = voxels
-        self.radius = _check_number("radius", radius, "a radius > 0 m", positive=True)
+        self.radius = _check_number("radius", radius, "> 0 m", positive=True)
         self._cost_of_clearance = _check_number(
-            "cost_of_clearance", cost_of_clearance, "a cost >= 0 m", positive=False
+            "cost_of_clearance", cost_of_clearance, ">= 0 m", positive=False
         )
         self._heights = (min_height, max_height)
         self._unknown = unknown
@@ -183,9 +183,9 @@ class VoxelFinder:
         upper = upper - self.radius
         min_height, max_height = self._heights
         if min_height is not None:
-            lower[2] = max(lower[2], _check_number("min_height", min_height, "a height [m]"))
+            lower[2] = max(lower[2], _check_number("min_height", min_height, "as a height [m]"))
         if max_height is not None:
-            upper[2] = min(upper[2], _check_number("max_height", max_height, "a height [m]"))
+            upper[2] = min(upper[2], _check_number("max_height", max_height, "as a height [m]"))
         distances = self.distances.values
         greatest_distance = float(distances.max())
         least_weight = 1.0
@@ -538,7 +538,9 @@ class VoxelFinder:
 
     def _say_nothing_is_free(self) -> str:
         """Say that the ball fits nowhere, and what may help."""
-        sentence = f"a ball of {self.radius:g} m fits nowhere in the grid, nor between the heights"
+        sentence = f"a ball of {self.radius:g} m fits nowhere in the grid"
+        if self._heights != (None, None):
+            sentence += " between the heights"
         is_known = self.voxels.known
         if is_known is not None and not is_known.all() and self._unknown == "occupied":
             share = 1.0 - float(np.mean(is_known))
@@ -657,7 +659,7 @@ def _check_number(key: str, value: object, expected: str, *, positive: bool | No
     if positive is not None:
         is_valid = is_valid and (number > 0.0 if positive else number >= 0.0)
     if not is_valid:
-        message = f"expected `{key}` to be {expected}, got {value!r}"
+        message = f"expected `{key}` {expected}, got {value!r}"
         raise QueryError(message, key=key, value=value, expected=expected)
     return number
 

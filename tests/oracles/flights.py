@@ -7,6 +7,7 @@ import itertools
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -31,9 +32,12 @@ def measure_distances(occupied: Mask, res: float) -> Floats:
 
 
 def distance_of_line(begin: Floats, end: Floats, cubes: Floats, res: float) -> float:
-    """The least distance of a line from cubes, by their centres: golden sections, all at once."""
-    if not len(cubes):
-        return np.inf
+    """The least distance of a line from cubes, by their centres."""
+    return float(distances_of_line(begin, end, cubes, res).min(initial=np.inf))
+
+
+def distances_of_line(begin: Floats, end: Floats, cubes: Floats, res: float) -> Floats:
+    """The distance of a line from each cube: golden sections, all at once."""
     ratio = (np.sqrt(5.0) - 1.0) / 2.0
 
     def measure(shares: Floats) -> Floats:
@@ -45,8 +49,8 @@ def distance_of_line(begin: Floats, end: Floats, cubes: Floats, res: float) -> f
         first, second = high - ratio * (high - low), low + ratio * (high - low)
         is_lower = measure(first) <= measure(second)
         low, high = np.where(is_lower, low, first), np.where(is_lower, second, high)
-    ends = [measure(np.zeros(len(cubes))), measure(np.ones(len(cubes)))]
-    return float(min(measure(low).min(), *(each.min() for each in ends)))
+    ends = np.minimum(measure(np.zeros(len(cubes))), measure(np.ones(len(cubes))))
+    return np.asarray(np.minimum(measure(low), ends))
 
 
 def fits(voxels: VoxelGrid, radius: float, heights: tuple[float, float] | None = None) -> Mask:
@@ -87,6 +91,42 @@ def make_graph(
             costs.append(np.linalg.norm(step) * voxels.res * sum(weights) / 2)
     size = voxels.values.size
     return coo_array((costs, (rows, columns)), shape=(size, size)).tocsr()
+
+
+def make_large_graph(voxels: VoxelGrid, radius: float, cost: float = 0.0) -> csr_array:
+    """The same graph for large grids: each move dilates what is occupied by all that it sweeps."""
+    reach = int(radius / voxels.res) + 3
+    offsets = np.array([*itertools.product(range(-reach, reach + 1), repeat=3)])
+
+    def is_met(step: tuple[int, int, int]) -> Mask:
+        end = np.array(step) * voxels.res
+        distances = distances_of_line(np.zeros(3), end, offsets * voxels.res, voxels.res)
+        swept = distances < radius - TOLERANCE
+        # dilation adds the structure to what is occupied; here it is to be looked up from the voxel
+        structure = np.reshape(swept, 3 * (2 * reach + 1,))[::-1, ::-1, ::-1]
+        return np.asarray(ndimage.binary_dilation(voxels.occupied, structure))
+
+    is_free = ~is_met((0, 0, 0))
+    for axis, count in enumerate(voxels.shape):
+        to_border = (np.minimum(np.arange(count), np.arange(count)[::-1]) + 0.5) * voxels.res
+        too_near = to_border < radius - TOLERANCE
+        is_free &= ~np.expand_dims(too_near, tuple({0, 1, 2} - {axis}))
+    weights = np.ones(voxels.shape)
+    if cost:
+        weights += cost / np.maximum(voxels.distances().values, 1e-9)
+    numbers = np.arange(voxels.values.size).reshape(voxels.shape)
+    rows, columns, costs = [], [], []
+    for step in NEIGHBOURS:
+        begins = tuple(slice(max(-d, 0), min(-d, 0) or None) for d in step)
+        ends = tuple(slice(max(d, 0), min(d, 0) or None) for d in step)
+        is_clear = is_free[begins] & is_free[ends] & ~is_met(step)[begins]
+        rows.append(numbers[begins][is_clear])
+        columns.append(numbers[ends][is_clear])
+        means = (weights[begins][is_clear] + weights[ends][is_clear]) / 2
+        costs.append(np.linalg.norm(step) * voxels.res * means)
+    size = voxels.values.size
+    entries = np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns))
+    return coo_array(entries, shape=(size, size)).tocsr()
 
 
 def find_costs(graph: csr_array, sources: list[int]) -> Floats:

@@ -18,6 +18,7 @@ from oracles.flights import (
     find_costs,
     fits,
     make_graph,
+    make_large_graph,
     measure_distances,
 )
 
@@ -80,6 +81,13 @@ def test_costs_are_those_of_dijkstra_on_all_moves(seed, radius, cost, heights):
                 continue
             assert path.cost == pytest.approx(costs[free[number]], rel=1e-9, abs=1e-12)
             assert finder.why_not(position, centers[number]) is None
+
+
+@pytest.mark.parametrize(("radius", "cost", "heights"), CASES[:3])
+def test_the_graph_that_sweeps_of_large_grids_use_is_the_same(radius, cost, heights):
+    voxels = scatter(2, radius)
+    difference = make_graph(voxels, radius, cost) - make_large_graph(voxels, radius, cost)
+    assert abs(difference).max() < 1e-12
 
 
 @pytest.mark.parametrize(("radius", "cost", "heights"), CASES)

@@ -1,0 +1,79 @@
+"""The command `navbake fly`."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import navbake
+
+# out of the arena's box, over its wall and down again
+OVER = ("--from", "0.75,-0.5,0.3", "--to", "0.75,1.4,0.7", "--radius", 0.1)
+
+
+def test_writes_a_path_and_distances(arena, run):
+    files = ["a.json", "a.png", "a.npz"]
+    status, out, err = run("fly", "arena.xml", *OVER, *(w for f in files for w in ("-o", f)))
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].startswith("length  ") and lines[2].split() == ["x", "y", "z"]
+    assert lines[3].split() == ["0.750", "-0.500", "0.300"] and lines[-3:] == files
+    facts = json.loads((arena / "a.json").read_text())
+    points = np.array(facts["positions"])
+    assert points[-1].tolist() == [0.75, 1.4, 0.7]
+    length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    assert facts["length"] == pytest.approx(length)
+    picture = np.asarray(Image.open(io.BytesIO((arena / "a.png").read_bytes())).convert("RGB"))
+    is_tube = (picture[..., 0] > 150) & (picture[..., 2] < 100)
+    assert picture.shape[0] > 500 and is_tube.sum() > 500
+    with np.load(arena / "a.npz") as archive:
+        assert archive["is_signed"] and archive["distances"].min() < 0
+
+
+def test_voxels_that_are_in_a_file_give_the_same_path(arena, run):
+    run("voxelize", "arena.xml", "-o", "a.bt", "-o", "a.npz")
+    inside = ("--from", "0.5,0.9,0.3", "--to", "1.3,1.7,0.3", "--radius", 0.08)
+    status, out, _ = run("fly", "a.npz", *inside, "--json")
+    facts = json.loads(out)
+    assert status == 0 and facts["reason"] is None
+    from_scene = json.loads(run("fly", "arena.xml", *inside, "--margin", 0, "--json")[1])
+    assert from_scene["path"] == facts["path"]
+    # an octree does not say what is free, unless it is asked to
+    status, out, _ = run("fly", "a.bt", *inside)
+    assert status == 1 and "unknown" in out
+    status, out, _ = run("fly", "a.bt", *inside, "--unknown", "free", "--json")
+    assert json.loads(out)["path"] == facts["path"]
+
+
+def test_says_why_there_is_no_path_and_exits_with_1(arena, run):
+    status, out, err = run("fly", "arena.xml", *OVER[:-1], 0.6, "-o", "a.json", "-o", "a.npz")
+    assert (status, err) == (1, "")
+    assert out.startswith("no path: the start (0.75, -0.5, 0.3) is")
+    assert not (arena / "a.json").exists() and (arena / "a.npz").exists()
+    status, out, _ = run("fly", "arena.xml", *OVER, "--max-height", -5, "--json")
+    assert status == 1 and "fits nowhere" in json.loads(out)["reason"]
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "text"),
+    [
+        (("--from", "1,2", "--to", "1,2,1", "--radius", 0.1), 2, "expected X,Y,Z"),
+        ((*OVER[:-1], -1), 1, "expected `radius` > 0 m, got -1.0"),
+        ((*OVER, "-o", "a.txt"), 2, "expected a name that ends in .json, .png, .mcap, .npz"),
+        ((*OVER, "-o", "-"), 2, "its ending says which format"),
+        ((*OVER, "--res", 0), 1, "expected `res`"),
+    ],
+)
+def test_wrong_words_are_told_in_a_line(arena, run, words, status, text):
+    answer = run("fly", "arena.xml", *words)
+    assert answer[0] == status and text in answer[2]
+
+
+def test_options_of_scenes_do_nothing_for_voxels(arena, run):
+    navbake.create_voxel_grid(arena / "arena.xml", of="a.npz")
+    status, _, err = run("fly", "a.npz", *OVER, "--margin", 1)
+    assert status == 2 and "does nothing here" in err
