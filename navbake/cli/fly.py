@@ -9,12 +9,12 @@ from typer import BadParameter, Exit
 
 import navbake
 from navbake.cli import options
-from navbake.cli.options import OUTPUT_FLAGS, AsJson, Overrides, argument, option
-from navbake.cli.printing import print_json, print_warnings, say, say_unless_quiet
+from navbake.cli.options import OUTPUT_FLAGS, Overrides, argument, option
+from navbake.cli.printing import add_facts, add_files, print_warnings, say, say_unless_quiet
 from navbake.formats.format_table import VOXEL_SUFFIXES
 
 if TYPE_CHECKING:
-    from navbake.types import Json
+    from navbake.config.settings import BakeConfig
     from navbake.voxels.finder import FlightPath
     from navbake.voxels.grid import VoxelGrid
 
@@ -22,6 +22,9 @@ Triple = tuple[float, float, float]  # navbake.types would load numpy
 
 FLIGHT_SUFFIXES = (".json", ".png", ".mcap", ".npz")
 """Endings of the files that `fly` writes."""
+
+FLIGHT_FIELDS = ("positions", "length", "cost", "radius")
+"""Attributes of a path that --json prints."""
 
 # Functions import what reads scenes only when they run, so that --help loads no MuJoCo or numpy.
 
@@ -48,7 +51,6 @@ def fly(
         "Path: .json, .png or .mcap; signed distances: .npz. May be repeated.",
         *OUTPUT_FLAGS,
     ),
-    as_json: AsJson = False,
     overrides: Overrides = None,
 ) -> None:
     """Plan a flight through a scene's voxels, or say why there is none.
@@ -70,25 +72,31 @@ def fly(
             message = "expected a name: its ending says which format"
             raise BadParameter(message, param_hint="-o")
         options.check_output(output, *FLIGHT_SUFFIXES, inputs=[scene])
+    scene_id = None
     if is_voxel_file:
         voxels = navbake.load_voxels(scene)
     else:
+        from navbake.config.settings import load_config
+
+        settings = load_config(scene, overrides or [])
+        options.say_if_sample(scene)
+        scene_id = settings.scene.id
         voxels = _voxelize_box(
-            scene, 0.1 if res is None else res, 1.0 if margin is None else margin, overrides or []
+            settings, 0.1 if res is None else res, 1.0 if margin is None else margin
         )
     finder = navbake.VoxelFinder(voxels, radius, min_height, max_height, clearance, unknown=unknown)
     flight = finder.find_path(begin, end)
     reason = finder.why_not(begin, end) if flight is None else None
-    if as_json:
-        print_json({"path": None if flight is None else _list_facts(flight), "reason": reason})
-    elif flight is None:
+    facts = None if flight is None else {key: getattr(flight, key) for key in FLIGHT_FIELDS}
+    add_facts(scene_id=scene_id, path=facts, reason=reason)
+    if flight is None:
         say(f"no path: {reason}")
     else:
-        print(f"length  {flight.length:.3f} m")
-        print(f"cost    {flight.cost:.3f}")
-        print("      x       y       z")
+        say(f"length  {flight.length:.3f} m")
+        say(f"cost    {flight.cost:.3f}")
+        say("      x       y       z")
         for x, y, z in flight.positions.round(3) + 0.0:  # no -0.000
-            print(f"{x:7.3f} {y:7.3f} {z:7.3f}")
+            say(f"{x:7.3f} {y:7.3f} {z:7.3f}")
     for output in outputs or ():
         _write_output(output, voxels, flight)
     if flight is None:
@@ -104,19 +112,14 @@ def _parse_position(text: str, option_name: str) -> Triple:
     return place.x, place.y, place.z
 
 
-def _voxelize_box(scene: Path, res: float, margin: float, overrides: list[str]) -> VoxelGrid:
+def _voxelize_box(settings: BakeConfig, res: float, margin: float) -> VoxelGrid:
     """Make the voxels of a scene's box, and of a margin round it.
 
     Args:
-        scene: a scene, settings, or a sample's name.
+        settings: the scene's settings.
         res: edge of a voxel [m].
         margin: what the voxels cover beside the box, on each side [m].
-        overrides: settings in place of the scene's, as ``KEY=VALUE``.
     """
-    from navbake.config.settings import load_config  # loads numpy
-
-    settings = load_config(scene, overrides)
-    options.say_if_sample(scene)
     voxelizer = navbake.Voxelizer(settings)
     print_warnings(voxelizer.scene.warnings)
     bounds = voxelizer.shapes.bounds
@@ -125,16 +128,6 @@ def _voxelize_box(scene: Path, res: float, margin: float, overrides: list[str]) 
     lower, upper = bounds
     size = (upper - lower + 2.0 * margin).tolist()
     return voxelizer.create((lower + upper) / 2.0, res=res, size=size, align=True)
-
-
-def _list_facts(flight: FlightPath) -> Json:
-    """List what --json prints of a path."""
-    return {
-        "positions": flight.positions,
-        "length": flight.length,
-        "cost": flight.cost,
-        "radius": flight.radius,
-    }
 
 
 def _write_output(output: Path, voxels: VoxelGrid, flight: FlightPath | None) -> None:
@@ -150,4 +143,5 @@ def _write_output(output: Path, voxels: VoxelGrid, flight: FlightPath | None) ->
         options.write_output(draw_flight(voxels, flight), output)
     else:
         flight.save(output, voxels=voxels if suffix == ".mcap" else None)
+    add_files(output)
     say_unless_quiet(output)
