@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import argparse
 import io
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from functools import partial
@@ -209,11 +211,20 @@ def draw_page(name: str) -> bytes:
     return taken
 
 
+def draw_stand() -> bytes:
+    """Take the picture that `examples/reach_a_mug.py` draws."""
+    example = ROOT / "examples" / "reach_a_mug.py"
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([sys.executable, example], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        return (Path(folder) / "mug.png").read_bytes()
+
+
 PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
     **{name: partial(draw_plain, name) for name in PLAIN},
     "inflated": draw_inflated,
     "path": draw_path,
     "rooms": draw_rooms,
+    "stand": draw_stand,
     "roles": draw_roles,
     "scan": partial(draw_scan, True),
     "scan_holes": partial(draw_scan, False),

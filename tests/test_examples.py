@@ -22,6 +22,11 @@ PRINTED = {
         "radius 0.30 m: 16.2 m2 free, path of",
         "door 'door_bedroom' is closed for a radius of 0.4 m, and 0.35 m passes",
     ],
+    "reach_a_mug": [
+        "stand at 2.95, 2.75, face +2.06 rad, after 4.04 m",
+        "through door_kitchen: 3.91 m",
+        "no cell at 0.3 to 0.75 m from dining_lamp is free",
+    ],
     "spawn_and_plan": ["start at ", " m to room 1:1 through", "(50.00, 0.00, 0.00) lies beside"],
     "voxels_round_a_robot": ["in reach: beanbag, ", "apartment.bt: (200, 160, 52) voxels"],
 }

@@ -1,10 +1,11 @@
-"""The commands that query a grid: `info`, `rooms`, `why`, `path`, `sample`."""
+"""The commands that query a grid: `info`, `rooms`, `why`, `path`, `sample`, `stand`."""
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from typer import BadParameter, Exit, Option
 
@@ -23,9 +24,14 @@ from navbake.cli.printing import add_facts, print_tables, print_warnings, say
 from navbake.errors import QueryError, count_of
 from navbake.views import tables
 
+if TYPE_CHECKING:
+    from navbake.runtime.stand import StandPoses
+
 # Functions import `navbake.views` only when they run, so that --help doesn't load numpy.
 
 NAME_PREFIXES = ("room:", "object:")
+STAND_PREFIXES = ("object:", "category:")
+POSE_COLUMNS = ("target", "x m", "y m", "z m", "heading rad", "distance m", "path m")
 PLACE_METAVAR = f"{PLACE}|room:NAME"
 PATH_FIELDS = "length", "cost", "seconds", "rooms", "doors", "links", "positions", "levels", "cells"
 
@@ -270,3 +276,129 @@ def sample(
         rows.append([*number_texts, level, room_id])
     column_names = ("x m", "y m", "z m", "heading rad", "level", "room")
     print_tables(tables.make_table(column_names, rows, column_names[:5]))
+
+
+def stand(
+    grid: GridFile,
+    target_texts: list[str] = argument(
+        f"object:NAME|category:NAME|{PLACE}", "What to reach; several are reached one by one."
+    ),
+    reach: str = option(
+        "LEAST,GREATEST",
+        "Distance from the base's axis to the target [m].",
+        default="0.3,0.8",
+    ),
+    count: int = option("N", "Most poses for each target.", "-n", "--count", default=16, min=1),
+    footprint: str | None = option(
+        "LENGTH,WIDTH", "Size of a rectangular base round its axis [m].  [default: a disc]"
+    ),
+    facing: bool = Option(True, help="Face the target, or any direction."),
+    height: float | None = option("METRES", "Shoulder's height: measure in space [m].", min=0.0),
+    sight: bool = Option(True, help="The target must be in sight, or may be hidden."),
+    eye: float | None = option("METRES", "Height of the eye [m].  [default: the agent's]", min=0.0),
+    spread: float = option("METRES", "At least so far apart [m].", default=0.25, min=0.0),
+    seed: int = option("N", "Seed of the draw.", default=0, min=0),
+    start: str | None = option(
+        PLACE, "Where the robot is: nearest poses first, where a path leads.", "--from", "--start"
+    ),
+    radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
+    output: Path | None = option(
+        "JSON|PNG|SVG", "Write the poses, or draw them where bases can stand.", *OUTPUT_FLAGS
+    ),
+) -> None:
+    """Find where a robot's base can stand to reach a thing, or say why nowhere.
+
+    The exit status is 1 if there is no pose at all.
+
+    Example: navbake stand house.grid.json object:sofa --radius 0.3
+    """
+    if output is not None:
+        options.check_output(output, ".json", ".png", ".svg", inputs=[grid])
+    least_and_greatest = options.parse_pair(reach, "--reach")
+    outline = None
+    if footprint is not None:
+        length, width = options.parse_pair(footprint, "--footprint")
+        half_length = length / 2.0
+        half_width = width / 2.0
+        outline = [
+            (half_length, half_width),
+            (-half_length, half_width),
+            (-half_length, -half_width),
+            (half_length, -half_width),
+        ]
+    typed_places = [_parse_target(text) for text in target_texts]
+    typed_start = None if start is None else options.parse_place(start, "--from")
+    nav_grid = navbake.load(grid)
+    targets = [
+        text if place is None else options.position_of_place(nav_grid, place, "TARGET")
+        for text, place in zip(target_texts, typed_places, strict=True)
+    ]
+    start_position = None
+    if typed_start is not None:
+        start_position = options.position_of_place(nav_grid, typed_start, "--from")
+    if radius is not None:
+        nav_grid = nav_grid.inflate(radius)
+    finder = navbake.PathFinder(nav_grid)
+    rules: dict[str, Any] = {
+        "reach": least_and_greatest,
+        "footprint": outline,
+        "facing": "target" if facing else None,
+        "height": height,
+        "sight": sight if eye is None or not sight else eye,
+        "start": start_position,
+    }
+    poses = finder.stand_poses(targets, count=count, spread=spread, seed=seed, **rules)
+    rows = [
+        {
+            "target": poses.targets[target_index],
+            "position": position,
+            "heading": heading,
+            "distance": distance,
+            "path_length": None if start is None else path_length,
+        }
+        for target_index, position, heading, distance, path_length in zip(
+            poses.target_index.tolist(),
+            poses.positions.tolist(),
+            poses.headings.tolist(),
+            poses.distances.tolist(),
+            poses.path_lengths.tolist(),
+            strict=True,
+        )
+    ]
+    facts = {"scene_id": nav_grid.scene_id, "poses": rows, "why_not": poses.why_not}
+    add_facts(**facts)
+    with options.keep_stdout_for(output):
+        if rows:
+            _print_poses(poses)
+        for reason in poses.why_not.values():
+            say(f"no pose: {reason}")
+    if output is not None and output.suffix.lower() == ".json":
+        options.write_output(json.dumps(facts, indent=2).encode(), output)
+    elif output is not None:
+        region = finder.stand_region(targets, **rules)
+        options.write_picture(nav_grid, output, layers=("occupancy",), poses=poses, region=region)
+    if not rows:
+        raise Exit(1)
+
+
+def _parse_target(text: str) -> options.TypedPlace | None:
+    """Parse a target that is a place; None for one that is named."""
+    if text.startswith(STAND_PREFIXES):
+        return None
+    if not options.PLACE_PATTERN.fullmatch(text):
+        message = f"expected object:NAME, category:NAME or {PLACE}, got {text!r}"
+        raise BadParameter(message, param_hint="TARGET")
+    return options.parse_place(text, "TARGET")
+
+
+def _print_poses(poses: StandPoses) -> None:
+    """Print poses as a table."""
+    rows = []
+    for index, position in enumerate(poses.positions.tolist()):
+        numbers = [*position, poses.headings[index], poses.distances[index]]
+        if not math.isnan(poses.path_lengths[index]):
+            numbers.append(poses.path_lengths[index])
+        texts = [f"{round(number, 3) + 0.0:.3f}" for number in numbers]  # no -0.000
+        rows.append([poses.targets[poses.target_index[index]], *texts])
+    column_names = POSE_COLUMNS[: len(rows[0])]
+    print_tables(tables.make_table(column_names, rows, column_names[1:]))

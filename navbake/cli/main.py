@@ -16,7 +16,7 @@ from typer import Exit, Option, Typer
 from typer.core import TyperGroup
 
 from navbake._version import __version__
-from navbake.cli.ask import info, path, rooms, sample, why
+from navbake.cli.ask import info, path, rooms, sample, stand, why
 from navbake.cli.bake import bake, geoms, init, samples, schema, voxelize
 from navbake.cli.batch import batch, warm_up
 from navbake.cli.check import audit, doctor, verify
@@ -36,7 +36,7 @@ DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, 
 
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Bake": (samples, init, schema, geoms, bake, voxelize),
-    "Ask": (info, rooms, why, path, sample, fly),
+    "Ask": (info, rooms, why, path, sample, stand, fly),
     "Look": (plot, report, view),
     "Exchange": (convert, inflate, routes, map_descriptor),
     "Benchmark": (episodes, score),

@@ -398,6 +398,25 @@ def _keyword(name: str, default: object, annotation: object) -> inspect.Paramete
 # --- places -----------------------------------------------------------------------------------
 
 
+def parse_pair(text: str, option: str) -> tuple[float, float]:
+    """Parse two lengths.
+
+    Args:
+        text: two numbers >= 0 with a comma in between.
+        option: the name of the option that gives the text, for errors.
+
+    Raises:
+        BadParameter: the text has another form.
+    """
+    match = re.fullmatch(rf"({NUMBER_PATTERN}),({NUMBER_PATTERN})", text.replace(" ", ""))
+    lengths = (float(match[1]), float(match[2])) if match else (-1.0, -1.0)
+    if not all(0.0 <= length < math.inf for length in lengths):
+        raise BadParameter(
+            f"expected two lengths in metres as in 0.3,0.8, got {text!r}", param_hint=option
+        )
+    return lengths
+
+
 class TypedPlace(NamedTuple):
     """A place that a user typed: x and y, and either z, a level, or neither."""
 

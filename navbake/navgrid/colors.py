@@ -21,6 +21,7 @@ CLOSED = "#938fbf"  # free as baked, closed by inflation
 DOOR = "#c8440a"  # where a door blocks the way
 DOORWAY = "#ff9f5a"  # where a door would block the way if it were closed
 ROUTE = "#1864ab"
+STAND = "#0f875a"  # cells where a base can stand, and which way it faces there
 # the first kind of mark in a picture has the first colour, and so on
 MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")
 

@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from navbake.routes.graph import RouteGraph
     from navbake.runtime import paths
     from navbake.runtime.blocking import AddedObstacle
+    from navbake.runtime.stand import StandPoses
     from navbake.tensors.grid_tensors import GridTensors
+    from navbake.types import Bool
     from navbake.views.plot import Mark
 
 # Functions import the modules that they call: most of these import this module, or load slowly.
@@ -811,6 +813,8 @@ class GridMethods:
         layers: Sequence[str] = ("occupancy", "floor"),
         route: paths.Path | None = None,
         marks: Sequence[Mark] = (),
+        poses: StandPoses | None = None,
+        region: Sequence[Bool] | None = None,
     ) -> Image: ...
 
     @overload
@@ -822,6 +826,8 @@ class GridMethods:
         layers: Sequence[str] = ("occupancy", "floor"),
         route: paths.Path | None = None,
         marks: Sequence[Mark] = (),
+        poses: StandPoses | None = None,
+        region: Sequence[Bool] | None = None,
     ) -> Path: ...
 
     def plot(
@@ -832,6 +838,8 @@ class GridMethods:
         layers: Sequence[str] = ("occupancy", "floor"),
         route: paths.Path | None = None,
         marks: Sequence[Mark] = (),
+        poses: StandPoses | None = None,
+        region: Sequence[Bool] | None = None,
     ) -> Image | Path:
         """Draw layers of the grid: as an image, which notebooks show, or into a file.
 
@@ -847,6 +855,9 @@ class GridMethods:
             route: A path to draw on top, each of its parts on its level.
             marks: Places to mark, each as level (-1 for all levels), world x and y [m], and the
                 kind of the mark, such as the name of a fault.
+            poses: Poses of a base to draw as arrows, from `PathFinder.stand_poses`.
+            region: Cells to shade, from `PathFinder.stand_region`: for each level, bool, shape
+                (height, width).
 
         Returns:
             The image, or the path of the file if `path` is given.
@@ -861,7 +872,16 @@ class GridMethods:
         """
         from navbake.views.plot import plot
 
-        return plot(self._as_grid(), path, level=level, layers=layers, route=route, marks=marks)
+        return plot(
+            self._as_grid(),
+            path,
+            level=level,
+            layers=layers,
+            route=route,
+            marks=marks,
+            poses=poses,
+            region=region,
+        )
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: a line of facts, and a picture of each level."""

@@ -19,9 +19,11 @@ from PIL import Image
 from navbake.errors import MissingDependencyError, QueryError, printable
 from navbake.formats.source import write_bytes
 from navbake.navgrid.cells import check_level
-from navbake.navgrid.colors import DOOR, DOORWAY, LINK, ROUTE
+from navbake.navgrid.colors import DOOR, DOORWAY, LINK, ROUTE, STAND, rgb_of
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
+from navbake.runtime.stand import StandPoses
+from navbake.types import Bool, Float
 from navbake.views.describe import Connection
 from navbake.views.layers import Label, Panel, choose_kind_colors, make_panel, paint
 
@@ -48,6 +50,8 @@ if TYPE_CHECKING:
 
 DEFAULT_LAYERS = ("occupancy", "floor")
 DPI = 150  # pixels per inch of a PNG
+ARROW_LENGTH = 0.25  # of the arrow of a pose [m]
+SHADE_ALPHA = 110  # opacity of shaded cells, 0 to 255
 MAX_MAPS_PER_ROW = 3
 WIDE_ASPECT = 2.4  # maps whose width is more than this times their height lie below each other
 MAX_ASPECT = 40.0  # a map that is longer and narrower than this shows empty space beside the grid
@@ -136,6 +140,8 @@ def render_picture(
     layers: Sequence[str] = DEFAULT_LAYERS,
     route: Route | None = None,
     marks: Sequence[Mark] = (),
+    poses: StandPoses | None = None,
+    region: Sequence[Bool] | None = None,
 ) -> bytes:
     """Draw a grid as PNG or SVG; equal arguments give equal bytes.
 
@@ -150,6 +156,9 @@ def render_picture(
         layers: the layers to draw, names of `navbake.views.layers.LAYERS`.
         route: a path to draw on top, each of its parts on its level.
         marks: places to mark; those without a level are drawn on all levels.
+        poses: poses of a base, from `PathFinder.stand_poses`, drawn as arrows.
+        region: cells to shade, from `PathFinder.stand_region`; for each level, bool, shape
+            (height, width).
 
     Raises:
         QueryError: there is no such level or layer.
@@ -200,10 +209,17 @@ def render_picture(
             _draw_panel(ax, panel, grid.levels[level_number].lattice.bounds)
             if route is not None:
                 _draw_route(ax, route, level_number)
+            if region is not None:
+                _shade_region(ax, region[level_number], grid.levels[level_number].lattice.bounds)
+            if poses is not None:
+                is_on_level = grid.cells_at(poses.positions).level == level_number
+                _draw_poses(ax, poses.positions[is_on_level], poses.headings[is_on_level])
             for mark_level, x, y, kind in marks:
                 if mark_level in (level_number, -1):
                     color = color_of_kind[kind]
                     ax.plot(x, y, "s", markerfacecolor="none", color=color, markersize=5, mew=1.2)
+        if poses is not None or region is not None:
+            color_of_kind = {**color_of_kind, "where a base can stand": STAND}
         legend = _draw_legend(figure, panels, color_of_kind, route is not None)
         # names fit rooms: the layout must be known before they are written
         figure.draw_without_rendering()
@@ -246,6 +262,39 @@ def _draw_route(ax: PanelAxes, route: Route, level_number: int) -> None:
             markeredgecolor="white",
             markersize=8,
         )
+
+
+def _shade_region(
+    ax: PanelAxes, is_in_region: Bool, bounds: tuple[float, float, float, float]
+) -> None:
+    """Shade cells of a level with the colour of places where a base can stand."""
+    x_min, y_min, x_max, y_max = bounds
+    x_limits = ax.get_xlim()
+    y_limits = ax.get_ylim()
+    shade = np.zeros((*is_in_region.shape, 4), dtype=np.uint8)
+    shade[is_in_region] = (*rgb_of(STAND), SHADE_ALPHA)
+    ax.imshow(shade, extent=(x_min, x_max, y_min, y_max), interpolation="nearest")
+    ax.set(xlim=x_limits, ylim=y_limits)
+
+
+def _draw_poses(ax: PanelAxes, positions: Float, headings: Float) -> None:
+    """Draw poses of a level as arrows from the base's axis to where it faces."""
+    ax.quiver(
+        positions[:, 0],
+        positions[:, 1],
+        ARROW_LENGTH * np.cos(headings),
+        ARROW_LENGTH * np.sin(headings),
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        units="dots",
+        width=4.0,
+        color=STAND,
+        edgecolor="white",
+        linewidth=0.5,
+        zorder=3,
+    )
+    ax.plot(positions[:, 0], positions[:, 1], "o", color=STAND, markeredgecolor="white", ms=4)
 
 
 def _write_all_names(

@@ -302,3 +302,54 @@ def test_sample_keeps_indoors_and_apart(run):
     outdoors = {room.id for room in navbake.load(HOUSE).rooms if room.outdoors}
     assert status == 0
     assert not outdoors & {place["room"] for place in json.loads(out)["places"]}
+
+
+def test_stand_prints_poses_from_which_a_base_reaches_a_thing(run):
+    arguments = ["stand", APARTMENT, "object:vase", "--radius", 0.15, "--from", "0.5,0.4", "-n", 5]
+    status, out, _ = run(*arguments, "--footprint", "0.4,0.3")
+    assert status == 0
+    finder = navbake.PathFinder(navbake.load(APARTMENT).inflate(0.15))
+    base = [(0.2, 0.15), (-0.2, 0.15), (-0.2, -0.15), (0.2, -0.15)]
+    poses = finder.stand_poses("object:vase", footprint=base, start=(0.5, 0.4), count=5)
+    rows = [line.split() for line in out.splitlines()[1:]]
+    assert [row[0] for row in rows] == ["vase"] * 5
+    numbers = np.array([row[1:] for row in rows], dtype=float)
+    np.testing.assert_allclose(numbers[:, :3], poses.positions, atol=6e-4)
+    np.testing.assert_allclose(numbers[:, 3], poses.headings, atol=6e-4)
+    np.testing.assert_allclose(numbers[:, 5], poses.path_lengths, atol=6e-4)
+
+
+def test_stand_writes_poses_and_draws_them(run, tmp_path):
+    arguments = ["stand", APARTMENT, "category:dining_chair", "1.8,-1.0,0.5", "-n", 2]
+    status, out, _ = run(*arguments, "--eye", 1.0, "--no-facing", "-o", tmp_path / "poses.json")
+    content = json.loads((tmp_path / "poses.json").read_text())
+    assert status == 0 and len(out.splitlines()) == 1 + len(content["poses"]) == 11
+    assert {pose["target"] for pose in content["poses"]} >= {"dining_chair_4", "1.8, -1, 0.5"}
+    assert content["why_not"] == {} and content["poses"][0]["path_length"] is None
+    status, out, _ = run(*arguments, "--no-sight", "--json", "-o", tmp_path / "poses.png")
+    assert status == 0 and json.loads(out)["scene_id"] == "apartment"
+    assert (tmp_path / "poses.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_stand_says_in_a_line_why_there_is_no_pose(run):
+    status, out, _ = run("stand", APARTMENT, "object:dining_lamp", "--radius", 0.2)
+    reason = "no cell at 0.3 to 0.8 m from dining_lamp is free for a radius of 0.2 m"
+    assert status == 1 and out == f"no pose: {reason}\n"
+    status, out, _ = run("stand", APARTMENT, "object:dining_lamp", "object:sofa", "--radius", 0.2)
+    assert status == 0 and out.endswith(f"no pose: {reason}\n")
+    status, _, err = run("stand", APARTMENT, "object:sofaa")
+    assert status == 1 and "did you mean 'sofa'" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["sofa"], "expected object:NAME, category:NAME or X,Y[,Z|,LEVEL], got 'sofa'"),
+        (["object:sofa", "--reach", "0.8"], "expected two lengths in metres as in 0.3,0.8"),
+        (["object:sofa", "--footprint", "0.4,x"], "expected two lengths in metres"),
+        (["object:sofa", "-o", "poses.txt"], "expected a name that ends in .json, .png, .svg"),
+    ],
+)
+def test_stand_refuses_what_it_does_not_understand(run, arguments, message):
+    status, _, err = run("stand", APARTMENT, *arguments)
+    assert status == 2 and message in err

@@ -98,7 +98,7 @@ def test_help_lists_the_commands_in_groups(run):
     groups = re.findall(r"^(\w+):\n((?:  .+\n)+)", out, flags=re.MULTILINE)
     named = {title: re.findall(r"^  (\S+)", text, flags=re.MULTILINE) for title, text in groups}
     assert list(named) == ["Options", *COMMANDS]
-    assert named["Ask"] == ["info", "rooms", "why", "path", "sample", "fly"]
+    assert named["Ask"] == ["info", "rooms", "why", "path", "sample", "stand", "fly"]
     assert "map-descriptor" in named["Exchange"] and "mdf" not in out and "extrude" not in out
 
 

@@ -7,14 +7,16 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+import navbake
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
-from navbake.navgrid.colors import CLOSED, DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE
+from navbake.navgrid.colors import CLOSED, DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE, STAND
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.rooms import to_runs
 from navbake.runtime.paths import Path as Route
 from navbake.views import plot
 from navbake.views.layers import Label, make_panel, paint
 from navbake.views.plot import plot_grid, render_picture
+from project_paths import GOLDEN
 
 pytest.importorskip("matplotlib")
 
@@ -210,6 +212,21 @@ def test_a_path_is_blue_over_white_and_on_its_level(house):
         assert (cols // half == level).all()
         rows, _ = find(image, ROUTE, slice(above, None))
         assert len(rows) > 20  # the legend has it
+
+
+def test_poses_and_the_cells_where_a_base_can_stand_are_drawn_on_their_level():
+    house = navbake.load(GOLDEN / "house.grid.json.gz")
+    finder = navbake.PathFinder(house)
+    poses = finder.stand_poses("object:bed_1", count=4)
+    level = finder.cell_at(poses.positions[0]).level
+    region = finder.stand_region("object:bed_1")
+    image = pixels(render_picture(house, layers=["occupancy"], poses=poses))
+    shaded = pixels(render_picture(house, layers=["occupancy"], poses=poses, region=region))
+    half = image.shape[1] // 2
+    _, cols = find(image, STAND, slice(0, image.shape[0] * 3 // 4))
+    assert len(cols) > 40 and (cols // half == level).all()
+    is_shaded = (image != shaded).any(axis=2)
+    assert is_shaded.sum() > 1000 and (np.nonzero(is_shaded)[1] // half == level).all()
 
 
 @pytest.mark.parametrize("state", ["closed", "open"])
