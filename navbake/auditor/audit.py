@@ -49,10 +49,10 @@ def check_lattices(facts: Facts) -> Iterator[Finding]:
             text = f"its cells have a size of {lattice.cell_size:g} m"
             yield Finding(ERROR, level_number, None, text)
         if not all(map(math.isfinite, (lattice.x_min, lattice.y_max, level.ground))):
-            yield Finding(ERROR, level_number, None, "its corner is at no place")
+            yield Finding(ERROR, level_number, None, "its corner is at infinite or NaN coordinates")
 
 
-def check_order(facts: Facts) -> Iterator[Finding]:
+def check_level_order(facts: Facts) -> Iterator[Finding]:
     """Find levels that are out of order, are not aligned with the lowest, or appear twice."""
     lowest_lattice = facts.levels[0].lattice
     for level_number, level in enumerate(facts.levels[1:], start=1):
@@ -537,7 +537,7 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Finding]]]] = {
     "nothing leads out of a room": ("no way out", check_rooms_without_way_out),
     "a door joins what it can't": ("doors", check_doors),
     "cells have no size, or no place": ("levels", check_lattices),
-    "levels are out of order": ("levels", check_order),
+    "levels are out of order": ("levels", check_level_order),
     "boxes exclude their own cells": ("boxes", check_boxes),
     "links lead nowhere": ("links", check_steps),
     "links are missing": ("no link", check_missing_steps),

@@ -225,7 +225,7 @@ def sample(
     count: int = option("N", "How many places.", "-n", "--count", default=1, min=1),
     seed: int = option("N", "Seed of the draw.", default=0, min=0),
     room: str | None = option(
-        "NAME", "In this room only, by id or name.", completion=completion.list_rooms
+        "NAME", "Draw in this room only, by id or name.", completion=completion.list_rooms
     ),
     level: int | None = LEVEL_OPTION,
     outdoors: bool = Option(True, help="Also in rooms that are outdoors, or indoors alone."),

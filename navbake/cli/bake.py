@@ -305,7 +305,7 @@ def bake(
         *OUTPUT_FLAGS,
     ),
     name: str | None = option(
-        "NAME", "Of files in the folder: {id} of the scene, {stem}, {parent}.  [default: {id}]"
+        "NAME", "Name of files in the folder: {id} of the scene, {stem}, {parent}.  [default: {id}]"
     ),
     overrides: Overrides = None,
     radius: AgentRadius = None,

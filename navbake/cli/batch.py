@@ -86,7 +86,10 @@ class ProductOptions:
     """The options that say what a batch writes."""
 
     output: str = option(
-        "FOLDER", "Folder to write into, with a folder of each scene.", *OUTPUT_FLAGS, default=...
+        "FOLDER",
+        "Folder to write into; each scene gets a folder of its own in it.",
+        *OUTPUT_FLAGS,
+        default=...,
     )
     make: list[str] | None = option(
         "WHAT",
@@ -120,7 +123,7 @@ class WorkerOptions:
         "embedded|ray", "Run workers on this machine, or on a Ray cluster.", default="embedded"
     )
     ray_address: str | None = option(
-        "ADDRESS", "Of the Ray cluster; local starts one here.  [default: RAY_ADDRESS, else local]"
+        "ADDRESS", "Ray cluster to use; local starts one here.  [default: RAY_ADDRESS, else local]"
     )
 
 

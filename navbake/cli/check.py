@@ -68,7 +68,7 @@ def verify(
     seed: int = option("N", "Seed of the sample and of the paths.", default=0, min=0),
     scene: Path | None = SCENE_OPTION,
     radius: float | None = option(
-        "METRES", "Of the agent [m]; inflates the grid, if need be.  [default: that of the grid]"
+        "METRES", "Agent's radius [m]; inflates the grid, if need be.  [default: the grid's]"
     ),
     paths: int = option("N", "Sweep the agent along this many paths.", default=0, min=0),
     tolerance: float = option(
@@ -149,9 +149,9 @@ def audit(
         "METRES", "Radius that lanes have to be free for [m].  [default: that of the graph]"
     ),
 ) -> None:
-    """Look at a grid of any program, or at a graph of routes, for what a person would notice.
+    """Check a grid of any program, or a graph of routes, for faults that a person would notice.
 
-    It needs no scene. The exit status is 1 if there are errors, 0 if there are only remarks.
+    The scene is not needed. The exit status is 1 if there are errors, 0 if there are only remarks.
 
     Example: navbake audit house.grid.json -o remarks.png
     """

@@ -64,7 +64,11 @@ def episodes(
         default="point",
         completion=completion.list_choices("point|object|room"),
     ),
-    share: float = option("SHARE", "Of the free area to explore.", default=0.9),
+    share: float = option(
+        "SHARE",
+        "Share of the free area that has to be explored, 0 to 1, with TASK explore.",
+        default=0.9,
+    ),
     sampler: str = option(
         "NAME",
         "uniform, habitat, stratified or minos.",
@@ -77,9 +81,9 @@ def episodes(
     seed: int = option("N", "Seed of the draw.", default=0, min=0),
     split: list[str] | None = option("NAME=SHARE", "A part of the set. May be repeated."),
     split_by: str = option("scene|room", "What is in one part whole.", default="scene"),
-    radius: float | None = option("METRES", "Of the agent; grids are inflated for it [m]."),
-    height: float | None = option("METRES", "Of the agent, at most the grid's [m]."),
-    speed: float | None = option("M/S", "Of the agent, as a note [m/s]."),
+    radius: float | None = option("METRES", "Agent's radius; grids are inflated for it [m]."),
+    height: float | None = option("METRES", "Agent's height, at most the grid's [m]."),
+    speed: float | None = option("M/S", "Agent's speed, as a note [m/s]."),
     agent: str | None = option(
         "NAME",
         "One of the grids' agents: its size, speed and rights.",
@@ -236,7 +240,7 @@ def score(
     content: Annotated[Path, Argument(metavar="SET", help="The episodes.")],
     trajectories: Annotated[Path, Argument(metavar="TRAJECTORIES", help=".jsonl or .npz.")],
     grids: list[Path] | None = argument(
-        "GRID…", "Of the set, or the folder that they are in.  [default: those it names]", None
+        "GRID…", "Grids of the set, or their folder.  [default: those that the set names]", None
     ),
     by: str = option(
         "GROUP",
@@ -244,15 +248,17 @@ def score(
         default="all",
         completion=completion.list_choices("all|distance|ratio|room|scene|split"),
     ),
-    threshold: float = option("METRES", "Of nDTW [m].", default=3.0),
-    seed: int = option("N", "Seed of the intervals.", default=0, min=0),
+    threshold: float = option(
+        "METRES", "Distance at which nDTW counts a point as missed [m].", default=3.0
+    ),
+    seed: int = option("N", "Seed of the confidence intervals.", default=0, min=0),
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),
     force: bool = flag("--force", "Score on another grid, or for another agent."),
     output: Path | None = option(
         "CSV", "Write a row for each episode; - for stdout.", *OUTPUT_FLAGS
     ),
 ) -> None:
-    """Score trajectories in a set of episodes, with intervals of 95 %.
+    """Score trajectories against a set of episodes, with 95 % confidence intervals.
 
     Example: navbake score house.jsonl runs.jsonl house.grid.json -o scores.csv
     """

@@ -400,7 +400,9 @@ def routes(
         "An agent that the grid names.  [default: the grid's own]",
         completion=completion.list_agents,
     ),
-    radius: float | None = option("METRES", "Of the agent [m].  [default: its own, or the grid's]"),
+    radius: float | None = option(
+        "METRES", "Agent's radius [m].  [default: its own, or the grid's]"
+    ),
     level: int | None = LEVEL_OPTION,
     to: str | None = option(
         "FORMAT",

@@ -466,9 +466,9 @@ def position_of_place(grid: NavGrid, place: TypedPlace, option: str) -> list[flo
         World x, y and maybe z [m].
 
     Raises:
-        BadParameter: the place has neither z nor level, and no level or several have a floor there;
-            or the place has a level without a floor there, and a position on that level's ground
-            would belong to another level.
+        BadParameter: the place has neither z nor level, and there is a floor on no level or on
+            several; or its level has no floor there, and the height of that level's ground is on
+            another level there.
         QueryError: the grid has no such level.
     """
     x, y, z, level = place

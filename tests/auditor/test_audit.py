@@ -362,7 +362,7 @@ def levels_on_two_lattices(grid):
     grid.levels[1].min_yup = (x + 0.04, y, z)
 
 
-@plant("house", ERROR, "its corner is at no place", 1)
+@plant("house", ERROR, "its corner is at infinite or NaN coordinates", 1)
 def level_at_no_place(grid):
     grid.levels[1].min_yup = (0.0, float("nan"), 0.0)
 

@@ -306,8 +306,8 @@ class Voxelizer:
                 the other arguments.
 
         Raises:
-            ConfigError: there is no such joint or keyframe, or not as many positions.
-            SceneError: a geom that counts would stand at no finite place.
+            ConfigError: a joint or keyframe does not exist, or the number of positions is wrong.
+            SceneError: a geom that counts would be at infinite or NaN coordinates.
         """
         model = self.scene.model
         has_joints_or_keyframe = joints is not None or keyframe is not None
@@ -337,7 +337,7 @@ class Voxelizer:
             np.isfinite(geom_positions[is_counted]).all()
             and np.isfinite(geom_rotations[is_counted]).all()
         ):
-            raise SceneError(f"a geom of {self.scene.id} would stand at no finite place")
+            raise SceneError(f"a geom of {self.scene.id} would be at infinite or NaN coordinates")
         has_moved = (geom_positions != loaded_data.geom_xpos).any(axis=1)
         has_moved |= (geom_rotations != loaded_data.geom_xmat).any(axis=1)
         has_moved &= is_counted

@@ -188,7 +188,7 @@ def test_bad_poses(path, voxelizer, tmp_path):
         voxelizer.set_pose()
     with pytest.raises(ConfigError, match="one of joints"):
         voxelizer.set_pose(qpos=[1, 2], keyframe=0)
-    with pytest.raises(SceneError, match="no finite place"):
+    with pytest.raises(SceneError, match="infinite or NaN coordinates"):
         voxelizer.set_pose(qpos=[np.nan, 0])
     other = scene_of(tmp_path, '<geom type="sphere" size=".1"/>')
     with pytest.raises(ConfigError, match="data of this scene's 7 geoms, got 1"):
