@@ -54,7 +54,7 @@ def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> Non
 
 
 def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
-    """Write several files like `write_whole`: all of them or, as far as the system allows, none.
+    """Write several files whole: all of them or, as far as the system allows, none.
 
     All files are written before the first one is renamed. If two or more existing files change,
     these are first put aside, the last one first: a process that is killed in between leaves some

@@ -12,4 +12,4 @@ def regions_of(stages: Stages, columns: ColumnSource | None = None) -> Regions:
     """The regions that steps make of the surfaces in the columns, those of the bake if None."""
     source = stages.column_chunks if columns is None else columns
     agent = stages.config.agent
-    return find_regions(find_surfaces(source, stages.tile_index.shapes.planes, agent), agent)
+    return find_regions(find_surfaces(source, stages.shape_source.shapes.planes, agent), agent)

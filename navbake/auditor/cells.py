@@ -116,19 +116,19 @@ def check_weights(facts: Facts) -> Iterator[Finding]:
 def mark_cells_inflation_may_block(grid: GridBase, level_number: int, max_distance: float) -> Bool:
     """Mark the cells of a level that an inflation may have blocked.
 
-    A cell is marked if a square around it has one of these reasons:
+    A cell is marked if a square around it contains one of these:
 
     - an occupied cell, a cell without a floor, or the edge of the level;
     - a floor that is more than a step higher or lower;
     - a floor of another level that is higher than this level's lowest floor less the agent's
       height, and lower than its highest floor plus the agent's height.
 
-    The square reaches slightly farther than `max_distance`, so that no reason is missed.
+    The square reaches slightly farther than `max_distance`, so that no cause is missed.
 
     Args:
         grid: the grid.
         level_number: the level's index.
-        max_distance: how far from a cell's centre an inflation looks for reasons [m].
+        max_distance: how far from a cell's centre an inflation looks for such causes [m].
 
     Returns:
         A mask of the cells, shape (height, width).

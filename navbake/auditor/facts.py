@@ -103,7 +103,9 @@ def number_islands(
     """Number the connected components of all levels' marked cells.
 
     This shares no code with the bake. Cells that share an edge are connected unless their floors
-    lie more than a step apart.
+    lie more than a step apart. Cells that can be reached only in one direction are on different
+    islands: one-way connections join two cells only where a chain of connections also leads back
+    (strongly connected components).
 
     Args:
         masks_of_levels: the marked cells of each level, shape (height, width).
@@ -112,8 +114,7 @@ def number_islands(
         two_way_connections: connections that lead both ways: level and cell of both ends, shape
             (n, 4).
         one_way_connections: connections that lead from their first end to their second end only,
-            shape (n, 4). They connect two cells only if some lead from the first to the second, and
-            some lead back.
+            shape (n, 4).
 
     Returns:
         The island of each cell of each level, numbered from 1 by descending size; 0 for unmarked

@@ -355,7 +355,7 @@ def write_record(folder: store.Folder, record: Mapping[str, Any]) -> None:
 
 
 def remove_made_files(folder: store.Folder) -> None:
-    """Remove the files that batches made from a scene's folder, and no other files.
+    """Remove from a scene's folder the files that batches made, and no others.
 
     These are the grid, the recorded files, the record, and temporary files of killed processes. The
     folder may hold the user's own files, too. To tell them apart, the names of all products are

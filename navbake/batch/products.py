@@ -28,7 +28,7 @@ from navbake.types import Json
 from navbake.views.layers import LAYERS
 
 # loaded by the products that need them
-voxelizer = lazy("navbake.baker.voxels.voxelize")
+voxelize = lazy("navbake.baker.voxels.voxelize")
 plot = lazy("navbake.views.plot")
 report = lazy("navbake.views.report")
 
@@ -150,7 +150,7 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
         grid.to_nav2(folder / f"{'-'.join(('nav2', *values))}.yaml", radius=radius)
     elif kind == "voxels":
         voxel_edge, ending = values
-        voxel_grid = voxelizer.Voxelizer(config).create(
+        voxel_grid = voxelize.Voxelizer(config).create(
             res=float(voxel_edge), align=f".{ending}" in OCTREE_SUFFIXES
         )
         write_voxels(voxel_grid, folder / f"voxels-{voxel_edge}.{ending}")

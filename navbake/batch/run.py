@@ -97,7 +97,11 @@ class BatchResult:
     stop_reason: str | None = None  #: Why the batch ended early; None if it didn't.
 
     def count(self, status: str) -> int:
-        """Return the number of scenes with a status: ``ok``, ``failed`` or ``left``."""
+        """Return the number of scenes with a status.
+
+        Args:
+            status: ``ok``, ``failed``, or ``left`` for scenes that the batch didn't reach.
+        """
         return sum(row["status"] == status for row in self.rows)
 
 

@@ -1,4 +1,8 @@
-"""Merges settings: keywords replace a file's settings, and a scene's settings its batch's."""
+"""Merges settings.
+
+Keyword arguments override the settings of a file. In a batch, a scene's own settings override those
+of the batch.
+"""
 
 from __future__ import annotations
 

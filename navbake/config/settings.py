@@ -62,6 +62,11 @@ from navbake.types import Json
 from navbake.yaml_text import apply_overrides, read_yaml
 
 MeshMode = Literal["auto", "hull", "surface", "shell"]
+"""How a mesh counts.
+
+``hull``: its convex hull, solid; ``surface``: its triangles, solid where they close; ``shell``: its
+triangles, nowhere solid; ``auto``: the bake chooses.
+"""
 
 
 def make_memory_path(name: str) -> Path:

@@ -232,10 +232,10 @@ def _trace_rings(part_numbers: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     """Yield the rings around parts of cells.
 
     This is contour following with crack codes (Freeman 1961; Rosenfeld and Kak, Digital Picture
-    Processing, 1982). Each side between a cell and a neighbour of another part is a step of a walk,
-    with the cell on the left. The walk turns right if a cell of the same part lies ahead on the
-    right, even if that touches the present cell only at a corner. It goes straight on if a cell of
-    the part lies ahead, and turns left otherwise. So no ring has a corner twice.
+    Processing, 1982). Each side between a cell and a neighbour of another part belongs to a walk
+    round the part, with the cell on the left. The walk turns right if a cell of the same part lies
+    ahead on the right, even if that touches the present cell only at a corner. It goes straight on
+    if a cell of the part lies ahead, and turns left otherwise. So no ring has a corner twice.
 
     Args:
         part_numbers: the number of each cell's part, from 1; 0 for none; shape (height, width).
@@ -254,9 +254,9 @@ def _trace_rings(part_numbers: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     index_offset_right = np.array([width, 1, -width, -1])
     cells, directions = np.divmod(np.arange(4 * part_of_cell.size), 4)
     part_on_right = part_of_cell[(cells + index_offset_right[directions]) % part_of_cell.size]
-    steps = np.flatnonzero((part_of_cell[cells] > 0) & (part_of_cell[cells] != part_on_right))
-    cells = cells[steps]
-    directions = directions[steps]
+    side_ids = np.flatnonzero((part_of_cell[cells] > 0) & (part_of_cell[cells] != part_on_right))
+    cells = cells[side_ids]
+    directions = directions[side_ids]
 
     cell_ahead = cells + index_offset_ahead[directions]
     cell_ahead_right = cell_ahead + index_offset_right[directions]
@@ -265,26 +265,26 @@ def _trace_rings(part_numbers: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     next_cell = np.where(turns_right, cell_ahead_right, np.where(goes_straight, cell_ahead, cells))
     num_left_turns = np.where(turns_right, 3, np.where(goes_straight, 0, 1))
     next_direction = (directions + num_left_turns) % 4
-    next_step = np.searchsorted(steps, 4 * next_cell + next_direction).tolist()
+    next_side = np.searchsorted(side_ids, 4 * next_cell + next_direction).tolist()
     is_corner = (next_direction != directions).tolist()
 
-    # the corner where a step ends; the border doesn't count
+    # the corner where a side ends; the border doesn't count
     row, col = np.divmod(cells, width)
     end_row = row + np.array([0, -1, -1, 0])[directions]
     end_col = col + np.array([0, 0, -1, -1])[directions]
     end_corners = np.stack([end_row, end_col], axis=1)
-    is_done = np.zeros(len(steps), dtype=np.bool_)
-    for first_step in np.flatnonzero(directions == 2).tolist():  # each ring has a side to the north
-        if is_done[first_step]:
+    is_done = np.zeros(len(side_ids), dtype=np.bool_)
+    for first_side in np.flatnonzero(directions == 2).tolist():  # each ring has a side to the north
+        if is_done[first_side]:
             continue
-        ring_steps = []
-        step = first_step
-        while not is_done[step]:
-            is_done[step] = True
-            if is_corner[step]:
-                ring_steps.append(step)
-            step = next_step[step]
-        yield int(part_of_cell[cells[first_step]]), end_corners[ring_steps]
+        ring_sides = []
+        side = first_side
+        while not is_done[side]:
+            is_done[side] = True
+            if is_corner[side]:
+                ring_sides.append(side)
+            side = next_side[side]
+        yield int(part_of_cell[cells[first_side]]), end_corners[ring_sides]
 
 
 # ---------------------------------------------------------------- files

@@ -466,7 +466,7 @@ def read_header(
 
 
 def check_name_encoding(path: Path) -> None:
-    """Check that a file's name is UTF-8, so that another file can contain it.
+    """Check that a file's name is valid UTF-8, because another file is to refer to it by this name.
 
     Raises:
         FormatError: the name isn't UTF-8.

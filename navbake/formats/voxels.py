@@ -1,10 +1,11 @@
-"""Reads and writes voxel files of all formats, with the tables of their IDs.
+"""Reads and writes voxel files of all formats, and the tables beside them that name voxels' IDs.
 
-This module holds the format binvox: run-length encoded voxels after a text header. A voxel grid
-``g[x, y, z]`` of the world, z up, is written by the rules of the format: ``dim nx nz ny``, y
-fastest, then z, then x; ``translate`` is the lower corner of the first voxel, ``scale`` the grid's
-longest side. So a voxel's centre is ``translate + (i + 0.5) * res`` with
-``res = scale / max(dim)``. Version 1 holds 0 and 1, version 2 any byte.
+An ID says what a voxel belongs to. The format binvox is in this module itself: run-length encoded
+voxels after a text header. A voxel grid ``g[x, y, z]`` of the world, z up, is written by the rules
+of the format: ``dim nx nz ny``, y fastest, then z, then x; ``translate`` is the lower corner of the
+first voxel, ``scale`` the grid's longest side. So a voxel's centre is
+``translate + (i + 0.5) * res`` with ``res = scale / max(dim)``. Version 1 holds 0 and 1, version 2
+any byte.
 
 AirSim writes a different layout under the same name: x fastest, then z, then y. ``scale`` is one
 over the size along x. ``translate`` is minus half of the size; the grid's position is missing. Of n

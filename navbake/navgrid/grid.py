@@ -181,7 +181,10 @@ class GridBase(GridMethods):
 
     @property
     def radius(self) -> float:
-        """The agent's radius [m]: `inflated_radius`, or `agent_radius` if that is 0."""
+        """The agent's radius [m].
+
+        `inflated_radius`, or `agent_radius` if `inflated_radius` is 0.
+        """
         return self.inflated_radius or self.agent_radius
 
     @property
@@ -468,7 +471,10 @@ class SceneGrid2D(GridBase):
 
     @property
     def ground(self) -> float:
-        """World z of the level's ground [m]."""
+        """World z at which the level begins [m].
+
+        It is also the floor of free cells if the file has no heights of floors.
+        """
         return self.min_yup[1] * self.unit
 
     @property
@@ -482,7 +488,8 @@ class SceneGrid2D(GridBase):
 
         Without ``floorHeight`` in the file, free cells have the level's ground as their floor. If
         the file says ``useCellFloorHeight: false``, the ground is the floor of free cells and of
-        cells with a number in ``floorHeight``. Read-only unless it is the attribute itself.
+        cells with a number in ``floorHeight``. The array is read-only, unless it is the one in
+        `attributes`.
         """
         stored_floor = self.attributes.get("floorHeight")
         if stored_floor is None or not self.uses_cell_floors:
@@ -520,8 +527,9 @@ class SceneGrid2D(GridBase):
     def occupancy(self) -> NDArray[np.uint8]:
         """1 for an obstacle in the agent's way, shape (height, width), uint8.
 
-        If the file has no ``occupancy``, cells of infinite weight are occupied. If its layer has
-        another dtype, cells where it is not 0 are. Read-only unless it is the attribute itself.
+        If the file has no layer ``occupancy``, cells of infinite weight are occupied. If the dtype
+        of the layer is not uint8, cells where it is not 0 are occupied. The array is read-only,
+        unless it is the one in `attributes`.
         """
         return _as_flags(self.attributes.get("occupancy", ~self.free))
 
@@ -531,7 +539,8 @@ class SceneGrid2D(GridBase):
 
         `inflate` starts from this layer. `occupancy` is also 1 where a geom overlaps only the disc
         of the bake's agent round the cell's centre. If that disc fits into a cell, both are equal,
-        and the file has no layer ``solid``. Read-only unless it is the attribute itself.
+        and the file has no layer ``solid``. The array is read-only, unless it is the one in
+        `attributes`.
         """
         stored_layer = self.attributes.get("solid")
         if stored_layer is None or not self.navbake:  # other programs may use the name for anything
@@ -573,7 +582,7 @@ class SceneGrid2D(GridBase):
         """The index of each cell's room on its level, from 1; shape (height, width), uint16.
 
         0 in cells of no room. All 0 if the file has no ``roomIndex``; stored values that uint16
-        can't hold become 0. Read-only unless it is the attribute itself.
+        can't hold become 0. The array is read-only, unless it is the one in `attributes`.
         """
         return self._index_layer("roomIndex", np.uint16)
 
@@ -582,8 +591,8 @@ class SceneGrid2D(GridBase):
         """The number of each cell's area, shape (height, width), uint8; 0 in cells of no area.
 
         Area 1 is the first of `areas`. Numbers beyond that table count as no area. All 0 if the
-        file has no layer ``area``; stored values that uint8 can't hold become 0. Read-only unless
-        it is the attribute itself.
+        file has no layer ``area``; stored values that uint8 can't hold become 0. The array is
+        read-only, unless it is the one in `attributes`.
         """
         return self._index_layer("area", np.uint8)
 

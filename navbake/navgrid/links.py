@@ -171,8 +171,9 @@ def _make_duplicate_error(name: str, place: str) -> FormatError:
 class Step:
     """A step between two cells that a grid lists because it can't be told from floor heights.
 
-    It joins cells of two levels, or two neighbouring cells of a steep ramp, whose floors differ by
-    more than the agent's highest step. It can be taken in both directions.
+    It joins two cells of different levels, or two neighbouring cells of one level on a ramp so
+    steep that their floors differ by more than the agent's highest step. Agents take it in both
+    directions.
 
     Attributes:
         level: Level of the first cell.

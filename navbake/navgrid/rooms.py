@@ -245,7 +245,10 @@ class Door:
         return [from_runs(runs_by_level.get(level, ())) for level in range(num_levels)]
 
     def solid_in(self, state: str, num_levels: int) -> list[Int]:
-        """Return the cells whose squares only this door overlaps in a state.
+        """Return the cells whose own squares this door overlaps in a state, and nothing else does.
+
+        Unlike in `cells_in`, the agent's radius doesn't count. Empty unless the grid has a layer
+        ``solid``.
 
         Args:
             state: One of `DOOR_STATES`.

@@ -118,7 +118,9 @@ class RouteGraph(RouteGraphMethods):
         return sparse.csr_array((list(cheapest_costs.values()), node_pairs), shape=shape)
 
     def distances(self) -> Float:
-        """Compute the costs of the cheapest routes between all nodes.
+        """Compute the cost of the cheapest route between each two nodes.
+
+        It is the sum of lanes' costs, not of lengths.
 
         Returns:
             At (i, j) the cost from node i to node j [m], inf for no route, shape (n, n).

@@ -107,7 +107,7 @@ def _limit_steps(grid: NavGrid, max_step: float) -> NavGrid:
 
     Args:
         grid: the grid, which stays as it is.
-        max_step: the highest step of the new grid [m]; links between cells that rise by more are
+        max_step: the highest step of the new grid [m]; steps between levels that rise by more are
             left out.
     """
     floor = np.concatenate([level.floor.ravel() for level in grid.levels])

@@ -235,11 +235,11 @@ def reachable_positions(
     """
     flat = search.flat
     radius = search.grid.radius
-    largest_cell = float(flat.layout.cell_size.max())
-    least_spacing = largest_cell * (1 - ARRIVAL_TOLERANCE)
+    largest_cell_size = float(flat.layout.cell_size.max())
+    least_spacing = largest_cell_size * (1 - ARRIVAL_TOLERANCE)
     if not isinstance(spacing, RealNumber) or not least_spacing <= spacing < np.inf:
         raise QueryError(
-            f"expected a spacing of a cell's {largest_cell:g} m or more, got {spacing!r}"
+            f"expected a spacing of a cell's {largest_cell_size:g} m or more, got {spacing!r}"
         )
     start_position, start_cell = flat.free_cell_at(start, level)
     start_place = np.append(start_position[:2], flat.positions(start_cell)[2])
@@ -254,7 +254,7 @@ def reachable_positions(
         step_ends = start_place[:2] + lattice_indices * spacing
         step_starts = np.repeat(places, len(LATTICE_STEPS), axis=0)
         places = try_step(search, step_starts, step_ends, slide=False, level=None)
-        has_arrived = np.abs(places[:, :2] - step_ends) <= ARRIVAL_TOLERANCE * largest_cell
+        has_arrived = np.abs(places[:, :2] - step_ends) <= ARRIVAL_TOLERANCE * largest_cell_size
         has_arrived = has_arrived.all(axis=1)
         lattice_indices = lattice_indices[has_arrived]
         places = places[has_arrived]

@@ -40,7 +40,7 @@ RealNumber = int | float | np.integer | np.floating
 
 @dataclass(frozen=True, eq=False)
 class FlatGrid:
-    """The cells of all levels in one array, and the steps between levels.
+    """The cells of all levels in one array, and the steps that the floors alone don't give.
 
     The flat id of a cell is ``start[level] + row * width[level] + col``. A step joins two free
     neighbours whose floors differ by at most `max_step`, or two free cells of the grid's `steps`.
@@ -48,7 +48,8 @@ class FlatGrid:
 
     Attributes:
         layout: where the cells of each level lie.
-        steps: links between cells that are not neighbours on one level, in both directions.
+        steps: the steps of the grid's table, each in both directions: those from level to level,
+            and those between cells of one level that floors alone don't give.
         arcs: the arcs over named links, for agents of any size; an arc leads over a link from one
             stop to another.
         floors: heights of the cells' floors [m], and `max_step`.

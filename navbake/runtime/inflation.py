@@ -340,8 +340,13 @@ def compute_margins(grid: NavGrid, radius: float | None = None) -> Margins:
     """Compute how far an added obstacle must be from a cell's centre so that the cell stays usable.
 
     Args:
-        grid: the grid. If it isn't inflated, all three distances are the radius.
+        grid: the grid.
         radius: the agent's radius [m]; None for the grid's.
+
+    Returns:
+        The distances for standing at the cell's centre, for stepping to a diagonal neighbour, and
+        for standing anywhere in the cell [m], see `Margins`. In a grid that isn't inflated, all
+        three are the radius.
 
     Raises:
         QueryError: the radius is no number from 0 to 10,000.
@@ -351,11 +356,11 @@ def compute_margins(grid: NavGrid, radius: float | None = None) -> Margins:
     radius = grid.radius if radius is None else float(radius)
     if not grid.inflated_radius:
         return Margins(radius, radius, radius)
-    largest_cell = max(level.lattice.cell_size for level in grid.levels)
+    largest_cell_size = max(level.lattice.cell_size for level in grid.levels)
     return Margins(
         standing=radius,
-        diagonal=_diagonal_radius(radius, largest_cell),
-        anywhere=_anywhere_radius(radius, largest_cell),
+        diagonal=_diagonal_radius(radius, largest_cell_size),
+        anywhere=_anywhere_radius(radius, largest_cell_size),
     )
 
 

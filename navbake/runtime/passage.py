@@ -168,16 +168,16 @@ def find_widest(
     if not passes(0.0):
         return None
     # the largest radius is in [passing_radius, failing_radius)
-    smallest_cell = float(flat.layout.cell_size.min())
+    smallest_cell_size = float(flat.layout.cell_size.min())
     passing_radius = 0.0
-    failing_radius = smallest_cell
+    failing_radius = smallest_cell_size
     while passes(failing_radius):
         if failing_radius == MAX_RADIUS:
             is_free = find_free(grid, failing_radius, ledges)
             return WidestRadius(math.inf, is_free, is_free)
         passing_radius = failing_radius
         failing_radius = min(2.0 * failing_radius, MAX_RADIUS)
-    while failing_radius - passing_radius > smallest_cell:  # so that few radii remain
+    while failing_radius - passing_radius > smallest_cell_size:  # so that few radii remain
         middle_radius = (passing_radius + failing_radius) / 2
         if passes(middle_radius):
             passing_radius = middle_radius
@@ -239,7 +239,8 @@ def find_bottleneck(
 
     Args:
         grid: the grid for radius 0, see `without_inflation`.
-        search: a search on a grid of the same cells, whose agent plans.
+        search: a search on a grid of the same cells; the route is planned for its agent (speed, and
+            which areas and links it may use).
         start_cell: flat id.
         goal_cells: flat ids.
         widest: what `find_widest` returned for the same arguments.

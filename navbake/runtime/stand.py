@@ -35,8 +35,8 @@ class StandPoses:
         positions: world x, y and floor z of the base's axis [m], shape (n, 3), float64.
         headings: where the base faces, 0 along x, counted towards y, -pi to pi [rad], shape (n,).
         target_index: the index in `targets` of each pose's target, shape (n,), int64.
-        distances: from the base's axis to the target [m], shape (n,): to the point, or to the
-            nearest square of the object's cells, less than a cell's diagonal before the object.
+        distances: from the base's axis to the target [m], shape (n,). An object counts as the
+            squares of its cells: its true surface may be up to a cell's diagonal farther away.
         path_lengths: the lengths of the shortest paths from the start [m], shape (n,); NaN without
             a start.
         targets: the names of the targets: an object's name, or a point's numbers.

@@ -241,11 +241,11 @@ def _slide(layout, links, floors, is_passable, cell, x0, y0, x1, y1):
         The flat id of the cell where the slide ends, and world x, y of the point [m].
     """
     remaining_length = math.hypot(x1 - x0, y1 - y0)
-    smallest_cell = layout.cell_size.min()
-    max_walk_length = DETOUR_RATIO * remaining_length + 1.5 * smallest_cell
+    smallest_cell_size = layout.cell_size.min()
+    max_walk_length = DETOUR_RATIO * remaining_length + 1.5 * smallest_cell_size
     # for each level, the window of cells near x0, y0: first row and column, number of rows and of
     # columns, and the index of its first cell in the arrays of this search, one level a column
-    window_radius = np.int64(math.ceil(max_walk_length / smallest_cell) + 1)
+    window_radius = np.int64(math.ceil(max_walk_length / smallest_cell_size) + 1)
     num_indices = 0
     windows = np.zeros((5, len(layout.width)), dtype=np.int64)
     for level in range(len(layout.width)):
@@ -327,7 +327,7 @@ def _slide(layout, links, floors, is_passable, cell, x0, y0, x1, y1):
             if (
                 target_index >= 0
                 and target_length <= max_walk_length
-                and target_length < walk_lengths[target_index] - LENGTH_SLACK * smallest_cell
+                and target_length < walk_lengths[target_index] - LENGTH_SLACK * smallest_cell_size
             ):
                 walk_lengths[target_index] = target_length
                 if not is_queued[target_index]:

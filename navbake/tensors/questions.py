@@ -260,8 +260,8 @@ def patch(
 ) -> Array:
     """Make an egocentric map of a layer round each agent, with the agent's heading up.
 
-    The agent is in the middle. Each pixel shows the cell at its middle, by the rule of `level_at`
-    at the agent's z.
+    The agent is in the middle. Each pixel has the value of the cell at its middle, on the level
+    that `level_at` finds there for the agent's z.
 
     Args:
         t: the tensors.

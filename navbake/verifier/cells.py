@@ -573,8 +573,9 @@ class OccupancyCheck:
             a reason to block the cell [m]; 0 for a grid that is not inflated.
 
     Attributes:
-        num_groundless: The number of blocked cells that have no place to stand at their level's
-            ground; counted only on levels that state no floors of cells.
+        num_cells_without_ground: How many blocked cells touch nothing, but may be blocked all the
+            same, because nobody can stand there within a step of the level's ground; counted only
+            on levels that state no floors of cells.
     """
 
     def __init__(
@@ -590,7 +591,7 @@ class OccupancyCheck:
         self._tolerance = tolerance
         self._inflation_reach = inflation_reach
         self._num_findings: Counter[str] = Counter()
-        self.num_groundless = 0
+        self.num_cells_without_ground = 0
 
     def check_free(
         self, sample: LevelSample, counts: LevelCounts, volume: list[CellPrisms]
@@ -682,7 +683,7 @@ class OccupancyCheck:
             is_untouched[cell] = any(
                 abs(hit.z - ground_height) <= self._agent.step for hit in standable_hits
             )
-            self.num_groundless += not is_untouched[cell]
+            self.num_cells_without_ground += not is_untouched[cell]
 
         num_untouched = int(is_untouched.sum())
         counts.blocked_apart += num_untouched

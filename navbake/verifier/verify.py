@@ -297,9 +297,11 @@ def _describe_unchecked(
             f"{floor_check.ignored_area:.1f} m² in all, on no level: no steps lead there; too "
             "small for a floor, or the top of furniture, of a shelf, or of a roof"
         )
-    if occupancy_check.num_groundless:
+    if occupancy_check.num_cells_without_ground:
         reason = "the scene has no place to stand there within a step of their level's ground"
-        notes.append(f"{occupancy_check.num_groundless} blocked cells touch nothing, but {reason}")
+        notes.append(
+            f"{occupancy_check.num_cells_without_ground} blocked cells touch nothing, but {reason}"
+        )
     return notes
 
 

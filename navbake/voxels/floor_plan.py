@@ -80,7 +80,7 @@ def cut_band(
 def plan_of(
     voxels: VoxelGrid, floor: float, *, step: float = 0.25, height: float = 1.14
 ) -> SceneGrid2D:
-    """Make a navigation grid of a flat, horizontal floor from the voxels above it.
+    """Make the floor plan of voxels: a navigation grid over a flat, horizontal floor.
 
     A cell is blocked if a voxel overlaps the heights from `step` to `height` over the floor. Holes
     in the floor are not detected, because voxels don't show where there is a floor.

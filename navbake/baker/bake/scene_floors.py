@@ -21,7 +21,7 @@ from navbake.formats.scene_files import scene_suffix
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
-NO_FLOOR = "no floor: "  # how errors of scenes without a floor begin
+NO_FLOOR_PREFIX = "no floor: "  # how errors of scenes without a floor begin
 # The `grid.margin` that an error advises where things stand on endless ground [m]
 GROUND_MARGIN = 5.0
 # A scene narrower than this is no building that lacks its ground, and no ground is advised [m]
@@ -30,7 +30,7 @@ MIN_GROUND_SIDE = 1.0
 
 def find_scene_floors(
     columns: ColumnSource,
-    tile_index: ShapeSource,
+    shape_source: ShapeSource,
     scene: Scene,
     lattice: Lattice,
     floor_lattice: FloorLattice,
@@ -41,7 +41,7 @@ def find_scene_floors(
     Args:
         columns: the hits of structure on the vertical line through each cell's centre, on the
             extended lattice.
-        tile_index: the structure's geometry, by tiles of the extended lattice.
+        shape_source: the structure's geometry, by tiles of the extended lattice.
         scene: the posed scene.
         lattice: the cells that are baked.
         floor_lattice: the extended lattice, that of the whole scene, and its window that is baked.
@@ -60,21 +60,21 @@ def find_scene_floors(
             agent=config.agent,
             settings=config.floors,
             level_settings=None if config.levels == "auto" else list(config.levels),
-            is_occupied=make_occupancy_test(columns, tile_index, config),
+            is_occupied=make_occupancy_test(columns, shape_source, config),
         )
         if floor_lattice.lattice != lattice:
             floors = crop_floors(floors, floor_lattice.window)
     except SceneError as error:
         text = str(error)
         advice = _advise_ground(scene, config)
-        if advice and text.startswith(NO_FLOOR):
-            text = f"{NO_FLOOR}{advice}; {text.removeprefix(NO_FLOOR)}"
+        if advice and text.startswith(NO_FLOOR_PREFIX):
+            text = f"{NO_FLOOR_PREFIX}{advice}; {text.removeprefix(NO_FLOOR_PREFIX)}"
         raise SceneError(f"{config.scene.path}: {text}{_describe_extent(scene, config)}") from error
     return floors
 
 
 def make_occupancy_test(
-    columns: ColumnSource, tile_index: ShapeSource, config: BakeConfig
+    columns: ColumnSource, shape_source: ShapeSource, config: BakeConfig
 ) -> OccupancyTest:
     """Return a function that tests cells for occupancy with an agent of radius 0.
 
@@ -82,7 +82,7 @@ def make_occupancy_test(
 
     Args:
         columns: the vertical columns of the structure.
-        tile_index: the structure's geometry, by tiles of the same lattice.
+        shape_source: the structure's geometry, by tiles of the same lattice.
         config: all settings.
 
     Returns:
@@ -98,11 +98,11 @@ def make_occupancy_test(
     ) -> Bool:
         volume = footprint if height_range is None else footprint.with_heights(height_range)
         is_cell_occupied = np.zeros(len(cells), dtype=np.bool_)
-        for chunk_indices in split_cells(tile_index, cells):
+        for chunk_indices in split_cells(shape_source, cells):
             chunk_cells = cells[chunk_indices]
             is_cell_occupied[chunk_indices] = check_occupancy(
                 columns.columns_at(chunk_cells),
-                tile_index.shapes_near_cells(chunk_cells),
+                shape_source.shapes_near_cells(chunk_cells),
                 volume,
                 chunk_cells,
                 floor_heights[chunk_indices],
@@ -113,7 +113,7 @@ def make_occupancy_test(
 
 
 def measure_holes(
-    level: LevelFloor, columns: ColumnSource, tile_index: ShapeSource, config: BakeConfig
+    level: LevelFloor, columns: ColumnSource, shape_source: ShapeSource, config: BakeConfig
 ) -> Float:
     """Measure the holes in a level's floor that `floors.fill` closes, or would close.
 
@@ -122,7 +122,7 @@ def measure_holes(
     Args:
         level: the level; its holes may have been closed already, they are measured nevertheless.
         columns: the vertical columns of the structure.
-        tile_index: the structure's geometry, by tiles of the same lattice.
+        shape_source: the structure's geometry, by tiles of the same lattice.
         config: all settings.
 
     Returns:
@@ -130,7 +130,7 @@ def measure_holes(
     """
     cell_area = columns.lattice.cell_size**2
     if level.unseen is None:
-        is_occupied = make_occupancy_test(columns, tile_index, config)
+        is_occupied = make_occupancy_test(columns, shape_source, config)
         level = fill_holes(level, MAX_SCAN_HOLE_AREA / cell_area, is_occupied)
     hole_of_cell, _ = label_components_2d(np.asarray(level.unseen))
     num_cells_of_hole = np.bincount(hole_of_cell.ravel())[1:]

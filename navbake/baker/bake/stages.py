@@ -176,15 +176,15 @@ class Stages:
         return find_floor_lattice(self.lattice, self.scene, self.config)
 
     @cached_property
-    def tile_index(self) -> ShapeSource:
+    def shape_source(self) -> ShapeSource:
         """The structure's shapes, listed by the tiles of the lattice that they lie over."""
         return self._index_structure(self.lattice)
 
     @cached_property
-    def floor_tile_index(self) -> ShapeSource:
+    def floor_shape_source(self) -> ShapeSource:
         """The structure's shapes, listed by the tiles of the extended lattice."""
         lattice = self.extended_lattice.lattice
-        return self.tile_index if lattice == self.lattice else self._index_structure(lattice)
+        return self.shape_source if lattice == self.lattice else self._index_structure(lattice)
 
     @cached_property
     def floor_columns(self) -> ColumnSource:
@@ -195,7 +195,7 @@ class Stages:
         the baked lattice.
         """
         return ColumnCaster(
-            self.floor_tile_index, self.config.agent, self.config.floors.crack, self.clock
+            self.floor_shape_source, self.config.agent, self.config.floors.crack, self.clock
         )
 
     @cached_property
@@ -234,7 +234,7 @@ class Stages:
         with self.clock.stage("floors"):
             floors = find_scene_floors(
                 columns,
-                self.floor_tile_index,
+                self.floor_shape_source,
                 scene=self.scene,
                 lattice=self.lattice,
                 floor_lattice=self.extended_lattice,
@@ -264,7 +264,7 @@ class Stages:
         return measure_holes(
             self.floors.levels[0],
             columns=self.floor_columns,
-            tile_index=self.floor_tile_index,
+            shape_source=self.floor_shape_source,
             config=self.config,
         )
 
@@ -281,7 +281,7 @@ class Stages:
                 wall_candidates = mark_wall_candidates(self.scene, self.extents)
             return find_standing_cells(
                 columns,
-                self.tile_index,
+                self.shape_source,
                 floors=floors,
                 footprint=self.footprint,
                 agent=self.config.agent,
@@ -452,7 +452,7 @@ class Stages:
         link_geometry = None
         if self.config.links:
             link_geometry = CollisionGeometry(
-                [CollisionShapes(self.column_chunks, self.tile_index)], self.footprint
+                [CollisionShapes(self.column_chunks, self.shape_source)], self.footprint
             )
         boxes = find_level_boxes(
             self.floors.levels,
@@ -473,7 +473,7 @@ class Stages:
                 "settingsDigest": settings_digest(self.config),
                 "settings": select_settings_to_store(self.config),
             },
-            steps=crop_steps(self.floors.links, boxes, self.lattice.width),
+            steps=crop_steps(self.floors.steps, boxes, self.lattice.width),
             warnings=warn_of_structure(
                 self.config,
                 self.scene,

@@ -11,8 +11,8 @@ from navbake.baker.occupancy.occupancy import StructureOccupancy
 from navbake.baker.occupancy.volume_kernels import BLOCKING
 from navbake.baker.occupants.movable import MovableSearchInputs, find_movable_occupants
 from navbake.baker.scene.collect import (
-    CANT_COLLIDE,
-    COLLIDES_IN_PAIRS,
+    CANT_COLLIDE_REASON,
+    COLLIDES_IN_PAIRS_REASON,
     GeomSelection,
     collect_shapes,
     mark_drawn,
@@ -105,7 +105,7 @@ def warn_uncounted(
     )
     reasons = {scene.selections[geom].reason for geom in uncounted_geoms.tolist()}
     reason_text = "they can't collide"
-    if COLLIDES_IN_PAIRS in reasons:
+    if COLLIDES_IN_PAIRS_REASON in reasons:
         reason_text = (
             "their contype and conaffinity are 0 (a <contact><pair> is of two geoms alone)"
         )
@@ -124,7 +124,7 @@ def _mark_candidates(scene: Scene) -> Bool:
     `MIN_THICKNESS`, aren't marked.
     """
     reasons = [selection.reason for selection in scene.selections]
-    is_candidate: Bool = np.isin(reasons, (CANT_COLLIDE, COLLIDES_IN_PAIRS))
+    is_candidate: Bool = np.isin(reasons, (CANT_COLLIDE_REASON, COLLIDES_IN_PAIRS_REASON))
     is_candidate &= mark_drawn(scene.model)
     is_candidate &= scene.is_structure_body[scene.mover_of_geom]
     is_candidate &= scene.model.geom_type != PLANE

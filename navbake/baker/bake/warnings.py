@@ -248,7 +248,7 @@ def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Ite
     robot_bodies = movable_bodies[is_robot_body]
     other_bodies = movable_bodies[~is_robot_body]
 
-    def list_largest(movable_bodies: Int) -> str:
+    def describe_largest_blockers(movable_bodies: Int) -> str:
         largest_bodies = movable_bodies[
             np.argsort(-num_blocked_cells[movable_bodies], kind="stable")
         ][:MAX_NAMED_BODIES]
@@ -263,12 +263,13 @@ def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Ite
         pattern = body_name(scene.model, int(robot_bodies[0]))
         yield (
             f"bodies with actuators take floor, where they stand now: "
-            f"{list_largest(robot_bodies)}; what is to drive through the grid is left out by "
-            f"`scene.exclude.bodies: [{pattern}]` in the settings, by `robot=` in Python"
+            f"{describe_largest_blockers(robot_bodies)}; what is to drive through the grid is left "
+            f"out by `scene.exclude.bodies: [{pattern}]` in the settings, by `robot=` in Python"
         )
     if len(other_bodies):
         yield (
-            f"bodies that can move take floor, where they stand now: {list_largest(other_bodies)}; "
+            f"bodies that can move take floor, where they stand now: "
+            f"{describe_largest_blockers(other_bodies)}; "
             f"`scene.exclude.movable: true` leaves all such bodies out, `scene.exclude.bodies` "
             f"those that its patterns name"
         )

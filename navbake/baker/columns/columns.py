@@ -102,7 +102,11 @@ class TiledShapes:
     is_chunked = False
 
     def row_chunks(self, num_in_memory: int = 1) -> list[RowChunk]:
-        """Split the lattice as `split_into_row_chunks` does; implements `ShapeSource`."""
+        """Split the lattice into chunks of rows of about equal size; implements `ShapeSource`.
+
+        Args:
+            num_in_memory: how many chunks will be in memory at a time.
+        """
         return split_into_row_chunks(self.lattice, num_in_memory)
 
     def shapes_near_rows(self, rows: RowChunk) -> "TiledShapes":
@@ -248,7 +252,10 @@ class ShapeSource(Protocol):
 
     @property
     def is_chunked(self) -> bool:
-        """Return whether shapes are listed anew on each request, for some rows or cells."""
+        """Return whether each request lists only the shapes near its rows or cells anew.
+
+        False if all shapes stay in memory.
+        """
 
     def row_chunks(self, num_in_memory: int = 1) -> list[RowChunk]:
         """Split the lattice into chunks of rows, so that the shapes near a chunk fit into memory.
@@ -360,9 +367,10 @@ def cast_columns(tiled_shapes: TiledShapes, rows: RowChunk | None = None) -> Col
 def cast_points(
     tiled_shapes: TiledShapes, cells: Int, points: Float, axes: Float = WORLD_AXES
 ) -> ColumnHits:
-    """Find where the vertical lines through given points cross shapes, as `cast_columns` does.
+    """Find where the vertical lines through given points cross shapes.
 
-    A line is tested only with the shapes over the tiles that `cells` names.
+    `cast_columns` does this for the lines through cells' centres. Here, a line is tested only with
+    the shapes over the tiles that `cells` names.
 
     Args:
         tiled_shapes: the shapes on a lattice.

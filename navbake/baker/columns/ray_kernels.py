@@ -224,7 +224,7 @@ def _hit_solid(solids, solid, x, y, ray, hits, first_hit):
 
 
 @subkernel(inline="always")
-def _is_upright(mat):
+def _has_vertical_z_axis(mat):
     """Return whether a geom's z axis is exactly vertical, up or down, given its rotation matrix."""
     return mat[2] == 0.0 and mat[5] == 0.0 and mat[6] == 0.0 and mat[7] == 0.0
 
@@ -279,7 +279,7 @@ def _distance_to_rim(solids, solid, x, y):
 def _has_simple_rim(solids, solid):
     """Return whether `_distance_to_rim` is valid for a solid: a sphere, upright box or cylinder."""
     kind = solids.kind[solid]
-    return kind == SPHERE or (kind in (BOX, CYLINDER) and _is_upright(solids.mat[solid]))
+    return kind == SPHERE or (kind in (BOX, CYLINDER) and _has_vertical_z_axis(solids.mat[solid]))
 
 
 @subkernel(inline="always")
@@ -367,7 +367,7 @@ def _cast_plane(
             for each hit.
         is_writing: whether to write hits; else they are only counted.
     """
-    is_horizontal = _is_upright(planes.mat[plane])
+    is_horizontal = _has_vertical_z_axis(planes.mat[plane])
     num_hits = np.int64(0)
     first_middle_hit = np.int64(0)
     for line in range(next_hit.shape[0]):

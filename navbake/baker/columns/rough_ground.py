@@ -60,16 +60,20 @@ def replace_rough_ground_normals(
     """Replace the normals of steep facets where the ground around them is flat enough as a whole.
 
     An agent can then stand on them. A triangle steeper than the agent's slope, with the agent's
-    headroom above it, receives the normal of a plane that is fitted to the ground around it. The
-    plane has to keep the agent's slope, and each sample of the ground has to lie within a third of
-    a step of it. Where four samples already rise far too steeply, no plane is fitted. Primitives
-    and hulls are smooth, and keep their normals.
+    headroom above it, receives the normal of a plane that is fitted to samples of the ground around
+    it. The plane may not be steeper than the agent's slope, and each sample has to lie within a
+    third of a step of it. Primitives and hulls are smooth, and keep their normals.
+
+    First, four samples, east, north, west and south of the centre, are compared: if the ground
+    between them is much steeper than the agent's slope, the facet keeps its normal, and no plane is
+    fitted.
 
     The ground is sampled by vertical rays on circles around the cell's centre, up to `foot_radius`
     away. A ray's sample is the highest surface that faces up and lies at most a step above or below
-    the triangle. Samples outside of the lattice don't count. First, only pairs of samples on
-    opposite sides of the centre count; all samples do where the pairs determine no plane, see
-    `_mark_flat_ground`. The result for a cell does not depend on the columns of other cells.
+    the triangle. Samples outside of the lattice don't count. The plane is fitted to the samples
+    that have a partner on the opposite side of the centre. If these determine no plane, as beside
+    walls, it is fitted to all samples, see `_mark_flat_ground`. The result for a cell does not
+    depend on the columns of other cells.
 
     Args:
         columns: the columns.

@@ -46,7 +46,7 @@ ALL_CELLS = np.empty(0, dtype=np.bool_)
 
 
 def resolve_seams(columns: Columns, tiled_shapes: TiledShapes, cells: Int | None = None) -> Columns:
-    """Cast the lines that run exactly between two geoms again, a little to the east or north.
+    """Cast again, a little to the east or north, the lines that run exactly along seams of geoms.
 
     In scenes with round coordinates, many cells' centres lie exactly where one geom ends and the
     next one begins: on a seam. The column there has hits of both geoms. The bake decides as

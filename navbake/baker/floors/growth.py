@@ -22,7 +22,7 @@ from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 NO_CELLS = np.empty(0, dtype=np.int64)
-NO_LINKS = np.empty((0, 4), dtype=np.int64)
+NO_STEPS = np.empty((0, 4), dtype=np.int64)
 
 
 class GrownFloor(NamedTuple):
@@ -150,7 +150,7 @@ def _grow_level(labelled_surfaces: LabelledSurfaces, growth_state: GrowthState) 
     growth_state.ring_of_cell[unreached_cells] = NO_FLOOR
 
 
-def find_level_links(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:
+def find_listed_steps(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:
     """Find neighboring cells joined by a step between levels, or by a slope too steep for a step.
 
     These are steps from a floor of one level to a floor of another. They are also places on one
@@ -163,19 +163,19 @@ def find_level_links(regions: Regions, assignment: LevelAssignment, agent: Agent
         agent: the agent, of which the step and slope are used.
 
     Returns:
-        The links, sorted, shape (n, 4), int64. Columns: the lower level, the cell on it, the upper
+        The steps, sorted, shape (n, 4), int64. Columns: the lower level, the cell on it, the upper
         level, the cell on it; both levels are the same where a slope joins two cells of one level.
     """
     can_slopes_join = may_slopes_join(regions.lattice, agent)
     if len(assignment.grounds) == 1 and not can_slopes_join:
-        return NO_LINKS
-    _, (links,) = regions.blocks.list_rows(
+        return NO_STEPS
+    _, (steps,) = regions.blocks.list_rows(
         kernels.list_links,
-        (NO_LINKS,),
+        (NO_STEPS,),
         regions.surfaces,
         assignment.preliminary_level,
         assignment.final_level,
         agent.traversable_floor_height,
         can_slopes_join,
     )
-    return links[np.lexsort(links.T[::-1])]
+    return steps[np.lexsort(steps.T[::-1])]

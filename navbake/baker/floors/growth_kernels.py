@@ -1,4 +1,4 @@
-"""Extend floors under things, ring by ring, and list the links between levels.
+"""Extend floors under things, ring by ring, and list the steps between levels.
 
 Growth is a breadth-first search from all cells in which an agent can stand. The cells that the
 search reaches at the same time are a ring. The floor that grows into a cell depends on the cell's
@@ -390,8 +390,8 @@ def list_links(
         can_slopes_join: whether surfaces that no step joins are also linked where
             `are_joined_by_slopes` says so.
         blocks: ids of blocks of cells.
-        row_counts: receives how many links each block has.
-        row_arrays: one array that receives the links, (n, 4) int64: the lower level and its cell,
+        row_counts: receives how many steps each block has.
+        row_arrays: one array that receives the steps, (n, 4) int64: the lower level and its cell,
             then the upper level and its cell. The two levels are the same where a slope joins two
             surfaces of one level that no step joins.
         begin: index in `blocks` of the first block.

@@ -146,9 +146,9 @@ class ComponentLevels(NamedTuple):
 
     Attributes:
         component: index of the component in `Regions.components`, int64.
-        level: preliminary number of the level, which also counts levels that have no surface in the
-            end; NO_FREE_LEVEL or less for surfaces without a level, because their columns have more
-            surfaces than there are levels, int64.
+        level: number of the level, int64; preliminary, as levels that end up without surfaces are
+            still counted. Where a column has more surfaces than there are levels, those left
+            without a level have NO_FREE_LEVEL or NO_FREE_LEVEL_AT_GROUND.
         num_surfaces: how many surfaces of the component are on the level, int64.
         lowest_z: the lowest height of these surfaces, float64 [m].
     """
@@ -327,9 +327,10 @@ def _find_stairs(
     np.minimum.at(plateau_height, plateau_of_row, lowest_z)
 
     half_step = max(max_step, HEIGHT_BIN) / 2
-    floor_area = _count_near_height(region_of_row, bin_of_row, num_surfaces, half_step)
-    plateau_area = np.zeros(num_plateaus, dtype=np.int64)
-    np.maximum.at(plateau_area, plateau_of_row, floor_area)
+    # sizes are counts of surfaces
+    floor_size = _count_near_height(region_of_row, bin_of_row, num_surfaces, half_step)
+    plateau_size = np.zeros(num_plateaus, dtype=np.int64)
+    np.maximum.at(plateau_size, plateau_of_row, floor_size)
 
     # steps between plateaus, from the lower to the upper one
     first_plateau, second_plateau = components.find_linked_pairs(plateau_of_component)
@@ -339,15 +340,15 @@ def _find_stairs(
     is_rising = plateau_height[lower_plateau] < plateau_height[upper_plateau]
     lower_plateau = lower_plateau[is_rising]
     upper_plateau = upper_plateau[is_rising]
-    largest_area_above, largest_area_below = kernels.find_largest_areas(
+    largest_size_above, largest_size_below = kernels.find_largest_areas(
         lower_plateau,
         upper_plateau,
-        plateau_area,
+        plateau_size,
         np.argsort(plateau_height[lower_plateau], kind="stable"),
         np.argsort(plateau_height[upper_plateau], kind="stable"),
     )
     # what leads both up and down to larger floors lies between them
-    is_stair = STAIR_AREA_RATIO * plateau_area < np.minimum(largest_area_above, largest_area_below)
+    is_stair = STAIR_AREA_RATIO * plateau_size < np.minimum(largest_size_above, largest_size_below)
     return Candidates(
         group_of_surface, components.component_of_surface, is_stair[plateau_of_component]
     )

@@ -494,7 +494,7 @@ def _align_with_levels(base_level, move_cost, skip_cost, num_levels, aligned_lev
 def find_largest_areas(
     lower_plateau_of_step,
     upper_plateau_of_step,
-    floor_area,
+    floor_size,
     steps_by_lower_plateau,
     steps_by_upper_plateau,
 ):
@@ -505,7 +505,7 @@ def find_largest_areas(
     Args:
         lower_plateau_of_step: the lower plateau of each step between two plateaus, (steps,) int64.
         upper_plateau_of_step: the upper plateau of each step, (steps,) int64.
-        floor_area: how many surfaces the floor of each plateau has, (plateaus,) int64.
+        floor_size: how many surfaces the floor of each plateau has, (plateaus,) int64.
         steps_by_lower_plateau: indices of the steps, ordered by the height of the lower plateau,
             (steps,) int64.
         steps_by_upper_plateau: indices of the steps, ordered by the height of the upper plateau,
@@ -515,24 +515,24 @@ def find_largest_areas(
         For each plateau, how many surfaces the largest floor has that is reached by going up, and
         the largest that is reached by going down, (plateaus,) int64 each; 0 for none.
     """
-    largest_area_above = np.zeros_like(floor_area)
-    largest_area_below = np.zeros_like(floor_area)
+    largest_size_above = np.zeros_like(floor_size)
+    largest_size_below = np.zeros_like(floor_size)
     # steps in the order of their lower plateaus, the highest first: so all steps up from a plateau
     # are done before the steps that lead up to it
     for step_index in steps_by_lower_plateau[::-1]:
         lower_plateau = lower_plateau_of_step[step_index]
         upper_plateau = upper_plateau_of_step[step_index]
-        largest_area_above[lower_plateau] = max(
-            largest_area_above[lower_plateau],
-            floor_area[upper_plateau],
-            largest_area_above[upper_plateau],
+        largest_size_above[lower_plateau] = max(
+            largest_size_above[lower_plateau],
+            floor_size[upper_plateau],
+            largest_size_above[upper_plateau],
         )
     for step_index in steps_by_upper_plateau:
         lower_plateau = lower_plateau_of_step[step_index]
         upper_plateau = upper_plateau_of_step[step_index]
-        largest_area_below[upper_plateau] = max(
-            largest_area_below[upper_plateau],
-            floor_area[lower_plateau],
-            largest_area_below[lower_plateau],
+        largest_size_below[upper_plateau] = max(
+            largest_size_below[upper_plateau],
+            floor_size[lower_plateau],
+            largest_size_below[lower_plateau],
         )
-    return largest_area_above, largest_area_below
+    return largest_size_above, largest_size_below

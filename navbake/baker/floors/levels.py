@@ -15,7 +15,7 @@ import numpy as np
 from navbake.baker.columns.columns import ColumnSource
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window, crop_cells
-from navbake.baker.floors.growth import GrownFloor, find_level_links, grow_floors
+from navbake.baker.floors.growth import GrownFloor, find_listed_steps, grow_floors
 from navbake.baker.floors.level_assignment import (
     LevelAssignment,
     assign_levels,
@@ -70,11 +70,11 @@ class LevelFloor:
 
 @dataclass(frozen=True)
 class Floors:
-    """The floors of all levels, the links between them, and the surfaces that warnings report.
+    """The floors of all levels, the steps between them, and the surfaces that warnings report.
 
     Attributes:
         levels: the floor of each level, lowest first.
-        links: pairs of neighboring cells that an agent can walk between though they are on
+        steps: pairs of neighboring cells that an agent can walk between though they are on
             different levels, or though only a slope joins them, shape (n, 4), int64. Columns: the
             lower level, its cell, the upper level, its cell; cells are ids on the whole lattice.
         tops: large surfaces of furniture and other things, which are no floors, the largest first.
@@ -93,7 +93,7 @@ class Floors:
     """
 
     levels: list[LevelFloor]
-    links: Int
+    steps: Int
     tops: list[Patch]
     roofs: list[Patch]
     small_starts: list[Patch]
@@ -113,11 +113,11 @@ def find_floors(
     level_settings: Sequence[LevelSettings] | None,
     is_occupied: OccupancyTest,
 ) -> Floors:
-    """Find the levels of a scene, the floor of each, and the links between them.
+    """Find the levels of a scene, the floor of each, and the steps between them.
 
     The stages: find the standable surfaces; connect them to regions; drop ridges, and connect the
     rest again; keep the large regions; drop tops, shelves and roofs; assign the rest to levels;
-    drop what is not reached or is a void; let floors grow under things; list the links.
+    drop what is not reached or is a void; let floors grow under things; list the steps.
 
     Args:
         columns: the hits of all columns.
@@ -128,7 +128,7 @@ def find_floors(
         is_occupied: tests whether something stands on a floor in some cells.
 
     Returns:
-        The floors on the whole lattice, their links, and what warnings report.
+        The floors on the whole lattice, their steps, and what warnings report.
 
     Raises:
         SceneError: there is no floor at all, none on a level of the configuration, or none at a
@@ -191,7 +191,7 @@ def find_floors(
     plane_geoms = shapes.planes.geom
     return Floors(
         levels=_make_level_floors(assignment, floors_by_level, lattice, settings, is_occupied),
-        links=find_level_links(regions, assignment, agent),
+        steps=find_listed_steps(regions, assignment, agent),
         tops=describe_regions(regions, is_furniture & ~is_start),
         roofs=describe_regions(regions, is_reported_roof),
         small_starts=describe_regions(regions, is_start & ~is_large),
@@ -366,8 +366,8 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
 def crop_floors(floors: Floors, window: Window) -> Floors:
     """Crop the floors of a whole scene to the window that is baked.
 
-    Levels without a place to stand in the window are left out, and so are the patches that lie
-    outside of it.
+    Levels without a place to stand in the window are left out, and so are summaries of surfaces
+    (`Patch`: tops, roofs, unreached floors) that lie outside of it.
 
     Args:
         floors: the floors on the whole lattice.
@@ -396,7 +396,7 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
             _crop_level(floors.levels[old_number], window, old_number, new_number)
             for new_number, old_number in enumerate(levels_in_window)
         ],
-        links=_crop_links(floors.links, new_number_of_level, window, width),
+        steps=_crop_steps(floors.steps, new_number_of_level, window, width),
         tops=crop_patches(floors.tops),
         roofs=crop_patches(floors.roofs),
         small_starts=crop_patches(floors.small_starts),
@@ -436,34 +436,34 @@ def _crop_level(level: LevelFloor, window: Window, old_number: int, new_number: 
     )
 
 
-def _crop_links(links: Int, new_number_of_level: Int, window: Window, width: int) -> Int:
-    """Crop links between levels to a window.
+def _crop_steps(steps: Int, new_number_of_level: Int, window: Window, width: int) -> Int:
+    """Crop steps between levels to a window.
 
     Args:
-        links: `Floors.links`.
+        steps: `Floors.steps`.
         new_number_of_level: the new number of each level, -1 for levels that are left out.
         window: rows and columns of the whole lattice.
         width: the number of columns of the whole lattice.
 
     Returns:
-        The links with both ends in the window; new level numbers, and cell ids in the window.
+        The steps with both ends in the window; new level numbers, and cell ids in the window.
     """
-    lower_level, lower_cell, upper_level, upper_cell = links.T
+    lower_level, lower_cell, upper_level, upper_cell = steps.T
     has_both_levels = (new_number_of_level[lower_level] >= 0) & (
         new_number_of_level[upper_level] >= 0
     )
     _, is_lower_inside = crop_cells(lower_cell, window, width)
     _, is_upper_inside = crop_cells(upper_cell, window, width)
-    is_link_inside = has_both_levels & is_lower_inside & is_upper_inside
-    new_lower_cell, _ = crop_cells(lower_cell[is_link_inside], window, width)
-    new_upper_cell, _ = crop_cells(upper_cell[is_link_inside], window, width)
-    link_columns = [
-        new_number_of_level[lower_level[is_link_inside]],
+    is_step_inside = has_both_levels & is_lower_inside & is_upper_inside
+    new_lower_cell, _ = crop_cells(lower_cell[is_step_inside], window, width)
+    new_upper_cell, _ = crop_cells(upper_cell[is_step_inside], window, width)
+    step_columns = [
+        new_number_of_level[lower_level[is_step_inside]],
         new_lower_cell,
-        new_number_of_level[upper_level[is_link_inside]],
+        new_number_of_level[upper_level[is_step_inside]],
         new_upper_cell,
     ]
-    return np.stack(link_columns, axis=1)
+    return np.stack(step_columns, axis=1)
 
 
 def _explain_no_floor_on(

@@ -174,7 +174,9 @@ class RegionContext(NamedTuple):
         return edges
 
     def classify_barriers(self, edges: RegionEdges, agent: AgentSettings) -> NDArray[np.uint8]:
-        """Classify edges by the obstacles in the two cells at each edge, without looking for drops.
+        """Say what stands at each edge of a region, from the obstacles in the cells on both sides.
+
+        Whether the floor drops beyond the edge is not looked at.
 
         Args:
             edges: the edges.
@@ -184,8 +186,8 @@ class RegionContext(NamedTuple):
         Returns:
             The kind of each edge, shape (edges,), uint8. WALL: something stands in the way of the
             agent's head and feet. BARRIER: something stands in the way of the feet alone. BORDER:
-            the lattice ends there. OPEN: nothing stands in the two cells, even if a floor lies
-            below.
+            the lattice ends there. OPEN: nothing stands in either cell; there may be a floor
+            beyond, or a drop.
         """
         outer_cells = find_neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
         ending = np.full(len(outer_cells), OPEN, dtype=np.uint8)

@@ -260,21 +260,21 @@ def find_voids(
     pair_ids = np.unique(surface_counts.level * num_regions + surface_counts.region)
     level, region = np.divmod(pair_ids, num_regions)
     num_surfaces_on_level = np.bincount(level, region_context.regions.num_surfaces[region])
-    num_low_surfaces_on_level = np.bincount(level, num_with_low_headroom[region])
-    share_of_low_surfaces = (
-        num_low_surfaces_on_level[level_numbers] / num_surfaces_on_level[level_numbers]
+    num_with_low_headroom_on_level = np.bincount(level, num_with_low_headroom[region])
+    share_with_low_headroom = (
+        num_with_low_headroom_on_level[level_numbers] / num_surfaces_on_level[level_numbers]
     )
-    low_levels = level_numbers[share_of_low_surfaces >= VOID_SHARE]
-    is_on_low_level = np.isin(surface_counts.level, low_levels)
-    if not has_starts and len(low_levels) < len(level_numbers):
-        high_level_counts = RegionLevelCounts._make(
-            column[~is_on_low_level] for column in surface_counts
+    levels_without_headroom = level_numbers[share_with_low_headroom >= VOID_SHARE]
+    is_on_level_without_headroom = np.isin(surface_counts.level, levels_without_headroom)
+    if not has_starts and len(levels_without_headroom) < len(level_numbers):
+        counts_on_levels_with_headroom = RegionLevelCounts._make(
+            column[~is_on_level_without_headroom] for column in surface_counts
         )
-        is_reached = mark_largest_on_lowest_level(high_level_counts, len(is_reached))
+        is_reached = mark_largest_on_lowest_level(counts_on_levels_with_headroom, len(is_reached))
     is_on_reached_level = np.isin(
         surface_counts.level, surface_counts.level[is_reached[surface_counts.region]]
     )
-    is_on_void_level = is_on_low_level & ~is_on_reached_level
+    is_on_void_level = is_on_level_without_headroom & ~is_on_reached_level
     # a region that is also on a level that is no void stays
     is_void[surface_counts.region[is_on_void_level]] = True
     is_void[surface_counts.region[~is_on_void_level]] = False
@@ -373,11 +373,12 @@ def _describe_on_levels(
 def find_enclosed_floors(
     surfaces: Surfaces, agent: AgentSettings, settings: FloorSettings
 ) -> list[Patch]:
-    """Find floors on which no agent can stand because they are inside of closed meshes or planes.
+    """Find floors on which no agent can stand because a closed mesh or a plane encloses them.
 
-    A floor is not listed if it continues outside of the mesh along a quarter of its outline, at
-    most a step higher or lower: a closed object, such as a crate, then stands on a floor. A floor
-    of at least 50 m² is always listed, as the mesh may be a building.
+    Such a floor lies inside of the mesh, or below the infinite plane. A floor is not listed if it
+    continues outside, at most a step higher or lower, along at least a quarter of its outline: a
+    closed object, such as a crate, then stands on a floor. A floor of at least 50 m² is always
+    listed, as the mesh may be a building.
 
     Args:
         surfaces: all surfaces.
@@ -385,7 +386,7 @@ def find_enclosed_floors(
         settings: the settings of `floors`; `min_area` and `shrink` are used.
 
     Returns:
-        The floors, the largest first; `Patch.geom` is the mesh or plane around each.
+        The floors, the largest first; `Patch.geom` is the mesh or plane that encloses each.
     """
     is_enclosed = surfaces.flags & ENCLOSED != 0
     if not is_enclosed.any():

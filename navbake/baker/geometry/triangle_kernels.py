@@ -1,6 +1,7 @@
-"""Normals, areas and spans of many triangles in one pass, without temporary arrays.
+"""Computes normals, areas, volumes and extents of many triangles in one pass.
 
-Each number is computed in the order of operations of numpy's cross product and norm.
+No temporary arrays are made. Operations have the same order as in numpy's cross product and norm,
+so that results are equal bit by bit.
 """
 
 import math

@@ -69,8 +69,10 @@ class ShapeArrays(NamedTuple):
 
 
 class Queries(NamedTuple):
-    """Floors to check, each a cell and a height, and flags of geoms over them; arrays of shape
-    (n,).
+    """The floors over which geoms are tested, and the flags of the geoms there; shape (n,) each.
+
+    A query is one floor of a cell: the cell and the height of the floor. A flag is a bit that says
+    that a geom meets one of the prisms over the floor.
 
     Attributes:
         cell: cell ids, ascending, int64.
@@ -174,15 +176,17 @@ def make_volumes(lattice, footprint, queries, occupant_lists, query, row, col):
 
 @subkernel(inline="always")
 def make_envelope(lattice, footprint, queries, occupant_lists, query, row, col):
-    """Make a prism that contains all prisms that are tested over the floor of a query.
+    """Make a prism that contains all prisms that are tested over one floor of a cell (a query).
 
-    It is wider than these by SEARCH_MARGIN on each side, and ends at the ceiling.
+    It is wider than these by SEARCH_MARGIN on each side, and reaches up to the query's ceiling, if
+    there is one.
 
     Args:
         lattice: the cells.
         footprint: the volume over a floor that has to be free.
         queries: all queries.
-        occupant_lists: the ceilings; if it is empty, the prism has the heights of the footprint.
+        occupant_lists: the settings for listing geoms, of which the ceilings are read. Without
+            ceilings, only occupancy is tested, and the prism has the heights of the footprint.
         query: number of the query.
         row: row of its cell.
         col: column of its cell.

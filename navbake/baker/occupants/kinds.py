@@ -679,7 +679,7 @@ def find_steps(floors: Floors, floor_geom: Int32, lattice: Lattice) -> FloorStep
     num_cells = floor_geom.shape[1]
     # cells of all levels are numbered one level after the other: level * num_cells + cell
     floor_heights = np.concatenate([level.floor.ravel() for level in floors.levels])
-    from_level, from_cell, to_level, to_cell = floors.links.T
+    from_level, from_cell, to_level, to_cell = floors.steps.T
     from_index = from_level * num_cells + from_cell
     to_index = to_level * num_cells + to_cell
     cell_pair_arrays = [np.stack([from_index, to_index], axis=1)]

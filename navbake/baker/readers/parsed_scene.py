@@ -483,11 +483,11 @@ def _find_group_names(geoms: Sequence[ParsedGeom]) -> list[str]:
         num_children_of_parent = Counter(_parent_name(name) for name in distinct_names)
         num_groups = len(distinct_names)
         merged_parents = set[str]()
-        for parent, num_members in num_children_of_parent.most_common():
-            if num_groups <= NUM_MERGED_GROUPS or (num_members == 1 and merged_parents):
+        for parent, num_children in num_children_of_parent.most_common():
+            if num_groups <= NUM_MERGED_GROUPS or (num_children == 1 and merged_parents):
                 break
             merged_parents.add(parent)
-            num_groups -= num_members - 1
+            num_groups -= num_children - 1
         if num_groups == len(distinct_names):
             merged_parents = set(num_children_of_parent)
         parent_names = [_parent_name(name) for name in group_names]

@@ -126,7 +126,7 @@ class RoomFlags(NamedTuple):
             [left, right]]; at the other sides, the lattice crops the scene.
         wall_shapes: the geometry of walls, and of meshes that contain a whole building.
         has_ground: whether an endless ground continues beyond the lattice.
-        links: pairs of cells that a step to another level, or a slope, joins, see `Floors.links`,
+        steps: pairs of cells that a step to another level, or a slope, joins, see `Floors.steps`,
             shape (n, 4).
         marked_rooms: the rooms that the scene or the settings state, by what states them:
             ``geoms``, ``sites`` or ``polygons``, as in `rooms.sources`.
@@ -138,7 +138,7 @@ class RoomFlags(NamedTuple):
     is_scene_end: Bool
     wall_shapes: Shapes
     has_ground: bool
-    links: Int
+    steps: Int
     marked_rooms: Mapping[str, MarkedRooms]
 
 
@@ -212,7 +212,7 @@ def gather_flags(
         is_scene_end=_find_scene_ends(scene, lattice),
         wall_shapes=scene.structure.only(is_wall_geom),
         has_ground=len(scene.structure.planes.geom) > 0,
-        links=floors.links,
+        steps=floors.steps,
         marked_rooms=mark_rooms(scene, columns, floors.levels, settings, agent),
     )
 

@@ -119,8 +119,9 @@ class GapWalls(NamedTuple):
     Attributes:
         end_distance: from the centres of each gap's first and last cell to the walls, shape (gaps,
             2).
-        max_distance: for each gap, the greatest distance at which a wall is taken for the end of an
-            opening, from the centre of the opening's last cell, shape (gaps,).
+        max_distance: for each gap, how far a wall may be from the centre of the last cell and still
+            count as its end, shape (gaps,). The last cell is the gap's, or that of further gaps in
+            line with it between the same two spaces (openings).
         coded_distance: for each cell, backward and forward along the direction: the distance to the
             wall plus 1; inf if there is no wall; 0 if no ray was cast yet; shape (cells, 2). See
             `WallRays.measure`.
@@ -713,24 +714,24 @@ def mark_sills(is_low, is_wall, shift, is_sill):
     # of chains that begin at a wall in an earlier column
     chain_bits_from_first = np.zeros((num_cols, num_rows), dtype=np.uint8)
     for col in range(1, num_cols):
-        rows_to_previous = shift[col - 1] - shift[col]
+        row_shift_to_previous = shift[col - 1] - shift[col]
         _extend_chains(
             is_low=is_low[col],
             is_wall=is_wall[col],
-            rows_to_next=rows_to_previous,
-            is_next_wall=is_wall[col - 1],
-            next_chain_bits=chain_bits_from_first[col - 1],
+            row_shift_to_next=row_shift_to_previous,
+            is_neighbor_wall=is_wall[col - 1],
+            neighbor_chain_bits=chain_bits_from_first[col - 1],
             column_chain_bits=chain_bits_from_first[col],
         )
     chain_bits_from_last = np.zeros((num_cols, num_rows), dtype=np.uint8)
     for col in range(num_cols - 2, -1, -1):
-        rows_to_next = shift[col + 1] - shift[col]
+        row_shift_to_next = shift[col + 1] - shift[col]
         _extend_chains(
             is_low=is_low[col],
             is_wall=is_wall[col],
-            rows_to_next=rows_to_next,
-            is_next_wall=is_wall[col + 1],
-            next_chain_bits=chain_bits_from_last[col + 1],
+            row_shift_to_next=row_shift_to_next,
+            is_neighbor_wall=is_wall[col + 1],
+            neighbor_chain_bits=chain_bits_from_last[col + 1],
             column_chain_bits=chain_bits_from_last[col],
         )
         for row in range(num_rows):
@@ -745,35 +746,38 @@ def mark_sills(is_low, is_wall, shift, is_sill):
 
 
 @subkernel(**NO_REFCOUNT)
-def _extend_chains(is_low, is_wall, rows_to_next, is_next_wall, next_chain_bits, column_chain_bits):
+def _extend_chains(
+    is_low, is_wall, row_shift_to_next, is_neighbor_wall, neighbor_chain_bits, column_chain_bits
+):
     """Extend chains of low cells, which may be sills, from a neighbouring column into a column.
 
     Args:
         is_low: the column's low cells.
         is_wall: the column's cells of walls.
-        rows_to_next: how many rows lower the lines are in the neighbouring column.
-        is_next_wall: the neighbouring column's cells of walls.
-        next_chain_bits: the bits of the neighbouring column's cells, see `EXACT_CHAIN`.
-        column_chain_bits: receives the bits of the column's cells.
+        row_shift_to_next: by how many rows the scan's lines shift downwards from this column to the
+            neighbouring one.
+        is_neighbor_wall: the neighbouring column's cells of walls.
+        neighbor_chain_bits: the bits of the neighbouring column's cells. They say where chains of
+            low cells end in that column: beside the cell, in it, or exactly on its line, see
+            `EXACT_CHAIN`.
+        column_chain_bits: receives the bits of this column's cells.
     """
     num_rows = is_low.shape[0]
-    for row in range(max(0, -rows_to_next), min(num_rows, num_rows - rows_to_next)):
-        is_at_wall = is_next_wall[row + rows_to_next]
-        bits_of_next_cell = next_chain_bits[row + rows_to_next]
+    for row in range(max(0, -row_shift_to_next), min(num_rows, num_rows - row_shift_to_next)):
+        is_at_wall = is_neighbor_wall[row + row_shift_to_next]
+        bits_of_neighbor = neighbor_chain_bits[row + row_shift_to_next]
         row_above = max(row - 1, 0)
         row_below = min(row + 1, num_rows - 1)
-        if (
-            bits_of_next_cell == 0 and not is_at_wall
-        ):  # most cells: no chain can begin or go on here
+        if bits_of_neighbor == 0 and not is_at_wall:  # most cells: no chain can begin or go on here
             continue
         chain_bits = (
-            EXACT_CHAIN if is_low[row] and (is_at_wall or bits_of_next_cell & EXACT_CHAIN) else 0
+            EXACT_CHAIN if is_low[row] and (is_at_wall or bits_of_neighbor & EXACT_CHAIN) else 0
         )
         if not (is_wall[row_above] or is_wall[row] or is_wall[row_below]):
             for chain_row in range(row_above, row_below + 1):
                 side = chain_row - row + 1
                 if is_low[chain_row] and (
-                    is_at_wall or bits_of_next_cell & BITS_OF_TOUCHING_CHAINS[side]
+                    is_at_wall or bits_of_neighbor & BITS_OF_TOUCHING_CHAINS[side]
                 ):
                     chain_bits |= 1 << side
         column_chain_bits[row] = chain_bits

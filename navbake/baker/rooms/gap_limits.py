@@ -24,9 +24,9 @@ MAX_WALL_THICKNESS = 0.6
 # The lines of cells across a doorway, from jamb to jamb, differ in length by at most this: the
 # cells of oblique jambs are uneven [columns]
 JAMB_JITTER = 2.0
-# A gap continues in the next column if its middle there is at most this many lines of cells from
-# the line of its middle here
-MAX_LINE_DRIFT = 2
+# A gap continues in the next column if its middle lies at most this far from its middle here,
+# counted from the line of cells that the middle here is on [rows]
+MAX_MIDDLE_SHIFT = 2
 # A smaller space becomes part of the gaps around it: parallel lines of gaps at oblique walls leave
 # single cells between them [m²]
 MIN_SPACE_AREA = 0.1

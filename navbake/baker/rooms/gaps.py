@@ -38,7 +38,7 @@ from navbake.baker.rooms.gap_limits import (
     JOIN_SHARE_OF_WIDER,
     MAX_GAP_WIDTH,
     MAX_JAMB_DISTANCE,
-    MAX_LINE_DRIFT,
+    MAX_MIDDLE_SHIFT,
     MAX_OPENING_WIDTH,
     MAX_PASSAGE_WIDTH,
     MAX_WALL_DISTANCE,
@@ -347,7 +347,8 @@ def _find_previous_crossings(crossings: _Crossings, scan: Scan) -> Int:
     """Find for each crossing the crossing in the previous column that belongs to the same gap.
 
     Both lie between the same two spaces, and their middles are on lines of cells that are at most
-    `MAX_LINE_DRIFT` rows apart. Of several such crossings in the previous column, the first counts.
+    `MAX_MIDDLE_SHIFT` rows apart. Of several such crossings in the previous column, the first
+    counts.
 
     Returns:
         The index of the crossing in the previous column, -1 if there is none, shape (n,).
@@ -366,7 +367,7 @@ def _find_previous_crossings(crossings: _Crossings, scan: Scan) -> Int:
         candidate_crossing = sort_indices[
             np.minimum(match_begin + match_number, len(sort_indices) - 1)
         ]
-        is_near_line = np.abs(middle_line[candidate_crossing] - middle_line) <= MAX_LINE_DRIFT
+        is_near_line = np.abs(middle_line[candidate_crossing] - middle_line) <= MAX_MIDDLE_SHIFT
         is_near_line &= match_begin + match_number < match_end
         previous_crossing = np.where(
             (previous_crossing < 0) & is_near_line, candidate_crossing, previous_crossing
@@ -662,11 +663,11 @@ def _find_gap_walls(
     max_distance = np.where(gaps.is_doorway, max_jamb_distance, MAX_WALL_DISTANCE)
     # The cells in the next column after each end
     next_cols = np.clip(end_cols + np.array([-1, 1]), 0, len(shift) - 1)
-    rows_to_next = shift[next_cols] - shift[end_cols]
+    row_shift_to_next = shift[next_cols] - shift[end_cols]
     last_row = len(scan.label) - 1
-    rows_above = np.clip(gaps.top_row - 1 + rows_to_next, 0, last_row)
-    rows_between = np.clip(middle_rows + rows_to_next, 0, last_row)
-    rows_below = np.clip(gaps.bottom_row + 1 + rows_to_next, 0, last_row)
+    rows_above = np.clip(gaps.top_row - 1 + row_shift_to_next, 0, last_row)
+    rows_between = np.clip(middle_rows + row_shift_to_next, 0, last_row)
+    rows_below = np.clip(gaps.bottom_row + 1 + row_shift_to_next, 0, last_row)
     label_above = scan.label[rows_above, next_cols]
     label_below = scan.label[rows_below, next_cols]
     is_opening_continued = (

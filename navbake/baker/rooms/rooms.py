@@ -82,7 +82,8 @@ class Rooms:
         index: for each level, the index of each cell's room, shape (height, width).
         table: the rooms, ordered by level and index; `with_neighbours` adds their neighbours.
         openings: the openings between rooms of a level.
-        links: pairs of rooms on different levels between which an agent can step.
+        room_pairs_across_levels: pairs of rooms on different levels between which an agent can
+            step.
         lattice: the whole lattice.
         is_open_by_level: for each level, a mask of the cells that may be in a room, shape (height,
             width), see `LevelFlags.is_open`.
@@ -92,7 +93,7 @@ class Rooms:
     index: list[RoomIndex]
     table: list[Room]
     openings: list[Opening]
-    links: list[tuple[RoomKey, RoomKey]]
+    room_pairs_across_levels: list[tuple[RoomKey, RoomKey]]
     lattice: Lattice
     is_open_by_level: list[Bool]
     warnings: list[str]
@@ -128,7 +129,7 @@ class Rooms:
         neighbours: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {
             room: set() for room in self._ids
         }
-        for first_room, second_room in self.links:
+        for first_room, second_room in self.room_pairs_across_levels:
             neighbours[first_room].add((second_room, "link", ""))
             neighbours[second_room].add((first_room, "link", ""))
         for opening_number, opening in enumerate(self.openings):
@@ -151,8 +152,8 @@ class Rooms:
         return replace(self, table=table)
 
 
-class NamedRoom(NamedTuple):
-    """The name of a room, where the room comes from, and whether it is outdoors.
+class RoomDescription(NamedTuple):
+    """The facts of a room without its cells: its name, where it comes from, whether it is outdoors.
 
     Attributes:
         name: the name, None for a room without a name.
@@ -204,7 +205,7 @@ def find_rooms(
         else:
             room_assignment.add_source(flags.marked_rooms[source], source)
     room_index = list[RoomIndex]()
-    named_rooms = list[list[NamedRoom]]()
+    room_descriptions = list[list[RoomDescription]]()
     for level_number, room_of_cell in enumerate(room_assignment.room_numbers):
         room_number, used_rooms = renumber(room_of_cell)
         if len(used_rooms) > MAX_ROOMS:
@@ -213,33 +214,37 @@ def find_rooms(
                 f"{level_number}: raise `rooms.min_area`"
             )
         room_index.append(room_number.astype(np.uint16))
-        named_rooms.append([room_assignment.rooms[room - 1] for room in used_rooms])
+        room_descriptions.append([room_assignment.rooms[room - 1] for room in used_rooms])
     floors = [level.floor for level in flags.levels]
     occupied_masks = [level.is_occupied for level in flags.levels]
-    wait_for_table = run_beside(make_room_table, room_index, named_rooms, floors, flags.lattice)
-    openings = find_openings(room_index, floors, occupied_masks, flags.links, max_step)
-    links = _find_room_links(room_index, flags.links)
+    wait_for_table = run_beside(
+        make_room_table, room_index, room_descriptions, floors, flags.lattice
+    )
+    openings = find_openings(room_index, floors, occupied_masks, flags.steps, max_step)
+    room_pairs_across_levels = _find_room_pairs_across_levels(room_index, flags.steps)
     return Rooms(
         index=room_index,
         table=wait_for_table(),
         openings=openings,
-        links=links,
+        room_pairs_across_levels=room_pairs_across_levels,
         lattice=flags.lattice,
         is_open_by_level=[level.is_open for level in flags.levels],
         warnings=room_assignment.warnings,
     )
 
 
-def _find_room_links(room_index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
+def _find_room_pairs_across_levels(
+    room_index: Sequence[RoomIndex], steps: Int
+) -> list[tuple[RoomKey, RoomKey]]:
     """Return the pairs of rooms on different levels that a step joins, each pair once, sorted.
 
     Args:
         room_index: for each level, the index of each cell's room.
-        links: pairs of cells that a step or a slope joins, see `Floors.links`, shape (n, 4).
+        steps: pairs of cells that a step or a slope joins, see `Floors.steps`, shape (n, 4).
     """
     room_pairs = set[tuple[RoomKey, RoomKey]]()
-    links_between_levels = links[links[:, 0] != links[:, 2]]
-    for first_level, first_cell, second_level, second_cell in links_between_levels.tolist():
+    steps_between_levels = steps[steps[:, 0] != steps[:, 2]]
+    for first_level, first_cell, second_level, second_cell in steps_between_levels.tolist():
         first_room = (first_level, int(room_index[first_level].flat[first_cell]))
         second_room = (second_level, int(room_index[second_level].flat[second_cell]))
         if first_room[1] and second_room[1]:
@@ -267,7 +272,7 @@ class _RoomAssignment:
         self.room_numbers = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
         # For cells without a room: the room whose floor is under the cell's own floor
         self._room_under = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
-        self.rooms: list[NamedRoom] = []
+        self.rooms: list[RoomDescription] = []
         self.warnings: list[str] = []
 
     def add_source(self, marked_rooms: MarkedRooms, source: str) -> None:
@@ -275,7 +280,7 @@ class _RoomAssignment:
 
         Args:
             marked_rooms: the rooms that the source finds.
-            source: the name of the source, see `NamedRoom.source`.
+            source: the name of the source, see `RoomDescription.source`.
         """
         self.warnings += marked_rooms.warnings
         if not marked_rooms.names:
@@ -289,7 +294,7 @@ class _RoomAssignment:
             num_cells = count_cells_by_label(label, len(new_room_number))
             for room_index in np.flatnonzero(num_cells[1:]).tolist():
                 self.rooms.append(
-                    NamedRoom(
+                    RoomDescription(
                         marked_rooms.names[room_index],
                         source,
                         room_index + 1 in marked_rooms.outdoor_rooms,
@@ -428,7 +433,7 @@ def _describe_close_calls(close_calls: Sequence[CloseCall], level: int, lattice:
 
 def make_room_table(
     room_index: Sequence[RoomIndex],
-    named_rooms: Sequence[Sequence[NamedRoom]],
+    room_descriptions: Sequence[Sequence[RoomDescription]],
     floors: Sequence[Float],
     lattice: Lattice,
 ) -> list[Room]:
@@ -438,11 +443,11 @@ def make_room_table(
 
     Args:
         room_index: for each level, the index of each cell's room.
-        named_rooms: for each level, its rooms, in the order of indices.
+        room_descriptions: for each level, its rooms, in the order of indices.
         floors: for each level, z of the floors, shape (height, width) [m].
         lattice: the whole lattice.
     """
-    name_counts = Counter(room.name for level_rooms in named_rooms for room in level_rooms)
+    name_counts = Counter(room.name for level_rooms in room_descriptions for room in level_rooms)
     table = []
     for level_number, (room_of_cell, floor) in enumerate(zip(room_index, floors, strict=True)):
         run_rows, run_first_cols, run_end_cols, run_rooms = find_row_runs(room_of_cell)
@@ -461,7 +466,9 @@ def make_room_table(
         y = lattice.y_max - (row_sum / np.maximum(num_cells, 1) + 0.5) * lattice.cell_size
         z = z_sum / np.maximum(num_cells, 1) / MICROMETRES
         centroids = (np.round(np.stack([x, y, z], axis=1), 6) + 0.0).tolist()  # no -0.0
-        for index_on_level, (name, source, outdoors) in enumerate(named_rooms[level_number], 1):
+        for index_on_level, (name, source, outdoors) in enumerate(
+            room_descriptions[level_number], 1
+        ):
             is_unique = name_counts[name] == 1 and not ID_LIKE.fullmatch(name or "")
             table.append(
                 Room(
@@ -484,13 +491,13 @@ def find_openings(
     room_index: Sequence[RoomIndex],
     floors: Sequence[Float],
     occupied_masks: Sequence[Bool],
-    links: Int,
+    steps: Int,
     max_step: float,
 ) -> list[Opening]:
     """Find the openings between rooms: places where an agent can walk from one room to another.
 
     Two neighbouring cells of different rooms are part of an opening if their floors differ by at
-    most a step, or if a slope links them. Such cells of the same two rooms that touch, also at
+    most a step, or if a slope joins them. Such cells of the same two rooms that touch, also at
     corners, form one opening. An opening in which no two neighbouring cells are both unoccupied is
     left out: a curtain or a piece of wall closes it.
 
@@ -499,8 +506,8 @@ def find_openings(
         floors: for each level, z of the floors, NaN for none, shape (height, width) [m].
         occupied_masks: for each level, a mask of the cells without a floor or with structure at an
             agent's height, see `LevelFlags.is_occupied`.
-        links: pairs of cells that a step between levels, or only a slope, joins, see
-            `Floors.links`, shape (n, 4). Only the slopes are used, which join cells of one level.
+        steps: pairs of cells that a step between levels, or only a slope, joins, see
+            `Floors.steps`, shape (n, 4). Only the slopes are used, which join cells of one level.
         max_step: the highest step [m].
 
     Returns:
@@ -510,13 +517,13 @@ def find_openings(
     for level_number, (room_of_cell, floor, is_occupied) in enumerate(
         zip(room_index, floors, occupied_masks, strict=True)
     ):
-        is_link_on_level = (links[:, [0, 2]] == level_number).all(axis=1)
+        is_step_on_level = (steps[:, [0, 2]] == level_number).all(axis=1)
         neighbor_pairs = list_differing_pairs(
             room_of_cell
         ).T  # few: only their heights are compared
         height_difference = np.subtract(*floor.ravel()[neighbor_pairs.T])
         is_step = np.abs(height_difference) <= max_step + LIMIT_SLACK
-        cell_pairs = np.concatenate([links[is_link_on_level][:, [1, 3]], neighbor_pairs[is_step]])
+        cell_pairs = np.concatenate([steps[is_step_on_level][:, [1, 3]], neighbor_pairs[is_step]])
         rooms_of_cells = np.sort(room_of_cell.ravel()[cell_pairs].astype(np.int64), axis=1)
         is_between_rooms = (rooms_of_cells[:, 0] > 0) & (
             rooms_of_cells[:, 0] != rooms_of_cells[:, 1]

@@ -267,9 +267,10 @@ def _join_spaces(
 def spread_labels(label: Int32, is_open: Bool) -> None:
     """Spread labels to the open cells without a label, each wave by one cell across cells' edges.
 
-    If several labels reach a cell in one wave, the label of the nearest labelled cell wins. On a
-    tie, the lower label wins; of equal labels, the one whose cell lies further clockwise. This rule
-    does not depend on the map's orientation.
+    If several labels reach a cell in one wave, that of the nearest source cell wins; a label's
+    source is the cell that had it at the start. On a tie, the lower label wins. If the labels are
+    equal, too, the source further clockwise is kept, because later waves measure distances from it.
+    This rule does not depend on the map's orientation.
 
     Args:
         label: the label of each cell, from 1, 0 for none, shape (height, width); is changed.
@@ -765,7 +766,7 @@ def mark_cavities(
         segment: the part of the floor between gaps that each cell belongs to, 0 for none, shape
             (height, width).
         room_number: the marked room of each cell, 0 for none.
-        flags: the flags of the cells of all levels, and the links between cells.
+        flags: the flags of the cells of all levels, and the steps between cells.
         level_number: the number of the level.
         cells_beyond: ids of cells in the spaces that closed leaves lead into, None for none.
 
@@ -786,9 +787,9 @@ def mark_cavities(
     is_connected[segment[level_flags.is_at_edge]] = True
     if cells_beyond is not None:
         is_connected[segment.ravel()[cells_beyond]] = True
-    for level_column, cell_column in ((0, 1), (2, 3)):  # of both ends of links
-        links_on_level = flags.links[flags.links[:, level_column] == level_number]
-        is_connected[segment.ravel()[links_on_level[:, cell_column]]] = True
+    for level_column, cell_column in ((0, 1), (2, 3)):  # of both ends of steps
+        steps_on_level = flags.steps[flags.steps[:, level_column] == level_number]
+        is_connected[segment.ravel()[steps_on_level[:, cell_column]]] = True
     is_connected |= area >= area[1:].max(initial=0.0)
     is_cavity: Bool = ~is_connected & (area < MIN_CLOSED_ROOM_AREA)
     if (is_connected | is_cavity).all():

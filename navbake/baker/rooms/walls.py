@@ -516,9 +516,9 @@ def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArra
 
 
 class RotatedWalls(NamedTuple):
-    """Walls in a frame in which one direction of walls is vertical.
+    """Walls, rotated so that a horizontal direction of walls becomes the z axis.
 
-    Horizontal rays along this direction can then be cast like the vertical lines through cells.
+    Horizontal rays along that direction can then be cast like the vertical lines through cells.
 
     Attributes:
         axes: the frame's axes x, y and z as rows, in the world frame, shape (3, 3).
@@ -686,31 +686,35 @@ class WallRays:
         across_step, along_step = axes[[0, 2]][:, [1, 0]] * (-1.0, 1.0)
         distance = np.full(len(row), np.inf)
         normal = np.zeros((len(row), 3))
-        unfinished_rays = np.arange(len(row))
+        unfinished_cell_indices = np.arange(len(row))
         # most rays end near their cells, where there is little geometry
         ray_lengths = [self._reach] if len(row) < MANY_RAYS else [SHORT_RAY, self._reach]
         for ray_length in ray_lengths:
-            ray_numbers = unfinished_rays.repeat(num_offsets)
-            offset_of_ray = np.tile(ray_offsets, len(unfinished_rays))
-            points = centers[ray_numbers, :2]
+            cell_index_of_ray = unfinished_cell_indices.repeat(num_offsets)
+            offset_of_ray = np.tile(ray_offsets, len(unfinished_cell_indices))
+            points = centers[cell_index_of_ray, :2]
             points[:, 0] += offset_of_ray * lattice.cell_size
-            ray_ends = np.empty((2, len(ray_numbers), 2))
-            ray_ends[..., 0] = start_cells[:, ray_numbers] + across_step[:, None] * offset_of_ray
+            ray_ends = np.empty((2, len(cell_index_of_ray), 2))
+            ray_ends[..., 0] = (
+                start_cells[:, cell_index_of_ray] + across_step[:, None] * offset_of_ray
+            )
             ray_ends[..., 1] = ray_ends[..., 0] + along_step[:, None] * (
-                ray_sign[ray_numbers] * ray_length
+                ray_sign[cell_index_of_ray] * ray_length
             )
             rows, cols = ray_ends.astype(np.int64)
             hits = cast_points(tiled_walls, rows * tiled_walls.lattice.width + cols, points, axes)
-            ray_of_hit = np.repeat(ray_numbers, np.diff(hits.start))
-            distance_ahead = ray_sign[ray_of_hit] * (hits.z - centers[ray_of_hit, 2])
+            cell_index_of_hit = np.repeat(cell_index_of_ray, np.diff(hits.start))
+            distance_ahead = ray_sign[cell_index_of_hit] * (hits.z - centers[cell_index_of_hit, 2])
             distance_ahead[~(distance_ahead >= 0.0)] = np.inf
-            np.minimum.at(distance, ray_of_hit, distance_ahead)
-            is_nearest_hit = np.isfinite(distance_ahead) & (distance_ahead == distance[ray_of_hit])
-            normal[ray_of_hit[is_nearest_hit]] = hits.normal[is_nearest_hit]
-            unfinished_rays = unfinished_rays[
-                distance[unfinished_rays] > ray_length * lattice.cell_size
+            np.minimum.at(distance, cell_index_of_hit, distance_ahead)
+            is_nearest_hit = np.isfinite(distance_ahead) & (
+                distance_ahead == distance[cell_index_of_hit]
+            )
+            normal[cell_index_of_hit[is_nearest_hit]] = hits.normal[is_nearest_hit]
+            unfinished_cell_indices = unfinished_cell_indices[
+                distance[unfinished_cell_indices] > ray_length * lattice.cell_size
             ]
-            if not len(unfinished_rays):
+            if not len(unfinished_cell_indices):
                 break
         return distance, normal
 

@@ -42,8 +42,8 @@ TYPE_NAMES = dict(
     )
 )
 # Why a geom doesn't count
-CANT_COLLIDE = "can't collide (contype and conaffinity are 0)"
-COLLIDES_IN_PAIRS = "collides in a <contact><pair> alone (contype and conaffinity are 0)"
+CANT_COLLIDE_REASON = "can't collide (contype and conaffinity are 0)"
+COLLIDES_IN_PAIRS_REASON = "collides in a <contact><pair> alone (contype and conaffinity are 0)"
 # MuJoCo's default of `rgba`
 DEFAULT_COLOR = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
@@ -195,14 +195,14 @@ def _apply_geoms_setting(
         return [CountDecision(True, "no geom can collide, so all count")] * model.ngeom
     if geoms_setting != "visual":
         colliding_decision = CountDecision(True, "can collide")
-        other_decision = CountDecision(False, CANT_COLLIDE)
+        other_decision = CountDecision(False, CANT_COLLIDE_REASON)
         decisions = [
             colliding_decision if geom_can_collide else other_decision
             for geom_can_collide in can_collide
         ]
         pair_geoms = np.concatenate([model.pair_geom1, model.pair_geom2])
         for geom in np.unique(pair_geoms[~can_collide[pair_geoms]]).tolist():
-            decisions[geom] = CountDecision(False, COLLIDES_IN_PAIRS)
+            decisions[geom] = CountDecision(False, COLLIDES_IN_PAIRS_REASON)
         return decisions
     groups = model.geom_group.tolist()
     bodies = model.geom_bodyid.tolist()

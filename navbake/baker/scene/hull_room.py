@@ -42,8 +42,8 @@ MIN_DROP_SHARE = 0.25
 # Directions that are up in a mesh's frame are equal if they are after rounding
 UP_DECIMALS = 9
 # What a hull hides, as warnings call it
-ROOM = "room to stand in"
-GROUND = "ground that is more than a step deeper"
+STANDING_ROOM_TEXT = "room to stand in"
+DEEPER_GROUND_TEXT = "ground that is more than a step deeper"
 
 # The kind of room that may begin above a hit: room that needs a ceiling, or room above a floor; 0
 # for neither
@@ -82,20 +82,24 @@ class HullRoomTest:
         self._box_sizes = _measure_boxes(self.model, self.data)
 
     def find_hidden(self, geom: int) -> str:
-        """Return what the hull of a mesh geom hides: ROOM, GROUND, or an empty text for nothing.
+        """Return a text that says whether the hull of a mesh geom hides room or ground.
 
-        Room is a free stretch of a vertical line that is at least as long as the agent is high. It
-        is inside the hull and outside of closed parts of the mesh. It begins at a surface that
-        faces up, or ends at a surface that faces down; or the line meets no surface of the mesh.
-        The lines with room have to cover as much area as a floor needs (`floors.min_area` after
-        `floors.shrink`).
+        Room is a stretch of a vertical line inside the hull and outside of closed parts of the
+        mesh, at least as long as the agent is high. It must have a floor or a ceiling (begin at a
+        surface that faces up, or end at one that faces down), unless the line meets no surface of
+        the mesh. The lines with room have to cover as much area as a floor needs
+        (`floors.min_area` after `floors.shrink`).
 
         Ground is the uppermost surface of a mesh that can't move, where it is no steeper than the
-        agent's slope, and more than a step below the hull. It counts from `MIN_GROUND_AREA` on, if
-        it is not the top of a thing, such as the seat of a couch (see `_mark_tops`).
+        agent's slope and more than a step below the hull. It is reported only if its area is at
+        least `MIN_GROUND_AREA`, and if it is not the top of a thing, such as the seat of a couch
+        (see `_mark_tops`).
 
         Args:
             geom: id of a mesh geom.
+
+        Returns:
+            STANDING_ROOM_TEXT, DEEPER_GROUND_TEXT, or an empty text if the hull hides neither.
         """
         if not self.is_large(geom) and not self._may_hide_ground(geom):
             return ""
@@ -145,7 +149,7 @@ class HullRoomTest:
         hull_columns = cast_columns(tile_shapes(hull_shapes, lattice, spacing / 2))
         has_room = _mark_room(mesh_columns, hull_columns, self.agent.height)
         if self.is_large(geom) and is_large_enough(lattice, self.floors, has_room):
-            return ROOM
+            return STANDING_ROOM_TEXT
         if not self._may_hide_ground(geom):
             return ""
         limits = make_agent_limits(self.agent)
@@ -153,7 +157,7 @@ class HullRoomTest:
         is_ground = is_gentle & ~_mark_tops(is_gentle, top_z, lattice, limits, bounds[0, 2])
         is_ground &= _find_depth(mesh_columns, hull_columns) > limits.max_step + LIMIT_SLACK
         ground_area = is_ground.sum() * lattice.cell_size**2
-        return GROUND if ground_area >= MIN_GROUND_AREA - LIMIT_SLACK else ""
+        return DEEPER_GROUND_TEXT if ground_area >= MIN_GROUND_AREA - LIMIT_SLACK else ""
 
     def _collect(self, geom: int, mesh_mode: str) -> Shapes:
         selection = {geom: GeomSelection(True, "", mesh_mode)}

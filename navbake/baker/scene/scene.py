@@ -56,10 +56,11 @@ if TYPE_CHECKING:
 MAX_COPIED_BYTES = 1 << 20  # larger arrays are hashed without a copy
 # More bytes than this are hashed in a thread; fewer are hashed before a thread would start [bytes]
 MIN_THREAD_BYTES = 1 << 17
-# A mesh that is higher or wider, or a scene that is narrower, is probably not in metres [m]
+# A mesh that is higher or whose box has a longer side, or a scene whose box has only shorter sides,
+# is probably not in metres [m]
 MAX_MESH_HEIGHT = 100.0
-MAX_MESH_WIDTH = 5000.0
-MIN_SCENE_WIDTH = 0.5
+MAX_MESH_SIDE = 5000.0
+MIN_SCENE_SIDE = 0.5
 
 
 @dataclass(frozen=True)
@@ -505,9 +506,9 @@ def _warn_size(
     is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES | STAGE_SUFFIXES
     bounds_to_check = measure_mesh_bounds(exact_meshes.values()) if is_mesh_file else bounds
     side_lengths = np.diff(bounds_to_check, axis=0)[0]
-    width = float(side_lengths.max())
+    longest_side = float(side_lengths.max())
     height = float(side_lengths[2])
-    if width < MIN_SCENE_WIDTH:
+    if longest_side < MIN_SCENE_SIDE:
         hint = "MuJoCo's unit is the metre: check the lengths, or the `scale` of its meshes"
         if suffix in STAGE_SUFFIXES:
             hint = "check its metersPerUnit, or set `scene.unit` (1 takes metres)"
@@ -515,9 +516,11 @@ def _warn_size(
             unit_text = "the metres that one unit of it is, as 1000 for kilometres"
             hint = f"set `scene.unit` to {unit_text} (1 silences this)"
         scene_type = "mesh" if is_mesh_file else "scene"
-        return [f"the {scene_type} is only {width:.6g} m large: {hint}"]
-    if is_mesh_file and (height > MAX_MESH_HEIGHT or width > MAX_MESH_WIDTH):
-        size_text = f"{height:.6g} m high" if height > MAX_MESH_HEIGHT else f"{width:.6g} m large"
+        return [f"the {scene_type} is only {longest_side:.6g} m large: {hint}"]
+    if is_mesh_file and (height > MAX_MESH_HEIGHT or longest_side > MAX_MESH_SIDE):
+        size_text = f"{longest_side:.6g} m large"
+        if height > MAX_MESH_HEIGHT:
+            size_text = f"{height:.6g} m high"
         hint = "if it is in centimetres, set `scene.unit` to 0.01, in millimetres to 0.001"
         return [f"the mesh is {size_text}: {hint} (1 silences this)"]
     return []

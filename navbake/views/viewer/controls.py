@@ -199,11 +199,11 @@ class Controls:
 
             return change
 
-        door = gui.add_dropdown("Door", [ALL_DOORS, *all_door_ids])
+        door_input = gui.add_dropdown("Door", [ALL_DOORS, *all_door_ids])
         # to select a door changes no choice, but the page is drawn, and shows the door's state
-        self._add_input("door", door, lambda _: lambda choices: choices)
-        state = gui.add_dropdown("State", [AS_BAKED, *state_names])
-        self._add_input("state", state, set_state)
+        self._add_input("door", door_input, lambda _: lambda choices: choices)
+        state_input = gui.add_dropdown("State", [AS_BAKED, *state_names])
+        self._add_input("state", state_input, set_state)
 
     def _add_episodes(self, choices: Choices) -> None:
         episode_names = [NO_EPISODE, *list(self._view_state.runs)[:MAX_EPISODES]]

@@ -29,7 +29,7 @@ PORT = 8080
 ALL_ADDRESSES = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")  # hosts that only this machine can reach
 MISSING_VISER = 'the viewer needs viser: pip install "navbake[view]"'
-PORT_IN_USE = "port {1} of {0} is in use: choose another one by --port, or 0 for any free one"
+PORT_IN_USE_TEXT = "port {1} of {0} is in use: choose another one by --port, or 0 for any free one"
 VISER_TITLE = b"<title>Viser</title>"
 MAX_HEAD_SIZE = 1 << 16  # largest head (first line and headers) of a request [bytes]
 CHUNK_SIZE = 1 << 16  # how much is forwarded at once [bytes]
@@ -108,7 +108,7 @@ class PageServer(AbstractContextManager["PageServer"]):
             if isinstance(error, OSError) and not isinstance(error, socket.gaierror):
                 message = f"cannot listen at {host}, port {port}: {error.strerror}"
                 if error.errno == errno.EADDRINUSE:
-                    message = PORT_IN_USE.format(host, port)
+                    message = PORT_IN_USE_TEXT.format(host, port)
             raise NavbakeError(message) from error
         url_host = f"[{host}]" if ":" in host else host
         if self._listens_everywhere:

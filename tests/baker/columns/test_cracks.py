@@ -61,7 +61,7 @@ def heights(columns: Columns, z: float = HEIGHT, tolerance: float = 0.3) -> np.n
 @pytest.mark.parametrize("cell", [0.1, 0.02, 0.01])
 def test_crack_over_cells_centres_is_closed(folder, cell):
     geoms = two_slabs(0.025, at=cell / 2)
-    open_cells = np.isnan(heights(cast_columns(stages_of(folder, geoms, cell).tile_index)))
+    open_cells = np.isnan(heights(cast_columns(stages_of(folder, geoms, cell).shape_source)))
     assert open_cells.any()
     assert not np.isnan(heights(stages_of(folder, geoms, cell).columns)).any()
 
@@ -128,13 +128,13 @@ def test_sides_under_walls_are_none(folder):
     wall = '<geom type="box" size=".01 2 1" pos="{} 0 {}"/>'
     walls = wall.format(0.031, 4) + wall.format(0.069, 3.6)  # to 1 mm beyond the crack's edges
     stages = stages_of(folder, GROUND + two_slabs(0.02, at=0.05) + walls, 0.1)
-    assert stages.columns.z.size == cast_columns(stages.tile_index).z.size
+    assert stages.columns.z.size == cast_columns(stages.shape_source).z.size
 
 
 def test_two_floors_more_than_a_step_apart_have_no_crack(folder):
     geoms = GROUND + two_slabs(0.01, at=0.05, step=0.3)
     stages = stages_of(folder, geoms)
-    assert stages.columns.hits.z.size == cast_columns(stages.tile_index).z.size
+    assert stages.columns.hits.z.size == cast_columns(stages.shape_source).z.size
 
 
 def test_crossing_of_two_cracks(folder):
@@ -194,15 +194,15 @@ def test_inner_corner_is_no_crack(folder, near):
         <geom type="box" size="1 .1 1" pos="{low + 1} {low - 0.1} 1"/>
         <geom type="box" size=".1 1 1" pos="{low - 0.1} {low + 0.8} 1"/>"""
     stages = stages_of(folder, GROUND + walls)
-    lines = resolve_seams(cast_columns(stages.tile_index), stages.tile_index)
+    lines = resolve_seams(cast_columns(stages.shape_source), stages.shape_source)
     assert stages.columns.z.size == lines.z.size
 
 
 def test_scene_without_cracks_keeps_its_columns(folder):
     geoms = GROUND + slab(-2, 2, -1, 1) + '<geom type="box" size=".05 1 1" pos="0 0 1"/>'
     stages = stages_of(folder, geoms)
-    columns = cast_columns(stages.tile_index)
-    assert close_cracks(columns, stages.tile_index, stages.config.agent, 0.03) is columns
+    columns = cast_columns(stages.shape_source)
+    assert close_cracks(columns, stages.shape_source, stages.config.agent, 0.03) is columns
 
 
 @pytest.mark.parametrize("x", np.linspace(0.0, 0.1, 4))
@@ -211,8 +211,8 @@ def test_ground_round_a_rock_is_no_crack(folder, x):
     slope = '<geom type="box" size="3 3 .1" euler="0 12 0"/>'
     rock = f'<geom type="ellipsoid" size=".35 .35 .3" pos="{x} 0 .15"/>'
     stages = stages_of(folder, slope + rock)
-    columns = cast_columns(stages.tile_index)
-    assert close_cracks(columns, stages.tile_index, stages.config.agent, 0.03) is columns
+    columns = cast_columns(stages.shape_source)
+    assert close_cracks(columns, stages.shape_source, stages.config.agent, 0.03) is columns
 
 
 @given(
@@ -285,5 +285,5 @@ def test_slopes_whose_edges_are_more_than_a_step_apart_have_no_crack(folder, ris
     """Heights are those at the edges."""
     geoms = GROUND + tilted(0.045, HEIGHT, 1) + tilted(0.055, HEIGHT + rise, -1)
     stages = stages_of(folder, geoms)
-    added = len(stages.columns.z) - len(cast_columns(stages.tile_index).z)
+    added = len(stages.columns.z) - len(cast_columns(stages.shape_source).z)
     assert added == (stages.lattice.height if closed else 0)

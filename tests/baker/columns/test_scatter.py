@@ -95,7 +95,7 @@ def test_occupancy_as_when_every_cell_asks_every_geom(seed):
             floor = level.floor.flat[cell]
             band = floor + footprint.low, floor + footprint.high
             prisms = prisms_over(columns, cell, *band, footprint.half_square, footprint.radius)
-            answers = set(geoms_that_meet(stages.tile_index, prisms).values())
+            answers = set(geoms_that_meet(stages.shape_source, prisms).values())
             if MEETS in answers or line_meets(columns, cell, prisms[0]):
                 assert occupied.flat[cell], cell
             elif UNDECIDED not in answers:
@@ -132,7 +132,7 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
             sure, maybe = {}, {}
             for name, sizes in volumes.items():
                 prisms = prisms_over(columns, cell, *sizes)
-                answers = geoms_that_meet(stages.tile_index, prisms)
+                answers = geoms_that_meet(stages.shape_source, prisms)
                 geoms = range(len(candidates))
                 lines = {g for g in geoms if line_meets(columns, cell, prisms[0], g)}
                 sure[name] = lines | {g for g, answer in answers.items() if answer == MEETS}
@@ -154,7 +154,7 @@ def test_queries_in_any_order_and_more_than_one_a_cell():
     num = stages.lattice.width * stages.lattice.height
     cells = rng.integers(0, num, 3000)
     floors = rng.choice([-0.5, 0.0, 0.3, 1.2], 3000)
-    ask = stages.columns, stages.tile_index, footprint
+    ask = stages.columns, stages.shape_source, footprint
     together = check_occupancy(*ask, cells, floors).occupied
     assert together.any() and not together.all()
     for n in range(0, 3000, 40):

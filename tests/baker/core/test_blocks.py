@@ -36,7 +36,7 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
     geoms = [f'<geom type="mesh" mesh="m" pos="{n / 3} {n / 4} .3"/>' for n in range(5)]
     path.write_text(f"<mujoco>{mesh}<worldbody>{CRACKED}{''.join(geoms)}</worldbody></mujoco>")
     config = parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}})
-    tiles = open_stages(config, StageClock()).tile_index
+    tiles = open_stages(config, StageClock()).shape_source
 
     def find(shapes: ShapeSource = tiles) -> ColumnCaster:
         return ColumnCaster(shapes, config.agent, config.floors.crack, StageClock())
@@ -56,7 +56,7 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
     monkeypatch.setattr(column_sources, "MAX_CELLS_IN_MEMORY", 0)
     monkeypatch.setattr(column_sources, "MAX_TRIANGLES_EXPANDED_AT_ONCE", 0)
     monkeypatch.setattr(column_sources, "MAX_EXPANSIONS_PER_TRIANGLE", np.inf)
-    for shapes in (tiles, open_stages(config, StageClock()).tile_index):
+    for shapes in (tiles, open_stages(config, StageClock()).shape_source):
         for one, other in zip(join(shapes).hits, whole.hits, strict=True):
             np.testing.assert_array_equal(one, other)
         some = find(shapes).columns_at(cells)
@@ -182,8 +182,8 @@ def test_height_field_in_pieces_and_chunks(tmp_path, monkeypatch, cell_size):
     monkeypatch.setattr(column_sources, "TRIANGLES_PER_CHUNK", 3000)
     monkeypatch.setattr(column_sources, "MAX_EXPANSIONS_PER_TRIANGLE", np.inf)
     stages = open_stages(config, StageClock())
-    assert isinstance(stages.tile_index, ChunkedShapes)
-    assert len(stages.tile_index.row_chunks()) > 2
+    assert isinstance(stages.shape_source, ChunkedShapes)
+    assert len(stages.shape_source.row_chunks()) > 2
     assert bake_bytes(config) == expected
     in_blocks(monkeypatch, 1000)
     assert bake_bytes(config) == expected

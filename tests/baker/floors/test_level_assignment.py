@@ -178,7 +178,7 @@ def test_seams_of_meshes_are_settled_as_those_of_boxes(tmp_path: Path):
     settled = []
     for stages in (box_stages, mesh_stages):
         columns = stages.floor_columns.columns_at(np.arange(3))
-        raw = cast_columns(stages.floor_tile_index)
+        raw = cast_columns(stages.floor_shape_source)
         settled.append(np.flatnonzero(np.diff(columns.start) != np.diff(raw.start)).tolist())
     assert settled[0] == settled[1] != []
     assert grounds(box_stages) == grounds(mesh_stages) == [0, 2.8]

@@ -89,7 +89,7 @@ class InBands(NamedTuple):
 
 def surfaces_in(stages, bands):
     columns = InBands(stages.columns, bands)
-    return find_surfaces(columns, stages.tile_index.shapes.planes, stages.config.agent)
+    return find_surfaces(columns, stages.shape_source.shapes.planes, stages.config.agent)
 
 
 @pytest.mark.parametrize("threads", [1, 3])

@@ -45,7 +45,7 @@ def endings_at(tmp_path: Path):
         config = {"scene": {"path": str(path)}, "grid": {"bounds": [-3, -3, 3, 3]}}
         stages = bake_stages(config)
         agent = stages.config.agent
-        tiles = stages.tile_index
+        tiles = stages.shape_source
         columns = stages.columns
         point = agent.model_copy(update={"radius": 0.0})
         narrow = Footprint.for_agent(point, stages.lattice.cell_size)

@@ -136,27 +136,27 @@ def test_windows_show_no_roofs_and_no_tops(path, bounds, expected, area):
     assert sum("no step leads" in text for text in result.warnings) == area
 
 
-def test_levels_of_a_window_are_numbered_anew_and_keep_their_links(path, whole_result):
+def test_levels_of_a_window_are_numbered_anew_and_keep_their_steps(path, whole_result):
     stages = bake_stages({"scene": {"path": str(path)}, "grid": {"cell_size": CELL}})
     lattice = stages.lattice
-    links = stages.floors.links
-    assert len(links)
-    row, col = np.divmod(links[:, [1, 3]], lattice.width)
+    steps = stages.floors.steps
+    assert len(steps)
+    row, col = np.divmod(steps[:, [1, 3]], lattice.width)
     rows = slice(int(row.min()) - 3, int(row.max()) + 2)
     cols = slice(int(col.min()) - 3, int(col.max()) + 2)
     cut = lattice.cut(rows, cols)
     grid = {"cell_size": CELL, "bounds": list(cut.bounds)}
     window = bake_stages({"scene": {"path": str(path)}, "grid": grid})
-    moved = links.copy()
+    moved = steps.copy()
     moved[:, [1, 3]] = (row - rows.start) * cut.width + col - cols.start
-    np.testing.assert_array_equal(window.floors.links, moved)
+    np.testing.assert_array_equal(window.floors.steps, moved)
     assert [level.name for level in window.floors.levels] == ["level 0", "level 1"]
     upper = bake(path, [11.0, 6.0, 12.0, 7.0], floors={"from": [[11, 6, 3]], "reach": "steps"})
     assert grounds(upper) == [3]
     assert upper.grid.metadata["navbake"]["levels"] == [{"name": "level 0", "ground": 3.0}]
 
 
-def test_levels_and_links_of_a_window_are_numbered_anew():
+def test_levels_and_steps_of_a_window_are_numbered_anew():
     """On the second of four levels, the window shows no standable surface."""
     floor = np.arange(8.0).reshape(2, 4)
     everywhere = np.ones((2, 4), dtype=bool)
@@ -167,15 +167,15 @@ def test_levels_and_links_of_a_window_are_numbered_anew():
         LevelFloor("level 2", 6.0, floor + 6, everywhere),
         LevelFloor("attic", 9.0, floor + 9, everywhere),
     ]
-    links = np.array([[0, 0, 1, 0], [0, 1, 2, 2], [0, 4, 2, 5], [1, 1, 2, 2], [2, 6, 3, 7]])
+    steps = np.array([[0, 0, 1, 0], [0, 1, 2, 2], [0, 4, 2, 5], [1, 1, 2, 2], [2, 6, 3, 7]])
     cells = np.array([[0, 4], [4, 5]])
     patches = [Patch(0, 1.0, (0.0, 0.0, 0.0), cells[k]) for k in (0, 1)]
     unreached = [UnreachedFloors(level, patches[1], True) for level in (1, 2)]
-    scene_floors = Floors(levels, links, patches, [], [], unreached, [], patches[:1], [], [], [])
+    scene_floors = Floors(levels, steps, patches, [], [], unreached, [], patches[:1], [], [], [])
     window = crop_floors(scene_floors, (slice(0, 2), slice(1, 4)))
     assert [level.name for level in window.levels] == ["level 0", "level 1", "attic"]
     assert [level.ground for level in window.levels] == [0, 6, 9]
-    assert window.links.tolist() == [[0, 0, 1, 1], [1, 4, 2, 5]]
+    assert window.steps.tolist() == [[0, 0, 1, 1], [1, 4, 2, 5]]
     assert window.tops == patches[1:] and window.enclosed_by_meshes == []
     assert [part.level for part in window.unreached_floors] == [1]
     np.testing.assert_array_equal(window.levels[1].floor, floor[:, 1:] + 6)
