@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from navbake.auditor.audit import audit
     from navbake.baker.bake.pipeline import bake
     from navbake.baker.live.baker import Baker
+    from navbake.baker.voxels.local_flight import LocalFlight
     from navbake.baker.voxels.voxelize import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
     from navbake.formats.grscenes import read_grscenes as from_grscenes
@@ -53,6 +54,7 @@ __all__ = [
     "ConfigError",
     "ExploredMap",
     "FormatError",
+    "LocalFlight",
     "MissingDependencyError",
     "MultiLevelGrid",
     "NavbakeError",
@@ -92,6 +94,7 @@ _LAZY = {
     "BakeConfig": "navbake.config.settings:BakeConfig",
     "Baker": "navbake.baker.live.baker:Baker",
     "ExploredMap": "navbake.arena.map_descriptor:ExploredMap",
+    "LocalFlight": "navbake.baker.voxels.local_flight:LocalFlight",
     "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
     "PathFinder": "navbake.runtime.path_finder:PathFinder",
     "SceneGrid2D": "navbake.navgrid.grid:SceneGrid2D",

@@ -7,7 +7,6 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, overload
 
 import numpy as np
@@ -165,16 +164,36 @@ class VoxelFinder:
         unknown: Literal["occupied", "free"] = "occupied",
     ) -> None:
         check_choice(unknown, UNKNOWN_SPACE, "unknown", QueryError)
-        self.voxels = voxels
         self.radius = _check_number("radius", radius, "> 0 m", positive=True)
         self._cost_of_clearance = _check_number(
             "cost_of_clearance", cost_of_clearance, ">= 0 m", positive=False
         )
         self._heights = (min_height, max_height)
         self._unknown = unknown
-        self.distances: DistanceField = voxels.distances(unknown_occupied=unknown == "occupied")
         self._moves = _list_moves(self.radius, voxels.res)
+        self.use(voxels)
+
+    def use(self, voxels: VoxelGrid) -> None:
+        """Switch to other voxels of the same size, for example after something moved.
+
+        Args:
+            voxels: The voxels, at any place. Later writes into them have no effect.
+
+        Raises:
+            QueryError: Their edge is another one.
+        """
+        move_length = float(self._moves.lengths.min())
+        if not math.isclose(voxels.res, move_length):
+            expected = f"voxels of {move_length:g} m"
+            raise QueryError(
+                f"expected {expected}, got {voxels.res:g} m", key="res", value=voxels.res
+            )
+        self.voxels = voxels
+        self.distances: DistanceField = voxels.distances(
+            unknown_occupied=self._unknown == "occupied"
+        )
         self._air = self._make_air()
+        self._islands: AirIslands | None = None
 
     def _make_air(self) -> Air:
         """Mark where the ball fits, for the kernels."""
@@ -221,9 +240,11 @@ class VoxelFinder:
         mask: Bool = (self._air.state & flight_kernels.FREE) != 0
         return mask
 
-    @cached_property
+    @property
     def islands(self) -> AirIslands:
         """The connected parts of the free voxels: ``count``, ``labels``, ``volumes`` [m³]."""
+        if self._islands is not None:
+            return self._islands
         labels = np.zeros(self.voxels.shape, dtype=np.int32)
         count = flight_kernels.label_islands(self._air, self._moves, labels)
         sizes: Int = np.bincount(labels.ravel(), minlength=count + 1)[1:]
@@ -231,10 +252,29 @@ class VoxelFinder:
         order = np.argsort(-sizes, kind="stable")
         number_of_label = np.zeros(count + 1, dtype=np.int32)
         number_of_label[1 + order] = np.arange(1, count + 1)
-        return AirIslands(
+        self._islands = AirIslands(
             labels=number_of_label[labels],
             volumes=volumes,
         )
+        return self._islands
+
+    def island_at(self, position: ArrayLike) -> int | None:
+        """Return the number of the island that a position is joined to; None if there is none.
+
+        Args:
+            position: World x, y, z [m], shape (3,).
+
+        Returns:
+            The number of the largest island of which the ball sees a voxel's centre nearby; 1 is
+            the largest.
+
+        Raises:
+            QueryError: The position is not three finite numbers.
+        """
+        ends = self._join(_check_one(position))
+        if not len(ends.voxels):
+            return None
+        return int(self.islands.labels[tuple(ends.voxels.T)].min())
 
     @overload
     def is_free(self, position: OnePosition) -> bool: ...
