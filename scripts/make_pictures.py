@@ -10,14 +10,16 @@ import io
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Circle, Patch, Polygon
 from PIL import Image
 
 import navbake
@@ -25,8 +27,12 @@ from baselines import WALKERS
 from make_house import make_house
 from navbake.baker.bake.stages import bake_stages
 from navbake.episodes import make_episodes, make_rules
+from navbake.navgrid import colors
+from navbake.navgrid.colors import rgb_of
 from navbake.navgrid.grid import NavGrid
+from navbake.views import plot
 from navbake.views.flight import draw_flight
+from navbake.views.layers import make_panel, paint
 from navbake.views.plot import render_picture
 from sweep_scans import make_scan
 
@@ -34,6 +40,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PICTURES = ROOT / "docs" / "pictures"
 SIZE = (1250, 1600)  # pixels; what is larger is scaled down
 COLORS = 256  # of the palette that a picture is reduced to
+LINE_COLORS = (colors.MARKS[0], colors.MARKS[1], colors.ROUTE)  # of the baselines
 START, GOAL = (0.0, -4.8, 0.0), (-2.2, -3.2, 3.0)  # [m], from the garden to a room upstairs
 
 
@@ -53,6 +60,59 @@ PLAIN: dict[str, tuple[str, tuple[str, ...], int | None]] = {
 def bake(name: str) -> NavGrid:
     """Bake a sample scene."""
     return navbake.bake(ROOT / "configs" / f"{name}.yaml")
+
+
+# --- pictures that navbake has no layer for, in the style of those that it draws ------------------
+
+
+def make_maps(
+    titles: Sequence[str], bounds: tuple[float, float, float, float], width: float
+) -> tuple[Figure, list[Axes]]:
+    """Make a figure with maps side by side.
+
+    Args:
+        titles: the title of each map.
+        bounds: what the maps show, world x_min, y_min, x_max, y_max [m].
+        width: width of the figure [inches].
+    """
+    x_min, y_min, x_max, y_max = bounds
+    map_width = width / len(titles) - 0.4
+    height = map_width * (y_max - y_min) / (x_max - x_min) + 1.0
+    figure = Figure(figsize=(width, height), dpi=plot.DPI, layout="constrained")
+    axes = list(figure.subplots(1, len(titles), squeeze=False)[0])
+    for ax, title in zip(axes, titles, strict=True):
+        ax.set_title(title, loc="left", fontsize=plot.TITLE_POINTS, color=plot.TEXT_COLOR, pad=5)
+        ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal")
+        plot.style_axes(ax)
+    return figure, axes
+
+
+def show_cells(ax: Axes, rgb: np.ndarray, bounds: tuple[float, float, float, float]) -> None:
+    """Show the colours of cells, row 0 at the largest y."""
+    x_min, y_min, x_max, y_max = bounds
+    ax.imshow(rgb, extent=(x_min, x_max, y_min, y_max), interpolation="nearest")
+
+
+def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
+    """Add a legend below the maps."""
+    figure.legend(
+        handles=handles,
+        ncols=len(handles),
+        loc="outside lower left",
+        frameon=False,
+        fontsize=plot.LEGEND_POINTS,
+        labelcolor=plot.TEXT_COLOR,
+    )
+
+
+def as_png(figure: Figure) -> bytes:
+    """Return the PNG of a figure."""
+    file = io.BytesIO()
+    figure.savefig(file, format="png")
+    return file.getvalue()
+
+
+# --- the pictures -------------------------------------------------------------------------------
 
 
 def draw_plain(name: str) -> bytes:
@@ -97,36 +157,35 @@ def draw_baselines() -> bytes:
     finder, (level,) = navbake.PathFinder(grid), grid.levels
     content = make_episodes(grid, "point", make_rules("habitat", min_distance=7.0), count=20)
     episode = max(content.episodes, key=lambda e: e.ratio or 1.0)
-    figure = Figure(figsize=(7.0, 4.5), dpi=150, layout="constrained")
-    axes = figure.add_subplot()
-    x0, y0, x1, y1 = level.lattice.bounds
-    axes.imshow(level.free, extent=(x0, x1, y0, y1), cmap="gray", vmin=-1.0, vmax=1.0)
-    for name, walk in reversed(WALKERS.items()):
+    figure, (ax,) = make_maps(["an episode, and how three baselines go"], level.lattice.bounds, 5.0)
+    show_cells(ax, paint(make_panel(grid, "occupancy", 0)), level.lattice.bounds)
+    lines = reversed(WALKERS.items())
+    for (name, walk), color in zip(lines, LINE_COLORS, strict=True):
         line = walk(finder, episode, np.random.default_rng(0))
-        axes.plot(*line[:, :2].T, label=name, linewidth=1.0 if name == "random" else 2.0)
-    axes.plot(*episode.start[:2], "ko", label="start")
-    axes.plot(*episode.goals[0].position[:2], "k*", markersize=12, label="goal")
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    file = io.BytesIO()
-    figure.savefig(file, format="png")
-    return file.getvalue()
+        ax.plot(*line[:, :2].T, color=color, label=name, linewidth=1.0 if name == "random" else 2.2)
+    marks = {"start": (episode.start, "o", 7), "goal": (episode.goals[0].position, "*", 13)}
+    for name, (position, marker, size) in marks.items():
+        style = {"markeredgecolor": "white", "markersize": size, "linestyle": "none"}
+        ax.plot(*position[:2], marker, color=plot.TEXT_COLOR, label=name, **style)
+    add_legend(figure, ax.get_legend_handles_labels()[0])
+    return as_png(figure)
 
 
 def draw_voxels() -> bytes:
     """Two layers of voxels, each thing in a colour of its own."""
     voxelizer = navbake.Voxelizer(ROOT / "configs" / "apartment.yaml")
     grid = voxelizer.create(res=0.05, segments="top")
-    figure = Figure(figsize=(11, 5), layout="constrained")
     (x0, y0, _), (x1, y1, _) = grid.bounds
-    hues = np.random.default_rng(4).permutation(max(grid.names) + 1)
-    for ax, z in zip(figure.subplots(1, 2), (0.4, 1.2), strict=True):
+    heights = (0.4, 1.2)
+    figure, axes = make_maps([f"voxels at z = {z:g} m" for z in heights], (x0, y0, x1, y1), 8.3)
+    rng = np.random.default_rng(4)
+    palette = np.array([rgb_of(color) for color in (*colors.ROOMS, *colors.MARKS, colors.ROUTE)])
+    color_of_name = palette[rng.integers(0, len(palette), max(grid.names) + 1)]
+    color_of_name[0] = rgb_of(colors.FREE)
+    for ax, z in zip(axes, heights, strict=True):
         layer = grid.values[:, :, int(grid.indices((x0, y0, z))[2])].T
-        shown = np.ma.masked_equal(np.where(layer > 0, hues[layer] + 1, 0), 0)
-        ax.imshow(shown, origin="lower", extent=(x0, x1, y0, y1), cmap="nipy_spectral")
-        ax.set(title=f"voxels at z = {z:g} m", xlabel="x [m]", ylabel="y [m]")
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=100)
-    return content.getvalue()
+        show_cells(ax, color_of_name[layer[::-1]].astype(np.uint8), (x0, y0, x1, y1))
+    return as_png(figure)
 
 
 def draw_fly() -> bytes:
@@ -169,34 +228,28 @@ def draw_roles() -> bytes:
     stages = bake_stages(scene, grid={"cell_size": 0.05})
     grid = navbake.bake(scene, grid={"cell_size": 0.05})
     (level,) = grid.levels
-    x_min, y_min, x_max, y_max = level.lattice.bounds
-    shown = {"extent": (x_min, x_max, y_min, y_max), "interpolation": "nearest"}
-    figure = Figure(figsize=(13, 3.6), layout="constrained")
-    of_roles, of_rooms, of_cells = figure.subplots(1, 3)
-    colors = {"structure": "0.55", "movable": "tab:orange", "leaf": "tab:blue"}
+    titles = ["roles", "rooms: by structure and closed leaves", "occupied: by all, doors closed"]
+    figure, (of_roles, of_rooms, of_cells) = make_maps(titles, level.lattice.bounds, 8.3)
+    color_of_role = {"structure": colors.OCCUPIED, "movable": colors.MARKS[0], "leaf": colors.DOOR}
     for geom in stages.scene.geoms[1:]:  # the first is the floor
         place = stages.scene.data.geom_xpos[geom.id][:2]
         turn = stages.scene.data.geom_xmat[geom.id].reshape(3, 3)[:2, :2]
         half = scene.geom_size[geom.id]
         if geom.type == "box":
             corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half[:2]
-            patch = Polygon(corners @ turn.T + place, color=colors[geom.role])
+            patch = Polygon(corners @ turn.T + place, color=color_of_role[geom.role])
         else:
-            patch = Circle(place, half[0], color=colors[geom.role])
+            patch = Circle(place, half[0], color=color_of_role[geom.role])
         of_roles.add_patch(patch)
-    for role, color in colors.items():
-        of_roles.plot([], [], "s", color=color, label=role)
-    of_roles.legend(loc="upper right")
-    rooms = np.ma.masked_equal(level.room_index, 0)
-    of_rooms.imshow(rooms, cmap="Pastel1", vmin=1, vmax=9, **shown)
-    of_cells.imshow(level.occupancy, cmap="Greys", vmax=1.6, **shown)
-    titles = ("roles", "rooms: by structure and closed leaves", "occupied: by all, doors closed")
-    for ax, title in zip((of_roles, of_rooms, of_cells), titles, strict=True):
-        ax.set(title=title, xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal")
-        ax.set(xlabel="x [m]", ylabel="y [m]")
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=100)
-    return content.getvalue()
+    show_cells(of_rooms, paint(make_panel(grid, "rooms", 0)), level.lattice.bounds)
+    show_cells(of_cells, paint(make_panel(grid, "occupancy", 0)), level.lattice.bounds)
+    legend = {**color_of_role, "free": colors.FREE, "occupied in a room": colors.ROOM_LEGEND}
+    handles = [
+        Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=meaning)
+        for meaning, color in legend.items()
+    ]
+    add_legend(figure, handles)
+    return as_png(figure)
 
 
 def draw_page(name: str) -> bytes:

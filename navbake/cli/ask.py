@@ -149,7 +149,9 @@ def path(
     ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
-    output: Path | None = option("PNG|SVG", "Draw the path; - for a PNG on stdout.", *OUTPUT_FLAGS),
+    output: Path | None = option(
+        "PNG|SVG|PDF", "Draw the path; - for a PNG on stdout.", *OUTPUT_FLAGS
+    ),
 ) -> None:
     """Plan a path through a grid, or say why there is none.
 
@@ -158,7 +160,7 @@ def path(
     Example: navbake path house.grid.json --from 0,-4.8 --to -2.2,-3.2,L1
     """
     if output is not None:
-        options.check_output(output, ".png", ".svg", inputs=[grid])
+        options.check_output(output, *options.PICTURE_SUFFIXES, inputs=[grid])
     is_named = any(goal.startswith(NAME_PREFIXES) for goal in goals)
     if len(goals) > 1 and is_named:
         raise BadParameter("several goals have to be positions", param_hint="--to")

@@ -88,7 +88,9 @@ def verify(
     if all_cells and sample != SAMPLED_CELLS:
         raise BadParameter("expected one of them", param_hint="--sample, --all")
     if output is not None:
-        options.check_output(output, ".png", ".svg", inputs=[grid, *([scene] if scene else [])])
+        options.check_output(
+            output, *options.PICTURE_SUFFIXES, inputs=[grid, *([scene] if scene else [])]
+        )
     from navbake.verifier.verify import verify as compare_with_scene  # loads MuJoCo
 
     report = compare_with_scene(
@@ -158,7 +160,7 @@ def audit(
     options.refuse_unused(("--radius", radius is not None, routes_grid is not None, "--grid"))
     if output is not None:
         inputs = [grid] if routes_grid is None else [grid, routes_grid]
-        options.check_output(output, ".png", ".svg", inputs=inputs)
+        options.check_output(output, *options.PICTURE_SUFFIXES, inputs=inputs)
     from navbake.auditor.audit import audit as audit_grid  # loads numpy
 
     if routes_grid is None:

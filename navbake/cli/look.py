@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from typer import BadParameter
 
@@ -15,6 +17,8 @@ from navbake.cli.options import (
     GRID_SUFFIXES,
     LEVEL_OPTION,
     OUTPUT_FLAGS,
+    PLACE,
+    PLACE_PATTERN,
     SCENE_OPTION,
     STDOUT,
     GridFile,
@@ -24,16 +28,24 @@ from navbake.cli.options import (
     option,
 )
 from navbake.cli.printing import add_facts, add_files, print_warnings, say, say_unless_quiet
-from navbake.errors import ConfigError, NavbakeError
+from navbake.errors import ConfigError, FormatError, NavbakeError
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid
+    from navbake.views.plot import Mark
 
 # Functions import what they need only when they run: --help loads no numpy, MuJoCo or viser.
 
+PLACES_TEXT = "what `navbake sample --json` prints"
+ALL_LEVELS = -1  # level of a mark that is drawn on all levels
 GRID_ENDING = re.compile(r"(\.grid)?(\.json)?(\.gz)?$")  # the ending of a grid file's name
 
 
 def plot(
     grid: GridFile,
-    output: Path = option("PNG|SVG", "Picture; - for a PNG on stdout.", *OUTPUT_FLAGS, default=...),
+    output: Path = option(
+        "PNG|SVG|PDF", "Picture; - for a PNG on stdout.", *OUTPUT_FLAGS, default=...
+    ),
     level: int | None = LEVEL_OPTION,
     layers: list[str] | None = option(
         "LAYER",
@@ -42,27 +54,87 @@ def plot(
         "--layer",
         completion=completion.list_layers,
     ),
+    bounds: str | None = option(
+        "X0,Y0,X1,Y1", "Show this part of the world only [m].  [default: all of the grid]"
+    ),
+    points: list[str] | None = option(
+        f"{PLACE}|JSON",
+        "Mark a place, or those of `navbake sample --json`. May be repeated.",
+        "--points",
+    ),
+    dpi: float = option("N", "Pixels per inch of a PNG.", default=150.0, min=30, max=1200),
+    no_title: bool = flag("--no-title", "Leave out the heading and the maps' titles."),
 ) -> None:
     """Draw a grid: a row for each level, a column for each layer.
 
-    Up is the world's +y.
+    Up is the world's +y. A picture is at most 8.3 inches wide.
 
     Example: navbake plot house.grid.json -o house.png --layer rooms --layer floor
     """
     from navbake.views.layers import LAYERS
     from navbake.views.plot import DEFAULT_LAYERS
 
+    view_bounds = None if bounds is None else _parse_bounds(bounds)
     for layer in layers or ():
         if layer not in LAYERS:
             problem = f"expected one of {', '.join(LAYERS)}, got {layer}"
             raise BadParameter(problem, param_hint="--layer")
-    options.check_output(output, ".png", ".svg", inputs=[grid])
+    point_files = [Path(text) for text in points or () if not PLACE_PATTERN.fullmatch(text)]
+    options.check_output(output, *options.PICTURE_SUFFIXES, inputs=[grid, *point_files])
     nav_grid = navbake.load(grid)
     layer_names = tuple(layers or DEFAULT_LAYERS)
-    options.write_picture(nav_grid, output, level=level, layers=layer_names)
+    options.write_picture(
+        nav_grid,
+        output,
+        level=level,
+        layers=layer_names,
+        marks=_read_marks(points or (), nav_grid),
+        bounds=view_bounds,
+        dpi=dpi,
+        titles=not no_title,
+    )
     add_facts(scene_id=nav_grid.scene_id, level=level, layers=layer_names)
     if output != STDOUT:
         say_unless_quiet(output)
+
+
+def _parse_bounds(text: str) -> list[float]:
+    """Parse the option --bounds: world x_min, y_min, x_max, y_max [m]."""
+    try:
+        bounds = [float(number_text) for number_text in text.split(",")]
+    except ValueError:
+        bounds = []
+    if len(bounds) != 4:
+        message = f"expected X0,Y0,X1,Y1 as in -2,-1.5,4,3, got {text!r}"
+        raise BadParameter(message, param_hint="--bounds")
+    return bounds
+
+
+def _read_marks(points: Iterable[str], grid: NavGrid) -> list[Mark]:
+    """Return a mark for each place that the option --points names or whose file it names.
+
+    Raises:
+        FormatError: a file can't be read, or has no places.
+    """
+    from navbake.formats.source import read_json
+
+    marks: list[Mark] = []
+    for text in points:
+        if PLACE_PATTERN.fullmatch(text):
+            x, y, z, level = options.parse_place(text, "--points")
+            if z is not None:
+                cell = grid.cell_at((x, y, z))
+                level = None if cell is None else cell.level
+            marks.append((ALL_LEVELS if level is None else level, x, y, "point"))
+            continue
+        content, name = read_json(Path(text), expected=PLACES_TEXT)
+        try:
+            for place in content["places"]:
+                x, y = map(float, place["position"][:2])
+                marks.append((int(place["level"]), x, y, Path(text).stem))
+        except (KeyError, TypeError, ValueError) as error:
+            raise FormatError(f"expected {PLACES_TEXT} in {name}") from error
+    return marks
 
 
 def report(

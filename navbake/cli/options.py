@@ -162,10 +162,12 @@ JSON_OPTION = flag("--json", "Print one JSON object in place of the lines.")
 VERBOSE_OPTION = flag("-v", "Print on stderr what is read, done and written, too.", "--verbose")
 OUTPUT_FLAGS = "-o", "--output"
 """The names of the option for the output file."""
-PICTURE_OPTION = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT_FLAGS)
+PICTURE_OPTION = option("PNG|SVG|PDF", "Draw the places; - for a PNG on stdout.", *OUTPUT_FLAGS)
 LEVEL_OPTION = option("N", "Only this level; 0 is the lowest.", completion=list_levels, min=0)
 STDOUT = Path("-")
 """The output that stands for stdout."""
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
+"""Endings of pictures."""
 GRID_SUFFIXES = (".json", ".json.gz")
 """Endings of NavGrid files."""
 PLACE = "X,Y[,Z|,LEVEL]"
@@ -228,13 +230,12 @@ def write_picture(grid: NavGrid, output: Path, **content: Any) -> None:
 
     Args:
         grid: the grid.
-        output: a file, SVG if its name says so, else PNG; or stdout, which gets a PNG.
+        output: a file, SVG or PDF if its name says so, else PNG; or stdout, which gets a PNG.
         content: arguments of `navbake.views.plot.render_picture`.
     """
-    from navbake.views.plot import render_picture  # loads numpy
+    from navbake.views.plot import find_picture_format, render_picture  # loads numpy
 
-    picture_format = "svg" if output.name.lower().endswith(".svg") else "png"
-    write_output(render_picture(grid, picture_format, **content), output)
+    write_output(render_picture(grid, find_picture_format(output), **content), output)
 
 
 def write_output(content: bytes, output: Path) -> None:

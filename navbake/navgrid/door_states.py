@@ -262,10 +262,11 @@ class DoorLine(NamedTuple):
     state: str  #: ``closed``, ``open``, ``removed``; else ``modelled``.
     start: tuple[float, float]  #: One end, world x, y [m].
     end: tuple[float, float]  #: The other end, world x, y [m].
+    leaf_width: float | None = None  #: Width of the leaf's geometry [m]; None if unknown.
 
     @property
     def width(self) -> float:
-        """Width of the doorway [m], accurate to about a cell."""
+        """Length of the line [m], which is that of the doorway to about a cell."""
         return math.dist(self.start, self.end)
 
     @property
@@ -285,7 +286,9 @@ def find_door_lines(grid: NavGrid, level_number: int) -> tuple[DoorLine, ...]:
     for door in grid.doors:
         ends = find_leaf_ends(grid, door, level_number)
         if ends is not None:
-            lines.append(DoorLine(door.id, door.like or door.state, ends[0], ends[1]))
+            lines.append(
+                DoorLine(door.id, door.like or door.state, ends[0], ends[1], leaf_width=door.width)
+            )
     return tuple(lines)
 
 

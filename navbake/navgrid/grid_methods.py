@@ -815,6 +815,9 @@ class GridMethods:
         marks: Sequence[Mark] = (),
         poses: StandPoses | None = None,
         region: Sequence[Bool] | None = None,
+        bounds: Sequence[float] | None = None,
+        dpi: float = 150.0,
+        titles: bool = True,
     ) -> Image: ...
 
     @overload
@@ -828,6 +831,9 @@ class GridMethods:
         marks: Sequence[Mark] = (),
         poses: StandPoses | None = None,
         region: Sequence[Bool] | None = None,
+        bounds: Sequence[float] | None = None,
+        dpi: float = 150.0,
+        titles: bool = True,
     ) -> Path: ...
 
     def plot(
@@ -840,6 +846,9 @@ class GridMethods:
         marks: Sequence[Mark] = (),
         poses: StandPoses | None = None,
         region: Sequence[Bool] | None = None,
+        bounds: Sequence[float] | None = None,
+        dpi: float = 150.0,
+        titles: bool = True,
     ) -> Image | Path:
         """Draw layers of the grid: as an image, which notebooks show, or into a file.
 
@@ -848,7 +857,8 @@ class GridMethods:
         show the same part of the world, +y up. The same grid gives the same bytes.
 
         Args:
-            path: Name of the file: an SVG if it ends in ``.svg``, else a PNG. None for no file.
+            path: Name of the file: an SVG if it ends in ``.svg``, a PDF if it ends in ``.pdf``,
+                else a PNG. None for no file.
             level: Draw this level only, 0 is the lowest.
             layers: What to draw: ``occupancy``, ``floor``, ``rooms``, ``doors``, ``clearance``,
                 ``island``, ``weights``, ``links`` or ``area``.
@@ -858,12 +868,17 @@ class GridMethods:
             poses: Poses of a base to draw as arrows, from `PathFinder.stand_poses`.
             region: Cells to shade, from `PathFinder.stand_region`: for each level, bool, shape
                 (height, width).
+            bounds: The part of the world to show, world x_min, y_min, x_max, y_max [m]; None for
+                all of the grid.
+            dpi: Pixels per inch of a PNG, 30 to 1200; the picture is at most 8.3 inches wide.
+            titles: Whether to write the heading and the maps' titles.
 
         Returns:
             The image, or the path of the file if `path` is given.
 
         Raises:
-            QueryError: There is no such level or layer.
+            QueryError: There is no such level or layer, the bounds show nothing of the grid, or
+                `dpi` is out of its range.
             MissingDependencyError: The extra ``navbake[plot]`` is not installed.
 
         Example:
@@ -881,6 +896,9 @@ class GridMethods:
             marks=marks,
             poses=poses,
             region=region,
+            bounds=bounds,
+            dpi=dpi,
+            titles=titles,
         )
 
     def _repr_html_(self) -> str:

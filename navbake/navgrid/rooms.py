@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 import msgspec
 import numpy as np
@@ -197,6 +197,7 @@ class Door:
         cells: State -> level -> the cells that only this door blocks, as runs of cell ids.
         solid: State -> level -> the cells whose squares only this door overlaps, as runs of cell
             ids; {} unless the grid has a layer ``solid``.
+        width: Width of its leaf [m], as the bake measured it on the geometry; None if unknown.
     """
 
     id: str
@@ -205,6 +206,7 @@ class Door:
     state: str
     cells: Mapping[str, Mapping[int, Runs]] = field(repr=False)
     solid: Mapping[str, Mapping[int, Runs]] = field(default_factory=dict, repr=False)
+    width: float | None = None
 
     @property
     def levels(self) -> list[int]:
@@ -262,7 +264,7 @@ class Door:
 
     def to_json(self) -> Json:
         """Return the door as JSON, without its cells."""
-        names = ("id", "joint", "rooms", "levels", "state", "like", "states")
+        names = ("id", "joint", "rooms", "levels", "state", "like", "states", "width")
         return {name: getattr(self, name) for name in names} | {"rooms": list(self.rooms)}
 
 
@@ -275,6 +277,7 @@ class _DoorEntry(msgspec.Struct):
     joint: str | None = None
     rooms: tuple[str | None, ...] = ()
     solid: dict[DoorState, list[tuple[int, list[int]]]] = {}
+    width: Annotated[float, msgspec.Meta(ge=0, le=1e10)] | None = None
 
 
 def parse_doors(entries: object, cell_counts: Sequence[int]) -> tuple[Door, ...]:
@@ -314,7 +317,9 @@ def parse_doors(entries: object, cell_counts: Sequence[int]) -> tuple[Door, ...]
                     )
         cells = {str(state): dict(level_runs) for state, level_runs in entry.cells.items()}
         solid = {str(state): dict(level_runs) for state, level_runs in entry.solid.items()}
-        doors[entry.id] = Door(entry.id, entry.joint, entry.rooms, entry.state, cells, solid)
+        doors[entry.id] = Door(
+            entry.id, entry.joint, entry.rooms, entry.state, cells, solid, width=entry.width
+        )
     return tuple(doors.values())
 
 

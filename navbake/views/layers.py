@@ -7,6 +7,7 @@ for the colour-blind.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -35,12 +36,15 @@ MAX_WHITE_SHARE = 0.3
 MAX_BLACK_SHARE = 0.35
 # most cells along a room's longer side that are looked at to place its name
 MAX_SAMPLED_CELLS = 400
+MAX_NUMBERED_ISLANDS = 200  # on a level; the largest
 OCCUPANCY_COLORS = {
     "free": colors.FREE,
     "occupied": colors.OCCUPIED,
     "no floor": colors.NO_FLOOR,
     "closed by inflation": colors.CLOSED,
 }
+LEAF_TEXT = "door leaf"  # legend: where a door blocks the way
+DOORWAY_TEXT = "doorway"  # legend: where a door would block the way if it were closed
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 
 # Colours of viridis from 0.22 to 1, chosen so that neighbours differ equally to all people, also to
@@ -59,6 +63,8 @@ MIN_TICK_GAP = 0.11  # smallest distance of two ticks, relative to the scale's l
 
 Legend: TypeAlias = tuple[tuple[str, str], ...]
 """Meanings and their colours."""
+Rectangle: TypeAlias = tuple[float, float, float, float]
+"""World x_min, y_min, x_max, y_max [m]."""
 Reals: TypeAlias = NDArray[np.floating]
 """Values in float32 or float64."""
 
@@ -128,6 +134,7 @@ class Label(NamedTuple):
         width: how wide the name may be [m]; 0 for the name of a point.
         height: how high the name may be [m]; 0 for the name of a point.
         number: the number to write where there is no space for the name.
+        key_text: what the number stands for in a key; empty for `text`.
     """
 
     text: str
@@ -137,6 +144,7 @@ class Label(NamedTuple):
     width: float
     height: float
     number: int = 0
+    key_text: str = ""
 
 
 class Panel(NamedTuple):
@@ -152,6 +160,7 @@ class Panel(NamedTuple):
         labels: names on the picture.
         doors: lines across doorways.
         connections: links and stairs to draw, of all levels.
+        keep_clear: rectangles that names of points stay off, such as those of door leaves.
         relief_step: the difference of values between neighbours at which relief shading has 3/4 of
             its full strength; 0 for no shading.
     """
@@ -164,6 +173,7 @@ class Panel(NamedTuple):
     labels: tuple[Label, ...] = ()
     doors: tuple[DoorLine, ...] = ()
     connections: tuple[Connection, ...] = ()
+    keep_clear: tuple[Rectangle, ...] = ()
     relief_step: float = 0.0
 
 
@@ -249,7 +259,7 @@ def linear_scale(values: Reals, label: str, *, is_high_dark: bool = False) -> Co
     """
     low = float(values.min()) if values.size else 0.0
     high = float(values.max()) if values.size else MIN_VALUE_RANGE
-    ticks = [(low, f"{low:g}")]
+    ticks = [(low, f"{low + 0.0:g}")]  # no -0
     if high > low:
         step = round_up_step((high - low) / MAX_TICKS)
         num_decimals = max(0, -math.floor(math.log10(step) + 1e-9))
@@ -312,7 +322,8 @@ def height_scale(heights: Reals, label: str) -> ColorScale:
     for index in [indices_by_frequency[0], 0, len(height_indices) - 1, *indices_by_frequency]:
         position = float(positions[index])
         if all(abs(position - tick.position) >= MIN_TICK_GAP for tick in ticks[:MAX_TICKS]):
-            ticks.append(Tick(position, f"{values[index] + 0.0:.2f}"))
+            # no -0.00
+            ticks.append(Tick(position, f"{round(float(values[index]), 2) + 0.0:.2f}"))
     if positions[0] > 0:
         positions = np.concatenate([[0.0], positions, [1.0]])
         values = np.concatenate([[low - height_step], values, [values[-1] + height_step]])
@@ -327,8 +338,7 @@ def _paint_occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
     """Paint the cells of a level by whether they are free.
 
     Returns:
-        The colour of each cell, shape (height, width, 3); and the legend, whose first entry is that
-        of free cells.
+        The colour of each cell, shape (height, width, 3); and the legend of the colours that occur.
     """
     color_index = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1)).astype(
         np.uint8
@@ -338,12 +348,17 @@ def _paint_occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
     legend = [
         entry
         for color_number, entry in enumerate(OCCUPANCY_COLORS.items())
-        if color_number == 0 or is_color_used[color_number]
+        if is_color_used[color_number]
     ]
     palette = np.array(
         [colors.rgb_of(color) for color in OCCUPANCY_COLORS.values()], dtype=np.uint8
     )
     return palette[color_index], tuple(legend)
+
+
+def _drop_free(legend: Legend) -> Legend:
+    """Return the legend of a layer that gives free cells other colours."""
+    return tuple(entry for entry in legend if entry[1] != colors.FREE)
 
 
 def _show_occupancy(grid: NavGrid, level_number: int) -> Panel:
@@ -373,7 +388,7 @@ def _show_clearance(grid: NavGrid, level_number: int) -> Panel:
     clearances = np.where(level.free, clearances, np.nan).astype(np.float32)
     scale = linear_scale(clearances[np.isfinite(clearances)], "to the nearest obstacle [m]")
     rgb, legend = _paint_occupancy(level)
-    return Panel("clearance [m]", rgb, clearances, scale, legend[1:])
+    return Panel("clearance [m]", rgb, clearances, scale, _drop_free(legend))
 
 
 def _show_weights(grid: NavGrid, level_number: int) -> Panel:
@@ -382,7 +397,9 @@ def _show_weights(grid: NavGrid, level_number: int) -> Panel:
     scale = linear_scale(costs[np.isfinite(costs)], "cost of a cell", is_high_dark=True)
     costs[level.weights == 1] = np.nan  # cells of cost 1 have the colour of free cells
     rgb, legend = _paint_occupancy(level)
-    return Panel("weights", rgb, costs, scale, (("cost 1", colors.FREE), *legend[1:]))
+    has_cost_1 = bool((level.free & (level.weights == 1)).any())
+    cost_1_legend = (("cost 1", colors.FREE),) if has_cost_1 else ()
+    return Panel("weights", rgb, costs, scale, (*cost_1_legend, *_drop_free(legend)))
 
 
 def _show_islands(grid: NavGrid, level_number: int) -> Panel:
@@ -397,8 +414,19 @@ def _show_islands(grid: NavGrid, level_number: int) -> Panel:
     palette = np.array([colors.rgb_of(color) for color in colors.ROOMS], dtype=np.uint8)
     color_of_island = colors.choose_colors(num_islands, neighbour_pairs, len(palette))
     rgb, legend = _paint_occupancy(level)
-    rgb[level.free] = palette[color_of_island[island_layers[level_number][level.free]]]
-    return Panel("islands", rgb, legend=legend[1:])
+    island_index = island_layers[level_number]
+    rgb[level.free] = palette[color_of_island[island_index[level.free]]]
+    num_cells_of_island = np.bincount(island_index.ravel(), minlength=num_islands + 1)
+    num_cells_of_island[0] = 0  # not free
+    region_names = []
+    for island in np.argsort(-num_cells_of_island, kind="stable")[:MAX_NUMBERED_ISLANDS].tolist():
+        area = num_cells_of_island[island] * level.lattice.cell_size**2
+        region_names.append(RegionName(island, f"{island}: {area:.2f} m²", str(island)))
+    labels = tuple(
+        label._replace(key_text=label.text.partition(" ")[2])
+        for label in _label_regions(level, island_index, region_names)
+    )
+    return Panel("islands, with their areas", rgb, legend=_drop_free(legend), labels=labels)
 
 
 def paint_rooms(grid: NavGrid, level_number: int) -> NDArray[np.uint8]:
@@ -444,17 +472,15 @@ def _show_rooms(grid: NavGrid, level_number: int) -> Panel:
     ]
     mask_of_entry = {
         ("outdoors", colors.OUTDOORS): np.isin(room_index, outdoor_indices),
-        ("occupied, no room", colors.OCCUPIED): (
-            (room_index == 0) & ~is_free & ~is_closed & ~has_no_floor
-        ),
+        ("occupied", colors.OCCUPIED): ((room_index == 0) & ~is_free & ~is_closed & ~has_no_floor),
         ("no floor", colors.NO_FLOOR): has_no_floor,
         ("free, no room", colors.FREE): (room_index == 0) & is_free,
         ("greyer: occupied in a room", colors.ROOM_LEGEND): (
             (room_index > 0) & ~is_free & ~is_closed
         ),
         ("closed by inflation", colors.CLOSED): is_closed,
-        ("door", colors.DOOR): is_door,
-        ("doorway", colors.DOORWAY): is_doorway & ~is_door,
+        (LEAF_TEXT, colors.DOOR): is_door,
+        (DOORWAY_TEXT, colors.DOORWAY): is_doorway & ~is_door,
     }
     legend = tuple(entry for entry, mask in mask_of_entry.items() if mask.any())
     region_names = [
@@ -462,7 +488,8 @@ def _show_rooms(grid: NavGrid, level_number: int) -> Panel:
         for room in grid.rooms
         if room.level == level_number
     ]
-    labels = _label_regions(level, room_index, region_names)
+    # names stand off the leaves
+    labels = _label_regions(level, np.where(is_door | is_doorway, 0, room_index), region_names)
     door_lines = find_door_lines(grid, level_number)
     return Panel(
         "rooms", paint_rooms(grid, level_number), legend=legend, labels=labels, doors=door_lines
@@ -535,16 +562,47 @@ def _label_point(text: str, fallback: str, x: float, y: float, number: int) -> L
 
 
 def _show_doors(grid: NavGrid, level_number: int) -> Panel:
-    rgb, legend = _paint_occupancy(grid.levels[level_number])
-    legend = (("door", colors.DOOR), ("doorway", colors.DOORWAY), *legend)
+    level = grid.levels[level_number]
+    rgb, legend = _paint_occupancy(level)
+    _paint_doors(rgb, grid, level_number)
+    door_entries = tuple(
+        (meaning, color)
+        for meaning, color in ((LEAF_TEXT, colors.DOOR), (DOORWAY_TEXT, colors.DOORWAY))
+        if (rgb == colors.rgb_of(color)).all(axis=-1).any()
+    )
     door_lines = find_door_lines(grid, level_number)
     labels = []
     for door_number, door_line in enumerate(door_lines, 1):
         width_text = f"{door_line.width:.1f} m"
+        if door_line.leaf_width is not None:  # to a centimetre, as it is measured on the geometry
+            width_text = f"{round(door_line.leaf_width, 2):g} m"
         x, y = door_line.middle
         labels.append(_label_point(f"{door_line.id} {width_text}", width_text, x, y, door_number))
-    _paint_doors(rgb, grid, level_number)
-    return Panel("doors", rgb, legend=legend, labels=tuple(labels), doors=door_lines)
+    return Panel(
+        "doors",
+        rgb,
+        legend=(*door_entries, *legend),
+        labels=tuple(labels),
+        doors=door_lines,
+        keep_clear=_find_door_rectangles(grid, level_number),
+    )
+
+
+def _find_door_rectangles(grid: NavGrid, level_number: int) -> tuple[Rectangle, ...]:
+    """Return rectangles around the cells of each door's leaf: as it stands now, and closed."""
+    lattice = grid.levels[level_number].lattice
+    half_cell = lattice.cell_size / 2
+    rectangles = []
+    for door in grid.doors:
+        for state in {door.state: None, "closed": None}:
+            cells = door.cells_in(state, len(grid.levels))[level_number]
+            if not len(cells):
+                continue
+            centers = lattice.positions(*np.divmod(cells, lattice.width))
+            x_min, y_min = (centers.min(axis=0) - half_cell).tolist()
+            x_max, y_max = (centers.max(axis=0) + half_cell).tolist()
+            rectangles.append((x_min, y_min, x_max, y_max))
+    return tuple(rectangles)
 
 
 def _show_links(grid: NavGrid, level_number: int) -> Panel:
@@ -561,9 +619,12 @@ def _show_links(grid: NavGrid, level_number: int) -> Panel:
     for _, color, change_sign in step_colors:
         cell_ids = steps[level_change_sign == change_sign, 1]
         rgb.reshape(-1, 3)[cell_ids] = colors.rgb_of(color)
-    legend = (*((meaning, color) for meaning, color, _ in step_colors), *legend)
-    if grid.links:
-        legend = (("link", colors.LINK), *legend)
+    step_entries = tuple(
+        (meaning, color)
+        for meaning, color, _ in step_colors
+        if (rgb == colors.rgb_of(color)).all(axis=-1).any()
+    )
+    legend = (*step_entries, *legend)
     connections = find_connections(grid)
     labels = []
     for connection_number, connection in enumerate(connections, 1):
@@ -574,7 +635,27 @@ def _show_links(grid: NavGrid, level_number: int) -> Panel:
                     connection.label(), str(connection_number), stop.x, stop.y, connection_number
                 )
             )
-    return Panel("links", rgb, legend=legend, labels=tuple(labels), connections=tuple(connections))
+    # names stand off the lines on the level
+    half_width = grid.levels[level_number].lattice.cell_size
+    line_rectangles = [
+        (
+            min(start.x, end.x) - half_width,
+            min(start.y, end.y) - half_width,
+            max(start.x, end.x) + half_width,
+            max(start.y, end.y) + half_width,
+        )
+        for connection in connections
+        for start, end in itertools.pairwise(connection.stops)
+        if start.level == end.level == level_number
+    ]
+    return Panel(
+        "links",
+        rgb,
+        legend=legend,
+        labels=tuple(labels),
+        connections=tuple(connections),
+        keep_clear=tuple(line_rectangles),
+    )
 
 
 def _show_areas(grid: NavGrid, level_number: int) -> Panel:

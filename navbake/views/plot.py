@@ -14,18 +14,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from navbake.errors import MissingDependencyError, QueryError, printable
 from navbake.formats.source import write_bytes
 from navbake.navgrid.cells import check_level
-from navbake.navgrid.colors import DOOR, DOORWAY, LINK, ROUTE, STAND, rgb_of
+from navbake.navgrid.colors import DOOR, LINK, ROUTE, STAND, rgb_of
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.lattice import Lattice
 from navbake.runtime.paths import Path as Route
 from navbake.runtime.stand import StandPoses
 from navbake.types import Bool, Float
-from navbake.views.describe import Connection
-from navbake.views.layers import Label, Panel, choose_kind_colors, make_panel, paint
+from navbake.views.describe import Connection, StopPoint
+from navbake.views.layers import (
+    Label,
+    Panel,
+    Rectangle,
+    choose_kind_colors,
+    make_panel,
+    paint,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,6 +62,8 @@ DPI = 150  # pixels per inch of a PNG
 ARROW_LENGTH = 0.25  # of the arrow of a pose [m]
 SHADE_ALPHA = 110  # opacity of shaded cells, 0 to 255
 MAX_MAPS_PER_ROW = 3
+DPI_RANGE = (30, 1200)
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 WIDE_ASPECT = 2.4  # maps whose width is more than this times their height lie below each other
 MAX_ASPECT = 40.0  # a map that is longer and narrower than this shows empty space beside the grid
 
@@ -65,6 +76,9 @@ MAX_MAP_HEIGHT = 5.6
 # space beside and above each map for ticks, title and colour bar
 MARGIN_X = 1.1
 MARGIN_Y = 0.65
+MAP_PADDING = 0.05
+MIN_TITLE_WIDTH = 1.7  # maps that are narrower stand so far apart that their titles have this width
+TITLE_GAP = 0.12  # least distance of two titles beside each other
 LINE_HEIGHT = 0.2  # height of a line of the heading or the legend
 LETTERS_PER_INCH = 13  # letters of a title or legend that fit into an inch
 
@@ -75,6 +89,10 @@ TICK_POINTS = 7.5
 # font sizes of names and numbers on maps [points]; the first that fits is used
 NAME_POINTS = (9.0, 8.0, 7.0)
 NUMBER_POINTS = (8.0, 7.0, 6.0)
+# Directions from a point to the middle of its name, the best one first. Links to other levels leave
+# their stops upwards and downwards.
+POINT_NAME_DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
+POINT_NAME_DISTANCES = (0.0, 14.0, 28.0, 42.0)  # how much farther away it may stand [pixels]
 POINT_HALF_SIDE = 12  # half a side of the square round a point, which stays free of names [pixels]
 MAX_LETTERS = 40  # letters of a name on a map
 MAX_KEY_ENTRIES = 40  # most entries of the key, which explains the numbers on maps
@@ -92,6 +110,14 @@ LINE_STROKES = {
 }
 
 
+# what matplotlib would write of itself and of the time, by the picture's format
+METADATA_KEYS = {
+    "png": ("Software",),
+    "svg": ("Creator", "Date"),
+    "pdf": ("Creator", "Producer", "CreationDate"),
+}
+
+
 Mark: TypeAlias = tuple[int, float, float, str]
 """A place to mark on a picture: its level (-1 for all levels), world x and y [m], and its kind."""
 
@@ -101,16 +127,25 @@ def plot_grid(grid: NavGrid, path: str | PathLike[str], **options: Any) -> Path:
 
     Args:
         grid: a grid of one or several levels.
-        path: the path of the file: an SVG if it ends in ``.svg``, else a PNG.
+        path: the path of the file: an SVG if it ends in ``.svg``, a PDF if it ends in ``.pdf``,
+            else a PNG.
         options: keyword arguments of `render_picture`.
 
     Returns:
         The path.
+
+    Example:
+        >>> plot_grid(grid, "figure.pdf", bounds=(0, 0, 5, 4), titles=False)
     """
     path = Path(path)
-    picture_format = "svg" if path.name.lower().endswith(".svg") else "png"
-    write_bytes(render_picture(grid, picture_format, **options), path)
+    write_bytes(render_picture(grid, find_picture_format(path), **options), path)
     return path
+
+
+def find_picture_format(path: str | PathLike[str]) -> str:
+    """Return the format of a picture by its file's name: ``svg``, ``pdf``, else ``png``."""
+    suffix = Path(path).suffix.lower()
+    return suffix[1:] if suffix in PICTURE_SUFFIXES else "png"
 
 
 def plot(
@@ -142,8 +177,11 @@ def render_picture(
     marks: Sequence[Mark] = (),
     poses: StandPoses | None = None,
     region: Sequence[Bool] | None = None,
+    bounds: Sequence[float] | None = None,
+    dpi: float = DPI,
+    titles: bool = True,
 ) -> bytes:
-    """Draw a grid as PNG or SVG; equal arguments give equal bytes.
+    """Draw a grid as PNG, SVG or PDF; equal arguments give equal bytes.
 
     Each level has a row of panels, with a panel for each layer; the lowest level is on top. If
     there is only one layer, the levels lie beside each other. All panels have the same scale and
@@ -151,7 +189,7 @@ def render_picture(
 
     Args:
         grid: a grid of one or several levels.
-        form: ``png`` or ``svg``.
+        form: ``png``, ``svg`` or ``pdf``. A PDF embeds its fonts as TrueType.
         level: the number of the only level to draw, 0 is the lowest; None for all.
         layers: the layers to draw, names of `navbake.views.layers.LAYERS`.
         route: a path to draw on top, each of its parts on its level.
@@ -159,9 +197,14 @@ def render_picture(
         poses: poses of a base, from `PathFinder.stand_poses`, drawn as arrows.
         region: cells to shade, from `PathFinder.stand_region`; for each level, bool, shape
             (height, width).
+        bounds: the part of the world to show, world x_min, y_min, x_max, y_max [m]; None for all of
+            the grid. Names whose place lies outside are left out.
+        dpi: pixels per inch of a PNG, 30 to 1200. The picture is at most 8.3 inches wide.
+        titles: whether to write the heading and the maps' titles.
 
     Raises:
-        QueryError: there is no such level or layer.
+        QueryError: there is no such level or layer, the bounds show nothing of the grid, or `dpi`
+            is out of its range.
         MissingDependencyError: matplotlib is not installed.
     """
     try:
@@ -182,15 +225,25 @@ def render_picture(
     panels = [
         make_panel(grid, layer, level_number) for level_number in level_numbers for layer in layers
     ]
+    if not DPI_RANGE[0] <= dpi <= DPI_RANGE[1]:
+        expected = f"{DPI_RANGE[0]} to {DPI_RANGE[1]}"
+        raise QueryError(
+            f"expected {expected} as dpi, got {dpi:g}", key="dpi", value=dpi, expected=expected
+        )
     color_of_kind = choose_kind_colors(kind for *_, kind in marks)
-    bounds = np.array([grid.levels[level_number].lattice.bounds for level_number in level_numbers])
-    view_bounds = (*bounds[:, :2].min(axis=0).tolist(), *bounds[:, 2:].max(axis=0).tolist())
+    view_bounds = _find_view_bounds(grid, level_numbers, bounds)
+    if bounds is not None:
+        panels = [
+            _keep_shown(panel, grid.levels[level_number].lattice, view_bounds)
+            for panel, level_number in zip(panels, panel_level_numbers, strict=True)
+        ]
     drawn_texts = [grid.scene_id or "", *color_of_kind, *(panel.title for panel in panels)]
     drawn_texts += [label.text for panel in panels for label in panel.labels]
     font_families, missing_letters = choose_fonts("".join(drawn_texts))
     matplotlib_settings: dict[Any, object] = {
         "svg.hashsalt": "navbake",  # else ids in an SVG are hashes with a random salt
         "svg.fonttype": "path",  # letters are shapes, in case a viewer lacks the fonts
+        "pdf.fonttype": 42,  # TrueType: journals refuse the fonts of type 3
         "text.parse_math": False,  # no name is markup
         "font.family": font_families,
         "text.color": TEXT_COLOR,
@@ -199,14 +252,15 @@ def render_picture(
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
         figure = Figure(facecolor="white", dpi=DPI)
         FigureCanvasAgg(figure)
-        axes = add_axes(figure, view_bounds, panels, len(layers))
-        heading_text = grid.scene_id or "grid"
-        if grid.inflated_radius:
-            heading_text = f"{heading_text}, {grid.describe_radius()}"
-        heading = wrap_text(heading_text, figure.get_figwidth())
-        figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
+        axes = add_axes(figure, view_bounds, panels, len(layers), dpi)
+        if titles:
+            heading_text = grid.scene_id or "grid"
+            if grid.inflated_radius:
+                heading_text = f"{heading_text}, {grid.describe_radius()}"
+            heading = wrap_text(heading_text, figure.get_figwidth())
+            figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
         for ax, level_number, panel in zip(axes, panel_level_numbers, panels, strict=True):
-            _draw_panel(ax, panel, grid.levels[level_number].lattice.bounds)
+            _draw_panel(ax, panel, grid.levels[level_number].lattice.bounds, has_title=titles)
             if route is not None:
                 _draw_route(ax, route, level_number)
             if region is not None:
@@ -221,8 +275,11 @@ def render_picture(
         if poses is not None or region is not None:
             color_of_kind = {**color_of_kind, "where a base can stand": STAND}
         legend = _draw_legend(figure, panels, color_of_kind, route is not None)
-        # names fit rooms: the layout must be known before they are written
+        # names fit rooms, and titles fit beside each other: both need the layout
         figure.draw_without_rendering()
+        if titles:
+            _fit_titles(figure, axes, panels)
+            figure.draw_without_rendering()
         figure.set_layout_engine("none")
         key_entries = _write_all_names(axes, panels, missing_letters)
         facts_text = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
@@ -235,17 +292,101 @@ def render_picture(
             for ax, level_number, panel in zip(axes, panel_level_numbers, panels, strict=True)
             if panel.connections
         }
-        _draw_connections(figure, axes_of_level, panels)
+        _draw_connections(figure, axes_of_level, panels, view_bounds)
         picture_file = io.BytesIO()
         # the lines of the key hang below the figure, which is extended by them
         bottom_edge = min(0.0, legend.get_window_extent().y0 / DPI - LINE_HEIGHT / 2)
+        right_edge, top_edge = figure.get_size_inches()
+        if not titles:  # the space for them is cut off
+            map_frames = [ax.get_tightbbox() for ax in axes]
+            map_tops = [frame.y1 for frame in map_frames if frame is not None]
+            top_edge = max(map_tops) / DPI + MAP_PADDING
         figure.savefig(
             picture_file,
             format=form,
-            metadata={"Software": None} if form == "png" else {"Creator": None, "Date": None},
-            bbox_inches=Bbox(np.array([(0.0, bottom_edge), figure.get_size_inches()])),
+            dpi=dpi,
+            metadata=dict.fromkeys(METADATA_KEYS[form]),
+            bbox_inches=Bbox(np.array([(0.0, bottom_edge), (right_edge, top_edge)])),
         )
     return picture_file.getvalue()
+
+
+def _find_view_bounds(
+    grid: NavGrid, level_numbers: Sequence[int], bounds: Sequence[float] | None
+) -> tuple[float, float, float, float]:
+    """Return the rectangle that all maps show, world x_min, y_min, x_max, y_max [m].
+
+    Args:
+        grid: the grid.
+        level_numbers: the numbers of the levels that are drawn.
+        bounds: the rectangle that the user wants; None for that of the levels.
+
+    Raises:
+        QueryError: the wanted rectangle is none, or shows nothing of the levels.
+    """
+    level_bounds = np.array(
+        [grid.levels[level_number].lattice.bounds for level_number in level_numbers]
+    )
+    x_min, y_min = level_bounds[:, :2].min(axis=0).tolist()
+    x_max, y_max = level_bounds[:, 2:].max(axis=0).tolist()
+    if bounds is None:
+        return x_min, y_min, x_max, y_max
+    wanted = tuple(map(float, bounds))
+    expected = f"x_min, y_min, x_max, y_max within {x_min:g}, {y_min:g}, {x_max:g}, {y_max:g} m"
+    has_area = (
+        len(wanted) == 4
+        and np.isfinite(wanted).all()
+        and wanted[0] < wanted[2]
+        and wanted[1] < wanted[3]
+    )
+    if (
+        not has_area
+        or max(wanted[0], x_min) >= min(wanted[2], x_max)
+        or max(wanted[1], y_min) >= min(wanted[3], y_max)
+    ):
+        got_text = ", ".join(f"{value:g}" for value in wanted)
+        raise QueryError(
+            f"expected bounds {expected}, got {got_text}",
+            key="bounds",
+            value=bounds,
+            expected=expected,
+        )
+    return wanted[0], wanted[1], wanted[2], wanted[3]
+
+
+def _keep_shown(
+    panel: Panel, lattice: Lattice, view_bounds: tuple[float, float, float, float]
+) -> Panel:
+    """Return a panel without what lies outside of a rectangle: doors, and entries of the legend.
+
+    Args:
+        panel: the panel of a level.
+        lattice: the lattice of the level.
+        view_bounds: the rectangle, world x_min, y_min, x_max, y_max [m].
+    """
+    x_min, y_min, x_max, y_max = view_bounds
+    rows, cols = lattice.rows_cols([(x_min, y_max), (x_max, y_min)])
+    row_slice = slice(max(int(rows[0]), 0), max(int(rows[1]) + 1, 0))
+    col_slice = slice(max(int(cols[0]), 0), max(int(cols[1]) + 1, 0))
+
+    def is_painted(color: str, rgb: NDArray[np.uint8]) -> bool:
+        return bool((rgb == rgb_of(color)).all(axis=-1).any())
+
+    # colours that no cell has, such as that of any room's occupied cells, stay
+    legend = tuple(
+        (meaning, color)
+        for meaning, color in panel.legend
+        if is_painted(color, panel.rgb[row_slice, col_slice]) or not is_painted(color, panel.rgb)
+    )
+    doors = tuple(
+        door
+        for door in panel.doors
+        if min(door.start[0], door.end[0]) <= x_max
+        and max(door.start[0], door.end[0]) >= x_min
+        and min(door.start[1], door.end[1]) <= y_max
+        and max(door.start[1], door.end[1]) >= y_min
+    )
+    return panel._replace(legend=legend, doors=doors)
 
 
 def _draw_route(ax: PanelAxes, route: Route, level_number: int) -> None:
@@ -297,6 +438,28 @@ def _draw_poses(ax: PanelAxes, positions: Float, headings: Float) -> None:
     ax.plot(positions[:, 0], positions[:, 1], "o", color=STAND, markeredgecolor="white", ms=4)
 
 
+def _fit_titles(figure: Figure, axes: Sequence[PanelAxes], panels: Sequence[Panel]) -> None:
+    """Break each title so that it ends before the title of the next map, or the figure's edge.
+
+    Args:
+        figure: the figure, whose layout is known.
+        axes: the axes of the panels.
+        panels: the panels.
+    """
+    figure_width = figure.get_window_extent().width
+    frames = [ax.get_window_extent() for ax in axes]
+    for ax, panel, frame in zip(axes, panels, frames, strict=True):
+        next_lefts = [
+            other.x0 for other in frames if other.x0 > frame.x0 and abs(other.y1 - frame.y1) < 1
+        ]
+        width = min([figure_width, *next_lefts]) - frame.x0 - TITLE_GAP * DPI
+        for letter_share in np.arange(1.0, 0.3, -0.05):
+            title = wrap_text(panel.title, width / DPI * letter_share)
+            title_artist = ax.set_title(title, loc="left", fontsize=TITLE_POINTS, pad=5)
+            if title_artist.get_window_extent().width <= width:
+                break
+
+
 def _write_all_names(
     axes: Sequence[PanelAxes], panels: Sequence[Panel], missing_letters: set[str]
 ) -> list[str]:
@@ -317,7 +480,7 @@ def _write_all_names(
             label._replace(text=label.fallback) if missing_letters & set(label.text) else label
             for label in panel.labels
         ]
-        key_entries |= dict.fromkeys(write_names(ax, labels))
+        key_entries |= dict.fromkeys(write_names(ax, labels, panel.keep_clear))
     shown_entries = list(key_entries)[:MAX_KEY_ENTRIES]
     if len(key_entries) > MAX_KEY_ENTRIES:
         shown_entries.append(f"and {len(key_entries) - MAX_KEY_ENTRIES} more")
@@ -371,6 +534,7 @@ def add_axes(
     view_bounds: tuple[float, float, float, float],
     panels: Sequence[Panel],
     num_layers: int,
+    dpi: float = DPI,
 ) -> list[PanelAxes]:
     """Set the size of a figure, and add axes for each panel in the order of `render_picture`.
 
@@ -381,6 +545,7 @@ def add_axes(
         view_bounds: the rectangle that all panels show, world x_min, y_min, x_max, y_max [m].
         panels: the panels, level by level; of each level, layer by layer.
         num_layers: the number of layers of a level.
+        dpi: pixels per inch of the picture.
 
     Returns:
         The axes of the panels.
@@ -399,9 +564,14 @@ def add_axes(
     map_width, map_height = map_extent * min(
         max_map_width / width, max_map_height / height
     )  # [inch]
-    figure_width = min(max(num_columns * (map_width + MARGIN_X), MIN_WIDTH), MAX_WIDTH)
+    column_width = map_width + MARGIN_X
+    padding_x = MAP_PADDING
+    if num_columns > 1 and map_width < MIN_TITLE_WIDTH:
+        column_width = min(column_width + MIN_TITLE_WIDTH - map_width, MAX_WIDTH / num_columns)
+        padding_x = max(MAP_PADDING, (column_width - map_width - MARGIN_X) / 2)
+    figure_width = min(max(num_columns * column_width, MIN_WIDTH), MAX_WIDTH)
     figure.set_size_inches(figure_width, num_rows * (map_height + MARGIN_Y) + 1.0)
-    figure.set_layout_engine("compressed", w_pad=0.05, h_pad=0.05)
+    figure.set_layout_engine("compressed", w_pad=padding_x, h_pad=MAP_PADDING)
     axes_grid = figure.subplots(num_rows, num_columns, squeeze=False)
     x_min, y_min = view_center - map_extent / 2
     x_max, y_max = view_center + map_extent / 2
@@ -413,28 +583,24 @@ def add_axes(
         ]
         ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal")
         ax.title_width = figure_width / num_columns - 0.5
-        ax.min_pixels_per_metre = 0.9 * map_width * DPI / width
+        ax.min_pixels_per_metre = 0.9 * map_width * dpi / width
         axes.append(ax)
     for ax in {*axes_grid.flat} - {*axes}:
         ax.remove()
     return axes
 
 
-def _draw_panel(ax: PanelAxes, panel: Panel, bounds: tuple[float, float, float, float]) -> None:
+def _draw_panel(
+    ax: PanelAxes, panel: Panel, bounds: tuple[float, float, float, float], *, has_title: bool
+) -> None:
     """Draw title, cells and doors, and the colour bar of a panel."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap
 
-    ax.set_title(wrap_text(panel.title, ax.title_width), loc="left", fontsize=TITLE_POINTS, pad=5)
-    ax.tick_params(
-        labelsize=TICK_POINTS,
-        length=2.5,
-        width=0.6,
-        color=FAINT_COLOR,
-        labelcolor=TEXT_COLOR,
-        pad=2,
-    )
-    ax.spines[:].set(edgecolor=FAINT_COLOR, linewidth=0.6)
+    if has_title:
+        title = wrap_text(panel.title, ax.title_width)
+        ax.set_title(title, loc="left", fontsize=TITLE_POINTS, pad=5)
+    style_axes(ax)
     x_min, y_min, x_max, y_max = bounds
     x_limits = ax.get_xlim()
     y_limits = ax.get_ylim()
@@ -461,6 +627,19 @@ def _draw_panel(ax: PanelAxes, panel: Panel, bounds: tuple[float, float, float, 
         ax.plot(x, y, **_make_line_style(_find_door_line_kind(door.state)), solid_capstyle="butt")
 
 
+def style_axes(ax: Axes) -> None:
+    """Give axes the ticks and the frame of navbake's maps."""
+    ax.tick_params(
+        labelsize=TICK_POINTS,
+        length=2.5,
+        width=0.6,
+        color=FAINT_COLOR,
+        labelcolor=TEXT_COLOR,
+        pad=2,
+    )
+    ax.spines[:].set(edgecolor=FAINT_COLOR, linewidth=0.6)
+
+
 def _make_line_style(line_kind: str) -> dict[str, Any]:
     """Return matplotlib's arguments for a line of a kind in `LINE_STROKES`."""
     from matplotlib.patheffects import Stroke
@@ -475,7 +654,10 @@ def _make_line_style(line_kind: str) -> dict[str, Any]:
 
 
 def _draw_connections(
-    figure: Figure, axes_of_level: dict[int, PanelAxes], panels: Sequence[Panel]
+    figure: Figure,
+    axes_of_level: dict[int, PanelAxes],
+    panels: Sequence[Panel],
+    view_bounds: tuple[float, float, float, float],
 ) -> None:
     """Draw links and stairs from stop to stop, also from the map of one level to another.
 
@@ -483,8 +665,16 @@ def _draw_connections(
         figure: the figure.
         axes_of_level: number of a level -> its axes.
         panels: the panels; those of links have the connections.
+        view_bounds: the rectangle that the maps show, world x_min, y_min, x_max, y_max [m]; what
+            ends outside of it is left out.
     """
     from matplotlib.patches import ConnectionPatch
+
+    x_min, y_min, x_max, y_max = view_bounds
+
+    def is_shown(stop: StopPoint) -> bool:
+        is_inside = x_min <= stop.x <= x_max and y_min <= stop.y <= y_max
+        return stop.level in axes_of_level and is_inside
 
     # each panel of links has the connections of all levels
     connections = next((panel.connections for panel in panels if panel.connections), ())
@@ -493,12 +683,12 @@ def _draw_connections(
         color = LINE_STROKES[line_kind][1][0]
         marked_stops = connection.stops[:1] if connection.is_one_way else connection.stops
         for stop in marked_stops:
-            if stop.level in axes_of_level and connection.link is not None:
+            if is_shown(stop) and connection.link is not None:
                 axes_of_level[stop.level].plot(
                     stop.x, stop.y, "o", color=color, markeredgecolor="white", markersize=6
                 )
         for start, end in itertools.pairwise(connection.stops):
-            if start.level not in axes_of_level or end.level not in axes_of_level:
+            if not is_shown(start) or not is_shown(end):
                 continue
             curvature = 0.15 if start.level != end.level else 0
             arc = ConnectionPatch(
@@ -530,16 +720,19 @@ def _find_door_line_kind(state: str) -> str:
     return "door, closed" if state == "closed" else "door, open"
 
 
-def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
+def write_names(
+    ax: Axes, labels: Sequence[Label], keep_clear: Sequence[Rectangle] = ()
+) -> Iterator[str]:
     """Write names on a map so that they don't overlap; names of large rooms come first.
 
     A room's name stands in the middle of the room, in one line or two, as large as fits. The name
     of a point stands beside the point. If the name doesn't fit, its number is written; if that
-    doesn't fit either, nothing.
+    doesn't fit either, nothing. Names of places outside of the map are left out.
 
     Args:
         ax: the axes of the map; their size must be final.
         labels: the names.
+        keep_clear: rectangles that names of points stay off, world x_min, y_min, x_max, y_max [m].
 
     Yields:
         For each number that was written instead of a name, its explanation, such as
@@ -551,11 +744,20 @@ def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
     data_to_pixels = ax.transData
     map_frame = ax.get_window_extent()
     pixels_per_metre = map_frame.width / np.ptp(ax.get_xlim())
+    labels = [
+        label
+        for label in labels
+        if map_frame.contains(*data_to_pixels.transform((label.x, label.y)))
+    ]
     point_pixels = [
         data_to_pixels.transform((label.x, label.y)) for label in labels if not label.width
     ]
     occupied_boxes = [
         Bbox([point - POINT_HALF_SIDE, point + POINT_HALF_SIDE]) for point in point_pixels
+    ]
+    clear_boxes = [
+        Bbox(data_to_pixels.transform([(x_min, y_min), (x_max, y_max)]))
+        for x_min, y_min, x_max, y_max in keep_clear
     ]
     for label in sorted(labels, key=lambda label: -label.width * label.height):
         full_name = escape_undrawable(label.text)
@@ -577,20 +779,20 @@ def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
             text_artist.set(text=text, fontsize=font_size)
             text_extent = np.array(text_artist.get_window_extent().size)
             half_extent = text_extent / 2 + 3
-            # above, below, to the right or to the left of a point
-            directions = [(0, 1), (0, -1), (1, 0), (-1, 0)] if is_point else [(0, 0)]
-            center_offset = half_extent + POINT_HALF_SIDE + 1
             candidate_boxes = []
-            for direction in directions:
-                # moved so that it lies on the map
-                center = np.clip(
-                    middle_pixel + direction * center_offset,
-                    map_frame.p0 + half_extent,
-                    map_frame.p1 - half_extent,
-                )
-                candidate_boxes.append(Bbox([center - half_extent, center + half_extent]))
+            for distance in POINT_NAME_DISTANCES if is_point else (0.0,):
+                center_offset = half_extent + POINT_HALF_SIDE + 1 + distance
+                for direction in POINT_NAME_DIRECTIONS if is_point else ((0, 0),):
+                    # moved so that it lies on the map
+                    center = np.clip(
+                        middle_pixel + direction * center_offset,
+                        map_frame.p0 + half_extent,
+                        map_frame.p1 - half_extent,
+                    )
+                    candidate_boxes.append(Bbox([center - half_extent, center + half_extent]))
+            forbidden_boxes = [*occupied_boxes, *clear_boxes] if is_point else occupied_boxes
             free_boxes = [
-                box for box in candidate_boxes if not any(map(box.overlaps, occupied_boxes))
+                box for box in candidate_boxes if not any(map(box.overlaps, forbidden_boxes))
             ]
             fits = (text_extent <= available_pixels).all() and (
                 2 * half_extent <= map_frame.size
@@ -611,7 +813,7 @@ def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
         else:
             text_artist.set_path_effects([withStroke(linewidth=2, foreground="white", alpha=0.65)])
         if text == str(label.number):
-            yield f"{label.number}: {full_name}"
+            yield f"{label.number}: {escape_undrawable(label.key_text) or full_name}"
 
 
 def _list_line_breaks(text: str) -> list[str]:
@@ -650,12 +852,6 @@ def _draw_legend(
         for panel in panels
         for connection in panel.connections
     }
-    if line_kinds:  # doors and links are explained by their lines
-        color_of_meaning = {
-            meaning: color
-            for meaning, color in color_of_meaning.items()
-            if color not in (DOOR, DOORWAY, LINK)
-        }
     if has_route:
         line_kinds.add("path, from o to x")
     legend_handles: list[Patch | Line2D] = [

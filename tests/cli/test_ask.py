@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer import BadParameter
 
 import navbake
@@ -204,6 +205,36 @@ def test_pictures_end_as_they_are(folder, run):
     assert all(layer in " ".join(err.split()) for layer in ("occupancy", "doors", "links", "heat"))
 
 
+def test_pictures_for_papers(folder, run):
+    run("bake", "room.yaml", "-q")
+    (folder / "places.json").write_text(run("sample", "room.grid.json", "--json", "-n", "3")[1])
+    lattice = navbake.load("room.grid.json").lattice
+    x_min, y_min, x_max, y_max = lattice.bounds
+    bounds = f"{x_min},{y_min},{(x_min + x_max) / 2},{(y_min + y_max) / 2}"
+    points = ("--points", "places.json", "--points", f"{x_min + 0.1},{y_min + 0.1}")
+    status, _, err = run(
+        "plot", "room.grid.json", "-o", "a.pdf", "--bounds", bounds, "--no-title", *points
+    )
+    assert (status, err) == (0, "")
+    assert (folder / "a.pdf").read_bytes().startswith(b"%PDF")
+    for dpi in ("100", "200"):
+        assert run("plot", "room.grid.json", "-o", f"{dpi}.png", "--dpi", dpi)[0] == 0
+    sizes = [Image.open(folder / f"{dpi}.png").size for dpi in (100, 200)]
+    assert sizes[1] == pytest.approx((2 * sizes[0][0], 2 * sizes[0][1]), abs=2)
+    marked, plain = (
+        run("plot", "room.grid.json", "-o", "b.png", "--layer", "rooms", *more)[0]
+        or (folder / "b.png").read_bytes()
+        for more in (points, ())
+    )
+    assert marked != plain
+    status, _, err = run("plot", "room.grid.json", "-o", "a.png", "--bounds", "1,2,3")
+    assert status == 2 and "X0,Y0,X1,Y1" in err
+    (folder / "other.json").write_text("{}")
+    status, _, err = run("plot", "room.grid.json", "-o", "a.png", "--points", "other.json")
+    assert status == 1 and "expected what `navbake sample --json` prints in other.json" in err
+    assert run("plot", "room.grid.json", "-o", "a.gif")[0] == 2
+
+
 def test_doors_are_listed_with_their_states(folder, run):
     box = '<body name="box" pos="1.5 1.5 0.5"><geom type="box" size="0.1 0.1 0.1"/></body>'
     (folder / "doors.xml").write_text(world(ROOMS, LEAF, box))
@@ -216,6 +247,7 @@ def test_doors_are_listed_with_their_states(folder, run):
         "state": "open",
         "like": None,
         "states": ["modelled", "open", "closed", "removed"],
+        "width": 0.86,
     }
     for command in ("info", "rooms"):
         status, out, _ = run(command, "doors.grid.json", "--json")

@@ -63,6 +63,7 @@ def test_a_summary_of_the_doors():
             "state": "modelled",
             "like": "closed",
             "states": ["modelled", "open", "closed", "removed"],
+            "width": None,
         },
         {
             "id": "hatch",
@@ -72,6 +73,7 @@ def test_a_summary_of_the_doors():
             "state": "removed",
             "like": None,
             "states": ["modelled", "closed", "removed"],
+            "width": None,
         },
     ]
 
@@ -184,3 +186,11 @@ def test_what_a_file_may_not_say(change, culprit):
     parse_doors([GATE, HATCH], [8])
     with pytest.raises(FormatError, match=culprit):
         parse_doors([{**GATE, **change}], [8])
+
+
+def test_the_width_of_a_leaf_is_a_length():
+    [door] = make_grid(doors=[{**GATE, "width": 0.89}]).doors
+    assert door.width == 0.89
+    for width in (-1.0, 1e11, "wide"):
+        with pytest.raises(FormatError, match=r"doors\[0\].*width|width"):
+            parse_doors([{**GATE, "width": width}], [8])

@@ -18,7 +18,15 @@ from navbake.navgrid.colors import (
 )
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.verifier.report import FLOOR_OFF, FREE_TOUCHES, Finding
-from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint, relief_shading
+from navbake.views.layers import (
+    DISAGREEMENTS,
+    LAYERS,
+    Panel,
+    linear_scale,
+    make_panel,
+    paint,
+    relief_shading,
+)
 from navbake.views.plot import render_picture
 
 ROOMS = """
@@ -82,10 +90,10 @@ def test_rooms():
     assert tuple(panel.rgb[2, 4]) == rgb_of(DOORWAY)
     closed = make_panel(make_level(state="closed"), "rooms", 0)
     assert tuple(closed.rgb[2, 4]) == rgb_of(DOOR)
-    assert ("door", DOOR) in closed.legend and ("doorway", DOORWAY) not in closed.legend
+    assert ("door leaf", DOOR) in closed.legend and ("doorway", DOORWAY) not in closed.legend
     assert tuple(panel.rgb[0, 0]) == rgb_of(OCCUPIED)
     assert tuple(panel.rgb[0, 10]) == rgb_of(NO_FLOOR)
-    assert ("doorway", DOORWAY) in panel.legend and ("door", DOOR) not in panel.legend
+    assert ("doorway", DOORWAY) in panel.legend and ("door leaf", DOOR) not in panel.legend
 
 
 def test_free_cells_of_no_room_are_not_shown_as_walls():
@@ -273,3 +281,52 @@ def test_what_an_obstacle_blocks_was_not_closed_by_inflation():
     assert not inflated.closed_by_inflation[2, 2]
     obstacle.free()
     np.testing.assert_array_equal(inflated.closed_by_inflation, closed_by_inflation)
+
+
+def test_legends_list_what_there_is_and_all_of_it():
+    level = make_level(state="closed")
+    doors = dict(make_panel(level, "doors", 0).legend)
+    assert doors == {"door leaf": DOOR, "free": FREE, "occupied": OCCUPIED, "no floor": NO_FLOOR}
+    assert "doorway" in dict(make_panel(make_level(), "doors", 0).legend)
+    assert "door leaf" not in dict(make_panel(make_level(), "doors", 0).legend)
+    assert "leads up" not in dict(make_panel(level, "links", 0).legend)
+    level.weights[level.free] = 7.0
+    assert "cost 1" not in dict(make_panel(level, "weights", 0).legend)
+    level.weights[:] = np.inf
+    assert "free" not in dict(make_panel(level, "occupancy", 0).legend)
+
+
+def test_islands_are_numbered_with_their_areas():
+    level = make_level("#########\n#aaa#bbb#\n#aaa#bbb#\n#aa##bDb#\n#########")
+    panel = make_panel(level, "island", 0)
+    assert sorted((label.text, label.key_text, label.number) for label in panel.labels) == [
+        ("1: 2.25 m²", "2.25 m²", 1),
+        ("2: 2.00 m²", "2.00 m²", 2),
+    ]
+
+
+def test_a_doors_label_has_the_width_of_its_leaf_where_it_is_known():
+    level = make_level(state="closed")
+    [label] = make_panel(level, "doors", 0).labels
+    assert label.text == "d 0.5 m"  # a cell
+    level = make_level(state="closed")
+    level.metadata["navbake"]["doors"][0]["width"] = 0.4749
+    assert make_panel(level, "doors", 0).labels[0].text == "d 0.47 m"
+
+
+def test_names_of_rooms_stand_off_the_leaves():
+    panel = make_panel(make_level("#######\n#aaaaa#\n#aaDaa#\n#aaaaa#\n#######"), "rooms", 0)
+    [label, *_] = panel.labels
+    is_door = (panel.rgb == rgb_of(DOORWAY)).all(axis=2)
+    lattice = make_level().lattice
+    for x in np.arange(label.x - label.width / 2 + 0.01, label.x + label.width / 2, 0.1):
+        row, col = lattice.rows_cols((x, label.y))
+        assert not is_door[row, col]
+
+
+@pytest.mark.parametrize("z", [-0.0, -1e-7, -0.0049])
+def test_flat_scales_have_no_negative_zero(z):
+    level = make_level()
+    level.attributes["floorHeight"][:] = z
+    assert make_panel(level, "floor", 0).title == "floor height [m]: 0.00"
+    assert linear_scale(np.array([-0.0]), "cost").ticks[0].text == "0"

@@ -265,7 +265,7 @@ def test_large_grids_are_drawn_in_bounded_detail():
 MAP = (4.0, 3.0)  # inches, and metres
 
 
-def written(*labels):
+def written(*labels, keep_clear=()):
     """What is written on a map of 4 by 3 m: each text, its box [m], and the key."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -273,7 +273,7 @@ def written(*labels):
     figure = Figure(figsize=MAP, dpi=plot.DPI)
     FigureCanvasAgg(figure)
     ax = figure.add_axes([0, 0, 1, 1], xlim=(0, MAP[0]), ylim=(0, MAP[1]))
-    key = list(plot.write_names(ax, labels))
+    key = list(plot.write_names(ax, labels, keep_clear))
     # a box is the letters', without that of a point's name around them
     boxes = [text.get_window_extent().transformed(ax.transData.inverted()) for text in ax.texts]
     return [text.get_text() for text in ax.texts], boxes, key
@@ -377,3 +377,94 @@ def test_an_inflated_grid_names_its_radius_and_shows_what_it_closed():
     # the heading: the first dark rows, wider by the radius
     headings = [(pixels[:60] < 100).all(axis=2).any(axis=0).sum() for pixels in (plain, image)]
     assert headings[1] > 2 * headings[0]
+
+
+def size_of(image):
+    return image.shape[1], image.shape[0]
+
+
+def test_bounds_show_a_part(house):
+    level = make_level()
+    part = pixels(render_picture(level, layers=["occupancy"], bounds=(-1.0, 0.2, 0.4, 0.9)))
+    whole = pixels(render_picture(level, layers=["occupancy"]))
+    assert not len(find(part, NO_FLOOR)[0]) and not len(find(part, OCCUPIED)[0])  # legend included
+    assert len(find(part, FREE)[0]) > 20_000
+    assert part.shape != whole.shape
+    for bounds in [(1, 0, 0, 1), (5, 5, 6, 6), (0, 0, 1), (0, 0, np.nan, 1)]:
+        with pytest.raises(QueryError, match=r"expected bounds x_min, y_min, x_max, y_max within"):
+            render_picture(level, bounds=bounds)
+
+
+def test_dpi_scales_the_picture_alone():
+    low, high = (size_of(pixels(render_picture(make_level(), dpi=dpi))) for dpi in (100, 300))
+    assert high == pytest.approx((low[0] * 3, low[1] * 3), abs=3)
+    assert render_picture(make_level(), dpi=150) == render_picture(make_level())
+    with pytest.raises(QueryError, match="expected 30 to 1200 as dpi, got 5"):
+        render_picture(make_level(), dpi=5)
+
+
+def test_pdf_is_the_same_every_time_and_embeds_its_fonts(house, tmp_path):
+    pdf = render_picture(house, "pdf", layers=["rooms"])
+    assert pdf == render_picture(house, "pdf", layers=["rooms"])
+    assert pdf.startswith(b"%PDF") and b"/Type3" not in pdf and b"CreationDate" not in pdf
+    assert plot_grid(house, tmp_path / "house.PDF", layers=["rooms"]).read_bytes() == pdf
+
+
+def test_without_titles_the_map_begins_at_the_top():
+    level = make_level()
+    with_titles = pixels(render_picture(level, layers=["occupancy"]))
+    without = pixels(render_picture(level, layers=["occupancy"], titles=False))
+    first_rows = [
+        int(np.flatnonzero((image < 250).any(axis=(1, 2)))[0]) for image in (with_titles, without)
+    ]
+    assert without.shape[0] < with_titles.shape[0] - 60
+    map_rows = [find(image, NO_FLOOR)[0].min() for image in (with_titles, without)]
+    assert map_rows[1] < 40 < map_rows[0] and first_rows[1] < 40
+
+
+@pytest.mark.parametrize(("width", "layers"), [(12, 3), (12, 2), (60, 3), (200, 3)])
+def test_titles_end_before_the_next_one(monkeypatch, width, layers):
+    """The boxes of the letters of all titles, as they are drawn."""
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
+
+    boxes = []
+    draw = Figure.savefig
+
+    def savefig(figure, *arguments, **options):
+        renderer = figure.canvas.get_renderer()
+        titles = [
+            text
+            for text in figure.findobj(Text)
+            if text.get_text().startswith(("MEZZANINE", "the first", "grid"))
+        ]
+        boxes.extend(text.get_window_extent(renderer) for text in titles)
+        assert max(box.x1 for box in boxes) <= figure.get_window_extent().width
+        return draw(figure, *arguments, **options)
+
+    monkeypatch.setattr(Figure, "savefig", savefig)
+    levels = [make_level(width=width, height=80), make_level(width=width, height=80, ground=2.8)]
+    names = [{"name": "MEZZANINE WWWWWWWWWWWW"}, {"name": "the first floor of the house"}]
+    grid = MultiLevelGrid(grids=levels, cell_size=0.1, metadata={"navbake": {"levels": names}})
+    render_picture(grid, layers=("occupancy", "floor", "clearance")[:layers])
+    assert len(boxes) == 2 * layers + 1
+    for one, other in combinations(boxes, 2):
+        assert not one.overlaps(other)
+
+
+def test_names_of_points_stay_off_the_leaves():
+    label = Label("door_kitchen 0.9 m", "0.9 m", 2.0, 1.5, 0.0, 0.0, 1)
+    keep_clear = [(2.2, 1.3, 3.5, 1.7), (0.5, 1.3, 1.8, 1.7)]
+    [text], [box], _ = written(label, keep_clear=keep_clear)
+    assert text == "door_kitchen 0.9 m"
+    for x_min, y_min, x_max, y_max in keep_clear:
+        assert box.x1 <= x_min or box.x0 >= x_max or box.y1 <= y_min or box.y0 >= y_max
+
+
+def test_names_of_places_outside_of_the_map_are_left_out():
+    assert written(room("hall", 9.0, 1.5, 3.0, 2.0))[0] == []
+
+
+def test_a_key_says_what_a_number_stands_for():
+    label = room("7: 3.25 m²", 2.0, 1.5, 0.15, 2.0, number=7)._replace(key_text="3.25 m²")
+    assert written(label)[2] == ["7: 3.25 m²"]

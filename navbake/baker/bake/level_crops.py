@@ -108,6 +108,8 @@ def door_to_json(door: Door) -> Json:
         "state": door.state,
         "cells": _runs_to_json(door.cells),
     }
+    if door.width is not None:
+        entry["width"] = door.width
     if door.solid:
         entry["solid"] = _runs_to_json(door.solid)
     return entry

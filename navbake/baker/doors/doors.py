@@ -400,6 +400,7 @@ def make_door(
         state=leaf.state(wanted_state),
         cells=_to_cell_runs(door_cells.blocked, windows, num_cols),
         solid=_to_cell_runs(door_cells.blocked_squares, windows, num_cols),
+        width=leaf.leaf.width,
     )
 
 

@@ -78,6 +78,8 @@ class Leaf:
             and beyond its two ends. None if the leaf has no finite geometry.
         top_shapes: the leaf's geometry by state; only of states in which the leaf, seen from above,
             is large enough to walk on.
+        width: horizontal width of the closed leaf, along its longer side [m]; None if it has no
+            finite geometry.
         travel_text: how far the leaf's joint opens it, as text with the unit; empty without a
             joint.
     """
@@ -86,6 +88,7 @@ class Leaf:
     windows: dict[str, LeafWindow | None]
     lines: LeafLines | None
     top_shapes: dict[str, Shapes]
+    width: float | None
     travel_text: str
 
 
@@ -227,8 +230,28 @@ def _pose_leaf(
         windows=windows,
         lines=_find_line_cells(extents_by_state["closed"], candidate.geoms, lattice, reach),
         top_shapes=top_shapes,
+        width=_measure_width(extents_by_state["closed"], candidate.geoms),
         travel_text=travel_text,
     )
+
+
+def _measure_width(extents: Extents, geoms: Int) -> float | None:
+    """Measure how wide a leaf is, along the longer side of its largest geom [m].
+
+    Args:
+        extents: bounding boxes of all geoms, NaN where a geom has no finite geometry.
+        geoms: ids of the leaf's geoms.
+
+    Returns:
+        The width, rounded to 0.1 mm; None without finite geometry.
+    """
+    finite_geoms = geoms[np.isfinite(extents.long_side[geoms])]
+    if not len(finite_geoms):
+        return None
+    axis = extents.long_axis[find_geom_of_largest_side(extents, finite_geoms)]
+    middles = extents.center[finite_geoms] @ axis
+    half_widths = extents.half_widths(finite_geoms, axis)
+    return round(float((middles + half_widths).max() - (middles - half_widths).min()), 4)
 
 
 def _cast_near_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> LeafWindow | None:

@@ -16,6 +16,7 @@ from navbake.runtime.paths import Path
 from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.tables import list_cell_facts
 from navbake.views.viewer.view_state import (
+    ARC_LEGEND,
     CLICK_TEXTS,
     GOAL_COLOR,
     INSPECT_TEXT,
@@ -287,6 +288,10 @@ class Controls:
             handles["task"].content = describe_episode(episode_run.episode if episode_run else None)
             if episode_run is not None and episode_run.trajectory is not None:
                 color_of_mark["trajectory"] = TRAJECTORY_COLOR
+        arc_colors = {arc.color for arc in view_state.arcs(choices)}
+        color_of_mark |= {
+            meaning: color for meaning, color in ARC_LEGEND.items() if color in arc_colors
+        }
         panels = [view_state.panel(choices, level_number) for level_number in choices.levels]
         handles["legend"].content = render_legend(panels, color_of_mark)
         shows_disagreements = choices.layer == DISAGREEMENTS

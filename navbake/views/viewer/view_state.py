@@ -44,6 +44,7 @@ HIGHLIGHT_COLOR = "#ff922b"
 TRAJECTORY_COLOR = "#c2255c"
 STAIRS_COLOR = "#495057"
 CLOSED_LINK_COLOR = "#868e96"
+ARC_LEGEND = {"link": colors.LINK, "link, closed": CLOSED_LINK_COLOR, "stairs": STAIRS_COLOR}
 NAME_HEIGHT = 0.4  # largest height of a name's letters [m]
 POINT_NAME_HEIGHT = 0.18  # height of the letters of names of points, such as doors [m]
 NAME_LIFT = 1.0  # height of names over the floor; most furniture is lower [m]

@@ -53,6 +53,18 @@ def test_leaf_between_two_rooms_is_a_door(bake):
     assert {n.door for room in grid.rooms for n in room.neighbours} == {"leaf"}
 
 
+def test_the_width_of_a_door_is_that_of_its_leaf_whatever_the_cells_are(bake):
+    """The leaf is 0.86 m wide; its cells are 0.9 m, and where it is open they run another way."""
+    for settings in ({}, {"doors": {"state": "open"}}, {"grid": {"cell_size": 0.05}}):
+        (door,) = bake(ROOMS, LEAF, **settings).doors
+        assert door.width == pytest.approx(0.86)
+    handle = LEAF.replace(
+        "</body>", '<geom type="box" pos="0.1 0.5 1" size="0.1 0.05 0.02"/></body>'
+    )
+    (door,) = bake(ROOMS, handle).doors
+    assert door.width == pytest.approx(0.86)
+
+
 @pytest.mark.parametrize("state", ["open", "removed"])
 def test_with_doors_opens_the_gap(bake, state):
     grid = bake(ROOMS, LEAF).with_doors({"leaf": state})
