@@ -10,7 +10,6 @@ import math
 import os
 import re
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
@@ -54,7 +53,11 @@ FOLDED_PART_PATTERN = re.compile(
 # a comma between digits, as in 1,000
 THOUSANDS_COMMA_PATTERN = re.compile(r"(?<=\d),(?=\d{3}(?!\d))")
 # a number, maybe with a unit: 5cm, 30%
-NUMBER_PATTERN = re.compile(r"[-+±]?(\d+(\.\d+)*|\.\d+)([eE][-+]?\d+)?[a-zA-Z%²³°]{0,3}")
+NUMBER_PATTERN = re.compile(
+    r"(?P<sign>[-+])?±?(?P<digits>(\d+(\.\d+)*|\.\d+)([eE][-+]?\d+)?)[a-zA-Z%²³°]{0,3}"
+)
+# where an audit found something, as in: level 0 (1.00, 2.00, 0.00):
+AUDIT_PLACE_PATTERN = re.compile(r"\blevel \d+( \([^()]*\))?: ")
 # matches within a path, a file's name or a name with a digit
 PATH_OR_NAME_PATTERN = re.compile(r"[/\\\d]|\.[a-zA-Z]\w{1,4}$")
 
@@ -266,12 +269,70 @@ def _histogram_edges(values: Sequence[float]) -> list[float]:
 
 
 def _group_texts(texts: Iterable[str]) -> dict[str, str]:
-    """Group texts by `fold_text`: text -> name of its group, or the text if it is alone in it."""
-    group_of_text = {text: fold_text(text) for text in texts}
-    count_of_group = Counter(group_of_text.values())
-    return {
-        text: group if count_of_group[group] > 1 else text for text, group in group_of_text.items()
+    """Group texts by `fold_text`: text -> name of its group, or the text if it is alone in it.
+
+    The name of a group says in words what its texts have in common, see `_name_group`.
+    """
+    unique_texts = dict.fromkeys(texts)
+    texts_of_group: dict[str, list[str]] = {}
+    for text in unique_texts:
+        texts_of_group.setdefault(fold_text(text), []).append(text)
+    name_of_text: dict[str, str] = {}
+    used_names: set[str] = set()
+    for group_texts in texts_of_group.values():
+        name = _name_group(group_texts)
+        while name in used_names:  # two groups that differ in what names leave out
+            name += " …"
+        used_names.add(name)
+        name_of_text |= dict.fromkeys(group_texts, name)
+    return name_of_text
+
+
+def _name_group(texts: Sequence[str]) -> str:
+    """Return the name of a group of texts that `fold_text` makes equal.
+
+    Numbers that differ become their range, as in ``a gap of 0.2 to 0.5 m``, other parts that differ
+    become ``…``. The place where an audit found something is left out.
+
+    Args:
+        texts: the texts.
+    """
+    if len(texts) == 1:
+        return texts[0]
+    parts_of_text = [_split_text(AUDIT_PLACE_PATTERN.sub("", text)) for text in texts]
+    if len(set(map(len, parts_of_text))) > 1:  # a text has a # or … of its own
+        return fold_text(texts[0])
+    return "".join(_name_part(parts) for parts in zip(*parts_of_text, strict=True))
+
+
+def _split_text(text: str) -> list[str]:
+    """Split a text into what `fold_text` keeps and what it replaces, in turns."""
+    text = THOUSANDS_COMMA_PATTERN.sub("", text)
+    parts = []
+    position = 0  # where the next part begins
+    for match in FOLDED_PART_PATTERN.finditer(text):
+        if _fold_part(match) != match[0]:
+            replaced = match[0].rstrip(".!?") if match["word"] else match[0]
+            parts += [text[position : match.start()], replaced]
+            position = match.start() + len(replaced)
+    return [*parts, text[position:]]
+
+
+def _name_part(parts: Sequence[str]) -> str:
+    """Return what parts at one place of several texts have in common: themselves, a range, or …."""
+    if len(set(parts)) == 1:
+        return parts[0]
+    matches = [NUMBER_PATTERN.fullmatch(part) for part in parts]
+    value_of_part = {
+        part: float(f"{match['sign'] or ''}{match['digits']}")
+        for part, match in zip(parts, matches, strict=True)
+        if match is not None and match["digits"].count(".") < 2
     }
+    if len(value_of_part) < len(set(parts)):
+        return "…"
+    lowest = min(value_of_part, key=lambda part: value_of_part[part])
+    highest = max(value_of_part, key=lambda part: value_of_part[part])
+    return f"{lowest} to {highest}"
 
 
 def fold_text(text: str) -> str:
@@ -280,18 +341,19 @@ def fold_text(text: str) -> str:
     Quoted parts, paths, file names and words with digits become ``…``, and numbers become ``#``.
     Settings in backticks stay.
     """
+    return FOLDED_PART_PATTERN.sub(_fold_part, THOUSANDS_COMMA_PATTERN.sub("", text))
 
-    def replace_part(match: re.Match[str]) -> str:
-        if match["word"] is None:
-            return match["setting"] or "…"
-        word = match["word"].rstrip(".!?")
-        placeholder = (
-            "#"
-            if NUMBER_PATTERN.fullmatch(word)
-            else "…"
-            if PATH_OR_NAME_PATTERN.search(word)
-            else word
-        )
-        return placeholder + match["word"][len(word) :]
 
-    return FOLDED_PART_PATTERN.sub(replace_part, THOUSANDS_COMMA_PATTERN.sub("", text))
+def _fold_part(match: re.Match[str]) -> str:
+    """Return what a match of `FOLDED_PART_PATTERN` becomes in a folded text."""
+    if match["word"] is None:
+        return match["setting"] or "…"
+    word = match["word"].rstrip(".!?")
+    placeholder = (
+        "#"
+        if NUMBER_PATTERN.fullmatch(word)
+        else "…"
+        if PATH_OR_NAME_PATTERN.search(word)
+        else word
+    )
+    return placeholder + match["word"][len(word) :]

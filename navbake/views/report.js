@@ -3,6 +3,7 @@ const canvas = find("canvas"), pen = canvas.getContext("2d");
 const GOLDEN = 137.5; // degrees of hue between the colours of kinds of marks
 const NEAR = 9; // how near the pointer is to a mark that it points at [pixels]
 const ABOVE = 14; // by which the name of a point stands over it [pixels]
+const DOOR_COLOR = "#b02a1e", LINK_COLOR = "#ff3d78", CLOSED_COLOR = "#868e96", STAIRS_COLOR = "#222";
 const BAR = 110; // longest bar of the scale [pixels]
 
 const HINT = "Point at a cell to read what the grid knows of it. Drag to move, scroll to zoom.";
@@ -98,11 +99,11 @@ function draw() {
   for (const door of drawn.doors) { // closed from jamb to jamb; one that lets through is dashed
     const closed = door.state === "closed";
     pen.setLineDash(closed ? [] : [3, 3]);
-    stroke([[toPixels(...door.start), toPixels(...door.end)]], [["#fff", 4], ["#b02a1e", closed ? 3 : 2]]);
+    stroke([[toPixels(...door.start), toPixels(...door.end)]], [["#fff", 4], [DOOR_COLOR, closed ? 3 : 2]]);
   }
   for (const way of drawn.ways) { // on this level; names say where else it stops
     pen.setLineDash(way.closed ? [4, 3] : []);
-    const stops = way.stops.map((stop) => stop && toPixels(...stop)), color = way.link ? (way.closed ? "#868e96" : "#ff3d78") : "#222";
+    const stops = way.stops.map((stop) => stop && toPixels(...stop)), color = way.link ? (way.closed ? CLOSED_COLOR : LINK_COLOR) : STAIRS_COLOR;
     stroke(stops.slice(1).flatMap((to, i) => (stops[i] && to ? [[stops[i], to]] : [])), [["#fff", 4], [color, 2]]);
     stops.forEach((stop, i) => { if (stop && way.link) drawStop(stop, color, way.oneWay && i > 0); });
   }
@@ -143,17 +144,22 @@ function drawStop([px, py], color, arrives) {
 }
 
 // Names of rooms: those that fit into their rooms, in full or as their number; none over another.
-// A name without a width is that of a point, and stands over it.
+// A name without a width is that of a point, and stands beside it, off what has to be kept clear.
 function drawLabels(drawn) {
   Object.assign(pen, { font: "600 13px system-ui, sans-serif", textAlign: "center", textBaseline: "middle", lineWidth: 3, lineJoin: "round", strokeStyle: "rgba(255, 255, 255, 0.85)", fillStyle: "#111" });
-  const taken = [];
+  // left, top, right and bottom [pixels]
+  const boxAt = (px, py, half) => [px - half, py - 8, px + half, py + 8];
+  const overlaps = ([left, top, right, bottom], other) => left < other[2] && right > other[0] && top < other[3] && bottom > other[1];
+  const taken = [], clear = (drawn.keepClear || []).map(([xMin, yMin, xMax, yMax]) => [...toPixels(xMin, yMax), ...toPixels(xMax, yMin)]);
   for (const label of [...drawn.labels].sort((a, b) => b.width - a.width)) {
-    const [px, middle] = toPixels(label.x, label.y), py = label.width ? middle : middle - ABOVE, room = label.width ? label.width * view.scale : Infinity;
+    const [px, py] = toPixels(label.x, label.y), room = label.width ? label.width * view.scale : Infinity;
     const text = [label.text, label.fallback].find((each) => pen.measureText(each).width < room) || "", half = pen.measureText(text).width / 2 + 2;
-    if (!text || taken.some((other) => Math.abs(other.px - px) < other.half + half && Math.abs(other.py - py) < 16)) continue;
-    taken.push({ px, py, half });
-    pen.strokeText(text, px, py);
-    pen.fillText(text, px, py);
+    const places = label.width ? [[px, py]] : [1, 2, 3].flatMap((n) => [[px, py - n * ABOVE], [px, py + n * ABOVE], [px + half + n * ABOVE, py], [px - half - n * ABOVE, py]]);
+    const place = text && places.find(([x, y]) => ![...taken, ...(label.width ? [] : clear)].some((other) => overlaps(boxAt(x, y, half), other)));
+    if (!place) continue;
+    taken.push(boxAt(...place, half));
+    pen.strokeText(text, ...place);
+    pen.fillText(text, ...place);
   }
 }
 
@@ -213,7 +219,7 @@ function showLevel(pointed = null) {
   buttons("levels", own.levels.map((each) => each.name), state.level, (i) => { state.level = i; showLevel(); });
   buttons("layers", shown.layers.map((each) => each.name), shown.layers.indexOf(drawn), (i) => { state.layer = shown.layers[i].name; showLevel(state.pointed); });
   find("note").textContent = shown.every > 1 ? `There are many cells: the map shows one of ${shown.every} rows and one of ${shown.every} columns.` : "";
-  find("legend").replaceChildren(...(drawn.title ? [element("strong", drawn.title)] : []), ...(drawn.scale ? showScale(drawn.scale) : []), ...drawn.legend.map(([text, color]) => element("span", [swatch(color), text])));
+  find("legend").replaceChildren(...(drawn.title ? [element("strong", drawn.title)] : []), ...(drawn.scale ? showScale(drawn.scale) : []), ...drawn.legend.map(([text, color]) => element("span", [swatch(color), text])), ...lineKinds(drawn).map(([text, color, dashed]) => element("span", [strokeSample(color, dashed), text])));
   find("marks").replaceChildren(...kindsOf([shown]).map((kind) => {
     const tick = element("input", "", { type: "checkbox" });
     tick.checked = !state.hidden.has(kind);
@@ -222,6 +228,24 @@ function showLevel(pointed = null) {
   }));
   for (const [, each] of [["", shown], ...describedLevels()]) unpackLevel(each);
   draw();
+}
+
+// The kinds of lines on a layer: name, colour, and whether they are dashed.
+function lineKinds({ doors, ways }) {
+  const kinds = [
+    [doors.some((door) => door.state === "closed"), "door, closed", DOOR_COLOR, false],
+    [doors.some((door) => door.state !== "closed"), "door, open", DOOR_COLOR, true],
+    [ways.some((way) => way.link && !way.closed), "link", LINK_COLOR, false],
+    [ways.some((way) => way.link && way.closed), "link, closed", CLOSED_COLOR, true],
+    [ways.some((way) => !way.link), "stairs", STAIRS_COLOR, false],
+  ];
+  return kinds.filter(([isDrawn]) => isDrawn).map(([, ...kind]) => kind);
+}
+
+function strokeSample(color, dashed) {
+  const line = element("span");
+  line.style.setProperty("border-top", `3px ${dashed ? "dashed" : "solid"} ${color}`);
+  return element("span", line, { class: "stroke" });
 }
 
 function swatch(color) {

@@ -237,11 +237,11 @@ def _describe_grid(
     return {
         "name": name,
         "facts": [
-            *list_grid_facts(facts),
+            ("free area", f"{free_area:.2f} m²"),
             ("rooms", str(len(grid.rooms))),
             ("levels", str(len(levels))),
+            *list_grid_facts(facts),
             ("cells", f"{num_cells:,}"),
-            ("free", f"{free_area:.2f} m²"),
         ],
         "warnings": facts["warnings"],
         "levels": levels,
@@ -405,6 +405,7 @@ def _draw_layer(grid: NavGrid, level_number: int, layer: str, stride: int) -> Js
         "scale": scale_json,
         "labels": [label._asdict() for label in panel.labels],
         "doors": [door._asdict() for door in panel.doors],
+        "keepClear": panel.keep_clear,
         "ways": [
             {
                 # in order; null for a stop on another level

@@ -6,7 +6,7 @@ import json
 import os
 import sys
 from functools import partial
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import pytest
@@ -108,8 +108,51 @@ def test_any_text_is_folded_once(text):
 def test_texts_of_a_kind_are_one_group_and_one_alone_is_itself():
     texts = ["error: line 1", "error: line 2", "crashed: line 1"]
     made = describe(*({**BAD, "how": t.split(": ")[0], "error": t.split(": ")[1]} for t in texts))
-    groups = ["error: line #", "error: line #", "crashed: line 1"]
+    groups = ["error: line 1 to 2", "error: line 1 to 2", "crashed: line 1"]
     assert made["groups"]["failures"] == dict(zip(texts, groups, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("texts", "name"),
+    [
+        (
+            [
+                "hint: level 0 (1.00, 2.00, 0.00): a gap of 0.31 m between two rooms",
+                "hint: level 2 (-1.50, 2.00, 6.10): a gap of 0.25 m between two rooms",
+                "hint: level 1 (0.00, 0.00, 3.00): a gap of 0.4 m between two rooms",
+            ],
+            "hint: a gap of 0.25 to 0.4 m between two rooms",
+        ),
+        (["hint: level 0: 3 stairs", "hint: level 1: 3 stairs"], "hint: 3 stairs"),
+        (["no file a.xml, line 3.", "no file b.xml, line 12."], "no file …, line 3 to 12."),
+        (["1,200 cells of 5cm", "900 cells of 10cm"], "900 to 1200 cells of 5cm to 10cm"),
+        (["line #", "line 3"], "line #"),
+        (["door 'a' is stuck", "door 'a' is  stuck "], None),
+    ],
+)
+def test_groups_of_texts_have_names_in_words(texts, name):
+    made = describe(*({**BAD, "id": str(n), "warnings": [t]} for n, t in enumerate(texts)))
+    names = made["groups"]["warnings"]
+    assert list(names) == texts
+    if name is None:
+        assert names == {text: text for text in texts}
+    else:
+        assert set(names.values()) == {name}
+
+
+def test_groups_that_differ_have_names_that_differ():
+    texts = ["level 0: 3 stairs", "level 1: 3 stairs", "3 stairs", "4 stairs"]
+    made = describe(*({**BAD, "id": str(n), "warnings": [t]} for n, t in enumerate(texts)))
+    names = [made["groups"]["warnings"][text] for text in texts]
+    assert names[0] == names[1] and names[2] == names[3] and names[0] != names[2]
+
+
+@given(st.lists(st.text(alphabet="a1.#…'\"`, :()-level", max_size=12), max_size=8))
+def test_any_texts_have_names_by_what_is_folded(texts):
+    made = describe(*({**BAD, "id": str(n), "warnings": [t]} for n, t in enumerate(texts)))
+    names = made["groups"]["warnings"]
+    for one, other in combinations(names, 2):
+        assert (names[one] == names[other]) == (fold_text(one) == fold_text(other))
 
 
 @pytest.mark.parametrize(

@@ -93,12 +93,19 @@ def test_a_reader_looks_at_two_grids(page, house, width, dark):
         assert "wider: row" in words
         assert errors_of(driver) == []
         assert strangers_of(requests_of(driver)) == []
-        # the legend is beside the map where there is room; a dark page has a dark map
-        tops = "return ['canvas', 'legend'].map((id) => find(id).getBoundingClientRect().top)"
-        canvas, legend = driver.execute_script(tops)
-        assert (legend - canvas < 50) == (width > 900)
-        how = driver.execute_script("return getComputedStyle(canvas).filter")
-        assert ("invert" in how) == dark
+        # what is read of a cell and the legend are beside the map where there is room
+        tops = """return ['canvas', 'pointed', 'legend'].map((id) =>
+            find(id).getBoundingClientRect().top)"""
+        canvas, pointed, legend = driver.execute_script(tops)
+        assert (pointed - canvas < 50) == (width > 900)
+        assert (legend - canvas < 300) == (width > 900)
+        # free cells are light and occupied ones dark, whatever the page is
+        press(driver, "grids", "house")
+        press(driver, "layers", "occupancy")
+        assert driver.execute_script("return getComputedStyle(canvas).filter") == "none"
+        assert sum(driver.execute_script(LOOK, *free["center"])[:3]) > 600
+        blocked = house.describe_cell(*at_blocked(house, 0), 0)
+        assert sum(driver.execute_script(LOOK, *blocked["center"])[:3]) < 300
 
 
 @needs_browser
@@ -195,6 +202,43 @@ def test_doors_have_their_names_on_the_map(page, house):
         """)
         shown = {door.id for door in house.doors if 0 in door.levels}
         assert any(text.startswith(name) for text in drawn for name in shown)
+        legend = driver.find_element("id", "legend").text.splitlines()
+        for entry in ("door leaf", "doorway", "door, open", "free", "occupied"):
+            assert entry in legend
+        press(driver, "layers", "floor")
+        assert "door" not in driver.find_element("id", "legend").text
+
+
+@needs_browser
+def test_the_readout_is_above_the_fold_and_the_free_area_first(page, house):
+    with open_browser(1280, 800) as driver:
+        driver.get(page.as_uri())
+        wait_until(lambda: driver.execute_script("return Boolean(level().unpacked)"), "the cells")
+        told(driver, *at_blocked(house, 0))
+        bottom = "return find('pointed').getBoundingClientRect().bottom"
+        assert driver.execute_script(bottom) < 700
+        assert driver.find_element("css selector", "#facts dt").text == "free area"
+
+
+@needs_browser
+def test_names_of_doors_stand_off_their_leaves(page):
+    with open_browser() as driver:
+        driver.get(page.as_uri())
+        press(driver, "layers", "doors")
+        overlaps = driver.execute_script("""
+          const write = pen.fillText.bind(pen), boxes = [];
+          pen.fillText = (text, x, y) => {
+            const half = pen.measureText(text).width / 2;
+            boxes.push([x - half, y - 6, x + half, y + 6]);
+            write(text, x, y);
+          };
+          draw();
+          const leaves = layer().keepClear.map(([x0, y0, x1, y1]) =>
+            [...toPixels(x0, y1), ...toPixels(x1, y0)]);
+          return [boxes.length, boxes.filter((a) => leaves.some((b) =>
+            a[0] < b[2] && a[2] > b[0] && a[1] < b[3] && a[3] > b[1])).length];
+        """)
+        assert overlaps[0] >= 4 and overlaps[1] == 0
 
 
 def at_blocked(grid, number):
