@@ -305,7 +305,7 @@ def stand(
     ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
     output: Path | None = option(
-        "JSON|PNG|SVG", "Write the poses, or draw them where bases can stand.", *OUTPUT_FLAGS
+        "JSON|PNG|SVG|PDF", "Write the poses, or draw them where bases can stand.", *OUTPUT_FLAGS
     ),
 ) -> None:
     """Find where a robot's base can stand to reach a thing, or say why nowhere.
@@ -315,7 +315,7 @@ def stand(
     Example: navbake stand house.grid.json object:sofa --radius 0.3
     """
     if output is not None:
-        options.check_output(output, ".json", ".png", ".svg", inputs=[grid])
+        options.check_output(output, ".json", *options.PICTURE_SUFFIXES, inputs=[grid])
     least_and_greatest = options.parse_pair(reach, "--reach")
     outline = None
     if footprint is not None:
