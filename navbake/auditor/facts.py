@@ -411,7 +411,7 @@ class Facts:
         Args:
             level_number: the level's index.
             is_wrong: the wrong cells, shape (height, width).
-            predicate: what is wrong, such as ``free by weight``. The message puts "3 cells are"
+            predicate: the fault, such as ``free by weight``. The message puts "3 cells are"
                 before it, or "3 cells have" if it begins with the article "a".
         """
         num_wrong = int(np.count_nonzero(is_wrong))

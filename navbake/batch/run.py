@@ -563,7 +563,7 @@ def preview_batch(
 
 
 def measure_cost(rows: Iterable[SceneRow]) -> Json | None:
-    """Return statistics of what the scenes that are ``ok`` cost; None without such a scene.
+    """Return statistics of the cost of scenes that are ``ok``; None without such a scene.
 
     The object has the number of these scenes (`scenes`). It has `sum`, `median`, `p90` (the 90th
     percentile) and `max` of two quantities: the time that a scene took (`seconds`), and the size of

@@ -38,7 +38,7 @@ VERBOSITY = SimpleNamespace(quiet=False, verbose=False, as_json=False)
 
 @dataclass
 class CommandResult:
-    """What the running command prints at its end with --json.
+    """The result of the running command, which it prints at its end with --json.
 
     Attributes:
         facts: The facts of the command, such as ``scene_id``, by their keys.
@@ -84,7 +84,7 @@ def take_stdout() -> None:
 
 
 def print_facts() -> None:
-    """Print what was added as one JSON object, if the command has --json, and only once."""
+    """Print the facts of the command as one JSON object, once, if it has --json."""
     result: CommandResult = _COMMAND.result
     if not VERBOSITY.as_json or result.is_printed:
         return

@@ -34,11 +34,11 @@ class Layer(NamedTuple):
 
     Attributes:
         compute: Computes the layer of a grid: an array for each level, shape (height, width).
-        outside: The value of positions outside the grid.
+        value_outside: The value of positions outside the grid.
     """
 
     compute: Callable[[NavGrid], list[NDArray[Any]]]
-    outside: float
+    value_outside: float
 
 
 LAYERS = {
@@ -420,7 +420,7 @@ def values_at(
     value_outside: float | None = None
     array_by_level: dict[int, NDArray[Any]] = {}  # level -> array; a level may lack the attribute
     if layer in LAYERS:
-        value_outside = LAYERS[layer].outside
+        value_outside = LAYERS[layer].value_outside
         array_by_level = dict(enumerate(LAYERS[layer].compute(grid)))
     else:
         for level_number, level_grid in enumerate(grid.levels):

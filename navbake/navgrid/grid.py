@@ -270,7 +270,7 @@ class GridBase(GridMethods):
 
     @property
     def name_boxes(self) -> dict[str, Box]:
-        """The upright boxes round what the cells name, by name; empty if the file has none.
+        """The upright boxes round the things that cells name, by name; empty if the file has none.
 
         Each is world x, y, z of the lower corner, then of the upper corner [m], in the pose of the
         bake.

@@ -19,10 +19,10 @@ class NameEntry(NamedTuple):
     """The names in a cell; many cells share an entry.
 
     Attributes:
-        objects: the objects over the cell's square, up to the next storey.
-        walls: the walls there.
-        doors: the doors there.
-        blocking: those of all three that are in an agent's way.
+        objects: names of the objects over the cell's square, up to the next storey.
+        walls: names of the walls there.
+        doors: names of the doors there.
+        blocking: names of the objects, walls and doors there that are in an agent's way.
     """
 
     objects: frozenset[str]

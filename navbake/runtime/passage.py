@@ -243,7 +243,7 @@ def find_bottleneck(
             which areas and links it may use).
         start_cell: flat id.
         goal_cells: flat ids.
-        widest: what `find_widest` returned for the same arguments.
+        widest: the result of `find_widest` for the same arguments.
         cut_corners: whether diagonal steps past blocked corners are allowed.
 
     Returns:

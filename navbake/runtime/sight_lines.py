@@ -17,7 +17,7 @@ HEIGHT_SLACK = 1e-3  # by how much a line may run below the top of a thing, for 
 
 
 class Obstructions(NamedTuple):
-    """The things in each cell that may hide what is behind them.
+    """The things in each cell that may hide other things behind them.
 
     Attributes:
         bottoms: world z of their lower ends [m], shape (rows, cols, things); inf for no thing.
@@ -100,9 +100,9 @@ class SightLines(NamedTuple):
         heights_after = np.concatenate([heights[:, 1:], end_heights[:, None]], axis=1)[
             :, :max_num_steps
         ]
-        lowest = np.minimum(heights, heights_after)
-        highest = np.maximum(heights, heights_after)
-        is_hidden = obstructions.hide(rows, cols, lowest, highest)
+        lowest_heights = np.minimum(heights, heights_after)
+        highest_heights = np.maximum(heights, heights_after)
+        is_hidden = obstructions.hide(rows, cols, lowest_heights, highest_heights)
         rows_before = start_row + row_sign * self.row_before[num_rows, num_cols, :max_num_steps]
         cols_before = start_col + col_sign * self.col_before[num_rows, num_cols, :max_num_steps]
         at_corner = np.nonzero((rows != rows_before) & (cols != cols_before))

@@ -382,7 +382,7 @@ class StandSite:
         """Mark the steps of lines of sight at which something is in between, shape (n, steps).
 
         Args:
-            view: what hides the target.
+            view: the things that may hide the target.
             bases: places of the bases, shape (n, 2).
             aim_index: for each base, the index of the square that its line leads to, shape (n,).
         """
@@ -404,7 +404,7 @@ class StandSite:
         """Find the nearest square in sight of each base, and in reach.
 
         Args:
-            view: what hides the target.
+            view: the things that may hide the target.
             bases: places of the bases, shape (n, 2).
             points: their middles, world x, y [m], shape (n, 2).
             limits: how far the farthest corner of a square may be from each [m], shape (n,).
@@ -434,7 +434,7 @@ class StandSite:
         """List the names of what is on lines of sight, sorted.
 
         Args:
-            view: what hides the target.
+            view: the things that may hide the target.
             bases: places of the bases, shape (n, 2).
             aim_index: index of the square that each line leads to, shape (n,).
         """
@@ -602,15 +602,15 @@ def find_nearest_square(points: Float, squares: Float, limits: Float) -> Int:
     Returns:
         Index of each point's square, shape (n,); -1 for none.
     """
-    nearest = np.full(len(points), -1, dtype=np.int64)
+    square_of_point = np.full(len(points), -1, dtype=np.int64)
     chunk_size = max(MAX_PAIRS // len(squares), 1)
-    for first in range(0, len(points), chunk_size):
-        chunk = np.s_[first : first + chunk_size]
+    for first_point in range(0, len(points), chunk_size):
+        chunk = np.s_[first_point : first_point + chunk_size]
         distances = measure_to_farthest(points[chunk], squares)
-        index = distances.argmin(axis=1)
-        is_within = distances[np.arange(len(index)), index] <= limits[chunk]
-        nearest[chunk] = np.where(is_within, index, -1)
-    return nearest
+        nearest_square = distances.argmin(axis=1)
+        is_within = distances[np.arange(len(nearest_square)), nearest_square] <= limits[chunk]
+        square_of_point[chunk] = np.where(is_within, nearest_square, -1)
+    return square_of_point
 
 
 def find_headings(points: Float, faced_squares: Float, squares: Float) -> Float:

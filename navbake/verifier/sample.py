@@ -447,17 +447,17 @@ def make_volumes(
         The prisms over all squares, those over all discs, or both. If one footprint contains the
         other, only the prisms of the larger footprint are returned.
     """
-    half_cell = sample.level.lattice.cell_size / 2
+    half_cell_size = sample.level.lattice.cell_size / 2
     floor_heights = sample.floor
     square_prisms = CellPrisms(
-        half_cell, False, floor_heights + agent.step, floor_heights + agent.height
+        half_cell_size, False, floor_heights + agent.step, floor_heights + agent.height
     )
     if radius is None:
         disc_prisms = square_prisms._replace(half_size=agent.radius, is_round=True)
-        if agent.radius >= half_cell * np.sqrt(2.0):  # the disc covers the square
+        if agent.radius >= half_cell_size * np.sqrt(2.0):  # the disc covers the square
             return [disc_prisms]
-        return [square_prisms, disc_prisms] if agent.radius > half_cell else [square_prisms]
-    if radius <= half_cell:
+        return [square_prisms, disc_prisms] if agent.radius > half_cell_size else [square_prisms]
+    if radius <= half_cell_size:
         return [square_prisms]
     lowest_floor, highest_floor = neighborhood.find_floors_under(
         sample.level_number, sample.rows, sample.cols, floor_heights, radius

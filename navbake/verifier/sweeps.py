@@ -404,16 +404,16 @@ def _check_drop_or_jump(
     floors = np.full(len(crossed_points), higher_floor)
     floors[0] = start_walk.floor
     floors[-1] = landing_walk.floor
-    half_cell = cell_size / 2
+    half_cell_size = cell_size / 2
     for (x, y), floor in zip(crossed_points.tolist(), floors.tolist(), strict=True):
         low_z = floor + agent.step + tolerance
         high_z = higher_floor + agent.height - tolerance
         half_z = (high_z - low_z) / 2
         center = np.array([x, y, (low_z + high_z) / 2])
-        prisms = [UprightPrism(half_cell, half_cell, half_z, False)]
-        if agent.radius > half_cell:
+        prisms = [UprightPrism(half_cell_size, half_cell_size, half_z, False)]
+        if agent.radius > half_cell_size:
             prisms.append(UprightPrism(agent.radius, agent.radius, half_z, True))
-        half_width = max(half_cell, agent.radius)
+        half_width = max(half_cell_size, agent.radius)
         half_size = np.array([half_width, half_width, half_z])
         for obstacle in probe.obstacles.find_overlapping(center - half_size, center + half_size):
             if any(

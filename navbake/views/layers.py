@@ -80,7 +80,7 @@ class ColorScale(NamedTuple):
     """A color scale: a bar of colours on which each value has a position, 0 to 1.
 
     Attributes:
-        label: what the values are, with their unit.
+        label: the name of the quantity, with its unit.
         values: some values, ascending; the positions of values between them are interpolated.
         positions: the position of each of `values` on the bar, 0 to 1, ascending.
         ticks: the values that are written beside the bar.
@@ -254,7 +254,7 @@ def linear_scale(values: Reals, label: str, *, is_high_dark: bool = False) -> Co
 
     Args:
         values: finite values, shape (n,).
-        label: what the values are, with their unit.
+        label: the name of the quantity, with its unit.
         is_high_dark: whether the largest value is the darkest, not the lightest.
     """
     low = float(values.min()) if values.size else 0.0
@@ -303,7 +303,7 @@ def height_scale(heights: Reals, label: str) -> ColorScale:
 
     Args:
         heights: finite z of floors [m], shape (n,).
-        label: what the heights are, with their unit.
+        label: the name of the heights, with their unit.
     """
     if not heights.size:
         return linear_scale(heights, label)

@@ -279,14 +279,14 @@ class Placement:
         origin: Its lower corner, world x, y, z [m], shape (3,).
         res: Edge of a voxel [m].
         shape: Numbers of voxels along x, y and z.
-        moved: By how much the grid was moved to align it with multiples of `res` [m]: the largest
-            of the moves along x, y and z.
+        alignment_shift: By how much the grid was moved to align it with multiples of `res` [m]: the
+            largest of the moves along x, y and z.
     """
 
     origin: Float
     res: float
     shape: tuple[int, int, int]
-    moved: float = 0.0
+    alignment_shift: float = 0.0
 
 
 def place_grid(

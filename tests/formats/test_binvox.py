@@ -215,7 +215,7 @@ def test_voxels_round_a_centre_are_where_airsim_samples_them(shape):
     grid = grid_of(np.ones(shape, dtype=bool), tuple(place.origin), res)
     assert {tuple(np.round(middle, 9)) for middle in grid.centers()} == expected
     np.testing.assert_allclose(find_airsim_position(grid), center)
-    assert place_grid(center, shape, None, res, None).moved == place.moved == 0
+    assert place_grid(center, shape, None, res, None).alignment_shift == place.alignment_shift == 0
 
 
 def test_a_centred_unit_cube_is_no_airsim_file():

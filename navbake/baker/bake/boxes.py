@@ -245,12 +245,17 @@ def _level_sides(lattice: Lattice, scene_box: Float | None) -> Float:
     sides = np.round([x_min, y_min, x_max, y_max], LENGTH_DECIMALS) + 0.0
     if scene_box is None:
         return sides
-    half_cell = lattice.cell_size / 2
+    half_cell_size = lattice.cell_size / 2
     scene_sides = np.round(scene_box[:, :2].ravel(), LENGTH_DECIMALS) + 0.0
     # Only a side between the rectangle's side and the centres of the outermost cells along it is
     # taken from the scene.
     center_lines = np.array(
-        [x_min + half_cell, y_min + half_cell, x_max - half_cell, y_max - half_cell]
+        [
+            x_min + half_cell_size,
+            y_min + half_cell_size,
+            x_max - half_cell_size,
+            y_max - half_cell_size,
+        ]
     )
     is_between = np.minimum(sides, center_lines) <= scene_sides
     is_between &= scene_sides <= np.maximum(sides, center_lines)

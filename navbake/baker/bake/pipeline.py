@@ -96,7 +96,7 @@ def bake(
         data: the mujoco.MjData whose joint positions and mocap bodies are the pose to bake, where
             `scene` is a model or spec. If None, the pose is that of the settings, or else as
             modelled.
-        exclude: what to leave out besides what the settings exclude, as
+        exclude: bodies and geoms to leave out in addition to those that the settings exclude, as
             ``{"bodies": […], "geoms": […], "movable": True}``: by name, by id, by name pattern
             (``"chair*"``) or as ``model.body("table")``. All descendants of a body are left out
             with it.

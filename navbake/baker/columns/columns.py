@@ -511,8 +511,8 @@ def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
     Returns:
         The hits of n columns; column i belongs to ``cells[i]``.
     """
-    first = hits.start[cells]
-    return gather_hits(hits.entries, first, hits.start[cells + 1] - first)
+    first_hit = hits.start[cells]
+    return gather_hits(hits.entries, first_hit, hits.start[cells + 1] - first_hit)
 
 
 def gather_hits(

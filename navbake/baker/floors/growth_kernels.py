@@ -33,7 +33,7 @@ OPEN_CELL = -2
 
 
 class GrowthState(NamedTuple):
-    """The growing floor of a level, and what it depends on.
+    """The growing floor of a level, and the data that its growth depends on.
 
     Attributes:
         surfaces: all surfaces that floors may consist of.

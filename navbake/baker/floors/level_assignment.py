@@ -164,8 +164,8 @@ class SurfaceLevels(NamedTuple):
 
     Attributes:
         grounds: the heights at which levels begin, ascending [m].
-        skips_floors: which surfaces are left out in columns that have more surfaces than there are
-            levels: those of floors if True, those of stairs if False.
+        skips_floors: whether columns with more surfaces than there are levels leave out surfaces of
+            floors; if not, they leave out surfaces of stairs.
         level_of_surface: the level of each surface as an index of `grounds`, -1 for surfaces that
             are not assigned, NO_FREE_LEVEL or less where all levels are taken, int32.
         component_levels: how many surfaces each component has on each level.

@@ -81,8 +81,8 @@ class LevelRule(NamedTuple):
     Attributes:
         grounds: the heights at which levels begin, ascending, (levels,) float64 [m].
         tolerance: how far below a ground the floors of its level may lie [m].
-        skips_floors: which surfaces are left out in columns that have more candidates than there
-            are levels: those of floors, the lower ones first, if True; those of stairs if False.
+        skips_floors: whether columns with more candidates than there are levels leave out surfaces
+            of floors, the lower ones first; if not, they leave out surfaces of stairs.
     """
 
     grounds: Float

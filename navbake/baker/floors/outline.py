@@ -95,7 +95,7 @@ class RegionContext(NamedTuple):
 
     Attributes:
         regions: all regions, also those of furniture.
-        is_large: which of them are large enough for floors, shape (regions,), bool.
+        is_large: which regions are large enough for floors, shape (regions,), bool.
         columns: the hits of all columns.
         agent: the agent whose floors are found.
         settings: the settings of `floors`.
@@ -320,7 +320,7 @@ def make_region_context(
 
     Args:
         regions: all regions.
-        is_large: which of them are large enough for floors, shape (regions,), bool.
+        is_large: which regions are large enough for floors, shape (regions,), bool.
         columns: the hits of all columns.
         is_cropped: whether the scene goes on beyond the lattice's sides east, south, west and
             north, shape (4,), bool.

@@ -349,11 +349,11 @@ def _describe_on_levels(
     end_index_of_pair = np.searchsorted(pair_of_surface[sort_indices], pair_ids, side="right")
     # number of a level -> for each region of a pair, the indices of its surfaces on the level
     indices_on_level: dict[int, list[Int]] = {}
-    for pair_id, first, end in zip(
+    for pair_id, first_index, end_index in zip(
         pair_ids.tolist(), first_index_of_pair, end_index_of_pair, strict=True
     ):
         indices_on_level.setdefault(pair_id // regions.num_regions, []).append(
-            sort_indices[first:end]
+            sort_indices[first_index:end_index]
         )
     lattice = regions.lattice
     patches = {}

@@ -375,7 +375,7 @@ def find_large_regions(regions: Regions, is_tested: Bool, settings: FloorSetting
 
     Args:
         regions: all regions.
-        is_tested: which of them are tested, shape (regions,).
+        is_tested: which regions are tested, shape (regions,).
         settings: the settings of `floors`; `min_area` [m²], `shrink` [m] and `fill` [m²] are used.
 
     Returns:

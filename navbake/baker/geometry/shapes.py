@@ -50,7 +50,7 @@ class GeomTriangles(NamedTuple):
             those that enclose nothing, and for all geoms but meshes.
         closed: OPEN_SURFACE, which encloses nothing; or CLOSED_SURFACE, SOLID (height fields) or
             CONVEX_SOLID (hulls), whose inside counts as occupied; (m,) uint8.
-        description: what the triangles are, in words, for `GeomReport.shape`.
+        description: the kind of the triangles in words, for `GeomReport.shape`.
     """
 
     vertices: Float

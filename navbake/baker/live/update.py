@@ -68,7 +68,7 @@ def update_baked_scene(
 
     Args:
         baked_scene: the values of the last bake or update.
-        change: what the next pose changes.
+        change: the changes that the next pose makes.
         config: all settings.
 
     Returns:

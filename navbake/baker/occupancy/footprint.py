@@ -47,11 +47,13 @@ class Footprint(NamedTuple):
             agent: the agent; its radius, height and highest step are read.
             cell_size: edge of a cell [m].
         """
-        half_cell = cell_size / 2
+        half_cell_size = cell_size / 2
         radius = agent.radius
         return cls(
-            half_square=half_cell - TOUCH_DEPTH if radius < half_cell * np.sqrt(2.0) else 0.0,
-            radius=radius - TOUCH_DEPTH if radius > half_cell else 0.0,
+            half_square=half_cell_size - TOUCH_DEPTH
+            if radius < half_cell_size * np.sqrt(2.0)
+            else 0.0,
+            radius=radius - TOUCH_DEPTH if radius > half_cell_size else 0.0,
             low=agent.traversable_floor_height + TOUCH_DEPTH,
             high=agent.height - TOUCH_DEPTH,
         )

@@ -137,10 +137,10 @@ def find_standing_cells(
     """
     lattice = columns.lattice
     num_cells = lattice.width * lattice.height
-    occupied = [np.isnan(level.floor) for level in floors.levels]
-    blocked_squares = None
+    occupied_masks = [np.isnan(level.floor) for level in floors.levels]
+    blocked_square_masks = None
     if footprint.radius > 0.0:
-        blocked_squares = [mask.copy() for mask in occupied]
+        blocked_square_masks = [mask.copy() for mask in occupied_masks]
     column_flags = [np.zeros(num_cells, dtype=np.uint8) for _ in floors.levels]
     occupants_builder = None
     if wall_candidates is not None:
@@ -158,11 +158,11 @@ def find_standing_cells(
             wall_candidates=wall_candidates,
         )
         for level_number, level_occupancy in enumerate(occupancy_by_level):
-            occupied[level_number].reshape(-1)[level_occupancy.cells] = (
+            occupied_masks[level_number].reshape(-1)[level_occupancy.cells] = (
                 level_occupancy.occupancy.occupied
             )
-            if blocked_squares is not None:
-                level_blocked_squares = blocked_squares[level_number].reshape(-1)
+            if blocked_square_masks is not None:
+                level_blocked_squares = blocked_square_masks[level_number].reshape(-1)
                 level_blocked_squares[level_occupancy.cells] = (
                     level_occupancy.occupancy.square_occupied
                 )
@@ -175,7 +175,7 @@ def find_standing_cells(
                     hits, level, slice(first_cell, end_cell), agent, column_flags[level_number]
                 )
     return StandingCells(
-        occupancy=StructureOccupancy(occupied, blocked_squares),
+        occupancy=StructureOccupancy(occupied_masks, blocked_square_masks),
         occupants=[] if occupants_builder is None else occupants_builder.occupants,
         column_flags=column_flags,
     )

@@ -69,7 +69,7 @@ class NamedMesh(NamedTuple):
             world frame.
         vertices: shape (n, 3).
         faces: indices of vertices, counter-clockwise from outside, shape (m, 3).
-        mode: what the mesh counts as with `scene.meshes: auto`: ``surface`` or ``hull`` if the file
+        mode: how the mesh counts with `scene.meshes: auto`: ``surface`` or ``hull`` if the file
             says so, else ``auto``.
     """
 

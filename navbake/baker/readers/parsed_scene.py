@@ -64,7 +64,7 @@ class ParsedGeom(NamedTuple):
         pose: from the geom's frame to the world, (4, 4) [m]; a mesh's may also scale.
         mesh: the triangles of a mesh, in the geom's frame; None for a solid.
         heights: the heights of a height field, from 0 to 1, row 0 at the smallest y; else None.
-        mode: what a mesh counts as with `scene.meshes: auto`: ``surface`` or ``hull``.
+        mode: how a mesh counts with `scene.meshes: auto`: ``surface`` or ``hull``.
         collides: whether the geom can collide.
         drawn: whether the geom is drawn.
     """
@@ -167,7 +167,7 @@ def convert_read_errors(source_text: str) -> Iterator[None]:
     numpy's arithmetic make no warning: results that are not finite are refused later.
 
     Args:
-        source_text: what is read, such as ``prim /World of room.usda``.
+        source_text: the name of the thing that is read, such as ``prim /World of room.usda``.
     """
     try:
         with np.errstate(all="ignore"):

@@ -74,7 +74,7 @@ class SolidSize(NamedTuple):
     Attributes:
         element: the name of the XML element with the values.
         num_values: the number of values in the element.
-        factor: what the values are multiplied by to be MuJoCo's sizes.
+        factor: the factor from SDF's values to MuJoCo's sizes.
     """
 
     element: str

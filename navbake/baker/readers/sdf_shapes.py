@@ -178,8 +178,10 @@ def _extrude(outlines: Sequence[Float], height: float) -> list[Mesh]:
             f"{MAX_CROSSINGS} at most: give its points in their order along the outline"
         )
     prisms = []
-    for left, right, bottom, top in _find_trapezoids(lower_ends, upper_ends, slopes, cut_heights):
-        side_edges = np.array([left, right])
+    for left_edge, right_edge, bottom, top in _find_trapezoids(
+        lower_ends, upper_ends, slopes, cut_heights
+    ):
+        side_edges = np.array([left_edge, right_edge])
         bottom_x = lower_ends[side_edges, 0] + slopes[side_edges] * (
             bottom - lower_ends[side_edges, 1]
         )
@@ -205,14 +207,14 @@ class _Trapezoid(NamedTuple):
     """A trapezoid between two edges, with sides parallel to x.
 
     Attributes:
-        left: the index of the edge at smaller x.
-        right: the index of the edge at larger x.
+        left_edge: the index of the edge at smaller x.
+        right_edge: the index of the edge at larger x.
         bottom: y of the side at smaller y [m].
         top: y of the side at larger y [m].
     """
 
-    left: int
-    right: int
+    left_edge: int
+    right_edge: int
     bottom: float
     top: float
 
@@ -244,8 +246,10 @@ def _find_trapezoids(
         edge_indices_by_x = edge_indices[np.argsort(middle_x, kind="stable")].tolist()
         # an odd number of edges is to the left of what is enclosed
         side_pairs = [*zip(edge_indices_by_x[::2], edge_indices_by_x[1::2], strict=False)]
-        for left, right in bottom_of_sides.keys() - {*side_pairs}:
-            trapezoids.append(_Trapezoid(left, right, bottom_of_sides[left, right], slice_top))
+        for left_edge, right_edge in bottom_of_sides.keys() - {*side_pairs}:
+            trapezoids.append(
+                _Trapezoid(left_edge, right_edge, bottom_of_sides[left_edge, right_edge], slice_top)
+            )
         bottom_of_sides = {
             side_pair: bottom_of_sides.get(side_pair, bottom) for side_pair in side_pairs
         }

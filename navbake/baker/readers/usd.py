@@ -111,7 +111,7 @@ class _PrimGeometry(NamedTuple):
         body: the name of its body.
         shape: the shape, in the prim's frame.
         matrix: from the prim's frame to the stage's; points are row vectors.
-        mode: what a mesh counts as, see `ParsedGeom`.
+        mode: how a mesh counts, see `ParsedGeom`.
         collides: whether the geom can collide.
         purpose: USD's purpose, if the prim is drawn; else empty.
     """
@@ -224,8 +224,8 @@ class _StageReader:
 
         Args:
             root: the prim.
-            inherited_state: what the prim inherits.
-            prefix: what is removed from the start of the prims' paths to make their names.
+            inherited_state: the state that the prim inherits from its ancestors.
+            prefix: the text that is removed from the start of the prims' paths to make their names.
         """
         traversal_predicate = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
         unread_prims = [(root, inherited_state)]
@@ -245,7 +245,7 @@ class _StageReader:
         Args:
             prim: the prim.
             name: the name of the geom or instancer that it may become.
-            state: what the prim inherits from its ancestors, and its own.
+            state: the state of the prim, with all that it inherits from its ancestors.
         """
         prim_type = str(prim.GetTypeName())
         if prim_type == "PointInstancer":

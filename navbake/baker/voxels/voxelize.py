@@ -63,7 +63,7 @@ class GridOptions(TypedDict, total=False):
 
     Attributes:
         size: the grid's lengths along x, y and z [m], in place of the numbers of voxels.
-        segments: what the voxels' IDs stand for, see `label_geoms`.
+        segments: the kind of thing that an ID stands for, see `label_geoms`.
         align: whether to move the grid onto whole multiples of the edge of a voxel.
         layout: ``airsim`` to place voxels where AirSim samples them.
     """
@@ -210,8 +210,8 @@ class Voxelizer:
             cells: numbers of voxels along x, y and z, >= 1 each.
             res: edge of a voxel [m].
             size: the grid's lengths along x, y and z [m], in place of `cells`.
-            segments: what the voxels' IDs stand for, see `label_geoms`; if None, the values are
-                True and False.
+            segments: the kind of thing that an ID stands for, see `label_geoms`; if None, the
+                values are True and False.
             align: move the grid by half a voxel at most, onto whole multiples of `res`.
             layout: ``airsim`` to place voxels where AirSim's ``simCreateVoxelGrid`` samples them
                 round the centre: of n voxels along an axis, the middle of voxel ``n // 2`` is
@@ -227,9 +227,10 @@ class Voxelizer:
             position, cells, size, res, self.shapes.bounds, align=align, layout=layout
         )
         grid = self.fill(placement, segments)
-        if placement.moved > CELL_SLACK * placement.res:
+        if placement.alignment_shift > CELL_SLACK * placement.res:
             grid.notes.append(
-                f"the grid was moved by {placement.moved:.3g} m onto whole multiples of its edge"
+                f"the grid was moved by {placement.alignment_shift:.3g} m onto whole multiples of "
+                "its edge"
             )
         return grid
 
@@ -238,8 +239,8 @@ class Voxelizer:
 
         Args:
             place: where the grid lies, and its numbers of voxels.
-            segments: what the voxels' IDs stand for, see `label_geoms`; if None, the values are
-                True and False.
+            segments: the kind of thing that an ID stands for, see `label_geoms`; if None, the
+                values are True and False.
 
         Returns:
             The grid.
@@ -449,7 +450,7 @@ def _label_by_kind(scene: Scene, id_kind: str) -> Labels:
 
     Args:
         scene: the scene.
-        id_kind: which of these get IDs: ``geom``, ``body`` or ``top``.
+        id_kind: the kind of thing that gets IDs: ``geom``, ``body`` or ``top``.
     """
     model = scene.model
     ids = np.zeros(len(scene.geoms), dtype=np.uint32)

@@ -662,7 +662,7 @@ def _to_linear_rgba(srgb_color: Reals) -> NDArray[np.float32]:
 
 
 def cut_drawing(drawing: Drawing, height: float) -> tuple[Surface, ...]:
-    """Cut a scene by a horizontal plane, and keep what is below.
+    """Cut a scene by a horizontal plane, and keep the part below.
 
     A triangle across the plane is replaced by its lower part. Cut boxes, cylinders and other convex
     solids are closed by a face that is darker than they are; meshes and height fields stay open.

@@ -579,7 +579,7 @@ def view(
 
     Args:
         grid: a grid of one or several levels, or the path of its file.
-        scene: what the grid was baked from: a mujoco.MjModel or MjSpec, a trimesh.Scene or Trimesh,
+        scene: the scene of the grid: a mujoco.MjModel or MjSpec, a trimesh.Scene or Trimesh,
             settings, or the path of a scene or YAML. None for the file that the grid names; it is
             looked for beside the grid, in the current folder, and in ``scenes`` there. If it isn't
             found, the grid is shown without a scene.

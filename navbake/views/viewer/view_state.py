@@ -81,7 +81,7 @@ class Choices:
         opacity: the opacity of the layer, above 0, up to 1.
         dark: whether the page is dark; None (a light page) until the user or the user's system
             chooses.
-        click: what a click on a cell does, one of `CLICK_TEXTS`.
+        click: the effect of a click on a cell, one of `CLICK_TEXTS`.
         start: the start of the path, None for none.
         goal: the goal of the path, None for none.
         inspected: the cell that is described, None for none.
