@@ -228,6 +228,25 @@ class EpisodeSet(msgspec.Struct, frozen=True):
             )
 
 
+def find_goal_position(goal: Goal) -> Vector3 | None:
+    """Return the position of a goal, or else of its first view point: world x, y, z [m].
+
+    It is None if the goal has neither.
+    """
+    if goal.position:
+        return goal.position
+    return goal.view_points[0].position if goal.view_points else None
+
+
+def list_goal_positions(episode: Episode) -> list[Vector3]:
+    """List the positions of an episode's goals, world x, y, z [m]; see `find_goal_position`.
+
+    Goals without a position are left out.
+    """
+    positions = [find_goal_position(goal) for goal in episode.goals]
+    return [position for position in positions if position is not None]
+
+
 def scene_of(grid: NavGrid) -> str:
     """Return the id of a grid's scene, ``scene`` if it has none."""
     return grid.scene_id or "scene"

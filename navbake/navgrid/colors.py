@@ -21,6 +21,8 @@ CLOSED = "#938fbf"  # free as baked, closed by inflation
 DOOR = "#c8440a"  # where a door blocks the way
 DOORWAY = "#ff9f5a"  # where a door would block the way if it were closed
 ROUTE = "#1864ab"
+START = "#2f9e44"  # of a path or an episode
+FREE_TINT = "#a9dfc4"  # free cells in a scene, where they must stand out from grey floors
 STAND = "#0f875a"  # cells where a base can stand, and which way it faces there
 # the first kind of mark in a picture has the first colour, and so on
 MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")
@@ -38,6 +40,8 @@ LINK_UP = "#3bcb11"
 LINK_DOWN = "#b870fd"
 LINK_ACROSS = "#889590"  # between cells of the same level
 LINK = "#ff3d78"  # a lift, a drop, …
+LINK_CLOSED = "#868e96"
+STAIRS = "#495057"
 KEEP_OUT = "#f05f7f"  # an area that bars every agent
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_positions, place_at
+from navbake.navgrid.colors import LINK, LINK_CLOSED, STAIRS
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import find_islands, group_steps
 from navbake.navgrid.links import Area, Link
@@ -285,6 +287,13 @@ class Connection(NamedTuple):
         """Whether agents may use the connection only from its first stop to its last."""
         return self.link is not None and self.link.one_way
 
+    @property
+    def color(self) -> str:
+        """The colour in which scenes show the connection, as ``#rrggbb``."""
+        if self.link is None:
+            return STAIRS
+        return LINK_CLOSED if self.is_closed else LINK
+
     def label(self) -> str:
         """Return the connection's name for pictures; ``(closed)`` follows that of a closed link."""
         return f"{self.name} (closed)" if self.is_closed else self.name
@@ -326,6 +335,33 @@ def _mean_position(grid: NavGrid, level: int, cells: Int) -> StopPoint:
     x, y = grid.levels[level].lattice.positions(rows, cols).mean(axis=0).tolist()
     z = float(grid.levels[level].floor_or_ground[rows, cols].mean())
     return StopPoint(level, x, y, z)
+
+
+class Arc(NamedTuple):
+    """A curved line that shows a connection, from one stop to the next one."""
+
+    points: Float  # world x, y, z [m], shape (n, 3)
+    color: str  # as ``#rrggbb``
+    is_one_way: bool  # whether agents may use the connection only from the first to the last point
+
+
+def list_arcs(grid: NavGrid, levels: Collection[int]) -> list[Arc]:
+    """List the arcs of a grid's connections between stops on given levels.
+
+    Args:
+        grid: a grid of one or several levels.
+        levels: the numbers of the levels; an arc with an end on another level is left out.
+
+    Returns:
+        The arcs, in the order of `find_connections`.
+    """
+    arcs = []
+    for connection in find_connections(grid):
+        for start, end in itertools.pairwise(connection.stops):
+            if start.level in levels and end.level in levels:
+                points = compute_arc(np.array(start.position), np.array(end.position))
+                arcs.append(Arc(points, connection.color, connection.is_one_way))
+    return arcs
 
 
 def compute_arc(start: Float, end: Float) -> Float:

@@ -37,6 +37,10 @@ MAX_BLACK_SHARE = 0.35
 # most cells along a room's longer side that are looked at to place its name
 MAX_SAMPLED_CELLS = 400
 MAX_NUMBERED_ISLANDS = 200  # on a level; the largest
+# how a layer is drawn on the floors of a scene
+LAYER_LIFT = 0.012  # height of the drawn grid over the floor, so that the floor doesn't hide it [m]
+FLAT_TOLERANCE = 0.01  # how far a drawn layer may be off the floor [m]
+MAX_RISE = 1.0  # steepest slope of a rectangle: its rise, divided by its length
 OCCUPANCY_COLORS = {
     "free": colors.FREE,
     "occupied": colors.OCCUPIED,
@@ -110,16 +114,17 @@ class ColorScale(NamedTuple):
         ]
         return np.round(np.stack(channels, axis=1)).astype(np.uint8)
 
-    def color(self, values: Reals) -> NDArray[np.uint8]:
+    def color(self, values: Reals, num_shades: int = NUM_SHADES) -> NDArray[np.uint8]:
         """Return the colours of values, shape (…, 3), 0 to 255.
 
         Args:
             values: finite values, shape (…). Those below or above `self.values` get the colour at
                 that end of the bar.
+            num_shades: the number of different colours, >= 2.
         """
         positions = np.interp(values, self.values, self.positions)
-        shade_indices = np.round(positions * (NUM_SHADES - 1)).astype(np.intp)
-        value_rgb: NDArray[np.uint8] = self.bar(NUM_SHADES).take(shade_indices, axis=0)
+        shade_indices = np.round(positions * (num_shades - 1)).astype(np.intp)
+        value_rgb: NDArray[np.uint8] = self.bar(num_shades).take(shade_indices, axis=0)
         return value_rgb
 
 
@@ -208,12 +213,28 @@ def make_panel(
     return panel._replace(title=title)
 
 
-def paint(panel: Panel) -> NDArray[np.uint8]:
-    """Return the colours of a panel's cells, shape (height, width, 3), row 0 at the largest y."""
+def tint_free_cells(panel: Panel) -> Panel:
+    """Return the panel as scenes show it: free cells have a tint that no floor has."""
+    rgb = panel.rgb.copy()
+    rgb[(rgb == colors.rgb_of(colors.FREE)).all(axis=-1)] = colors.rgb_of(colors.FREE_TINT)
+    legend = tuple(
+        (meaning, colors.FREE_TINT if color == colors.FREE else color)
+        for meaning, color in panel.legend
+    )
+    return panel._replace(rgb=rgb, legend=legend)
+
+
+def paint(panel: Panel, num_shades: int = NUM_SHADES) -> NDArray[np.uint8]:
+    """Return the colours of a panel's cells, shape (height, width, 3), row 0 at the largest y.
+
+    Args:
+        panel: the panel.
+        num_shades: the number of different colours of its values without relief, >= 2.
+    """
     if panel.values is None or panel.scale is None:
         return panel.rgb
     has_value = np.isfinite(panel.values)
-    value_rgb = panel.scale.color(panel.values[has_value])
+    value_rgb = panel.scale.color(panel.values[has_value], num_shades)
     if panel.relief_step:
         shading = relief_shading(panel.values, panel.relief_step)[has_value][:, None]
         mixed_share = np.where(shading > 0, shading * MAX_WHITE_SHARE, -shading * MAX_BLACK_SHARE)

@@ -103,10 +103,10 @@ def test_the_viewer_bends_links_between_shown_storeys(tower):
     assert "area" in view_state.layers
     assert view_state.arcs(Choices((0, 1, 2))) == []
     arcs = view_state.arcs(Choices((0, 1, 2), layer="links"))
-    assert len(arcs) == 6 and sum(color == colors.LINK for _, color in arcs) == 4
-    for arc, _ in arcs:
-        middle = (arc[0] + arc[-1]) / 2
-        assert np.linalg.norm(arc[len(arc) // 2] - middle) > 0.1 * np.linalg.norm(arc[-1] - arc[0])
+    assert len(arcs) == 6 and sum(arc.color == colors.LINK for arc in arcs) == 4
+    for arc in arcs:
+        start, middle, end = arc.points[[0, len(arc.points) // 2, -1]]
+        assert np.linalg.norm(middle - (start + end) / 2) > 0.1 * np.linalg.norm(end - start)
     assert len(view_state.arcs(Choices((0, 1), layer="links"))) == 4
     up = compute_arc(np.zeros(3), np.array([2.0, 0.0, 0.5]))
     assert up[:, 2].max() > 0.5 and not up[:, 1].any()

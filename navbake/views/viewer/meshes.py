@@ -20,6 +20,7 @@ from navbake.navgrid.cells import Cell, place_at
 from navbake.navgrid.colors import to_linear
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.types import Bool, Float, Int, Json
+from navbake.views.layers import FLAT_TOLERANCE, LAYER_LIFT, MAX_RISE
 
 if TYPE_CHECKING:
     import mujoco
@@ -75,11 +76,8 @@ RGBA_ROLE = 7
 TEXTURE_2D = 0  # mjtTexture: a flat picture, not the six sides of a cube
 DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1], dtype=np.float32)  # of a geom without a colour
 
-LAYER_LIFT = 0.012  # height of the drawn grid over the floor, so that the floor doesn't hide it [m]
-FLAT_TOLERANCE = 0.01  # how far a drawn layer may be off the floor [m]
 # If a level needs more rectangles, FLAT_TOLERANCE is doubled until they are few enough.
 MAX_RECTANGLES = 200_000
-MAX_RISE = 1.0  # steepest slope of a rectangle: its rise, divided by its length
 RECTANGLE_OVERLAP = 0.002  # by how much rectangles overlap, so that no gaps show [cells]
 MAX_PICTURE_SIDE = 4096  # longest side of a picture that any browser accepts [pixels]
 FLOOR_TOLERANCE = 0.05  # a floor at most this far above the clicked point counts as below it [m]

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypedDict
 
 import numpy as np
 
-from navbake.episodes.episode import EpisodeSet
+from navbake.episodes.episode import EpisodeSet, list_goal_positions
 from navbake.episodes.files import read_episodes
 from navbake.errors import NavbakeError
 from navbake.formats.navgrid import read_navgrid
@@ -43,7 +43,6 @@ from navbake.views.viewer.view_state import (
     ViewState,
     VisibleBatch,
     first_choices,
-    list_goal_positions,
     list_runs,
     transfer_choices,
 )

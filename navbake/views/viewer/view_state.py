@@ -5,7 +5,6 @@ This module needs neither a browser nor viser.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -14,7 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.episodes.episode import Episode, EpisodeSet, Goal, scene_of
+from navbake.episodes.episode import (
+    Episode,
+    EpisodeSet,
+    list_goal_positions,
+    scene_of,
+)
 from navbake.errors import QueryError
 from navbake.navgrid import colors
 from navbake.navgrid.cells import place_at
@@ -23,8 +27,16 @@ from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import Path
 from navbake.scores import Trajectory
 from navbake.types import Bool, Float, Json
-from navbake.views.describe import compute_arc, find_connections
-from navbake.views.layers import DISAGREEMENTS, LAYERS, Label, Panel, make_panel, paint
+from navbake.views.describe import Arc, list_arcs
+from navbake.views.layers import (
+    DISAGREEMENTS,
+    LAYERS,
+    Label,
+    Panel,
+    make_panel,
+    paint,
+    tint_free_cells,
+)
 from navbake.views.viewer import meshes
 from navbake.views.viewer.meshes import Drawing, MeshBatch, Pick, Surface, ViewRay
 
@@ -37,14 +49,15 @@ Result = TypeVar("Result")
 
 CUT_HEIGHT = 1.3  # at first, the scene is drawn up to this height over a level's ground [m]
 # colours on the page
-FREE_TINT = "#a9dfc4"  # free cells; they must stand out from grey floors
-START_COLOR = "#2f9e44"
+START_COLOR = colors.START
 GOAL_COLOR = colors.ROUTE
 HIGHLIGHT_COLOR = "#ff922b"
 TRAJECTORY_COLOR = "#c2255c"
-STAIRS_COLOR = "#495057"
-CLOSED_LINK_COLOR = "#868e96"
-ARC_LEGEND = {"link": colors.LINK, "link, closed": CLOSED_LINK_COLOR, "stairs": STAIRS_COLOR}
+ARC_LEGEND = {
+    "link": colors.LINK,
+    "link, closed": colors.LINK_CLOSED,
+    "stairs": colors.STAIRS,
+}
 NAME_HEIGHT = 0.4  # largest height of a name's letters [m]
 POINT_NAME_HEIGHT = 0.18  # height of the letters of names of points, such as doors [m]
 NAME_LIFT = 1.0  # height of names over the floor; most furniture is lower [m]
@@ -242,13 +255,6 @@ class NameLabel(NamedTuple):
         return LETTER_WIDTH * len(self.text) * self.height
 
 
-class ColoredArc(NamedTuple):
-    """A curved line that shows a link, from one stop to the next one, or a stair."""
-
-    points: Float  # world frame, shape (n, 3) [m]
-    color: str
-
-
 class VisibleBatch(NamedTuple):
     """A mesh that several geoms show, and which of the geoms are drawn."""
 
@@ -403,14 +409,7 @@ class ViewState:
         if layer == DISAGREEMENTS and findings is None:
             layer = "occupancy"
         panel = make_panel(self.shown_grid(choices), layer, level_number, findings=findings)
-        rgb = panel.rgb.copy()
-        is_free = (rgb == colors.rgb_of(colors.FREE)).all(axis=-1)
-        rgb[is_free] = colors.rgb_of(FREE_TINT)
-        legend = tuple(
-            (meaning, FREE_TINT if color == colors.FREE else color)
-            for meaning, color in panel.legend
-        )
-        return panel._replace(rgb=rgb, legend=legend)
+        return tint_free_cells(panel)
 
     @cache_results_by("doors", "inflation", "layer", "opacity")
     def overlay(self, choices: Choices, level_number: int) -> bytes:
@@ -475,23 +474,14 @@ class ViewState:
         return floor_of_level
 
     @cache_results_by("levels", "layer")
-    def arcs(self, choices: Choices) -> list[ColoredArc]:
+    def arcs(self, choices: Choices) -> list[Arc]:
         """List the arcs of links and stairs between stops on shown levels.
 
         The list is empty unless the chosen layer is ``links``.
         """
         if choices.layer != "links":
             return []
-        arcs = []
-        for connection in find_connections(self.grid):
-            color = STAIRS_COLOR if connection.link is None else colors.LINK
-            if connection.is_closed:
-                color = CLOSED_LINK_COLOR
-            for start, end in itertools.pairwise(connection.stops):
-                if start.level in choices.levels and end.level in choices.levels:
-                    points = compute_arc(np.array(start.position), np.array(end.position))
-                    arcs.append(ColoredArc(points, color))
-        return arcs
+        return list_arcs(self.grid, choices.levels)
 
     @cache_results_by("doors", "with_hidden")
     def drawing(self, choices: Choices) -> Drawing | None:
@@ -653,25 +643,6 @@ def _overlaps(first_name: NameLabel, second_name: NameLabel) -> bool:
     mean_width = (first_name.width + second_name.width) / 2
     mean_height = (first_name.height + second_name.height) / 2
     return x_distance < mean_width and y_distance < mean_height
-
-
-def find_goal_position(goal: Goal) -> tuple[float, float, float] | None:
-    """Return the position of a goal, or else of its first view point: world x, y, z [m].
-
-    It is None if the goal has neither.
-    """
-    if goal.position:
-        return goal.position
-    return goal.view_points[0].position if goal.view_points else None
-
-
-def list_goal_positions(episode: Episode) -> list[tuple[float, float, float]]:
-    """List the positions of an episode's goals, world x, y, z [m]; see `find_goal_position`.
-
-    Goals without a position are left out.
-    """
-    positions = [find_goal_position(goal) for goal in episode.goals]
-    return [position for position in positions if position is not None]
 
 
 def select_triangles(surfaces: Sequence[Surface], geoms: Sequence[int]) -> NDArray[np.float32]:

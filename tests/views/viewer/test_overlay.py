@@ -17,9 +17,8 @@ from PIL import Image
 
 import navbake
 from grid_maps import level_from
+from navbake.views.layers import FLAT_TOLERANCE, LAYER_LIFT
 from navbake.views.viewer.meshes import (
-    FLAT_TOLERANCE,
-    LAYER_LIFT,
     Surface,
     ViewRay,
     draw_overlay,

@@ -10,14 +10,13 @@ import pytest
 import navbake
 from navbake.episodes.sampler import make_episodes
 from navbake.errors import QueryError
-from navbake.navgrid.colors import rgb_of
+from navbake.navgrid.colors import FREE_TINT, rgb_of
 from navbake.scores import Trajectory
 from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.viewer import controls as texts
 from navbake.views.viewer.meshes import Pick
 from navbake.views.viewer.view import make_view_state
 from navbake.views.viewer.view_state import (
-    FREE_TINT,
     INSPECT_TEXT,
     NAME_HEIGHT,
     ROUTE_TEXT,
