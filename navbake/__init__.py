@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.links import Agent
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
+    from navbake.views.draw import draw
     from navbake.views.report import write_report as report
     from navbake.views.viewer.view import view
     from navbake.voxels.finder import VoxelFinder
@@ -69,6 +70,7 @@ __all__ = [
     "audit",
     "bake",
     "create_voxel_grid",
+    "draw",
     "episodes",
     "from_grscenes",
     "from_nav2",
@@ -102,6 +104,7 @@ _LAZY = {
     "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
     "Voxelizer": "navbake.baker.voxels.voxelize:Voxelizer",
     "create_voxel_grid": "navbake.baker.voxels.voxelize:create_voxel_grid",
+    "draw": "navbake.views.draw:draw",
     "from_grscenes": "navbake.formats.grscenes:read_grscenes",
     "from_nav2": "navbake.formats.nav2:read_nav2",
     "from_npz": "navbake.formats.npz:read_grid_npz",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import subprocess
 import sys
 import tempfile
@@ -14,6 +15,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
+os.environ.setdefault("MUJOCO_GL", "egl")  # before mujoco is imported: no display is needed
 import mujoco
 import numpy as np
 from matplotlib.artist import Artist
@@ -252,6 +254,45 @@ def draw_roles() -> bytes:
     return as_png(figure)
 
 
+def draw_in_mujoco() -> bytes:
+    """The apartment in MuJoCo's own renderer: rooms, poses before the sofa, and a path."""
+    scene = ROOT / "configs" / "scenes" / "apartment.xml"
+    model = mujoco.MjModel.from_xml_path(str(scene))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    grid = bake("apartment")
+    finder = navbake.PathFinder(grid.inflate(0.2))
+    model.vis.global_.offwidth, model.vis.global_.offheight = 1000, 640
+    renderer = mujoco.Renderer(model, 640, 1000)
+    camera = mujoco.MjvCamera()
+    camera.lookat = (0.0, -0.8, 0.0)
+    camera.distance, camera.azimuth, camera.elevation = 9.5, 93.0, -68.0
+    renderer.update_scene(data, camera)
+    navbake.draw(renderer.scene, grid, layer="rooms")
+    navbake.draw(renderer.scene, finder.find_path((-4.0, -1.8, 0.0), (3.0, -0.7, 0.0)))
+    navbake.draw(renderer.scene, finder.stand_poses("object:sofa", count=4))
+    content = io.BytesIO()
+    Image.fromarray(renderer.render()).save(content, format="png")
+    return content.getvalue()
+
+
+def draw_film() -> bytes:
+    """Four frames of the film that `examples/draw_in_mujoco.py` makes."""
+    with tempfile.TemporaryDirectory() as folder:
+        example = ROOT / "examples" / "draw_in_mujoco.py"
+        subprocess.run([sys.executable, str(example)], cwd=folder, check=True)
+        with Image.open(Path(folder) / "film.gif") as film:
+            width, height = film.size
+            sheet = Image.new("RGB", (2 * width, 2 * height))
+            for number in range(4):
+                film.seek(number * film.n_frames // 5)
+                place = (number % 2 * width, number // 2 * height)
+                sheet.paste(film.convert("RGB"), place)
+    content = io.BytesIO()
+    sheet.save(content, format="png")
+    return content.getvalue()
+
+
 def draw_page(name: str) -> bytes:
     """The page of `navbake view`, or one that `navbake report` writes."""
     # imports the tests' browser, which the other pictures do without
@@ -284,6 +325,8 @@ PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
     "voxels": draw_voxels,
     "fly": draw_fly,
     "baselines": draw_baselines,
+    "draw": draw_in_mujoco,
+    "film": draw_film,
     "viewer": partial(draw_page, "take_viewer"),
     "report": partial(draw_page, "take_report"),
 }

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import runpy
+import subprocess
+import sys
 
 import pytest
+from PIL import Image
 
 from project_paths import ROOT
 
@@ -12,6 +16,7 @@ EXAMPLES = ROOT / "examples"
 PRINTED = {
     "bake_and_look": ["level 1: 100 x 81 cells, ground 3.00 m", "['dining_table']"],
     "doors": ["door: joint hinge, modelled", "door 'door' (closed) is in the way", "open: 4.00 m"],
+    "draw_in_mujoco": ["arrived after 1", " frames in film.gif"],
     "fly_through_a_house": [
         "cost of clearance 0 m: 11.08 m, 0.47 m from things",
         "no way for a radius of 0.6 m from island 1",
@@ -31,13 +36,31 @@ PRINTED = {
     "voxels_round_a_robot": ["in reach: beanbag, ", "apartment.bt: (200, 160, 52) voxels"],
 }
 NEEDS = {"gymnasium_env": ("array_api_compat", "gymnasium")}
+# in processes of their own, since MuJoCo chooses how it renders when it is imported
+FILMS = ("draw_in_mujoco",)
 
 
 def test_all_examples_are_here():
     assert sorted(PRINTED) == sorted(path.stem for path in EXAMPLES.glob("*.py"))
 
 
-@pytest.mark.parametrize("name", PRINTED)
+@pytest.mark.parametrize("name", FILMS)
+def test_example_films(name, tmp_path):
+    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    command = [sys.executable, str(EXAMPLES / f"{name}.py")]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    if any(word in done.stderr for word in ("gl_context", "OpenGL", "EGL", "GLFW", "FatalError")):
+        pytest.skip(f"MuJoCo can't render here: {done.stderr.strip().splitlines()[-1]}")
+    assert done.returncode == 0, done.stderr
+    for text in PRINTED[name]:
+        assert text in done.stdout
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.n_frames > 30
+
+
+@pytest.mark.parametrize("name", [name for name in PRINTED if name not in FILMS])
 def test_example_runs(name, tmp_path, monkeypatch, capsys):
     for package in NEEDS.get(name, ()):
         pytest.importorskip(package)

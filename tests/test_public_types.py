@@ -54,6 +54,8 @@ REVEALED = {
     "navbake.audit(grid)": "AuditReport",
     'navbake.Baker("house.xml").grid': "SceneGrid2D | MultiLevelGrid",
     'navbake.load_voxels("house.npz")': "VoxelGrid",
+    'navbake.draw(viewer.user_scn, grid, layer="rooms")': "tuple[int, int, fallback=DrawCount]",
+    'navbake.draw(viewer.user_scn, path, color="#1864ab")': "tuple[int, int, fallback=DrawCount]",
     'navbake.load_voxels("house.npz").distances().at((1.0, 2.0, 0.0))': "ndarray[float64]",
     "flights": "VoxelFinder",
     "flights.find_path((1.0, 2.0, 1.0), (3.0, 2.0, 1.0))": "FlightPath | None",
@@ -63,7 +65,11 @@ REVEALED = {
     "flights.snap([(1.0, 2.0, 1.0), (3.0, 2.0, 1.0)])": "ndarray[float64]",
 }
 BEGINNING = """\
+from typing import Any
+
 import navbake
+
+viewer: Any  # mujoco has no types
 
 grid = navbake.bake("house.yaml", grid={"cell_size": 0.05})
 finder = navbake.PathFinder(grid)
