@@ -21,11 +21,13 @@ from navbake.cli.options import (
     option,
 )
 from navbake.cli.printing import (
+    VERBOSITY,
     add_facts,
     add_files,
     print_warnings,
     say,
     say_unless_quiet,
+    show_progress_bars,
     warn_of_closed_connections,
 )
 from navbake.errors import ConfigError, FormatError, QueryError
@@ -189,7 +191,8 @@ def convert(
         inflated_grid = grid if radius is None else grid.inflate(radius)
         given_options["route"] = [_plan_route(inflated_grid, text) for text in route]
     target_path = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
-    content_by_path = encode_with(writer, grid, target_path, **given_options)
+    with show_progress_bars(str(output), VERBOSITY.quiet) as progress:
+        content_by_path = encode_with(writer, grid, target_path, progress, **given_options)
     add_facts(scene_id=grid.scene_id, input_format=reader.name, output_format=writer.name)
     if output == STDOUT:
         if len(content_by_path) > 1:
@@ -424,7 +427,8 @@ def routes(
     route_agent = find_agent(nav_grid, agent)
     if radius is not None:
         route_agent = replace(route_agent or Agent(""), radius=radius)
-    graph = make_routes(nav_grid, route_agent)
+    with show_progress_bars(str(output), VERBOSITY.quiet) as progress:
+        graph = make_routes(nav_grid, route_agent, progress)
     graph = graph if level is None else graph.on_level(level)
     options.write_output(encode_routes(graph, output, to), output)
     add_facts(

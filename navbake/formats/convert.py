@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -97,16 +98,24 @@ def encode_as(
     Raises:
         FormatError: the format is unknown, takes no such option, or can't hold the grid.
     """
-    return encode_with(find_format(path, name, writing=True), grid, Path(path), **options)
+    return encode_with(find_format(path, name, writing=True), grid, Path(path), None, **options)
 
 
-def encode_with(file_format: FileFormat, grid: NavGrid, path: Path, **options: object) -> Files:
+def encode_with(
+    file_format: FileFormat,
+    grid: NavGrid,
+    path: Path,
+    progress: Callable[[str, float], None] | None = None,
+    **options: object,
+) -> Files:
     """Encode the files of a grid with the writer of a format, without writing them.
 
     Args:
         file_format: the format, which can be written.
         grid: the grid.
         path: the file that is to be written; several files take their names from it.
+        progress: called with a name and the fraction that is done, 0 to 1, by the writers of slow
+            formats, see `FileFormat.reports_progress`; None for no report.
         options: options of the format's writer, see `encode_as`.
 
     Returns:
@@ -123,6 +132,8 @@ def encode_with(file_format: FileFormat, grid: NavGrid, path: Path, **options: o
                 key=option,
                 value=options[option],
             )
+    if file_format.reports_progress:
+        options["progress"] = progress
     if not file_format.loses:
         encoded_files: Files = resolve(f"navbake.formats.{file_format.encode}")(
             grid, path, **options

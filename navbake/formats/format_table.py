@@ -46,6 +46,8 @@ class FileFormat(NamedTuple):
         marks_closed_cells: True if the writer marks the cells of `closes` itself, by an option
             `closed_cell_masks`. If False, `convert.encode_with` makes them occupied in the grid
             that it passes to the writer.
+        reports_progress: whether the writer takes a function `progress`, which it calls with a name
+            and the fraction that is done, 0 to 1.
     """
 
     name: str
@@ -60,6 +62,7 @@ class FileFormat(NamedTuple):
     loses: tuple[str, ...] = ()
     closes: tuple[str, ...] = ()
     marks_closed_cells: bool = False
+    reports_progress: bool = False
 
 
 ALL_LOSSES = ("heights", "steps", "areas", "links", "agents", "doors")
@@ -194,6 +197,7 @@ GRID_FORMATS = (
         endings=(".building.yaml",),
         meaning="building of Open-RMF's traffic editor: floors, walls, doors, lifts, lanes",
         encode="rmf_building:encode_building",
+        reports_progress=True,
     ),
     FileFormat(
         name="glb",

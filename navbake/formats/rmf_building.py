@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -114,7 +114,9 @@ class _BuildingLevel:
         }
 
 
-def encode_building(grid: NavGrid, path: Path) -> Files:
+def encode_building(
+    grid: NavGrid, path: Path, progress: Callable[[str, float], None] | None = None
+) -> Files:
     """Encode a grid as a building of Open-RMF; log a warning that names the parts left out.
 
     The warning names links (except lifts whose car is known), steps between levels, and areas;
@@ -123,6 +125,7 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
     Args:
         grid: the grid.
         path: the path of the file.
+        progress: see `navbake.routes.build.make_routes`, which takes most of the time.
 
     Returns:
         The file's content by its path.
@@ -142,7 +145,7 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
         _add_walls(building_level, grid, level_number, lifts)
         _add_doors(building_level, grid, level_number)
         building_levels.append(building_level)
-    _add_lanes(building_levels, grid)
+    _add_lanes(building_levels, routes.make_routes(grid, progress=progress))
     lift_entries = {
         link.name: _make_lift(link, LiftCar(link.name, *link.car), grid, level_names)
         for link in lifts
@@ -393,7 +396,7 @@ def _find_motion(
 # ---------------------------------------------------------------- lanes and lifts
 
 
-def _add_lanes(building_levels: list[_BuildingLevel], grid: NavGrid) -> None:
+def _add_lanes(building_levels: list[_BuildingLevel], graph: RouteGraph) -> None:
     """Add the lanes of the grid's graph of routes, except those over links and between levels.
 
     The graph that Open-RMF makes of a building takes all vertices in a lift's shaft for vertices of
@@ -401,7 +404,6 @@ def _add_lanes(building_levels: list[_BuildingLevel], grid: NavGrid) -> None:
     serves, with lanes to the landings; nodes on the floor of a car are left out, and landings in a
     shaft are moved out of it.
     """
-    graph = routes.make_routes(grid)
     car_plans = [plan for plan in plan_cars(graph).values() if not plan.is_guess]
     nodes_in_shafts = find_nodes_in_cars(graph, car_plans, SHAFT_MARGIN)
     landing_positions = _place_landings(graph, car_plans)

@@ -130,6 +130,12 @@ class Lattice(NamedTuple):
         cols = np.floor((positions[..., 0] - self.x_min) / self.cell_size).astype(np.int64)
         return rows, cols
 
+    def position(self, row: int, col: int) -> tuple[float, float]:
+        """Return the centre of one cell, world x, y [m]: `positions`, but faster."""
+        x = self.x_min + (col + 0.5) * self.cell_size
+        y = self.y_max - (row + 0.5) * self.cell_size
+        return x, y
+
     def positions(self, rows: ArrayLike, cols: ArrayLike) -> Float:
         """Return the centres of cells.
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ from navbake.navgrid.door_states import find_door_lines
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import DEFAULT_SPEED, Agent, Link
 from navbake.routes.graph import FLOOR, Doorway, Lane, LiftCar, Node, RouteGraph
+from navbake.routes.lane_graph import LaneGraph
 from navbake.runtime.agents import find_agent, fit_grid
 from navbake.runtime.flat_grid import FlatGrid, find_leaf_cells, find_stairs
 from navbake.runtime.paths import find_path
@@ -46,10 +47,16 @@ MAX_DETOUR_FACTOR = (
     1.05  # largest cost of a route over other lanes, as a multiple of the lane's own cost
 )
 MAX_LANE_LENGTH = 20.0  # [m]
+SQUARE_EDGE = 1.0  # nodes are listed by squares of this edge, to find those near a place [m]
+PROGRESS_INTERVAL = 100  # pairs of nodes after which progress is reported
 DECIMALS = 6  # positions and lengths are rounded to this many decimals: to micrometres
 
 
-def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
+def make_routes(
+    grid: NavGrid,
+    agent: str | Agent | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> RouteGraph:
     """Make the graph of routes of a grid for an agent, as the grid is now.
 
     The grid is inflated to the agent's radius.
@@ -58,6 +65,7 @@ def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
         grid: the grid, with its doors and obstacles in their present states.
         agent: an agent's name in the grid, or an Agent; None for an agent of the grid's radius that
             may use all links and enter all areas.
+        progress: called with ``routes`` and the fraction that is done, 0 to 1; None for no report.
 
     Returns:
         The graph, with positions in world coordinates [m].
@@ -65,7 +73,7 @@ def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
     Raises:
         QueryError: the grid has no agent of that name, or was not made for one of its size.
     """
-    return _Builder(grid, find_agent(grid, agent)).build()
+    return _Builder(grid, find_agent(grid, agent)).build(progress or (lambda name, fraction: None))
 
 
 class _Stairs(NamedTuple):
@@ -90,6 +98,7 @@ class _Builder:
         self.search = Search(fitted_grid, agent=agent_of_any_size, radius=self.radius)
         self.grid = self.search.grid
         self.flat = self.search.flat
+        self.lattices = [level.lattice for level in self.grid.levels]
 
         # arrays by flat id
         islands = self.search.islands
@@ -120,19 +129,24 @@ class _Builder:
 
         self.node_cells: list[int] = []  # flat id of each node's cell
         self.nodes: list[Node] = []
-        self.node_positions = np.empty((0, 3))  # the nodes' positions [m]
+        self.nodes_of_cell: dict[int, list[int]] = {}  # flat id -> indices of the nodes there
+        # level, and x and y in units of `SQUARE_EDGE` -> indices of the nodes in this square
+        self.nodes_of_square: dict[tuple[int, int, int], list[int]] = {}
         self.lanes: list[Lane] = []
-        self.route_costs = np.empty((0, 0))  # of the cheapest routes between nodes [m]
+        self.lane_graph = LaneGraph(self.least_weight)
 
-    def build(self) -> RouteGraph:
-        """Add all nodes and lanes, and return the graph."""
+    def build(self, progress: Callable[[str, float], None]) -> RouteGraph:
+        """Add all nodes and lanes, and return the graph; see `make_routes` for `progress`."""
+        progress("routes", 0.0)
         self._add_named_places()
         self._add_junctions()
         self._add_waypoints()
         self._add_lanes_of_links()
         self._add_lanes_in_sight()
-        self._add_paths_between_neighbors()
-        return self._make_graph()
+        self._add_paths_between_neighbors(progress)
+        graph = self._make_graph()
+        progress("routes", 1.0)
+        return graph
 
     def _find_stairs(self) -> list[_Stairs]:
         """Find the stairs between levels, and the widest free step of each."""
@@ -178,18 +192,51 @@ class _Builder:
             door=door,
             link=link or None,
         )
-        for index, earlier_node in enumerate(self.nodes):
+        nodes_of_cell = self.nodes_of_cell.setdefault(cell, [])
+        for index in nodes_of_cell:
+            earlier_node = self.nodes[index]
             is_of_other_link = link and earlier_node.link and link != earlier_node.link
-            if self.node_cells[index] == cell and not is_of_other_link:
+            if not is_of_other_link:
                 if earlier_node.kind in ("junction", "waypoint") and kind != "waypoint":
                     self.nodes[index] = node
                 return index
+        new_index = len(self.nodes)
         self.node_cells.append(cell)
         self.nodes.append(node)
-        self.node_positions = np.concatenate([self.node_positions, node_position[None]])
-        self.route_costs = np.pad(self.route_costs, (0, 1), constant_values=math.inf)
-        self.route_costs[-1, -1] = 0.0
-        return len(self.nodes) - 1
+        nodes_of_cell.append(new_index)
+        self.nodes_of_square.setdefault(_square_of(node), []).append(new_index)
+        self.lane_graph.add_node(x, y)
+        return new_index
+
+    def _find_nodes_near(self, cell: int, max_distance: float) -> dict[int, float]:
+        """Find the nodes that are nearer to a cell's centre than a distance, on the same level.
+
+        Args:
+            cell: flat id.
+            max_distance: at most `SQUARE_EDGE` [m].
+
+        Returns:
+            Index of a node, ascending -> its distance, seen from above [m].
+        """
+        level, row, col = self.flat.to_cell(cell)
+        center_x, center_y = self.lattices[level].position(row, col)
+        first_col = math.floor((center_x - max_distance) / SQUARE_EDGE)
+        last_col = math.floor((center_x + max_distance) / SQUARE_EDGE)
+        first_row = math.floor((center_y - max_distance) / SQUARE_EDGE)
+        last_row = math.floor((center_y + max_distance) / SQUARE_EDGE)
+        nodes_in_squares = sorted(
+            node
+            for row in range(first_row, last_row + 1)
+            for col in range(first_col, last_col + 1)
+            for node in self.nodes_of_square.get((level, col, row), ())
+        )
+        distances = {}
+        for node in nodes_in_squares:
+            x, y, _ = self.nodes[node].position
+            distance = math.hypot(x - center_x, y - center_y)
+            if distance < max_distance:
+                distances[node] = distance
+        return distances
 
     def _add_named_places(self) -> None:
         """Add the stops of links and stairs, doors, and the widest place of each room."""
@@ -232,19 +279,17 @@ class _Builder:
         for level_number, level in enumerate(self.grid.levels):
             level_cells = self.flat.cells_of(level_number)
             is_on_axis = thin_mask(self.is_routable[level_cells].reshape(level.shape))
-            _, num_branches = _count_neighbors(np.pad(is_on_axis, 1))
-            junction_cells = np.flatnonzero(is_on_axis & (num_branches >= 3))
+            axis_cells = np.flatnonzero(is_on_axis)
+            rows, cols = np.divmod(axis_cells, level.width)
+            padded_axis = np.pad(is_on_axis, 1)
+            neighbors = _take_neighbors(padded_axis, (rows + 1) * (level.width + 2) + cols + 1)
+            junction_cells = axis_cells[_count_runs(neighbors) >= 3]
             cells_of_levels.append(level_cells.start + junction_cells)
         cells = np.concatenate(cells_of_levels)
         sort_indices = np.argsort(-np.round(self.clearance[cells], DECIMALS), kind="stable")
         for cell in cells[sort_indices].tolist():
-            level_number = int(self.flat.level_of(cell))
-            distances = np.hypot(*(self.node_positions - self.flat.positions(cell))[:, :2].T)
-            near_node_indices = np.flatnonzero(distances < MIN_JUNCTION_SPACING).tolist()
-            if not any(
-                self.nodes[node].level == level_number and self._sees(self.node_cells[node], cell)
-                for node in near_node_indices
-            ):
+            near_nodes = self._find_nodes_near(cell, MIN_JUNCTION_SPACING)
+            if not any(self._sees(self.node_cells[node], cell) for node in near_nodes):
                 self._add_node(cell, "junction")
 
     def _add_waypoints(self) -> None:
@@ -287,15 +332,15 @@ class _Builder:
         """
         from navbake.runtime.grid_arrays import COL_STEP, ROW_STEP  # numba loads slowly
 
-        level = int(self.flat.level_of(cell))
-        start_position, end_position = self.flat.positions(np.array([cell, target_cell]))
-        start_xy = np.round(start_position[:2], DECIMALS)
-        end_xy = np.round(end_position[:2], DECIMALS)
+        level, row, col = self.flat.to_cell(cell)
+        _, target_row, target_col = self.flat.to_cell(target_cell)
+        lattice = self.lattices[level]
+        centers = [lattice.position(row, col), lattice.position(target_row, target_col)]
+        start_xy, end_xy = np.round(centers, DECIMALS)
         if self.search.can_pass(start_xy, end_xy, level):
             return True
-        _, (row, target_row), (col, target_col) = self.flat.to_cells(np.array([cell, target_cell]))
-        row_offset = int(target_row - row)
-        col_offset = int(target_col - col)
+        row_offset = target_row - row
+        col_offset = target_col - col
         num_steps = max(abs(row_offset), abs(col_offset))
         is_straight = row_offset == 0 or col_offset == 0 or abs(row_offset) == abs(col_offset)
         if not num_steps or not is_straight:
@@ -312,8 +357,13 @@ class _Builder:
 
     def _distance(self, node: int, target_node: int) -> float:
         """Compute the distance between two nodes, seen from above [m]."""
-        position_offset = self.node_positions[node] - self.node_positions[target_node]
-        return float(np.hypot(position_offset[0], position_offset[1]))
+        x, y, _ = self.nodes[node].position
+        target_x, target_y, _ = self.nodes[target_node].position
+        return float(np.hypot(x - target_x, y - target_y))
+
+    def _points_of(self, *nodes: int) -> Float:
+        """Return the world x, y of nodes, shape (n, 2) [m]."""
+        return np.array([self.nodes[node].position[:2] for node in nodes])
 
     def _lane_cost(self, node: int, target_node: int) -> float:
         """Compute the cost of a lane between two nodes [m].
@@ -324,25 +374,48 @@ class _Builder:
         level = self.nodes[node].level
         if level != self.nodes[target_node].level:
             return self._distance(node, target_node)
-        return self._line_cost(self.node_positions[[node, target_node], :2], level)
+        return self._line_cost(self._points_of(node, target_node), level)
 
     def _line_cost(self, points: Float, level: int) -> float:
         """Compute the cost of a polyline on a level [m]; `points` are x, y, shape (n, 2) [m]."""
-        return sum(
-            float(np.hypot(*(end - start))) * self._mean_weight(start, end, level)
-            for start, end in itertools.pairwise(points)
-        )
+        return sum(self._leg_costs(points, level))
+
+    def _leg_costs(self, points: Float, level: int) -> list[float]:
+        """Compute the cost of each leg of a polyline on a level [m], see `_line_cost`."""
+        cells = self._cells_on_legs(points, level)
+        lengths = np.hypot(*np.diff(points, axis=0).T).tolist()
+        return [
+            length * float(self.flat.weight[leg_cells].mean())
+            for length, leg_cells in zip(lengths, cells, strict=True)
+        ]
 
     def _mean_weight(self, start: Float, end: Float, level: int) -> float:
         """Compute the mean weight of the cells on a straight line between two points x, y [m]."""
-        return float(self.flat.weight[self._cells_on_line(start, end, level)].mean())
+        (cells,) = self._cells_on_legs(np.array([start, end]), level)
+        return float(self.flat.weight[cells].mean())
 
-    def _cells_on_line(self, start: Float, end: Float, level: int) -> Int:
-        """List the cells of points on a line, about a quarter of a cell apart, by flat id."""
-        cell_size = float(self.flat.layout.cell_size[level])
-        num_points = math.ceil(float(np.linalg.norm(end - start)) / cell_size * 4) + 1
-        fractions = (np.arange(num_points) + 0.5)[:, None] / num_points
-        return self.flat.cells_at(start + fractions * (end - start), level)
+    def _cells_on_legs(self, points: Float, level: int) -> list[Int]:
+        """List the cells of points on each leg of a polyline, about a quarter of a cell apart.
+
+        Args:
+            points: world x, y of the polyline, shape (n, 2) [m].
+            level: number of the level.
+
+        Returns:
+            For each of the n - 1 legs the flat ids of the cells, in the leg's order.
+        """
+        cell_size = self.lattices[level].cell_size
+        points_on_legs = []
+        for start, end in itertools.pairwise(points):
+            leg_vector = end - start
+            num_points = math.ceil(math.hypot(*leg_vector) / cell_size * 4) + 1
+            fractions = (np.arange(num_points) + 0.5)[:, None] / num_points
+            points_on_legs.append(start + fractions * leg_vector)
+        if not points_on_legs:
+            return []
+        cells = self.flat.cells_at(np.concatenate(points_on_legs), level)
+        bounds = itertools.accumulate(map(len, points_on_legs), initial=0)
+        return [cells[first:stop] for first, stop in itertools.pairwise(bounds)]
 
     def _doors_on_lane(self, node: int, target_node: int) -> set[str | None]:
         """List the ids of the doors that a lane leads through, and None.
@@ -350,10 +423,12 @@ class _Builder:
         A lane leads through a door if it crosses the leaf, or if a node at its end stands in the
         door.
         """
-        start, end = self.node_positions[[node, target_node], :2]
-        cells = self._cells_on_line(start, end, self.nodes[node].level)
-        crossed_doors = {self.leaf_doors.get(cell) for cell in cells.tolist()}
-        return crossed_doors | self._doors_of_ends(node, target_node)
+        doors = self._doors_of_ends(node, target_node)
+        if self.leaf_doors:
+            line = self._points_of(node, target_node)
+            (cells,) = self._cells_on_legs(line, self.nodes[node].level)
+            doors |= {self.leaf_doors.get(cell) for cell in cells.tolist()}
+        return doors
 
     def _doors_of_ends(self, node: int, target_node: int) -> set[str | None]:
         """List the ids of the doors that two nodes stand in, and None."""
@@ -368,26 +443,23 @@ class _Builder:
         return is_seen and self._doors_on_lane(node, target_node) <= allowed_doors
 
     def _add_lane(self, lane: Lane) -> None:
-        """Add a lane, and update the costs of the cheapest routes between all nodes."""
+        """Add a lane."""
         self.lanes.append(lane)
-        directions = [(lane.start, lane.end)]
+        self.lane_graph.add_lane(lane.start, lane.end, lane.cost)
         if lane.two_way:
-            directions.append((lane.end, lane.start))
-        for start, end in directions:
-            costs_over_lane = (
-                self.route_costs[:, start, None] + lane.cost + self.route_costs[None, end]
-            )
-            np.minimum(self.route_costs, costs_over_lane, out=self.route_costs)
+            self.lane_graph.add_lane(lane.end, lane.start, lane.cost)
 
-    def _add_straight_lane(self, node: int, target_node: int, kind: str = FLOOR) -> None:
-        """Add the lane along the straight line between two nodes."""
+    def _add_straight_lane(
+        self, node: int, target_node: int, cost: float, kind: str = FLOOR
+    ) -> None:
+        """Add the lane along the straight line between two nodes, of a cost [m]."""
         self._add_lane(
             Lane(
                 node,
                 target_node,
                 name="",
                 length=self._distance(node, target_node),
-                cost=self._lane_cost(node, target_node),
+                cost=cost,
                 kind=kind,
             )
         )
@@ -426,32 +498,77 @@ class _Builder:
         node_of_cell = {cell: index for index, cell in enumerate(self.node_cells)}
         for stairs in self.stairs:
             lower_cell, upper_cell = stairs.cells
-            self._add_straight_lane(node_of_cell[lower_cell], node_of_cell[upper_cell], stairs.kind)
+            start = node_of_cell[lower_cell]
+            end = node_of_cell[upper_cell]
+            self._add_straight_lane(start, end, self._lane_cost(start, end), stairs.kind)
 
     def _add_lanes_in_sight(self) -> None:
         """Add lanes between nodes that see each other, unless a route over shorter lanes exists.
 
         Such a route counts if it costs at most `MAX_DETOUR_FACTOR` as much as the lane.
         """
-        levels = self.flat.level_of(np.array(self.node_cells, dtype=np.int64))
+        positions = np.array([node.position for node in self.nodes])
+        levels = np.array([node.level for node in self.nodes])
         pairs_of_levels = []
         for level in range(self.flat.num_levels):
             nodes = np.flatnonzero(levels == level)
             if len(nodes) > 1:
-                node_tree = spatial.cKDTree(self.node_positions[nodes, :2])
+                node_points = positions[nodes, :2]
+                node_tree = spatial.cKDTree(node_points)
                 near_pairs = node_tree.query_pairs(MAX_LANE_LENGTH, output_type="ndarray")
-                pairs_of_levels.append(nodes[near_pairs])
+                pairs_of_levels.append(nodes[self._drop_blocked(near_pairs, node_points, level)])
         if not pairs_of_levels:
             return
         node_pairs = np.sort(np.concatenate(pairs_of_levels), axis=1)
         for node, target_node, length in self._shortest_first(node_pairs):
-            if (
-                self.route_costs[node, target_node] > MAX_DETOUR_FACTOR * length * self.least_weight
-                and self.route_costs[node, target_node]
-                > MAX_DETOUR_FACTOR * self._lane_cost(node, target_node)
-                and self._is_lane_free(node, target_node, self._doors_of_ends(node, target_node))
-            ):
-                self._add_straight_lane(node, target_node)
+            least_cost = length * self.least_weight
+            if not self._needs_lane(node, target_node, MAX_DETOUR_FACTOR * least_cost):
+                continue
+            lane_cost = self._lane_cost(node, target_node)
+            if self._needs_lane(
+                node, target_node, MAX_DETOUR_FACTOR * lane_cost
+            ) and self._is_lane_free(node, target_node, self._doors_of_ends(node, target_node)):
+                self._add_straight_lane(node, target_node, lane_cost)
+
+    def _needs_lane(self, node: int, target_node: int, max_cost: float) -> bool:
+        """Whether no route over lanes between two nodes costs at most `max_cost` [m].
+
+        No lane is needed if that is infinite: then a cell on the line is not free.
+        """
+        if math.isinf(max_cost):
+            return False
+        return not self.lane_graph.has_route(node, target_node, max_cost)
+
+    def _drop_blocked(self, node_pairs: Int, points: Float, level: int) -> Int:
+        """Leave out pairs of nodes with a cell between them that isn't free.
+
+        The lines are tried at their middle, then at their quarters, and so on: most of those that
+        are blocked are so at one of the first points. Points are about a cell apart at the end, so
+        some blocked lines may remain.
+
+        Args:
+            node_pairs: indices in `points`, shape (n, 2).
+            points: world x, y, shape (m, 2) [m].
+            level: number of the level.
+
+        Returns:
+            The remaining pairs, shape (k, 2).
+        """
+        cell_size = self.lattices[level].cell_size
+        starts = points[node_pairs[:, 0]]
+        line_vectors = points[node_pairs[:, 1]] - starts
+        lengths = np.hypot(line_vectors[:, 0], line_vectors[:, 1])
+        is_clear = np.ones(len(node_pairs), dtype=np.bool_)
+        num_parts = 2
+        while True:
+            lines = np.flatnonzero(is_clear & (lengths * 2 > num_parts * cell_size))
+            if not len(lines):
+                return node_pairs[is_clear]
+            for part in range(1, num_parts, 2):
+                lines = lines[is_clear[lines]]
+                line_points = starts[lines] + part / num_parts * line_vectors[lines]
+                is_clear[lines] = self.flat.free[self.flat.cells_at(line_points, level)]
+            num_parts *= 2
 
     def _shortest_first(self, node_pairs: Int) -> list[tuple[int, int, float]]:
         """Sort pairs of nodes, shape (n, 2), by their distance.
@@ -460,7 +577,8 @@ class _Builder:
             The nodes of each pair, and their distance [m]; the shortest first.
         """
         first_nodes, second_nodes = node_pairs.T
-        position_offsets = self.node_positions[first_nodes] - self.node_positions[second_nodes]
+        positions = np.array([node.position for node in self.nodes])
+        position_offsets = positions[first_nodes] - positions[second_nodes]
         lengths = np.round(np.hypot(position_offsets[:, 0], position_offsets[:, 1]), DECIMALS)
         sort_indices = np.lexsort((second_nodes, first_nodes, lengths))
         return [
@@ -468,7 +586,7 @@ class _Builder:
             for index in sort_indices
         ]
 
-    def _add_paths_between_neighbors(self) -> None:
+    def _add_paths_between_neighbors(self, progress: Callable[[str, float], None]) -> None:
         """Add paths between nodes whose cells are near, unless a short route over lanes exists.
 
         Each cell belongs to the node to which the path from it costs the least.
@@ -486,12 +604,16 @@ class _Builder:
         for _ in range(MAX_REGION_HOPS - 1):
             is_near = is_near + is_near @ is_touching
         near_pairs = np.stack(sparse.triu(is_near, 1).nonzero(), axis=1)
-        for node, target_node, length in self._shortest_first(near_pairs):
-            if self.route_costs[node, target_node] > MAX_DETOUR_FACTOR * length * self.least_weight:
+        sorted_pairs = self._shortest_first(near_pairs)
+        for pair_number, (node, target_node, length) in enumerate(sorted_pairs):
+            if pair_number % PROGRESS_INTERVAL == 0:
+                progress("routes", pair_number / len(sorted_pairs))
+            least_cost = length * self.least_weight
+            if self._needs_lane(node, target_node, MAX_DETOUR_FACTOR * least_cost):
                 self._add_path(node, target_node, self._doors_of_ends(node, target_node))
         # through doors that stand side by side
         for node, target_node in self._find_touching_nodes().tolist():
-            if not math.isfinite(self.route_costs[node, target_node]):
+            if not self.lane_graph.has_route(node, target_node, math.inf):
                 self._add_path(node, target_node, {None, *self.leaf_doors.values()})
 
     def _find_touching_nodes(self) -> Int:
@@ -533,23 +655,22 @@ class _Builder:
         level = self.nodes[start_node].level
         if level != self.nodes[end_node].level:
             return
-        start = self.node_positions[start_node, :2]
-        end = self.node_positions[end_node, :2]
+        start, end = self._points_of(start_node, end_node)
         path = find_path(self.search, start, end, level, by="cost", smooth=True)
         if path is None or path.links or (path.levels != level).any():
             return
         path_cost = self._line_cost(path.positions[:, :2], level)
-        if self.route_costs[start_node, end_node] <= MAX_DETOUR_FACTOR * path_cost:
+        if not self._needs_lane(start_node, end_node, MAX_DETOUR_FACTOR * path_cost):
             return
         corner_nodes = self._corner_nodes(start_node, end_node, path.positions[:, :2], level)
         for corner_node, next_corner_node in itertools.pairwise(corner_nodes):
-            if (
-                corner_node != next_corner_node
-                and self.route_costs[corner_node, next_corner_node]
-                > self._lane_cost(corner_node, next_corner_node)
-                and self._is_lane_free(corner_node, next_corner_node, allowed_doors)
+            if corner_node == next_corner_node:
+                continue
+            lane_cost = self._lane_cost(corner_node, next_corner_node)
+            if self._needs_lane(corner_node, next_corner_node, lane_cost) and self._is_lane_free(
+                corner_node, next_corner_node, allowed_doors
             ):
-                self._add_straight_lane(corner_node, next_corner_node)
+                self._add_straight_lane(corner_node, next_corner_node, lane_cost)
 
     def _corner_nodes(self, start_node: int, end_node: int, path: Float, level: int) -> list[int]:
         """Find nodes at the corners of a path, so that each sees the next; add missing ones.
@@ -570,33 +691,41 @@ class _Builder:
         centers = self.flat.positions(cells)[:, :2]
         # corners are at cells' centres; at other points, only the height of the floor bends
         is_corner = np.abs(centers - inner_points).max(axis=1, initial=0.0) < 1e-6
-        remaining_cells = [*cells[is_corner].tolist(), self.node_cells[end_node]]
+        corner_cells = [*cells[is_corner].tolist(), self.node_cells[end_node]]
+        corner_points = self.flat.positions(np.array(corner_cells))[:, :2]
+        leg_costs = self._leg_costs(corner_points, level)
         corner_nodes = [start_node]
-        while remaining_cells:
+        first_index = 0  # of the corners after the last node
+        while first_index < len(corner_cells):
             previous_node = corner_nodes[-1]
-            remaining_xy = self.flat.positions(np.array(remaining_cells))[:, :2]
-            line_points = np.concatenate([self.node_positions[[previous_node], :2], remaining_xy])
-            farthest_index = 0
-            for remaining_index, cell in enumerate(remaining_cells):
-                if self._sees(self.node_cells[previous_node], cell):
-                    straight_cost = self._line_cost(line_points[[0, remaining_index + 1]], level)
-                    path_cost = self._line_cost(line_points[: remaining_index + 2], level)
-                    if straight_cost <= MAX_DETOUR_FACTOR * path_cost:
-                        farthest_index = remaining_index
-            cell = remaining_cells[farthest_index]
-            next_cells = remaining_cells[farthest_index + 1 : farthest_index + 2]
+            (previous_point,) = self._points_of(previous_node)
+            line_lengths = np.hypot(*(corner_points[first_index:] - previous_point).T).tolist()
+            mean_weight = self._mean_weight(previous_point, corner_points[first_index], level)
+            # costs of the path from the last node to each corner after it
+            path_costs = list(
+                itertools.accumulate([line_lengths[0] * mean_weight, *leg_costs[first_index:]])
+            )
+            farthest_index = first_index
+            for index in range(len(corner_cells) - 1, first_index, -1):
+                if not self._sees(self.node_cells[previous_node], corner_cells[index]):
+                    continue
+                line_weight = self._mean_weight(previous_point, corner_points[index], level)
+                line_cost = line_lengths[index - first_index] * line_weight
+                if line_cost <= MAX_DETOUR_FACTOR * path_costs[index - first_index]:
+                    farthest_index = index
+                    mean_weight = line_weight
+                    break
+            cell = corner_cells[farthest_index]
+            next_cells = corner_cells[farthest_index + 1 : farthest_index + 2]
             corner_node = None
             if next_cells:
-                mean_weight = self._mean_weight(
-                    line_points[0], line_points[farthest_index + 1], level
-                )
                 corner_node = self._node_in_place_of(
                     cell, previous_node, next_cells[0], mean_weight
                 )
             if corner_node is None:
                 corner_node = self._add_node(cell, "waypoint")
             corner_nodes.append(corner_node)
-            remaining_cells = remaining_cells[farthest_index + 1 :]
+            first_index = farthest_index + 1
         return corner_nodes
 
     def _node_in_place_of(
@@ -616,18 +745,16 @@ class _Builder:
         Returns:
             The node's index; None if there is none.
         """
-        level = int(self.flat.level_of(cell))
-        distance = np.hypot(*(self.node_positions - self.flat.positions(cell))[:, :2].T)
-        candidate_nodes = [
-            index
-            for index in np.flatnonzero(distance < CORNER_SNAP_DISTANCE).tolist()
-            if self.nodes[index].level == level
-            and self._sees(self.node_cells[index], self.node_cells[previous_node])
-            and self._sees(self.node_cells[index], next_cell)
-            and self._lane_cost(previous_node, index)
-            <= MAX_DETOUR_FACTOR * mean_weight * self._distance(previous_node, index)
-        ]
-        return min(candidate_nodes, key=distance.__getitem__, default=None)
+        distances = self._find_nodes_near(cell, CORNER_SNAP_DISTANCE)
+        for node in sorted(distances, key=distances.__getitem__):
+            max_cost = MAX_DETOUR_FACTOR * mean_weight * self._distance(previous_node, node)
+            if (
+                self._sees(self.node_cells[node], self.node_cells[previous_node])
+                and self._sees(self.node_cells[node], next_cell)
+                and self._lane_cost(previous_node, node) <= max_cost
+            ):
+                return node
+        return None
 
     # ---------------------------------------------------------------- the graph
 
@@ -674,12 +801,19 @@ class _Builder:
         if lane.kind != FLOOR:
             return lane
         doors = [door for door in self._doors_on_lane(lane.start, lane.end) if door]
-        start_xy, end_xy = self.node_positions[[lane.start, lane.end], :2]
-        cells = self._cells_on_line(start_xy, end_xy, start.level)
-        area_numbers = [number for number in np.unique(self.area_of_cell[cells]).tolist() if number]
-        speeds = [self.grid.areas[number - 1].speed for number in area_numbers]
-        speed_limits = [speed for speed in speeds if speed is not None]
+        speed_limits = []
+        if self.grid.areas:
+            (cells,) = self._cells_on_legs(self._points_of(lane.start, lane.end), start.level)
+            for number in np.unique(self.area_of_cell[cells]).tolist():
+                if number and self.grid.areas[number - 1].speed is not None:
+                    speed_limits.append(self.grid.areas[number - 1].speed)
         return replace(lane, door=min(doors, default=None), speed=min(speed_limits, default=None))
+
+
+def _square_of(node: Node) -> tuple[int, int, int]:
+    """Return a node's level, and its x and y in units of `SQUARE_EDGE`, rounded down."""
+    x, y, _ = node.position
+    return node.level, math.floor(x / SQUARE_EDGE), math.floor(y / SQUARE_EDGE)
 
 
 def _round_xy(point: Sequence[float]) -> tuple[float, float]:
@@ -702,28 +836,34 @@ def _measure_clearance(grid: NavGrid, flat: FlatGrid) -> Float:
     return np.concatenate(clearance)
 
 
-def _count_neighbors(padded_mask: Bool) -> tuple[Int, Int]:
-    """Count the neighbours in a mask that each cell has, and the runs that they form around it.
+def _take_neighbors(padded_mask: Bool, cells: Int) -> Bool:
+    """Look up the eight neighbours of cells of a mask.
 
     Args:
-        padded_mask: the mask with one more cell on each side.
+        padded_mask: the mask with one more cell on each side, C-contiguous.
+        cells: indices in the flattened `padded_mask`, shape (n,), none of them on its edge.
 
     Returns:
-        How many of the eight neighbours are in the mask, shape (height, width) without the padding;
-        and how many runs they form on the ring of neighbours, of the same shape.
+        Whether each neighbour is in the mask, clockwise from the upper one, shape (8, n).
     """
-    height, width = padded_mask[1:-1, 1:-1].shape
-    # clockwise from the upper neighbour
-    offsets = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
-    ring = [
-        padded_mask[row : row + height, col : col + width].view(np.int8) for row, col in offsets
-    ]
-    next_in_ring = ring[1:] + ring[:1]
-    begins_run = [
-        (neighbor == 0) & (next_neighbor == 1)
-        for neighbor, next_neighbor in zip(ring, next_in_ring, strict=True)
-    ]
-    return np.sum(ring, axis=0), np.sum(begins_run, axis=0)
+    width = padded_mask.shape[1]
+    offsets = (-width, 1 - width, 1, width + 1, width, width - 1, -1, -width - 1)
+    flat_mask = padded_mask.ravel()
+    return np.stack([flat_mask[cells + offset] for offset in offsets])
+
+
+def _count_runs(neighbors: Bool) -> Int:
+    """Count the runs that neighbours in a mask form around a cell.
+
+    Args:
+        neighbors: of each cell, see `_take_neighbors`, shape (8, n).
+
+    Returns:
+        Shape (n,).
+    """
+    next_neighbors = np.roll(neighbors, -1, axis=0)
+    num_runs: Int = np.count_nonzero(~neighbors & next_neighbors, axis=0)
+    return num_runs
 
 
 def thin_mask(mask: Bool) -> Bool:
@@ -736,20 +876,27 @@ def thin_mask(mask: Bool) -> Bool:
         The thinned mask, of the same shape.
     """
     padded_mask = np.pad(mask, 1)
-    inner_mask = padded_mask[1:-1, 1:-1]  # a view
-    while True:
-        num_cells_before = np.count_nonzero(padded_mask)
-        for is_first_pass in (True, False):
-            num_neighbors, num_runs = _count_neighbors(padded_mask)
-            north = padded_mask[:-2, 1:-1]
-            east = padded_mask[1:-1, 2:]
-            south = padded_mask[2:, 1:-1]
-            west = padded_mask[1:-1, :-2]
-            if is_first_pass:
-                must_stay = (north & east & south) | (east & south & west)
-            else:
-                must_stay = (north & east & west) | (north & south & west)
-            is_border = (num_neighbors >= 2) & (num_neighbors <= 6) & (num_runs == 1)
-            inner_mask[inner_mask & is_border & ~must_stay] = False
-        if np.count_nonzero(padded_mask) == num_cells_before:
-            return inner_mask
+    flat_mask = padded_mask.ravel()  # a view
+    width = padded_mask.shape[1]
+    around = np.add.outer((-width, 0, width), (-1, 0, 1)).ravel()
+    cells = np.flatnonzero(flat_mask)
+    removed_before = cells  # as if cells near all others had been removed
+    for is_first_pass in itertools.cycle((True, False)):
+        neighbors = _take_neighbors(padded_mask, cells)
+        north, _, east, _, south, _, west, _ = neighbors
+        if is_first_pass:
+            must_stay = (north & east & south) | (east & south & west)
+        else:
+            must_stay = (north & east & west) | (north & south & west)
+        num_neighbors = np.count_nonzero(neighbors, axis=0)
+        is_border = (num_neighbors >= 2) & (num_neighbors <= 6) & (_count_runs(neighbors) == 1)
+        removed = cells[is_border & ~must_stay]
+        flat_mask[removed] = False
+        if not len(removed) and not len(removed_before):
+            break
+        # the next pass leaves all cells as the pass before this one did, but near removed ones
+        removed_since = np.concatenate([removed_before, removed])
+        cells_near = (removed_since[:, None] + around).ravel()
+        cells = np.unique(cells_near[flat_mask[cells_near]])
+        removed_before = removed
+    return padded_mask[1:-1, 1:-1]

@@ -105,8 +105,11 @@ class FlatGrid:
 
     def to_cell(self, cell: int) -> Cell:
         """Convert one flat id to level, row and column."""
-        level, row, col = self.to_cells(cell)
-        return Cell(int(level), int(row), int(col))
+        level = int(self.level_of(cell))
+        if level < 0:
+            return Cell(-1, -1, -1)
+        row, col = divmod(int(cell) - int(self.layout.start[level]), int(self.layout.width[level]))
+        return Cell(level, row, col)
 
     def cells_at(self, positions: ArrayLike, level: int | None = None) -> Int:
         """Find the cells of positions, like `navbake.navgrid.cells.cells_at` but faster.

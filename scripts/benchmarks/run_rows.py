@@ -19,6 +19,7 @@ import navbake
 from benchmarks.measure import Job, Row, Sample, beside, here
 from benchmarks.scenes import APARTMENT, CELL, Scenes
 from navbake.episodes import make_episodes
+from navbake.formats.convert import encode_as
 
 RADIUS = 0.3  # [m]
 MILLION = 1_000_000
@@ -58,6 +59,8 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         "block": block_row,
         "spawn": spawn_row,
         "max_radius": max_radius_row,
+        "routes": routes_row,
+        "building": building_row,
         "episodes": partial(episodes_row, sampler="uniform", limit=10.0),
         "episodes-habitat": partial(episodes_row, sampler="habitat", limit=20.0),
         "tensors": tensors_row,
@@ -254,6 +257,17 @@ def max_radius_row(house: House) -> Row:
         raise SystemExit("max_radius and bisection differ")
     job = here("max_radius, exact", lambda: finder.max_radius(start, goal))
     return Row(job, [here("bisection over inflate, to 1 mm", bisect)], ratio=1.0)
+
+
+def routes_row(house: House) -> Row:
+    """The graph of routes of about half a million free cells."""
+    return Row(here("make_routes, half a million free cells", house.grid.routes), limit=5.0)
+
+
+def building_row(house: House) -> Row:
+    """The same grid as a building of Open-RMF, with its routes."""
+    encode = partial(encode_as, house.grid, "house.building.yaml")
+    return Row(here("building of half a million free cells", encode), limit=5.0)
 
 
 def episodes_row(house: House, sampler: str, limit: float) -> Row:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import shapely
 import yaml
 from scipy.ndimage import label
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 import navbake
 from grid_maps import house_from, level_from
@@ -15,6 +19,7 @@ from navbake.auditor.routes import measure_distances_to_squares
 from navbake.errors import QueryError
 from navbake.navgrid.links import Agent
 from navbake.routes.build import make_routes, thin_mask
+from navbake.routes.lane_graph import LaneGraph
 from project_paths import GOLDEN
 from route_ratios import TOLL, with_toll, worst_ratio
 
@@ -197,11 +202,76 @@ def test_areas_bar_slow_and_price_lanes():
     assert any(lane.speed == 0.3 for lane in graph.lanes)
 
 
+def test_progress_grows_to_one():
+    reports = []
+    make_routes(two_rooms(), progress=lambda *report: reports.append(report))
+    names, fractions = zip(*reports, strict=True)
+    assert set(names) == {"routes"}
+    assert fractions[0] == 0.0
+    assert fractions[-1] == 1.0
+    assert list(fractions) == sorted(fractions)
+
+
+def test_lane_graph_finds_the_routes_that_dijkstra_finds():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        num_nodes = 30
+        points = rng.uniform(0, 5, (num_nodes, 2))
+        lane_graph = LaneGraph(least_weight=1.0)
+        for x, y in points.tolist():
+            lane_graph.add_node(x, y)
+        costs = np.zeros((num_nodes, num_nodes))
+        for start, end in rng.integers(0, num_nodes, (50, 2)).tolist():
+            if start == end or costs[start, end]:
+                continue
+            # a lane over a link may cost less than its length
+            factor = rng.uniform(1, 3) if rng.random() < 0.9 else 0.2
+            costs[start, end] = factor * math.dist(points[start], points[end])
+            lane_graph.add_lane(start, end, costs[start, end])
+        route_costs = dijkstra(csr_array(costs))
+        for start in range(num_nodes):
+            for end in range(num_nodes):
+                cost = route_costs[start, end]
+                assert lane_graph.has_route(start, end, math.inf) == math.isfinite(cost)
+                if math.isfinite(cost):
+                    assert lane_graph.has_route(start, end, cost * (1 + 1e-12))
+                    assert start == end or not lane_graph.has_route(start, end, cost * 0.999)
+
+
+def thin_plainly(mask):
+    """Zhang and Suen's thinning, cell by cell."""
+    mask = np.pad(mask, 1)
+    ring = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
+    is_changed = True
+    while is_changed:
+        is_changed = False
+        for is_first_pass in (True, False):
+            removed = []
+            for row, col in np.argwhere(mask):
+                neighbors = [mask[row + i, col + j] for i, j in ring]
+                num_runs = sum(
+                    not here and there
+                    for here, there in zip(neighbors, neighbors[1:] + neighbors[:1], strict=True)
+                )
+                north, _, east, _, south, _, west, _ = neighbors
+                if is_first_pass:
+                    must_stay = (north and east and south) or (east and south and west)
+                else:
+                    must_stay = (north and east and west) or (north and south and west)
+                if 2 <= sum(neighbors) <= 6 and num_runs == 1 and not must_stay:
+                    removed.append((row, col))
+            for row, col in removed:
+                mask[row, col] = False
+                is_changed = True
+    return mask[1:-1, 1:-1]
+
+
 def test_thinning_keeps_what_is_connected():
     rng = np.random.default_rng(2)
     for _ in range(20):
         mask = rng.random((20, 30)) < 0.8
         thin = thin_mask(mask)
+        np.testing.assert_array_equal(thin, thin_plainly(mask))
         assert (thin <= mask).all()
         eight = np.ones((3, 3))
         assert label(thin, eight)[1] == label(mask, eight)[1]
