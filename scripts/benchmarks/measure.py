@@ -18,6 +18,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 
+class SkipRow(Exception):
+    """A row can't be measured on this machine; the text says why, and what to install."""
+
+
 class Sample(NamedTuple):
     """One run of a job.
 
@@ -56,6 +60,7 @@ class Row:
         peers: what others take, or a slow way of our own; the limit's ratio is with the first.
         limit: the most seconds, as a median.
         ratio: the most times the first peer's median.
+        excess: the most seconds more than the first peer's median.
         peak: the most memory [MiB].
         missing: which peer is left out, and why.
     """
@@ -64,6 +69,7 @@ class Row:
     peers: list[Job] = field(default_factory=list)
     limit: float | None = None
     ratio: float | None = None
+    excess: float | None = None
     peak: float | None = None
     missing: str = ""
 
@@ -107,7 +113,8 @@ def beside(
         peer = make(importlib.import_module(module))
     except ImportError:
         missing = f'no {module} to compare with: pip install -e ".[bench]", or {module}'
-        return Row(job, list(others), limits.get("limit"), missing=missing)
+        # what a limit compares with isn't there; other peers take no place of it
+        return Row(job, [], limits.get("limit"), limits.get("ratio"), missing=missing)
     return Row(job, [peer, *others], **limits)  # type: ignore[arg-type]
 
 

@@ -17,8 +17,18 @@ from make_house import ROOM, make_house
 
 ROOT = Path(__file__).parents[2]
 APARTMENT = ROOT / "configs" / "apartment.yaml"
-SAMPLES = ("apartment", "clutter", "house", "terrain", "warehouse")
-DUNGEON = ROOT.parent / "shared" / "data" / "recast_meshes" / "dungeon.obj"
+SAMPLES = {
+    name: ROOT / "configs" / "scenes" / f"{name}{suffix}"
+    for name, suffix in (
+        ("apartment", ".xml"),
+        ("clutter", ".obj"),
+        ("house", ".xml"),
+        ("terrain", ".xml"),
+        ("warehouse", ".xml"),
+    )
+}
+SHARED_DATA = ROOT.parent / "shared" / "data"
+DUNGEON = SHARED_DATA / "recast_meshes" / "dungeon.obj"
 """Recast's own test scene, where it lies beside the checkout."""
 
 CELL = 0.05  # [m]
