@@ -156,19 +156,19 @@ def inflate(
             inflation_entry["scaling"] = float(scaling)
     levels = []
     for level, level_weights in zip(grid.levels, weights_by_level, strict=True):
-        # Attributes that a file without them would derive from the weights are stored first, so
-        # that inflating does not change them, and the grid can be inflated again.
-        baked_layers: dict[str, NDArray[np.generic]] = {
+        # If a file lacks these attributes, they are derived from the weights, which inflating changes:
+        # so they are stored before, and the grid can be inflated again.
+        layers_before: dict[str, NDArray[np.generic]] = {
             "occupancy": level.occupancy,
             "floorHeight": level.floor_height,
         }
         attributes = {
             name: layer.copy()
-            for name, layer in baked_layers.items()
+            for name, layer in layers_before.items()
             if name not in level.attributes
         }
         if not level.uses_cell_floors:  # the file's values are not the floor
-            attributes["floorHeight"] = baked_layers["floorHeight"].copy()
+            attributes["floorHeight"] = layers_before["floorHeight"].copy()
         metadata = _add_inflation_entry(level.metadata, inflation_entry)
         levels.append(
             level.with_layers(weights=level_weights, attributes=attributes, metadata=metadata)

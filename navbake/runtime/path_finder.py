@@ -243,7 +243,6 @@ class PathFinder:
         Args:
             start: world x, y, z [m], shape (3,).
             goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
-
             level: the level of positions, for which x, y are then enough; None finds it by z.
 
         Returns:

@@ -390,8 +390,8 @@ def try_step(
     starts = check_positions(start, flat.num_levels, level)
     ends = check_positions(end, flat.num_levels, 0)  # the level follows from the walk
     if ends.shape[:-1] not in (starts.shape[:-1], ()):
-        counts_text = f"{starts.shape[:-1]} of them, got {ends.shape[:-1]}"
-        raise QueryError(f"expected an end for each start, {counts_text}")
+        shapes_text = f"{starts.shape[:-1]} of them, got {ends.shape[:-1]}"
+        raise QueryError(f"expected an end for each start, {shapes_text}")
     kernel_level, kernel_positions = to_kernel_positions(starts, level)
     end_points = np.broadcast_to(ends[..., :2], (*starts.shape[:-1], 2)).reshape(-1, 2)
     places, blocked_index = walk_kernels.step_each(

@@ -96,7 +96,7 @@ class Search:
 
     Attributes:
         agent: the agent that plans.
-        grid: the grid for the agent's size, see `navbake.runtime.blocking.fit_grid`.
+        grid: the grid for the agent's size, see `navbake.runtime.agents.fit_grid`.
         cut_corners: whether diagonal steps past blocked corners are allowed.
         radius: links that are narrower than twice this are left out [m].
         flat: the grid's cells.

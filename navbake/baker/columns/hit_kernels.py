@@ -65,7 +65,10 @@ def allocate_hits(num_hits):
 
 @subkernel
 def view_hits(column_hits, first_hit, end_hit):
-    """Return some hits of columns as `LineHits`, so that writing to these writes to the columns.
+    """Return a range of the columns' hits as `LineHits`.
+
+    Its z, normal, geom and closed are views: writing to them writes to the columns. Its facet and
+    is_at_edge, which columns lack, are new arrays without values.
 
     Args:
         column_hits: the columns, as `ColumnHits`.

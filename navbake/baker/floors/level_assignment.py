@@ -180,13 +180,14 @@ class SurfaceLevels(NamedTuple):
 class HeightHistogram(NamedTuple):
     """How many surfaces lie at each height: a table of columns, shape (n,) each.
 
-    Heights are divided into bands, half of the agent's highest step high, and into finer bins. The
-    same band and bin may have several entries, whose numbers have to be added up.
+    Heights are divided into bands, half of the agent's highest step high, and apart from these into
+    finer bins. Both are counted from z = 0, so a bin may lie in two bands, and has entries for
+    both. The same band and bin may have several entries, whose numbers have to be added up.
 
     Attributes:
         band: number of the band: band n begins at n times half a step, int64.
-        height_bin: number of a bin of heights inside of the band: bin n is HEIGHT_BIN high, and its
-            middle is at n times HEIGHT_BIN, int64.
+        height_bin: number of the bin: bin n is HEIGHT_BIN high, and its middle is at n times
+            HEIGHT_BIN, int64.
         num_surfaces: how many surfaces lie in the bin, int64.
         lowest_z: the lowest height of these surfaces, float64 [m].
     """

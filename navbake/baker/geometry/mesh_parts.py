@@ -289,20 +289,20 @@ def _find_windings_above(corners: Float, points: Float) -> Int:
     """
     x = points[:, :1]
     y = points[:, 1:2]
-    ax = corners[:, :, 0]
-    ay = corners[:, :, 1]
-    bx = np.roll(ax, -1, axis=1)
-    by = np.roll(ay, -1, axis=1)
+    start_x = corners[:, :, 0]
+    start_y = corners[:, :, 1]
+    end_x = np.roll(start_x, -1, axis=1)
+    end_y = np.roll(start_y, -1, axis=1)
     # left of the edge from its lower end to its upper one, so that both triangles at an edge give
     # one answer
-    is_reversed = ~((ax < bx) | ((ax == bx) & (ay < by)))
-    ux = np.where(is_reversed, ax - bx, bx - ax)
-    uy = np.where(is_reversed, ay - by, by - ay)
-    vx = x - np.where(is_reversed, bx, ax)
-    vy = y - np.where(is_reversed, by, ay)
-    is_left = (ux * vy - uy * vx > 0) ^ is_reversed
-    is_rising = (ay <= y) & (by > y) & is_left
-    is_falling = (ay > y) & (by <= y) & ~is_left
+    is_reversed = ~((start_x < end_x) | ((start_x == end_x) & (start_y < end_y)))
+    edge_x = np.where(is_reversed, start_x - end_x, end_x - start_x)
+    edge_y = np.where(is_reversed, start_y - end_y, end_y - start_y)
+    to_point_x = x - np.where(is_reversed, end_x, start_x)
+    to_point_y = y - np.where(is_reversed, end_y, start_y)
+    is_left = (edge_x * to_point_y - edge_y * to_point_x > 0) ^ is_reversed
+    is_rising = (start_y <= y) & (end_y > y) & is_left
+    is_falling = (start_y > y) & (end_y <= y) & ~is_left
     winding = is_rising.sum(axis=1) - is_falling.sum(axis=1)
     a, b, c = np.moveaxis(corners, 1, 0)
     normals = np.cross(b - a, c - a)

@@ -9,6 +9,8 @@ flag's prism. Heights are above the floor, and the highest step is the agent's g
     AT_WALL_HEIGHT   the cell's square, at the heights where only walls are
     BLOCKING_SQUARE  the cell's square, from the highest step to the agent's height
 
+A geom with BLOCKING_SQUARE gets BLOCKING, too: the agent's footprint is the disc and the square.
+
 The geom meets a prism if the vertical line through the cell's centre hits the geom in the prism, or
 runs inside of the geom there (`find_flags_on_line`), or if one of the geom's shapes meets the prism
 (`shape_meets_prism`).
