@@ -1,9 +1,11 @@
 """The package is written plainly, as far as scripts/count_idioms.py can count that.
 
-What docstrings list as parameters and fields is what the code has.
+What docstrings list as parameters and fields is what the code has, and the places that they and
+comments refer to exist.
 """
 
 import ast
+import importlib
 import re
 from collections.abc import Iterator
 
@@ -153,3 +155,35 @@ def test_docstrings_list_the_parameters_and_fields_that_there_are():
 )
 def test_a_wrong_entry_of_a_docstring_is_found(code, is_right):
     assert (list(find_wrong_entries(ast.parse(code))) == []) == is_right
+
+
+def exists(dotted_name):
+    """Whether a module, or a name in it, can be found, such as ``navbake.files.write_file``."""
+    parts = dotted_name.split(".")
+    for num_modules in range(len(parts), 0, -1):
+        try:
+            owner = importlib.import_module(".".join(parts[:num_modules]))
+        except ImportError:
+            continue
+        for name in parts[num_modules:]:
+            if name in getattr(owner, "__annotations__", {}):  # a field: it has no attributes here
+                return True
+            if not hasattr(owner, name):
+                return False
+            owner = getattr(owner, name)
+        return True
+    return False
+
+
+def test_places_that_are_referred_to_exist():
+    # two parts may be a key of a grid's metadata, such as `navbake.links`
+    reference = re.compile(r"`(navbake(?:\.\w+){2,})`")
+    missing = [
+        f"{path.relative_to(PACKAGE)}: {dotted_name}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for dotted_name in sorted(set(reference.findall(path.read_text(encoding="utf-8"))))
+        if not exists(dotted_name)
+    ]
+    assert not missing, "\n".join(missing)
+    assert exists("navbake.runtime.flat_grid.FlatGrid.slope_bits")
+    assert not exists("navbake.runtime.blocking.fit_grid")

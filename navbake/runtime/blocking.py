@@ -198,9 +198,9 @@ def _update_clearance(
     # Obstacles only reduce clearances. So only cells within the largest clearance of the changed
     # ones, in `inner_range`, can change. Their nearest blocked cells lie as far again outside, in
     # `outer_range`.
-    num_cells = math.ceil(largest_clearance) + 2
-    inner_range = _pad_range(changed_range, num_cells, level)
-    outer_range = _pad_range(changed_range, 2 * num_cells, level)
+    margin = math.ceil(largest_clearance) + 2  # [cells]
+    inner_range = _pad_range(changed_range, margin, level)
+    outer_range = _pad_range(changed_range, 2 * margin, level)
     row0, row1, col0, col1 = inner_range
     rows = slice(row0 - outer_range[0], row1 - outer_range[0])
     cols = slice(col0 - outer_range[2], col1 - outer_range[2])
@@ -209,13 +209,13 @@ def _update_clearance(
     ]
 
 
-def _pad_range(cell_range: CellRange, num_cells: int, level: SceneGrid2D) -> CellRange:
+def _pad_range(cell_range: CellRange, margin: int, level: SceneGrid2D) -> CellRange:
     """Extend a rectangle of cells by a number of cells on each side, but not beyond the level."""
     return (
-        max(cell_range[0] - num_cells, 0),
-        min(cell_range[1] + num_cells, level.height),
-        max(cell_range[2] - num_cells, 0),
-        min(cell_range[3] + num_cells, level.width),
+        max(cell_range[0] - margin, 0),
+        min(cell_range[1] + margin, level.height),
+        max(cell_range[2] - margin, 0),
+        min(cell_range[3] + margin, level.width),
     )
 
 

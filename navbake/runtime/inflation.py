@@ -156,8 +156,8 @@ def inflate(
             inflation_entry["scaling"] = float(scaling)
     levels = []
     for level, level_weights in zip(grid.levels, weights_by_level, strict=True):
-        # If a file lacks these attributes, they are derived from the weights, which inflating changes:
-        # so they are stored before, and the grid can be inflated again.
+        # If a file lacks these attributes, they are derived from the weights, which inflating
+        # changes: so they are stored before, and the grid can be inflated again.
         layers_before: dict[str, NDArray[np.generic]] = {
             "occupancy": level.occupancy,
             "floorHeight": level.floor_height,

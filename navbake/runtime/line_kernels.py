@@ -176,7 +176,7 @@ def disc_passes(start, end, layout, level, num_solid_before, radius, is_solid_ou
     """Return whether a disc can move along a line without overlapping a solid cell's square.
 
     Args:
-        start: u, v of the line's start.
+        start: u, v of the line's start: columns and rows from the level's first corner, in cells.
         end: u, v of its end.
         layout: `navbake.runtime.grid_arrays.Layout`.
         level: number of the level.

@@ -199,13 +199,13 @@ def block_by_floors(
 
 
 def measure_to_occupied(grid: NavGrid, level_number: int, max_distance: float) -> Int32:
-    """Measure the distance from each cell to the nearest cell that counts as occupied.
+    """Measure the squared distance, in cells, from each cell to the nearest occupied one.
 
-    Distances are measured between the centres of cells.
+    Distances are measured between the centres of cells. As in `find_blocked`, the cells that
+    `SceneGrid2D.solid` marks count as occupied; it also marks cells without a floor.
 
-    As in `find_blocked`, the cells that `SceneGrid2D.solid` marks count as occupied; it also marks
-    cells without a floor. Where the level has no floor at about the height of the measured cell's
-    floor, but another level has one, the cell of that other level counts instead.
+    A floor may go on at about the same height on another level. There, the cells of that level
+    count instead of those of the given level.
 
     Args:
         grid: the grid; its weights don't count.

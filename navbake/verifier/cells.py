@@ -533,7 +533,8 @@ class CellContacts(NamedTuple):
 
     Attributes:
         obstacle_of_cell: The id of an obstacle that a prism touches, (n,); -1 for none.
-        prism_of_cell: The index of the prism that touches the obstacle, (n,).
+        prism_of_cell: For a cell with such an obstacle, which of the prisms over it touches the
+            obstacle: its index in the list of `CellPrisms`, (n,); 0 for other cells.
         is_disputed: Whether MuJoCo and FCL contradict each other, (n,).
     """
 

@@ -225,9 +225,9 @@ class Shapes:
         ):
             yield self.triangles
             return
-        batch_of_entry = np.cumsum(self.meshes.num_triangles) // TRIANGLES_PER_BATCH
-        for batch in np.unique(batch_of_entry).tolist():
-            yield self.meshes.only(batch_of_entry == batch).expand()
+        batch_of_mesh = np.cumsum(self.meshes.num_triangles) // TRIANGLES_PER_BATCH
+        for batch in np.unique(batch_of_mesh).tolist():
+            yield self.meshes.only(batch_of_mesh == batch).expand()
 
     def only(self, is_selected: Bool) -> Shapes:
         """Return the geometry of the geoms that are marked.
