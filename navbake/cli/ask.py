@@ -25,6 +25,7 @@ from navbake.errors import QueryError, count_of
 from navbake.views import tables
 
 if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid
     from navbake.runtime.stand import StandPoses
 
 # Functions import `navbake.views` only when they run, so that --help doesn't load numpy.
@@ -70,16 +71,42 @@ def rooms(grid: GridFile) -> None:
     nav_grid = navbake.load(grid)
     room_list = nav_grid.rooms
     doors = nav_grid.doors
+    reason = None if room_list else _explain_no_rooms(nav_grid, grid)
     add_facts(
         scene_id=nav_grid.scene_id,
+        reason=reason,
         rooms=[room.to_json() for room in room_list],
         doors=[door.to_json() for door in doors],
     )
-    print_tables(tables.make_room_table(room_list, nav_grid.level_names))
-    say(count_of(len(room_list), "room"))
+    if reason is None:
+        print_tables(tables.make_room_table(room_list, nav_grid.level_names))
+        say(count_of(len(room_list), "room"))
+    else:
+        say(f"no rooms: {reason}")
     if doors:
         say()
         print_tables(tables.make_door_table(doors, nav_grid.level_names))
+
+
+def _explain_no_rooms(nav_grid: NavGrid, path: Path) -> str:
+    """Say why a grid has no rooms, and what gives it some.
+
+    Args:
+        nav_grid: the grid.
+        path: its file.
+    """
+    if "settingsDigest" not in nav_grid.navbake:
+        scene_path = f"{path.name.partition('.')[0]}.walls.xml"
+        settings_path = Path(scene_path).with_suffix(".yaml")
+        return (
+            "the grid was made of a map or by another program, not by a bake; "
+            f"`navbake convert {path} {scene_path}`, then `navbake bake {settings_path}`, "
+            "divides it at its doors"
+        )
+    return (
+        "no walls stand round its floor, it is smaller than `rooms.min_area`, or the settings say "
+        "`rooms: none`; `rooms.polygons` in the settings draws rooms"
+    )
 
 
 def why(

@@ -73,7 +73,8 @@ def convert(
     zones: Path | None = option("GEOJSON", "Polygons of a mask; all unless --zone names some."),
     stairs: str | None = option(
         "occupied|free",
-        "Floors of a map without heights that only steps lead to.  [default: occupied]",
+        "Stairs, and floors beyond them, in a map without heights: what no smooth floor or ramp "
+        "joins to the level's ground.  [default: occupied]",
     ),
     agent: str | None = option(
         "NAME",

@@ -19,6 +19,7 @@ Files that `encode_nav2` writes mean the same in both versions.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 from os import PathLike
@@ -28,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.errors import FormatError
+from navbake.errors import FormatError, count_of
 from navbake.files import check_regular, readable_stem
 from navbake.formats import occupancy
 from navbake.formats.allowance import ABSENT, JsonPath, check_number, check_vector
@@ -50,6 +51,7 @@ from navbake.runtime.inflation import NAV2_SCALING
 from navbake.types import Bool, Json
 from navbake.yaml_text import encode_yaml
 
+LOG = logging.getLogger(__name__)
 MODES = ("trinary", "scale", "raw")
 PIXEL_RULES = ("humble", "main")
 IMAGE_SUFFIXES = ("pgm", "png")
@@ -281,7 +283,20 @@ def read_map(
         raise FormatError(
             f"{message} at {image}", path=str(path), key="image", value=str(image)
         ) from error
-    values = read_pixel_values(read_pixels(image), map_yaml, rules)
+    pixels = read_pixels(image)
+    values = read_pixel_values(pixels, map_yaml, rules)
+    is_unknown_grey = pixels.channel_sum == 3 * UNKNOWN_GREY * (pixels.max_channel / 255)
+    num_freed = int(np.count_nonzero(is_unknown_grey & (values == occupancy.FREE)))
+    if map_yaml.mode == "trinary" and num_freed:
+        LOG.warning(
+            "%s: %s of grey %d, which map savers write for unknown, are free by `free_thresh: %g`; "
+            "%g leaves them unknown",
+            path,
+            count_of(num_freed, "pixel"),
+            UNKNOWN_GREY,
+            map_yaml.free,
+            FREE_THRESHOLD,
+        )
     values, lattice = occupancy.align_with_axes(values, map_yaml.origin, map_yaml.resolution)
     return values, lattice, map_yaml
 

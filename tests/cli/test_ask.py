@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import partial
 
 import numpy as np
@@ -385,3 +386,19 @@ def test_stand_says_in_a_line_why_there_is_no_pose(run):
 def test_stand_refuses_what_it_does_not_understand(run, arguments, message):
     status, _, err = run("stand", APARTMENT, *arguments)
     assert status == 2 and message in err
+
+
+def test_rooms_says_why_there_are_none_and_what_helps(folder, run):
+    house = navbake.load(HOUSE)
+    assert house.convert("map.yaml", level=0)
+    assert run("convert", "map.yaml", "map.grid.json")[0] == 0
+    status, out, _ = run("rooms", "map.grid.json")
+    first, bake = re.findall(r"`navbake ([^`]+)`", out)
+    assert status == 0 and out.startswith("no rooms: the grid was made of a map")
+    assert run(*first.split())[0] == 0
+    assert run(*bake.split(), "-o", "walls.grid.json", "-q")[0] == 0
+    assert len(navbake.load("walls.grid.json").rooms) > 1
+    assert json.loads(run("rooms", "map.grid.json", "--json")[1])["reason"] in out
+    run("bake", "room.yaml", "--set", "rooms=none", "-q")
+    assert "`rooms.polygons` in the settings draws rooms" in run("rooms", "room.grid.json")[1]
+    assert json.loads(run("rooms", HOUSE, "--json")[1])["reason"] is None

@@ -227,6 +227,27 @@ def test_reads_what_map_saver_writes(tmp_path):
     assert navbake.PathFinder(level).find_path((-0.98, -1.92, 0), (-0.92, -1.98, 0))
 
 
+def test_unknown_that_a_threshold_makes_free_is_told(tmp_path, caplog):
+    """As by the 0.25 that nav2's map saver writes beside its own grey of 205."""
+    path = write_map(tmp_path, [[254, 205, 205, 0]], free_thresh=0.25)
+    assert kinds_of(navbake.from_nav2(path)) == ["...#"]
+    [record] = caplog.records
+    assert record.name.startswith("navbake.formats")
+    assert record.getMessage() == (
+        f"{path}: 2 pixels of grey 205, which map savers write for unknown, are free by "
+        "`free_thresh: 0.25`; 0.196 leaves them unknown"
+    )
+    caplog.clear()
+    assert kinds_of(navbake.from_nav2(write_map(tmp_path, [[254, 205, 0]]))) == [".?#"]
+    assert kinds_of(navbake.from_nav2(write_map(tmp_path, [[254, 210, 0]], free_thresh=0.25)))
+    high = np.full((1, 2), 205 * 257, dtype=">u2")
+    path = write_map(tmp_path, [[0]], free_thresh=0.25)
+    assert not caplog.records
+    (tmp_path / "map.pgm").write_bytes(b"P5\n2 1\n65535\n" + high.tobytes())
+    assert kinds_of(navbake.from_nav2(path)) == [".."]
+    assert "2 pixels of grey 205" in caplog.text
+
+
 def test_reads_text_pgm_and_16_bits(tmp_path):
     path = write_map(tmp_path, [[0]])
     (tmp_path / "map.pgm").write_text("P2\n# a comment\n3 1 # another\n15\n0 15 7\n")
