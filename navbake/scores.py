@@ -16,6 +16,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
+from statistics import NormalDist
 from types import ModuleType
 from typing import Any, NamedTuple, TypeAlias
 
@@ -43,6 +44,8 @@ MEAN_FIELDS = (
     "time", "coverage",
 )  # fmt: skip
 """The measures of an episode that `summarize` averages."""
+YES_NO_FIELDS = ("success", "oracle_success")
+"""Those of `MEAN_FIELDS` that are 0 or 1."""
 GROUP_KINDS = ("all", "distance", "ratio", "room", "scene", "split")
 
 Array: TypeAlias = Any
@@ -223,6 +226,38 @@ def bootstrap(
     ]
     low, high = np.quantile(resample_means, [(1 - certainty) / 2, (1 + certainty) / 2])
     return Interval(float(valid_values.mean()), float(low), float(high), num_values)
+
+
+def wilson_interval(values: ArrayLike, *, certainty: float = 0.95) -> Interval:
+    """Compute the share of values that are 1, and its confidence interval by Wilson's score.
+
+    Of few episodes, all of which succeed or fail, every resample of a bootstrap is the same, and
+    its interval has no width. This one has: 17 successes of 17 are 0.816 to 1.
+
+    Args:
+        values: an array of any shape, of 0 and 1; NaN values are left out.
+        certainty: how often such an interval contains the true share, 0 to 1.
+
+    Returns:
+        The share and the interval.
+
+    Source:
+        E. B. Wilson, Probable inference, the law of succession, and statistical inference, 1927.
+    """
+    valid_values = np.asarray(values, dtype=np.float64).ravel()
+    valid_values = valid_values[~np.isnan(valid_values)]
+    num_values = len(valid_values)
+    if not num_values:
+        return Interval(math.nan, math.nan, math.nan, 0)
+    share = float(valid_values.mean())
+    z = NormalDist().inv_cdf((1 + certainty) / 2)
+    weight = z * z / num_values
+    center = (share + weight / 2) / (1 + weight)
+    half_width = math.sqrt(share * (1 - share) * weight + weight * weight / 4) / (1 + weight)
+    # at 0 and 1 the ends are exact, but for rounding
+    low = 0.0 if share == 0.0 else center - half_width
+    high = 1.0 if share == 1.0 else center + half_width
+    return Interval(share, low, high, num_values)
 
 
 class Measures:
@@ -610,7 +645,8 @@ def summarize(
         rows: rows that `score_set` returned.
         by: one of `GROUP_KINDS`. ``distance`` groups by classes of the shortest path's length;
             ``ratio`` by classes of this length divided by the straight distance.
-        seed: seed of `bootstrap`, which computes the intervals.
+        seed: seed of `bootstrap`, which computes the intervals of all measures but those that are
+            yes or no, `YES_NO_FIELDS`: these have Wilson's.
 
     Returns:
         For each group its name (``group``), its number of ``episodes``, and an `Interval` for each
@@ -632,6 +668,9 @@ def summarize(
         interval_by_measure = {}
         for measure in MEAN_FIELDS:
             measured_values = np.array([row[measure] for row in group_rows], dtype=float)
+            if measure in YES_NO_FIELDS:
+                interval_by_measure[measure] = wilson_interval(measured_values)
+                continue
             interval_by_measure[measure] = bootstrap(
                 np.where(np.isinf(measured_values), np.nan, measured_values), seed=seed
             )

@@ -14,6 +14,7 @@ from navbake import PathFinder
 from navbake.episodes import Episode, EpisodeSet, Goal, Header, make_episodes, make_rules, make_task
 from navbake.errors import FormatError, QueryError
 from navbake.scores import (
+    MEAN_FIELDS,
     Measures,
     Trajectory,
     bootstrap,
@@ -25,6 +26,7 @@ from navbake.scores import (
     spl,
     success,
     summarize,
+    wilson_interval,
 )
 
 NAN, INF = math.nan, math.inf
@@ -164,6 +166,30 @@ def test_bootstrap():
     assert bootstrap(values) == found
     assert math.isnan(bootstrap([NAN]).mean) and bootstrap([]).known == 0
     assert bootstrap([0.5])[:3] == (0.5, 0.5, 0.5)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 1.0])
+def test_the_interval_of_few_successes_contains_their_share(share):
+    """The exact chance that the interval holds the true share, of 17 episodes."""
+    assert wilson_interval([1.0] * 17)[:2] == (1.0, pytest.approx(17 / (17 + 1.959964**2)))
+    chance = 0.0
+    for num_successes in range(18):
+        values = [1.0] * num_successes + [0.0] * (17 - num_successes)
+        found = wilson_interval([*values, NAN])
+        assert found.mean == pytest.approx(num_successes / 17) and found.known == 17
+        if found.low <= share <= found.high:
+            ways = math.comb(17, num_successes)
+            chance += ways * share**num_successes * (1 - share) ** (17 - num_successes)
+    assert chance > 0.92
+    assert math.isnan(wilson_interval([NAN]).low) and wilson_interval([]).known == 0
+
+
+def test_groups_have_the_interval_of_their_kind():
+    row = {"episode": "a", **dict.fromkeys(MEAN_FIELDS, 1.0)}
+    (group,) = summarize([row] * 17)
+    assert group["success"] == wilson_interval([1.0] * 17) != bootstrap([1.0] * 17)
+    assert group["oracle_success"] == group["success"]
+    assert group["spl"] == bootstrap([1.0] * 17)
 
 
 def episode(start=(0.05, -0.05, 0.0), goal=(0.95, -0.05, 0.0), radius=0.1, **fields):

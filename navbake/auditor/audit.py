@@ -27,6 +27,7 @@ from navbake.auditor.facts import (
 from navbake.errors import FormatError, count_of
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import describe_type
+from navbake.lengths import format_length
 from navbake.navgrid.grid import GridBase, NavGrid, SceneGrid2D
 from navbake.navgrid.rooms import Door
 from navbake.types import Bool, Float, Int, Vector3
@@ -59,7 +60,7 @@ def check_level_order(facts: Facts) -> Iterator[Finding]:
         level_below = facts.levels[level_number - 1]
         lattice = level.lattice
         if level.ground < level_below.ground:
-            text = f"its ground, {level.ground:.2f} m, is below that of the level before"
+            text = f"its ground, {format_length(level.ground)} m, is below that of the level before"
             yield Finding(ERROR, level_number, None, text)
         col_offset = (lattice.x_min - lowest_lattice.x_min) / lowest_lattice.cell_size
         row_offset = (lowest_lattice.y_max - lattice.y_max) / lowest_lattice.cell_size

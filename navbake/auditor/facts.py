@@ -16,6 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from navbake.errors import FormatError, count_of, shorten
+from navbake.lengths import format_length
 from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.navgrid.rooms import Door, Room
@@ -56,7 +57,7 @@ class Remark:
         """Return the remark on one line: severity, place and text."""
         where = "" if self.level is None else f"level {self.level}"
         if self.place is not None:
-            where += " ({:.2f}, {:.2f}, {:.2f})".format(*self.place)
+            where += f" ({', '.join(map(format_length, self.place))})"
         return f"{self.severity}: {where.strip()}{': ' if where else ''}{self.text}"
 
     def to_json(self) -> Json:

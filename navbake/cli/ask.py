@@ -22,6 +22,7 @@ from navbake.cli.options import (
 )
 from navbake.cli.printing import add_facts, print_tables, print_warnings, say
 from navbake.errors import QueryError, count_of
+from navbake.lengths import format_length
 from navbake.views import tables
 
 if TYPE_CHECKING:
@@ -238,9 +239,9 @@ def path(
             if nav_grid.links:
                 say(f"links   {', '.join(planned_path.links) or '-'}")
             say("      x       y       z  level")
-            positions = planned_path.positions.round(3) + 0.0  # no -0.000
-            for (x, y, z), level in zip(positions, planned_path.levels, strict=True):
-                say(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")
+            for position, level in zip(planned_path.positions, planned_path.levels, strict=True):
+                x, y, z = [format_length(coordinate, 3) for coordinate in position]
+                say(f"{x:>7} {y:>7} {z:>7}  {level}")
         else:
             say(f"no path: {reason}")
     if output is not None:
@@ -300,8 +301,7 @@ def sample(
     for position, heading, level, room_id in zip(
         positions, headings, levels, room_ids, strict=True
     ):
-        x, y, z, rounded_heading = np.round([*position, heading], 3) + 0.0  # no -0.000
-        number_texts = [f"{number:.3f}" for number in (x, y, z, rounded_heading)]
+        number_texts = [format_length(number, 3) for number in (*position, heading)]
         rows.append([*number_texts, level, room_id])
     column_names = ("x m", "y m", "z m", "heading rad", "level", "room")
     print_tables(tables.make_table(column_names, rows, column_names[:5]))

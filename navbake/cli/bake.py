@@ -262,7 +262,7 @@ def voxelize(
 
 
 def _format_corner(corner: Iterable[float]) -> str:
-    return f"({', '.join(f'{coordinate:.6g}' for coordinate in corner)})"
+    return f"({', '.join(f'{round(coordinate, 6) + 0.0:.6g}' for coordinate in corner)})"
 
 
 def _parse_segments(segment_values: list[str] | None) -> str | dict[str, int] | None:

@@ -24,6 +24,7 @@ from navbake.cli.printing import add_facts, print_tables, say
 from navbake.errors import NavbakeError, count_of
 from navbake.formats.convert import read_as
 from navbake.lazy import lazy
+from navbake.lengths import format_length
 from navbake.views.tables import make_table
 
 if TYPE_CHECKING:
@@ -129,11 +130,11 @@ def _print_report(report: VerifyReport) -> None:
     for note in report.notes:
         say(f"note: {note}")
     for finding in report.findings[:MAX_LISTED_FINDINGS]:
-        x, y, z = finding.position
+        position_text = ", ".join(format_length(value, 3) for value in finding.position)
         cell_text = (
             "" if finding.cell is None else f", row {finding.cell[0]}, col {finding.cell[1]}"
         )
-        place_text = f"level {finding.level}{cell_text} ({x:.3f}, {y:.3f}, {z:.3f})"
+        place_text = f"level {finding.level}{cell_text} ({position_text})"
         say(f"{finding.kind}: {place_text}: {finding.text}")
     if len(report.findings) > MAX_LISTED_FINDINGS:
         say(f"and {len(report.findings) - MAX_LISTED_FINDINGS} more: --json lists them")

@@ -18,6 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from navbake.errors import FormatError
 from navbake.known_names import check_choice
 from navbake.lazy import lazy
+from navbake.lengths import format_length
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import STEP_SLACK, label_islands, step_limit, values_by_area
 from navbake.navgrid.links import Agent
@@ -328,7 +329,7 @@ def describe_losses(
     if "heights" in lost_kinds:
         free_floors = [grid.levels[k].floor[grid.levels[k].free] for k in level_numbers]
         height_ranges = [
-            f"{np.nanmin(floor):.2f} to {np.nanmax(floor):.2f} m"
+            f"{format_length(np.nanmin(floor))} to {format_length(np.nanmax(floor))} m"
             for floor in free_floors
             if not np.isnan(floor).all() and np.nanmax(floor) - np.nanmin(floor) > HEIGHT_BIN
         ]

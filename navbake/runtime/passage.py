@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.known_names import check_choice
+from navbake.lengths import format_length
 from navbake.navgrid.grid import MAX_RADIUS, NavGrid
 from navbake.runtime import inflation
 from navbake.runtime.flat_grid import (
@@ -398,7 +399,7 @@ def find_lost_connections(search_before: Search, search_after: Search) -> list[L
         ):
             x, y, _ = flat.positions(stairs.steps).mean(axis=(0, 1))
             between_text = f"between level {stairs.lower_level} and {stairs.upper_level}"
-            name = f"the {stairs.kind} {between_text} near ({x:.2f}, {y:.2f})"
+            name = f"the {stairs.kind} {between_text} near ({format_length(x)}, {format_length(y)})"
             lost_connections.append(LostConnection(name, stairs.steps.ravel()))
     for link in search_before.grid.links:
         cells = np.array([flat.layout.start[stop.level] + stop.cell for stop in link.stops])

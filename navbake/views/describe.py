@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.errors import QueryError
+from navbake.lengths import format_length
 from navbake.navgrid.cells import check_positions, place_at
 from navbake.navgrid.colors import LINK, LINK_CLOSED, STAIRS
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
@@ -420,7 +421,7 @@ def make_stair_table(grid: NavGrid) -> Table:
                 grid.level_names[start.level],
                 grid.level_names[end.level],
                 connection.num_steps,
-                f"{start.x:.2f}, {start.y:.2f}",
+                f"{format_length(start.x)}, {format_length(start.y)}",
             )
         )
     headings = ("name", "from", "to", "steps", "mean place x, y [m]")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError, QueryError, printable
 from navbake.formats.source import read_json, write_bytes
+from navbake.lengths import format_length
 from navbake.navgrid.colors import color_rooms
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import islands_of, measure_clearance
@@ -285,7 +286,7 @@ def _tabulate_findings(
     """
     rows = []
     for finding in findings:
-        position = ", ".join(f"{coordinate:.2f}" for coordinate in finding.position or ())
+        position = ", ".join(map(format_length, finding.position or ()))
         rows.append((finding.kind, finding.level, position, finding.detail, finding.text))
     headings = ("kind", "level", "x, y, z [m]", detail_heading, "what")
     return make_table(headings, rows or [("none", None, "", "", no_findings_text)])

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from navbake.errors import printable
+from navbake.lengths import format_length
 
 if TYPE_CHECKING:
     from navbake.navgrid.links import Link
@@ -16,7 +17,7 @@ LEVEL_COLUMNS = {
     "#": "{index}",
     "name": "{name}",
     "cells": "{width} x {height}",
-    "ground m": "{ground:.3f}",
+    "ground m": "{ground_text}",
     "floor m": "{floor}",
     "floor m2": "{floor_area:.2f}",
     "free m2": "{free_area:.2f}",
@@ -104,8 +105,16 @@ def make_level_table(facts: Json) -> Table:
     rows = []
     for level_number, level in enumerate(facts["levels"]):
         has_floor = level["floor_min"] is not None
-        floor_text = "{floor_min:.3f} to {floor_max:.3f}".format_map(level) if has_floor else "none"
-        level_facts = {**level, "index": level_number, "floor": floor_text}
+        floor_text = "none"
+        if has_floor:
+            floor_text = f"{_height_text(level['floor_min'])} to {_height_text(level['floor_max'])}"
+        ground_text = _height_text(level["ground"])
+        level_facts = {
+            **level,
+            "index": level_number,
+            "floor": floor_text,
+            "ground_text": ground_text,
+        }
         rows.append(
             [cell_format.format_map(level_facts) for cell_format in format_of_column.values()]
         )
@@ -240,7 +249,11 @@ def make_agent_table(agents: Mapping[str, Json]) -> Table:
 
 
 def _position_text(position: Iterable[float]) -> str:
-    return " ".join(f"{round(value, 2) + 0.0:.2f}" for value in position)  # no -0.00
+    return " ".join(map(format_length, position))
+
+
+def _height_text(z: float) -> str:
+    return format_length(z, 3)
 
 
 def _number_text(value: float | None) -> str:
@@ -263,8 +276,8 @@ def list_cell_facts(facts: Json) -> dict[str, str | list[str]]:
     return {
         "level": str(facts["level"]),
         "cell": "{cell} (row {row}, col {col})".format_map(facts),
-        "center [m]": ", ".join(f"{coordinate:.3f}" for coordinate in facts["center"]),
-        "floor [m]": "none" if floor is None else f"{floor:.3f}",
+        "center [m]": ", ".join(format_length(coordinate, 3) for coordinate in facts["center"]),
+        "floor [m]": "none" if floor is None else _height_text(floor),
         "weight": "infinite" if weight is None else f"{weight:g}",
         "room": str(room["id"] if isinstance(room, dict) else room or "none"),
         "island": str(facts["island"] or "none"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ import navbake
 from command_line import run_command
 from navbake.config.settings import load_config
 from navbake.formats.navgrid import dumps_navgrid
-from project_paths import GOLDEN
+from project_paths import GOLDEN, ROOT
 
 
 def test_bakes_a_yaml(folder, run):
@@ -248,3 +249,33 @@ def test_bake_names_the_stairs_and_doors_that_its_radius_closes(run, tmp_path):
     assert "door 'door_front'" in err
     _, _, err = run("bake", "house", "--radius", 0.15, "-o", output)
     assert "closes" not in err
+
+
+FORMS = """
+<mujoco>
+  <asset><mesh name="tent" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>
+  <worldbody>
+    <geom name="ground" type="plane" size="0 0 .1"/>
+    <geom name="box" type="box" size=".1 .1 .1" pos="3 0 .1"/>
+    <geom name="wall" type="plane" size="1 1 .1" euler="90 0 0"/>
+    <geom name="fence" type="plane" size="0 1 .1" euler="90 0 0" pos="0 4 0"/>
+    <geom name="hull" type="mesh" mesh="tent" pos="2 2 0"/>
+    <geom name="closed" type="mesh" mesh="tent" pos="-2 2 0"/>
+    <geom name="shell" type="mesh" mesh="tent" pos="-2 -2 0"/>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_the_page_has_the_form_of_each_geom(folder, run):
+    (folder / "forms.xml").write_text(FORMS)
+    meshes = "scene.meshes={hull: hull, closed: surface, shell: shell}"
+    status, out, _ = run("geoms", "forms.xml", "--json", "--set", meshes)
+    forms = {geom["name"]: geom["shape"] for geom in json.loads(out)["geoms"]}
+    page = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
+    table = page.partition("| `as` | what it is in the bake |")[2].partition("\n\n")[0]
+    rows = re.findall(r"^\| ([^|]+) \|", table, flags=re.MULTILINE)
+    listed = {form for row in rows for form in re.findall(r"`([^`]+)`", row)}
+    assert status == 0
+    assert forms["ground"] == "half-space" and forms["hull"] == "hull"
+    assert {*forms.values()} == listed - {"surface", "partly closed surface"}

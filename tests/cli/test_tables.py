@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from navbake.auditor.facts import Remark
 from navbake.cli.printing import lay_out_table, print_error, print_tables
+from navbake.lengths import format_length
 from navbake.navgrid.rooms import Room
-from navbake.views.tables import make_room_table, make_table
+from navbake.views.tables import make_level_table, make_room_table, make_table
 
 LONG = "living_room/shelf_left/collision_mesh_17"
 HEADINGS = ("id", "geom", "body", "why")
@@ -87,3 +90,16 @@ def test_rooms_of_one_level_have_short_rows():
     lines = lay_out_table(make_room_table([room(n) for n in range(1, 51)], ["ground floor"]), 80)
     assert len(lines) == 51
     assert lines[0].split() == ["id", "m2", "centroid", "x", "y", "z", "m", "from"]
+
+
+def test_no_length_is_minus_zero():
+    assert format_length(-0.004) == "0.00" and format_length(-0.006) == "-0.01"
+    assert format_length(np.float32(-0.0004), 3) == "0.000"
+    assert str(Remark("", "error", 0, (-0.001, 2.0, -0.0), "odd")) == (
+        "error: level 0 (0.00, 2.00, 0.00): odd"
+    )
+    level = dict.fromkeys(("floor_area", "free_area", "largest_island_area"), 1.0)
+    level |= dict.fromkeys(("ground", "floor_min", "floor_max"), -0.0004)
+    level |= {"name": "a", "width": 1, "height": 1, "num_islands": 1, "num_rooms": 0}
+    (row,) = make_level_table({"levels": [level]}).rows
+    assert row[3:5] == ["0.000", "0.000 to 0.000"]

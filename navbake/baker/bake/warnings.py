@@ -23,6 +23,7 @@ from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.errors import printable
+from navbake.lengths import format_length
 from navbake.navgrid.rooms import has_building
 from navbake.types import Bool, Float, Int
 
@@ -307,11 +308,12 @@ def _warn_patches(
         x, y, z = largest_patch.position
         name = repr(scene.geoms[largest_patch.geom].name)
         area_text = f"{largest_patch.area:.1f}"
-        height_text = f"{z:.2f}"
+        height_text = format_length(z)
         more_text = f", and {len(patches) - 1} more" if len(patches) > 1 else ""
+        position_text = f"[{format_length(x)}, {format_length(y)}, {height_text}]"
         yield text.format(
             what=f"{name} ({area_text} m² at {height_text} m{more_text})",
-            keep=f"`floors.from: [[{x:.2f}, {y:.2f}, {height_text}]]` keeps it",
+            keep=f"`floors.from: [{position_text}]` keeps it",
             cells=sum(len(patch.cells) for patch in patches),
             area=area_text,
             z=height_text,
@@ -349,8 +351,8 @@ def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
         depth = int(num_cells_at_depth.argmax()) / 100
         if area >= config.floors.min_area:
             yield (
-                f"{level.name!r} has no floor near its ground, {level.ground:.2f} m: one of "
-                f"{area:.1f} m² lies {depth:.2f} m below it and is on another level; "
+                f"{level.name!r} has no floor near its ground, {format_length(level.ground)} m: "
+                f"one of {area:.1f} m² lies {depth:.2f} m below it and is on another level; "
                 f"`ground: {level.ground - depth:.6g}` in `levels` takes it in"
             )
 
@@ -435,7 +437,7 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
         yield (
             f"{name!r} is endless, and the grid covers only the box of the "
             f"other geoms, which hides it: `grid.margin` or `grid.bounds` shows the ground at "
-            f"{z:.2f} m around them"
+            f"{format_length(z)} m around them"
         )
 
 

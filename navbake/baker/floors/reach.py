@@ -35,6 +35,7 @@ from navbake.baker.floors.surfaces import find_highest_within_step
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
+from navbake.lengths import format_length
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Int
 
@@ -115,7 +116,7 @@ def find_start_regions(
             heights_text = "there is none in that cell"
             if len(surface_heights):
                 heights_text = (
-                    f"floors there are at {', '.join(f'{z:.2f}' for z in surface_heights)} m"
+                    f"floors there are at {', '.join(map(format_length, surface_heights))} m"
                 )
             raise SceneError(
                 f"no floor at `floors.from[{position_number}]` ({x:g}, {y:g}, {z:g}): "

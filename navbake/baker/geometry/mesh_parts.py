@@ -115,7 +115,9 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
         triangles = np.where(is_flipped[:, None], triangles[:, ::-1], triangles)
     num_closed = np.count_nonzero(part_of_triangle)
     num_flipped = np.count_nonzero(is_flipped)
-    description = "closed surface" if num_closed == len(part_of_triangle) else "partly closed"
+    description = (
+        "closed surface" if num_closed == len(part_of_triangle) else "partly closed surface"
+    )
     description += f", {num_flipped} turned" if num_flipped else ""
     return GeomTriangles(
         vertices, triangles, part_of_triangle, closed_code, description if num_closed else "surface"

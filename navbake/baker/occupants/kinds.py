@@ -80,7 +80,7 @@ MAX_PAIRS = 1_000_000  # of geoms that are compared at once, for the memory they
 MIN_BUILDING_WIDTH = 2.0
 MAX_FILLED_SHARE = 0.5
 # The shapes, in the report of geoms, that such a mesh may have
-TRIANGLE_SHAPES = ("surface", "closed surface", "partly closed", "shell")
+TRIANGLE_SHAPES = ("surface", "closed surface", "partly closed surface", "shell")
 # Least share of a wall's cells in which it reaches into `WALL_HEIGHTS`
 MIN_UPRIGHT_SHARE = 0.5
 

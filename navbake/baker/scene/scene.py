@@ -76,8 +76,8 @@ class GeomReport:
         counted: whether it takes part in the bake.
         shape: how it is represented; empty if it isn't counted. One of: solid; half-space, strip
             (infinite in one direction) or rectangle; hull, shell, surface, closed surface (its
-            inside is occupied) or partly closed. The last two may state how many triangles were
-            turned to face out.
+            inside is occupied) or partly closed surface. The last two may state how many triangles
+            were turned to face out.
         reason: why it is counted or left out.
         role: one of `roles.ROLE_NAMES`; empty if it isn't counted.
     """
@@ -170,7 +170,9 @@ class Scene:
         """Whether a mesh of `exact_meshes` is not closed."""
         if not self.exact_meshes:
             return False
-        return any(geom.shape.startswith(("surface", "partly closed")) for geom in self.geoms)
+        return any(
+            geom.shape.startswith(("surface", "partly closed surface")) for geom in self.geoms
+        )
 
 
 class CountedGeoms(NamedTuple):

@@ -62,7 +62,7 @@ def test_closed_and_open():
 def test_kinds():
     assert split(SOLID).description == "closed surface"
     assert split(SHEET).description == "surface"
-    assert split(SOLID, FAR_AWAY).description == "partly closed"
+    assert split(SOLID, FAR_AWAY).description == "partly closed surface"
 
 
 def test_closedness_by_index():
@@ -297,7 +297,7 @@ def test_large_meshes(subdivisions):
     ball = np.array(trimesh.creation.icosphere(subdivisions).triangles)
     assert codes(ball) == [True]
     assert codes(ball[1:]) == [False]
-    assert split(ball, ball[1:] + 5).description == "partly closed"
+    assert split(ball, ball[1:] + 5).description == "partly closed surface"
 
 
 # ---------------------------------------------------------------- shells, the fast way
