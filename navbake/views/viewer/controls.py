@@ -6,6 +6,7 @@ Names from files are escaped.
 from __future__ import annotations
 
 import html
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from navbake.episodes.episode import Episode
 from navbake.runtime.paths import Path
+from navbake.types import Json
 from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.tables import list_cell_facts
 from navbake.views.viewer.view_state import (
@@ -45,10 +47,23 @@ MAX_CHECKBOXES = 12  # a grid with more levels has no checkboxes for levels
 CUT_STEP = 0.05  # step of the slider for the cut [m]
 INFLATED_HINT = "The grid was inflated when it was made: its doors stay as they are."
 MARKDOWN_SIGNS = re.compile(r"([\\`*_{}\[\]<>()#+!|~.&:@-])")
+MIN_SNAP_DISTANCE = 0.005  # ends of paths that are nearer to their clicks are where these are [m]
 HINT_INSPECT = "Click a cell or a thing to read about it."
 HINT_START = "Click where the path starts."
 HINT_GOAL = "Click where it goes to."
 MAX_LISTED_NAMES = 6  # most names in a list; the text says how many more there are
+# measure of a trajectory -> its title on the page, and its unit
+SCORE_TITLES = {
+    "spl": ("SPL", ""),
+    "soft_spl": ("SoftSPL", ""),
+    "ndtw": ("nDTW", ""),
+    "distance": ("left to the goal", " m"),
+    "length": ("went", " m"),
+    "shortest": ("shortest path", " m"),
+    "collisions": ("collisions", ""),
+    "time": ("time", " s"),
+    "coverage": ("covered", ""),
+}
 MAX_SCALES = 3  # most color scales in the legend
 
 
@@ -62,6 +77,8 @@ class Controls:
         choices: Choices,
         change: Callable[[Change], None],
         verify: Callable[[], None],
+        switch_dark: Callable[[viser.ClientHandle], None],
+        save_picture: Callable[[viser.ClientHandle], None],
     ) -> None:
         """Empty the panel, and fill it.
 
@@ -71,10 +88,14 @@ class Controls:
             choices: the user's choices.
             change: is called when the user sets an input; it applies a change of the choices.
             verify: is called when the user wants to compare the grid with the scene.
+            switch_dark: makes the page of one client dark, or light again.
+            save_picture: sends a picture to one client.
         """
         self._gui = gui
         self._view_state = view_state
         self._change = change
+        self._switch_dark = switch_dark
+        self._save_picture = save_picture
         # name -> an input or text of viser; their types differ
         self._handles: dict[str, Any] = {}
         gui.reset()
@@ -229,8 +250,12 @@ class Controls:
         self._add_input("opacity", opacity_slider, _make_setter("opacity"))
         names_checkbox = gui.add_checkbox("Names", choices.with_names)
         self._add_input("names", names_checkbox, _make_setter("with_names"))
-        dark_checkbox = gui.add_checkbox("Dark page", bool(choices.dark))
-        self._add_input("dark", dark_checkbox, _make_setter("dark"))
+        hint = "Of this reader alone; others keep theirs."
+        dark_button = gui.add_button("Dark or light page", hint=hint)
+        dark_button.on_click(_call_with_client(self._switch_dark))
+        hint = "A PNG of the scene, as large as it is here."
+        picture_button = gui.add_button("Save a picture", hint=hint)
+        picture_button.on_click(_call_with_client(self._save_picture))
 
     def _add_scene(self, choices: Choices) -> None:
         """Add the inputs for the scene; without a scene, add nothing."""
@@ -285,7 +310,9 @@ class Controls:
             color_of_mark = {"start": START_COLOR, "goal and path": GOAL_COLOR}
         if "task" in handles:
             episode_run = view_state.runs.get(choices.episode)
-            handles["task"].content = describe_episode(episode_run.episode if episode_run else None)
+            task_text = describe_episode(episode_run.episode if episode_run else None)
+            scores_text = describe_scores(view_state.scores(choices))
+            handles["task"].content = "\n\n".join(filter(None, (task_text, scores_text)))
             if episode_run is not None and episode_run.trajectory is not None:
                 color_of_mark["trajectory"] = TRAJECTORY_COLOR
         arc_colors = {arc.color for arc in view_state.arcs(choices)}
@@ -314,7 +341,6 @@ class Controls:
             handles["radius"].value = min(grid.agent_radius, float(handles["radius"].max))
             handles["clearance"].value = 0.0
         handles["as baked"].disabled = choices.inflation is None
-        handles["dark"].value = bool(choices.dark)
         if "level" in handles:
             handles["level"].value = _find_shown_level_name(list(handles["level"].options), choices)
         if "level 0" in handles:
@@ -346,6 +372,18 @@ def _format_heading(view_state: ViewState) -> str:
     cell_size_text = escape_markdown(f"{grid.levels[0].lattice.cell_size:g}")
     note_text = escape_markdown(view_state.note)
     return f"**{name}** — {levels_text}, cells of {cell_size_text} m\n\n{note_text}"
+
+
+def _call_with_client(
+    call: Callable[[viser.ClientHandle], None],
+) -> Callable[[viser.GuiEvent[viser.GuiButtonHandle]], None]:
+    """Return a callback of a button that calls a function with the client who pressed it."""
+
+    def on_click(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+        if event.client is not None:
+            call(event.client)
+
+    return on_click
 
 
 def _make_setter(field_name: str) -> Callable[[Any], Change]:
@@ -433,6 +471,16 @@ def describe_route(choices: Choices, route: Path | str | None) -> str:
     length_text = escape_markdown(f"{route.length:.2f}")
     cost_text = escape_markdown(f"{route.cost:.2f}")
     lines = [f"**{length_text} m**, cost {cost_text}"]
+    ends = (
+        ("start", choices.start, route.positions[0]),
+        ("goal", choices.goal, route.positions[-1]),
+    )
+    for name, clicked, place in ends:
+        if clicked is not None:
+            distance = math.dist(clicked.position[:2], place[:2].tolist())
+            if distance > MIN_SNAP_DISTANCE:
+                distance_text = escape_markdown(f"{distance:.2f}")
+                lines.append(f"The {name} is {distance_text} m from the click, on free floor.")
     if route.rooms:
         lines.append(f"Rooms: {_list_names(route.rooms, ' → ')}")
     if route.doors:
@@ -504,6 +552,25 @@ def describe_episode(episode: Episode | None) -> str:
     if episode.instruction:
         lines.append(escape_markdown(episode.instruction))
     return "\n\n".join(lines)
+
+
+def describe_scores(scores: Json | str | None) -> str:
+    """Describe the measures of a trajectory as Markdown.
+
+    Args:
+        scores: the measures by name, or why there are none; None for no trajectory.
+    """
+    if scores is None:
+        return ""
+    if isinstance(scores, str):
+        return f"**Not scored**: {escape_markdown(scores)}"
+    verdict = "success" if scores["success"] else "no success"
+    lines = [f"**Trajectory: {verdict}**", "", "| | |", "|---|---|"]
+    for name, (title, unit) in SCORE_TITLES.items():
+        value = scores[name]
+        if math.isfinite(value):
+            lines.append(f"| {title} | {escape_markdown(f'{round(value, 2):g}')}{unit} |")
+    return "\n".join(lines)
 
 
 def render_legend(panels: Sequence[Panel], color_of_mark: Mapping[str, str] | None = None) -> str:

@@ -13,7 +13,7 @@ import socket
 import sys
 import threading
 import urllib.request
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, redirect_stdout
 from email.message import Message
@@ -35,11 +35,29 @@ MAX_HEAD_SIZE = 1 << 16  # largest head (first line and headers) of a request [b
 CHUNK_SIZE = 1 << 16  # how much is forwarded at once [bytes]
 HEAD_TIMEOUT = 10.0  # how long the head of a request may take to arrive [s]
 FORBIDDEN_RESPONSE = b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-NO_CONTENT_RESPONSE = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n"
-# by this script, the page requests /dark if its user's system prefers dark pages
-DARK_MODE_SCRIPT = (
-    b'<script>if (matchMedia("(prefers-color-scheme: dark)").matches) fetch("dark")</script>'
-)
+# In the storage of a reader's browser: what the reader chose for the page, and what the reader's
+# system prefers; `DARK` or `LIGHT`
+PAGE_KEY = "navbake-page"
+SYSTEM_KEY = "navbake-system"
+DARK = "dark"
+LIGHT = "light"
+VISER_KEY_PREFIX = "viser-user:"  # of what viser's `local_storage` reads and writes
+# by this script, the page stores what its reader's system prefers
+SYSTEM_SCRIPT = (
+    f'<script>try {{ localStorage.setItem("{VISER_KEY_PREFIX}{SYSTEM_KEY}", matchMedia('
+    f'"(prefers-color-scheme: dark)").matches ? "{DARK}" : "{LIGHT}") }} catch {{}}</script>'
+).encode()
+# On a phone, viser's panel covers most of the scene, and its server can't fold it. This script
+# clicks the panel's bar, which folds it, when it appears.
+FOLD_SCRIPT = b"""<script>
+if (matchMedia("(max-width: 36em)").matches) {
+  const observer = new MutationObserver(() => {
+    const bar = document.querySelector('[style*="height: 3.5em"][style*="cursor: pointer"]');
+    if (bar) { observer.disconnect(); bar.click(); }
+  });
+  observer.observe(document, { childList: true, subtree: true });
+}
+</script>"""
 PAGE_REQUEST = re.compile(rb"GET /(?:\?\S*)? ")
 # no page of another site may show this one in a frame, and lead clicks to it
 FRAME_HEADER = b"Content-Security-Policy: frame-ancestors 'none'\r\n"
@@ -64,7 +82,6 @@ class PageServer(AbstractContextManager["PageServer"]):
         url: the address of the page.
         port: the port of the page.
         title: the title of the page; a new title shows when the page is loaded the next time.
-        on_dark: a function that is called when a user's browser prefers dark pages.
     """
 
     def __init__(self, host: str = HOST, port: int = PORT, *, allowed: Iterable[str] = ()) -> None:
@@ -93,7 +110,6 @@ class PageServer(AbstractContextManager["PageServer"]):
             self._host_names = {host.lower()}
         self._allowed_origins = {check_origin(origin) for origin in allowed}
         self.title = "navbake"
-        self.on_dark: Callable[[], None] = lambda: None
         # address and port of viser's server, and its page; set when that server has started
         self._viser_address = (HOST, 0)
         self._viser_page = b""
@@ -223,12 +239,9 @@ class PageServer(AbstractContextManager["PageServer"]):
                 writer.write(FORBIDDEN_RESPONSE)
             elif is_page:
                 title = f"<title>{html.escape(self.title)}</title>".encode()
-                page = self._viser_page.replace(VISER_TITLE, title + DARK_MODE_SCRIPT, 1)
+                page = self._viser_page.replace(VISER_TITLE, title + SYSTEM_SCRIPT + FOLD_SCRIPT, 1)
                 writer.write(PAGE_RESPONSE + b"Content-Length: %d\r\n\r\n" % len(page) + page)
                 await writer.drain()
-            elif request_line.startswith(b"GET /dark "):
-                self.on_dark()
-                writer.write(NO_CONTENT_RESPONSE)
             else:
                 viser_reader, viser_writer = await asyncio.open_connection(*self._viser_address)
                 viser_writer.write(request_head)

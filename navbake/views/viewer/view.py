@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import math
 import os
+import re
 import sys
 import threading
 import webbrowser
@@ -18,6 +20,7 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypedDict
 
 import numpy as np
+from PIL import Image
 
 from navbake.episodes.episode import EpisodeSet, list_goal_positions
 from navbake.episodes.files import read_episodes
@@ -31,7 +34,15 @@ from navbake.scores import Trajectory, read_trajectories
 from navbake.types import Float
 from navbake.views.viewer.controls import Change, Controls, format_error
 from navbake.views.viewer.meshes import Reals, ViewRay
-from navbake.views.viewer.server import HOST, PORT, PageServer
+from navbake.views.viewer.server import (
+    DARK,
+    HOST,
+    LIGHT,
+    PAGE_KEY,
+    PORT,
+    SYSTEM_KEY,
+    PageServer,
+)
 from navbake.views.viewer.view_state import (
     GOAL_COLOR,
     HIGHLIGHT_COLOR,
@@ -81,6 +92,8 @@ CAMERA_ELEVATION = math.radians(58)  # angle at which the first camera looks dow
 FIELD_OF_VIEW = math.radians(45)  # vertical angle of the first camera [rad]
 USUAL_ASPECT = 1.2  # a page's usual width, divided by its height
 CAMERA_MARGIN = 1.08  # factor by which the first camera is farther away than need be
+STORAGE_TIMEOUT = 5.0  # how long a browser may take to say what it stores [s]
+RENDER_TIMEOUT = 60.0  # how long it may take to draw a picture [s]
 LOG = logging.getLogger("navbake")
 WATCH_PERIOD = 0.5  # time between two checks of files [s]
 
@@ -161,14 +174,15 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._scene = self._server.scene
         self._shown: dict[str, ShownNodes] = {}  # by name
         self._scene_key: object = None  # what the scene was last drawn for
-        self._is_dark: bool | None = None  # None before the page was drawn
+        self._dark_clients: set[int] = set()  # ids of the clients whose page is dark
         self._scene.set_up_direction("+z")
         self._scene.world_axes.visible = False
         self._scene.configure_default_lights(cast_shadow=False)
         self._make_panel()
         self._set_camera(view_state.bounds)
         self._scene.on_click()(self._on_click)
-        page.on_dark = lambda: self._changes.put(Choices.with_dark_system)
+        self._server.gui.configure_theme(dark_mode=False, **THEME)
+        self._server.on_client_connect(self._greet)
         clear_command = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
         clear_command.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
@@ -261,8 +275,47 @@ class Viewer(AbstractContextManager["Viewer"]):
             self._choices,
             change=self._changes.put,
             verify=lambda: self._changes.put(verify),
+            switch_dark=self._switch_dark,
+            save_picture=self._save_picture,
         )
         gui.main_panel.dock_right()  # beside the scene, not over it
+
+    def _greet(self, client: viser.ClientHandle) -> None:
+        """Make a new client's page dark if its reader wants that."""
+        stored_values = []
+        for key in (PAGE_KEY, SYSTEM_KEY):
+            with suppress(RuntimeError, TimeoutError):  # it has gone, or stores nothing
+                stored_values.append(client.local_storage.get_item(key, timeout=STORAGE_TIMEOUT))
+        self._set_dark(client, is_dark=next(filter(None, stored_values), LIGHT) == DARK)
+
+    def _set_dark(self, client: viser.ClientHandle, *, is_dark: bool) -> None:
+        if is_dark:
+            self._dark_clients.add(client.client_id)
+        else:
+            self._dark_clients.discard(client.client_id)
+        client.gui.configure_theme(dark_mode=is_dark, **THEME)
+
+    def _switch_dark(self, client: viser.ClientHandle) -> None:
+        """Make the page of one client dark, or light again; its browser keeps that."""
+        is_dark = client.client_id not in self._dark_clients
+        client.local_storage.set_item(PAGE_KEY, DARK if is_dark else LIGHT)
+        self._set_dark(client, is_dark=is_dark)
+
+    def _save_picture(self, client: viser.ClientHandle) -> None:
+        """Send a client a PNG of the scene as it sees it."""
+        pixels = client.get_render(
+            client.camera.image_height,
+            client.camera.image_width,
+            transport_format="png",
+            timeout=RENDER_TIMEOUT,
+        )
+        scene_image = Image.fromarray(pixels).convert("RGBA")
+        picture = Image.new("RGBA", scene_image.size, "white")
+        picture.alpha_composite(scene_image)
+        picture_file = io.BytesIO()
+        picture.convert("RGB").save(picture_file, "PNG")
+        name = re.sub(r"[^\w.-]+", "_", self._view_state.grid.scene_id or "grid")
+        client.send_file_download(f"{name}.png", picture_file.getvalue(), save_immediately=True)
 
     def _on_click(self, event: viser.SceneClickEvent) -> None:
         ray = ViewRay(event.ray_origin, event.ray_direction)
@@ -306,9 +359,6 @@ class Viewer(AbstractContextManager["Viewer"]):
         view_state = self._view_state
         route = view_state.route(choices)
         inspection = view_state.inspect(choices)
-        if bool(choices.dark) != self._is_dark:
-            self._is_dark = bool(choices.dark)
-            self._server.gui.configure_theme(dark_mode=self._is_dark, **THEME)
         with self._server.atomic():
             self._draw_grid(choices)
             self._draw_route(choices, route)
@@ -646,9 +696,10 @@ def make_view_state(
     except NoSceneError as error:
         if scene is not None:
             raise
-        return ViewState(grid, note=f"Without its scene: {error}", runs=runs)
+        note = f"Without its scene: {error}"
+        return ViewState(grid, note=note, runs=runs, episodes=episodes)
     note = "; ".join(notes) if grid.navbake else ""
-    return ViewState(grid, loaded_scene, config, note=note, runs=runs)
+    return ViewState(grid, loaded_scene, config, note=note, runs=runs, episodes=episodes)
 
 
 def watch_grid(

@@ -11,7 +11,7 @@ from functools import wraps
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.episodes.episode import (
     Episode,
@@ -25,7 +25,7 @@ from navbake.navgrid.cells import place_at
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import Path
-from navbake.scores import Trajectory
+from navbake.scores import Trajectory, score_set
 from navbake.types import Bool, Float, Json
 from navbake.views.describe import Arc, list_arcs
 from navbake.views.layers import (
@@ -61,6 +61,11 @@ ARC_LEGEND = {
 NAME_HEIGHT = 0.4  # largest height of a name's letters [m]
 POINT_NAME_HEIGHT = 0.18  # height of the letters of names of points, such as doors [m]
 NAME_LIFT = 1.0  # height of names over the floor; most furniture is lower [m]
+# how much of a distance in y, and of one in z, the first camera sees along the page
+DEPTH_SHARE = 0.85
+HEIGHT_SHARE = 0.53
+POINT_NAME_SPACING = 2.0  # step by which names of points move up, relative to their letters
+SNAP_DISTANCE = 0.3  # a click that is so near to free floor counts as on it [m]
 LETTER_WIDTH = 0.65  # estimated width of a letter, relative to its height
 INSPECT_TEXT = "tells about the cell"
 ROUTE_TEXT = "sets start, then goal"
@@ -92,8 +97,6 @@ class Choices:
         with_hidden: whether to draw also the geom groups from 3 on, which MuJoCo's viewers hide.
         with_names: whether to write the names of rooms and doors.
         opacity: the opacity of the layer, above 0, up to 1.
-        dark: whether the page is dark; None (a light page) until the user or the user's system
-            chooses.
         click: the effect of a click on a cell, one of `CLICK_TEXTS`.
         start: the start of the path, None for none.
         goal: the goal of the path, None for none.
@@ -110,7 +113,6 @@ class Choices:
     with_hidden: bool = False
     with_names: bool = True
     opacity: float = 0.9
-    dark: bool | None = None
     click: str = INSPECT_TEXT
     start: Pick | None = None
     goal: Pick | None = None
@@ -143,10 +145,6 @@ class Choices:
         return replace(
             self, doors=tuple(sorted(state_of_door.items() - grid_state_of_door.items()))
         )
-
-    def with_dark_system(self) -> Choices:
-        """Return the choices for a system that prefers dark pages: dark unless the user chose."""
-        return replace(self, dark=True) if self.dark is None else self
 
     def without_clicks(self) -> Choices:
         """Return the choices without clicked cells."""
@@ -320,6 +318,7 @@ class ViewState:
         config: the settings of the bake, None if they are unknown.
         note: a line of text for the user, empty for none.
         runs: episodes and trajectories that can be shown.
+        episodes: the set that the episodes are of; None for none.
         report: the report of the last verification; None before the first.
         floor_surfaces: for each level, the surface that its layers are drawn on.
         cache: results of methods that `cache_results_by` decorates: method (and level) -> fields of
@@ -333,12 +332,14 @@ class ViewState:
         config: BakeConfig | None = None,
         note: str = "",
         runs: Runs | None = None,
+        episodes: EpisodeSet | None = None,
     ) -> None:
         self.grid = grid
         self.scene = scene
         self.config = config
         self.note = note
         self.runs: Runs = runs or {}
+        self.episodes = episodes
         self.report: VerifyReport | None = None
         # without a scene, cells without a floor are drawn at the level's ground
         with_holes = scene is not None
@@ -429,7 +430,8 @@ class ViewState:
         """List the names to write on the shown levels: level by level, largest rooms first.
 
         A name is left out if it would overlap the name of a larger room on its level, or if a
-        higher shown level has a floor above it.
+        higher shown level has a floor above it. The name of a point, such as a stop of a link,
+        moves up first.
         """
         if not choices.with_names:
             return []
@@ -454,11 +456,18 @@ class ViewState:
         names_by_level: dict[int, list[NameLabel]] = {
             level_number: [] for level_number in choices.levels
         }
-        for _, level_number, name in sorted(candidate_names)[:MAX_NAMES]:
-            if not any(
-                _overlaps(name, earlier_name) for earlier_name in names_by_level[level_number]
-            ):
-                names_by_level[level_number].append(name)
+        for negative_width, level_number, name in sorted(candidate_names)[:MAX_NAMES]:
+            is_point = not negative_width
+            for num_steps in range(4) if is_point else (0,):
+                x, y, z = name.position
+                raised_z = z + num_steps * POINT_NAME_SPACING * name.height
+                moved_name = name._replace(position=(x, y, raised_z))
+                if not any(
+                    _overlaps(moved_name, earlier_name)
+                    for earlier_name in names_by_level[level_number]
+                ):
+                    names_by_level[level_number].append(moved_name)
+                    break
         return [name for names_of_level in names_by_level.values() for name in names_of_level]
 
     def _floors_at(self, label: Label, level_numbers: Sequence[int]) -> dict[int, float]:
@@ -559,15 +568,17 @@ class ViewState:
     def route(self, choices: Choices) -> Path | str | None:
         """Find the path from the clicked start to the clicked goal.
 
+        A click up to `SNAP_DISTANCE` beside free floor, such as in a wall, counts as on it.
+
         Returns:
             The path; or as text, why there is none. None if the start or the goal isn't clicked.
         """
         if choices.start is None or choices.goal is None:
             return None
-        start = choices.start.position
-        goal = choices.goal.position
         finder = self.finder(choices)
         try:
+            start = _snap_click(finder, choices.start)
+            goal = _snap_click(finder, choices.goal)
             return finder.find_path(start, goal) or finder.why_not(start, goal) or "no path"
         except QueryError as error:
             return str(error)
@@ -591,6 +602,23 @@ class ViewState:
         except QueryError:  # a start or a goal that isn't on the grid
             path = None
         return np.empty((0, 3)) if path is None else path.positions
+
+    @cache_results_by("episode")
+    def scores(self, choices: Choices) -> Json | str | None:
+        """Score the agent's trajectory in the chosen episode, on the grid as it is in its file.
+
+        Returns:
+            The measures by name, see `navbake.scores.Measures.scores`; or as text, why there are
+            none. None if there is no trajectory, or no episode to score it by.
+        """
+        episode_run = self.runs.get(choices.episode)
+        if episode_run is None or episode_run.trajectory is None or self.episodes is None:
+            return None
+        try:
+            [measures] = score_set(self.episodes, [episode_run.trajectory], self.grid, partial=True)
+        except QueryError as error:
+            return str(error)
+        return measures
 
     def inspect(self, choices: Choices) -> Inspection | None:
         """Describe the inspected cell; return None if there is none."""
@@ -636,13 +664,23 @@ class ViewState:
         self.cache.clear()
 
 
+def _snap_click(finder: PathFinder, clicked: Pick) -> ArrayLike:
+    """Return the place nearest to a click where the agent can stand; the click if none is near."""
+    level = clicked.cell.level
+    place = finder.snap(clicked.position, level=level, max_distance=SNAP_DISTANCE)
+    return clicked.position if place is None else place
+
+
 def _overlaps(first_name: NameLabel, second_name: NameLabel) -> bool:
-    """Whether two names overlap, seen from above."""
+    """Whether two names overlap, seen from -y and above, as the first camera looks."""
     x_distance = abs(first_name.position[0] - second_name.position[0])
-    y_distance = abs(first_name.position[1] - second_name.position[1])
+    y_distance = first_name.position[1] - second_name.position[1]
+    z_distance = first_name.position[2] - second_name.position[2]
     mean_width = (first_name.width + second_name.width) / 2
     mean_height = (first_name.height + second_name.height) / 2
-    return x_distance < mean_width and y_distance < mean_height
+    # along the page, on which names stand upright
+    page_distance = abs(y_distance * DEPTH_SHARE + z_distance * HEIGHT_SHARE)
+    return x_distance < mean_width and page_distance < mean_height
 
 
 def select_triangles(surfaces: Sequence[Surface], geoms: Sequence[int]) -> NDArray[np.float32]:

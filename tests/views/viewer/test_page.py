@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import navbake
 from browser import (
@@ -115,13 +116,43 @@ def test_the_page_is_dark_where_the_system_is(shown):
     page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", dark)
     page.driver.refresh()
     wait_until(lambda: page.driver.execute_script(scheme) == "dark", "a dark page", PATIENCE)
-    # what a reader chose outlasts a reload
-    page.tick("Dark page")
-    wait_until(lambda: page.driver.execute_script(scheme) == "light", "a light page", PATIENCE)
-    page.driver.refresh()
-    page.wait_for("room — one level", PATIENCE)
-    time.sleep(1.0)  # the request that would darken it
-    assert page.driver.execute_script(scheme) == "light"
+    # what a reader chose is that reader's alone, and outlasts a reload
+    with open_browser(900, 640, dark=True) as other:
+        other_page = ViewerPage(other, page.driver.current_url)
+        wait_until(lambda: other.execute_script(scheme) == "dark", "a dark page", PATIENCE)
+        page.press("Dark or light page")
+        wait_until(lambda: page.driver.execute_script(scheme) == "light", "light", PATIENCE)
+        page.driver.refresh()
+        page.wait_for("room — one level", PATIENCE)
+        time.sleep(1.0)  # what would darken it
+        assert page.driver.execute_script(scheme) == "light"
+        assert other.execute_script(scheme) == "dark"
+        assert "room" in other_page.text
+
+
+def test_a_phones_panel_is_folded_until_its_bar_is_pressed(shown):
+    page, *_ = shown
+    with open_browser(420, 800) as phone:
+        phone.get(page.driver.current_url)
+        bar = wait_until(
+            lambda: phone.find_elements("css selector", '[style*="height: 3.5em"]'), "the bar"
+        )[0]
+        top = "return arguments[0].getBoundingClientRect().top"
+        wait_until(lambda: phone.execute_script(top, bar) > 700, "a folded panel", PATIENCE)
+        bar.click()
+        wait_until(lambda: phone.execute_script(top, bar) < 500, "the panel", PATIENCE)
+        assert "free cells" in phone.find_element("tag name", "body").text
+
+
+def test_a_button_saves_a_picture(shown, tmp_path):
+    page, *_ = shown
+    behavior = {"behavior": "allow", "downloadPath": str(tmp_path)}
+    page.driver.execute_cdp_cmd("Browser.setDownloadBehavior", behavior)
+    page.press("Save a picture")
+    wait_until(lambda: [*tmp_path.glob("*.png")], "the picture", PATIENCE)
+    picture = Image.open(tmp_path / "room.png")
+    assert min(picture.size) > 300
+    assert len(picture.getcolors(1 << 24)) > 20
 
 
 def rewrite(path, text):

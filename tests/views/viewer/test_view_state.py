@@ -11,7 +11,7 @@ import navbake
 from navbake.episodes.sampler import make_episodes
 from navbake.errors import QueryError
 from navbake.navgrid.colors import FREE_TINT, rgb_of
-from navbake.scores import Trajectory
+from navbake.scores import Trajectory, score_set
 from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.viewer import controls as texts
 from navbake.views.viewer.meshes import Pick
@@ -46,13 +46,6 @@ def at(view_state, x, y, level=0, geom=None):
     return Pick(cell, (x, y, 0.0), geom)
 
 
-def test_a_dark_system_darkens_the_page_unless_a_reader_chose(chosen):
-    assert chosen.with_dark_system().dark
-    for dark in (True, False):
-        own = replace(chosen, dark=dark)
-        assert own.with_dark_system() == own
-
-
 def test_the_radius_frees_what_inflate_frees(room, chosen):
     for radius in (0.0, 0.2, 0.35):
         now = replace(chosen, inflation=(radius, 0.1))
@@ -81,6 +74,26 @@ def test_a_path_follows_two_clicks(room, chosen):
     # the third click begins again
     again = now.with_click(at(room, 0.5, 1.3))
     assert again.goal is None and again.start.position[0] == 0.5
+
+
+def test_a_click_a_little_inside_a_wall_counts_as_beside_it(room, chosen):
+    """The wall has its face at x = 0.05."""
+    now = replace(chosen, click=ROUTE_TEXT).with_click(at(room, 1.5, -1.0))
+    inside = now.with_click(at(room, -0.01, -1.0))
+    assert not room.grid.free[room.grid.lattice.rows_cols((-0.01, -1.0))]
+    route = room.route(inside)
+    assert room.grid.free[room.grid.lattice.rows_cols(route.positions[-1, :2])]
+    moved = abs(route.positions[-1, 0] + 0.01)
+    assert 0 < moved < 0.3
+    text = texts.describe_route(inside, route).replace("\\", "")
+    assert (
+        f"The goal is {np.hypot(moved, route.positions[-1, 1] + 1.0):.2f} m from the click" in text
+    )
+    assert "from the click" not in texts.describe_route(
+        now, room.route(now.with_click(at(room, 1.0, -1.0)))
+    )
+    far = now.with_click(at(room, 1.0, 0.5))  # in the middle of a table
+    assert isinstance(room.route(far), str)
 
 
 def test_a_cell_tells_what_blocks_it_and_that_is_lit(room, chosen):
@@ -148,6 +161,38 @@ def test_episodes_and_trajectories_of_the_scene_are_listed():
     assert runs[own.id] == (own, ran)
     assert list_runs(grid, None, [other]) == {"another": (None, other)}
     assert f"{own.distance:.2f}".replace(".", "\\.") in texts.describe_episode(own)
+
+
+def test_a_trajectory_has_its_scores():
+    grid = navbake.load(GOLDEN / "apartment.grid.json.gz")
+    episodes = make_episodes(grid, "point", count=2)
+    first, second = episodes.episodes
+    path = navbake.PathFinder(grid).find_path(first.start, [first.goals[0].position])
+    ran = Trajectory(episode=first.id, positions=path.positions.tolist())
+    lost = Trajectory(episode=second.id, positions=[(99.0, 99.0, 0.0)])
+    runs = list_runs(grid, episodes, [ran, lost])
+    view_state = ViewState(grid, runs=runs, episodes=episodes)
+    chosen = replace(first_choices(grid), episode=first.id)
+    [expected] = score_set(episodes, [ran], grid, partial=True)
+    assert view_state.scores(chosen) == expected
+    text = texts.describe_scores(expected)
+    assert "Trajectory: success" in text and "| SPL |" in text and "| collisions | 0 |" in text
+    assert "nan" not in text
+    reason = view_state.scores(replace(chosen, episode=second.id))
+    assert "Not scored" in texts.describe_scores(reason)
+    assert view_state.scores(replace(chosen, episode="")) is None
+    assert texts.describe_scores(None) == ""
+
+
+def test_names_of_stops_at_one_place_stand_apart():
+    grid = navbake.load(GOLDEN / "tower.grid.json.gz")
+    chosen = replace(first_choices(grid).with_level(grid, 1), layer="links")
+    names = ViewState(grid).names(chosen)
+    assert {name.text for name in names} == {"stair 1", "stair 2", "lift_a", "lift_b"}
+    for one, other in combinations(names, 2):
+        apart = np.abs(np.subtract(one.position, other.position))
+        wide = (one.width + other.width) / 2
+        assert apart[0] >= wide or apart[1] >= one.height or apart[2] >= 2 * one.height - 1e-9
 
 
 def test_an_episode_without_a_path_has_a_shortest_one():
