@@ -62,14 +62,14 @@ def random_things(rng: np.random.Generator, kinds: tuple[str, ...], number: int)
 def all_entries(listed: LevelOccupants) -> tuple[NDArray, NDArray, NDArray]:
     """The cell, the geom and the flags of each entry of a level."""
     return select_list_entries(
-        listed.first, listed.geom, listed.flags, np.arange(len(listed.first))
+        listed.list_start, listed.geom, listed.flags, np.arange(len(listed.list_start))
     )
 
 
 def masks(listed: LevelOccupants, geom: int) -> tuple[NDArray, NDArray, NDArray]:
     """The cells that a geom stands in, those it blocks, and those it meets in the upper band."""
     cell, geoms, flags = all_entries(listed)
-    found = np.zeros((3, len(listed.first)), dtype=bool)
+    found = np.zeros((3, len(listed.list_start)), dtype=bool)
     for mask, flag in zip(found, (OCCUPYING, BLOCKING, AT_WALL_HEIGHT), strict=True):
         mask[cell[(geoms == geom) & (flags & flag > 0)]] = True
     return tuple(found)
