@@ -338,7 +338,7 @@ def test_a_reader_filters_sorts_and_opens_scenes(driver, folder):
     assert driver.execute_script(rows) == 100
     press(driver, "table", f"Show more: {COUNT + 2 - 100} left")
     assert driver.execute_script(rows) == COUNT + 2
-    press(driver, "failures", "crashed: line #: no element …")
+    press(driver, "failures", "crashed: line ")
     check_count(15)
     press(driver, "status", "ok")
     check_count(0)

@@ -71,7 +71,7 @@ CASES = [
     ("bake room.yaml --name a -o b.json", 2, "--name: does nothing here: it is for files in a"),
     # pictures and pages
     ("plot house.json.gz", 2, "--output"),
-    ("plot house.json.gz -o room.pdf", 2, "ends in .png, .svg, got room.pdf"),
+    ("plot house.json.gz -o room.gif", 2, "ends in .png, .svg, .pdf, got room.gif"),
     ("plot house.json.gz -o a.png --layer heat", 2, "expected one of occupancy, floor, rooms,"),
     ("plot house.json.gz -o house.json.gz", 1, "apart from the inputs"),
     ("report house.json.gz -o report.pdf", 2, ".html"),

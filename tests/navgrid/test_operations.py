@@ -48,9 +48,9 @@ METHODS = {name: method for name, method in vars(GridMethods).items() if inspect
 
 
 def parameters_of(function, *, first: int) -> list[tuple[str, object, object]]:
-    """Name, kind and default of each parameter but the first ones."""
+    """Name, kind and default of each parameter but the first ones, and but a command's progress."""
     parameters = list(inspect.signature(function).parameters.values())[first:]
-    return [(each.name, each.kind, each.default) for each in parameters]
+    return [(each.name, each.kind, each.default) for each in parameters if each.name != "progress"]
 
 
 def test_each_method_has_its_function():

@@ -114,8 +114,8 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
     tops = [*(level.ground for level in stages.floors.levels[1:]), np.inf]
     levels = zip(stages.floors.levels, stages.occupancy.levels, tops, contents.levels, strict=True)
     for level, occupied, top, listed in levels:
-        every = np.arange(len(listed.first))
-        at, geom, flags = select_list_entries(listed.first, listed.geom, listed.flags, every)
+        every = np.arange(len(listed.list_start))
+        at, geom, flags = select_list_entries(listed.list_start, listed.geom, listed.flags, every)
         for cell in np.flatnonzero(~np.isnan(level.floor)).tolist():
             floor = level.floor.flat[cell]
             ceiling = max(min(top, floor + TOP_LEVEL_HEIGHT), floor + height) - TOUCH_DEPTH
@@ -170,8 +170,8 @@ def test_any_number_of_threads_finds_the_same():
         with limit_threads(threads):
             stages = random_stages(11)
             level = stages.standing_occupants.levels[0]
-            every = np.arange(len(level.first))
-            listed = select_list_entries(level.first, level.geom, level.flags, every)
+            every = np.arange(len(level.list_start))
+            listed = select_list_entries(level.list_start, level.geom, level.flags, every)
             answers.append([stages.occupancy.levels[0], *listed])
     for one, two in zip(*answers, strict=True):
         np.testing.assert_array_equal(one, two)

@@ -41,7 +41,7 @@ def test_entries_by_cell(seed):
     rng = np.random.default_rng(seed)
     listed, lists = random_lists(rng)
     cells = np.flatnonzero(rng.random(CELLS) < 0.7)
-    entries = select_list_entries(listed.first, listed.geom, listed.flags, cells)
+    entries = select_list_entries(listed.list_start, listed.geom, listed.flags, cells)
     found = list(zip(*(array.tolist() for array in entries), strict=True))
     assert found == [(n, *entry) for n, cell in enumerate(cells) for entry in lists[cell]]
 
