@@ -330,6 +330,9 @@ def stand(
     start: str | None = option(
         PLACE, "Where the robot is: nearest poses first, where a path leads.", "--from", "--start"
     ),
+    doors: Literal["modelled", "open", "closed", "removed"] | None = option(
+        "modelled|open|closed|removed", "State of all doors.  [default: as in the grid]"
+    ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
     output: Path | None = option(
         "JSON|PNG|SVG|PDF", "Write the poses, or draw them where bases can stand.", *OUTPUT_FLAGS
@@ -365,9 +368,16 @@ def stand(
     start_position = None
     if typed_start is not None:
         start_position = options.position_of_place(nav_grid, typed_start, "--from")
+    grid_as_in_file = nav_grid
+    if doors is not None:
+        nav_grid = nav_grid.with_doors(doors)
     if radius is not None:
         nav_grid = nav_grid.inflate(radius)
     finder = navbake.PathFinder(nav_grid)
+    if start_position is not None:
+        blocked_start_text = finder.why_not(start_position, start_position)
+        if blocked_start_text is not None:
+            raise QueryError(blocked_start_text)
     rules: dict[str, Any] = {
         "reach": least_and_greatest,
         "footprint": outline,
@@ -377,6 +387,15 @@ def stand(
         "start": start_position,
     }
     poses = finder.stand_poses(targets, count=count, spread=spread, seed=seed, **rules)
+    helps_to_open = False
+    is_as_baked = doors is None and not grid_as_in_file.inflated_radius
+    if poses.why_not and start is not None and grid_as_in_file.doors and is_as_baked:
+        grid_with_open_doors = grid_as_in_file.with_doors("open")
+        if radius is not None:
+            grid_with_open_doors = grid_with_open_doors.inflate(radius)
+        finder_with_open_doors = navbake.PathFinder(grid_with_open_doors)
+        poses_with_open_doors = finder_with_open_doors.stand_poses(targets, count=1, **rules)
+        helps_to_open = len(poses_with_open_doors.why_not) < len(poses.why_not)
     rows = [
         {
             "target": poses.targets[target_index],
@@ -401,6 +420,8 @@ def stand(
             _print_poses(poses)
         for reason in poses.why_not.values():
             say(f"no pose: {reason}")
+        if helps_to_open:
+            say("`--doors open` opens all doors: then there is a pose")
     if output is not None and output.suffix.lower() == ".json":
         options.write_output(json.dumps(facts, indent=2).encode(), output)
     elif output is not None:

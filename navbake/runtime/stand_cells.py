@@ -475,6 +475,8 @@ class StandSite:
             return f"{target.name} is in no cell: it lies beside the grid, or below its floors"
         if not tally.num_in_reach:
             distances = f"{min_reach:g} to {max_reach:g} m from {target.name}"
+            if self._rules.height is not None:
+                distances += f", measured from a shoulder {self._rules.height:g} m above the floor,"
             radius = self._search.grid.radius
             return f"no cell at {distances} is free for a radius of {radius:g} m"
         if not tally.num_with_path:

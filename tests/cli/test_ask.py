@@ -370,8 +370,24 @@ def test_stand_says_in_a_line_why_there_is_no_pose(run):
     assert status == 1 and out == f"no pose: {reason}\n"
     status, out, _ = run("stand", APARTMENT, "object:dining_lamp", "object:sofa", "--radius", 0.2)
     assert status == 0 and out.endswith(f"no pose: {reason}\n")
+    status, out, _ = run("stand", APARTMENT, "object:vase", "--height", 4)
+    assert "to 0.8 m from vase, measured from a shoulder 4 m above the floor, is free" in out
+    status, _, err = run("stand", APARTMENT, "object:sofa", "--from", "30,30")
+    assert status == 1 and "the start (30.00, 30.00) lies beside the grid" in err
+    assert "the nearest free cell is at" in err
     status, _, err = run("stand", APARTMENT, "object:sofaa")
     assert status == 1 and "did you mean 'sofa'" in err
+
+
+def test_stand_tells_that_an_open_door_helps(run, tmp_path):
+    navbake.load(APARTMENT).with_doors("closed").save(tmp_path / "closed.json")
+    arguments = ["object:fridge", "--radius", 0.15, "--from", "0.5,0.4"]
+    status, out, _ = run("stand", tmp_path / "closed.json", *arguments)
+    assert status == 1 and out.startswith("no pose: no path leads from the start")
+    assert out.endswith("`--doors open` opens all doors: then there is a pose\n")
+    status, out, _ = run("stand", APARTMENT, *arguments, "--doors", "closed")
+    assert status == 1 and "--doors" not in out
+    assert run("stand", tmp_path / "closed.json", *arguments, "--doors", "open")[0] == 0
 
 
 @pytest.mark.parametrize(
