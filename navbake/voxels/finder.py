@@ -144,7 +144,7 @@ class VoxelFinder:
         unknown: Whether voxels whose occupancy is unknown count as ``occupied`` or as ``free``.
 
     Raises:
-        QueryError: A number is out of range.
+        QueryError: A number is out of range, or `voxels` is no `VoxelGrid`.
 
     Example:
         >>> import navbake
@@ -164,6 +164,7 @@ class VoxelFinder:
         unknown: Literal["occupied", "free"] = "occupied",
     ) -> None:
         check_choice(unknown, UNKNOWN_SPACE, "unknown", QueryError)
+        _check_voxels(voxels)
         self.radius = _check_number("radius", radius, "> 0 m", positive=True)
         self._cost_of_clearance = _check_number(
             "cost_of_clearance", cost_of_clearance, ">= 0 m", positive=False
@@ -180,8 +181,9 @@ class VoxelFinder:
             voxels: The voxels, at any place. Later writes into them have no effect.
 
         Raises:
-            QueryError: Their edge is another one.
+            QueryError: Their edge is another one, or they are no `VoxelGrid`.
         """
+        _check_voxels(voxels)
         move_length = float(self._moves.lengths.min())
         if not math.isclose(voxels.res, move_length):
             expected = f"voxels of {move_length:g} m"
@@ -670,6 +672,18 @@ class AirIslands:
     def count(self) -> int:
         """Number of islands."""
         return len(self.volumes)
+
+
+def _check_voxels(voxels: object) -> None:
+    """Raise a QueryError for what is no grid of voxels, such as a navigation grid."""
+    if not isinstance(voxels, VoxelGrid):
+        expected = "voxels, as `navbake.create_voxel_grid` makes them"
+        raise QueryError(
+            f"expected {expected}, got a {type(voxels).__name__}",
+            key="voxels",
+            value=voxels,
+            expected=expected,
+        )
 
 
 def _list_moves(radius: float, res: float) -> Moves:

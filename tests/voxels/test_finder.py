@@ -255,6 +255,20 @@ def test_numbers_out_of_range_are_named(options, culprit):
         navbake.VoxelFinder(two_rooms(1), **{"radius": 0.1, **options})
 
 
+@pytest.mark.parametrize("kind", ["SceneGrid2D", "VoxelFinder", "ndarray", "str", "NoneType"])
+def test_what_is_no_voxels_is_named(kind):
+    weights = np.ones((3, 4))
+    grid = navbake.SceneGrid2D(width=4, height=3, cell_size=0.1, min_yup=(0, 0, 0), weights=weights)
+    finder = make_finder(two_rooms(1), 0.1)
+    values = [grid, finder, weights, "house.xml", None]
+    (value,) = (value for value in values if type(value).__name__ == kind)
+    message = f"expected voxels, as `navbake.create_voxel_grid` makes them, got a {kind}$"
+    with pytest.raises(QueryError, match=message):
+        navbake.VoxelFinder(value, radius=0.3)
+    with pytest.raises(QueryError, match=message):
+        finder.use(value)
+
+
 def test_positions_and_islands_that_are_none_are_named():
     finder = make_finder(two_rooms(1), 0.1)
     with pytest.raises(QueryError, match="expected finite positions"):
