@@ -105,8 +105,9 @@ def fly(
 
 def _parse_position(text: str, option_name: str) -> Triple:
     """Return x, y and z of a place that a user typed; raise a BadParameter for another form."""
-    place = options.parse_place(text, option_name)
-    if place.z is None:
+    is_place = options.PLACE_PATTERN.fullmatch(text) is not None
+    place = options.parse_place(text, option_name) if is_place else None
+    if place is None or place.z is None:
         message = f"expected X,Y,Z as in 1.5,-2,1.2, got {text!r}"
         raise BadParameter(message, param_hint=option_name)
     return place.x, place.y, place.z
@@ -135,13 +136,14 @@ def _write_output(output: Path, voxels: VoxelGrid, flight: FlightPath | None) ->
     suffix = output.suffix.lower()
     if suffix == ".npz":
         voxels.distances(signed=True).save(output)
+        add_files(output)
     elif flight is None:
         return
     elif suffix == ".png":
         from navbake.views.flight import draw_flight  # loads numpy
 
-        options.write_output(draw_flight(voxels, flight), output)
+        options.write_output(draw_flight(voxels, flight), output)  # adds the file
     else:
         flight.save(output, voxels=voxels if suffix == ".mcap" else None)
-    add_files(output)
+        add_files(output)
     say_unless_quiet(output)

@@ -77,3 +77,50 @@ def test_options_of_scenes_do_nothing_for_voxels(arena, run):
     navbake.create_voxel_grid(arena / "arena.xml", of="a.npz")
     status, _, err = run("fly", "a.npz", *OVER, "--margin", 1)
     assert status == 2 and "does nothing here" in err
+
+
+@pytest.mark.parametrize(
+    "files", [("a.png",), ("a.png", "a.json"), ("a.npz", "a.mcap", "a.png")], ids=" ".join
+)
+def test_json_lists_each_file_once(arena, run, files):
+    if "a.mcap" in files:
+        pytest.importorskip("mcap")
+    words = [word for file in files for word in ("-o", file)]
+    status, out, _ = run("fly", "arena.xml", *OVER, "--json", *words)
+    assert status == 0 and json.loads(out)["files"] == list(files)
+
+
+@pytest.mark.parametrize("goal", ["object:mug", "room:0:1", "1,1", "1,1,L0", "mug"])
+def test_goals_of_paths_on_grids_are_told_what_a_flight_takes(arena, run, goal):
+    status, _, err = run("fly", "arena.xml", "--from", "0,0,1", "--to", goal, "--radius", 0.1)
+    assert status == 2 and f"expected X,Y,Z as in 1.5,-2,1.2, got {goal!r}" in err
+    assert "room:NAME" not in err and "1.5,-2,L1" not in err
+
+
+def test_a_margin_makes_room_for_a_flight_round_the_outside(tmp_path, monkeypatch, run):
+    """A roof over a wall with a way out on both sides, none through."""
+    (tmp_path / "wall.xml").write_text("""<mujoco><worldbody>
+  <geom type="box" size="1 1 .1" pos="0 0 -.1"/> <geom type="box" size="1 1 .1" pos="0 0 1.1"/>
+  <geom type="box" size=".1 1 .5" pos="0 0 .5"/>
+</worldbody></mujoco>""")
+    monkeypatch.chdir(tmp_path)
+    words = ("wall.xml", "--from", "-.6,0,.5", "--to", ".6,0,.5", "--radius", 0.2)
+    status, out, _ = run("fly", *words, "--margin", 0.2)
+    assert status == 1 and out.startswith("no path: no way for a radius of 0.2 m")
+    assert run("fly", *words, "--margin", 0.5)[0] == 0
+
+
+def test_an_open_door_lets_a_flight_through(tmp_path, monkeypatch, run):
+    """A box of walls and a roof, whose one door is closed in the file."""
+    (tmp_path / "hut.xml").write_text("""<mujoco><compiler angle="radian"/><worldbody>
+  <geom type="box" size="1 1 .1" pos="0 0 -.1"/> <geom type="box" size="1 1 .1" pos="0 0 2.1"/>
+  <geom type="box" size=".1 1 1" pos="-.9 0 1"/> <geom type="box" size=".1 1 1" pos=".9 0 1"/>
+  <geom type="box" size="1 .1 1" pos="0 .9 1"/>
+  <body pos="-.8 -.95 1">
+    <joint name="hinge" axis="0 0 1"/> <geom type="box" size=".8 .05 1" pos=".8 0 0"/>
+  </body>
+</worldbody></mujoco>""")
+    monkeypatch.chdir(tmp_path)
+    words = ("hut.xml", "--from", "0,0,1", "--to", "0.2,-1.6,1", "--radius", 0.2)
+    assert run("fly", *words)[0] == 1
+    assert run("fly", *words, "--set", "scene.joints.hinge=-1.57")[0] == 0
