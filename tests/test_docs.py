@@ -20,6 +20,7 @@ import navbake
 from batch_in_process import stay_in_process
 from batch_scenes import draw_room
 from command_line import run_command
+from navbake.cli.main import COMMANDS as GROUPS
 from navbake.cli.main import app
 from navbake.config.settings import SECTIONS, parse_config
 from navbake.scores import read_trajectories
@@ -207,6 +208,19 @@ def test_commands_that_are_wrong_do_not_parse():
     for words in (["bake", "a.yaml", "--colour"], ["plot"], ["path", "a.json", "--from", "0,0"]):
         with pytest.raises(UsageError):
             COMMANDS.commands[words[0]].make_context(words[0], words[1:])
+
+
+def test_the_page_of_the_command_line_groups_the_commands_as_the_help_does():
+    text = (ROOT / "docs" / "command_line.md").read_text()
+    table = text.partition("| group | commands |\n|---|---|\n")[2].partition("\n\n")[0]
+    listed = {
+        title.strip(): [name for name in SPAN.findall(names) if name != "mdf"]
+        for title, names in (row.strip("|").split("|") for row in table.splitlines())
+    }
+    assert listed == {
+        title: [command.__name__.replace("_", "-") for command in commands]
+        for title, commands in GROUPS.items()
+    }
 
 
 def test_every_command_is_shown():
