@@ -30,7 +30,7 @@ PRINTED = {
     "reach_a_mug": [
         "stand at 2.95, 2.75, face +2.06 rad, after 4.04 m",
         "through door_kitchen: 3.91 m",
-        "no cell at 0.3 to 0.75 m from dining_lamp is free",
+        "no cell at 0.3 to 0.75 m from dining_lamp, measured from a shoulder",
     ],
     "spawn_and_plan": ["start at ", " m to room 1:1 through", "(50.00, 0.00, 0.00) lies beside"],
     "voxels_round_a_robot": ["in reach: beanbag, ", "apartment.bt: (200, 160, 52) voxels"],
