@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from typer import BadParameter, Exit, Option
 
@@ -36,6 +36,11 @@ STAND_PREFIXES = ("object:", "category:")
 POSE_COLUMNS = ("target", "x m", "y m", "z m", "heading rad", "distance m", "path m")
 PLACE_METAVAR = f"{PLACE}|room:NAME"
 PATH_FIELDS = "length", "cost", "seconds", "rooms", "doors", "links", "positions", "levels", "cells"
+DoorState: TypeAlias = Literal["modelled", "open", "closed", "removed"]
+DOORS_OPTION: Any = option(
+    "modelled|open|closed|removed", "State of all doors.  [default: as in the grid]"
+)
+RADIUS_OPTION: Any = option("METRES", "Inflate the grid for this agent radius first [m].")
 
 
 def info(grid: GridFile) -> None:
@@ -172,10 +177,8 @@ def path(
         default=...,
         completion=completion.list_goals,
     ),
-    doors: Literal["modelled", "open", "closed", "removed"] | None = option(
-        "modelled|open|closed|removed", "State of all doors.  [default: as in the grid]"
-    ),
-    radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
+    doors: DoorState | None = DOORS_OPTION,
+    radius: float | None = RADIUS_OPTION,
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     output: Path | None = option(
         "PNG|SVG|PDF", "Draw the path; - for a PNG on stdout.", *OUTPUT_FLAGS
@@ -199,10 +202,7 @@ def path(
         state_by_link = dict.fromkeys(opened or (), "open") | dict.fromkeys(closed or (), "closed")
         nav_grid = nav_grid.with_links(state_by_link)
     grid_as_in_file = nav_grid
-    if doors is not None:
-        nav_grid = nav_grid.with_doors(doors)
-    if radius is not None:
-        nav_grid = nav_grid.inflate(radius)
+    nav_grid = _adapt_grid(grid_as_in_file, doors, radius)
     finder = navbake.PathFinder(nav_grid, agent=agent)
     start_position: Any = (
         options.position_of_place(nav_grid, start_place, "--from") if start_place else None
@@ -219,10 +219,8 @@ def path(
     goal: Any = goals[0] if is_named else goal_positions
     planned_path = finder.find_path(start_position, goal, by=by, smooth=smooth)
     reason = None if planned_path else finder.why_not(start_position, goal)
-    if reason and doors is None and grid_as_in_file.doors and not grid_as_in_file.inflated_radius:
-        grid_with_open_doors = grid_as_in_file.with_doors("open")
-        if radius is not None:
-            grid_with_open_doors = grid_with_open_doors.inflate(radius)
+    if reason and doors is None and _can_open_doors(grid_as_in_file):
+        grid_with_open_doors = _adapt_grid(grid_as_in_file, "open", radius)
         if navbake.PathFinder(grid_with_open_doors, agent=agent).find_path(
             start_position, goal, by=by
         ):
@@ -262,7 +260,7 @@ def sample(
     spread: float | None = option(
         "METRES", "At least so far from each other [m].  [default: any distance]", min=0.0
     ),
-    radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
+    radius: float | None = RADIUS_OPTION,
 ) -> None:
     """Draw places where an agent can stand, each with a heading.
 
@@ -273,8 +271,7 @@ def sample(
     import numpy as np  # --help does without it
 
     nav_grid = navbake.load(grid)
-    if radius is not None:
-        nav_grid = nav_grid.inflate(radius)
+    nav_grid = _adapt_grid(nav_grid, None, radius)
     finder = navbake.PathFinder(nav_grid)
     rng = np.random.default_rng(seed)
     if spread is None:
@@ -330,10 +327,8 @@ def stand(
     start: str | None = option(
         PLACE, "Where the robot is: nearest poses first, where a path leads.", "--from", "--start"
     ),
-    doors: Literal["modelled", "open", "closed", "removed"] | None = option(
-        "modelled|open|closed|removed", "State of all doors.  [default: as in the grid]"
-    ),
-    radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
+    doors: DoorState | None = DOORS_OPTION,
+    radius: float | None = RADIUS_OPTION,
     output: Path | None = option(
         "JSON|PNG|SVG|PDF", "Write the poses, or draw them where bases can stand.", *OUTPUT_FLAGS
     ),
@@ -369,10 +364,7 @@ def stand(
     if typed_start is not None:
         start_position = options.position_of_place(nav_grid, typed_start, "--from")
     grid_as_in_file = nav_grid
-    if doors is not None:
-        nav_grid = nav_grid.with_doors(doors)
-    if radius is not None:
-        nav_grid = nav_grid.inflate(radius)
+    nav_grid = _adapt_grid(grid_as_in_file, doors, radius)
     finder = navbake.PathFinder(nav_grid)
     if start_position is not None:
         blocked_start_text = finder.why_not(start_position, start_position)
@@ -388,11 +380,9 @@ def stand(
     }
     poses = finder.stand_poses(targets, count=count, spread=spread, seed=seed, **rules)
     helps_to_open = False
-    is_as_baked = doors is None and not grid_as_in_file.inflated_radius
-    if poses.why_not and start is not None and grid_as_in_file.doors and is_as_baked:
-        grid_with_open_doors = grid_as_in_file.with_doors("open")
-        if radius is not None:
-            grid_with_open_doors = grid_with_open_doors.inflate(radius)
+    is_blocked = bool(poses.why_not) and start is not None
+    if is_blocked and doors is None and _can_open_doors(grid_as_in_file):
+        grid_with_open_doors = _adapt_grid(grid_as_in_file, "open", radius)
         finder_with_open_doors = navbake.PathFinder(grid_with_open_doors)
         poses_with_open_doors = finder_with_open_doors.stand_poses(targets, count=1, **rules)
         helps_to_open = len(poses_with_open_doors.why_not) < len(poses.why_not)
@@ -429,6 +419,27 @@ def stand(
         options.write_picture(nav_grid, output, layers=("occupancy",), poses=poses, region=region)
     if not rows:
         raise Exit(1)
+
+
+def _adapt_grid(grid: NavGrid, doors: DoorState | None, radius: float | None) -> NavGrid:
+    """Return a grid with all doors in a state, inflated for an agent's radius.
+
+    Args:
+        grid: the grid, which is not changed.
+        doors: the state of all doors; None to leave them as they are.
+        radius: the radius [m]; None for no inflation.
+    """
+    adapted_grid = grid
+    if doors is not None:
+        adapted_grid = adapted_grid.with_doors(doors)
+    if radius is not None:
+        adapted_grid = adapted_grid.inflate(radius)
+    return adapted_grid
+
+
+def _can_open_doors(grid: NavGrid) -> bool:
+    """Whether a grid has doors whose state can change: not after it was inflated."""
+    return bool(grid.doors) and not grid.inflated_radius
 
 
 def _parse_target(text: str) -> options.TypedPlace | None:
