@@ -459,7 +459,7 @@ def _print_poses(poses: StandPoses) -> None:
         numbers = [*position, poses.headings[index], poses.distances[index]]
         if not math.isnan(poses.path_lengths[index]):
             numbers.append(poses.path_lengths[index])
-        texts = [f"{round(number, 3) + 0.0:.3f}" for number in numbers]  # no -0.000
+        texts = [format_length(number, 3) for number in numbers]
         rows.append([poses.targets[poses.target_index[index]], *texts])
     column_names = POSE_COLUMNS[: len(rows[0])]
     print_tables(tables.make_table(column_names, rows, column_names[1:]))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError, count_of
+from navbake.lengths import format_length
 from navbake.navgrid import colors
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.door_states import DoorLine, find_door_lines, mark_door_cells
@@ -344,7 +345,7 @@ def height_scale(heights: Reals, label: str) -> ColorScale:
         position = float(positions[index])
         if all(abs(position - tick.position) >= MIN_TICK_GAP for tick in ticks[:MAX_TICKS]):
             # no -0.00
-            ticks.append(Tick(position, f"{round(float(values[index]), 2) + 0.0:.2f}"))
+            ticks.append(Tick(position, format_length(values[index])))
     if positions[0] > 0:
         positions = np.concatenate([[0.0], positions, [1.0]])
         values = np.concatenate([[low - height_step], values, [values[-1] + height_step]])
