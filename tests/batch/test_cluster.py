@@ -83,9 +83,9 @@ def test_jobs_fail_as_on_one_machine_and_a_task_that_is_lost_is_done_again(tmp_p
     done = run_on_ray(jobs, crew_jobs.work, 2, address="local", limits=JobLimits(5.0))
     ended = dict(enumerate(sorted(done)))
     assert [ended[k].result for k in (1, 6)] == [2, 4] and ended[0].how == DONE
-    assert ended[2][1:3] == (CRASHED, "its process ended by SIGSEGV")
-    assert ended[3][1:3] == (TOO_LONG, "it took more than 5 s")
-    assert ended[5][1:3] == (CRASHED, "ValueError: bad value")
+    assert (ended[2].how, ended[2].reason) == (CRASHED, "its process ended by SIGSEGV")
+    assert (ended[3].how, ended[3].reason) == (TOO_LONG, "it took more than 5 s")
+    assert (ended[5].how, ended[5].reason) == (CRASHED, "ValueError: bad value")
     assert ended[4].how == CRASHED
     assert ended[4].reason.startswith("it was lost 4 times, as ")
     assert [*run_on_ray([], crew_jobs.work, None, address="local")] == []
