@@ -35,7 +35,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.views import plot
 from navbake.views.flight import draw_flight
 from navbake.views.layers import make_panel, paint
-from navbake.views.plot import render_picture
+from navbake.views.plot import Overlays, render_picture
 from sweep_scans import make_scan
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -132,7 +132,7 @@ def draw_path() -> bytes:
     """A path over the stairs."""
     grid = bake("house")
     path = navbake.PathFinder(grid).find_path(START, GOAL)
-    return render_picture(grid, layers=("occupancy",), route=path)
+    return render_picture(grid, layers=("occupancy",), overlays=Overlays(route=path))
 
 
 def draw_rooms() -> bytes:

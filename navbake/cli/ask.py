@@ -243,7 +243,11 @@ def path(
         else:
             say(f"no path: {reason}")
     if output is not None:
-        options.write_picture(nav_grid, output, layers=("occupancy",), route=planned_path)
+        from navbake.views.plot import Overlays  # loads numpy
+
+        options.write_picture(
+            nav_grid, output, layers=("occupancy",), overlays=Overlays(route=planned_path)
+        )
     if not planned_path:
         raise Exit(1)
 
@@ -416,7 +420,11 @@ def stand(
         options.write_output(json.dumps(facts, indent=2).encode(), output)
     elif output is not None:
         region = finder.stand_region(targets, **rules)
-        options.write_picture(nav_grid, output, layers=("occupancy",), poses=poses, region=region)
+        from navbake.views.plot import Overlays  # loads numpy
+
+        options.write_picture(
+            nav_grid, output, layers=("occupancy",), overlays=Overlays(poses=poses, region=region)
+        )
     if not rows:
         raise Exit(1)
 

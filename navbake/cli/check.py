@@ -112,7 +112,11 @@ def verify(
             (finding.level, *finding.position[:2], finding.kind) for finding in report.findings
         ]
         nav_grid = navbake.load(grid)
-        options.write_picture(nav_grid, output, layers=("occupancy",), marks=marks)
+        from navbake.views.plot import Overlays  # loads numpy
+
+        options.write_picture(
+            nav_grid, output, layers=("occupancy",), overlays=Overlays(marks=marks)
+        )
     if not report.ok:
         raise Exit(1)
 
@@ -185,7 +189,11 @@ def audit(
             for remark in report.remarks
             if remark.place is not None
         ]
-        options.write_picture(nav_grid, output, layers=("occupancy",), marks=marks)
+        from navbake.views.plot import Overlays  # loads numpy
+
+        options.write_picture(
+            nav_grid, output, layers=("occupancy",), overlays=Overlays(marks=marks)
+        )
     if not report.ok:
         raise Exit(1)
 

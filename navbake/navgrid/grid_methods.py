@@ -8,7 +8,7 @@ of imports in `tests/test_imports.py` and `scripts/draw_imports.py` leaves both 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
@@ -428,7 +428,11 @@ class GridMethods:
         finder = PathFinder(self._as_grid(), agent=agent)
         return finder.find_path(start, goal, level=level, by=by, smooth=smooth)
 
-    def routes(self, agent: str | Agent | None = None) -> RouteGraph:
+    def routes(
+        self,
+        agent: str | Agent | None = None,
+        progress: Callable[[str, float], None] | None = None,
+    ) -> RouteGraph:
         """Make the graph of routes for an agent, as the grid is now.
 
         The grid is inflated to the radius of the agent.
@@ -436,6 +440,8 @@ class GridMethods:
         Args:
             agent: The name of one of the grid's `agents`, or an `Agent`; None for an agent of the
                 grid's radius that may use all areas and links.
+            progress: Called with ``routes`` and the fraction that is done, 0 to 1; None for no
+                report.
 
         Returns:
             Nodes and lanes; its `save` writes it for nav2, Open-RMF and others.
@@ -445,7 +451,7 @@ class GridMethods:
         """
         from navbake.routes.build import make_routes
 
-        return make_routes(self._as_grid(), agent)
+        return make_routes(self._as_grid(), agent, progress)
 
     def tensors(
         self,
@@ -885,17 +891,14 @@ class GridMethods:
             >>> grid.plot("house.svg", layers=["rooms"])
             PosixPath('house.svg')
         """
-        from navbake.views.plot import plot
+        from navbake.views.plot import Overlays, plot
 
         return plot(
             self._as_grid(),
             path,
             level=level,
             layers=layers,
-            route=route,
-            marks=marks,
-            poses=poses,
-            region=region,
+            overlays=Overlays(route, marks, poses, region),
             bounds=bounds,
             dpi=dpi,
             titles=titles,

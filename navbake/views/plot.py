@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,6 +122,16 @@ Mark: TypeAlias = tuple[int, float, float, str]
 """A place to mark on a picture: its level (-1 for all levels), world x and y [m], and its kind."""
 
 
+class Overlays(NamedTuple):
+    """What is drawn on top of the maps."""
+
+    route: Route | None = None  #: A path, each of its parts on its level.
+    marks: Sequence[Mark] = ()  #: Places to mark; those without a level are drawn on all levels.
+    poses: StandPoses | None = None  #: Poses of a base, from `PathFinder.stand_poses`, as arrows.
+    region: Sequence[Bool] | None = None
+    """Cells to shade, from `PathFinder.stand_region`; a mask (height, width) for each level."""
+
+
 def plot_grid(grid: NavGrid, path: str | PathLike[str], **options: Any) -> Path:
     """Write a picture of a grid.
 
@@ -173,10 +183,7 @@ def render_picture(
     *,
     level: int | None = None,
     layers: Sequence[str] = DEFAULT_LAYERS,
-    route: Route | None = None,
-    marks: Sequence[Mark] = (),
-    poses: StandPoses | None = None,
-    region: Sequence[Bool] | None = None,
+    overlays: Overlays = Overlays(),  # noqa: B008 it is a tuple
     bounds: Sequence[float] | None = None,
     dpi: float = DPI,
     titles: bool = True,
@@ -192,11 +199,7 @@ def render_picture(
         form: ``png``, ``svg`` or ``pdf``. A PDF embeds its fonts as TrueType.
         level: the number of the only level to draw, 0 is the lowest; None for all.
         layers: the layers to draw, names of `navbake.views.layers.LAYERS`.
-        route: a path to draw on top, each of its parts on its level.
-        marks: places to mark; those without a level are drawn on all levels.
-        poses: poses of a base, from `PathFinder.stand_poses`, drawn as arrows.
-        region: cells to shade, from `PathFinder.stand_region`; for each level, bool, shape
-            (height, width).
+        overlays: what is drawn on top of the maps.
         bounds: the part of the world to show, world x_min, y_min, x_max, y_max [m]; None for all of
             the grid. Names whose place lies outside are left out.
         dpi: pixels per inch of a PNG, 30 to 1200. The picture is at most 8.3 inches wide.
@@ -230,7 +233,7 @@ def render_picture(
         raise QueryError(
             f"expected {expected} as dpi, got {dpi:g}", key="dpi", value=dpi, expected=expected
         )
-    color_of_kind = choose_kind_colors(kind for *_, kind in marks)
+    color_of_kind = choose_kind_colors(kind for *_, kind in overlays.marks)
     view_bounds = _find_view_bounds(grid, level_numbers, bounds)
     if bounds is not None:
         panels = [
@@ -261,20 +264,23 @@ def render_picture(
             figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
         for ax, level_number, panel in zip(axes, panel_level_numbers, panels, strict=True):
             _draw_panel(ax, panel, grid.levels[level_number].lattice.bounds, has_title=titles)
-            if route is not None:
-                _draw_route(ax, route, level_number)
-            if region is not None:
-                _shade_region(ax, region[level_number], grid.levels[level_number].lattice.bounds)
-            if poses is not None:
+            if overlays.route is not None:
+                _draw_route(ax, overlays.route, level_number)
+            if overlays.region is not None:
+                _shade_region(
+                    ax, overlays.region[level_number], grid.levels[level_number].lattice.bounds
+                )
+            if overlays.poses is not None:
+                poses = overlays.poses
                 is_on_level = grid.cells_at(poses.positions).level == level_number
                 _draw_poses(ax, poses.positions[is_on_level], poses.headings[is_on_level])
-            for mark_level, x, y, kind in marks:
+            for mark_level, x, y, kind in overlays.marks:
                 if mark_level in (level_number, -1):
                     color = color_of_kind[kind]
                     ax.plot(x, y, "s", markerfacecolor="none", color=color, markersize=5, mew=1.2)
-        if poses is not None or region is not None:
+        if overlays.poses is not None or overlays.region is not None:
             color_of_kind = {**color_of_kind, "where a base can stand": STAND}
-        legend = _draw_legend(figure, panels, color_of_kind, route is not None)
+        legend = _draw_legend(figure, panels, color_of_kind, overlays.route is not None)
         # names fit rooms, and titles fit beside each other: both need the layout
         figure.draw_without_rendering()
         if titles:

@@ -48,9 +48,9 @@ METHODS = {name: method for name, method in vars(GridMethods).items() if inspect
 
 
 def parameters_of(function, *, first: int) -> list[tuple[str, object, object]]:
-    """Name, kind and default of each parameter but the first ones, and but a command's progress."""
+    """Name, kind and default of each parameter but the first ones."""
     parameters = list(inspect.signature(function).parameters.values())[first:]
-    return [(each.name, each.kind, each.default) for each in parameters if each.name != "progress"]
+    return [(each.name, each.kind, each.default) for each in parameters]
 
 
 def test_each_method_has_its_function():
@@ -66,7 +66,14 @@ def test_a_method_takes_what_its_function_takes(name, place):
 def test_a_plot_takes_what_pictures_take():
     taken = parameters_of(GridMethods.plot, first=1)
     # of a picture without a file, the form is no choice
-    assert taken[1:] == parameters_of(resolve("navbake.views.plot:render_picture"), first=2)
+    expected = []
+    for parameter in parameters_of(resolve("navbake.views.plot:render_picture"), first=2):
+        name, kind, default = parameter
+        if name == "overlays":
+            expected += [(field, kind, value) for field, value in default._asdict().items()]
+        else:
+            expected.append(parameter)
+    assert taken[1:] == expected
     (level,) = parameters_of(resolve("navbake.formats.procthor:encode_procthor"), first=2)
     names = ("radius", "stairs", "agent")  # of all maps
     expected = [level, *((name, *level[1:]) for name in names)]
@@ -120,16 +127,17 @@ def test_a_method_calls_the_function_that_it_is_named_with():
     tree = ast.parse(inspect.getsource(grid_methods))
     calls = {
         method.name: {
-            f"{node.module}:{node.names[0].name}".removeprefix("navbake.")
+            f"{node.module}:{imported.name}".removeprefix("navbake.")
             for node in ast.walk(method)
             if isinstance(node, ast.ImportFrom)
+            for imported in node.names
         }
         for method in ast.walk(tree)
         if isinstance(method, ast.FunctionDef) and any(map(is_import, ast.walk(method)))
     }
     by_format = {name: {"formats.convert:write_as"} for name in calls if name.startswith("to_")}
     shapes = {name: {FUNCTIONS[name]} for name in FUNCTIONS if name in calls}
-    expected = {**by_format, **shapes, "plot": {"views.plot:plot"}}
+    expected = {**by_format, **shapes, "plot": {"views.plot:Overlays", "views.plot:plot"}}
     expected["find_path"] = {"runtime.path_finder:PathFinder"}
     for name in ("to_nav2", "to_npz", "to_mjcf", "to_procthor"):
         expected[name] = {"formats.convert:write_as"}

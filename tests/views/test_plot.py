@@ -15,7 +15,7 @@ from navbake.navgrid.rooms import to_runs
 from navbake.runtime.paths import Path as Route
 from navbake.views import plot
 from navbake.views.layers import Label, make_panel, paint
-from navbake.views.plot import plot_grid, render_picture
+from navbake.views.plot import Overlays, plot_grid, render_picture
 from project_paths import GOLDEN
 
 pytest.importorskip("matplotlib")
@@ -111,7 +111,7 @@ def test_marks_are_drawn_on_their_level_or_on_all(house):
     colored = []
     for level in (0, 1, -1):
         marks = [(level, 0.5, 1.0, "floor off"), (level, 1.5, 0.5, "path touches")]
-        drawn = pixels(render_picture(house, layers=("occupancy",), marks=marks))
+        drawn = pixels(render_picture(house, layers=("occupancy",), overlays=Overlays(marks=marks)))
         assert drawn.shape[1] == plain.shape[1]
         is_mark = [np.abs(drawn - color(c)).max(axis=-1) < 8 for c in MARKS[:2]]
         # levels of one layer lie beside each other; the legend is below them
@@ -205,7 +205,9 @@ def test_a_path_is_blue_over_white_and_on_its_level(house):
         )
 
     for level in (0, 1):
-        image = pixels(render_picture(house, layers=["occupancy"], route=route(level)))
+        image = pixels(
+            render_picture(house, layers=["occupancy"], overlays=Overlays(route=route(level)))
+        )
         above, half = image.shape[0] * 3 // 4, image.shape[1] // 2
         _, cols = find(image, ROUTE, slice(0, above))
         assert len(cols) > 200
@@ -220,8 +222,10 @@ def test_poses_and_the_cells_where_a_base_can_stand_are_drawn_on_their_level():
     poses = finder.stand_poses("object:bed_1", count=4)
     level = finder.cell_at(poses.positions[0]).level
     region = finder.stand_region("object:bed_1")
-    image = pixels(render_picture(house, layers=["occupancy"], poses=poses))
-    shaded = pixels(render_picture(house, layers=["occupancy"], poses=poses, region=region))
+    image = pixels(render_picture(house, layers=["occupancy"], overlays=Overlays(poses=poses)))
+    shaded = pixels(
+        render_picture(house, layers=["occupancy"], overlays=Overlays(poses=poses, region=region))
+    )
     half = image.shape[1] // 2
     _, cols = find(image, STAND, slice(0, image.shape[0] * 3 // 4))
     assert len(cols) > 40 and (cols // half == level).all()
