@@ -216,9 +216,23 @@ class FlatGrid:
         cell_size = self.layout.cell_size[level]
         x = self.layout.x_min[level] + (col + 0.5) * cell_size
         y = self.layout.y_max[level] - (row + 0.5) * cell_size
+        return np.stack([x, y, self._floor_heights(cells, level)], axis=-1)
+
+    def floor_heights(self, cells: Int) -> Float:
+        """Look up the floors of cells.
+
+        Args:
+            cells: flat ids, shape (...).
+
+        Returns:
+            World z, the level's ground where a cell has no floor [m], shape (...).
+        """
+        return self._floor_heights(cells, self.level_of(cells))
+
+    def _floor_heights(self, cells: Int | int, levels: Int) -> Float:
+        """Look up the floors of cells on levels, see `floor_heights`."""
         floor_z = self.floors.z[cells]
-        z = np.where(np.isnan(floor_z), self.floors.ground[level], floor_z)
-        return np.stack([x, y, z], axis=-1)
+        return np.where(np.isnan(floor_z), self.floors.ground[levels], floor_z)
 
     def step_ends(self) -> tuple[Int, Int]:
         """List the two cells that each of `steps` joins; a step is listed in both directions.

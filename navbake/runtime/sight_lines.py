@@ -22,10 +22,12 @@ class Obstructions(NamedTuple):
     Attributes:
         bottoms: world z of their lower ends [m], shape (rows, cols, things); inf for no thing.
         tops: world z of their upper ends [m], of the same shape; -inf for no thing.
+        has_thing: whether a cell has any of them, shape (rows, cols).
     """
 
     bottoms: Float
     tops: Float
+    has_thing: Bool
 
     def hide(self, rows: Int, cols: Int, lowest: Float, highest: Float) -> Bool:
         """Mark the cells in which a thing is at the height of a line.
@@ -39,9 +41,17 @@ class Obstructions(NamedTuple):
         Returns:
             bool, of that shape.
         """
-        is_below_top = lowest[..., None] < self.tops[rows, cols] - HEIGHT_SLACK
-        is_above_bottom = highest[..., None] > self.bottoms[rows, cols] + HEIGHT_SLACK
-        return np.asarray((is_below_top & is_above_bottom).any(axis=-1))
+        is_hidden = self.has_thing[rows, cols]
+        # most cells are empty: heights are compared in the others alone
+        at_thing = np.nonzero(is_hidden)
+        thing_rows = rows[at_thing]
+        thing_cols = cols[at_thing]
+        tops = self.tops[thing_rows, thing_cols]
+        bottoms = self.bottoms[thing_rows, thing_cols]
+        is_below_top = lowest[at_thing][:, None] < tops - HEIGHT_SLACK
+        is_above_bottom = highest[at_thing][:, None] > bottoms + HEIGHT_SLACK
+        is_hidden[at_thing] = (is_below_top & is_above_bottom).any(axis=-1)
+        return is_hidden
 
 
 class SightLines(NamedTuple):
@@ -92,6 +102,8 @@ class SightLines(NamedTuple):
         row_sign, col_sign = np.sign(line_vectors).T[:, :, None]
         start_row, start_col = starts.T[:, :, None]
         max_num_steps = int((num_rows + num_cols).max(initial=0))
+        if not obstructions.has_thing.any():
+            return np.zeros((len(starts), max_num_steps), dtype=np.bool_)
         rows = start_row + row_sign * self.row[num_rows, num_cols, :max_num_steps]
         cols = start_col + col_sign * self.col[num_rows, num_cols, :max_num_steps]
         shares = self.share[num_rows, num_cols, :max_num_steps]

@@ -41,7 +41,6 @@ MAX_PAIRS = 2_000_000  # pairs of bases and squares that are measured at once, t
 MAX_NAMES = 3  # how many names of things in between a sentence lists
 DISTANCE_DIGITS = 9  # decimal digits of distances that are compared
 MIDDLE_SLACK = 1e-9  # how near to the middle of a square a base stands in it [m]
-NO_THING = -2  # of a name that no cell has; -1 is no name
 NO_NUMBERS = np.empty(0)
 Value = TypeVar("Value", bound=np.generic)
 
@@ -91,16 +90,27 @@ class Window(NamedTuple):
         width: number of columns of the level.
         rows: the window's rows on the level.
         cols: the window's columns on the level.
+        row_y: world y of the middles of its rows [m].
+        col_x: world x of the middles of its columns [m].
     """
 
     level_cells: slice
     width: int
     rows: slice
     cols: slice
+    row_y: Float
+    col_x: Float
 
     def cut(self, layer: NDArray[Value]) -> NDArray[Value]:
         """Return the window's part of an array by flat id, shape (rows, cols)."""
         return layer[self.level_cells].reshape(-1, self.width)[self.rows, self.cols]
+
+    def to_points(self, places: Int) -> Float:
+        """Return the middles of places, world x, y [m], shape (n, 2)."""
+        points = np.empty(places.shape)
+        points[:, 0] = self.col_x[places[:, 1]]
+        points[:, 1] = self.row_y[places[:, 0]]
+        return points
 
     def to_cells(self, places: Int) -> Int:
         """Convert places to flat ids, shape (n,)."""
@@ -209,9 +219,11 @@ class StandSite:
             target: the thing to be reached.
         """
         level_of_cell = self._flat.level_of(target.cells)
-        squares = self._squares_of(target.cells, target.box)
+        edges = self._flat.layout.cell_size[level_of_cell][:, None]
+        middles = self._flat.positions(target.cells)[:, :2]
+        squares = cut_squares(middles, edges, target.box)
         stands_of_levels = [
-            self._find_on_level(level, target.cells[level_of_cell == level], target, squares)
+            self._find_on_level(target, squares, level, level_of_cell == level)
             for level in np.unique(level_of_cell).tolist()
         ]
         if len(stands_of_levels) == 1:
@@ -233,34 +245,39 @@ class StandSite:
         )
 
     def _find_on_level(
-        self, level: int, target_cells: Int, target: StandTarget, target_squares: Float
+        self, target: StandTarget, target_squares: Float, level: int, on_level: Bool
     ) -> Stands:
         """Find the cells of a level where a base can stand to reach a target.
 
         Args:
-            level: number of the level.
-            target_cells: flat ids of the target's cells on the level, at least one.
             target: the thing to be reached.
             target_squares: the squares of its cells on all levels, shape (k, 4) [m].
+            level: number of the level.
+            on_level: which of these cells are on the level, at least one, shape (k,).
         """
+        target_cells = target.cells[on_level]
         window = self._cut_window(level, target_cells)
-        bases = np.argwhere(window.cut(self._flat.free))
-        cells = window.to_cells(bases)
-        points = self._flat.positions(cells)[:, :2]
-        height_gaps = self._measure_height_gaps(cells, target.box)
+        is_aim = self._find_aims(target, target_cells)
+        aim_places = window.to_places(target_cells[is_aim])
+        squares = target_squares[on_level][is_aim]
         min_reach, max_reach = self._rules.reach
-        distances = np.hypot(measure_to_nearest(points, target_squares), height_gaps)
+        bases = np.argwhere(window.cut(self._flat.free))
+        points = window.to_points(bases)
+        # what is too far from the rectangle round all squares is too far from each
+        bounds = np.append(target_squares[:, :2].min(axis=0), target_squares[:, 2:].max(axis=0))
+        is_near = measure_to_nearest(points, bounds[None]) <= max_reach * (1.0 + REACH_SLACK)
+        bases = bases[is_near]
+        points = points[is_near]
+        cells = window.to_cells(bases)
+        height_gaps = self._measure_height_gaps(cells, target.box)
         # how far the farthest corner of a square may be on the map
         squared_limits = (max_reach * (1.0 + REACH_SLACK)) ** 2 - height_gaps**2
         limits = np.where(squared_limits >= 0.0, np.sqrt(np.maximum(squared_limits, 0.0)), -1.0)
-        aims = self._find_aims(target, target_cells)
-        aim_places = window.to_places(aims)
-        squares = self._squares_of(aims, target.box)
+        aim_index = find_nearest_square(points, squares, limits)
+        distances = np.hypot(measure_to_nearest(points, target_squares), height_gaps)
         is_far_enough = distances >= min_reach * (1.0 - REACH_SLACK)
-        in_reach = np.flatnonzero(is_far_enough)
-        aim_index = find_nearest_square(points[in_reach], squares, limits[in_reach])
-        in_reach = in_reach[aim_index >= 0]
-        aim_index = aim_index[aim_index >= 0]
+        in_reach = np.flatnonzero(is_far_enough & (aim_index >= 0))
+        aim_index = aim_index[in_reach]
         num_in_reach = len(in_reach)
         if self.path_lengths is not None:
             has_path = np.isfinite(self.path_lengths[cells[in_reach]])
@@ -303,17 +320,18 @@ class StandSite:
         rows, cols = np.divmod(target_cells - level_cells.start, width)
         first_row = max(int(rows.min()) - margin, 0)
         first_col = max(int(cols.min()) - margin, 0)
+        window_rows = slice(first_row, min(int(rows.max()) + margin + 1, height))
+        window_cols = slice(first_col, min(int(cols.max()) + margin + 1, width))
+        row_numbers = np.arange(window_rows.start, window_rows.stop)
+        col_numbers = np.arange(window_cols.start, window_cols.stop)
         return Window(
             level_cells=level_cells,
             width=width,
-            rows=slice(first_row, min(int(rows.max()) + margin + 1, height)),
-            cols=slice(first_col, min(int(cols.max()) + margin + 1, width)),
+            rows=window_rows,
+            cols=window_cols,
+            row_y=float(layout.y_max[level]) - (row_numbers + 0.5) * cell_size,
+            col_x=float(layout.x_min[level]) + (col_numbers + 0.5) * cell_size,
         )
-
-    def _squares_of(self, cells: Int, box: Float | None) -> Float:
-        """Return the squares of cells, flat ids, cut to a box, shape (n, 4); see `cut_squares`."""
-        edges = self._flat.layout.cell_size[self._flat.level_of(cells)]
-        return cut_squares(self._flat.positions(cells)[:, :2], edges[:, None], box)
 
     def _measure_height_gaps(self, cells: Int, box: Float | None) -> Float:
         """Measure from shoulders to the heights of a target [m]; 0 where the map alone counts.
@@ -324,21 +342,22 @@ class StandSite:
         """
         if self._rules.height is None or box is None:
             return np.zeros(len(cells))
-        shoulders = self._flat.positions(cells)[:, 2] + self._rules.height
+        shoulders = self._flat.floor_heights(cells) + self._rules.height
         return np.asarray(np.maximum(np.maximum(box[2] - shoulders, shoulders - box[5]), 0.0))
 
-    def _find_aims(self, target: StandTarget, target_cells: Int) -> Int:
-        """List the cells of a target that bases see and face: those without a wall or a door.
+    def _find_aims(self, target: StandTarget, target_cells: Int) -> Bool:
+        """Mark the cells of a target that bases see and face: those without a wall or a door.
 
         Args:
             target: the thing to be reached.
-            target_cells: flat ids of its cells on a level.
+            target_cells: flat ids of its cells on a level, shape (k,).
 
         Returns:
-            Flat ids; all of them if each has a wall or a door, or if sight doesn't count.
+            Shape (k,); all are marked if each has a wall or a door, or if sight doesn't count.
         """
+        is_all = np.ones(len(target_cells), dtype=np.bool_)
         if self._rules.sight is False:
-            return target_cells
+            return is_all
         names = self._search.names
         entry_of_cell = names.entry_of_cell[target_cells]
         entries = [number for number in np.unique(entry_of_cell).tolist() if number != NO_ENTRY]
@@ -347,7 +366,7 @@ class StandSite:
             entry = names.entries[number]
             has_wall[number] = bool((entry.walls | entry.doors) - {target.name})
         is_without_wall = ~has_wall[entry_of_cell]
-        return target_cells[is_without_wall] if is_without_wall.any() else target_cells
+        return is_without_wall if is_without_wall.any() else is_all
 
     def _look_at(
         self, window: Window, target: StandTarget, aim_places: Int, squares: Float
@@ -364,19 +383,23 @@ class StandSite:
         things = names.names_of_entry[entry_of_cell]
         is_aim = np.zeros(entry_of_cell.shape, dtype=np.bool_)
         is_aim[tuple(aim_places.T)] = True
-        companions = {target.name}
+        hides_nothing = np.zeros(things.shape, dtype=np.bool_)
+        companions: set[str] = set()
         for number in np.unique(entry_of_cell[is_aim]).tolist():
             if number != NO_ENTRY:
                 entry = names.entries[number]
                 companions |= entry.objects - entry.walls - entry.doors
-        companion_numbers = [names.number_of_name.get(name, NO_THING) for name in companions]
-        hides_nothing = things == names.number_of_name.get(target.name, NO_THING)
-        # what it stands on or in may end in a cell beside its own: the worktop over a drawer
-        hides_nothing |= mark_near(is_aim)[..., None] & np.isin(things, companion_numbers)
+        if companions:
+            # what it stands on or in may end in a cell beside its own: the worktop over a drawer
+            companion_numbers = [names.number_of_name[name] for name in companions]
+            hides_nothing = mark_near(is_aim)[..., None] & np.isin(things, companion_numbers)
+        if target.name in names.number_of_name:
+            hides_nothing |= things == names.number_of_name[target.name]
         hides_nothing[is_aim] = True
         bottoms[hides_nothing] = np.inf
         tops[hides_nothing] = -np.inf
-        return TargetView(window, target, aim_places, squares, Obstructions(bottoms, tops))
+        obstructions = Obstructions(bottoms, tops, has_thing=(tops > bottoms).any(axis=-1))
+        return TargetView(window, target, aim_places, squares, obstructions)
 
     def _find_hidden(self, view: TargetView, bases: Int, aim_index: Int) -> Bool:
         """Mark the steps of lines of sight at which something is in between, shape (n, steps).
@@ -386,7 +409,7 @@ class StandSite:
             bases: places of the bases, shape (n, 2).
             aim_index: for each base, the index of the square that its line leads to, shape (n,).
         """
-        floors = self._flat.positions(view.window.to_cells(bases))[:, 2]
+        floors = self._flat.floor_heights(view.window.to_cells(bases))
         eye_height = self._search.grid.agent_height
         if self._rules.sight is not True:
             eye_height = float(self._rules.sight)
