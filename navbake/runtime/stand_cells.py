@@ -329,8 +329,8 @@ class StandSite:
             width=width,
             rows=window_rows,
             cols=window_cols,
-            row_y=float(layout.y_max[level]) - (row_numbers + 0.5) * cell_size,
-            col_x=float(layout.x_min[level]) + (col_numbers + 0.5) * cell_size,
+            row_y=layout.y_max[level] - (row_numbers + 0.5) * cell_size,
+            col_x=layout.x_min[level] + (col_numbers + 0.5) * cell_size,
         )
 
     def _measure_height_gaps(self, cells: Int, box: Float | None) -> Float:
@@ -398,7 +398,8 @@ class StandSite:
         hides_nothing[is_aim] = True
         bottoms[hides_nothing] = np.inf
         tops[hides_nothing] = -np.inf
-        obstructions = Obstructions(bottoms, tops, has_thing=(tops > bottoms).any(axis=-1))
+        has_thing = np.asarray((tops > bottoms).any(axis=-1))
+        obstructions = Obstructions(bottoms, tops, has_thing)
         return TargetView(window, target, aim_places, squares, obstructions)
 
     def _find_hidden(self, view: TargetView, bases: Int, aim_index: Int) -> Bool:
