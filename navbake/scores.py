@@ -1,12 +1,13 @@
 """Measures how well agents did: compares their trajectories with the episodes of a set.
 
-`Measures` follows one episode step by step, and `score_set` scores the trajectories of a set. The
-functions on arrays also take arrays of ``jax.numpy`` or ``torch``, if that module is given as `xp`;
-they have no branches on values.
+`Measures` and `FlightMeasures` follow one episode step by step, and `score_set` scores the
+trajectories of a set. The functions on arrays also take arrays of ``jax.numpy`` or ``torch``, if
+that module is given as `xp`; they have no branches on values.
 
 Distances [m] are those of `PathFinder` over cells, from the cell of a position to the nearest place
 of the goal. If no agent can stand in that cell, the distance from the nearest free cell counts,
-plus the distance to that cell. Success and SPL use the same distances.
+plus the distance to that cell. Those of flights are `VoxelFinder`'s over voxels. Success and SPL
+use the same distances.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from statistics import NormalDist
@@ -24,9 +26,17 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.episodes.episode import CLASS_EDGES, Episode, EpisodeSet, choose_agent, scene_of
+from navbake.episodes.episode import (
+    CLASS_EDGES,
+    FLY_TASK,
+    Episode,
+    EpisodeSet,
+    choose_agent,
+    scene_of,
+)
+from navbake.episodes.flights import digest_of_voxels, list_flight_points, make_flight_finder
 from navbake.episodes.formats import decode
-from navbake.episodes.goals import MAX_SNAP_DISTANCE, find_stops, plan_path_through
+from navbake.episodes.goals import MAX_SNAP_DISTANCE, Stops, find_stops, plan_path_through
 from navbake.errors import FormatError, QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
@@ -34,7 +44,9 @@ from navbake.navgrid.grid import NavGrid
 from navbake.runtime.agents import fit_grid
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap_to_cells
-from navbake.types import Float, Json
+from navbake.types import Bool, Float, Json, Vector3
+from navbake.voxels.finder import VoxelFinder
+from navbake.voxels.grid import VoxelGrid
 
 NDTW_THRESHOLD = 3.0  # the value of VLN-CE [m]
 NUM_RESAMPLES = 1000  # of a bootstrap
@@ -260,41 +272,62 @@ def wilson_interval(values: ArrayLike, *, certainty: float = 0.95) -> Interval:
     return Interval(share, low, high, num_values)
 
 
-class Measures:
-    """Measures one episode while an agent acts: add its positions, then ask for the scores.
+class EpisodeMeasures(ABC):
+    """Measures one episode while an agent acts: what `Measures` and `FlightMeasures` share.
 
     The episode's start is the first position.
 
     Args:
-        finder: a PathFinder on the set's grid, inflated for the set's agent.
         episode: the episode.
         threshold: distance at which nDTW counts a point as missed [m].
 
     Raises:
-        QueryError: no agent can get to the goal on this grid, or the start is in no cell.
+        QueryError: no agent can get to the goal, or the start is outside of the grid.
     """
 
-    def __init__(
-        self, finder: PathFinder, episode: Episode, *, threshold: float = NDTW_THRESHOLD
-    ) -> None:
-        self.finder = finder
+    def __init__(self, episode: Episode, threshold: float) -> None:
         self.episode = episode
         self.threshold = threshold
         self.share = episode.goals[0].share
         self.radius = episode.goals[0].radius
-        goals = episode.goals
-        is_ordered = episode.task == "sequence"
-        # successive episodes often have the same goals: the search keeps the stops of the last ones
-        find_stops_of_goals = functools.partial(find_stops, finder, goals, in_order=is_ordered)
-        stops = finder.search.cached_result("stops", (goals, is_ordered), find_stops_of_goals)
-        if stops is None:
-            raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
-        self._stops = stops
+        self._stops = self._find_stops()
         self._num_reached = 0  # how many of the stops the agent has reached
         self._positions = [np.array(episode.start)]
         self._times = list[float]()
         self._distances = self._add_distances(self._positions[0][None], "start")
         self.shortest = self._distances[0]
+
+    @abstractmethod
+    def _find_stops(self) -> Stops:
+        """Find the stops of the episode's goals.
+
+        Raises:
+            QueryError: no agent can get there.
+        """
+
+    @abstractmethod
+    def _measure_distances(self, new_positions: Float, position_label: str) -> Float:
+        """Compute the distance from each position to each stop [m], shape (number of stops, n).
+
+        Args:
+            new_positions: world x, y, z [m], finite, shape (n, 3).
+            position_label: what errors call a position.
+
+        Raises:
+            QueryError: a position is outside of the grid.
+        """
+
+    @abstractmethod
+    def _find_reference_path(self) -> Sequence[Vector3]:
+        """Return the episode's path; if it has none, plan one. Empty if there is no path."""
+
+    @abstractmethod
+    def _count_collisions(self, positions: Float) -> int:
+        """Count the moves from one position to the next that collide."""
+
+    @abstractmethod
+    def _coverage(self, positions: Float) -> float:
+        """Return the share of the start's island that the agent has covered, by area."""
 
     @property
     def distance(self) -> float:
@@ -350,41 +383,24 @@ class Measures:
         Raises:
             QueryError: a position is not finite, or in no cell.
         """
-        flat = self.finder.search.flat
-        episode_id = self.episode.id
         nonfinite_rows = np.flatnonzero(~np.isfinite(new_positions).all(axis=1))
         if len(nonfinite_rows):
-            place_text = f"{position_label} {nonfinite_rows[0]} of episode {episode_id!r}"
+            place_text = f"{position_label} {nonfinite_rows[0]} of episode {self.episode.id!r}"
             raise QueryError(f"expected finite numbers at {place_text}")
-        cells = flat.cells_at(new_positions)
-        if (cells < 0).any():
-            row = int(np.argmax(cells < 0))
-            coordinates = ", ".join(f"{value:g}" for value in new_positions[row])
-            place_text = f"{position_label} {row} of episode {episode_id!r}, {coordinates}"
-            raise QueryError(f"{place_text}, lies beside the grid")
-        distance_fields = self._stops.distance_fields
+        distances_of_stops = self._measure_distances(new_positions, position_label)
         distances_after_stop = self._stops.remaining_lengths
-        if not distance_fields:
+        if not len(distances_of_stops):
             return [math.nan] * len(new_positions)
-        free_cell_distances = np.zeros(len(new_positions))  # to the nearest free cell [m]
-        blocked_indices = np.flatnonzero(~flat.free[cells])
-        if len(blocked_indices):
-            snapped_positions, nearest_cells = snap_to_cells(
-                flat, flat.free, new_positions[blocked_indices], max_distance=MAX_SNAP_DISTANCE
-            )
-            is_near = nearest_cells >= 0
-            cells[blocked_indices] = np.where(is_near, nearest_cells, cells[blocked_indices])
-            snap_distances = np.linalg.norm(
-                snapped_positions - new_positions[blocked_indices], axis=1
-            )
-            free_cell_distances[blocked_indices] = np.where(is_near, snap_distances, math.inf)
+        last_stop = len(distances_of_stops) - 1
         distances = []
-        for cell, snap_distance in zip(cells.tolist(), free_cell_distances.tolist(), strict=True):
-            stop_distance = float(distance_fields[self._num_reached][cell]) + snap_distance
-            while stop_distance <= self.radius and self._num_reached < len(distance_fields) - 1:
+        for stop_distances in distances_of_stops.T.tolist():
+            while (
+                stop_distances[self._num_reached] <= self.radius and self._num_reached < last_stop
+            ):
                 self._num_reached += 1
-                stop_distance = float(distance_fields[self._num_reached][cell]) + snap_distance
-            distances.append(stop_distance + distances_after_stop[self._num_reached])
+            distances.append(
+                stop_distances[self._num_reached] + distances_after_stop[self._num_reached]
+            )
         return distances
 
     def scores(self, *, stopped: bool) -> Json:
@@ -406,11 +422,7 @@ class Measures:
         goal_distances = self._goal_distances(positions, coverage)
         success_score = success(np.array(goal_distances[-1]), self.radius, stopped)
         oracle_score = success(np.array(np.min(goal_distances)), self.radius, True)
-        reference_path = self.episode.path if stop_positions else ()
-        if stop_positions and not reference_path:
-            reference_path = plan_path_through(self.finder, self.episode.start, stop_positions).get(
-                "path", ()
-            )
+        reference_path = self._find_reference_path() if stop_positions else ()
         times = self._times
         measures = {
             "success": success_score,
@@ -443,6 +455,65 @@ class Measures:
             planar_distances: Float = np.linalg.norm(goal_vectors[..., :2], axis=-1).min(axis=1)
             return planar_distances
         return np.array(self._distances)
+
+
+class Measures(EpisodeMeasures):
+    """Measures one episode while an agent acts: add its positions, then ask for the scores.
+
+    The episode's start is the first position.
+
+    Args:
+        finder: a PathFinder on the set's grid, inflated for the set's agent.
+        episode: the episode.
+        threshold: distance at which nDTW counts a point as missed [m].
+
+    Raises:
+        QueryError: no agent can get to the goal on this grid, or the start is in no cell.
+    """
+
+    def __init__(
+        self, finder: PathFinder, episode: Episode, *, threshold: float = NDTW_THRESHOLD
+    ) -> None:
+        self.finder = finder
+        super().__init__(episode, threshold)
+
+    def _find_stops(self) -> Stops:
+        goals = self.episode.goals
+        is_ordered = self.episode.task == "sequence"
+        # successive episodes often have the same goals: the search keeps the stops of the last ones
+        find_stops_of_goals = functools.partial(find_stops, self.finder, goals, in_order=is_ordered)
+        stops = self.finder.search.cached_result("stops", (goals, is_ordered), find_stops_of_goals)
+        if stops is None:
+            raise QueryError(f"no agent can stand at the goal of episode {self.episode.id!r}")
+        return stops
+
+    def _measure_distances(self, new_positions: Float, position_label: str) -> Float:
+        flat = self.finder.search.flat
+        cells = flat.cells_at(new_positions)
+        _check_all_inside(cells >= 0, new_positions, position_label, self.episode.id, "grid")
+        if not self._stops.distance_fields:
+            return np.empty((0, len(new_positions)))
+        free_cell_distances = np.zeros(len(new_positions))  # to the nearest free cell [m]
+        blocked_indices = np.flatnonzero(~flat.free[cells])
+        if len(blocked_indices):
+            snapped_positions, nearest_cells = snap_to_cells(
+                flat, flat.free, new_positions[blocked_indices], max_distance=MAX_SNAP_DISTANCE
+            )
+            is_near = nearest_cells >= 0
+            cells[blocked_indices] = np.where(is_near, nearest_cells, cells[blocked_indices])
+            snap_distances = np.linalg.norm(
+                snapped_positions - new_positions[blocked_indices], axis=1
+            )
+            free_cell_distances[blocked_indices] = np.where(is_near, snap_distances, math.inf)
+        cell_distances = [field[cells] for field in self._stops.distance_fields]
+        return np.stack(cell_distances) + free_cell_distances
+
+    def _find_reference_path(self) -> Sequence[Vector3]:
+        if self.episode.path:
+            return self.episode.path
+        return plan_path_through(self.finder, self.episode.start, self._stops.places).get(
+            "path", ()
+        )
 
     def _count_collisions(self, positions: Float) -> int:
         """Count the moves that collide.
@@ -477,6 +548,94 @@ class Measures:
         )
         cell_size = flat.layout.cell_size[flat.level_of(covered_cells)]
         return float((cell_size**2).sum() / search.islands.areas[island])
+
+
+class FlightMeasures(EpisodeMeasures):
+    """Measures one episode of a flight: add the positions of the ball, then ask for the scores.
+
+    Distances are those of `VoxelFinder.costs_at`, through the air. Where the ball meets an occupied
+    voxel, the distance from the nearest place where it fits counts, plus the distance to that
+    place. Collisions are moves on which it meets one.
+
+    Args:
+        finder: a finder in the set's voxels for its ball, see
+            `navbake.episodes.make_flight_finder`.
+        episode: the episode, whose task is ``fly``.
+        threshold: distance at which nDTW counts a point as missed [m].
+
+    Raises:
+        QueryError: the ball can't get to the goal, or the start is outside of the voxels.
+
+    Example:
+        >>> measures = FlightMeasures(finder, episode)
+        >>> for position in finder.find_path(episode.start, episode.goals[0].position).positions:
+        ...     measures.step(position)
+        >>> measures.scores(stopped=True)["spl"]
+    """
+
+    def __init__(
+        self, finder: VoxelFinder, episode: Episode, *, threshold: float = NDTW_THRESHOLD
+    ) -> None:
+        self.finder = finder
+        super().__init__(episode, threshold)
+
+    def _find_stops(self) -> Stops:
+        positions = [goal.position for goal in self.episode.goals if goal.position is not None]
+        costs = self.finder.distance_field(positions) if positions else np.array(math.inf)
+        if not np.isfinite(costs).any():
+            raise QueryError(f"the ball doesn't get to the goal of episode {self.episode.id!r}")
+        return Stops(self.episode.goals, [np.array(positions)], [costs])
+
+    def _measure_distances(self, new_positions: Float, position_label: str) -> Float:
+        lower, upper = self.finder.voxels.bounds
+        is_inside = ((new_positions >= lower) & (new_positions < upper)).all(axis=1)
+        _check_all_inside(is_inside, new_positions, position_label, self.episode.id, "voxels")
+        (field,) = self._stops.distance_fields
+        distances = self.finder.costs_at(field, new_positions)
+        blocked_indices = np.flatnonzero(~self.finder.is_free(new_positions))
+        if len(blocked_indices):
+            blocked_positions = new_positions[blocked_indices]
+            places = self.finder.snap(blocked_positions.tolist(), max_distance=MAX_SNAP_DISTANCE)
+            is_near = ~np.isnan(places[:, 0])
+            snap_distances = np.linalg.norm(places - blocked_positions, axis=1)[is_near]
+            near_indices = blocked_indices[is_near]
+            distances[near_indices] = self.finder.costs_at(field, places[is_near]) + snap_distances
+        return distances[None]
+
+    def _find_reference_path(self) -> Sequence[Vector3]:
+        if self.episode.path:
+            return self.episode.path
+        flight = self.finder.find_path(self.episode.start, self._stops.places[0])
+        return () if flight is None else list_flight_points(flight)
+
+    def _count_collisions(self, positions: Float) -> int:
+        if len(positions) < 2:
+            return 0
+        is_clear = self.finder.sees(positions[:-1], positions[1:])
+        return int(np.count_nonzero(np.logical_not(is_clear)))
+
+    def _coverage(self, positions: Float) -> float:
+        return math.nan  # no flight explores
+
+
+def _check_all_inside(
+    is_inside: Bool, positions: Float, position_label: str, episode_id: str, grid_noun: str
+) -> None:
+    """Raise a QueryError that names the first position that lies beside the grid, if one does.
+
+    Args:
+        is_inside: whether each position is in the grid, shape (n,).
+        positions: world x, y, z [m], shape (n, 3).
+        position_label: what the error calls a position.
+        episode_id: the id of the episode.
+        grid_noun: what the error calls the grid.
+    """
+    if is_inside.all():
+        return
+    row = int(np.argmin(is_inside))
+    coordinates = ", ".join(f"{value:g}" for value in positions[row])
+    place_text = f"{position_label} {row} of episode {episode_id!r}, {coordinates}"
+    raise QueryError(f"{place_text}, lies beside the {grid_noun}")
 
 
 class Trajectory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -553,7 +712,7 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
 def score_set(
     content: EpisodeSet,
     trajectories: Iterable[Trajectory],
-    grids: NavGrid | Sequence[NavGrid],
+    grids: NavGrid | VoxelGrid | Sequence[NavGrid | VoxelGrid],
     *,
     threshold: float = NDTW_THRESHOLD,
     force: bool = False,
@@ -564,8 +723,8 @@ def score_set(
     Args:
         content: the set of episodes.
         trajectories: one for each episode.
-        grids: the grids that the set was made on. They are inflated for the set's agent if they
-            aren't yet.
+        grids: the grids that the set was made on, or of a set of flights, the voxels. Grids are
+            inflated for the set's agent if they aren't yet.
         threshold: distance at which nDTW counts a point as missed [m].
         force: take the grids as they are: don't inflate them, and don't check that the set was made
             on them.
@@ -609,7 +768,7 @@ def score_set(
         times = trajectory.times
         if times is not None and len(times) != len(trajectory.positions):
             raise QueryError(f"expected a time for each position of episode {episode.id!r}")
-        measures = Measures(finder_by_scene[episode.scene], episode, threshold=threshold)
+        measures = _make_measures(finder_by_scene[episode.scene], episode, threshold)
         measures.steps(np.array(trajectory.positions, dtype=np.float64), times)
         rows.append(
             {
@@ -624,8 +783,18 @@ def score_set(
     return rows
 
 
-def _make_finder(grid: NavGrid, episode_set: EpisodeSet, *, force: bool) -> tuple[str, PathFinder]:
-    """Return a grid's scene, and a PathFinder on the grid for the set's agent."""
+def _make_finder(
+    grid: NavGrid | VoxelGrid, episode_set: EpisodeSet, *, force: bool
+) -> tuple[str, PathFinder | VoxelFinder]:
+    """Return a grid's scene, and a finder on the grid for the set's agent."""
+    if isinstance(grid, VoxelGrid):
+        finder = make_flight_finder(episode_set, grid, force=force)
+        # voxels don't say of which scene they are: their digest does
+        digest = digest_of_voxels(grid)
+        grid_entries = episode_set.header.grids
+        scenes = [grid_entry.scene for grid_entry in grid_entries if grid_entry.digest == digest]
+        scenes += [episode.scene for episode in episode_set.episodes[:1]]
+        return scenes[0] if scenes else "", finder
     header_agent = episode_set.header.agent
     agent_name = None if header_agent is None else header_agent.name or None
     radius = None if header_agent is None else header_agent.radius
@@ -634,6 +803,25 @@ def _make_finder(grid: NavGrid, episode_set: EpisodeSet, *, force: bool) -> tupl
         grid = fit_grid(grid, agent)
         episode_set.check_grid(grid)
     return scene_of(grid), PathFinder(grid, agent=agent.without_sizes() if agent_name else None)
+
+
+def _make_measures(
+    finder: PathFinder | VoxelFinder, episode: Episode, threshold: float
+) -> EpisodeMeasures:
+    """Return measures of an episode, by a finder of its kind.
+
+    Raises:
+        QueryError: a flight has no voxels, or another task has no grid.
+    """
+    is_flight = episode.task == FLY_TASK
+    if isinstance(finder, VoxelFinder) and is_flight:
+        return FlightMeasures(finder, episode, threshold=threshold)
+    if isinstance(finder, PathFinder) and not is_flight:
+        return Measures(finder, episode, threshold=threshold)
+    expected = "voxels" if is_flight else "a navigation grid"
+    raise QueryError(
+        f"expected {expected} for episode {episode.id!r}, whose task is {episode.task!r}"
+    )
 
 
 def summarize(

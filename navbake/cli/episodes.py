@@ -134,21 +134,17 @@ def episodes(
         speed=speed,
         agent=agent,
         splits=sets.make_splits(shares, split_by),
-        files=[_relative_path(grid, output.parent) for grid in grids],
+        files=[find_relative_path(grid, output.parent) for grid in grids],
     )
     sets.write_episodes(episode_set, output)
     add_files(output)
-    rejected_draws = episode_set.header.rejected
-    num_rejected = sum(rejected_draws.values())
-    say_unless_quiet(f"{output}: {len(episode_set)} episodes, {num_rejected} draws refused")
-    for reason, num_draws in rejected_draws.items():
-        say_unless_quiet(f"  {num_draws:>8} {reason}")
+    print_draws(episode_set, output)
     yard_areas = [area for area in map(_yard_area, loaded_grids) if area > 0.0]
     leaves_yards_out = bool(yard_areas) and not sampler_rules.outdoors
     add_facts(
         scenes=[{"scene_id": grid_entry.scene} for grid_entry in episode_set.header.grids],
         num_episodes=len(episode_set),
-        refused=rejected_draws,
+        refused=episode_set.header.rejected,
         outdoor_area_left_out=round(sum(yard_areas), 6) if leaves_yards_out else 0.0,
     )
     if leaves_yards_out:
@@ -157,6 +153,20 @@ def episodes(
             f"outdoors is left out, {sum(yard_areas):.0f} m² of {scenes_text}: "
             "`--rule outdoors=true` takes it in"
         )
+    warn_of_few(episode_set, count)
+
+
+def print_draws(episode_set: EpisodeSet, output: Path) -> None:
+    """Say how many episodes are in a file, and how many draws each rule refused."""
+    rejected_draws = episode_set.header.rejected
+    num_rejected = sum(rejected_draws.values())
+    say_unless_quiet(f"{output}: {len(episode_set)} episodes, {num_rejected} draws refused")
+    for reason, num_draws in rejected_draws.items():
+        say_unless_quiet(f"  {num_draws:>8} {reason}")
+
+
+def warn_of_few(episode_set: EpisodeSet, count: int) -> None:
+    """Warn if a set has fewer episodes than were wanted."""
     if len(episode_set) < count:
         print_warnings([f"only {len(episode_set)} of {count}: the rules refuse the rest"])
 
@@ -171,7 +181,7 @@ def _yard_area(grid: NavGrid) -> float:
     return sum(room.area for room in rooms if room.outdoors)
 
 
-def _relative_path(path: Path, folder: Path) -> str:
+def find_relative_path(path: Path, folder: Path) -> str:
     """Return the path of a file as seen from a folder, with forward slashes."""
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
@@ -240,7 +250,9 @@ def score(
     content: Annotated[Path, Argument(metavar="SET", help="The episodes.")],
     trajectories: Annotated[Path, Argument(metavar="TRAJECTORIES", help=".jsonl or .npz.")],
     grids: list[Path] | None = argument(
-        "GRID…", "Grids of the set, or their folder.  [default: those that the set names]", None
+        "GRID…",
+        "Grids of the set, its voxels, or their folder.  [default: those that the set names]",
+        None,
     ),
     by: str = option(
         "GROUP",
@@ -253,7 +265,7 @@ def score(
     ),
     seed: int = option("N", "Seed of the confidence intervals.", default=0, min=0),
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),
-    force: bool = flag("--force", "Score on another grid, or for another agent."),
+    force: bool = flag("--force", "Score on another grid, in other voxels, or for another agent."),
     output: Path | None = option(
         "CSV", "Write a row for each episode; - for stdout.", *OUTPUT_FLAGS
     ),
@@ -268,6 +280,7 @@ def score(
 
     from navbake import scores  # loads numpy
     from navbake.episodes import read_episodes  # loads numpy
+    from navbake.episodes.episode import FLY_TASK
 
     episode_set = read_episodes(content)
     if not grids:
@@ -276,10 +289,13 @@ def score(
         grids = [path if path.exists() else Path(name) for name, path in path_by_name.items()]
     elif len(grids) == 1 and grids[0].is_dir():
         grids = find_grids(episode_set, grids[0])
+    are_flights = {episode.task for episode in episode_set.episodes} == {FLY_TASK}
     if not grids:
-        raise QueryError(f"expected the grids of {content}, which names none: give them")
+        noun = "voxels" if are_flights else "grids"
+        raise QueryError(f"expected the {noun} of {content}, which names none: give them")
+    load = navbake.load_voxels if are_flights else navbake.load
     rows = scores.score_set(
-        episode_set, scores.read_trajectories(trajectories), [navbake.load(file) for file in grids],
+        episode_set, scores.read_trajectories(trajectories), [load(file) for file in grids],
         threshold=threshold, force=force, partial=partial,
     )  # fmt: skip
     groups = scores.summarize(rows, by, seed=seed)

@@ -1,4 +1,4 @@
-"""The command `fly`, which plans through voxels."""
+"""The command `fly`, which plans through voxels, and draws episodes there."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from typer import BadParameter, Exit
 
 import navbake
 from navbake.cli import options
+from navbake.cli.episodes import EPISODE_SUFFIXES, find_relative_path, print_draws, warn_of_few
 from navbake.cli.options import OUTPUT_FLAGS, Overrides, argument, option
 from navbake.cli.printing import add_facts, add_files, print_warnings, say, say_unless_quiet
 from navbake.formats.format_table import VOXEL_SUFFIXES
 
 if TYPE_CHECKING:
     from navbake.config.settings import BakeConfig
-    from navbake.voxels.finder import FlightPath
+    from navbake.voxels.finder import FlightPath, VoxelFinder
     from navbake.voxels.grid import VoxelGrid
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
@@ -31,8 +32,8 @@ FLIGHT_FIELDS = ("positions", "length", "cost", "radius")
 
 def fly(
     scene: Path = argument("SCENE|VOXELS", "Scene, settings (YAML), sample's name, or voxels."),
-    start: str = option("X,Y,Z", "Start of the ball's middle [m].", "--from", default=...),
-    goal: str = option("X,Y,Z", "Goal of the ball's middle [m].", "--to", default=...),
+    start: str | None = option("X,Y,Z", "Start of the ball's middle [m].", "--from"),
+    goal: str | None = option("X,Y,Z", "Goal of the ball's middle [m].", "--to"),
     radius: float = option("METRES", "Radius of the ball [m].", default=...),
     res: float | None = option("METRES", "Edge of a voxel [m].  [default: 0.1]"),
     margin: float | None = option(
@@ -46,34 +47,58 @@ def fly(
     unknown: Literal["occupied", "free"] = option(
         "occupied|free", "What unknown voxels count as.", default="occupied"
     ),
+    episodes: int | None = option(
+        "N", "Draw a set of N episodes, in place of --from and --to.", min=1
+    ),
+    rules: list[str] | None = option(
+        "KEY=VALUE",
+        "Of episodes: min_distance, max_distance, min_ratio or reach. May be repeated.",
+        "--rule",
+    ),
+    seed: int | None = option("N", "Seed of the draw of episodes.  [default: 0]", min=0),
     outputs: list[Path] | None = option(
         "FILE",
-        "Path: .json, .png or .mcap; signed distances: .npz. May be repeated.",
+        "Path: .json, .png or .mcap; signed distances: .npz; episodes: .jsonl, .jsonl.gz or "
+        ".parquet. May be repeated.",
         *OUTPUT_FLAGS,
     ),
     overrides: Overrides = None,
 ) -> None:
-    """Plan a flight through a scene's voxels, or say why there is none.
+    """Plan a flight through a scene's voxels, or say why there is none; or draw episodes.
 
     The exit status is 1 if there is none.
 
     Example: navbake fly house --from 0,-4.4,1.5 --to -3,3,4.2 --radius 0.25 -o flight.png
     """
-    begin = _parse_position(start, "--from")
-    end = _parse_position(goal, "--to")
+    is_path = episodes is None
     is_voxel_file = scene.suffix.lower() in VOXEL_SUFFIXES
     options.refuse_unused(
         ("--res", res is not None, not is_voxel_file, "scenes"),
         ("--margin", margin is not None, not is_voxel_file, "scenes"),
         ("--set", bool(overrides), not is_voxel_file, "scenes"),
+        ("--from", start is not None, is_path, "one path, not for --episodes"),
+        ("--to", goal is not None, is_path, "one path, not for --episodes"),
+        ("--clearance", clearance > 0.0, is_path, "one path, not for --episodes"),
+        ("--rule", bool(rules), not is_path, "--episodes"),
+        ("--seed", seed is not None, not is_path, "--episodes"),
     )
-    for output in outputs or ():
+    if is_path:
+        begin = _parse_position(start, "--from")
+        end = _parse_position(goal, "--to")
+    elif len(outputs or ()) != 1:
+        raise BadParameter("expected one file for the episodes", param_hint="-o")
+    paths = outputs or []
+    for output in paths:
         if output == options.STDOUT:
             message = "expected a name: its ending says which format"
             raise BadParameter(message, param_hint="-o")
-        options.check_output(output, *FLIGHT_SUFFIXES, inputs=[scene])
-    scene_id = None
+        suffixes = FLIGHT_SUFFIXES if is_path else EPISODE_SUFFIXES
+        options.check_output(output, *suffixes, inputs=[scene])
+    from navbake import episodes as sets  # loads numpy
+
+    flight_rules = sets.make_flight_rules(**options.read_pairs(rules, "--rule", "KEY=VALUE"))
     if is_voxel_file:
+        scene_id = None
         voxels = navbake.load_voxels(scene)
     else:
         from navbake.config.settings import load_config
@@ -85,10 +110,36 @@ def fly(
             settings, 0.1 if res is None else res, 1.0 if margin is None else margin
         )
     finder = navbake.VoxelFinder(voxels, radius, min_height, max_height, clearance, unknown=unknown)
-    flight = finder.find_path(begin, end)
-    reason = finder.why_not(begin, end) if flight is None else None
+    if episodes is None:
+        add_facts(scene_id=scene_id)
+        _plan_path(finder, begin, end, paths)
+        return
+    output = paths[0]
+    episode_set = sets.make_flight_episodes(
+        finder,
+        flight_rules,
+        count=episodes,
+        seed=seed or 0,
+        scene=scene_id or scene.stem,  # voxels don't say of which scene they are
+        file=find_relative_path(scene, output.parent) if is_voxel_file else None,
+    )
+    sets.write_episodes(episode_set, output)
+    add_files(output)
+    add_facts(
+        scene_id=scene_id or scene.stem,
+        num_episodes=len(episode_set),
+        refused=episode_set.header.rejected,
+    )
+    print_draws(episode_set, output)
+    warn_of_few(episode_set, episodes)
+
+
+def _plan_path(finder: VoxelFinder, start: Triple, goal: Triple, outputs: list[Path]) -> None:
+    """Plan a path, print it and write it; exit with 1 if there is none."""
+    flight = finder.find_path(start, goal)
+    reason = finder.why_not(start, goal) if flight is None else None
     facts = None if flight is None else {key: getattr(flight, key) for key in FLIGHT_FIELDS}
-    add_facts(scene_id=scene_id, path=facts, reason=reason)
+    add_facts(path=facts, reason=reason)
     if flight is None:
         say(f"no path: {reason}")
     else:
@@ -97,14 +148,17 @@ def fly(
         say("      x       y       z")
         for x, y, z in flight.positions.round(3) + 0.0:  # no -0.000
             say(f"{x:7.3f} {y:7.3f} {z:7.3f}")
-    for output in outputs or ():
-        _write_output(output, voxels, flight)
+    for output in outputs:
+        _write_output(output, finder.voxels, flight)
     if flight is None:
         raise Exit(1)
 
 
-def _parse_position(text: str, option_name: str) -> Triple:
+def _parse_position(text: str | None, option_name: str) -> Triple:
     """Return x, y and z of a place that a user typed; raise a BadParameter for another form."""
+    if text is None:
+        message = f"expected {option_name} X,Y,Z, or --episodes N"
+        raise BadParameter(message, param_hint=option_name)
     is_place = options.PLACE_PATTERN.fullmatch(text) is not None
     place = options.parse_place(text, option_name) if is_place else None
     if place is None or place.z is None:

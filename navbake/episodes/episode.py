@@ -1,6 +1,7 @@
 """Episodes: where an agent starts, what it has to reach, and on which grid both were drawn.
 
-Positions are world x, y, z [m], z up. Headings [rad] are 0 along x and grow towards y.
+Positions are world x, y, z [m], z up: on a floor, or of a flight, those of the middle of the ball
+that flies. Headings [rad] are 0 along x and grow towards y.
 """
 
 from __future__ import annotations
@@ -20,7 +21,13 @@ from navbake.navgrid.grid import NavGrid
 from navbake.runtime.agents import find_agent
 from navbake.types import Vector3
 
-TASKS = ("point", "object", "room", "sequence", "explore")
+GRID_TASKS = ("point", "object", "room", "sequence", "explore")
+"""Tasks on navigation grids."""
+
+FLY_TASK = "fly"
+"""The task of flights through voxels, to a point."""
+
+TASKS = (*GRID_TASKS, FLY_TASK)
 FORMAT = "navbake-episodes"
 VERSION = 1
 CLASS_EDGES: dict[str, tuple[float, ...]] = {
@@ -75,8 +82,9 @@ class Goal(Record, frozen=True, kw_only=True, omit_defaults=True):
     position: Vector3 | None = None
     """World x, y, z [m]; the middle of an object, the centroid of a room."""
     radius: Length = 0.0
-    """The goal is reached within this distance along the floor from the point, or from the nearest
-    view point [m]. A room is reached in any of its cells. For exploring: how far the agent sees."""
+    """The goal is reached within this distance along the floor (of a flight, through the air) from
+    the point, or from the nearest view point [m]. A room is reached in any of its cells. For
+    exploring: how far the agent sees."""
     name: str | None = None  #: Name of the object or the room.
     category: str | None = None  #: Category of the object, or type of the room.
     room: str | None = None  #: Id of the room.
@@ -91,12 +99,13 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
     id: str  #: Its id, unique in the set.
     scene: str  #: Id of the scene, which is the `scene` of a grid of the header.
     task: str  #: One of `TASKS`.
-    start: Vector3  #: World x, y and floor z [m].
+    start: Vector3  #: World x, y and floor z, or z of a flight [m].
     heading: float  #: Heading at the start [rad].
     goals: tuple[Goal, ...]  #: Any one has to be reached; in a ``sequence`` all, in order.
     distance: Length | None = None
     """Length, seen from above, of the shortest path over cells to the nearest place of a goal, or
-    through all goals of a ``sequence`` [m]; None if it is unknown or has no meaning."""
+    through all goals of a ``sequence`` [m]; of a flight, of the shortest route over voxels. None if
+    it is unknown or has no meaning."""
     straight: Length | None = None  #: Distance to the goals straight through the air [m].
     split: str | None = None  #: The part of the set that it belongs to, such as ``train``.
     room: str | None = None  #: Id of the room of the start.
@@ -133,7 +142,7 @@ class Agent(Record, frozen=True, kw_only=True):
     """The agent that the episodes were generated for."""
 
     radius: Length  #: Its radius [m].
-    height: Length  #: Its height [m].
+    height: Length  #: Its height [m]; of a ball that flies, twice its radius.
     speed: float | None = None  #: Its highest speed [m/s]; None if unknown.
     name: str | msgspec.UnsetType = msgspec.UNSET
     """Name of an agent of the grid; it decides which links and areas may be used. Not set if all
@@ -141,10 +150,11 @@ class Agent(Record, frozen=True, kw_only=True):
 
 
 class GridEntry(Record, frozen=True, kw_only=True):
-    """A grid that episodes were drawn on."""
+    """A grid, or voxels, that episodes were drawn on."""
 
     scene: str  #: The scene's id.
-    digest: str  #: `digest_of` the grid, after it was inflated for the agent if need be.
+    digest: str
+    """`digest_of` the grid, after it was inflated for the agent if need be; `digest_of_voxels`."""
     file: str | None = None  #: Name of the grid's file; None if it was in memory.
 
 
@@ -158,7 +168,9 @@ class Header(Record, frozen=True, kw_only=True):
     version: int = VERSION  #: Version of the format.
     agent: Agent | None = None  #: The agent that the episodes are for.
     grids: tuple[GridEntry, ...] = ()  #: The grids that the episodes were drawn on.
-    sampler: dict[str, Any] = {}  #: The task, the rules, the count and the splits, as JSON.
+    sampler: dict[str, Any] = {}
+    """The task, the rules, the count and the splits, as JSON; of flights, also the heights that the
+    ball keeps to, and what unknown voxels count as."""
     seed: int | None = None  #: Seed of the random numbers.
     rejected: dict[str, int] = {}  #: Reason -> number of draws that were refused for it.
 

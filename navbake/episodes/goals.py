@@ -12,7 +12,15 @@ from typing import Annotated, Literal, NamedTuple, TypedDict
 import msgspec
 import numpy as np
 
-from navbake.episodes.episode import TASKS, Goal, Length, Record, ViewPoint, check_word, scene_of
+from navbake.episodes.episode import (
+    GRID_TASKS,
+    Goal,
+    Length,
+    Record,
+    ViewPoint,
+    check_word,
+    scene_of,
+)
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
@@ -31,7 +39,7 @@ VIEW_POINT_SPACING = 0.25  # between view points, and between points of a path [
 class Task(Record, frozen=True, kw_only=True):
     """The task of a set's episodes: the kind of their goals, and when a goal is reached."""
 
-    name: str = "point"  #: One of `TASKS`.
+    name: str = "point"  #: One of `GRID_TASKS`.
     objects: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
     """Patterns of names; or category -> patterns of names. By default all objects, each in the
     category that its name tells."""
@@ -46,7 +54,7 @@ class Task(Record, frozen=True, kw_only=True):
     """Share of the free area of the start's island that has to be explored."""
 
     def __post_init__(self) -> None:
-        check_word(self.name, TASKS, "task")
+        check_word(self.name, GRID_TASKS, "task")
 
     @property
     def kind(self) -> str:

@@ -161,7 +161,7 @@ def make_task(name: str = "point", **fields: object) -> Task:
     """Make a task from its name and the values of its other fields.
 
     Args:
-        name: the name of the task, one of `TASKS`.
+        name: the name of the task, one of `GRID_TASKS`.
         fields: values of the other fields of `Task`; texts are converted to the field's type.
 
     Raises:

@@ -48,11 +48,13 @@ class Ends(NamedTuple):
         voxels: indices of free voxels whose centres the positions see, shape (n, 3), int64.
         costs: cost of the straight lines, shape (n,) [m].
         positions: the position that each voxel is joined to, shape (n, 3) [m].
+        rows: the row of that position among all, shape (n,), int64.
     """
 
     voxels: Int
     costs: Float
     positions: Float
+    rows: Int
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -132,6 +134,10 @@ class VoxelFinder:
     Attributes:
         voxels: The grid.
         radius: Radius of the ball [m].
+        min_height: Least world z of the ball's centre [m]; None for any.
+        max_height: Greatest world z of the ball's centre [m]; None for any.
+        cost_of_clearance: What a metre costs more at 1 m from the nearest occupied voxel [m].
+        unknown: What voxels count as whose occupancy is unknown: ``occupied`` or ``free``.
         distances: Distance of each voxel from what is occupied, see `VoxelGrid.distances`.
 
     Args:
@@ -166,11 +172,16 @@ class VoxelFinder:
         check_choice(unknown, UNKNOWN_SPACE, "unknown", QueryError)
         _check_voxels(voxels)
         self.radius = _check_number("radius", radius, "> 0 m", positive=True)
-        self._cost_of_clearance = _check_number(
+        self.cost_of_clearance = _check_number(
             "cost_of_clearance", cost_of_clearance, ">= 0 m", positive=False
         )
-        self._heights = (min_height, max_height)
-        self._unknown = unknown
+        if min_height is not None:
+            min_height = _check_number("min_height", min_height, "as a height [m]")
+        if max_height is not None:
+            max_height = _check_number("max_height", max_height, "as a height [m]")
+        self.min_height = min_height
+        self.max_height = max_height
+        self.unknown = unknown
         self._moves = _list_moves(self.radius, voxels.res)
         self.use(voxels)
 
@@ -192,7 +203,7 @@ class VoxelFinder:
             )
         self.voxels = voxels
         self.distances: DistanceField = voxels.distances(
-            unknown_occupied=self._unknown == "occupied"
+            unknown_occupied=self.unknown == "occupied"
         )
         self._air = self._make_air()
         self._islands: AirIslands | None = None
@@ -202,16 +213,15 @@ class VoxelFinder:
         lower, upper = self.voxels.bounds
         lower = lower + self.radius
         upper = upper - self.radius
-        min_height, max_height = self._heights
-        if min_height is not None:
-            lower[2] = max(lower[2], _check_number("min_height", min_height, "as a height [m]"))
-        if max_height is not None:
-            upper[2] = min(upper[2], _check_number("max_height", max_height, "as a height [m]"))
+        if self.min_height is not None:
+            lower[2] = max(lower[2], self.min_height)
+        if self.max_height is not None:
+            upper[2] = min(upper[2], self.max_height)
         distances = self.distances.values
         greatest_distance = float(distances.max())
         least_weight = 1.0
         if greatest_distance > 0.0:
-            least_weight += self._cost_of_clearance / greatest_distance
+            least_weight += self.cost_of_clearance / greatest_distance
         air: Air = flight_kernels.Air(
             distances=distances,
             state=np.zeros(distances.shape, dtype=np.uint32),
@@ -220,7 +230,7 @@ class VoxelFinder:
             radius=self.radius,
             lower=lower,
             upper=upper,
-            cost_of_clearance=self._cost_of_clearance,
+            cost_of_clearance=self.cost_of_clearance,
             least_weight=least_weight,
         )
         run_in_chunks(flight_kernels.mark_free_voxels, len(distances), air)
@@ -496,7 +506,8 @@ class VoxelFinder:
                 counts.
 
         Returns:
-            Costs [m], shape (nx, ny, nz), float64; inf where no route leads to the goal.
+            Costs [m], shape (nx, ny, nz), float64; inf where no route leads to the goal. Of other
+            places than centres, see `costs_at`.
 
         Raises:
             QueryError: A position is not three finite numbers.
@@ -514,6 +525,40 @@ class VoxelFinder:
             np.full(self.voxels.shape, flight_kernels.NOT_REACHED, dtype=np.int8),
         )
         return costs
+
+    def costs_at(self, field: ArrayLike, position: ArrayLike) -> Float:
+        """Compute the cost of the cheapest route from positions, by a field of costs.
+
+        A position is joined to the centres of the voxels around it that it sees, as in
+        `find_path`.
+
+        Args:
+            field: What `distance_field` returned [m], shape (nx, ny, nz).
+            position: World x, y, z [m], shape (3,) or (..., 3).
+
+        Returns:
+            The costs that `find_path` finds from there to the field's goal [m], shape (...); inf
+            where there is no path.
+
+        Raises:
+            QueryError: A position is not three finite numbers, or the field is of other voxels.
+
+        Example:
+            >>> field = finder.distance_field((2.0, 3.0, 4.2))
+            >>> finder.costs_at(field, [(0.0, -4.0, 1.5), (0.0, -3.5, 1.5)])
+        """
+        positions = check_xyz(position, "position")
+        voxel_costs = np.asarray(field)
+        if voxel_costs.shape != self.voxels.shape:
+            expected = f"a field of shape {self.voxels.shape}"
+            message = f"expected {expected}, got {voxel_costs.shape}"
+            raise QueryError(message, key="field", value=voxel_costs.shape, expected=expected)
+        points = positions.reshape(-1, 3)
+        ends = self._join(points)
+        costs = np.full(len(points), np.inf)
+        route_costs = ends.costs + voxel_costs[tuple(ends.voxels.T)]
+        np.minimum.at(costs, ends.rows, route_costs)
+        return costs.reshape(positions.shape[:-1])
 
     def why_not(self, start: ArrayLike, goal: ArrayLike) -> str | None:
         """Say in one sentence why there is no path.
@@ -559,7 +604,6 @@ class VoxelFinder:
 
     def _find_smaller_radius(self, start: Float, goals: Float) -> float | None:
         """Find about the largest smaller radius with a path; None if half a voxel is too large."""
-        min_height, max_height = self._heights
         passing = None
         blocked = self.radius
         radius = self.voxels.res / 2.0
@@ -567,7 +611,7 @@ class VoxelFinder:
             if radius >= blocked:
                 break
             smaller = VoxelFinder(
-                self.voxels, radius, min_height, max_height, unknown=self._unknown
+                self.voxels, radius, self.min_height, self.max_height, unknown=self.unknown
             )
             if smaller.find_path(start[0], goals) is None:
                 if passing is None:
@@ -581,10 +625,10 @@ class VoxelFinder:
     def _say_nothing_is_free(self) -> str:
         """Say that the ball fits nowhere, and what may help."""
         sentence = f"a ball of {self.radius:g} m fits nowhere in the grid"
-        if self._heights != (None, None):
+        if self.min_height is not None or self.max_height is not None:
             sentence += " between the heights"
         is_known = self.voxels.known
-        if is_known is not None and not is_known.all() and self._unknown == "occupied":
+        if is_known is not None and not is_known.all() and self.unknown == "occupied":
             share = 1.0 - float(np.mean(is_known))
             sentence += (
                 f"; {share:.0%} of the voxels are unknown: unknown='free' takes them for free"
@@ -621,24 +665,26 @@ class VoxelFinder:
         """
         own_voxels = self.voxels.indices(positions)
         voxels = (own_voxels[:, None] + AROUND).reshape(-1, 3)
-        ends = np.repeat(positions, len(AROUND), axis=0)
+        rows = np.repeat(np.arange(len(positions)), len(AROUND))
         is_inside = ((voxels >= 0) & (voxels < self.voxels.shape)).all(axis=1)
         is_in_grid = ((own_voxels >= 0) & (own_voxels < self.voxels.shape)).all(axis=1)
         is_inside &= np.repeat(is_in_grid, len(AROUND))
         voxels = voxels[is_inside]
-        ends = ends[is_inside]
+        rows = rows[is_inside]
+        ends = positions[rows]
         centers = self._to_world(voxels)
         is_clear = (self._air.state[tuple(voxels.T)] & flight_kernels.FREE) != 0
         is_clear &= np.atleast_1d(self.sees(centers, ends))
         voxels = voxels[is_clear]
         ends = ends[is_clear]
+        rows = rows[is_clear]
         lengths = np.linalg.norm(centers[is_clear] - ends, axis=1)
-        if self._cost_of_clearance:
+        if self.cost_of_clearance:
             values = self.distances.values
             own_distances = values[tuple(self.voxels.indices(ends).T)]
             inverse = (1.0 / own_distances + 1.0 / values[tuple(voxels.T)]) / 2.0
-            lengths *= 1.0 + self._cost_of_clearance * inverse
-        return Ends(voxels, lengths, ends)
+            lengths *= 1.0 + self.cost_of_clearance * inverse
+        return Ends(voxels, lengths, ends, rows)
 
     def _to_world(self, voxels: Int | Float) -> Float:
         """Return world x, y, z of places in voxels, of which whole numbers are the centres [m]."""

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 import navbake
+from navbake.episodes import read_episodes
 
 # out of the arena's box, over its wall and down again
 OVER = ("--from", "0.75,-0.5,0.3", "--to", "0.75,1.4,0.7", "--radius", 0.1)
@@ -66,6 +67,17 @@ def test_says_why_there_is_no_path_and_exits_with_1(arena, run):
         ((*OVER, "-o", "a.txt"), 2, "expected a name that ends in .json, .png, .mcap, .npz"),
         ((*OVER, "-o", "-"), 2, "its ending says which format"),
         ((*OVER, "--res", 0), 1, "expected `res`"),
+        ((*OVER, "--episodes", 3, "-o", "a.jsonl"), 2, "it is for one path, not for --episodes"),
+        (("--radius", 0.1), 2, "expected --from X,Y,Z, or --episodes N"),
+        (("--radius", 0.1, "--episodes", 3), 2, "expected one file for the episodes"),
+        (("--radius", 0.1, "--episodes", 3, "-o", "a.json"), 2, "a name that ends in .jsonl"),
+        (("--radius", 0.1, "--episodes", 0, "-o", "a.jsonl"), 2, "expected a number >= 1"),
+        ((*OVER, "--seed", 3), 2, "it is for --episodes"),
+        (
+            ("--radius", 0.1, "--episodes", 3, "-o", "a.jsonl", "--rule", "far=1"),
+            1,
+            "no rule 'far' of flights",
+        ),
     ],
 )
 def test_wrong_words_are_told_in_a_line(arena, run, words, status, text):
@@ -124,3 +136,35 @@ def test_an_open_door_lets_a_flight_through(tmp_path, monkeypatch, run):
     words = ("hut.xml", "--from", "0,0,1", "--to", "0.2,-1.6,1", "--radius", 0.2)
     assert run("fly", *words)[0] == 1
     assert run("fly", *words, "--set", "scene.joints.hinge=-1.57")[0] == 0
+
+
+def test_episodes_are_drawn_in_voxels_and_scored(arena, run):
+    run("voxelize", "arena.xml", "-o", "a.npz", "--res", 0.05)
+    words = ("fly", "a.npz", "--radius", 0.05, "--episodes", 12, "--seed", 3, "-o", "set.jsonl")
+    status, out, err = run(*words, "--rule", "min_distance=0.4", "--rule", "reach=0.1")
+    assert (status, err) == (0, "") and out.startswith("set.jsonl: 12 episodes, ")
+    content = read_episodes("set.jsonl")
+    assert content.header.grids[0].file == "a.npz" and content.header.seed == 3
+    assert {episode.scene for episode in content.episodes} == {"a"}
+    assert min(episode.distance for episode in content.episodes) >= 0.4
+    lines = [{"episode": e.id, "positions": e.path} for e in content.episodes]
+    lines[0] = {"episode": "0", "positions": []}  # never took off
+    (arena / "runs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    for voxels in ((), ("a.npz",)):
+        status, out, _ = run("score", "set.jsonl", "runs.jsonl", *voxels, "--json")
+        [group] = json.loads(out)["groups"]
+        assert status == 0 and group["success"]["mean"] == pytest.approx(11 / 12)
+        assert group["spl"]["mean"] == pytest.approx(11 / 12) and group["collisions"]["mean"] == 0
+    run("voxelize", "arena.xml", "-o", "b.npz", "--res", 0.1)
+    status, _, err = run("score", "set.jsonl", "runs.jsonl", "b.npz")
+    assert status == 1 and "the set was made in other voxels" in err
+
+
+def test_episodes_in_a_scene_name_no_voxels_and_few_are_told(arena, run):
+    words = ("fly", "arena.xml", "--radius", 0.1, "--episodes", 3, "-o", "set.jsonl")
+    assert run(*words)[0] == 0
+    (arena / "runs.jsonl").write_text('{"episode": "0", "positions": []}\n')
+    status, _, err = run("score", "set.jsonl", "runs.jsonl", "--partial")
+    assert status == 1 and "expected the voxels of set.jsonl, which names none" in err
+    status, _, err = run(*words, "--rule", "min_distance=100")
+    assert status == 1 and "no flight in 'arena' keeps the rules: " in err

@@ -117,6 +117,16 @@ def test_each_command_prints_one_object_with_the_keys_of_the_page(house, run, mo
         assert scene["scene_id"] in ("house", "room")
 
 
+def test_flights_are_a_path_or_episodes_with_keys_of_their_own(house, run):
+    words = "fly room.yaml --radius 0.2 --margin 1 --episodes 2 -o set.jsonl --json"
+    status, out, _ = run(*words.split())
+    [row] = re.findall(r"^\| `fly` of episodes \| (.*) \|$", TABLE, flags=re.MULTILINE)
+    facts = json.loads(out)
+    assert status == 0 and facts.keys() == {"files", "warnings", *re.findall(r"`(\w+)`", row)}
+    assert (facts["scene_id"], facts["num_episodes"]) == ("room", 2)
+    assert facts["files"] == ["set.jsonl"]
+
+
 @pytest.mark.parametrize("command", NAMES)
 def test_each_command_has_the_option_once(run, command):
     _, out, _ = run(command, "--help")
@@ -196,6 +206,10 @@ STATUSES = {  # status -> commands that end with it
         "batch bad.yaml -o out",
         "path house.json.gz --from 99,0,0 --to 1,1,L1",
         "path house.json.gz --from 0,-4.8,L0 --to 1,1,L1 --radius 2",
+        "fly room.yaml --from 0,0,4 --to 1,1,4 --radius 0.2 --res 0",
+        "fly room.yaml --from 0,0,-4 --to 1,1,4 --radius 0.2",
+        "stand house.json.gz object:sofa --reach 0.8,0.3",
+        "stand house.json.gz object:sofa --height 9",
         "verify wrong.grid.json --scene room.yaml --all",
         "audit free.grid.json",
     ],
@@ -206,6 +220,8 @@ STATUSES = {  # status -> commands that end with it
         "bake room.yaml --radius wide",
         "plot house.json.gz -o house.txt",
         "why house.json.gz here",
+        "fly room.yaml --from 0,0,4 --to 1,1,4 --radius 0.2 --margin -1",
+        "stand house.json.gz object:sofa --reach near",
     ],
 }
 SIGNALLED = """
@@ -223,7 +239,7 @@ def test_the_page_lists_all_statuses():
     rows = re.findall(r"^\| ([\d, ]+) \|", table, flags=re.MULTILINE)
     listed = {int(status) for row in rows for status in row.split(",")}
     assert listed == {*STATUSES, 130, 143}
-    for command in ("path", "verify", "audit", "bake", "batch"):
+    for command in ("path", "fly", "stand", "verify", "audit", "bake", "batch"):
         assert f"`{command}`" in table
         assert any(line.startswith(command) for line in STATUSES[1])
 

@@ -78,7 +78,7 @@ def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch):
         (1, (b"0.25", b'"x"'), r"Expected `float`, got `str` - at `\$.heading` in .*, line 2"),
         (1, (b'"radius":0.2', b'"radius":-1'), r"goals\[0\].radius"),
         (1, (b"heading", b"haeding"), "unknown field `haeding`"),
-        (1, (b'"point"', b'"fly"'), "expected one of point, .* as task, got 'fly'"),
+        (1, (b'"point"', b'"swim"'), "expected one of point, .* as task, got 'swim'"),
         (2, (b'"b"', b'"a"'), "expected unique ids, got 'a' twice"),
         (2, (b"{", b""), "line 3"),
     ],
