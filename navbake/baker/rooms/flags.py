@@ -121,9 +121,9 @@ class RoomFlags(NamedTuple):
     Attributes:
         lattice: the whole lattice.
         levels: the flags of each level, lowest first.
-        is_empty: a mask of the cells whose vertical line meets no structure, shape (height, width).
-        is_scene_end: a mask of the sides of the lattice at which the scene ends, [[upper, lower],
-            [left, right]]; at the other sides, the lattice crops the scene.
+        is_at_scene_end: a mask of the cells at the outer boundary of the scene, where the lattice
+            does not crop it: at a side of the lattice at which the scene ends, or next to cells
+            without any structure that are connected to such a side, shape (height, width).
         wall_shapes: the geometry of walls, and of meshes that contain a whole building.
         has_ground: whether an endless ground continues beyond the lattice.
         steps: pairs of cells that a step to another level, or a slope, joins, see `Floors.steps`,
@@ -134,8 +134,7 @@ class RoomFlags(NamedTuple):
 
     lattice: Lattice
     levels: list[LevelFlags]
-    is_empty: Bool
-    is_scene_end: Bool
+    is_at_scene_end: Bool
     wall_shapes: Shapes
     has_ground: bool
     steps: Int
@@ -173,20 +172,21 @@ def gather_flags(
     """
     lattice = columns.lattice
     levels = list[LevelFlags]()
-    is_empty = np.zeros(lattice.shape, dtype=np.bool_)
+    # the same on all levels
+    is_empty = (column_flags[0].reshape(lattice.shape) & EMPTY) > 0
+    is_at_outside = mark_edge(is_empty, ALL_SIDES)
     is_wall = np.zeros(lattice.shape, dtype=np.bool_)
     is_low = np.zeros(lattice.shape, dtype=np.bool_)
     for level_number, level in enumerate(floors.levels):
         if standing_occupants is not None:
             is_wall, is_low = standing_occupants.mark_walls(level_number)
         flag_bits = column_flags[level_number].reshape(lattice.shape)
-        is_empty = (flag_bits & EMPTY) > 0  # the same on all levels
         is_bank = (flag_bits & STEEP_GROUND) > 0
         is_under_sky = (flag_bits & SKY) > 0
         is_window = find_windows(is_low, is_wall, lattice.cell_size)
         is_open = ~np.isnan(level.floor) & ~is_wall & ~is_window
-        is_at_edge = mark_edge(is_empty | is_bank, ALL_SIDES) & is_open
-        is_at_edge &= (flag_bits & TALL) == 0
+        is_at_edge = is_open & ((flag_bits & TALL) == 0)
+        is_at_edge &= mark_edge(is_empty | is_bank, ALL_SIDES) if is_bank.any() else is_at_outside
         # The extent if all cells at the edge are in one diagonal line: the largest that is possible
         max_extent = np.sqrt(2) * np.count_nonzero(is_at_edge) * lattice.cell_size
         if max_extent <= MIN_OUTDOOR_EDGE:
@@ -208,8 +208,7 @@ def gather_flags(
     return RoomFlags(
         lattice=lattice,
         levels=levels,
-        is_empty=is_empty,
-        is_scene_end=_find_scene_ends(scene, lattice),
+        is_at_scene_end=mark_edge(is_empty, _find_scene_ends(scene, lattice)),
         wall_shapes=scene.structure.only(is_wall_geom),
         has_ground=len(scene.structure.planes.geom) > 0,
         steps=floors.steps,

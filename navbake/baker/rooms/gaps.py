@@ -7,7 +7,7 @@ A *gap* is a narrow place between two *spaces*: the open floor is much wider bes
    done for each direction.
 2. `_mark_gap_lines` marks the cells of gaps: open cells in a line from wall to wall that is much
    shorter than the line next to it.
-3. `_label_spaces` labels the spaces: connected open cells that are not marked.
+3. `label_spaces` labels the spaces: connected open cells that are not marked.
 4. `_list_gaps` combines marked cells in neighbouring columns between the same two spaces to a gap.
 5. `SpaceMerger.measure` measures a gap's two *shares*: the gap's width, divided by the width of the
    space on either side.
@@ -140,7 +140,7 @@ def find_gaps(
         is_closed = np.zeros_like(is_passable)
     directions = find_directions(is_passable, cell_size, rays)
     marks, is_marked = _mark_gap_lines(is_passable, is_closed, directions, cell_size, door_width)
-    label, num_cells = _label_spaces(is_open, is_marked, cell_size)
+    label, num_cells = label_spaces(is_open, is_marked, cell_size)
     direction_gaps = []
     for direction, direction_marks in zip(directions, marks, strict=True):
         depths_in_rows = np.array(
@@ -229,10 +229,16 @@ def _mark_gap_lines(
     return marks, is_marked
 
 
-def _label_spaces(is_open: Bool, is_marked: Bool, cell_size: float) -> tuple[Int32, Int]:
+def label_spaces(is_open: Bool, is_marked: Bool, cell_size: float) -> tuple[Int32, Int]:
     """Label the spaces: connected open cells that are not marked as cells of gaps.
 
-    Areas smaller than `MIN_SPACE_AREA` are no spaces; their cells are added to `is_marked`.
+    Areas smaller than `MIN_SPACE_AREA` are no spaces.
+
+    Args:
+        is_open: cells with a floor and without a wall, shape (height, width).
+        is_marked: cells of gaps and of closed door leaves; the cells of areas that are too small
+            are added.
+        cell_size: the side of a cell, > 0 [m].
 
     Returns:
         The label of each cell's space, from 1, 0 for none, shape (height, width); and the number of

@@ -88,6 +88,8 @@ def mark_leaves(
         The cells of leaves; None if there are no leaves on the level.
     """
     leaves_on_level = [leaf for leaf in closed_leaves if len(leaf.cells[level_number])]
+    if not leaves_on_level:
+        return None
     leaf_cells = _mark_cells(level, level_number, leaves_on_level)
     if not leaf_cells.any():
         return None

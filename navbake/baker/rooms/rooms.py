@@ -23,12 +23,11 @@ from navbake.baker.core.windows import list_differing_pairs
 from navbake.baker.rooms.flags import LevelFlags, MarkedRooms, RoomFlags
 from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.leaves import ClosedLeaf, LeafMarks, mark_leaves
+from navbake.baker.rooms.outdoors import find_room_segments
 from navbake.baker.rooms.segmentation import (
     assign_covered,
     assign_leaf_cells,
     assign_unmarked,
-    find_outdoors,
-    mark_cavities,
     renumber,
     segment_by_gaps,
 )
@@ -314,23 +313,24 @@ class _RoomAssignment:
 
         The floor is divided at narrow places, such as doorways, see `segment_by_gaps`.
         """
-        labels = list[Int32]()
-        outdoor_rooms = set[int]()
+        segments = list[Int32]()
+        cells_beyond = list[Int]()
         separating_masks: list[Bool | None] = []
-        num_new_rooms = 0  # of new rooms on the levels so far
         for level_number, level in enumerate(self._flags.levels):
             leaf_marks = mark_leaves(
                 level, level_number, self._closed_leaves, self._flags.lattice.cell_size
             )
-            separating_masks.append(
-                None if leaf_marks is None else leaf_marks.is_separating & level.is_open
-            )
-            segment, outdoor_segments = self._segment_level(level_number, level, leaf_marks)
-            outdoor_rooms.update(room + num_new_rooms for room in outdoor_segments)
-            labels.append(
-                np.where(segment > 0, segment + num_new_rooms, 0) if num_new_rooms else segment
-            )
-            num_new_rooms += int(segment.max(initial=0))
+            segments.append(self._segment_level(level_number, level, leaf_marks))
+            if leaf_marks is None:
+                cells_beyond.append(np.empty(0, dtype=np.int64))
+                separating_masks.append(None)
+            else:
+                cells_beyond.append(leaf_marks.cells_beyond)
+                separating_masks.append(leaf_marks.is_separating & level.is_open)
+        labels, outdoor_rooms = find_room_segments(
+            segments, self.room_numbers, self._flags, cells_beyond
+        )
+        num_new_rooms = max(int(label.max(initial=0)) for label in labels)
         self.add_source(
             MarkedRooms([None] * num_new_rooms, labels, outdoor_rooms=outdoor_rooms), "auto"
         )
@@ -340,8 +340,8 @@ class _RoomAssignment:
 
     def _segment_level(
         self, level_number: int, level: LevelFlags, leaf_marks: LeafMarks | None
-    ) -> tuple[Int32, set[int]]:
-        """Find the rooms of a level that no other source marks.
+    ) -> Int32:
+        """Divide the floor of a level that no other source marks at gaps.
 
         Marked rooms may get more cells: `room_numbers` is changed.
 
@@ -351,8 +351,7 @@ class _RoomAssignment:
             leaf_marks: the cells of the level's closed door leaves; None if there are none.
 
         Returns:
-            The number of each cell's new room, from 1, 0 for none, shape (height, width); and the
-            numbers of the new rooms that are outdoors.
+            The number of each cell's segment, from 1, 0 for none, shape (height, width).
         """
         lattice = self._flags.lattice
         door_width = self._settings.door_width
@@ -367,15 +366,9 @@ class _RoomAssignment:
         )
         if close_calls and door_width == "auto":
             self.warnings.append(_describe_close_calls(close_calls, level_number, lattice))
-        cells_beyond = None if leaf_marks is None else leaf_marks.cells_beyond
         if self.room_numbers[level_number].any():
             segment = self._divide_segments(level_number, segment, leaf_marks)
-        is_cavity = mark_cavities(
-            segment, self.room_numbers[level_number], self._flags, level_number, cells_beyond
-        )
-        if is_cavity.any():
-            segment, _ = renumber(np.where(is_cavity[segment], 0, segment))
-        return find_outdoors(segment, self._flags, level_number)
+        return segment
 
     def _divide_segments(
         self, level_number: int, segment: Int32, leaf_marks: LeafMarks | None

@@ -8,9 +8,9 @@ which becomes a room unless geoms, sites or polygons mark rooms in it. The steps
    door, gives the cells of gaps to the nearest space, and joins stairs and small spaces to a
    neighbour (`_SpaceGraph`).
 2. `assign_covered` and `assign_unmarked` divide the cells of segments between marked and new rooms.
-3. `mark_cavities` finds segments that are hollows of the building, and no rooms.
-4. `find_outdoors` finds segments that are outdoors.
-5. `assign_leaf_cells` gives the cells of closed door leaves to the rooms beside them.
+3. `find_room_segments` in `outdoors.py` leaves out segments that are hollows of the building, and
+   finds those that are outdoors.
+4. `assign_leaf_cells` gives the cells of closed door leaves to the rooms beside them.
 
 `rooms.py` calls these functions.
 """
@@ -23,15 +23,13 @@ import numpy as np
 from navbake.baker.core.components import (
     count_cells_by_label,
     find_row_runs,
-    label_components,
     label_components_2d,
-    list_adjacent_pairs,
 )
 from navbake.baker.core.windows import bounding_window, list_differing_pairs
 from navbake.baker.geometry.shapes import Shapes
-from navbake.baker.rooms.flags import MIN_OUTDOOR_EDGE, LevelFlags, RoomFlags, mark_edge
+from navbake.baker.rooms.flags import LevelFlags
 from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH
-from navbake.baker.rooms.gaps import CloseCall, SpaceMerger, find_gaps
+from navbake.baker.rooms.gaps import CloseCall, SpaceMerger, find_gaps, label_spaces
 from navbake.baker.rooms.leaves import LeafMarks
 from navbake.baker.rooms.walls import (
     WallRays,
@@ -58,15 +56,6 @@ MIN_STAIR_SHARE = 0.5
 # In cells, the distance from a corridor's middle to its walls varies by at most this, depending on
 # its angle. An opening that is narrower than a stair by this counts as equally wide [half cells]
 WIDTH_ROUGHNESS = 1.0
-
-# A space that nothing leads into is a room if it has at least this area [m²] and greatest width [m]
-MIN_CLOSED_ROOM_AREA = 2.0
-MIN_CLOSED_ROOM_WIDTH = 1.0
-
-# A cell that is not under the sky is under eaves if it is at most this far from the edge [m]
-MAX_EAVES_DEPTH = 1.2
-# Outdoors, at least this share of the floor is under the sky or under eaves
-MIN_OPEN_SHARE = 0.5
 
 
 # ---------------------------------------------------------------- segments between gaps
@@ -136,12 +125,19 @@ def segment_by_gaps(
     is_at_edge = level.is_at_edge[window]
     is_open = np.ascontiguousarray(level.is_open[window])
     is_hole = np.ascontiguousarray(level.is_hole[window])
-    rays = None
-    if walls is not None and lattice is not None:
-        rays = WallRays(walls, lattice.cut(row_slice, col_slice), floor)
     is_closed = np.zeros_like(is_open) if leaf_marks is None else leaf_marks.is_separating[window]
-    label, close_calls = _label_at_gaps(is_open, is_hole, cell_size, door_width, rays, is_closed)
-    del rays  # which hold the walls in all directions
+    if (is_open | is_hole).all():
+        # gaps are between walls, and there is none
+        label, _ = label_spaces(is_open, is_closed.copy(), cell_size)
+        close_calls = list[CloseCall]()
+    else:
+        rays = None
+        if walls is not None and lattice is not None:
+            rays = WallRays(walls, lattice.cut(row_slice, col_slice), floor)
+        label, close_calls = _label_at_gaps(
+            is_open, is_hole, cell_size, door_width, rays, is_closed
+        )
+        del rays  # which hold the walls in all directions
     is_open = is_open & ~is_closed
     cells_beyond = np.empty((2, 0), dtype=np.int64)  # rows and columns in the window
     if leaf_marks is not None:
@@ -743,163 +739,3 @@ def renumber(label: Int32) -> tuple[Int32, Int]:
     new_label = np.zeros(int(labels_in_order.max(initial=0)) + 1, dtype=np.int32)
     new_label[labels_in_order] = np.arange(1, len(labels_in_order) + 1)
     return new_label[label], labels_in_order
-
-
-# ---------------------------------------------------------------- cavities and outdoors
-
-
-def mark_cavities(
-    segment: Int32,
-    room_number: Int32,
-    flags: RoomFlags,
-    level_number: int,
-    cells_beyond: Int | None = None,
-) -> Bool:
-    """Mark the segments of a level that are cavities: hollow walls, shafts, chases.
-
-    Nothing leads into a cavity: it touches no other segment or room and not the grid's edge, no
-    link (a step to another level, or a slope) ends in it, and no closed door leaf leads into it.
-    And it is smaller than `MIN_CLOSED_ROOM_AREA`, or narrower than `MIN_CLOSED_ROOM_WIDTH`. The
-    largest segment is never a cavity.
-
-    Args:
-        segment: the part of the floor between gaps that each cell belongs to, 0 for none, shape
-            (height, width).
-        room_number: the marked room of each cell, 0 for none.
-        flags: the flags of the cells of all levels, and the steps between cells.
-        level_number: the number of the level.
-        cells_beyond: ids of cells in the spaces that closed leaves lead into, None for none.
-
-    Returns:
-        For each segment number, from 0: whether it is a cavity.
-    """
-    level_flags = flags.levels[level_number]
-    cell_size = flags.lattice.cell_size
-    num_labels = int(segment.max(initial=0)) + 1
-    area = count_cells_by_label(segment, num_labels) * cell_size**2
-    space_of_cell = np.where(room_number > 0, room_number + num_labels, segment)
-    touching_spaces = space_of_cell.ravel()[list_differing_pairs(space_of_cell)]
-    is_connected = np.zeros(num_labels, dtype=np.bool_)
-    is_connected[0] = True
-    is_connected[
-        touching_spaces[(touching_spaces > 0).all(axis=0) & (touching_spaces < num_labels)]
-    ] = True
-    is_connected[segment[level_flags.is_at_edge]] = True
-    if cells_beyond is not None:
-        is_connected[segment.ravel()[cells_beyond]] = True
-    for level_column, cell_column in ((0, 1), (2, 3)):  # of both ends of steps
-        steps_on_level = flags.steps[flags.steps[:, level_column] == level_number]
-        is_connected[segment.ravel()[steps_on_level[:, cell_column]]] = True
-    is_connected |= area >= area[1:].max(initial=0.0)
-    is_cavity: Bool = ~is_connected & (area < MIN_CLOSED_ROOM_AREA)
-    if (is_connected | is_cavity).all():
-        return is_cavity
-    reach = int(MIN_CLOSED_ROOM_WIDTH / cell_size) + 2
-    widest_squared = find_widest_distances(
-        segment, measure_squared_distances(mark_wall_nodes(segment > 0), reach), num_labels
-    )
-    is_wide = widest_squared >= (MIN_CLOSED_ROOM_WIDTH / cell_size) ** 2 - CELL_ROUNDING
-    return is_cavity | ~is_connected & ~is_wide
-
-
-def find_outdoors(segment: Int32, flags: RoomFlags, level_number: int) -> tuple[Int32, set[int]]:
-    """Find the segments of a level that are outdoors, and unite those that touch.
-
-    A segment is outdoors if it touches the edge of the grid over a connected length that is wider
-    than any door, and if at least half of its cells have nothing above an agent's head or lie under
-    eaves. Outdoor segments that a wall separates stay apart, unless the ground is endless. Segments
-    on both sides of a ditch are united.
-
-    Args:
-        segment: the part of the floor between gaps that each cell belongs to, 0 for none, shape
-            (height, width).
-        flags: the flags of the cells of all levels.
-        level_number: the number of the level.
-
-    Returns:
-        The segment of each cell, with touching outdoor segments united; and the numbers of the
-        outdoor segments.
-    """
-    level_flags = flags.levels[level_number]
-    cell_size = flags.lattice.cell_size
-    num_labels = int(segment.max(initial=0)) + 1
-    edge_extents = _measure_edge_extents(
-        segment, level_flags.is_at_edge & (segment > 0), num_labels
-    )
-    is_candidate = edge_extents * cell_size > MIN_OUTDOOR_EDGE
-    if not is_candidate.any():
-        return segment, set()
-    is_in_candidate = is_candidate[segment]
-    is_under_open_sky = level_flags.is_under_sky[is_in_candidate]
-    if not is_under_open_sky.all() and flags.is_scene_end.any():
-        # where the lattice crops the scene, rooms go on beyond it
-        is_at_scene_end = is_in_candidate & mark_edge(flags.is_empty, flags.is_scene_end)
-        if is_at_scene_end.any():
-            reach = int(MAX_EAVES_DEPTH / cell_size) + 1
-            squared_distance = measure_squared_distances(is_at_scene_end, reach)[is_in_candidate]
-            is_under_open_sky |= np.sqrt(squared_distance) * cell_size <= MAX_EAVES_DEPTH
-    cell_segments = segment[is_in_candidate]
-    num_under_open_sky = np.bincount(cell_segments[is_under_open_sky], minlength=num_labels)
-    num_cells = np.bincount(cell_segments, minlength=num_labels)
-    is_outdoors = is_candidate & (num_under_open_sky >= MIN_OPEN_SHARE * num_cells)
-    united_segment = _unite_touching(segment, is_outdoors, level_flags.is_bank)
-    if is_outdoors.any() and flags.has_ground:
-        united_segment[is_outdoors] = united_segment[is_outdoors].min()
-    return united_segment[segment], set(np.unique(united_segment[is_outdoors]).tolist())
-
-
-def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
-    """Unite outdoor segments that touch each other, or the same bank (ground that is too steep).
-
-    Args:
-        segment: the segment of each cell, 0 for none, shape (height, width).
-        is_outdoors: by segment, whether it is outdoors.
-        is_bank: cells without a floor whose ground is too steep, see `LevelFlags.is_bank`.
-
-    Returns:
-        By segment, the lowest number of the segments that it is united with, itself included.
-    """
-    bank_of_cell, num_banks = label_components_2d(is_bank)
-    # nodes are the segments, and behind them the banks
-    node_of_cell = np.where(is_bank, bank_of_cell + len(is_outdoors) - 1, segment)
-    may_join = np.concatenate([is_outdoors, np.ones(num_banks, dtype=np.bool_)])
-    touching_nodes = node_of_cell.ravel()[list_differing_pairs(node_of_cell)]
-    # the first node of a component is its least
-    component = label_components(
-        touching_nodes[:, may_join[touching_nodes].all(axis=0)], len(may_join)
-    )
-    lowest_node = np.unique(component, return_index=True)[1].astype(np.int32)
-    return lowest_node[component][: len(is_outdoors)]
-
-
-def _measure_edge_extents(segment: Int32, is_at_edge: Bool, num_labels: int) -> Float:
-    """Measure over which connected length each segment touches the edge of the grid [cells].
-
-    Of several connected pieces of a segment's cells at the edge, the longest counts. The length of
-    a piece is the diagonal of the rectangle round it.
-
-    Args:
-        segment: the segment of each cell, shape (height, width).
-        is_at_edge: a mask of the cells at the edge that are in a segment.
-        num_labels: the number of segments, plus 1.
-
-    Returns:
-        The lengths by segment, 0 for segments that don't touch the edge, shape (num_labels,).
-    """
-    edge_cells = np.flatnonzero(is_at_edge)
-    rows, cols = np.divmod(edge_cells, segment.shape[1])
-    segment_of_cell = segment[rows, cols]
-    pairs = list_adjacent_pairs(edge_cells, segment.shape[1])
-    piece_of_cell = label_components(
-        pairs[:, segment_of_cell[pairs[0]] == segment_of_cell[pairs[1]]], len(edge_cells)
-    )
-    extent = np.zeros(len(edge_cells))
-    for coordinates in (rows, cols):
-        lowest_index = np.full(len(edge_cells), np.inf)
-        highest_index = np.full(len(edge_cells), -np.inf)
-        np.minimum.at(lowest_index, piece_of_cell, coordinates)
-        np.maximum.at(highest_index, piece_of_cell, coordinates)
-        extent = np.hypot(extent, (highest_index - lowest_index)[piece_of_cell])
-    max_extent = np.zeros(num_labels)
-    np.maximum.at(max_extent, segment_of_cell, extent + 1)
-    return max_extent

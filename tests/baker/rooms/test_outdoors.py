@@ -10,6 +10,7 @@ import pytest
 
 import navbake
 from box_worlds import box, stages_of_xml, world
+from navbake.baker.core import level_stacks
 from navbake.cli.main import main
 
 HIGH = 2.6  # of walls [m]
@@ -244,3 +245,19 @@ def test_outdoors_in_the_file_and_in_the_commands(tmp_path, capsys):
     (level,) = json.loads(run("info", path, "--json"))["levels"]
     assert level["num_rooms"] == 2
     assert np.unique(grid.room_index).tolist() == [0, 1, 2]
+
+
+def test_rooms_of_levels_in_one_stack_are_those_of_each_level_alone(tmp_path, monkeypatch):
+    """A house in its garden, with a shaft that is no room; and once more over it, under a roof."""
+    shaft = house(5.8, 4.8, 7.4, 6.4)
+    storey = GARDEN + shaft
+    upper_storey = f'<body pos="0 0 {HIGH + 0.1}">{storey}</body>'
+    content = world(storey + upper_storey + slab(0, 0, 12, 10, 2 * HIGH + 0.2))
+    together = stages_of_xml(tmp_path, content).rooms
+    monkeypatch.setattr(level_stacks, "MAX_STACK_CELLS", 1)
+    apart = stages_of_xml(tmp_path, content).rooms
+    for rooms in (together, apart):
+        assert [room.outdoors for room in rooms.table] == 2 * [True, False, False]
+        np.testing.assert_array_equal(rooms.index[0], rooms.index[1])
+        assert rooms.index[0][44, 66] == 0  # in the shaft
+    assert together.table == apart.table
