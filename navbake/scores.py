@@ -7,7 +7,8 @@ that module is given as `xp`; they have no branches on values.
 Distances [m] are those of `PathFinder` over cells, from the cell of a position to the nearest place
 of the goal. If no agent can stand in that cell, the distance from the nearest free cell counts,
 plus the distance to that cell. Those of flights are `VoxelFinder`'s over voxels. Success and SPL
-use the same distances.
+use the same distances. An object that has to be reached (task ``reach``) also has to be faced, so
+there each position needs a heading.
 """
 
 from __future__ import annotations
@@ -36,7 +37,13 @@ from navbake.episodes.episode import (
 )
 from navbake.episodes.flights import digest_of_voxels, list_flight_points, make_flight_finder
 from navbake.episodes.formats import decode
-from navbake.episodes.goals import MAX_SNAP_DISTANCE, Stops, find_stops, plan_path_through
+from navbake.episodes.goals import (
+    MAX_SNAP_DISTANCE,
+    Stops,
+    find_stops,
+    make_reach_test,
+    plan_path_through,
+)
 from navbake.errors import FormatError, QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
@@ -293,6 +300,7 @@ class EpisodeMeasures(ABC):
         self._stops = self._find_stops()
         self._num_reached = 0  # how many of the stops the agent has reached
         self._positions = [np.array(episode.start)]
+        self._headings = [episode.heading]  # fewer than positions if some are unknown
         self._times = list[float]()
         self._distances = self._add_distances(self._positions[0][None], "start")
         self.shortest = self._distances[0]
@@ -337,12 +345,15 @@ class EpisodeMeasures(ABC):
         """
         return self._distances[-1]
 
-    def step(self, position: ArrayLike, time: float | None = None) -> float:
+    def step(
+        self, position: ArrayLike, time: float | None = None, heading: float | None = None
+    ) -> float:
         """Add a position of the agent.
 
         Args:
             position: world x, y, z [m].
             time: time of the position [s].
+            heading: where the agent faces there [rad]; needed for the task ``reach``.
 
         Returns:
             `distance` from this position [m].
@@ -351,15 +362,23 @@ class EpisodeMeasures(ABC):
             QueryError: the position is not finite, or in no cell.
         """
         times = None if time is None else [time]
-        self.steps(np.asarray(position, dtype=np.float64)[None], times)
+        headings = None if heading is None else [heading]
+        self.steps(np.asarray(position, dtype=np.float64)[None], times, headings)
         return self.distance
 
-    def steps(self, positions: ArrayLike, times: Sequence[float] | None = None) -> None:
+    def steps(
+        self,
+        positions: ArrayLike,
+        times: Sequence[float] | None = None,
+        headings: Sequence[float] | None = None,
+    ) -> None:
         """Add many positions of the agent, in their order.
 
         Args:
             positions: world x, y, z [m], shape (n, 3).
             times: time of each position [s], shape (n,).
+            headings: where the agent faces at each [rad], shape (n,); needed for the task
+                ``reach``.
 
         Raises:
             QueryError: a position is not finite, or in no cell.
@@ -369,6 +388,8 @@ class EpisodeMeasures(ABC):
         self._positions += list(new_positions)
         if times is not None:
             self._times += [float(time) for time in times]
+        if headings is not None:
+            self._headings += [float(heading) for heading in headings]
 
     def _add_distances(self, new_positions: Float, position_label: str) -> list[float]:
         """Compute the distances to the goal from the next positions, and count the reached stops.
@@ -412,6 +433,9 @@ class EpisodeMeasures(ABC):
         Returns:
             The measures by name: those of `MEAN_FIELDS`, and ``shortest``, the length of the
             shortest path [m]. A measure that has no meaning for the episode is NaN.
+
+        Raises:
+            QueryError: the agent has to face an object, and positions have no headings.
         """
         positions = np.array(self._positions)
         stop_positions = self._stops.places
@@ -514,6 +538,26 @@ class Measures(EpisodeMeasures):
         return plan_path_through(self.finder, self.episode.start, self._stops.places).get(
             "path", ()
         )
+
+    def _goal_distances(self, positions: Float, coverage: float) -> Float:
+        distances = super()._goal_distances(positions, coverage)
+        if any(goal.stance is not None for goal in self.episode.goals):
+            return np.where(self._mark_reaching(positions), distances, math.inf)
+        return distances
+
+    def _mark_reaching(self, positions: Float) -> Bool:
+        """Mark the positions where the agent reaches the object of a goal, shape (n,)."""
+        if len(self._headings) < len(positions):
+            expected = f"a heading for each of {len(positions) - 1} positions"
+            got = f"{len(self._headings) - 1} in episode {self.episode.id!r}"
+            hint = "its task is to face an object, so trajectories need `headings` [rad]"
+            raise QueryError(f"expected {expected}, got {got}: {hint}")
+        is_reaching = np.zeros(len(positions), dtype=np.bool_)
+        for goal in self.episode.goals:
+            if goal.stance is not None:
+                reach_test = make_reach_test(self.finder, goal.name, goal.stance)
+                is_reaching |= reach_test.mark(positions, self._headings)
+        return is_reaching
 
     def _count_collisions(self, positions: Float) -> int:
         """Count the moves that collide.
@@ -645,6 +689,7 @@ class Trajectory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     positions: Sequence[tuple[float, float, float]]  #: World x, y, z [m]; may be empty.
     stop: bool = True  #: Whether the agent called stop.
     times: Sequence[float] | None = None  #: The time of each position [s].
+    headings: Sequence[float] | None = None  #: Where the agent faces at each position [rad].
 
 
 def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
@@ -654,7 +699,7 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
 
     The archive has the arrays ``episode`` (ids, shape (k,)), ``start`` (int, shape (k + 1,)),
     ``positions`` (shape (n, 3); trajectory i has the rows ``start[i]:start[i + 1]``). It may also
-    have ``stop`` (bool, shape (k,)) and ``times`` (shape (n,)).
+    have ``stop`` (bool, shape (k,)), ``times`` and ``headings`` (shape (n,)).
 
     Args:
         path: path of the file.
@@ -679,13 +724,17 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
         start_rows = archive.read("start", archive.root_place)
         positions = archive.read("positions", archive.root_place)
         stop_flags = archive.read("stop", archive.root_place) if "stop" in archive else None
-        times = archive.read("times", archive.root_place) if "times" in archive else None
+        numbers_by_name = {
+            name: archive.read(name, archive.root_place)
+            for name in ("times", "headings")
+            if name in archive
+        }
         have_matching_shapes = (
             start_rows.shape == (len(episode_ids) + 1,)
             and positions.ndim == 2
             and positions.shape[1] == 3
             and (stop_flags is None or stop_flags.shape == episode_ids.shape)
-            and (times is None or times.shape == positions.shape[:1])
+            and all(numbers.shape == positions.shape[:1] for numbers in numbers_by_name.values())
         )
         if not len(episode_ids):
             raise ValueError("no trajectories")
@@ -695,15 +744,16 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
             raise ValueError("arrays of other shapes")
         trajectories = []
         for index, (first_row, stop_row) in enumerate(pairwise(start_rows.tolist())):
-            trajectory_times = None
-            if times is not None:
-                trajectory_times = times[first_row:stop_row].astype(np.float64).tolist()
+            trajectory_numbers = {
+                name: numbers[first_row:stop_row].astype(np.float64).tolist()
+                for name, numbers in numbers_by_name.items()
+            }
             trajectories.append(
                 Trajectory(
                     episode=str(episode_ids[index]),
                     positions=positions[first_row:stop_row].astype(np.float64).tolist(),
                     stop=stop_flags is None or bool(stop_flags[index]),
-                    times=trajectory_times,
+                    **trajectory_numbers,
                 )
             )
         return trajectories
@@ -768,8 +818,11 @@ def score_set(
         times = trajectory.times
         if times is not None and len(times) != len(trajectory.positions):
             raise QueryError(f"expected a time for each position of episode {episode.id!r}")
+        headings = trajectory.headings
+        if headings is not None and len(headings) != len(trajectory.positions):
+            raise QueryError(f"expected a heading for each position of episode {episode.id!r}")
         measures = _make_measures(finder_by_scene[episode.scene], episode, threshold)
-        measures.steps(np.array(trajectory.positions, dtype=np.float64), times)
+        measures.steps(np.array(trajectory.positions, dtype=np.float64), times, headings)
         rows.append(
             {
                 "episode": episode.id,

@@ -11,7 +11,16 @@ import pytest
 
 from grid_maps import house_from, level_from, random_house, room
 from navbake import PathFinder
-from navbake.episodes import Episode, EpisodeSet, Goal, Header, make_episodes, make_rules, make_task
+from navbake.episodes import (
+    Episode,
+    EpisodeSet,
+    Goal,
+    Header,
+    Stance,
+    make_episodes,
+    make_rules,
+    make_task,
+)
 from navbake.errors import FormatError, QueryError
 from navbake.scores import (
     MEAN_FIELDS,
@@ -280,12 +289,84 @@ def test_rooms_objects_and_exploring():
     assert found["distance"] > 0.25 and found["success"] == 1.0  # through the wall
 
 
-@pytest.mark.parametrize("task", ["object", "room", "sequence", "explore", "point"])
+def test_an_object_is_reached_by_a_pose_that_faces_it():
+    grid = plan()
+    grid.user_data = {25: {"objects": ["pole"]}, 35: {"objects": ["pole"]}}
+    finder = PathFinder(grid)
+    stance = Stance(
+        reach=(0.05, 0.4), tolerance=0.3, footprint=((0.08, 0.04), (-0.04, -0.04), (-0.04, 0.04))
+    )
+    goal = Goal(name="pole", stance=stance)
+    task = episode(start=(0.95, -0.05, 0.0), task="reach", goals=(goal,))
+    poses = finder.stand_poses("object:pole", reach=(0.05, 0.4), footprint=stance.footprint)
+    place, heading = poses.positions[0], float(poses.headings[0])
+
+    def measure(*moves, stopped=True):
+        measures = Measures(finder, task)
+        for position, move_heading in moves:
+            measures.step(position, heading=move_heading)
+        return measures.scores(stopped=stopped)
+
+    arrived = measure((place, heading + 0.2))
+    assert (arrived["success"], arrived["distance"], arrived["oracle_success"]) == (1.0, 0.0, 1.0)
+    length = finder.find_path(task.start, poses_of_all(finder, stance), smooth=False).length
+    assert arrived["shortest"] == pytest.approx(length, rel=1e-6)
+    turned_away = measure((place, heading + 0.2), (place, heading + 0.4))
+    assert (turned_away["success"], turned_away["distance"]) == (0.0, 0.0)
+    assert (turned_away["oracle_success"], turned_away["spl"]) == (1.0, 0.0)
+    assert measure((place, heading), stopped=False)["success"] == 0.0
+    assert measure((task.start, heading))["success"] == 0.0
+    assert measure()["success"] == 0.0  # it stayed at its start
+    measures = Measures(finder, task)
+    measures.step(place)
+    with pytest.raises(QueryError, match="expected a heading for each of 1 positions, got 0 in"):
+        measures.scores(stopped=True)
+    gone = episode(task="reach", goals=(Goal(name="mug", stance=stance),))
+    with pytest.raises(QueryError, match="no object 'mug' in 'plan'"):
+        Measures(finder, gone)
+
+
+def poses_of_all(finder, stance):
+    return finder.stand_poses(
+        "object:pole", reach=stance.reach, footprint=stance.footprint, count=None
+    ).positions
+
+
+def test_trajectories_have_headings(tmp_path):
+    grid = plan()
+    grid.user_data = {25: {"objects": ["pole"]}, 35: {"objects": ["pole"]}}
+    task = make_task("reach", stance={"reach": (0.05, 0.4)})
+    content = make_episodes(grid, task, make_rules(min_distance=0.1), count=5)
+    rows = []
+    for number, each in enumerate(content.episodes):
+        view = each.goals[0].view_points[0]
+        heading = view.heading + math.pi * (number == 0)
+        rows.append({"episode": each.id, "positions": [view.position], "headings": [heading]})
+    lines = tmp_path / "runs.jsonl"
+    lines.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    archive = tmp_path / "runs.npz"
+    np.savez(
+        archive,
+        episode=[row["episode"] for row in rows],
+        start=np.arange(6),
+        positions=np.concatenate([row["positions"] for row in rows]),
+        headings=np.concatenate([row["headings"] for row in rows]),
+    )
+    for path in (lines, archive):
+        scored = score_set(content, read_trajectories(path), grid)
+        assert [row["success"] for row in scored] == [0.0, 1.0, 1.0, 1.0, 1.0]
+    short = Trajectory(episode="0", positions=[(0.05, -0.05, 0.0)] * 2, headings=[0.0])
+    with pytest.raises(QueryError, match="expected a heading for each position of episode '0'"):
+        score_set(content, [short], grid, partial=True)
+
+
+@pytest.mark.parametrize("task", ["object", "room", "sequence", "explore", "point", "reach"])
 def test_sets_of_all_tasks_are_scored(task):
     grid = plan()
     grid.user_data = {25: {"objects": ["pole"]}, 35: {"objects": ["pole"]}}
     rules = make_rules(min_distance=0.1)
-    content = make_episodes(grid, make_task(task, length=2), rules, count=10)
+    stance = {"reach": (0.05, 0.4)}
+    content = make_episodes(grid, make_task(task, length=2, stance=stance), rules, count=10)
     runs = [Trajectory(episode=e.id, positions=[]) for e in content.episodes]
     rows = score_set(content, runs, grid)
     if task != "explore":

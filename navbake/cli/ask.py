@@ -348,15 +348,7 @@ def stand(
     least_and_greatest = options.parse_pair(reach, "--reach")
     outline = None
     if footprint is not None:
-        length, width = options.parse_pair(footprint, "--footprint")
-        half_length = length / 2.0
-        half_width = width / 2.0
-        outline = [
-            (half_length, half_width),
-            (-half_length, half_width),
-            (-half_length, -half_width),
-            (half_length, -half_width),
-        ]
+        outline = options.parse_rectangle(footprint, "--footprint")
     typed_places = [_parse_target(text) for text in target_texts]
     typed_start = None if start is None else options.parse_place(start, "--from")
     nav_grid = navbake.load(grid)

@@ -39,9 +39,9 @@ def episodes(
     grids: Annotated[list[Path], Argument(metavar="GRID…", help="NavGrid files.")],
     task: str = option(
         "TASK",
-        "point, object, room, sequence or explore.",
+        "point, object, room, sequence, explore or reach.",
         default="point",
-        completion=completion.list_choices("point|object|room|sequence|explore"),
+        completion=completion.list_choices("point|object|room|sequence|explore|reach"),
     ),
     objects: list[str] | None = option(
         "PATTERN",
@@ -56,7 +56,14 @@ def episodes(
         "--room",
         completion=completion.list_rooms,
     ),
-    reach: float | None = option("METRES", "How near to the goal counts as reached [m]."),
+    reach: str | None = option(
+        "METRES",
+        "How near to the goal counts as reached; with TASK reach LEAST,GREATEST [m].",
+    ),
+    footprint: str | None = option(
+        "LENGTH,WIDTH",
+        "Size of a rectangular base that has to fit, with TASK reach [m].  [default: a disc]",
+    ),
     length: int = option("N", "Goals of a sequence.", default=3, min=2),
     of: str = option(
         "KIND",
@@ -106,6 +113,17 @@ def episodes(
     from navbake.yaml_text import read_yaml  # PyYAML loads slowly
 
     task_fields: dict[str, Any] = {"objects": objects or (), "rooms": rooms or ()}
+    if task == "reach":
+        stance: dict[str, Any] = {}
+        if reach is not None:
+            stance["reach"] = options.parse_pair(reach, "--reach")
+        if footprint is not None:
+            stance["footprint"] = options.parse_rectangle(footprint, "--footprint")
+        task_fields["stance"] = stance
+    elif footprint is not None:
+        raise BadParameter("does nothing here: it is for --task reach", param_hint="--footprint")
+    elif reach is not None:
+        task_fields["radius"] = options.parse_length(reach, "--reach")
     if categories is not None:
         try:
             patterns = convert(read_yaml(categories), dict[str, list[str] | str])
@@ -125,7 +143,7 @@ def episodes(
     sampler_rules = sets.make_rules(sampler, **rules)
     episode_set = sets.make_episodes(
         loaded_grids,
-        sets.make_task(task, radius=reach, length=length, of=of, share=share, **task_fields),
+        sets.make_task(task, length=length, of=of, share=share, **task_fields),
         sampler_rules,
         count=count,
         seed=seed,

@@ -418,6 +418,48 @@ def parse_pair(text: str, option: str) -> tuple[float, float]:
     return lengths
 
 
+def parse_length(text: str, option: str) -> float:
+    """Parse a length.
+
+    Args:
+        text: a number >= 0.
+        option: the name of the option that gives the text, for errors.
+
+    Raises:
+        BadParameter: the text has another form.
+    """
+    is_number = re.fullmatch(NUMBER_PATTERN, text.strip()) is not None
+    if not is_number or not 0.0 <= float(text) < math.inf:
+        raise BadParameter(
+            f"expected a length in metres as in 0.5, got {text!r}", param_hint=option
+        )
+    return float(text)
+
+
+def parse_rectangle(text: str, option: str) -> list[tuple[float, float]]:
+    """Parse length and width, and return the corners of a rectangle round the origin.
+
+    Args:
+        text: two numbers >= 0 with a comma in between.
+        option: the name of the option that gives the text, for errors.
+
+    Returns:
+        x ahead and y to the left of each of the four corners [m].
+
+    Raises:
+        BadParameter: the text has another form.
+    """
+    length, width = parse_pair(text, option)
+    half_length = length / 2.0
+    half_width = width / 2.0
+    return [
+        (half_length, half_width),
+        (-half_length, half_width),
+        (-half_length, -half_width),
+        (half_length, -half_width),
+    ]
+
+
 class TypedPlace(NamedTuple):
     """A place that a user typed: x and y, and either z, a level, or neither."""
 

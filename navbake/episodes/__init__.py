@@ -11,6 +11,7 @@ from navbake.episodes.episode import (
     Goal,
     GridEntry,
     Header,
+    Stance,
     ViewPoint,
     digest_of,
 )
@@ -35,7 +36,7 @@ from navbake.episodes.sampler import (
 
 __all__ = [
     "PRESETS", "Agent", "Episode", "EpisodeSet", "FlightRules", "Goal", "GridEntry", "Header",
-    "Rules", "Splits", "Task", "ViewPoint", "digest_of", "digest_of_voxels", "make_episodes",
-    "make_flight_episodes", "make_flight_finder", "make_flight_rules", "make_rules",
-    "make_splits", "make_task", "read_episodes", "write_episodes",
+    "Rules", "Splits", "Stance", "Task", "ViewPoint", "digest_of", "digest_of_voxels",
+    "make_episodes", "make_flight_episodes", "make_flight_finder", "make_flight_rules",
+    "make_rules", "make_splits", "make_task", "read_episodes", "write_episodes",
 ]  # fmt: skip

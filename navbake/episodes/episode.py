@@ -6,6 +6,7 @@ that flies. Headings [rad] are 0 along x and grow towards y.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import replace
 from hashlib import sha256
@@ -21,7 +22,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.runtime.agents import find_agent
 from navbake.types import Vector3
 
-GRID_TASKS = ("point", "object", "room", "sequence", "explore")
+GRID_TASKS = ("point", "object", "room", "sequence", "explore", "reach")
 """Tasks on navigation grids."""
 
 FLY_TASK = "fly"
@@ -69,11 +70,28 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ViewPoint(Record, frozen=True, omit_defaults=True):
-    """A place from which an object is visible."""
+    """A place from which an object is visible; for the task ``reach``, in reach."""
 
     position: Vector3  #: World x, y and floor z [m].
     heading: float  #: The heading that looks at the object [rad].
     iou: float | None = None  #: Share of the picture that the object fills, if it was measured.
+
+
+class Stance(Record, frozen=True, kw_only=True, omit_defaults=True):
+    """How an agent has to stand to reach an object, by the rules of `PathFinder.stand_poses`."""
+
+    reach: tuple[Length, Length] = (0.3, 0.8)
+    """Least and greatest distance from the agent's axis to the object [m]."""
+    tolerance: Annotated[float, msgspec.Meta(ge=0)] | None = math.pi / 8
+    """Largest angle between the agent's heading and that of `PathFinder.stand_poses` in the same
+    cell [rad]; None for any heading."""
+    sight: bool | Length = True
+    """Whether the object must be in sight of the agent's height, or the eye's height [m]."""
+    height: Length | None = None
+    """Height of the shoulder over the floor, for distances in space [m]; None to measure on the
+    map."""
+    footprint: tuple[tuple[float, float], ...] = ()
+    """Outline of the base, x ahead, y to the left [m]; () for a disc of the grid's radius."""
 
 
 class Goal(Record, frozen=True, kw_only=True, omit_defaults=True):
@@ -88,7 +106,10 @@ class Goal(Record, frozen=True, kw_only=True, omit_defaults=True):
     name: str | None = None  #: Name of the object or the room.
     category: str | None = None  #: Category of the object, or type of the room.
     room: str | None = None  #: Id of the room.
-    view_points: tuple[ViewPoint, ...] = ()  #: Places from which the object is visible.
+    view_points: tuple[ViewPoint, ...] = ()
+    """Places from which the object is visible. With a stance, some of the poses that reach it."""
+    stance: Stance | None = None
+    """How the agent has to stand to reach the object; None for other tasks than ``reach``."""
     share: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
     """Share of the free area that has to be explored; None for other tasks."""
 

@@ -17,6 +17,7 @@ from navbake.episodes.episode import (
     Goal,
     Length,
     Record,
+    Stance,
     ViewPoint,
     check_word,
     scene_of,
@@ -28,12 +29,16 @@ from navbake.navgrid.cells import check_positions
 from navbake.navgrid.user_data import UserData, find_category, names_in
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap_to_cells
+from navbake.runtime.stand import ReachTest, stand_poses
+from navbake.runtime.stand_cells import StandRules
 from navbake.types import Float, Int, Vector3
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
 MAX_SNAP_DISTANCE = 0.5  # largest distance from a position to the free cell that counts for it [m]
 VIEW_POINT_SPACING = 0.25  # between view points, and between points of a path [m]
+MAX_REACH_POSES = 16  # poses of a goal that is to be reached
+MAX_REACH_TESTS = 256  # tests that a path finder keeps
 
 
 class Task(Record, frozen=True, kw_only=True):
@@ -52,21 +57,31 @@ class Task(Record, frozen=True, kw_only=True):
     of: Literal["point", "object", "room"] = "point"  #: Kind of the goals of a sequence.
     share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.9
     """Share of the free area of the start's island that has to be explored."""
+    stance: Stance = Stance()
+    """How an agent has to stand to reach an object, for the task ``reach``."""
 
     def __post_init__(self) -> None:
         check_word(self.name, GRID_TASKS, "task")
+        if self.name == "reach" and self.radius is not None:
+            raise ValueError("expected no radius of a task reach: its stance says what is in reach")
 
     @property
     def kind(self) -> str:
-        """The kind of each goal: ``point``, ``object``, ``room`` or ``explore``."""
+        """The kind of each goal: ``point``, ``object``, ``room``, ``explore`` or ``reach``."""
         return self.of if self.name == "sequence" else self.name
+
+    @property
+    def noun(self) -> str:
+        """What each goal is, in a word: ``point``, ``object`` or ``room``."""
+        return "object" if self.kind == "reach" else self.kind
 
     @property
     def reach(self) -> float:
         """The radius of each goal [m]: `radius`, or a default for the kind of the goals."""
         if self.radius is not None:
             return self.radius
-        return {"point": 0.2, "object": 0.1, "room": 0.0, "explore": 3.0}[self.kind]
+        default_radii = {"point": 0.2, "object": 0.1, "room": 0.0, "explore": 3.0, "reach": 0.0}
+        return default_radii[self.kind]
 
 
 class Stops(NamedTuple):
@@ -125,7 +140,8 @@ def find_stops(
 def find_goal_cells(finder: PathFinder, goal: Goal) -> Int:
     """Return the free cells where a goal is reached.
 
-    For a room, these are its free cells. Otherwise, each view point of the goal (or the goal's
+    For a room, these are its free cells. With a stance, they are those from which the goal's object
+    is in reach. Otherwise, each view point of the goal (or the goal's
     position, if it has none) contributes its nearest free cell, if there is one within 0.5 m or the
     goal's radius, whichever is larger.
 
@@ -140,6 +156,8 @@ def find_goal_cells(finder: PathFinder, goal: Goal) -> Int:
     flat_grid = finder.search.flat
     if goal.room is not None:
         return np.flatnonzero(finder.search.mark_allowed(room=goal.room))
+    if goal.stance is not None:
+        return make_reach_test(finder, goal.name, goal.stance).cells
     places = [view_point.position for view_point in goal.view_points]
     if not places and goal.position:
         places = [goal.position]
@@ -151,6 +169,37 @@ def find_goal_cells(finder: PathFinder, goal: Goal) -> Int:
         flat_grid, flat_grid.free, positions, same_level=False, max_distance=max_distance
     )
     return np.unique(cells[cells >= 0])
+
+
+def make_reach_test(finder: PathFinder, name: str | None, stance: Stance) -> ReachTest:
+    """Make the test whether an agent at a pose reaches an object.
+
+    Args:
+        finder: the path finder of the grid, which keeps the tests of the last objects.
+        name: the object's name.
+        stance: how the agent has to stand.
+
+    Raises:
+        QueryError: the grid has no such object.
+    """
+
+    def make_test() -> ReachTest:
+        rules = stand_rules_of(stance)
+        return ReachTest(finder.search, f"object:{name}", rules, stance.tolerance)
+
+    return finder.search.cached_result("reach", (name, stance), make_test, MAX_REACH_TESTS)
+
+
+def stand_rules_of(stance: Stance) -> StandRules:
+    """Return the rules of a stance as `navbake.runtime.stand` takes them."""
+    return StandRules(
+        reach=stance.reach,
+        footprint=stance.footprint or None,
+        facing=None if stance.tolerance is None else "target",
+        height=stance.height,
+        sight=stance.sight,
+        start=None,
+    )
 
 
 class RouteFields(TypedDict, total=False):
@@ -212,7 +261,7 @@ class GoalFinder:
         Raises:
             QueryError: no object or room matches a pattern.
         """
-        if self.task.kind == "object":
+        if self.task.noun == "object":
             patterns = self.task.objects
             names_of_key = {name: [name] for name in self.object_cells}
         else:
@@ -240,7 +289,7 @@ class GoalFinder:
 
     def _default_choices(self) -> list[tuple[str, str]]:
         """List pairs of a label and an object's name or a room's id, for tasks without patterns."""
-        if self.task.kind == "object":
+        if self.task.noun == "object":
             return sorted((find_category(name), name) for name in self.object_cells)
         return [(room.id, room.id) for room in self.finder.rooms.rooms if not room.outdoors]
 
@@ -270,7 +319,7 @@ class GoalFinder:
         if not matching_keys:
             hint = suggest(hint_word, [name for names in names_of_key.values() for name in names])
             scene = scene_of(self.finder.grid)
-            raise QueryError(f"no {self.task.kind} {pattern_text} in {scene!r}: {hint}")
+            raise QueryError(f"no {self.task.noun} {pattern_text} in {scene!r}: {hint}")
         return matching_keys
 
     def make_goals(self, label: str) -> list[Goal]:
@@ -328,6 +377,8 @@ class GoalFinder:
         flat_grid = self.finder.search.flat
         cells = self.object_cells[name]
         x, y, z = flat_grid.positions(cells).mean(axis=0).tolist()
+        if self.task.kind == "reach":
+            return self._reach_goal(name, category, (x, y, z))
         view_points = []
         for position in self._find_view_positions(cells):
             heading = math.atan2(y - position[1], x - position[0])
@@ -338,6 +389,43 @@ class GoalFinder:
             name=name,
             category=category,
             view_points=tuple(view_points),
+        )
+
+    def _reach_goal(self, name: str, category: str, cells_middle: Vector3) -> Goal:
+        """Make the goal for an object that is to be reached, with poses that reach it.
+
+        Args:
+            name: the object's name.
+            category: its category.
+            cells_middle: the middle of its cells [m], which counts if the grid has no box of it.
+        """
+        search = self.finder.search
+        position = cells_middle
+        if name in search.names.boxes:
+            lower_corner, upper_corner = search.names.boxes[name].reshape(2, 3)
+            x, y, z = ((lower_corner + upper_corner) / 2.0).tolist()
+            position = (x, y, z)
+        poses = stand_poses(
+            search,
+            f"object:{name}",
+            stand_rules_of(self.task.stance),
+            count=MAX_REACH_POSES,
+            spread=VIEW_POINT_SPACING,
+            seed=0,
+        )
+        view_points = [
+            ViewPoint(tuple(pose_position), heading)
+            for pose_position, heading in zip(
+                poses.positions.tolist(), poses.headings.tolist(), strict=True
+            )
+        ]
+        return Goal(
+            position=position,
+            radius=self.task.reach,
+            name=name,
+            category=category,
+            view_points=tuple(view_points),
+            stance=self.task.stance,
         )
 
     def _find_view_positions(self, object_cells: Int) -> list[Vector3]:

@@ -390,7 +390,8 @@ class _SceneSampler:
         if len(goals) >= num_goals:
             stops = find_stops(self.finder, goals, in_order=in_order)
         if stops is None:
-            reason = "not in sight" if task.kind == "object" else "no place in the room"
+            reasons = {"object": "not in sight", "reach": "not in reach"}
+            reason = reasons.get(task.kind, "no place in the room")
         elif not math.isfinite(stops.remaining_lengths[0]):
             reason = "no path"
         elif (
@@ -420,7 +421,7 @@ class _SceneSampler:
             return [Goal(position=(x, y, z), radius=task.reach) for x, y, z in points.tolist()]
         labels = list(self.goal_finder.choices)
         if not labels:
-            raise QueryError(f"no {task.kind} in {self.scene!r} to set as a goal")
+            raise QueryError(f"no {task.noun} in {self.scene!r} to set as a goal")
         label_indices = self.rng.choice(len(labels), num_goals, replace=num_goals > len(labels))
         goals_of_labels = [
             self.goal_finder.make_goals(labels[label_index])

@@ -831,7 +831,7 @@ class PathFinder:
         target: StandTargets,
         *,
         reach: tuple[float, float] = (0.3, 0.8),
-        count: int = 16,
+        count: int | None = 16,
         footprint: ArrayLike | None = None,
         facing: str | None = "target",
         height: float | None = None,
@@ -859,7 +859,8 @@ class PathFinder:
                 without their numbers are this, or a list of these. An object, door or wall is
                 reached on the levels of its cells, a position on the level of the floor below it.
             reach: least and greatest distance from the base's axis to the target [m], on the map.
-            count: most poses for each target, >= 1.
+            count: most poses for each target, >= 1; None for the poses in all cells from which it
+                is reached, in the order of the cells.
             footprint: outline of the base from above, shape (k, 2), as in `grid.inflate_footprint`
                 [m]: it overlaps no occupied square at the pose's heading, which is then a multiple
                 of 1/64 turn. None for a disc of the grid's radius, and exact headings.
@@ -927,6 +928,47 @@ class PathFinder:
         """
         rules = StandRules(reach, footprint, facing, height, sight, start)
         return stand.stand_region(self.search, target, rules)
+
+    def can_reach(
+        self,
+        target: StandTargets,
+        positions: ArrayLike,
+        headings: ArrayLike,
+        *,
+        reach: tuple[float, float] = (0.3, 0.8),
+        footprint: ArrayLike | None = None,
+        tolerance: float | None = math.pi / 8,
+        height: float | None = None,
+        sight: bool | float = True,
+    ) -> Bool:
+        """Whether a robot's base reaches a target, or any of several, from each of many poses.
+
+        It does in the cells of `stand_region`, if it faces the target there. What is true of the
+        middle of a cell counts in the whole cell.
+
+        Args:
+            target: a position, ``object:NAME``, ``category:NAME``, or a list of these.
+            positions: world x, y, z of the base's axis [m], shape (..., 3).
+            headings: where the base faces, 0 along x, counted towards y [rad], shape (...).
+            reach: least and greatest distance to the target [m].
+            footprint: outline of the base, shape (k, 2) [m]: it has to fit at the heading, too, to
+                1/64 turn. None for a disc of the grid's radius.
+            tolerance: largest angle between a heading and that of `stand_poses` in the same cell
+                [rad], >= 0; None for any heading.
+            height: height of the shoulder over the floor [m], for distances in space.
+            sight: True, False, or the height of the eye over the floor [m].
+
+        Returns:
+            bool, shape (...); False beside the grid.
+
+        Raises:
+            QueryError: an argument is not valid, or there is no such object or category.
+
+        Example:
+            >>> finder.can_reach("object:sofa", robot_positions, robot_headings).mean()
+        """
+        rules = StandRules(reach, footprint, "target", height, sight, start=None)
+        return stand.ReachTest(self.search, target, rules, tolerance).mark(positions, headings)
 
     # ---------------------------------------------------------------- random places and poses
 

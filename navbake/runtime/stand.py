@@ -18,9 +18,15 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.user_data import find_category
-from navbake.runtime.flat_grid import check_distance, format_position
+from navbake.runtime.flat_grid import RealNumber, check_distance, format_position
 from navbake.runtime.search import NO_CELLS, Search
-from navbake.runtime.stand_cells import REACH_SLACK, StandRules, StandSite, StandTarget
+from navbake.runtime.stand_cells import (
+    REACH_SLACK,
+    StandRules,
+    StandSite,
+    StandTarget,
+    wrap_angle,
+)
 from navbake.types import Bool, Float, Int
 
 StandTargets: TypeAlias = str | ArrayLike | Sequence[str | ArrayLike]
@@ -60,7 +66,7 @@ def stand_poses(
     target: StandTargets,
     rules: StandRules,
     *,
-    count: int,
+    count: int | None,
     spread: float,
     seed: int,
 ) -> StandPoses:
@@ -70,7 +76,8 @@ def stand_poses(
         search: the search on the grid.
         target: the thing to be reached, or several.
         rules: where the base may stand.
-        count: most poses for each target, >= 1.
+        count: most poses for each target, >= 1; None for the poses in all cells, whatever the
+            spread.
         spread: least distance between two poses of a target [m].
         seed: seed of the draw of first poses and of headings.
 
@@ -80,8 +87,8 @@ def stand_poses(
     Raises:
         QueryError: an argument is not valid, or there is no such object or category.
     """
-    if not isinstance(count, int | np.integer) or count < 1:
-        expected = "a count >= 1"
+    if count is not None and (not isinstance(count, int | np.integer) or count < 1):
+        expected = "a count >= 1, or None for all"
         raise QueryError(
             f"expected {expected}, got {count!r}", key="count", value=count, expected=expected
         )
@@ -104,7 +111,9 @@ def stand_poses(
     path_lengths = np.full(len(cells), np.nan)
     if site.path_lengths is not None:
         path_lengths = site.path_lengths[cells]
-    picked_indices = pick_spread(positions, target_index, path_lengths, count, spread, rng)
+    picked_indices = np.arange(len(cells))
+    if count is not None:
+        picked_indices = pick_spread(positions, target_index, path_lengths, count, spread, rng)
     if rules.facing is None:
         headings = site.draw_headings(cells, rng)
     return StandPoses(
@@ -140,6 +149,83 @@ def stand_region(search: Search, target: StandTargets, rules: StandRules) -> lis
         is_stand[search.flat.cells_of(level_number)].reshape(level.shape)
         for level_number, level in enumerate(search.grid.levels)
     ]
+
+
+class ReachTest:
+    """Tests whether a robot's base at poses reaches a target, or any of several.
+
+    Args:
+        search: the search on the grid.
+        target: the thing to be reached, or several, of which any counts.
+        rules: where the base may stand; `tolerance` decides about ``facing``.
+        tolerance: largest angle between a pose's heading and that of `stand_poses` in its cell
+            [rad]; None for any heading.
+
+    Attributes:
+        cells: flat ids of all cells where the base can stand, ascending, each once.
+
+    Raises:
+        QueryError: a rule is not valid, or there is no such object or category.
+    """
+
+    cells: Int
+
+    def __init__(
+        self, search: Search, target: StandTargets, rules: StandRules, tolerance: float | None
+    ) -> None:
+        if tolerance is not None and not (isinstance(tolerance, RealNumber) and tolerance >= 0.0):
+            expected = "a tolerance >= 0 rad, or None for any heading"
+            raise QueryError(
+                f"expected {expected}, got {tolerance!r}",
+                key="tolerance",
+                value=tolerance,
+                expected=expected,
+            )
+        targets = find_stand_targets(search, target, needs_height=rules.height is not None)
+        self._flat = search.flat
+        self._tolerance = tolerance
+        self._site = StandSite(
+            search, rules._replace(facing=None if tolerance is None else "target")
+        )
+        self._stands_by_target = [self._site.find_stands(stand_target) for stand_target in targets]
+        self.cells = np.unique(np.concatenate([stands.cells for stands in self._stands_by_target]))
+
+    def mark(self, positions: ArrayLike, headings: ArrayLike) -> Bool:
+        """Mark the poses that reach a target.
+
+        Args:
+            positions: world x, y, z of the base's axis [m], shape (..., 3).
+            headings: where the base faces [rad], shape (...).
+
+        Returns:
+            Shape (...); False beside the grid.
+
+        Raises:
+            QueryError: a position or a heading is not valid.
+        """
+        cells = self._flat.cells_at(positions)
+        pose_headings = np.asarray(headings, dtype=np.float64)
+        if pose_headings.shape != cells.shape or not np.isfinite(pose_headings).all():
+            expected = f"finite headings of shape {cells.shape}, one for each position [rad]"
+            raise QueryError(
+                f"expected {expected}, got {headings!r:.60}",
+                key="headings",
+                value=headings,
+                expected=expected,
+            )
+        is_reaching = np.zeros(cells.shape, dtype=np.bool_)
+        for stands in self._stands_by_target:
+            if not len(stands.cells):
+                continue
+            last_index = len(stands.cells) - 1
+            stand_index = np.minimum(np.searchsorted(stands.cells, cells), last_index)
+            is_stand = stands.cells[stand_index] == cells
+            if self._tolerance is not None:
+                turns = wrap_angle(pose_headings - stands.headings[stand_index])
+                is_stand &= np.abs(turns) <= self._tolerance
+            is_reaching |= is_stand
+        is_reaching[is_reaching] = self._site.fits(cells[is_reaching], pose_headings[is_reaching])
+        return is_reaching
 
 
 # ---------------------------------------------------------------- targets

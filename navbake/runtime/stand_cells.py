@@ -474,6 +474,21 @@ class StandSite:
                     names_between |= names.entries[entry_number].blocking
         return sorted(names_between - {view.target.name})
 
+    def fits(self, cells: Int, headings: Float) -> Bool:
+        """Mark the poses at which the footprint fits, at the nearest tested heading.
+
+        Args:
+            cells: flat ids of free cells, shape (n,).
+            headings: a heading for each [rad], shape (n,).
+
+        Returns:
+            Shape (n,); all are marked if the rules have no footprint.
+        """
+        if self._fits is None:
+            return np.ones(len(cells), dtype=np.bool_)
+        heading_index = np.rint(headings / HEADING_STEP).astype(np.int64) % NUM_HEADINGS
+        return self._fits[heading_index, cells]
+
     def draw_headings(self, cells: Int, rng: Generator) -> Float:
         """Draw a heading for each cell; of a footprint, one at which it fits [rad].
 

@@ -54,6 +54,37 @@ def test_a_set_is_made_and_scored(run):
     assert found["spl"]["mean"] > 0.95 and found["time"]["mean"] is None
 
 
+def test_objects_are_reached_by_poses_and_scored_with_headings(run):
+    args = ("episodes", "house.json.gz", "-o", "set.jsonl", "--task", "reach", "--radius", "0.2")
+    size = ("--reach", "0.25,0.9", "--footprint", "0.5,0.3")
+    status, out, err = run(*args, *size, "--count", "12")
+    assert (status, err) == (0, "") and "12 episodes" in out
+    content = read_episodes("set.jsonl")
+    stance = content.episodes[0].goals[0].stance
+    assert stance.reach == (0.25, 0.9) and set(map(len, stance.footprint)) == {2}
+    lines = []
+    for number, e in enumerate(content.episodes):
+        view = e.goals[-1].view_points[-1]
+        turn = 3.0 if number < 6 else 0.0
+        lines.append(
+            {"episode": e.id, "positions": [view.position], "headings": [view.heading + turn]}
+        )
+    Path("runs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    status, _, err = run("score", "set.jsonl", "runs.jsonl", "-o", "scores.csv")
+    assert (status, err) == (0, "")
+    with open("scores.csv") as file:
+        successes = [row["success"] for row in csv.DictReader(file)]
+    assert successes == ["0.0"] * 6 + ["1.0"] * 6
+    for options, message in (
+        (("--reach", "0.5"), "--reach: expected two lengths in metres as in 0.3,0.8"),
+        (("--task", "point", "--footprint", "1,1"), "--footprint: does nothing here"),
+        (("--task", "point", "--reach", "-1"), "--reach: expected a length in metres as in 0.5"),
+        (("--task", "point", "--reach", "near"), "--reach: expected a length in metres as in 0.5"),
+    ):
+        status, _, err = run(*args, *options)
+        assert status == 2 and message in err
+
+
 def test_objects_by_a_file_of_categories_and_splits(run):
     Path("categories.yaml").write_text("seat: [chair*, sofa*]\ntable: '*table*'\n")
     args = ("episodes", "house.json.gz", "-o", "set.jsonl.gz", "--task", "object", "-q")
@@ -140,7 +171,8 @@ def test_an_unknown_field_of_a_trajectory_is_named_with_the_known_ones(run):
     assert run("episodes", "house.json.gz", "-o", "set.jsonl", "--count", "1", "-q")[0] == 0
     Path("runs.jsonl").write_text('{"id": "0", "positions": []}')
     status, _, err = run("score", "set.jsonl", "runs.jsonl")
-    assert status == 1 and "unknown field `id`, expected episode, positions, stop, times, in" in err
+    known_names = "expected episode, positions, stop, times, headings, in"
+    assert status == 1 and f"unknown field `id`, {known_names}" in err
 
 
 def test_grids_in_folders_are_found_from_the_set_and_in_a_folder(run, tmp_path):

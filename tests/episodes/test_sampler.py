@@ -19,6 +19,7 @@ from grid_maps import house_from, level_from, random_house, room
 from navbake import PathFinder
 from navbake.episodes import (
     Splits,
+    Stance,
     make_episodes,
     make_rules,
     make_task,
@@ -26,7 +27,7 @@ from navbake.episodes import (
     write_episodes,
 )
 from navbake.episodes.goals import find_goal_cells
-from navbake.errors import ConfigError, QueryError
+from navbake.errors import ConfigError, FormatError, QueryError
 from project_paths import GOLDEN
 
 FLOOR = """
@@ -91,6 +92,43 @@ def test_all_can_be_solved_and_distances_are_those_of_paths(task, sampler):
     if sampler == "minos":
         assert all(e.rooms and e.doors is not None for e in found.episodes)
         assert all(e.rooms[0] == e.room for e in found.episodes)
+
+
+STANCE = Stance(reach=(0.2, 1.2), tolerance=0.5)
+
+
+def test_objects_to_be_reached_are_reached_from_their_nearest_pose():
+    grid = plan()
+    task = make_task("reach", stance=STANCE, objects=("table*", "rug*"))
+    content = make_episodes(grid, task, count=40)
+    finder = PathFinder(grid)
+    assert {episode.goals[0].name for episode in content.episodes} == {"table_1", "rug_7"}
+    for episode in content.episodes:
+        (goal,) = episode.goals
+        assert (episode.task, goal.radius, goal.stance) == ("reach", 0.0, STANCE)
+        poses = finder.stand_poses(f"object:{goal.name}", reach=(0.2, 1.2), count=None)
+        path = finder.find_path(episode.start, poses.positions, smooth=False)
+        assert episode.distance == pytest.approx(path.length, rel=1e-6) and episode.distance >= 1
+        views = np.array([(*view.position, view.heading) for view in goal.view_points])
+        assert 0 < len(views) <= 16
+        assert finder.can_reach(
+            f"object:{goal.name}", views[:, :3], views[:, 3], reach=(0.2, 1.2), tolerance=0.0
+        ).all()
+
+
+def test_what_is_out_of_reach_is_no_goal(tmp_path):
+    with pytest.raises(QueryError, match=r"keeps the rules: 200 not in reach"):
+        make_episodes(plan(), make_task("reach", objects=("table*",)))  # cells as large as arms
+    with pytest.raises(QueryError, match="no object 'tabel' in 'plan': it has lamp_2, rug_7"):
+        make_episodes(plan(), make_task("reach", objects=("tabel",)))
+    with pytest.raises(ConfigError, match="expected no radius of a task reach"):
+        make_task("reach", radius=0.5)
+    content = make_episodes(plan(), make_task("reach", stance=STANCE), count=10)
+    for ending in (".jsonl", ".parquet"):
+        write_episodes(content, tmp_path / f"set{ending}")
+        assert read_episodes(tmp_path / f"set{ending}").episodes == content.episodes
+    with pytest.raises(FormatError, match="no task 'reach' in habitat-pointnav or"):
+        write_episodes(content, tmp_path / "set.json")
 
 
 def test_over_levels_and_links():

@@ -295,6 +295,73 @@ def test_bases_stand_where_brute_force_over_all_cells_and_headings_finds_that_th
                 assert min(angle_between(heading, other) for other in headings) < 1e-6
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("footprint", "tolerance"), [(None, 0.4), (BASE, 0.4), (BASE, None)])
+def test_a_pose_reaches_where_brute_force_finds_it_and_faces_the_target(seed, footprint, tolerance):
+    text, heights = random_map(seed)
+    level = make_level(text, heights, inset=0.02)
+    finder = PathFinder(level)
+    rng = np.random.default_rng(seed)
+    facing = None if tolerance is None else "target"
+    expected = find_by_brute_force(level, "box", (0.0, 0.5), footprint, facing, True)
+    sides = np.array([level.width, level.height]) * CELL
+    positions = np.column_stack([rng.uniform(-0.1, sides + 0.1, (800, 2)), np.zeros(800)])
+    headings = rng.uniform(-7.0, 7.0, 800)
+    masks = None if footprint is None else level.inflate_footprint(footprint, 64)[0]
+    reaches = finder.can_reach(
+        "object:box",
+        positions.reshape(20, 40, 3),
+        headings.reshape(20, 40),
+        reach=(0.0, 0.5),
+        footprint=footprint,
+        tolerance=tolerance,
+    )
+    assert reaches.shape == (20, 40)
+    truths = []
+    for position, heading in zip(positions, headings, strict=True):
+        cell = finder.cell_at(position)
+        base = None if cell is None else (cell.row, cell.col)
+        truth = base in expected
+        if truth and tolerance is not None:
+            truth = min(angle_between(heading, other) for other in expected[base]) <= tolerance
+        if truth and masks is not None:
+            truth = masks[round(heading / (2 * math.pi / 64)) % 64][base]
+        truths.append(truth)
+    assert reaches.ravel().tolist() == truths and (any(truths) or not expected)
+
+
+def test_poses_without_a_count_are_in_all_cells_of_the_region():
+    finder = PathFinder(make_level(KITCHEN, HEIGHTS))
+    poses = finder.stand_poses(["object:cup_1", "object:box"], count=None)
+    for index, name in enumerate(("cup_1", "box")):
+        (region,) = finder.stand_region(f"object:{name}")
+        cells = finder.grid.cells_at(poses.positions[poses.target_index == index])
+        np.testing.assert_array_equal(
+            cells.row * region.shape[1] + cells.col, np.flatnonzero(region)
+        )
+    assert finder.can_reach("object:box", *poses_of(poses, 1)).all()
+    assert finder.can_reach(["object:cup_1", "object:box"], poses.positions, poses.headings).all()
+
+
+def poses_of(poses, target):
+    is_of_target = poses.target_index == target
+    return poses.positions[is_of_target], poses.headings[is_of_target]
+
+
+@pytest.mark.parametrize(
+    ("headings", "rules", "message"),
+    [
+        ([0.0, 0.0], {}, r"expected finite headings of shape \(1,\), one for each position"),
+        ([math.nan], {}, "expected finite headings"),
+        ([0.0], {"tolerance": -0.1}, "expected a tolerance >= 0 rad, or None for any heading"),
+    ],
+)
+def test_a_wrong_heading_is_one_clear_line(headings, rules, message):
+    finder = PathFinder(make_level(KITCHEN, HEIGHTS))
+    with pytest.raises(QueryError, match=message):
+        finder.can_reach("object:box", [(0.5, 0.5, 0.0)], headings, **rules)
+
+
 # ---------------------------------------------------------------- reach and sight
 
 
@@ -494,7 +561,7 @@ def test_a_hidden_target_names_what_is_in_between():
         ("object:table", {"reach": (0.8, 0.3)}, "expected a reach"),
         ("object:table", {"reach": 0.8}, "expected a reach"),
         ("object:table", {"reach": (0.3, math.inf)}, "expected a reach"),
-        ("object:table", {"count": 0}, "expected a count >= 1, got 0"),
+        ("object:table", {"count": 0}, "expected a count >= 1, or None for all, got 0"),
         ("object:table", {"spread": -1}, "expected a spread >= 0 m, got -1"),
         ("object:table", {"facing": "away"}, "expected target as facing, got 'away'"),
         ("object:rug", {"height": 1.2}, "expected a target of known height .* got rug"),
